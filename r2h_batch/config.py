@@ -121,12 +121,12 @@ class Workplace(_Checked):
     """The arm's posture at the start and the table.
 
     Attributes:
-        home_q: joint angles at the start, rad.
+        home_q: joint angles at the start, rad, as many as the robot has joints.
         table_center: centre of the table's box in the world, m.
         table_half: its half sides, m.
     """
 
-    home_q: Annotated[tuple[Angle, ...], Field(min_length=6, max_length=6)] = HOME_Q
+    home_q: Annotated[tuple[Angle, ...], Field(min_length=6, max_length=12)] = HOME_Q
     table_center: Annotated[tuple[Coordinate, ...], Field(min_length=3, max_length=3)] = (
         TABLE_CENTER
     )

@@ -80,13 +80,16 @@ class MarginKind(IntEnum):
 
 
 class PlanReason(IntEnum):
-    """Why Plan passed or failed; `IK_*` are proven, `NO_PATH_IN_BUDGET` is not; `NOT_SETTLED`: the
-    motion did not come to rest.
+    """Why Plan passed or failed; `IK_UNREACHABLE` and `IK_IN_COLLISION` are proven,
+    `NO_PATH_IN_BUDGET` is not; `NOT_SETTLED`: the motion did not come to rest.
+
+    An arm without a closed form has `IK_NOT_FOUND` where no seed led to the target, and
+    `NO_FREE_POSTURE_FOUND` where all postures found collide; neither is proven.
 
     With `PlanConfig.goals = "one"` only one branch is looked at: `IK_IN_COLLISION` then says
     nothing about the others. Where the wrist is singular (sin q5 = 0) solutions are a line, of
     which points are tried: if all collide, that is no proof and the reason is `NO_PATH_IN_BUDGET`.
-    The last three are of motions that the caller gives (`Evaluator.score_motion`).
+    `MOTION_*` and `BEYOND_*` are of motions that the caller gives (`Evaluator.score_motion`).
     """
 
     OK = 0
@@ -99,6 +102,8 @@ class PlanReason(IntEnum):
     MOTION_IN_COLLISION = 7
     BEYOND_JOINT_LIMITS = 8
     BEYOND_SPEED_LIMITS = 9
+    IK_NOT_FOUND = 10
+    NO_FREE_POSTURE_FOUND = 11
 
 
 class CollidingPair(IntEnum):

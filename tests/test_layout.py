@@ -33,9 +33,32 @@ def imports_of(path: Path) -> list[tuple[str, str]]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found += [(a.name, "") for a in node.names if a.name.startswith("r2h_batch")]
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("r2h_batch"):
-            found += [(node.module or "", a.name) for a in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            module = node.module or ""
+            if node.level:
+                package = ("r2h_batch", *path.relative_to(ROOT).parts)[: -node.level]
+                module = ".".join((*package, *module.split(".") * bool(module)))
+            if module.startswith("r2h_batch"):
+                found += [(module, a.name) for a in node.names]
     return found
+
+
+def test_kernels_import_relatively_what_depends_on_the_number_of_joints_and_nothing_else() -> None:
+    """A second instance of the kernels (r2h_batch.launch.instances) has its own of these, and shares all others."""
+    kernels = {n: path for n, path in modules().items() if n.startswith("r2h_batch.kernels.")}
+    imported = {n: {m for m, _ in imports_of(path)} for n, path in kernels.items()}
+    sized, before = {"r2h_batch.kernels.robot.joints"}, 0
+    while before < len(sized):
+        before = len(sized)
+        sized |= {n for n, own in imported.items() if own & sized}
+    wrong = []
+    for name, path in kernels.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module in sized:
+                wrong.append(f"{name} imports {node.module}")
+            elif isinstance(node, ast.ImportFrom) and node.level and name not in sized:
+                wrong.append(f"{name} imports relatively")
+    assert len(sized) > 30 and wrong == []
 
 
 def test_no_file_imports_itself_through_others_not_even_lazily() -> None:

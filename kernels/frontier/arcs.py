@@ -2,13 +2,15 @@
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.intervals import add_edge
-from r2h_batch.kernels.frontier.queues import ASKED, NOTHING, Counts, Edges, Intervals
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import CERTIFY, WAYPOINTS
-from r2h_batch.kernels.plan.shortcut import FIRST_SHARE, LEAST_SAVED_S, segment_time
-from r2h_batch.kernels.robot.posture import load, load_waypoint
-from r2h_batch.kernels.robot.world import World, vec6
+
+from ..plan.shortcut import FIRST_SHARE, LEAST_SAVED_S, segment_time
+from ..robot.joints import JOINTS, vecq
+from ..robot.posture import load, load_waypoint
+from ..robot.world import World
+from .intervals import add_edge
+from .queues import ASKED, NOTHING, Counts, Edges, Intervals
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -43,7 +45,7 @@ class Paths:
     state: wp.array(dtype=int)
     rounds: wp.array(dtype=int)  # rounds so far
     known: wp.array2d(dtype=wp.int64)  # (P, W) bit j of entry i: the line from i to j > i is checked
-    copy: wp.array3d(dtype=float)  # (P, W, 6) scratch
+    copy: wp.array3d(dtype=float)  # (P, W, JOINTS) scratch
 
 
 @wp.struct
@@ -55,14 +57,14 @@ class Arcs:
     lo: wp.array(dtype=int)  # waypoints between which it leads
     hi: wp.array(dtype=int)
     n: wp.array(dtype=int)  # points in between
-    point: wp.array2d(dtype=float)  # (P * LANES * 2, 6)
+    point: wp.array2d(dtype=float)  # (P * LANES * 2, JOINTS)
     time: wp.array(dtype=float)  # from lo to hi, s
     asking: wp.array(dtype=int)  # queue of lanes whose edges have to be made
 
 
 @wp.func
-def _write_edge(world: World, edges: Edges, queue: Intervals, counts: Counts, parity: int, e: int, a: vec6, b: vec6):
-    for j in range(6):
+def _write_edge(world: World, edges: Edges, queue: Intervals, counts: Counts, parity: int, e: int, a: vecq, b: vecq):
+    for j in range(JOINTS):
         edges.a[e, j] = a[j]
         edges.b[e, j] = b[j]
     add_edge(world, edges, queue, counts, parity, e, CERTIFY, 0)
@@ -76,8 +78,8 @@ def _draw(
     """One change as `arcs` has it: what it saves (s; nothing: 0 or less), and the random number's state after it."""
     saved = float(0.0)
     now = float(0.0)
-    x0 = vec6()
-    x1 = vec6()
+    x0 = vecq()
+    x1 = vecq()
     lo = int(0)
     hi = int(0)
     if way == JOIN:
@@ -112,7 +114,7 @@ def _draw(
         t0 = segment_time(a, x0, speed, acceleration)
         t1 = segment_time(x0, b, speed, acceleration)
         by = wp.where(way == PULL_SOME, wp.randf(rng), share)
-        for m in range(6):
+        for m in range(JOINTS):
             on_line = a[m] + (t0 / (t0 + t1)) * (b[m] - a[m])
             if way == PULL or wp.randf(rng) < 0.5:
                 x0[m] = x0[m] + by * (on_line - x0[m])
@@ -122,7 +124,7 @@ def _draw(
     arcs.hi[lane] = hi
     arcs.n[lane] = wp.where(way == JOIN, 2, 1)
     arcs.time[lane] = now
-    for j in range(6):
+    for j in range(JOINTS):
         arcs.point[2 * lane, j] = x0[j]
         arcs.point[2 * lane + 1, j] = x1[j]
     return saved, rng
@@ -150,7 +152,7 @@ def draw_arcs(
     paths: Paths,
     arcs: Arcs,
     key_in: wp.array(dtype=int),  # (B,)
-    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
 ):
     """The lines of what each lane proposes, queued; changes are drawn first, and have to save time."""

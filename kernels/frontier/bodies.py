@@ -6,7 +6,26 @@ of a warp run through the same code, and kernels stay small. The questions thems
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.queues import (
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.plan.codes import HAND, MAX_OBSTACLES, SELF, TABLE
+
+from ..plan.obstacles import (
+    MAY_MEET,
+    Query,
+    bodies_near,
+    hand_near,
+    link_clears_hand,
+    link_clears_table,
+    links_in_reach,
+    moving_body,
+    pair_motion,
+    pieces_near,
+    table_near,
+)
+from ..robot.joints import CHANGES, LINKS, OBJECT
+from ..robot.posture import load
+from ..robot.world import TrialBodies, World, body_pose, link_frame
+from .queues import (
     BODIES,
     KINDS,
     NOW,
@@ -26,23 +45,6 @@ from r2h_batch.kernels.frontier.queues import (
     target_of,
     value_of,
 )
-from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.codes import HAND, MAX_OBSTACLES, SELF, TABLE
-from r2h_batch.kernels.plan.obstacles import (
-    MAY_MEET,
-    Query,
-    bodies_near,
-    hand_near,
-    link_clears_hand,
-    link_clears_table,
-    links_in_reach,
-    moving_body,
-    pair_motion,
-    pieces_near,
-    table_near,
-)
-from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import CHANGES, OBJECT, TrialBodies, World, body_pose, link_frame
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -106,7 +108,7 @@ def clear_links(
     if first + wp.tid() == 0:
         counts.n[NOW + 1 - parity] = 0
     n = wp.min(counts.n[NOW + parity], queue.edge.shape[0])
-    for i in range(first + wp.tid(), 9 * n, lanes):  # link by link: lanes that lie side by side do the same
+    for i in range(first + wp.tid(), LINKS * n, lanes):  # link by link: lanes that lie side by side do the same
         s = i % n
         link = i / n
         edge = queue.edge[s]

@@ -2,7 +2,15 @@
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.queues import (
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.plan.bisection import MAX_LEVEL, half_width, middle
+from r2h_batch.kernels.plan.codes import CERTIFY, CLEARANCE, HAND, SAMPLES, SELF, TABLE
+
+from ..plan.edge import MOVEIT_SEGMENT_RAD, PART_RAD
+from ..robot.joints import JOINTS, vecq
+from ..robot.posture import load
+from ..robot.world import TrialBodies, World, forward_kinematics, twists
+from .queues import (
     ASKED,
     BODIES,
     EDGES,
@@ -20,21 +28,15 @@ from r2h_batch.kernels.frontier.queues import (
     key_of,
     take,
 )
-from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL, half_width, middle
-from r2h_batch.kernels.plan.codes import CERTIFY, CLEARANCE, HAND, SAMPLES, SELF, TABLE
-from r2h_batch.kernels.plan.edge import MOVEIT_SEGMENT_RAD, PART_RAD
-from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import TrialBodies, World, forward_kinematics, twists, vec6
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 
 @wp.func
-def parts_of(a: vec6, b: vec6, step: float):
+def parts_of(a: vecq, b: vecq, step: float):
     """Into how many equal parts of at most `step` (rad, summed over the joints) an edge is cut."""
     length = float(0.0)
-    for j in range(6):
+    for j in range(JOINTS):
         length += wp.abs(b[j] - a[j])
     return wp.max(int(wp.ceil(length / step)), 1)
 
@@ -110,7 +112,7 @@ def queue_paths(
     world: World,
     edges: Edges,
     queue: Intervals,
-    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     counts: Counts,
 ):
@@ -122,7 +124,7 @@ def queue_paths(
             edges.trial[i] = trial
             edges.owner[i] = trial
             edges.hand_margin[i] = 0.0
-            for j in range(6):
+            for j in range(JOINTS):
                 edges.a[i, j] = path_in[trial, k, j]
                 edges.b[i, j] = path_in[trial, k + 1, j]
             add_edge(world, edges, queue, counts, parity, i, CLEARANCE, 0)
@@ -156,8 +158,8 @@ def interval_frames(
         trial = edges.trial[edge]
         a = load(edges.a, edge)
         delta = load(edges.b, edge) - a
-        q = vec6()
-        d = vec6()
+        q = vecq()
+        d = vecq()
         level = queue.level[s]
         if level < 0:
             q = a + (float(queue.index[s] + 1) / float(queue.part[s])) * delta
@@ -165,7 +167,7 @@ def interval_frames(
             one = 1.0 / float(parts_of(a, load(edges.b, edge), PART_RAD))
             q = a + ((float(queue.part[s]) + middle(level, queue.index[s])) * one) * delta
             d = (half_width(level) * one) * delta
-        for j in range(6):
+        for j in range(JOINTS):
             frames.d[s, j] = d[j]
         forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q, frames.R[s], frames.p[s])
         twists(d, frames.R[s], frames.p[s], frames.w[s], frames.v[s])

@@ -6,13 +6,14 @@ A lane takes the next pair as soon as its own is done.
 import warp as wp
 
 from r2h_batch.kernels.frontier.iteration import first_direction, iterate
-from r2h_batch.kernels.frontier.queues import PAIRS, TAKEN, Counts, Edges, Frames, Intervals, Pairs, key_of, order_of
 from r2h_batch.kernels.geometry.body import BOX, ROUNDING_M, Body, support
 from r2h_batch.kernels.geometry.gjk import MAX_ITERATIONS
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND, SELF, TABLE
-from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import TrialBodies, World, object_body, piece_body, robot_body
+
+from ..robot.posture import load
+from ..robot.world import TrialBodies, World, object_body, piece_body, robot_body
+from .queues import PAIRS, TAKEN, Counts, Edges, Frames, Intervals, Pairs, key_of, order_of
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 

@@ -11,7 +11,9 @@ threads run. Therefore results depend neither on the number of threads nor on th
 import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.world import OBJECT, World
+
+from ..robot.joints import OBJECT
+from ..robot.world import World
 
 wp.set_module_options(OPTIONS)
 
@@ -51,7 +53,7 @@ class Edges:
 
     trial: wp.array(dtype=int)
     owner: wp.array(dtype=int)  # row of `found`: the edge itself, or its path
-    a: wp.array2d(dtype=float)  # (E, 6)
+    a: wp.array2d(dtype=float)  # (E, JOINTS)
     b: wp.array2d(dtype=float)
     hand_margin: wp.array(dtype=float)
     found: wp.array(dtype=wp.int64)  # (owners,) smallest key so far (`key_of`)
@@ -73,7 +75,7 @@ class Intervals:
 class Frames:
     """The level's intervals (N,): frames, twists, and the bodies that stay open."""
 
-    d: wp.array2d(dtype=float)  # (N, 6) half the interval, rad
+    d: wp.array2d(dtype=float)  # (N, JOINTS) half the interval, rad
     R: wp.array2d(dtype=wp.mat33)  # (N, 7)
     p: wp.array2d(dtype=wp.vec3)
     w: wp.array2d(dtype=wp.vec3)  # (N, FIELDS)

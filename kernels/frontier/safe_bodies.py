@@ -2,19 +2,21 @@
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.bodies import moving_body_of, stays_open
-from r2h_batch.kernels.frontier.queues import NOW, Counts, Frames, take
 from r2h_batch.kernels.frontier.safe_queues import BODIES, PIECES, Bodies, Moments, Nearest, Pieces
 from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
 from r2h_batch.kernels.geometry.body import from_ball
 from r2h_batch.kernels.geometry.closest import rounded
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
-from r2h_batch.kernels.judge.hand_bounds import ASK, WAITS, allowed_of, bound_of_ball, bound_of_hand, link_is_clear
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND
-from r2h_batch.kernels.plan.obstacles import MovingBody
-from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import OBJECT, TrialBodies, World, link_frame
+
+from ..judge.hand_bounds import ASK, WAITS, allowed_of, bound_of_ball, bound_of_hand, link_is_clear
+from ..plan.obstacles import MovingBody
+from ..robot.joints import OBJECT
+from ..robot.posture import load
+from ..robot.world import TrialBodies, World, link_frame
+from .bodies import moving_body_of, stays_open
+from .queues import NOW, Counts, Frames, take
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 

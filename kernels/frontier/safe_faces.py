@@ -2,9 +2,6 @@
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.bodies import moving_body_of, stays_open
-from r2h_batch.kernels.frontier.queues import Counts, Frames, take
-from r2h_batch.kernels.frontier.safe_bodies import FAR, compared_with
 from r2h_batch.kernels.frontier.safe_queues import (
     BODIES,
     FACES,
@@ -23,10 +20,14 @@ from r2h_batch.kernels.frontier.safe_queues import (
 from r2h_batch.kernels.geometry.body import from_ball
 from r2h_batch.kernels.geometry.closest import TOUCH_M
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh
-from r2h_batch.kernels.judge.hand_bounds import ASK, WAITS, allowed_of, bound_of_face, bound_of_hull
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND
-from r2h_batch.kernels.robot.world import TrialBodies, World, robot_body
+
+from ..judge.hand_bounds import ASK, WAITS, allowed_of, bound_of_face, bound_of_hull
+from ..robot.world import TrialBodies, World, robot_body
+from .bodies import moving_body_of, stays_open
+from .queues import Counts, Frames, take
+from .safe_bodies import FAR, compared_with
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 

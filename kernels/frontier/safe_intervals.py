@@ -2,8 +2,6 @@
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.intervals import parts_of
-from r2h_batch.kernels.frontier.queues import NOW, Counts, Frames, take
 from r2h_batch.kernels.frontier.safe_queues import (
     BODIES,
     FACES,
@@ -19,9 +17,13 @@ from r2h_batch.kernels.frontier.safe_queues import (
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, half_width, middle
 from r2h_batch.kernels.plan.codes import HAND
-from r2h_batch.kernels.plan.edge import PART_RAD
-from r2h_batch.kernels.robot.posture import load_waypoint
-from r2h_batch.kernels.robot.world import TrialBodies, World, forward_kinematics, twists, vec6
+
+from ..plan.edge import PART_RAD
+from ..robot.joints import JOINTS, vecq
+from ..robot.posture import load_waypoint
+from ..robot.world import TrialBodies, World, forward_kinematics, twists
+from .intervals import parts_of
+from .queues import NOW, Counts, Frames, take
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -52,7 +54,7 @@ def interval_of(
     b = load_waypoint(path, trial, segment + 1)
     delta = b - a
     fraction = float(1.0)
-    d = vec6()
+    d = vecq()
     if level > GOAL_LEVEL:
         one = 1.0 / float(parts_of(a, b, PART_RAD))
         fraction = (float(part) + middle(level, index)) * one
@@ -87,7 +89,7 @@ def queue_segments(
     block: int,
     world: World,
     queue: Moments,
-    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     counts: Counts,
 ):
@@ -113,7 +115,7 @@ def safe_frames(
     bodies: TrialBodies,
     queue: Moments,
     frames: Frames,
-    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     counts: Counts,
 ):
     """Link frames in the middle of each interval, and their twists along it; opens an empty round of the other queues."""
@@ -127,7 +129,7 @@ def safe_frames(
         trial = queue.trial[s]
         frames.open[s, HAND] = wp.int64(0)
         q, d, _fraction = interval_of(path_in, trial, queue.segment[s], queue.part[s], queue.level[s], queue.index[s])
-        for j in range(6):
+        for j in range(JOINTS):
             frames.d[s, j] = d[j]
         forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q, frames.R[s], frames.p[s])
         twists(d, frames.R[s], frames.p[s], frames.w[s], frames.v[s])

@@ -6,16 +6,17 @@ As pairs.py does for planning. Where a body meets a piece or face, a second GJK 
 import warp as wp
 
 from r2h_batch.kernels.frontier.iteration import first_direction, iterate
-from r2h_batch.kernels.frontier.queues import Counts
 from r2h_batch.kernels.frontier.safe_queues import FACES, PIECES, TAKEN, Bodies, Faces, Moments, Nearest, Pieces
 from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, support
 from r2h_batch.kernels.geometry.closest import TOUCH_M, rounded
 from r2h_batch.kernels.geometry.gjk import MAX_ITERATIONS
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
-from r2h_batch.kernels.judge.hand_bounds import HULL_GAP, allowed_of
-from r2h_batch.kernels.judge.hand_distance import face_distance, is_edged
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.world import TrialBodies, World, piece_body, robot_body
+
+from ..judge.hand_bounds import HULL_GAP, allowed_of
+from ..judge.hand_distance import face_distance, is_edged
+from ..robot.world import TrialBodies, World, piece_body, robot_body
+from .queues import Counts
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 

@@ -2,10 +2,6 @@
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.bodies import moving_body_of, stays_open
-from r2h_batch.kernels.frontier.queues import Counts, Frames
-from r2h_batch.kernels.frontier.safe_bodies import FAR
-from r2h_batch.kernels.frontier.safe_intervals import interval_of
 from r2h_batch.kernels.frontier.safe_queues import (
     FACES,
     GOAL_LEVEL,
@@ -23,11 +19,17 @@ from r2h_batch.kernels.frontier.safe_queues import (
 from r2h_batch.kernels.geometry.closest import rounded
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
-from r2h_batch.kernels.judge.hand_bounds import allowed_of
-from r2h_batch.kernels.judge.hand_distance import face_may_come_nearer, is_edged, point_of_face, triangle_body
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND
-from r2h_batch.kernels.robot.world import TrialBodies, World, body_pose, forward_kinematics, robot_body
+
+from ..judge.hand_bounds import allowed_of
+from ..judge.hand_distance import face_may_come_nearer, is_edged, point_of_face, triangle_body
+from ..robot.joints import FRAMES
+from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, robot_body
+from .bodies import moving_body_of, stays_open
+from .queues import Counts, Frames
+from .safe_bodies import FAR
+from .safe_intervals import interval_of
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -77,7 +79,7 @@ def safe_witness(
     mesh: HandMesh,
     bodies: TrialBodies,
     nearest: Nearest,
-    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     # out
     distance_out: wp.array(dtype=float),
@@ -91,8 +93,8 @@ def safe_witness(
     length = length_in[trial]
     if length == 0:
         return
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     tri = wp.zeros(shape=3, dtype=wp.vec3)
     distance = nearest.distance[trial]
     place = nearest.place[trial]

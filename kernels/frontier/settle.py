@@ -2,25 +2,15 @@
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.bodies import moving_body_of
-from r2h_batch.kernels.frontier.pairs import obstacle_of
-from r2h_batch.kernels.frontier.queues import (
-    PAIRS,
-    Counts,
-    Edges,
-    Frames,
-    Intervals,
-    Pairs,
-    bit_of,
-    is_done,
-    link_of,
-    target_of,
-)
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND, SELF
-from r2h_batch.kernels.plan.obstacles import pair_motion, settle_pair
-from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import TrialBodies, World
+
+from ..plan.obstacles import pair_motion, settle_pair
+from ..robot.posture import load
+from ..robot.world import TrialBodies, World
+from .bodies import moving_body_of
+from .pairs import obstacle_of
+from .queues import PAIRS, Counts, Edges, Frames, Intervals, Pairs, bit_of, is_done, link_of, target_of
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 

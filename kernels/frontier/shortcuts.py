@@ -10,12 +10,13 @@ Problems do not wait for each other. A lane's arcs depend on its path and on (se
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.arcs import CHANGE, IDLE, LANES, LINE, OVER, RUNNING, Arcs, Paths
-from r2h_batch.kernels.frontier.queues import ASKED, NOTHING, Counts, Edges, take
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import WAYPOINTS
-from r2h_batch.kernels.plan.shortcut import LEAST_SAVED_S, segment_time, time_of
-from r2h_batch.kernels.robot.posture import load, load_waypoint, store_waypoint
+
+from ..plan.shortcut import LEAST_SAVED_S, segment_time, time_of
+from ..robot.posture import load, load_waypoint, store_waypoint
+from .arcs import CHANGE, IDLE, LANES, LINE, OVER, RUNNING, Arcs, Paths
+from .queues import ASKED, NOTHING, Counts, Edges, take
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -217,7 +218,7 @@ def take_arcs(
     paths: Paths,
     arcs: Arcs,
     counts: Counts,
-    path_inout: wp.array3d(dtype=float),  # (B, W, 6)
+    path_inout: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_inout: wp.array(dtype=int),  # (B,)
 ):
     """Takes what the settled arcs of each problem save, and says what its lanes propose next."""

@@ -9,11 +9,10 @@ trees on a GPU in a similar way.
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.intervals import add_edge
-from r2h_batch.kernels.frontier.queues import ASKED, NOTHING, Counts, Edges, Intervals, key_of, order_in, take
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY
-from r2h_batch.kernels.plan.rrt import (
+
+from ..plan.rrt import (
     CONNECT,
     CONNECT_ON,
     EXTEND,
@@ -26,8 +25,11 @@ from r2h_batch.kernels.plan.rrt import (
     squared_distance,
     write_path,
 )
-from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import World
+from ..robot.joints import JOINTS
+from ..robot.posture import load
+from ..robot.world import World
+from .intervals import add_edge
+from .queues import ASKED, NOTHING, Counts, Edges, Intervals, key_of, order_in, take
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -46,7 +48,7 @@ class Trees:
     """Two trees for each problem, and how far its search is (P,)."""
 
     trial: wp.array(dtype=int)
-    nodes: wp.array2d(dtype=float)  # (P * 2 * capacity, 7), as plan/rrt.py has them
+    nodes: wp.array2d(dtype=float)  # (P * 2 * capacity, JOINTS + 1), as plan/rrt.py has them
     parents: wp.array(dtype=int)
     size: wp.array2d(dtype=int)  # (P, 2) nodes
     drawn: wp.array(dtype=int)  # random postures so far
@@ -79,8 +81,8 @@ def plant_trees(
     edges: Edges,
     trees: Trees,
     growers: Growers,
-    home_in: wp.array2d(dtype=float),  # (1, 6)
-    goals_in: wp.array2d(dtype=float),  # (B * 8, 6)
+    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
+    goals_in: wp.array2d(dtype=float),  # (B * 8, JOINTS)
     n_goals_in: wp.array(dtype=int),  # (B,)
     margin_in: wp.array(dtype=float),  # (B,)
     length_in: wp.array(dtype=int),  # (B,) a trial that has a path is passed over
@@ -126,7 +128,7 @@ def enter_edges(
     trees: Trees,
     growers: Growers,
     counts: Counts,
-    path_out: wp.array3d(dtype=float),  # (B, W, 6)
+    path_out: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_out: wp.array(dtype=int),  # (B,)
 ):
     """Adds the nodes that settled edges lead to, and says what each lane does next."""
@@ -155,7 +157,7 @@ def enter_edges(
             if phase == EXTEND:
                 growers.grow[e] = 1 - grow
                 growers.node[e] = n
-                for j in range(6):
+                for j in range(JOINTS):
                     growers.target[e, j] = q[j]
                 next_phase = CONNECT
             elif growers.reached[e] == 1:
@@ -198,7 +200,7 @@ def draw_targets(
     counts: Counts,
     trees: Trees,
     growers: Growers,
-    home_in: wp.array2d(dtype=float),  # (1, 6)
+    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
     key_in: wp.array(dtype=int),  # (B,)
 ):
     """The random posture of each lane that asks for one, of a problem that is not over."""
@@ -210,7 +212,7 @@ def draw_targets(
             number = growers.number[e]
             rng = wp.rand_init(wp.int32(wp.rand_init(seed, key_in[trees.trial[problem]])), number)
             q, _rng = random_posture(world, home_in, number, rng)
-            for j in range(6):
+            for j in range(JOINTS):
                 growers.target[e, j] = q[j]
 
 
@@ -270,7 +272,7 @@ def next_edges(
             trees.nodes, base, near, growers.origin[e], target, growers.number[e], range_rad
         )
         growers.reached[e] = wp.where(reached, 1, 0)
-        for j in range(6):
+        for j in range(JOINTS):
             edges.a[e, j] = q_near[j]
             edges.b[e, j] = q_new[j]
         edges.found[e] = (wp.int64(NOTHING) << wp.int64(32)) | wp.int64(NOTHING)

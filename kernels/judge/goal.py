@@ -4,10 +4,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.closest import TOUCH_M
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
-from r2h_batch.kernels.judge.hand_distance import HandDistance, posture_distance
-from r2h_batch.kernels.judge.nearness import guessed_distance
 from r2h_batch.kernels.options import OPTIONS, on_cuda, opaque
-from r2h_batch.kernels.plan.check import check_interval
 from r2h_batch.kernels.plan.codes import (
     BRANCHES,
     FREE,
@@ -22,10 +19,15 @@ from r2h_batch.kernels.plan.codes import (
     REASON_OK,
     REASON_START_IN_COLLISION,
 )
-from r2h_batch.kernels.plan.obstacles import Query
-from r2h_batch.kernels.plan.posture import PairClearance, posture_clearance
-from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import FIELDS, WRIST_3, TrialBodies, World, forward_kinematics, vec6
+
+from ..plan.check import check_interval
+from ..plan.obstacles import Query
+from ..plan.posture import PairClearance, posture_clearance
+from ..robot.joints import FIELDS, FRAMES, JOINTS, LAST_LINK, vecq
+from ..robot.posture import load
+from ..robot.world import TrialBodies, World, forward_kinematics
+from .hand_distance import HandDistance, posture_distance
+from .nearness import guessed_distance
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -34,7 +36,7 @@ TIE_M = wp.constant(1.0e-5)
 
 
 @wp.func
-def _nearest_untried(q_in: wp.array2d(dtype=float), trial: int, home: vec6, tried: int):
+def _nearest_untried(q_in: wp.array2d(dtype=float), trial: int, home: vecq, tried: int):
     """The branch nearest to home among those whose bit of `tried` is not set; -1: none is left.
 
     Distances in float64, as the planner sorts its goals: ties fall the same way.
@@ -44,7 +46,7 @@ def _nearest_untried(q_in: wp.array2d(dtype=float), trial: int, home: vec6, trie
     for k in range(BRANCHES):
         if (tried >> k) & 1 == 0:
             d = wp.float64(0.0)
-            for j in range(6):
+            for j in range(JOINTS):
                 e = wp.float64(q_in[trial * BRANCHES + k, j] - home[j])
                 d += e * e
             if d < least:
@@ -72,12 +74,12 @@ def choose_goal(
     bodies: TrialBodies,
     singular: int,  # the status of such a pair (kernels/ik/step.py)
     unproven: int,  # the reason in place of REASON_IK_IN_COLLISION where branches are points of a line of solutions
-    home_in: wp.array2d(dtype=float),  # (1, 6)
+    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
     # trials
     active_in: wp.array(dtype=wp.bool),  # (B,)
     valid_in: wp.array2d(dtype=wp.bool),  # (B, 8)
     status_in: wp.array2d(dtype=wp.uint8),  # (B, 4) of pairs of branches
-    q_in: wp.array2d(dtype=float),  # (B * 8, 6)
+    q_in: wp.array2d(dtype=float),  # (B * 8, JOINTS)
     # out
     reason_out: wp.array(dtype=int),
     pair_out: wp.array(dtype=int),
@@ -104,8 +106,8 @@ def choose_goal(
     reason = int(REASON_IK_IN_COLLISION)
     if first_valid < 0:
         reason = REASON_IK_UNREACHABLE
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     obstacle = wp.zeros(shape=MAX_OBSTACLES, dtype=int)
@@ -174,16 +176,16 @@ def goal_clearance(
     world: World,
     hull_ball: wp.array(dtype=wp.vec4),
     bodies: TrialBodies,
-    home_in: wp.array2d(dtype=float),  # (1, 6)
+    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
     # trials
     reason_in: wp.array(dtype=int),  # (B,)
     valid_in: wp.array2d(dtype=wp.bool),  # (B, 8)
-    q_in: wp.array2d(dtype=float),  # (B * 8, 6)
+    q_in: wp.array2d(dtype=float),  # (B * 8, JOINTS)
     residual_in: wp.array(dtype=float),  # of unreachable targets
     # in and out; out
     pair_out: wp.array(dtype=int),  # of free goals: the nearest pair
     slot_inout: wp.array(dtype=int),  # the free branch, or -1: then the one with the largest clearance is put here
-    q_goal_inout: wp.array2d(dtype=float),  # (B, 6) unreachable targets: the nearest posture, already here
+    q_goal_inout: wp.array2d(dtype=float),  # (B, JOINTS) unreachable targets: the nearest posture, already here
     clearance_out: wp.array(dtype=float),
     nearest_out: wp.array(dtype=int),  # the nearest pair, of colliding goals too
     body_out: wp.array(dtype=int),
@@ -210,8 +212,8 @@ def goal_clearance(
         push_out[trial] = wp.vec3()
         point_out[trial] = wp.vec3()
         return
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     chosen = slot_inout[trial]
     best = PairClearance()
     best.clearance = -1.0e30
@@ -240,11 +242,11 @@ def goal_clearance(
                 if step < BRANCHES:
                     slot_inout[here] = step
                 # bodies on the wrist meet hand and table in the same way in every branch: none can be better
-                if best.clearance < 0.0 and best.pair % PAIR_SELF != 0 and best.body >= world.link_first[WRIST_3]:
+                if best.clearance < 0.0 and best.pair % PAIR_SELF != 0 and best.body >= world.link_first[LAST_LINK]:
                     settled = True
     trial = opaque(trial)
     if slot_inout[trial] >= 0:
-        for j in range(6):
+        for j in range(JOINTS):
             q_goal_inout[trial, j] = q_in[trial * BRANCHES + slot_inout[trial], j]
     clearance = best.clearance
     if reason == REASON_OK:
@@ -276,7 +278,7 @@ def goal_safe_distance(
     bodies: TrialBodies,
     # trials
     active_in: wp.array(dtype=wp.bool),  # (B,)
-    q_in: wp.array2d(dtype=float),  # (B, 6)
+    q_in: wp.array2d(dtype=float),  # (B, JOINTS)
     # out
     distance_out: wp.array(dtype=float),
     body_out: wp.array(dtype=int),
@@ -289,8 +291,8 @@ def goal_safe_distance(
     point_out[trial] = wp.vec3(wp.nan, wp.nan, wp.nan)
     if not active_in[trial]:
         return
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     tri = wp.zeros(shape=3, dtype=wp.vec3)
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
@@ -306,7 +308,7 @@ def goal_safe_distance(
     looking = bool(True)
     while looking:
         mask[0] = (wp.uint64(1) << wp.uint64(world.n_robot)) - wp.uint64(1)
-        found = posture_distance(world, mesh, bodies, trial, q, vec6(), best, 0.0, mask, R, p, w, v, tri)
+        found = posture_distance(world, mesh, bodies, trial, q, vecq(), best, 0.0, mask, R, p, w, v, tri)
         looking = best < cap and (found.body < 0 or found.inside == 1 or found.distance == -TOUCH_M)
         best = cap
     distance_out[trial] = wp.where(found.body >= 0, found.distance, cap)

@@ -11,8 +11,10 @@ from r2h_batch.kernels.geometry.body import Body, from_ball, support
 from r2h_batch.kernels.geometry.closest import TOUCH_M, from_point, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.obstacles import MovingBody, least_rest, swept_body
-from r2h_batch.kernels.robot.world import World, motion, piece_body, vec6
+
+from ..plan.obstacles import MovingBody, least_rest, swept_body
+from ..robot.joints import vecq
+from ..robot.world import World, motion, piece_body
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -57,7 +59,7 @@ def bound_of_hand(world: World, body: MovingBody, hand: int, distance: float, to
 
 @wp.func
 def link_is_clear(
-    world: World, hand: int, link: int, c0: wp.vec3, c1: wp.vec3, d: vec6, distance: float, tolerance: float
+    world: World, hand: int, link: int, c0: wp.vec3, c1: wp.vec3, d: vecq, distance: float, tolerance: float
 ):
     """Whether a whole link, its capsule's ends at c0 and c1, keeps clear of the ball around the hand on the whole interval."""
     toward = from_point(world.hand_center[hand], c0, c1)

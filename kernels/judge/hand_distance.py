@@ -7,18 +7,12 @@ from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, support
 from r2h_batch.kernels.geometry.closest import TOUCH_M, rounded
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
-from r2h_batch.kernels.judge.hand_bounds import (
-    ASK,
-    MEETS,
-    WAITS,
-    bound_of_face,
-    bound_of_hand,
-    bound_of_piece,
-    link_is_clear,
-)
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.obstacles import MovingBody, moving_body, swept_body
-from r2h_batch.kernels.robot.world import OBJECT, TrialBodies, World, forward_kinematics, link_frame, twists, vec6
+
+from ..plan.obstacles import MovingBody, moving_body, swept_body
+from ..robot.joints import OBJECT, vecq
+from ..robot.world import TrialBodies, World, forward_kinematics, link_frame, twists
+from .hand_bounds import ASK, MEETS, WAITS, bound_of_face, bound_of_hand, bound_of_piece, link_is_clear
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -179,8 +173,8 @@ def posture_distance(
     mesh: HandMesh,
     bodies: TrialBodies,
     trial: int,
-    q: vec6,
-    d: vec6,
+    q: vecq,
+    d: vecq,
     best: float,
     tolerance: float,
     mask: wp.array(dtype=wp.uint64),  # bit b: robot body b may come nearer within q +- d; cleared here

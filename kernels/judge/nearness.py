@@ -7,7 +7,9 @@ from r2h_batch.kernels.geometry.body import from_ball
 from r2h_batch.kernels.geometry.closest import closest_on_triangle, from_point
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.world import OBJECT, TrialBodies, World, body_pose, link_frame, robot_body
+
+from ..robot.joints import OBJECT
+from ..robot.world import TrialBodies, World, body_pose, link_frame, robot_body
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 

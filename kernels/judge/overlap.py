@@ -14,16 +14,11 @@ from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
 from r2h_batch.kernels.grasp.triangle import triangle_clearance
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import PAIR_HAND, PAIR_OF_OBJECT
-from r2h_batch.kernels.plan.posture import (
-    BodyInPlace,
-    Obstacle,
-    PairClearance,
-    in_place,
-    obstacle_of,
-    posture_clearance,
-)
-from r2h_batch.kernels.robot.posture import load_waypoint
-from r2h_batch.kernels.robot.world import OBJECT, TrialBodies, World, body_pose, forward_kinematics
+
+from ..plan.posture import BodyInPlace, Obstacle, PairClearance, in_place, obstacle_of, posture_clearance
+from ..robot.joints import FRAMES, JOINTS, OBJECT
+from ..robot.posture import load_waypoint
+from ..robot.world import TrialBodies, World, body_pose, forward_kinematics
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -94,7 +89,7 @@ def path_overlap(
     bodies: TrialBodies,
     # rows
     row_in: wp.array(dtype=int),  # (n,) trials whose path meets something; -1: none
-    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     # out, (B,): written for these rows where an overlap is found
     clearance_out: wp.array(dtype=float),
@@ -111,8 +106,8 @@ def path_overlap(
         return
     last = length_in[trial] - 1
     segments = wp.max(last, 1)  # a path of one posture is one segment without length
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     best = float(-1.0e-7)
     depth = float(0.0)
     at = float(-1.0)
@@ -129,7 +124,7 @@ def path_overlap(
             if k == 0:
                 d = load_waypoint(path_in, trial, wp.min(segment + 1, last)) - load_waypoint(path_in, trial, segment)
                 length = float(0.0)
-                for j in range(6):
+                for j in range(JOINTS):
                     length += wp.abs(d[j])
                 steps = wp.max(int(wp.ceil(length / STEP_RAD)), 1)
             s = float(segment) + float(k) / float(steps)
@@ -183,7 +178,7 @@ def hand_overlap(
     bodies: TrialBodies,
     # rows
     row_in: wp.array(dtype=int),  # (n,) trials whose motion meets the hand
-    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     # in and out, (B,)
     distance_inout: wp.array(dtype=float),
@@ -200,8 +195,8 @@ def hand_overlap(
     trial = row_in[first + wp.tid()]
     last = length_in[trial] - 1
     hand = bodies.hand[trial]
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     tri = wp.zeros(shape=3, dtype=wp.vec3)
     best = distance_inout[trial]
     at = float(segment_inout[trial]) + fraction_inout[trial]

@@ -3,13 +3,15 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
-from r2h_batch.kernels.judge.hand_bounds import allowed_of
-from r2h_batch.kernels.judge.hand_distance import posture_distance
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
-from r2h_batch.kernels.plan.edge import PART_RAD
-from r2h_batch.kernels.robot.posture import load_waypoint
-from r2h_batch.kernels.robot.world import FIELDS, TrialBodies, World
+
+from ..plan.edge import PART_RAD
+from ..robot.joints import FIELDS, FRAMES, JOINTS
+from ..robot.posture import load_waypoint
+from ..robot.world import TrialBodies, World
+from .hand_bounds import allowed_of
+from .hand_distance import posture_distance
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -32,7 +34,7 @@ def safe_distance(
     mesh: HandMesh,
     bodies: TrialBodies,
     # trials
-    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     # out
     distance_out: wp.array(dtype=float),
@@ -50,8 +52,8 @@ def safe_distance(
     n = length_in[trial]
     if n == 0:
         return
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     tri = wp.zeros(shape=3, dtype=wp.vec3)
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
@@ -69,7 +71,7 @@ def safe_distance(
         a = load_waypoint(path_in, trial, i)
         delta = load_waypoint(path_in, trial, i + 1) - a
         length = float(0.0)
-        for j in range(6):
+        for j in range(JOINTS):
             length += wp.abs(delta[j])
         parts = wp.max(int(wp.ceil(length / PART_RAD)), 1)
         part = parts - 1

@@ -3,9 +3,9 @@
 import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.fk import vec6d
-from r2h_batch.kernels.robot.posture import duration, peak_speed
-from r2h_batch.kernels.robot.world import vec6
+
+from ..robot.joints import JOINTS, vecq, vecqd
+from ..robot.posture import duration, peak_speed
 
 wp.set_module_options(OPTIONS)
 
@@ -33,14 +33,14 @@ def servo_command(
 ):
     """q_ref + qd_ref kv / kp at time t of a trial's path (r2h_batch.motion.execute.time_path, in float64)."""
     n = length[trial]
-    out = vec6d()
+    out = vecqd()
     # the segment that t falls into; the last one from there on
     k = int(0)
     while k < n - 2 and t >= f64(time[trial, k + 1]):
         k += 1
     # all joints run the same share f of the segment, paced by the one with the farthest to go
     whole = f64(0.0)
-    for j in range(6):
+    for j in range(JOINTS):
         whole = wp.max(whole, wp.abs(f64(path[trial, k + 1, j]) - f64(path[trial, k, j])))
     a = law.acceleration
     v = peak_speed(whole, law.speed, a)
@@ -62,7 +62,7 @@ def servo_command(
             left = total - at
             f = f64(1.0) - f64(0.5) * a * left * left / whole
             rate = a * left / whole
-    for j in range(6):
+    for j in range(JOINTS):
         q0 = f64(path[trial, k, j])
         d = f64(path[trial, k + 1, j]) - q0
         # position servos lag by kv / kp times the speed: they are told where the arm shall be that much later
@@ -78,13 +78,13 @@ def servo_commands(
     path_in: wp.array3d(dtype=float),
     time_in: wp.array2d(dtype=float),
     length_in: wp.array(dtype=int),
-    command_out: wp.array3d(dtype=wp.float64),  # (rows, steps, 6 or more): the arm's come first
+    command_out: wp.array3d(dtype=wp.float64),  # (rows, steps, JOINTS or more): the arm's come first
 ):
     """Commands of every step of the listed trials."""
     tid, step = wp.tid()
     row = first + tid
     c = servo_command(law, path_in, time_in, length_in, trial_in[row], f64(step) * law.step)
-    for j in range(6):
+    for j in range(JOINTS):
         command_out[row, step, j] = c[j]
 
 
@@ -93,9 +93,9 @@ def path_deviation(
     first: int,
     # tables
     law: Law,
-    motion_radius: wp.array2d(dtype=float),  # (bodies, 6)
+    motion_radius: wp.array2d(dtype=float),  # (bodies, JOINTS)
     # trials
-    object_motion_radius_in: wp.array2d(dtype=float),  # (B, 6)
+    object_motion_radius_in: wp.array2d(dtype=float),  # (B, JOINTS)
     path_in: wp.array3d(dtype=float),
     time_in: wp.array2d(dtype=float),
     length_in: wp.array(dtype=int),
@@ -109,15 +109,15 @@ def path_deviation(
     worst = float(0.0)
     for k in range(motion_length_in[trial]):
         c = servo_command(law, path_in, time_in, length_in, trial, f64(k) * law.step)
-        off = vec6()
+        off = vecq()
         held = float(0.0)
-        for j in range(6):
+        for j in range(JOINTS):
             off[j] = float(wp.abs(f64(motion_in[trial, k, j]) - c[j]))
             held += off[j] * object_motion_radius_in[trial, j]
         worst = wp.max(worst, held)
         for b in range(motion_radius.shape[0]):
             at = float(0.0)
-            for j in range(6):
+            for j in range(JOINTS):
                 at += off[j] * motion_radius[b, j]
             worst = wp.max(worst, at)
     deviation_out[trial] = worst

@@ -6,8 +6,10 @@ busy until the queue is empty. Which world a trial runs in makes no difference t
 
 import warp as wp
 
-from r2h_batch.kernels.motion.time_law import Law, servo_command
 from r2h_batch.kernels.options import OPTIONS
+
+from ..robot.joints import JOINTS
+from .time_law import Law, servo_command
 
 wp.set_module_options(OPTIONS)
 
@@ -38,13 +40,13 @@ class Queue:
     """
 
     n: wp.array(dtype=int)  # (1,)
-    path: wp.array3d(dtype=float)  # (n, W, 6)
+    path: wp.array3d(dtype=float)  # (n, W, JOINTS)
     time: wp.array2d(dtype=float)  # (n, W)
     length: wp.array(dtype=int)
     steps: wp.array(dtype=int)
     sample: wp.array(dtype=int)  # place of the trial's first recorded sample
     start: wp.array2d(dtype=float)  # (n, nq)
-    hold: wp.array2d(dtype=float)  # (n, nu - 6)
+    hold: wp.array2d(dtype=float)  # (n, nu - JOINTS)
     pos: wp.array(dtype=wp.vec3)
     quat: wp.array(dtype=wp.quat)
     ipos: wp.array(dtype=wp.vec3)
@@ -120,8 +122,8 @@ class Fingers:
 class Record:
     """What is kept of n trials; of `window_of` on their windows of WINDOW segments."""
 
-    q: wp.array2d(dtype=float)  # (samples, 6) of all trials, each from `Queue.sample` on
-    acceleration: wp.array2d(dtype=float)  # (n, 6)
+    q: wp.array2d(dtype=float)  # (samples, JOINTS) of all trials, each from `Queue.sample` on
+    acceleration: wp.array2d(dtype=float)  # (n, JOINTS)
     sway: wp.array(dtype=float)  # (n,)
     bend: wp.array(dtype=float)  # (windows,) largest acceleration of any point of the robot, at most (m/s^2)
     drive_low: wp.array(dtype=float)  # (windows,) of drivers and inner knuckles, before, at and after its steps (rad)
@@ -152,8 +154,8 @@ def start_next(worlds: Worlds, queue: Queue, shapes: Shapes, fields: Fields, w: 
         worlds.slot[w] = IDLE
         # it stands where the first trial starts: all worlds share one pool of contacts, and none should be left in any
         for j in range(queue.hold.shape[1]):
-            fields.ctrl[w, 6 + j] = queue.hold[0, j]
-        for j in range(6):
+            fields.ctrl[w, JOINTS + j] = queue.hold[0, j]
+        for j in range(JOINTS):
             fields.ctrl[w, j] = queue.start[0, j]
         for j in range(fields.qpos.shape[1]):
             fields.qpos[w, j] = queue.start[0, j]
@@ -187,14 +189,14 @@ def start_next(worlds: Worlds, queue: Queue, shapes: Shapes, fields: Fields, w: 
         fields.mocap_pos[w, k] = queue.hand_pos[slot]
         fields.mocap_quat[w, k] = queue.hand_quat[slot]
     for j in range(queue.hold.shape[1]):
-        fields.ctrl[w, 6 + j] = queue.hold[slot, j]
+        fields.ctrl[w, JOINTS + j] = queue.hold[slot, j]
     for j in range(fields.qpos.shape[1]):
         fields.dof_invweight0[w, j] = queue.dof_invweight[slot, j]
         fields.qpos[w, j] = queue.start[slot, j]
         worlds.qpos[w, j] = queue.start[slot, j]
         worlds.qvel[w, j] = 0.0
     at_rest(fields, w)
-    for j in range(6):
+    for j in range(JOINTS):
         record.q[queue.sample[slot], j] = queue.start[slot, j]
 
 
@@ -213,7 +215,7 @@ def command_worlds(law: Law, worlds_inout: Worlds, queue: Queue, fields_inout: F
         return
     t = wp.float64(worlds_inout.step[w]) * law.step
     c = servo_command(law, queue.path, queue.time, queue.length, slot, t)
-    for j in range(6):
+    for j in range(JOINTS):
         fields_inout.ctrl[w, j] = float(c[j])
         if not wp.isfinite(c[j]):
             record_out.failed[slot] = record_out.failed[slot] | NOT_FINITE
@@ -238,7 +240,7 @@ def fastest_change(motion_radius: wp.array2d(dtype=float), worlds: Worlds, field
     most = float(0.0)
     for b in range(motion_radius.shape[0]):
         change = float(0.0)
-        for j in range(6):
+        for j in range(JOINTS):
             change += motion_radius[b, j] * wp.abs(fields.qvel[w, j] - worlds.qvel[w, j])
         most = wp.max(most, change)
     return most
@@ -248,7 +250,7 @@ def fastest_change(motion_radius: wp.array2d(dtype=float), worlds: Worlds, field
 def note_fingers(record: Record, window: int, fields: Fields, w: int):
     """Widens what a window knows of the finger joints (as SceneModel.fingers)."""
     for side in range(2):
-        j = 6 + 3 * side
+        j = JOINTS + 3 * side
         driver = fields.qpos[w, j]
         knuckle = fields.qpos[w, j + 2]
         record.drive_low[window] = wp.min(record.drive_low[window], wp.min(driver, knuckle))
@@ -261,7 +263,7 @@ def finger_sway(fingers: Fingers, fields: Fields, drive: float, w: int):
     """How far any point of the fingers is from where drive angle `drive` has it, at most (as SceneModel.sway)."""
     worst = float(0.0)
     for side in range(2):
-        j = 6 + 3 * side
+        j = JOINTS + 3 * side
         driver = wp.abs(fields.qpos[w, j] - drive)
         pin = wp.abs(fields.qpos[w, j] + fields.qpos[w, j + 1])
         knuckle = wp.abs(fields.qpos[w, j + 2] - drive)
@@ -275,7 +277,7 @@ def finish_step(
     record_steps: int,
     step_s: float,
     fingers: Fingers,
-    motion_radius: wp.array2d(dtype=float),  # (bodies, 6)
+    motion_radius: wp.array2d(dtype=float),  # (bodies, JOINTS)
     worlds_inout: Worlds,
     queue: Queue,
     shapes: Shapes,
@@ -297,14 +299,14 @@ def finish_step(
         finite = finite and wp.isfinite(fields_inout.qpos[w, j]) and wp.isfinite(fields_inout.qvel[w, j])
     if not finite:
         record_out.failed[slot] = record_out.failed[slot] | NOT_FINITE
-    for j in range(6):
+    for j in range(JOINTS):
         a = wp.abs(fields_inout.qvel[w, j] - worlds_inout.qvel[w, j]) / step_s
         if a > record_out.acceleration[slot, j]:
             record_out.acceleration[slot, j] = a
     window = window_of(queue, slot, (step - 1) / record_steps)
     change = fastest_change(motion_radius, worlds_inout, fields_inout, w)
     record_out.bend[window] = wp.max(record_out.bend[window], change / step_s)
-    if nq > 6:
+    if nq > JOINTS:
         record_out.sway[slot] = wp.max(
             record_out.sway[slot], finger_sway(fingers, fields_inout, queue.hold[slot, 0], w)
         )
@@ -316,7 +318,7 @@ def finish_step(
             worlds_inout.qpos[w, j] = fields_inout.qpos[w, j]
             worlds_inout.qvel[w, j] = fields_inout.qvel[w, j]
     if step % record_steps == 0:
-        for j in range(6):
+        for j in range(JOINTS):
             record_out.q[queue.sample[slot] + step / record_steps, j] = fields_inout.qpos[w, j]
     if step == queue.steps[slot]:
         for j in range(nq):

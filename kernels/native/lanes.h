@@ -797,11 +797,11 @@ R2H_FUNCTION int direction_cell(const wp::vec3 &d) {
 // --------------------------------------------------------------------------- joint intervals
 
 // sum_j |d_j| radius_j over the joints from `first_joint` on: how far a body's points move when
-// these joints turn by d (rad). Joints before it add zeros, which moves no bit.
-R2H_FUNCTION float motion(const float *radius, int first_joint, const float *d) {
+// these N joints turn by d (rad). Joints before it add zeros, which moves no bit.
+template <int N> R2H_FUNCTION float motion(const float *radius, int first_joint, const float (&d)[N]) {
     float sum = 0.0f;
     R2H_UNROLLED
-    for (int j = 0; j < 6; ++j) {
+    for (int j = 0; j < N; ++j) {
         float turn = j < first_joint ? 0.0f : fabsf(d[j]);
         float t = turn * radius[j];
         sum = sum + t;
@@ -812,10 +812,10 @@ R2H_FUNCTION float motion(const float *radius, int first_joint, const float *d) 
 // Bounds on the second and third derivative of a body's points along q + s d (`bends`,
 // robot/world.py): sum_j (S_j^2 - S_(j-1)^2) radius_j and sum_j (S_j^3 - S_(j-1)^3) radius_j,
 // S_j = |d_0| + .. + |d_j|.
-R2H_FUNCTION wp::vec2 bends(const float *radius, int first_joint, const float *d) {
+template <int N> R2H_FUNCTION wp::vec2 bends(const float *radius, int first_joint, const float (&d)[N]) {
     float second = 0.0f, third = 0.0f, inner = 0.0f;
     R2H_UNROLLED
-    for (int j = 0; j < 6; ++j) {
+    for (int j = 0; j < N; ++j) {
         float outer = inner + (j < first_joint ? 0.0f : fabsf(d[j]));
         float outer2 = outer * outer, inner2 = inner * inner;
         float outer3 = outer2 * outer, inner3 = inner2 * inner;

@@ -34,7 +34,10 @@ from r2h_batch.kernels.plan.codes import (
     SELF,
     TABLE,
 )
-from r2h_batch.kernels.plan.obstacles import (
+
+from ..robot.joints import CHANGES, LINKS, OBJECT
+from ..robot.world import TrialBodies, World, block_count, body_pose, forward_kinematics, link_frame, twists
+from .obstacles import (
     MAY_MEET,
     Near,
     Query,
@@ -47,17 +50,6 @@ from r2h_batch.kernels.plan.obstacles import (
     pieces_near,
     settle_pair,
     table_near,
-)
-from r2h_batch.kernels.robot.world import (
-    CHANGES,
-    OBJECT,
-    TrialBodies,
-    World,
-    block_count,
-    body_pose,
-    forward_kinematics,
-    link_frame,
-    twists,
 )
 
 wp.set_module_options(OPTIONS)
@@ -142,7 +134,7 @@ def check_interval(
     # GJK may stop 5 % short of the distance where a shorter interval asks again
     gap = wp.where(query.track == 1, 0.0, wp.where(moving, 0.05, 0.0))
 
-    for link in range(9):
+    for link in range(LINKS):
         lo = int(world.n_robot)
         hi = int(world.n_robot + n_hulls)
         if link < OBJECT:

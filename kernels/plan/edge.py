@@ -22,10 +22,12 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
-from r2h_batch.kernels.plan.check import Finding, check_interval
 from r2h_batch.kernels.plan.codes import BLOCKED, CERTIFY, CLEARANCE, FREE, MAX_OBSTACLES, OPEN, POSTURE, SAMPLES
-from r2h_batch.kernels.plan.obstacles import Query
-from r2h_batch.kernels.robot.world import FIELDS, TrialBodies, World, vec6
+
+from ..robot.joints import FIELDS, FRAMES, JOINTS, vecq
+from ..robot.world import TrialBodies, World
+from .check import Finding, check_interval
+from .obstacles import Query
 
 wp.set_module_options(OPTIONS)
 
@@ -40,8 +42,8 @@ def edge(
     world: World,
     bodies: TrialBodies,
     trial: int,
-    a: vec6,
-    b: vec6,
+    a: vecq,
+    b: vecq,
     hand_margin: float,
     other_margin: float,
     best: float,
@@ -58,8 +60,8 @@ def edge(
 
     All modes share one call of `check_interval`: inlined, it is most of the code of a planning kernel.
     """
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     obstacle = wp.zeros(shape=MAX_OBSTACLES, dtype=int)
@@ -83,7 +85,7 @@ def edge(
     query.tolerance = tolerance
     delta = b - a
     length = float(0.0)
-    for j in range(6):
+    for j in range(JOINTS):
         length += wp.abs(delta[j])
     steps = int(1)
     if mode == SAMPLES:

@@ -4,9 +4,10 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import BRANCHES, CLEARANCE, FREE, POSTURE
-from r2h_batch.kernels.plan.edge import edge
-from r2h_batch.kernels.robot.posture import load, load_waypoint
-from r2h_batch.kernels.robot.world import TrialBodies, World
+
+from ..robot.posture import load, load_waypoint
+from ..robot.world import TrialBodies, World
+from .edge import edge
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -49,9 +50,9 @@ def straight_lines(
     # tables
     world: World,
     bodies: TrialBodies,
-    home_in: wp.array2d(dtype=float),  # (1, 6)
+    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
     # trials
-    goals_in: wp.array2d(dtype=float),  # (B * 8, 6) nearest first
+    goals_in: wp.array2d(dtype=float),  # (B * 8, JOINTS) nearest first
     n_goals_in: wp.array(dtype=int),  # (B,)
     goal_margin_in: wp.array(dtype=float),  # (B * 8,) hand clearance that a path to this goal keeps
     # out
@@ -78,7 +79,7 @@ def path_clearance(
     world: World,
     bodies: TrialBodies,
     # trials
-    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     # out
     clearance_out: wp.array(dtype=float),

@@ -16,10 +16,9 @@ from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, from_ball, support
 from r2h_batch.kernels.geometry.closest import from_point, from_segment, swept_capsule
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import SELF, TABLE
-from r2h_batch.kernels.robot.world import (
-    CHANGES,
-    GRIPPER,
-    OBJECT,
+
+from ..robot.joints import CHANGES, GRIPPER, OBJECT, vecq
+from ..robot.world import (
     TrialBodies,
     World,
     acceleration_along,
@@ -30,7 +29,6 @@ from r2h_batch.kernels.robot.world import (
     motion,
     object_body,
     robot_body,
-    vec6,
 )
 
 wp.set_module_options(OPTIONS)
@@ -47,8 +45,8 @@ HAND_SLACK_M = wp.constant(0.06)
 class Query:
     """A posture q, and the interval q +- d that it stands for; what each kind of pair has to keep."""
 
-    q: vec6
-    d: vec6  # half the interval, rad (zero: the posture alone)
+    q: vecq
+    d: vecq  # half the interval, rad (zero: the posture alone)
     hand_margin: float
     other_margin: float
     track: int  # 1: look for the smallest clearance below `best` instead of a yes or no; 2: that of the hand, and both
@@ -91,7 +89,7 @@ def least_rest(second: float, third: float):
 
 
 @wp.func
-def pair_motion(world: World, bodies: TrialBodies, trial: int, link: int, b: int, first_joint: int, d: vec6):
+def pair_motion(world: World, bodies: TrialBodies, trial: int, link: int, b: int, first_joint: int, d: vecq):
     """How far body b may travel (`motion`) and its bounds on the derivatives (`bends`), joints from `first_joint` on.
 
     An obstacle on link k sees the joints from k on; one that stands still in the hand's frame sees all of them.
@@ -110,7 +108,7 @@ def pair_motion(world: World, bodies: TrialBodies, trial: int, link: int, b: int
 
 @wp.func
 def moving_body(
-    world: World, bodies: TrialBodies, trial: int, link: int, b: int, d: vec6, moving: bool,
+    world: World, bodies: TrialBodies, trial: int, link: int, b: int, d: vecq, moving: bool,
     R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
     """Body b of a link, or hull b - n_robot of the trial's object, over the interval +- d. R, p, w, v: as `twists` has them."""

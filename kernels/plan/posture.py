@@ -29,9 +29,9 @@ from r2h_batch.kernels.geometry.closest import TOUCH_M, from_point, from_segment
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, PAIR_HAND, PAIR_OF_OBJECT, PAIR_SELF, PAIR_TABLE
-from r2h_batch.kernels.robot.world import (
-    GRIPPER,
-    OBJECT,
+
+from ..robot.joints import GRIPPER, LINKS, OBJECT, vecq
+from ..robot.world import (
     TrialBodies,
     World,
     body_pose,
@@ -40,7 +40,6 @@ from r2h_batch.kernels.robot.world import (
     object_body,
     piece_body,
     robot_body,
-    vec6,
 )
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
@@ -355,7 +354,7 @@ def posture_clearance(
     hull_ball: wp.array(dtype=wp.vec4),  # centre of each object hull and the radius of the ball it holds there
     bodies: TrialBodies,
     trial: int,
-    q: vec6,
+    q: vecq,
     cap: float,
     floor: float,
     R: wp.array(dtype=wp.mat33),  # (7,) scratch
@@ -388,7 +387,7 @@ def posture_clearance(
     arm_c1 = wp.zeros(shape=MAX_ARM_BODIES, dtype=wp.vec3)
     body_poses = int(0)
 
-    for back in range(9):  # gripper and object first: mostly they are nearest, and prune the rest
+    for back in range(LINKS):  # gripper and object first: mostly they are nearest, and prune the rest
         link = wp.where(back < 2, GRIPPER + back, OBJECT - back)
         lo = int(world.n_robot)
         hi = int(world.n_robot + n_hulls)

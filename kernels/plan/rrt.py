@@ -12,9 +12,11 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import BRANCHES, FREE
-from r2h_batch.kernels.plan.edge import edge
-from r2h_batch.kernels.robot.posture import load, store_waypoint
-from r2h_batch.kernels.robot.world import TrialBodies, World, vec6
+
+from ..robot.joints import JOINTS, vecq
+from ..robot.posture import load, store_waypoint
+from ..robot.world import TrialBodies, World
+from .edge import edge
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -26,7 +28,7 @@ EXTEND = wp.constant(0)  # one step towards a random posture
 CONNECT = wp.constant(1)  # the other tree's first step towards the new node, from its nearest one
 CONNECT_ON = wp.constant(2)  # its further steps, each from the one before
 
-REACH = wp.constant(6)
+REACH = wp.constant(JOINTS)
 """Column of a node's reach (rad), after its posture."""
 LEAST_REACH = wp.constant(0.05)
 """A node's reach is range_rad at first; blocked steps shorten it to this part of it at least."""
@@ -36,27 +38,27 @@ FULL_REACH = wp.constant(3)
 
 @wp.func
 def add_node(
-    nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), row: int, q: vec6, parent: int, reach: float
+    nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), row: int, q: vecq, parent: int, reach: float
 ):
     """Writes a node, with how far its next step may go."""
-    for j in range(6):
+    for j in range(JOINTS):
         nodes[row, j] = q[j]
     nodes[row, REACH] = reach
     parents[row] = parent
 
 
 @wp.func
-def squared_distance(nodes: wp.array2d(dtype=float), row: int, q: vec6):
+def squared_distance(nodes: wp.array2d(dtype=float), row: int, q: vecq):
     """Of a node from q (joint space, Euclidean)."""
     d = float(0.0)
-    for j in range(6):
+    for j in range(JOINTS):
         e = nodes[row, j] - q[j]
         d += e * e
     return d
 
 
 @wp.func
-def nearest_node(nodes: wp.array2d(dtype=float), base: int, n: int, q: vec6):
+def nearest_node(nodes: wp.array2d(dtype=float), base: int, n: int, q: vecq):
     """The node nearest to q (joint space, Euclidean) of the first n from `base` on; of equal ones the first."""
     best = float(1.0e30)
     at = int(0)
@@ -100,9 +102,9 @@ def random_posture(world: World, home: wp.array2d(dtype=float), number: int, sta
     It lies within half a turn of home, where paths are short; every fourth lies anywhere within the limits.
     """
     rng = wp.uint32(state)
-    q = vec6()
+    q = vecq()
     around = wp.where(number % 4 == 0, FULL_TURN, HALF_TURN)
-    for j in range(6):
+    for j in range(JOINTS):
         lo = wp.max(world.lower[j], home[0, j] - around)
         hi = wp.min(world.upper[j], home[0, j] + around)
         q[j] = lo + (hi - lo) * wp.randf(rng)
@@ -111,7 +113,7 @@ def random_posture(world: World, home: wp.array2d(dtype=float), number: int, sta
 
 @wp.func
 def rrt_step(
-    nodes: wp.array2d(dtype=float), base: int, near: int, origin: int, target: vec6, number: int, range_rad: float
+    nodes: wp.array2d(dtype=float), base: int, near: int, origin: int, target: vecq, number: int, range_rad: float
 ):
     """One step from a node towards `target`: its two ends, the node's reach (rad), and whether it gets there.
 
@@ -174,20 +176,20 @@ def rrt_connect(
     # tables
     world: World,
     bodies: TrialBodies,
-    home_in: wp.array2d(dtype=float),  # (1, 6)
+    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
     # trials
     trial_in: wp.array(dtype=int),  # (P,) rows of the problems
     key_in: wp.array(dtype=int),  # (B,) random key of each trial
-    goals_in: wp.array2d(dtype=float),  # (B * 8, 6)
+    goals_in: wp.array2d(dtype=float),  # (B * 8, JOINTS)
     n_goals_in: wp.array(dtype=int),  # (B,)
     margin_in: wp.array(dtype=float),  # (B,) hand clearance kept by the whole path
     # scratch
     nodes_scratch: wp.array2d(
         dtype=float
-    ),  # (P * 2 * capacity, 7) postures, and how far a node's next step may go (rad)
+    ),  # (P * 2 * capacity, JOINTS + 1) postures, and how far a node's next step may go (rad)
     parents_scratch: wp.array(dtype=int),  # (P * 2 * capacity,) within the same tree, -1: a root
     # out
-    path_out: wp.array3d(dtype=float),  # (B, W, 6)
+    path_out: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_inout: wp.array(dtype=int),  # (B,) waypoints, 0: not found; a trial that has some is passed over
 ):
     """A collision-free polyline from home to one of the goals, within a number of iterations.
@@ -212,7 +214,7 @@ def rrt_connect(
 
     phase = int(EXTEND)
     grow = int(0)  # the tree that grows now
-    target = vec6()  # where it grows to
+    target = vecq()  # where it grows to
     near = int(0)  # the node that it grows from
     origin = int(0)  # the node where the line to `target` begins: further steps along a line have the same parent
     met0 = int(-1)

@@ -14,9 +14,11 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import FREE
-from r2h_batch.kernels.plan.edge import edge
-from r2h_batch.kernels.robot.posture import duration, load_waypoint, store_waypoint
-from r2h_batch.kernels.robot.world import TrialBodies, World, vec6
+
+from ..robot.joints import JOINTS, vecq
+from ..robot.posture import duration, load_waypoint, store_waypoint
+from ..robot.world import TrialBodies, World
+from .edge import edge
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -41,17 +43,17 @@ MOVED = wp.constant(2)  # the waypoint that is pulled, where it would be then
 
 
 @wp.func(inline=False)
-def segment_time(a: vec6, b: vec6, speed: float, acceleration: float):
+def segment_time(a: vecq, b: vecq, speed: float, acceleration: float):
     """Time of a segment, stopping at both ends: the joint with the farthest to go sets the pace."""
     d = float(0.0)
-    for j in range(6):
+    for j in range(JOINTS):
         d = wp.max(d, wp.abs(b[j] - a[j]))
     return duration(d, speed, acceleration)
 
 
 @wp.func(inline=False)
 def _saved(
-    path: wp.array3d(dtype=float), trial: int, i: int, j: int, a: vec6, b: vec6, speed: float, acceleration: float
+    path: wp.array3d(dtype=float), trial: int, i: int, j: int, a: vecq, b: vecq, speed: float, acceleration: float
 ):
     """Time saved when a on segment i and b on segment j > i are joined by a straight line."""
     saved = float(0.0)
@@ -64,7 +66,7 @@ def _saved(
 
 
 @wp.func(inline=False)
-def _splice(path: wp.array3d(dtype=float), trial: int, n: int, i: int, j: int, a: vec6, b: vec6):
+def _splice(path: wp.array3d(dtype=float), trial: int, n: int, i: int, j: int, a: vecq, b: vecq):
     """Waypoints i + 1 .. j give way to a and b. The new number of waypoints; n, and nothing done, if there is no room."""
     removed = j - i
     if removed == 1 and n >= path.shape[1]:
@@ -161,7 +163,7 @@ def shortcut(
     key_in: wp.array(dtype=int),  # (B,)
     margin_in: wp.array(dtype=float),  # (B,)
     # in and out
-    path_inout: wp.array3d(dtype=float),  # (B, W, 6)
+    path_inout: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_inout: wp.array(dtype=int),  # (B,)
 ):
     """Shortens paths in place: the quickest subset of the waypoints, then changes that save time, the subset once more.
@@ -198,7 +200,7 @@ def shortcut(
     proposed = int(0)
     i = int(0)
     j = int(0)
-    line = wp.zeros(shape=3, dtype=vec6)  # in memory: as values they would be copied wherever branches meet
+    line = wp.zeros(shape=3, dtype=vecq)  # in memory: as values they would be copied wherever branches meet
     running = bool(True)
     while running:
         if phase == SUBSET:
@@ -265,7 +267,7 @@ def shortcut(
                 t1 = segment_time(moved, b, speed, acceleration)
                 some = kind == 2
                 by = wp.where(some, wp.randf(rng), share[i])
-                for m in range(6):
+                for m in range(JOINTS):
                     on_line = a[m] + (t0 / (t0 + t1)) * (b[m] - a[m])
                     if not some or wp.randf(rng) < 0.5:
                         moved[m] = moved[m] + by * (on_line - moved[m])

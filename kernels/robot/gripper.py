@@ -1,7 +1,8 @@
-"""The 2F-85's fingers: where every gripper primitive stands in the ee frame at an opening (gap between the pads).
+"""A gripper's fingers: where every gripper primitive stands in the ee frame at an opening (gap between the pads).
 
-Closed-form linkage: half the gap = offset + pin_y cos q - pin_z sin q = offset + r cos(q + phi) at drive angle q, so
-q = acos((gap / 2 - offset) / r) - phi. `side` is -1 for the finger at -y, +1 for the finger at +y, 0 for the body.
+Parallel jaws on slides: the drive is minus half the gap (m), so that a larger drive closes.
+The 2F-85's closed-form linkage: half the gap = offset + pin_y cos q - pin_z sin q = offset + r cos(q + phi) at drive angle
+q, so q = acos((gap / 2 - offset) / r) - phi. `side` is -1 for the finger at -y, +1 for the finger at +y, 0 for the body.
 """
 
 import warp as wp
@@ -15,12 +16,14 @@ FIXED = wp.constant(0)
 DRIVER = wp.constant(1)
 PIN = wp.constant(2)
 INNER_KNUCKLE = wp.constant(3)
+SLIDE = wp.constant(4)
 
 
 @wp.struct
 class Gripper:
-    """Linkage (m, rad; the +y finger's, gripper frame) and the G primitives at drive angle 0 in the ee frame."""
+    """Linkage (m, rad; the +y finger's, gripper frame) and the G primitives at drive 0 in the ee frame."""
 
+    slide: int  # 1: parallel jaws, no linkage
     driver_pivot_y: float
     driver_pivot_z: float
     pin_y: float  # from the driver pivot
@@ -44,7 +47,9 @@ class Gripper:
 
 @wp.func
 def drive_from_gap(g: Gripper, gap: float) -> float:
-    """Drive angle (rad) at which the pads are `gap` (m) apart, clipped to the linkage's range."""
+    """Drive angle (rad) at which the pads are `gap` (m) apart, clipped to its range."""
+    if g.slide == 1:
+        return wp.clamp(-0.5 * gap, g.drive_lower, g.drive_upper)
     # half the gap = offset + r cos(q + phi) solved for q; gaps beyond the linkage give its ends
     r = wp.sqrt(g.pin_y * g.pin_y + g.pin_z * g.pin_z)
     c = wp.clamp((0.5 * gap - g.gap_offset) / r, -1.0, 1.0)
@@ -54,13 +59,17 @@ def drive_from_gap(g: Gripper, gap: float) -> float:
 @wp.func
 def gap_from_drive(g: Gripper, drive: float) -> float:
     """Gap between the pads (m) at a drive angle."""
+    if g.slide == 1:
+        return -2.0 * drive
     s, c = sin_cos(drive)
     return 2.0 * (g.gap_offset + g.pin_y * c - g.pin_z * s)
 
 
 @wp.func
 def pad_center_z(g: Gripper, drive: float) -> float:
-    """z of the pads' centres in the ee frame (0 at gap 42.5 mm)."""
+    """z of the pads' centres in the ee frame (0 at half stroke)."""
+    if g.slide == 1:
+        return g.pad_z
     s, c = sin_cos(drive)
     return g.pad_z + g.pin_z * c + g.pin_y * s
 
@@ -68,6 +77,8 @@ def pad_center_z(g: Gripper, drive: float) -> float:
 @wp.func
 def pad_center_z_range(g: Gripper, gap_low: float, gap_high: float):
     """Smallest and largest z (ee frame) that the pads' centres take while the gap goes from gap_high to gap_low."""
+    if g.slide == 1:
+        return g.pad_z, g.pad_z
     q_open = drive_from_gap(g, gap_high)
     q_closed = drive_from_gap(g, gap_low)
     a = pad_center_z(g, q_open)
@@ -91,7 +102,9 @@ def finger_pose(g: Gripper, i: int, drive: float):
         side = g.side[i]
         sine, c = sin_cos(drive)
         s = side * sine
-        if motion == PIN:  # the parallelogram carries inner finger and pad along the pin's arc without turning them
+        if motion == SLIDE:
+            p = p - wp.vec3(0.0, side * drive, 0.0)
+        elif motion == PIN:  # the parallelogram carries inner finger and pad along the pin's arc without turning them
             y = side * g.pin_y
             p = p + wp.vec3(0.0, c * y - s * g.pin_z - y, s * y + c * g.pin_z - g.pin_z)
         else:

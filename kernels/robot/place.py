@@ -4,7 +4,9 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
-from r2h_batch.kernels.robot.world import World, vec6
+
+from .joints import JOINTS, LAST, vecq
+from .world import World
 
 wp.set_module_options(OPTIONS)
 
@@ -18,19 +20,19 @@ def _square(x: float) -> float:
 
 @wp.func
 def motion_radius_of_ball(world: World, center: wp.vec3, ball_radius: float):
-    """Largest distance of a ball, fixed to wrist_3, from each joint's axis in any posture (r2h_batch.bodies.bounds, same bound).
+    """Largest distance of a ball, fixed to the last link, from each joint's axis in any posture (bodies/bounds.py).
 
     Turning a joint keeps the ball in a cylinder about its axis; that cylinder, seen from the joint before, fits into one
     about that joint's axis, and so on to the base; a ball about the joint's origin is carried along and cuts what it can.
     """
-    # (0, 0, low..high) with `radius`: the cylinder about z of the frame that is walked back, from wrist_3 to the base
-    rho = vec6()
+    # (0, 0, low..high) with `radius`: the cylinder about z of the frame that is walked back, from the last link to the base
+    rho = vecq()
     radius = wp.sqrt(center[0] * center[0] + center[1] * center[1]) + ball_radius
     low = center[2] - ball_radius
     high = center[2] + ball_radius
     ball = wp.sqrt(radius * radius + _square(wp.max(wp.abs(low), wp.abs(high))))
-    for i in range(6):
-        j = 5 - i
+    for i in range(JOINTS):
+        j = LAST - i
         rho[j] = radius + BALL_ROUNDING
         offset = world.joint_p[j]
         R = world.joint_R[j]
@@ -95,19 +97,19 @@ def place_bodies(
         p_wrist_grip_out[trial, i] = R_wrist_ee * pg + p_wrist_ee
 
     G = T_obj_ee_in[trial]
-    # T_obj_ee inverted: the object in the ee frame, then in wrist_3's
+    # T_obj_ee inverted: the object in the ee frame, then in the last link's
     Rt = wp.transpose(wp.mat33(G[0, 0], G[0, 1], G[0, 2], G[1, 0], G[1, 1], G[1, 2], G[2, 0], G[2, 1], G[2, 2]))
     p_ee_obj = -(Rt * wp.vec3(G[0, 3], G[1, 3], G[2, 3]))
     Ro = R_wrist_ee * Rt
     po = R_wrist_ee * p_ee_obj + p_wrist_ee
     R_wrist_obj_out[trial] = Ro
     p_wrist_obj_out[trial] = po
-    motion_radius = vec6()
+    motion_radius = vecq()
     o = object_in[trial]
     for hull in range(world.hull_first[o], world.hull_first[o + 1]):
         a = motion_radius_of_ball(world, Ro * world.hull_c0[hull] + po, world.hull_radius[hull])
         b = motion_radius_of_ball(world, Ro * world.hull_c1[hull] + po, world.hull_radius[hull])
-        for j in range(6):
+        for j in range(JOINTS):
             motion_radius[j] = wp.max(motion_radius[j], wp.max(a[j], b[j]))
-    for j in range(6):
+    for j in range(JOINTS):
         motion_radius_out[trial, j] = motion_radius[j]

@@ -4,7 +4,10 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.angles import angle_of
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.world import child_frame, vec6
+
+from .joints import JOINTS, vecq
+from .posture import load_waypoint
+from .world import child_frame
 
 wp.set_module_options(OPTIONS)
 
@@ -20,22 +23,13 @@ class Tool:
 
 
 @wp.func
-def ee_pose(tool: Tool, q: vec6):
+def ee_pose(tool: Tool, q: vecq):
     """R, p of the ee in the world."""
     R = wp.identity(n=3, dtype=float)
     p = wp.vec3(0.0, 0.0, 0.0)
-    for i in range(6):
+    for i in range(JOINTS):
         R, p = child_frame(R, p, tool.joint_R[i], tool.joint_p[i], q[i])
     return R * tool.R_wrist_ee, R * tool.p_wrist_ee + p
-
-
-@wp.func
-def joints(path: wp.array3d(dtype=float), trial: int, k: int):
-    """One posture of a path."""
-    q = vec6()
-    for j in range(6):
-        q[j] = path[trial, k, j]
-    return q
 
 
 @wp.kernel
@@ -46,7 +40,7 @@ def settle_sample(
     position_m: float,
     rotation_rad: float,
     # trials
-    goal_in: wp.array3d(dtype=float),  # (B, 1, 6)
+    goal_in: wp.array3d(dtype=float),  # (B, 1, JOINTS)
     path_in: wp.array3d(dtype=float),
     length_in: wp.array(dtype=int),
     # out
@@ -57,10 +51,10 @@ def settle_sample(
     n = length_in[trial]
     k = int(n)
     if n > 0:
-        Rg, pg = ee_pose(tool, joints(goal_in, trial, 0))
+        Rg, pg = ee_pose(tool, load_waypoint(goal_in, trial, 0))
         near = bool(True)
         while near and k > 0:
-            R, p = ee_pose(tool, joints(path_in, trial, k - 1))
+            R, p = ee_pose(tool, load_waypoint(path_in, trial, k - 1))
             # |axis| = 2 sin(angle) and trace - 1 = 2 cos(angle): the angle without acos, which is blunt near 0
             D = wp.transpose(Rg) * R
             axis = wp.vec3(D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1])

@@ -2,7 +2,7 @@
 
 All work is done in the trial's *hand frame*: forward kinematics starts from T_hand_world, so the hand's pieces need no
 transform at all. Bodies are numbered: arm primitives, gripper primitives, then the attached object's hulls.
-Links are numbered 0 base ... 6 wrist_3, 7 gripper, 8 object; 7 and 8 ride on wrist_3.
+Links are numbered 0 base ... JOINTS the last of the arm, then gripper and object, which ride on it (`wrist` in names here).
 """
 
 import warp as wp
@@ -11,26 +11,18 @@ from r2h_batch.kernels.geometry.angles import sin_cos
 from r2h_batch.kernels.geometry.body import BLOCKS, CELLS, Body
 from r2h_batch.kernels.options import OPTIONS
 
+from .joints import CHANGES, JOINTS, LAST_LINK, vecq
+
 wp.set_module_options(OPTIONS)
-
-vec6 = wp.types.vector(length=6, dtype=float)
-
-WRIST_3 = wp.constant(6)
-GRIPPER = wp.constant(7)
-OBJECT = wp.constant(8)
-CHANGES = wp.constant(7)
-"""Row from which on `twists` writes how the twists change."""
-FIELDS = wp.constant(14)
-"""Rows that `twists` writes."""
 
 
 @wp.struct
 class World:
     """Constant over trials. Capsules bound a body: two end points in its frame, and a radius (m)."""
 
-    joint_R: wp.array(dtype=wp.mat33)  # (6,) parent link to joint at q = 0; the joint turns about its z
+    joint_R: wp.array(dtype=wp.mat33)  # (JOINTS,) parent link to joint at q = 0; the joint turns about its z
     joint_p: wp.array(dtype=wp.vec3)
-    lower: wp.array(dtype=float)  # (6,) joint limits, rad
+    lower: wp.array(dtype=float)  # (JOINTS,) joint limits, rad
     upper: wp.array(dtype=float)
     n_arm: int
     n_robot: int  # arm and gripper primitives
@@ -44,13 +36,17 @@ class World:
     body_p: wp.array(dtype=wp.vec3)
     motion_radius: wp.array2d(
         dtype=float
-    )  # (n_robot, 6) largest distance of a body's points from each joint's axis, any posture
-    link_first: wp.array(dtype=int)  # (9,) bodies of link k: link_first[k] .. link_first[k + 1], k = 0..7
-    link_c0: wp.array(dtype=wp.vec3)  # (8,) bounding capsule of the whole link (7 in the wrist_3 frame, any opening)
+    )  # (n_robot, JOINTS) largest distance of a body's points from each joint's axis, any posture
+    link_first: wp.array(dtype=int)  # (LINKS,) bodies of link k: link_first[k] .. link_first[k + 1], k below LINKS - 1
+    link_c0: wp.array(
+        dtype=wp.vec3
+    )  # (LINKS - 1,) bounding capsule of the whole link (the gripper in the last link's frame)
     link_c1: wp.array(dtype=wp.vec3)
     link_radius: wp.array(dtype=float)
-    link_motion_radius: wp.array2d(dtype=float)  # (8, 6)
-    self_links: wp.array(dtype=int)  # (9,) bit k of entry l: link l is checked against link k < l (8: the object)
+    link_motion_radius: wp.array2d(dtype=float)  # (LINKS - 1, JOINTS)
+    self_links: wp.array(
+        dtype=int
+    )  # (LINKS,) bit k of entry l: link l is checked against link k < l (the last: the object)
     table_from: int  # bodies from this one on are checked against the table: base and shoulder stand on it
     table_center: wp.vec3  # world frame
     table_half: wp.vec3
@@ -85,11 +81,11 @@ class TrialBodies:
     object: wp.array(dtype=int)
     R_hand_world: wp.array(dtype=wp.mat33)
     p_hand_world: wp.array(dtype=wp.vec3)
-    R_wrist_grip: wp.array2d(dtype=wp.mat33)  # (B, n_robot - n_arm) gripper primitives in the wrist_3 frame
+    R_wrist_grip: wp.array2d(dtype=wp.mat33)  # (B, n_robot - n_arm) gripper primitives in the last link's frame
     p_wrist_grip: wp.array2d(dtype=wp.vec3)
     R_wrist_obj: wp.array(dtype=wp.mat33)
     p_wrist_obj: wp.array(dtype=wp.vec3)
-    object_motion_radius: wp.array2d(dtype=float)  # (B, 6)
+    object_motion_radius: wp.array2d(dtype=float)  # (B, JOINTS)
 
 
 @wp.func(inline=False)
@@ -104,16 +100,16 @@ def forward_kinematics(
     world: World,
     R_hand_world: wp.mat33,
     p_hand_world: wp.vec3,
-    q: vec6,
+    q: vecq,
     R: wp.array(dtype=wp.mat33),
     p: wp.array(dtype=wp.vec3),
 ):
-    """Writes the frames of links 0..6 in the hand frame."""
+    """Writes the frames of the arm's links in the hand frame."""
     Rk = R_hand_world
     pk = p_hand_world
     R[0] = Rk
     p[0] = pk
-    for i in range(6):
+    for i in range(JOINTS):
         Rk, pk = child_frame(Rk, pk, world.joint_R[i], world.joint_p[i], q[i])
         R[i + 1] = Rk
         p[i + 1] = pk
@@ -122,7 +118,7 @@ def forward_kinematics(
 @wp.func
 def link_frame(link: int):
     """The link whose frame carries this one."""
-    return wp.min(link, WRIST_3)
+    return wp.min(link, LAST_LINK)
 
 
 @wp.func
@@ -130,8 +126,8 @@ def body_pose(
     world: World, bodies: TrialBodies, trial: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), body: int
 ):
     """Pose of a robot body or of the object (any body >= n_robot), in the hand frame."""
-    Rk = R[WRIST_3]
-    pk = p[WRIST_3]
+    Rk = R[LAST_LINK]
+    pk = p[LAST_LINK]
     Rb = bodies.R_wrist_obj[trial]
     pb = bodies.p_wrist_obj[trial]
     if body < world.n_arm:
@@ -185,7 +181,7 @@ def object_body(world: World, hull: int):
 @wp.func_native(
     "return r2h::motion((const float*)((const char*)motion_radius.data + row * motion_radius.strides[0]), first_joint, d.c);"
 )
-def motion(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> float:
+def motion(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d: vecq) -> float:
     """How far a body's points can move when the joints from `first_joint` on turn by d (rad): sum of |d_j| motion_radius_j."""
     ...
 
@@ -193,11 +189,11 @@ def motion(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d
 @wp.func_native(
     "return r2h::bends((const float*)((const char*)motion_radius.data + row * motion_radius.strides[0]), first_joint, d.c);"
 )
-def _bends(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> wp.vec2: ...
+def _bends(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d: vecq) -> wp.vec2: ...
 
 
 @wp.func
-def bends(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
+def bends(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d: vecq):
     """Bounds on the second and on the third derivative of a body's points along q + s d, joints from `first_joint` on.
 
     |d^2 x / dq_i dq_j| = |z_i x (z_j x (x - o_j))| for i <= j is at most the distance to the outer joint's axis,
@@ -210,7 +206,7 @@ def bends(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d:
 
 @wp.func(inline=False)
 def twists(
-    d: vec6,
+    d: vecq,
     R: wp.array(dtype=wp.mat33),
     p: wp.array(dtype=wp.vec3),
     w: wp.array(dtype=wp.vec3),
@@ -218,7 +214,7 @@ def twists(
 ):
     """Writes each link's fields of velocity v + w x and acceleration b + a x + w (w x) when the joints turn at rates d.
 
-    Hand frame; x: cross product with the point. Rows 0..6: w and v; rows 7..13: a in `w`, b in `v`.
+    Hand frame; x: cross product with the point. Rows 0 to JOINTS: w and v; from CHANGES on: a in `w`, b in `v`.
     """
     wk = wp.vec3(0.0, 0.0, 0.0)
     vk = wp.vec3(0.0, 0.0, 0.0)
@@ -228,7 +224,7 @@ def twists(
     v[0] = vk
     w[CHANGES] = wk
     v[CHANGES] = vk
-    for j in range(6):
+    for j in range(JOINTS):
         Rj = R[j + 1]
         # a turn at rate d_j about an axis z through o has the field z x (x - o) = z x x + o x z; the link before carries both
         z = d[j] * wp.vec3(Rj[0, 2], Rj[1, 2], Rj[2, 2])

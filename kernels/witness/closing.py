@@ -188,6 +188,8 @@ def _ends_along_y(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3):
 @wp.func
 def _lift(g: Gripper, gap: float):
     """By how much the pads' centres rise per metre of opening: dz/dq over dgap/dq, q the drive angle (gripper.py)."""
+    if g.slide == 1:
+        return float(0.0)
     drive = drive_from_gap(g, gap)
     s, c = sin_cos(drive)
     dz = g.pin_y * c - g.pin_z * s

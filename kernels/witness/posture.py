@@ -9,9 +9,11 @@ from r2h_batch.kernels.ik.jacobian import damped_gram, joint_rate, solve_spd
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import ee_and_axes
 from r2h_batch.kernels.robot.gripper import Gripper
-from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import TrialBodies, World, body_pose, forward_kinematics
 from r2h_batch.kernels.witness.surface import SurfacePoint, finger_velocity, triangle_witness
+
+from ..robot.joints import FRAMES
+from ..robot.posture import load
+from ..robot.world import TrialBodies, World, body_pose, forward_kinematics
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -57,7 +59,7 @@ def hand_witness(
     mesh: HandMesh,
     bodies: TrialBodies,
     # trials
-    q_in: wp.array2d(dtype=float),  # (B, 6)
+    q_in: wp.array2d(dtype=float),  # (B, JOINTS)
     body_in: wp.array(dtype=int),  # -1: not wanted
     distance_in: wp.array(dtype=float),  # of that body, as Safe measures it
     # out
@@ -74,8 +76,8 @@ def hand_witness(
     found_out[trial] = False
     if body < 0:
         return
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     tri = wp.zeros(shape=3, dtype=wp.vec3)
     forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], load(q_in, trial), R, p)
     Rb, pb = body_pose(world, bodies, trial, R, p, body)
@@ -137,7 +139,7 @@ def arm_jacobian(
     # trials
     q_in: wp.array2d(dtype=float),
     # out
-    axis_out: wp.array2d(dtype=wp.vec3),  # (B, 6) joint axes and points on them, world frame
+    axis_out: wp.array2d(dtype=wp.vec3),  # (B, JOINTS) joint axes and points on them, world frame
     origin_out: wp.array2d(dtype=wp.vec3),
     inverse_out: wp.array3d(dtype=float),  # (B, 6, 6)
 ):

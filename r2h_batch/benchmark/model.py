@@ -183,7 +183,7 @@ class BenchmarkFile(_Entry):
     )
     table: TableEntry = Field(default=TableEntry())
     home: Annotated[
-        list[Annotated[float, Field(ge=-6.2832, le=6.2832)]], Field(min_length=6, max_length=6)
+        list[Annotated[float, Field(ge=-6.2832, le=6.2832)]], Field(min_length=6, max_length=12)
     ] = Field(default=list(HOME_Q), description="the arm's posture at the start, rad")
 
 

@@ -167,11 +167,12 @@ def gripper_balls(robot: Robot) -> tuple[Array, Array]:
 def robot_levers(robot: Robot) -> Array:
     """(N, 6) bounds for arm and gripper primitives: largest distance of any point from each joint's
     axis, any posture."""
+    joints = len(robot.joints)
     ends, radii = gripper_balls(robot)
     gripper = [
         np.max(
-            [lever_bound_for_sphere(robot, 6, c, r) for c in e[:: max(1, len(e) // 24)]]
-            + [lever_bound_for_sphere(robot, 6, e[-1], r)],
+            [lever_bound_for_sphere(robot, joints, c, r) for c in e[:: max(1, len(e) // 24)]]
+            + [lever_bound_for_sphere(robot, joints, e[-1], r)],
             axis=0,
         )
         + BETWEEN_OPENINGS_M * 6

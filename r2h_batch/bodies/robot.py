@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.optimize import minimize
 
 from r2h_batch.config import HOME_Q, OPEN_GAP_M, EvalConfig
 from r2h_batch.io.arrays import Spec, check_arrays, check_poses
@@ -57,6 +58,10 @@ SERVO_RATE = 100.0 / 3.0
 industrial arm within 0.1 mm while it moves."""
 
 
+MOTIONS = ("fixed", "driver", "pin", "inner_knuckle", "slide")
+"""How a part of the gripper moves: the kernels' codes count these (tests/kernels/test_codes.py)."""
+
+
 class Kind(IntEnum):
     """Shape codes of the kernels. Sizes as in MuJoCo, along local z: [radius, half length], box
     half sides."""
@@ -82,8 +87,12 @@ class Primitives:
 
 @dataclass(frozen=True)
 class Linkage:
-    """The right (+y) finger's pivots in the gripper frame's (y, z) plane at drive angle 0; the left
-    is its mirror."""
+    """The right (+y) finger's pivots in the gripper frame's (y, z) plane at drive 0; the left is its
+    mirror.
+
+    `slide`: parallel jaws in place of the four-bar linkage. The drive is minus half the gap (m), so
+    that a larger one closes; of the pivots `pad_from_pin_yz` alone says where the pads are.
+    """
 
     driver_pivot_yz: Array
     pin_from_driver_yz: Array
@@ -92,6 +101,7 @@ class Linkage:
     pad_half_size: Array
     drive_lower: float
     drive_upper: float
+    slide: bool = False
 
     @property
     def gap_offset_m(self) -> float:
@@ -170,10 +180,29 @@ class Robot:
         return float(gap_from_drive(self, self.linkage.drive_upper))
 
     @cached_property
+    def family(self) -> Literal["ur", "numerical"]:
+        """`ur`: of a UR's structure, whose inverse kinematics has a closed form."""
+        try:
+            ur_lengths(self)
+        except ValueError:
+            return "numerical"
+        return "ur"
+
+    @cached_property
     def reach_m(self) -> float:
-        """From the shoulder to the wrist of the stretched arm."""
-        lengths = ur_lengths(self)
-        return lengths.a2 + lengths.a3
+        """From the shoulder to the wrist of the stretched arm. Without a UR's structure: from the
+        second joint to the last but one, in whatever posture within limits takes it farthest."""
+        if self.family == "ur":
+            lengths = ur_lengths(self)
+            return lengths.a2 + lengths.a3
+
+        def apart(q: Array) -> float:
+            T = forward_kinematics(self, q)
+            return -float(np.linalg.norm(T[-3, :3, 3] - T[2, :3, 3]))
+
+        limits = list(zip(self.lower, self.upper, strict=True))
+        starts = np.linspace(self.lower, self.upper, 7)[1:-1]
+        return -min(float(minimize(apart, q, bounds=limits).fun) for q in starts)
 
     @cached_property
     def T_wrist3_ee(self) -> Array:
@@ -256,6 +285,8 @@ class UrLengths(NamedTuple):
 def ur_lengths(robot: Robot) -> UrLengths:
     """The six lengths of a robot of a UR's structure; raises ValueError for any other."""
     T = [*robot.T_parent_joint, robot.T_wrist3_ee]
+    if len(T) != 7:
+        raise ValueError(f"{len(T) - 1} joints are not those of a UR arm")
     # T[i] takes joint i's frame to the one before. A UR's six lengths stand in known entries; what
     # else the frames hold must be quarter turns, or the closed form is that of another arm.
     d1, a2, a3 = T[0][2, 3], -T[2][0, 3], -T[3][0, 3]
@@ -281,25 +312,28 @@ def forward_kinematics(robot: Robot, q: ArrayLike) -> Array:
     """T_world_link (..., 8, 4, 4) in the order of `robot.links`; the last is the gripper frame. q
     (..., 6) in rad."""
     q = np.asarray(q, dtype=np.float64)
-    if q.shape[-1:] != (JOINTS,):
-        raise ValueError(f"q has shape {q.shape}, allowed is (..., {JOINTS})")
+    n = len(robot.joints)
+    if q.shape[-1:] != (n,):
+        raise ValueError(f"q has shape {q.shape}, allowed is (..., {n})")
     T = np.zeros((*q.shape[:-1], len(robot.links), 4, 4))
     T[..., 0, :, :] = np.eye(4)
-    for i in range(JOINTS):
+    for i in range(n):
         T[..., i + 1, :, :] = T[..., i, :, :] @ robot.T_parent_joint[i] @ _rotation(2, q[..., i])
-    T[..., JOINTS + 1, :, :] = T[..., JOINTS, :, :] @ robot.T_wrist3_flange @ robot.T_flange_gripper
+    T[..., n + 1, :, :] = T[..., n, :, :] @ robot.T_wrist3_flange @ robot.T_flange_gripper
     return T
 
 
 def ee_pose(robot: Robot, q: ArrayLike) -> Array:
     """T_world_ee (..., 4, 4)."""
     T_wrist3_ee = robot.T_wrist3_flange @ robot.T_flange_ee
-    return np.asarray(forward_kinematics(robot, q)[..., JOINTS, :, :] @ T_wrist3_ee)
+    return np.asarray(forward_kinematics(robot, q)[..., -2, :, :] @ T_wrist3_ee)
 
 
 def gap_from_drive(robot: Robot, drive: ArrayLike) -> Array:
     """Distance between the pad faces in m at a drive angle in rad."""
     link, q = robot.linkage, np.asarray(drive, dtype=np.float64)
+    if link.slide:
+        return np.asarray(-2.0 * q)
     a, b = link.pin_from_driver_yz
     return np.asarray(2.0 * (link.gap_offset_m + a * np.cos(q) - b * np.sin(q)))
 
@@ -308,6 +342,9 @@ def drive_from_gap(robot: Robot, gap_m: ArrayLike) -> Array:
     """Drive angle in rad for a gap in m; gaps outside the linkage's range (2F-85: 1.5 to 86.0 mm)
     give its nearest end."""
     link = robot.linkage
+    if link.slide:
+        gap = np.asarray(gap_m, dtype=np.float64)
+        return np.clip(-gap / 2.0, link.drive_lower, link.drive_upper)
     a, b = link.pin_from_driver_yz
     cosine = (np.asarray(gap_m, dtype=np.float64) / 2.0 - link.gap_offset_m) / np.hypot(a, b)
     return np.clip(
@@ -318,6 +355,8 @@ def drive_from_gap(robot: Robot, gap_m: ArrayLike) -> Array:
 def pad_center_z(robot: Robot, drive: ArrayLike) -> Array:
     """z of the pads' centres in the gripper frame, m."""
     link, q = robot.linkage, np.asarray(drive, dtype=np.float64)
+    if link.slide:
+        return np.full(q.shape, link.pad_from_pin_yz[1])
     a, b = link.pin_from_driver_yz
     return np.asarray(
         link.driver_pivot_yz[1] + link.pad_from_pin_yz[1] + b * np.cos(q) + a * np.sin(q)
@@ -344,8 +383,12 @@ def finger_motion(robot: Robot, motion: str, side: int, drive: ArrayLike) -> Arr
     link, q = robot.linkage, np.asarray(drive, dtype=np.float64)
     if motion == "fixed":
         return np.broadcast_to(np.eye(4), (*q.shape, 4, 4)).copy()
-    if motion not in ("driver", "pin", "inner_knuckle"):
-        raise ValueError(f"motion is {motion!r}, allowed are fixed, driver, pin, inner_knuckle")
+    if motion not in MOTIONS:
+        raise ValueError(f"motion is {motion!r}, allowed are {', '.join(MOTIONS)}")
+    if motion == "slide":
+        T = np.broadcast_to(np.eye(4), (*q.shape, 4, 4)).copy()
+        T[..., 1, 3] = -side * q
+        return T
     pivot = link.inner_knuckle_pivot_yz if motion == "inner_knuckle" else link.driver_pivot_yz
     T = _rotation(0, side * q)
     point = np.array([0.0, side * pivot[0], pivot[1]])
@@ -372,8 +415,9 @@ def lever_bounds(robot: Robot) -> Array:
 def lever_bound_for_sphere(robot: Robot, link: int, center: ArrayLike, radius: float) -> Array:
     """The same bounds (6,) for a ball fixed to a link (its index; 6 = wrist_3), `center` in that
     link's frame."""
-    if not 0 <= link <= JOINTS:
-        raise ValueError(f"link is {link}, allowed are 0 (base) to {JOINTS} (wrist_3)")
+    last = len(robot.joints)
+    if not 0 <= link <= last:
+        raise ValueError(f"link is {link}, allowed are 0 (base) to {last} ({robot.links[last]})")
     x, y, z = np.asarray(center, dtype=np.float64)
     return _lever_column(robot, link, np.hypot(x, y) + radius, z - radius, z + radius)
 
@@ -386,7 +430,7 @@ def _lever_column(robot: Robot, link: int, radius: float, low: float, high: floa
     fits into one about that joint's axis, and so on to the base. A ball about the joint's origin is
     carried along and cuts what it can.
     """
-    rho = np.zeros(JOINTS)
+    rho = np.zeros(len(robot.joints))
     ball = float(np.hypot(radius, max(abs(low), abs(high))))
     for j in range(link - 1, -1, -1):
         rho[j] = radius

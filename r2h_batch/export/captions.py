@@ -29,6 +29,8 @@ REASONS = {
     "motion_in_collision": "the given motion collides",
     "beyond_joint_limits": "a joint goes beyond its limit",
     "beyond_speed_limits": "a joint turns faster than it can",
+    "ik_not_found": "no posture was found at the target",
+    "no_free_posture_found": "every posture found at the target collides",
 }
 
 
@@ -79,7 +81,7 @@ def headline(row: dict[str, Any]) -> str:
     if outcome == "plan":
         reason, pair = str(row["plan_reason"]), row.get("plan_pair")
         met = f" ({PAIRS.get(pair, pair.replace('_', ' and '))})" if pair else ""
-        short = f": {by} short" if by and reason == "ik_unreachable" else ""
+        short = f": {by} short" if by and reason in ("ik_unreachable", "ik_not_found") else ""
         return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
         part = str(row["witness_safe_part"]).replace("_", " ")

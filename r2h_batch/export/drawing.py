@@ -167,7 +167,7 @@ class Drawing:
         if stored.moves:
             seen = {"reach": self._gap, "affordance": self._finger_on_region}
             return seen[stored.row["outcome"]]() if stored.row["outcome"] in seen else None
-        if reason == "ik_unreachable":
+        if reason in ("ik_unreachable", "ik_not_found"):
             data = self.at(stored.target_q)
             line = np.stack([data.site("ee").xpos, data.site("target").xpos])
             return Witness((), "unreachable", -float(np.linalg.norm(line[1] - line[0])), line)

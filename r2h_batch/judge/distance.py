@@ -75,9 +75,9 @@ def person_distance(
     tables = {"world": alone.tables(scene), "bodies": alone.bodies}
     motion = {"path": path.contiguous(), "length": length.contiguous()}
     on: dict[str, Any] = {"device": scene.device, "threads": threads}
-    found, meets = _nearest(tables, motion, on)
+    found, meets = _nearest(scene, tables, motion, on)
     launch_trials(
-        path_overlap,
+        scene.sized(path_overlap),
         len(meets),
         inputs={"hull_ball": scene.hull_balls, **tables, "row": meets, **motion},
         outputs=found,
@@ -88,7 +88,7 @@ def person_distance(
 
 
 def _nearest(
-    tables: dict[str, Any], motion: dict[str, Tensor], on: dict[str, Any]
+    scene: Scene, tables: dict[str, Any], motion: dict[str, Tensor], on: dict[str, Any]
 ) -> tuple[dict[str, Tensor], Int32[Tensor, " m"]]:
     """Clearance, pair and body of each path, as far as bodies are apart, and the rows where they
     meet (-1: none)."""
@@ -115,7 +115,7 @@ def _nearest(
     found["clearance"].fill_(torch.nan)
     found["body"].fill_(-1)
     asked = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
-    launch_trials(path_clearance, b, inputs=asked, outputs=found, chunk=8, **on)
+    launch_trials(scene.sized(path_clearance), b, inputs=asked, outputs=found, chunk=8, **on)
     return found, torch.nonzero((length > 0) & (found["clearance"] < 0)).flatten().to(torch.int32)
 
 
@@ -164,14 +164,16 @@ def hand_distance(
         else:
             inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
             launch_trials(
-                safe_kernels.safe_distance, b, inputs=inputs, outputs=found, chunk=16, uneven=True,
+                scene.sized(safe_kernels.safe_distance), b, inputs=inputs, outputs=found, chunk=16, uneven=True,
                 **on,
             )  # fmt: skip
             meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
         # the search for the smallest distance ends where bodies meet: how deep is a search of its
         # own
         inputs = {**tables, "row": meets, **motion}
-        launch_trials(hand_overlap, len(meets), inputs=inputs, outputs=found, chunk=1, **on)
+        launch_trials(
+            scene.sized(hand_overlap), len(meets), inputs=inputs, outputs=found, chunk=1, **on
+        )
         more = (found[k] for k in ("body", "segment", "fraction", "point"))
         return torch.where(moves, distance, torch.nan), *more
 
@@ -263,7 +265,7 @@ def hand_distance_at(
     `hand_distance`."""
     made = new_outputs(goal_safe_distance, len(active), scene.device)
     launch_trials(
-        goal_safe_distance,
+        scene.sized(goal_safe_distance),
         len(active),
         inputs={
             "cap": CLEARANCE_CAP_M,

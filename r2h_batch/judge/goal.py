@@ -1,7 +1,7 @@
 """The goal posture of a handover pose, judged without a path: the branch the planner would go to,
 its clearance, Safe there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M
-from r2h_batch.judge.ik import IkResult, home_posture, ur_parameters
+from r2h_batch.judge.ik import IkResult, home_posture, nearest_found, ur_parameters
 from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
@@ -76,12 +76,12 @@ def judge_goals(
     (`goals="one"`: one)."""
     b, device = len(active), active.device
     active = active.contiguous()
-    goal = _unjudged(b, device)
-    postures = {"valid": branches.contiguous(), "q": ik.q.view(-1, 6)}
+    goal = _unjudged(b, ik.q.shape[2], device)
+    postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
     on: dict[str, Any] = {"device": scene.device, "threads": threads}
 
     launch_trials(
-        goal_kernels.choose_goal,
+        scene.sized(goal_kernels.choose_goal),
         b,
         inputs={
             "world": body_poses.tables(scene),
@@ -97,7 +97,9 @@ def judge_goals(
         **on,
     )
     _measure(goal, scene, body_poses, T_world_ee, postures, active, on)
-    return goal
+    return (
+        replace(goal, reason=weaken_singular_reason(goal.reason, ik)) if not ik.complete else goal
+    )
 
 
 def failed_clearance(
@@ -118,10 +120,10 @@ def failed_clearance(
     measured = torch.zeros_like(reason, dtype=torch.bool)
     for why in MEASURED:
         measured |= reason == int(why)
-    goal = _unjudged(len(reason), reason.device)
+    goal = _unjudged(len(reason), q.shape[2], reason.device)
     goal.reason.copy_(torch.where(measured, reason, int(PlanReason.NOT_EVALUATED)))
     goal.slot.fill_(-1)
-    postures = {"valid": branches.contiguous(), "q": q.view(-1, 6)}
+    postures = {"valid": branches.contiguous(), "q": q.flatten(0, 1)}
     on = {"device": scene.device, "threads": threads}
     _measure(goal, scene, body_poses, T_world_ee, postures, measured, on)
     return torch.where(measured, goal.clearance_m.clamp(min=-FARTHEST_M), -torch.inf)
@@ -132,19 +134,24 @@ def weaken_singular_reason(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[T
     solutions.
 
     At sin q5 = 0 they are points of a line of solutions (`IkResult.singular`): that these collide
-    proves nothing of the others.
+    proves nothing of the others. Nor does it where there is no closed form, nor that nothing was
+    found.
     """
-    open_ = ik.singular & (reason == int(PlanReason.IK_IN_COLLISION))
-    return torch.where(open_, int(PlanReason.NO_PATH_IN_BUDGET), reason)
+    met = reason == int(PlanReason.IK_IN_COLLISION)
+    if ik.complete:
+        return torch.where(ik.singular & met, int(PlanReason.NO_PATH_IN_BUDGET), reason)
+    missed = (reason == int(PlanReason.IK_UNREACHABLE)) & ~ik.unreachable_proven
+    reason = torch.where(met, int(PlanReason.NO_FREE_POSTURE_FOUND), reason)
+    return torch.where(missed, int(PlanReason.IK_NOT_FOUND), reason)
 
 
-def _unjudged(b: int, device: torch.device) -> Goal:
+def _unjudged(b: int, joints: int, device: torch.device) -> Goal:
     """Room for B goals, all of which the kernels write: they may find there what a call before
     left."""
     reason, pair, slot, nearest, body, other = torch.empty(
         (6, b), dtype=torch.int32, device=device
     ).unbind(0)
-    q = torch.empty((b, 6), dtype=torch.float32, device=device)
+    q = torch.empty((b, joints), dtype=torch.float32, device=device)
     clearance = torch.empty(b, dtype=torch.float32, device=device)
     push, point = torch.empty((2, b, 3), dtype=torch.float32, device=device).unbind(0)
     return Goal(reason, pair, slot, q, clearance, nearest, body, other, push, point)
@@ -165,25 +172,32 @@ def _measure(
     Each launch goes on from what the one before wrote into `goal`.
     """
     b, device = len(active), active.device
-    residual = torch.empty(b, dtype=torch.float32, device=device)
     # a posture for targets that no branch reaches ...
-    launch_trials(
-        ik_nearest.nearest_posture,
-        b,
-        inputs={
-            "ur": ur_parameters(scene.robot, scene.config.workplace.home_q),
-            "rotation_lever_m": ROTATION_LEVER_M,
-            "active": active,
-            "branches": postures["valid"],
-            "T_world_ee": T_world_ee.contiguous(),
-        },
-        outputs={"q": goal.q, "residual": residual},
-        chunk=256,
-        **on,
-    )
+    if scene.robot.family == "ur":
+        residual = torch.empty(b, dtype=torch.float32, device=device)
+        launch_trials(
+            ik_nearest.nearest_posture,
+            b,
+            inputs={
+                "ur": ur_parameters(scene.robot, scene.config.workplace.home_q),
+                "rotation_lever_m": ROTATION_LEVER_M,
+                "active": active,
+                "branches": postures["valid"],
+                "T_world_ee": T_world_ee.contiguous(),
+            },
+            outputs={"q": goal.q, "residual": residual},
+            chunk=256,
+            **on,
+        )
+    else:
+        missed = active & ~postures["valid"].any(1)
+        q, residual = nearest_found(
+            scene.robot, T_world_ee, missed, ROTATION_LEVER_M, threads=on["threads"]
+        )
+        goal.q.copy_(q)
     # ... and how near its bodies are to others
     launch_trials(
-        goal_kernels.goal_clearance,
+        scene.sized(goal_kernels.goal_clearance),
         b,
         inputs={
             "cap": CLEARANCE_CAP_M,

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot, ur_lengths
+from r2h_batch.judge import ik_any
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.ik.jacobian import first_branch
 from r2h_batch.kernels.plan.codes import BRANCHES
@@ -54,6 +55,9 @@ class IkResult:
     """How the pair of branches 2 s + w was settled: a STATUS_* code of kernels/ik/step.py."""
     steps: Int[Tensor, "b 4"]
     """Damped least squares steps spent on the pair, over all seeds tried."""
+    complete: bool = True
+    """These are all solutions, by the closed form; False: up to 8 that were found, in the order of
+    finding, `status` and `steps` as kernels/ik/any_arm.py says."""
 
     @property
     def reachable(self) -> Bool[Tensor, "b"]:
@@ -94,19 +98,22 @@ def solve_ik(
 
     Rows with `active` False, NaN or no rigid transform have no valid branch and are not proven
     unreachable. `seeds`: joint angles to start from, joint 1 relative to the wrist centre's azimuth
-    (default: the committed set). `robot` (default: the UR5e) is of a UR's structure, `home` its own
-    unless given.
+    (default: the committed set). `robot`: default the UR5e, `home` its own unless given. One that is
+    not of a UR's structure is solved by judge/ik_any.py, whose seeds and steps are its own.
     """
     robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
     home = robot.home_q if home is None else tuple(home)
     device = T_world_ee.device
     if active is None:
         active = torch.ones(T_world_ee.shape[:1], dtype=torch.bool, device=device)
+    init_warp()
+    if robot.family != "ur":
+        found = _unsolved(len(T_world_ee), device, len(robot.joints), complete=False)
+        _solve_any(robot, T_world_ee, active, found, threads=threads)
+        return found
     start = ik_seeds() if seeds is None else np.asarray(seeds, dtype=np.float64)
     _check(T_world_ee, active, robot, home, start, iterations)
     n = len(T_world_ee)
-
-    init_warp()
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
     result = _unsolved(n, device)
     if n == 0:
@@ -125,14 +132,7 @@ def solve_ik(
             "T_world_ee": T_world_ee.contiguous(),
             "active": active.contiguous(),
         },
-        outputs={
-            "q": result.q,
-            "valid": result.valid,
-            "position_error": result.position_error_m,
-            "rotation_error": result.rotation_error_rad,
-            "status": result.status,
-            "steps": result.steps,
-        },
+        outputs=_written(result),
         device=place,
         threads=threads,
         chunk=CHUNK,
@@ -141,16 +141,52 @@ def solve_ik(
     return result
 
 
-def _unsolved(n: int, device: torch.device) -> IkResult:
+def nearest_found(
+    robot: Robot,
+    T_world_ee: Float[Tensor, "b 4 4"],
+    active: Bool[Tensor, "b"],
+    rotation_lever_m: float,
+    *,
+    threads: int | None = None,
+) -> tuple[Float[Tensor, "b j"], Float[Tensor, "b"]]:
+    """Of targets that a robot without a closed form was not found to reach: the posture (rad) that
+    came nearest, and by how much it misses (m, a radian counts `rotation_lever_m`)."""
+    found = _unsolved(len(T_world_ee), T_world_ee.device, len(robot.joints), complete=False)
+    return _solve_any(
+        robot, T_world_ee, active, found, rotation_lever_m=rotation_lever_m, threads=threads
+    )
+
+
+def _solve_any(
+    robot: Robot, T_world_ee: Tensor, active: Tensor, into: IkResult, **more: Any
+) -> tuple[Tensor, Tensor]:
+    tolerance = POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
+    return ik_any.solve(robot, T_world_ee, active, _written(into), tolerance=tolerance, **more)
+
+
+def _written(result: IkResult) -> dict[str, Tensor]:
+    """What a kernel writes, by its names."""
+    return {
+        "q": result.q,
+        "valid": result.valid,
+        "position_error": result.position_error_m,
+        "rotation_error": result.rotation_error_rad,
+        "status": result.status,
+        "steps": result.steps,
+    }
+
+
+def _unsolved(n: int, device: torch.device, joints: int = 6, *, complete: bool = True) -> IkResult:
     """Room for n targets, all of which the kernel writes."""
     position, rotation = torch.empty((2, n, BRANCHES), dtype=torch.float32, device=device).unbind(0)
     return IkResult(
-        q=torch.empty((n, BRANCHES, 6), dtype=torch.float32, device=device),
+        q=torch.empty((n, BRANCHES, joints), dtype=torch.float32, device=device),
         valid=torch.empty((n, BRANCHES), dtype=torch.bool, device=device),
         position_error_m=position,
         rotation_error_rad=rotation,
         status=torch.empty((n, 4), dtype=torch.uint8, device=device),
         steps=torch.empty((n, 4), dtype=torch.int32, device=device),
+        complete=complete,
     )
 
 
@@ -213,6 +249,8 @@ def one_branch(
     robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
     home = robot.home_q if home is None else tuple(home)
     n, device = len(T_world_ee), T_world_ee.device
+    if robot.family != "ur":  # the first posture found is that of the nearest seed
+        return ik.valid & (ik.valid.cumsum(1) == 1)
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
     made = new_outputs(first_branch, n, device)
     launch_trials(
@@ -260,7 +298,11 @@ def _seed_states(device: str) -> wp.array:
 def build_tables(robot: Robot, home: tuple[float, ...], device: str) -> None:
     """What the solvers read, on a CUDA device before this returns: see `Scene`, whose tables are
     there at once too."""
-    home_posture(device, home), _seed_states(device), _jacobian_tables(robot, home, device)
+    home_posture(device, home)
+    if robot.family == "ur":
+        _seed_states(device), _jacobian_tables(robot, home, device)
+    else:
+        ik_any.tables(robot, device)
     wp.synchronize_device(device)
 
 

@@ -57,6 +57,10 @@ def solve_ik(
     """
     robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
     home = robot.home_q if home is None else tuple(home)
+    if robot.family != "ur":
+        raise ValueError(
+            f"ik.solver='pytorch-kinematics' is asked for {robot.name}; it solves arms of a UR's structure: use 'fused'"
+        )
     start = fused.ik_seeds() if seeds is None else np.asarray(seeds, np.float64)
     exact = fused.solve_ik(
         T_world_ee,

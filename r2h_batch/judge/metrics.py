@@ -134,8 +134,12 @@ def plan(e: Evidence) -> Criterion:
     where its clearance was only sampled.
     """
     missed = e.reason == int(PlanReason.IK_UNREACHABLE)  # by how far
-    distance = constants(missed.device, torch.int8, MarginKind.DISTANCE)
+    tried = e.reason == int(PlanReason.IK_NOT_FOUND)  # by no more than the best try
+    distance, cap = (
+        constants(missed.device, torch.int8, x) for x in (MarginKind.DISTANCE, MarginKind.CAP)
+    )
     kind = torch.where(missed, distance, kind_of(e.clearance_m, CLEARANCE_CAP_M))
+    kind = torch.where(tried, cap, kind)
     return Criterion(e.clearance_m, e.free, e.held.active, kind)
 
 

@@ -12,6 +12,7 @@ from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig,
 from r2h_batch.judge.frontier.levels import Frontier, uses_frontier
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.judge.search import Search
+from r2h_batch.kernels import JOINTS
 from r2h_batch.kernels.frontier.arcs import draw_arcs
 from r2h_batch.kernels.frontier.shortcuts import take_arcs
 from r2h_batch.kernels.frontier.trees import enter_edges
@@ -21,6 +22,7 @@ from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straigh
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
 from r2h_batch.launch import launch_trials, load, new_outputs
+from r2h_batch.launch.instances import of_joints
 from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
@@ -82,12 +84,12 @@ def plan_paths(
         )
 
 
-def load_searches(device: str) -> None:
+def load_searches(device: str, joints: int = JOINTS) -> None:
     """Compiles what only some trials need (searches, shortcuts, how deep bodies meet), or loads it
     from the kernel cache."""
     one_thread, frontier = (rrt_connect, shortcut), (enter_edges, draw_arcs, take_arcs)
     for kernel in (*(frontier if uses_frontier(device) else one_thread), path_overlap):
-        load(kernel, device)
+        load(of_joints(kernel, joints), device)
 
 
 def _paths(
@@ -107,9 +109,9 @@ def _paths(
     home = home_posture(str(device), scene.config.workplace.home_q)
     moveit = int(config.edge_check == "moveit")
 
-    start_clear, start_pair, _ = run.check(home.expand(b, 6).contiguous(), active, 1)
+    start_clear, start_pair, _ = run.check(home.expand(b, -1).contiguous(), active, 1)
     goal_clear, goal_pair, clearance = run.check(
-        q.reshape(-1, 6), (valid & active[:, None] & start_clear[:, None]).reshape(-1), BRANCHES
+        q.flatten(0, 1), (valid & active[:, None] & start_clear[:, None]).reshape(-1), BRANCHES
     )
     goal_clear, goal_pair, clearance = (
         x.view(b, BRANCHES) for x in (goal_clear, goal_pair, clearance)
@@ -119,10 +121,10 @@ def _paths(
     # never looked at
     goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, home, config)
     chosen = run.straight(home, goals, n_goals, margin, moveit)
-    path = torch.zeros((b, WAYPOINTS, 6), dtype=torch.float32, device=device)
+    path = torch.zeros((b, WAYPOINTS, q.shape[2]), dtype=torch.float32, device=device)
     length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
     path[:, 0] = home
-    nearest = goals.view(b, BRANCHES, 6)[
+    nearest = goals.view(q.shape)[
         torch.arange(b, dtype=torch.int64, device=device), chosen.clamp(min=0).long()
     ]
     path[:, 1] = torch.where((chosen >= 0)[:, None], nearest, 0.0)
@@ -241,7 +243,7 @@ class Planner:
     ) -> None:
         """`rows`: for how many paths of at most WAYPOINTS the frontier has room; None: one a trial."""
         self._tables = {"world": body_poses.tables(scene), "bodies": body_poses.bodies}
-        self._device = scene.device
+        self._device, self._sized = scene.device, scene.sized
         self._threads = threads
         self.frontier = (
             Frontier(**self._tables, device=scene.device, rows=rows or len(body_poses.object_index))
@@ -254,7 +256,7 @@ class Planner:
     ) -> None:
         inputs = {**self._tables, **inputs}
         launch_trials(
-            kernel,
+            self._sized(kernel),
             n,
             inputs=inputs,
             outputs=outputs,
@@ -310,11 +312,11 @@ def _sort_goals(
     to each must keep (b, 8)."""
     b = len(q)
     distance = torch.zeros(q.shape[:2], dtype=torch.float64, device=q.device)
-    for j in range(6):  # summed in a fixed order: the same bits at any batch size
+    for j in range(q.shape[2]):  # summed in a fixed order: the same bits at any batch size
         distance = distance + (q[..., j] - home[0, j]).double().square()
     order = torch.where(clear, distance, torch.inf).argsort(dim=1, stable=True)
     rows = torch.arange(b, dtype=torch.int64, device=q.device)[:, None]
-    goals = q[rows, order].contiguous().view(-1, 6)
+    goals = q[rows, order].flatten(0, 1)
     room = clearance[rows, order]
     # A goal at `room` from the hand cannot be entered on a path that keeps more: a little less than
     # the goal has, at least half of it, and never more than the margin asked for everywhere

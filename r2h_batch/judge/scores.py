@@ -138,7 +138,7 @@ def pose_scores(
 ) -> Scores:
     """`Scores` of poses that were judged without a path; `shared` from `verdict`."""
     nan, zero = torch.full_like(goal.clearance_m, torch.nan), torch.zeros_like(goal.reason)
-    none = torch.empty((len(nan), 0, 6), dtype=torch.float32, device=nan.device)
+    none = torch.empty((len(nan), 0, goal.q.shape[1]), dtype=torch.float32, device=nan.device)
     nothing = none[:, :, 0]
     return Scores(
         trial_id=trial_id,

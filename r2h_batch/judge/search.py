@@ -130,7 +130,7 @@ class Search:
         """One search of those `rows` whose `length` is 0; the hand clearance that paths keep."""
         b, device = len(path), path.device
         kept, n_kept, margin = goals_for_search(
-            self.goals.view(b, BRANCHES, 6), self.n_goals, self.margin, everything=everything
+            self.goals.view(b, BRANCHES, -1), self.n_goals, self.margin, everything=everything
         )
         # An iteration adds one node to one tree and then as many to the other as it takes to meet
         # or to be blocked; how many is not bounded, so a tree that is full ends the search
@@ -153,7 +153,9 @@ class Search:
             )
             return margin
         for part in rows.split(max(1, _scratch_nodes(device) // (2 * capacity))):
-            nodes = torch.empty((len(part) * 2 * capacity, 7), dtype=torch.float32, device=device)
+            nodes = torch.empty(
+                (len(part) * 2 * capacity, path.shape[2] + 1), dtype=torch.float32, device=device
+            )
             parents = torch.empty(len(part) * 2 * capacity, dtype=torch.int32, device=device)
             self.run(
                 rrt_connect,
@@ -168,7 +170,7 @@ class Search:
                     "home": self.home,
                     "trial": part,
                     "key": self.key,
-                    "goals": kept.view(-1, 6),
+                    "goals": kept.flatten(0, 1),
                     "n_goals": n_kept,
                     "margin": margin,
                 },

@@ -65,7 +65,7 @@ def nothing_pushes(
     pair = torch.zeros(b, dtype=torch.int32, device=device)
     body = torch.full((b,), -1, dtype=torch.int32, device=device)
     launch_trials(
-        path_clearance,
+        scene.sized(path_clearance),
         b,
         inputs={
             "cap": NEAR_M,
@@ -240,7 +240,10 @@ class _Runner:
         module = import_module(f"r2h_batch.motion.sim_{engine}")
         self.simulate = module.simulate
         self.law = servo_law(
-            config, lead_s=1.0 / scene.robot.dynamics.servo_rate, step_s=config.step_s
+            config,
+            path.shape[2],
+            lead_s=1.0 / scene.robot.dynamics.servo_rate,
+            step_s=config.step_s,
         )
         device = "cpu" if module.ON_CPU else scene.device
         self.device = device
@@ -276,7 +279,9 @@ class _Runner:
         """When each motion came to rest, and how far it may have been off its samples."""
         b, device, config = len(self.length), self.path.device, self.config
         rows = torch.from_numpy(job.rows).to(device)
-        path = torch.zeros((b, max(answer.q.shape[1], 2), 6), dtype=torch.float32, device=device)
+        path = torch.zeros(
+            (b, max(answer.q.shape[1], 2), answer.q.shape[2]), dtype=torch.float32, device=device
+        )
         path[rows, : answer.q.shape[1]] = torch.from_numpy(answer.q).to(device)
         valid = torch.ones(b, dtype=torch.bool, device=device)
         valid[rows] = torch.from_numpy(answer.valid & np.isfinite(answer.q).all((1, 2))).to(device)
@@ -291,7 +296,7 @@ class _Runner:
         reference_s = torch.from_numpy(self.reference_s).to(device)
         settled = (length > 0) & still & (at <= reference_s + config.settle_s)
         lever = self.scene.motion_radii.to(device)
-        acceleration = torch.zeros((b, 1, 6), dtype=torch.float64, device=device)
+        acceleration = torch.zeros((b, 1, path.shape[2]), dtype=torch.float64, device=device)
         acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)
         slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
         slack[rows] += torch.from_numpy(np.nan_to_num(answer.sway_m)).to(device)
@@ -357,7 +362,7 @@ class _Runner:
         ][:, None].contiguous()
         first = torch.zeros(b, dtype=torch.int32, device=device)
         launch_trials(
-            settle_sample,
+            self.scene.sized(settle_sample),
             b,
             inputs={
                 "tool": self.scene.tool,
@@ -377,13 +382,13 @@ class _Runner:
     def _deviation(self, motion: Tensor, length: Tensor, sample_s: float) -> Tensor:
         """Of the lines between samples from the planned path: at the samples, and what the path
         curves between two in time."""
-        law = servo_law(self.config, lead_s=0.0, step_s=sample_s)
+        law = servo_law(self.config, self.path.shape[2], lead_s=0.0, step_s=sample_s)
         lever = self.scene.motion_radii.float().to(motion.device).contiguous()
         held = self.body_poses.object_motion_radius
         deviation = torch.zeros(len(length), dtype=torch.float32, device=motion.device)
         planned, time, planned_length = self.planned
         launch_trials(
-            path_deviation,
+            self.scene.sized(path_deviation),
             len(length),
             inputs={
                 "law": law,

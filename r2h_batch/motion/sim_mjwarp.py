@@ -33,6 +33,7 @@ from r2h_batch.kernels.motion.worlds import (
     start_worlds,
 )
 from r2h_batch.launch import launch
+from r2h_batch.launch.instances import of_joints
 from r2h_batch.motion.simulation import Job, Samples, warnings_unwritten
 from r2h_batch.scene.dynamics import quats_wxyz
 from r2h_batch.scene.model import MESH_FIELDS, SceneModel
@@ -122,16 +123,16 @@ class StandingWorlds:
             self.data = mjw.make_data(host, nworld=nworld, njmax=njmax, naconmax=naconmax)
             self.model.opt.warn_overflow = 0  # it prints to stdout; the bits are read below
             self.fields, self.shapes, self.fingers = (
-                _fields(self.model, self.data),
+                _fields(scene, self.model, self.data),
                 _shapes(scene),
                 _fingers(scene),
             )
-            self.worlds = _worlds(host, nworld)
+            self.worlds = _worlds(scene, host, nworld)
             self.motion_radii: Any = wp.array(motion_radii.astype(np.float32), dtype=wp.float32)
             self.room = (0, 0, 0)
             self.graph: Any = None
             for kernel in (command_worlds, finish_step, start_worlds):
-                wp.load_module(kernel.module, device=device)
+                wp.load_module(self._sized(kernel).module, device=device)
             # compiles what the graph needs; the worlds start afterwards
             mjw.step(self.model, self.data)
 
@@ -154,7 +155,7 @@ class StandingWorlds:
             self.record.drive_low.fill_(ANY_DRIVE)
             self.record.drive_high.fill_(-ANY_DRIVE)
             launch(
-                start_worlds,
+                self._sized(start_worlds),
                 self.nworld,
                 inputs={"queue": self.queue, "shapes": self.shapes},
                 outputs=self._written,
@@ -179,6 +180,9 @@ class StandingWorlds:
             **_windows(windows, table["sample"], last, table["hold"]),
         )  # fmt: skip
 
+    def _sized(self, kernel: Any) -> Any:
+        return of_joints(kernel, len(self.scene.robot.joints))
+
     @property
     def _written(self) -> dict[str, Any]:
         """What every kernel of a run writes: where the worlds stand in the queue, their state, what
@@ -202,7 +206,7 @@ class StandingWorlds:
         )
         self.graph = None
         self.queue = _empty_queue(self.scene, self.room[0], waypoints)
-        self.record = _empty_record(self.scene.model, *self.room[:2])
+        self.record = _empty_record(self.scene, *self.room[:2])
         self.graph = self._captured_steps()
 
     def _captured_steps(self) -> wp.Graph:
@@ -211,7 +215,7 @@ class StandingWorlds:
 
         def step() -> None:
             launch(
-                command_worlds,
+                self._sized(command_worlds),
                 self.nworld,
                 inputs={"law": self.law, "queue": self.queue},
                 outputs=self._written,
@@ -219,7 +223,7 @@ class StandingWorlds:
             )
             mjw.step(self.model, self.data)
             launch(
-                finish_step,
+                self._sized(finish_step),
                 self.nworld,
                 inputs={
                     "record_steps": self.record_steps,
@@ -273,14 +277,15 @@ INTEGERS = ("n", "length", "steps", "sample", "mesh")
 
 
 def _empty_queue(scene: SceneModel, n: int, waypoints: int) -> Queue:
-    model, queue = scene.model, Queue()
+    model, joints = scene.model, len(scene.robot.joints)
+    queue: Queue = of_joints(Queue, joints)()
     for name in INTEGERS[:-1]:
         setattr(queue, name, wp.zeros(1 if name == "n" else n, dtype=wp.int32))
     for name, shape in (
-        ("path", (n, waypoints, 6)),
+        ("path", (n, waypoints, joints)),
         ("time", (n, waypoints)),
         ("start", (n, model.nq)),
-        ("hold", (n, model.nu - 6)),
+        ("hold", (n, model.nu - joints)),
         ("mass", (n,)),
         ("subtreemass", (n, model.nbody)),
         ("dof_invweight", (n, model.nv)),
@@ -299,10 +304,11 @@ def _empty_queue(scene: SceneModel, n: int, waypoints: int) -> Queue:
     return queue
 
 
-def _empty_record(model: mujoco.MjModel, n: int, samples: int) -> Record:
-    record = Record()
-    record.q = wp.zeros((samples, 6), dtype=wp.float32)
-    record.acceleration = wp.zeros((n, 6), dtype=wp.float32)
+def _empty_record(scene: SceneModel, n: int, samples: int) -> Record:
+    model, joints = scene.model, len(scene.robot.joints)
+    record: Record = of_joints(Record, joints)()
+    record.q = wp.zeros((samples, joints), dtype=wp.float32)
+    record.acceleration = wp.zeros((n, joints), dtype=wp.float32)
     record.sway, record.failed = wp.zeros(n, dtype=wp.float32), wp.zeros(n, dtype=wp.int32)
     for name in ("bend", "drive_low", "drive_high", "pin"):
         setattr(record, name, wp.zeros(samples // int(WINDOW) + n + 1, dtype=wp.float32))
@@ -328,8 +334,8 @@ def _windows(
     return {"bend": bend, "fingers": fingers if hold.shape[1] else np.zeros_like(fingers)}
 
 
-def _worlds(model: mujoco.MjModel, nworld: int) -> Worlds:
-    worlds = Worlds()
+def _worlds(scene: SceneModel, model: mujoco.MjModel, nworld: int) -> Worlds:
+    worlds: Worlds = of_joints(Worlds, len(scene.robot.joints))()
     worlds.slot, worlds.step = (wp.zeros(nworld, dtype=wp.int32) for _ in range(2))
     worlds.qpos, worlds.qvel = (wp.zeros((nworld, model.nv), dtype=wp.float32) for _ in range(2))
     worlds.taken, worlds.left = (wp.zeros(1, dtype=wp.int32) for _ in range(2))
@@ -353,7 +359,7 @@ def _for_warp(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def _shapes(scene: SceneModel) -> Shapes:
-    shapes = Shapes()
+    shapes: Shapes = of_joints(Shapes, len(scene.robot.joints))()
     shapes.geom = wp.array(scene.varied.astype(np.int32), dtype=wp.int32)
     if scene.full:
         for name, dtype in (
@@ -371,14 +377,14 @@ def _shapes(scene: SceneModel) -> Shapes:
 
 
 def _fingers(scene: SceneModel) -> Fingers:
-    fingers = Fingers()
+    fingers: Fingers = of_joints(Fingers, len(scene.robot.joints))()
     for name in ("driver", "pin_arm", "pin", "inner_knuckle"):
         setattr(fingers, name, getattr(scene.levers, name))
     return fingers
 
 
-def _fields(model: mjw.Model, data: mjw.Data) -> Fields:
-    fields = Fields()
+def _fields(scene: SceneModel, model: mjw.Model, data: mjw.Data) -> Fields:
+    fields: Fields = of_joints(Fields, len(scene.robot.joints))()
     for name in (*BATCHED, *MESH_FIELDS):
         setattr(fields, name, getattr(model, name))
     for name in STATE:

@@ -13,6 +13,7 @@ from mujoco import rollout
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.kernels.motion.worlds import WINDOW
 from r2h_batch.launch import cpu_threads, launch_trials, thread_pool
+from r2h_batch.launch.instances import of_joints
 from r2h_batch.motion.simulation import Job, Samples, warnings_unwritten
 
 ON_CPU = True
@@ -46,7 +47,7 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
             index = torch.from_numpy(job.rows[rows.start : rows.stop].astype(np.int32))
             path, time, length = job.tables
             launch_trials(
-                servo_commands,
+                of_joints(servo_commands, job.start.shape[1]),
                 len(rows),
                 inputs={
                     "law": job.law,
@@ -88,17 +89,17 @@ def _work(
 def _run(
     job: Job, i: int, model: mujoco.MjModel, data: mujoco.MjData, command: np.ndarray, out: Samples
 ) -> None:  # fmt: skip
-    scene, trial = job.scene, job.trials[i]
+    scene, trial, n = job.scene, job.trials[i], job.start.shape[1]
     scene.load(model, trial, data)
-    command[:, 6:] = scene.hold(trial)
+    command[:, n:] = scene.hold(trial)
     start = np.zeros((1, 1 + model.nq + model.nv))
     start[0, 1 : 1 + model.nq] = scene.start(trial, job.start[i])
     state, _ = rollout.rollout(model, data, start, np.ascontiguousarray(command)[None])
     time, q, qd = np.split(np.concatenate([start, state[0]]), [1, 1 + model.nq], axis=1)
-    kept = q[:: job.record_steps, :6]
+    kept = q[:: job.record_steps, :n]
     out.q[i, : len(kept)] = kept
     out.q[i, len(kept) :] = kept[-1]
-    acceleration = np.abs(np.diff(qd[:, :6], axis=0)) / model.opt.timestep
+    acceleration = np.abs(np.diff(qd[:, :n], axis=0)) / model.opt.timestep
     out.acceleration[i], out.sway_m[i] = acceleration.max(0), scene.sway(trial, q)
     begins = np.arange(0, len(command), job.record_steps * int(WINDOW))
     most = np.maximum.reduceat(acceleration, begins) @ job.motion_radii.T

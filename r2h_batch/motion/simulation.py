@@ -21,15 +21,15 @@ class Job:
 
     scene: SceneModel
     law: Any  # Law of r2h_batch.kernels.motion.time_law
-    # path (B, W, 6), times (B, W), lengths (B,): Warp arrays on the engine's device
+    # path (B, W, J), times (B, W), lengths (B,): Warp arrays on the engine's device
     tables: tuple[Any, Any, Any]
     rows: NDArray[np.int64]
     trials: TrialScenes
-    start: NDArray[np.float64]  # (n, 6) rad, at rest
+    start: NDArray[np.float64]  # (n, J) rad, at rest
     samples: NDArray[np.int64]  # recorded after the start
     record_steps: int
     device: str
-    motion_radii: NDArray[np.float64]  # (bodies, 6) m a radian, of all points of the robot
+    motion_radii: NDArray[np.float64]  # (bodies, J) m a radian, of all points of the robot
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Samples:
     """n recorded motions, the start first; rows repeat their last sample. `valid` is False where
     the simulator failed."""
 
-    q: NDArray[np.float32]  # (n, W, 6) rad
-    acceleration: NDArray[np.float64]  # (n, 6) largest change of speed per step, rad/s^2
+    q: NDArray[np.float32]  # (n, W, J) rad
+    acceleration: NDArray[np.float64]  # (n, J) largest change of speed per step, rad/s^2
     # (n,) how far any point of the fingers was from where their opening has it, at any step
     sway_m: NDArray[np.float64]
     # of K windows of WINDOW segments (0 beyond a trial's end): (n, K) the largest acceleration of
@@ -52,13 +52,13 @@ class Samples:
     @staticmethod
     def empty(job: Job) -> "Samples":
         """Room for a job's answer."""
-        n, model = len(job.rows), job.scene.model
+        (n, joints), model = job.start.shape, job.scene.model
         samples = int(job.samples.max(initial=0))
-        q = np.full((n, samples + 1, 6), np.nan, np.float32)
+        q = np.full((n, samples + 1, joints), np.nan, np.float32)
         windows = (n, -(-samples // int(WINDOW)))
         state = np.full((n, model.nq + model.nv), np.nan)
         return Samples(
-            q, np.full((n, 6), np.nan), np.full(n, np.nan), np.zeros(windows),
+            q, np.full((n, joints), np.nan), np.full(n, np.nan), np.zeros(windows),
             np.zeros((*windows, 3)), np.zeros(n, bool), state,
         )  # fmt: skip
 

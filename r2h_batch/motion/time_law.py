@@ -15,6 +15,7 @@ from torch import Tensor
 
 from r2h_batch.config import ExecConfig
 from r2h_batch.kernels.motion.time_law import Law
+from r2h_batch.launch.instances import of_joints
 
 __all__ = ["Motion", "limits", "path_time", "servo_law", "time_at", "time_path"]
 
@@ -87,10 +88,10 @@ def limits(config: ExecConfig) -> tuple[float, float]:
     return config.scale * config.max_velocity_rad_s, config.scale * config.max_acceleration_rad_s2
 
 
-def servo_law(config: ExecConfig, *, lead_s: float, step_s: float) -> Law:
+def servo_law(config: ExecConfig, joints: int, *, lead_s: float, step_s: float) -> Law:
     """The law as kernels read it: one command every `step_s`, ahead of the plan by `lead_s` (what
     the servos lag)."""
-    law = Law()
+    law = of_joints(Law, joints)()
     law.speed, law.acceleration = (wp.float64(limit) for limit in limits(config))
     law.lead, law.step = wp.float64(lead_s), wp.float64(step_s)
     return law

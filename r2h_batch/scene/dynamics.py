@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import JOINTS, Robot, rolled
+from r2h_batch.bodies.robot import Robot, rolled
 
 Array = NDArray[np.float64]
 
@@ -216,14 +216,14 @@ def new_spec(step_s: float) -> mujoco.MjSpec:
 
 
 def add_arm(spec: mujoco.MjSpec, robot: Robot, parent: mujoco.MjsBody) -> list[mujoco.MjsBody]:
-    """The arm's bodies, base to wrist_3, each with its mass, joint and servo.
+    """The arm's bodies, base to the last, each with its mass, joint and servo.
 
     force = kp (ctrl - q) - kv qd: with ctrl = q_ref + qd_ref kv / kp that is a position and
     velocity servo. Weight is compensated, as the real controller does, and counts against the
     torque limits.
     """
     own, bodies = robot.dynamics, [parent.add_body(name=robot.links[0])]
-    for i in range(JOINTS):
+    for i in range(len(robot.joints)):
         body = add_body(
             bodies[-1],
             robot.links[i + 1],
@@ -254,7 +254,7 @@ def add_gripper(wrist: mujoco.MjsBody, robot: Robot, mass: float) -> mujoco.MjsB
     """The gripper's body: a box of its size, of what mass the moving parts leave."""
     x, y, z = np.square(GRIPPER_BOX_M) * mass / 12
     T = robot.T_wrist3_flange @ robot.T_flange_gripper
-    return add_body(wrist, robot.links[7], T, mass, GRIPPER_COM_M, np.diag([y + z, x + z, x + y]))
+    return add_body(wrist, robot.links[-1], T, mass, GRIPPER_COM_M, np.diag([y + z, x + z, x + y]))
 
 
 def add_object(gripper: mujoco.MjsBody, *, payload_known: bool) -> mujoco.MjsBody:

@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Robot
+from r2h_batch.bodies.robot import MOTIONS, Robot
 from r2h_batch.kernels.geometry.lanes import LANES, LEAF_ROWS, NODE_ROWS, TRIANGLE_ROWS
 from r2h_batch.kernels.geometry.surface import Surfaces
 from r2h_batch.kernels.robot.gripper import Gripper
@@ -20,7 +20,6 @@ from r2h_batch.launch import init_warp
 
 __all__ = ["GraspTables", "grasp_tables", "gripper_tables", "surface_tables"]
 
-_MOTION = {"fixed": 0, "driver": 1, "pin": 2, "inner_knuckle": 3}
 _NODE_TRIANGLES, _LEAF_TRIANGLES = 64, 8
 
 
@@ -73,14 +72,18 @@ def gripper_tables(robot: Robot, device: str = "cpu") -> Gripper:
     g.driver_pivot_y, g.driver_pivot_z = link.driver_pivot_yz
     g.pin_y, g.pin_z = link.pin_from_driver_yz
     g.inner_knuckle_pivot_y, g.inner_knuckle_pivot_z = link.inner_knuckle_pivot_yz
-    g.gap_offset = link.gap_offset_m
+    g.gap_offset, g.slide = link.gap_offset_m, int(link.slide)
     g.z_ee_gripper = T_ee_gripper[2, 3]
-    g.pad_z = link.driver_pivot_yz[1] + link.pad_from_pin_yz[1] + T_ee_gripper[2, 3]
+    # a sliding pad stands at its own height, the linkage's turns about its pin
+    pivot_z = 0.0 if link.slide else link.driver_pivot_yz[1]
+    g.pad_z = pivot_z + link.pad_from_pin_yz[1] + T_ee_gripper[2, 3]
     g.drive_lower, g.drive_upper = link.drive_lower, link.drive_upper
     g.pad_half_x, g.pad_half_z = link.pad_half_size[0], link.pad_half_size[2]
     g.kind = wp.array(prims.kind, dtype=wp.int32, device=device)
     g.size = wp.array(prims.size.astype(np.float32), dtype=wp.vec3, device=device)
-    g.motion = wp.array([_MOTION[m] for m in robot.gripper_motion], dtype=wp.int32, device=device)
+    g.motion = wp.array(
+        [MOTIONS.index(m) for m in robot.gripper_motion], dtype=wp.int32, device=device
+    )
     g.side = wp.array(robot.gripper_side.astype(np.float32), dtype=wp.float32, device=device)
     g.R = wp.array(T[:, :3, :3].astype(np.float32), dtype=wp.mat33, device=device)
     g.p = wp.array(T[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import JOINTS, Robot, drive_from_gap
+from r2h_batch.bodies.robot import Robot, drive_from_gap
 from r2h_batch.config import Workplace
 from r2h_batch.scene.dynamics import (
     MassProperties,
@@ -171,9 +171,10 @@ class SceneModel:
         """qpos (nq,) or (n, nq) with the arm at q and the fingers at their opening."""
         q = np.asarray(q, np.float64)
         qpos = np.zeros((*q.shape[:-1], self.model.nq))
-        qpos[..., :JOINTS] = q
+        n = len(self.robot.joints)
+        qpos[..., :n] = q
         if self.full:
-            qpos[..., JOINTS:] = np.array([1, -1, 1] * 2) * self._drive(trial)[..., None]
+            qpos[..., n:] = np.array([1, -1, 1] * 2) * self._drive(trial)[..., None]
         return qpos
 
     def _drive(self, trial: TrialScene | TrialScenes) -> Array:
@@ -185,8 +186,9 @@ class SceneModel:
         states (n, nq); m."""
         if not self.full:
             return 0.0
-        off = np.abs(qpos[:, JOINTS:].reshape(-1, 2, 3) * [1, -1, 1] - self._drive(trial))
-        driver, pin, knuckle = off[..., 0], np.abs(qpos[:, [6, 9]] + qpos[:, [7, 10]]), off[..., 2]
+        angle = qpos[:, len(self.robot.joints) :].reshape(-1, 2, 3)
+        off = np.abs(angle * [1, -1, 1] - self._drive(trial))
+        driver, pin, knuckle = off[..., 0], np.abs(angle[..., 0] + angle[..., 1]), off[..., 2]
         at = self.levers
         worst = np.maximum(
             driver * max(at.driver, at.pin_arm) + pin * at.pin, knuckle * at.inner_knuckle
@@ -196,13 +198,15 @@ class SceneModel:
     def fingers(self, qpos: Array) -> Array:
         """The smallest and largest drive angle of drivers and inner knuckles, and how far an inner
         finger is turned against the gripper, rad: (n, 3) of the states (n, nq)."""
-        angle = qpos[:, JOINTS:].reshape(-1, 2, 3)
+        angle = qpos[:, len(self.robot.joints) :].reshape(-1, 2, 3)
         drive, pin = angle[..., [0, 2]], np.abs(angle[..., 0] + angle[..., 1])
         return np.stack([drive.min((1, 2)), drive.max((1, 2)), pin.max(1)], 1)
 
     def hold(self, trial: TrialScene | TrialScenes) -> Array:
         """What the actuators beyond the arm's are told, all the time: (nu - 6,) or (n, nu - 6)."""
-        return np.repeat(self._drive(trial)[..., None], self.model.nu - JOINTS, axis=-1)
+        return np.repeat(
+            self._drive(trial)[..., None], self.model.nu - len(self.robot.joints), axis=-1
+        )
 
 
 _kept: "OrderedDict[tuple[Any, ...], tuple[Any, SceneModel]]" = OrderedDict()
@@ -330,10 +334,10 @@ def build_scene_model(
             )
         name = robot.links[k]
         add_visual(spec, link, f"robot/{name}_visual", robot, name, np.eye(4), name)
-    gripper = add_fingers(spec, links[-1], robot, partners[7])
+    gripper = add_fingers(spec, links[-1], robot, partners[-2])
     body = add_object(gripper, payload_known=payload_known)
     for k, mesh in enumerate(object_rows[0]):
-        contact = partners[8] if k else (0, 0)
+        contact = partners[-1] if k else (0, 0)
         name = "object/mesh_visual" if not k else f"object/{object_collision}_{k - 1}"
         add_mesh_geom(
             body, name, meshes[mesh][0], "object", *contact, group=COLLISION if k else VISUAL

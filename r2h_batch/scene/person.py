@@ -82,7 +82,7 @@ def with_person(
         "piece_center": center,
         "piece_radius": radius,
     }
-    world: Any = World()
+    world: Any = scene.sized(World)()
     world.assign(scene.world)  # its arrays are shared
     points = blocks
     if hand:
@@ -94,7 +94,7 @@ def with_person(
     else:
         world.table_from = world.n_robot
         # no pair of links and no hull; torch makes them, so that a captured call may
-        none = {"self_links": 9, "hull_first": len(scene.objects) + 1}
+        none = {"self_links": len(scene.robot.joints) + 3, "hull_first": len(scene.objects) + 1}
         tables |= {k: torch.zeros(n, dtype=torch.int32, device=device) for k, n in none.items()}
     low = (tables["piece_center"] - tables["piece_radius"][..., None]).amin(1)
     high = (tables["piece_center"] + tables["piece_radius"][..., None]).amax(1)
@@ -116,7 +116,9 @@ def with_person(
     rows = torch.arange(b, dtype=torch.int32, device=device)
     names = ("object", "hand", *PLACED)
     owners = {**dict(zip(names, body_poses.owners[: len(names)], strict=True)), "hand": rows}
-    bodies = struct_of(TrialBodies, {**owners, "object_motion_radius": owners["motion_radius"]})
+    bodies = struct_of(
+        scene.sized(TrialBodies), {**owners, "object_motion_radius": owners["motion_radius"]}
+    )
     return BodyPoses(bodies, body_poses.owners, world, (rows, *kept.values()))
 
 

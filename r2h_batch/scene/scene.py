@@ -26,6 +26,7 @@ from r2h_batch.kernels.robot.tool import Tool
 from r2h_batch.kernels.robot.world import TrialBodies, World
 from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.launch.arguments import struct_of
+from r2h_batch.launch.instances import Compiled, of_joints
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tables
 from r2h_batch.scene.model import SceneModel, scene_model
 from r2h_batch.scene.tables import Hands, WorldTables
@@ -67,6 +68,11 @@ class Scene:
         optional(instance_of(Robot, "such as load_robot(NAME)"))("robot", robot)
         self.robot = robot or load_robot(DEFAULT_ROBOT)
         self.config = self.robot.fitted(config or EvalConfig())
+        home, joints = self.config.workplace.home_q, len(self.robot.joints)
+        if len(home) != joints:
+            raise ValueError(
+                f"workplace.home_q is {home}; {self.robot.name} needs {joints} joint angles in rad"
+            )
         self.objects = checked_objects(objects)
         if not self.objects:
             raise ValueError("a scene needs at least one object; objects is empty")
@@ -118,6 +124,10 @@ class Scene:
         """Itself: nobody changes a scene."""
         return self
 
+    def sized(self, thing: Compiled) -> Compiled:
+        """A kernel or struct of the kernels, as it is for the robot's number of joints."""
+        return of_joints(thing, len(self.robot.joints))
+
     @property
     def part_names(self) -> tuple[str, ...]:
         """Names of the robot's bodies as numbered in `Scores.witness_part`; the last is the
@@ -127,10 +137,13 @@ class Scene:
 
     @cached_property
     def body_links(self) -> NDArray[np.int64]:
-        """The link that carries each robot body (order of `part_names`): 0 base ... 6 wrist_3, 7
-        gripper."""
+        """The link that carries each robot body (order of `part_names`): 0 base, one a
+        joint, gripper."""
         return np.concatenate(
-            [self.robot.arm.link[self.tables.arm_order], np.full(len(self.robot.gripper.names), 7)]
+            [
+                self.robot.arm.link[self.tables.arm_order],
+                np.full(len(self.robot.gripper.names), len(self.robot.joints) + 1),
+            ]
         ).astype(np.int64)
 
     @cached_property
@@ -141,7 +154,7 @@ class Scene:
     @cached_property
     def tool(self) -> Any:
         """The `Tool` of r2h_batch.kernels.robot.tool."""
-        tool = Tool()
+        tool = self.sized(Tool)()
         tool.joint_R, tool.joint_p = self.world.joint_R, self.world.joint_p
         tool.R_wrist_ee, tool.p_wrist_ee = self._wrist_ee
         return tool
@@ -196,7 +209,7 @@ class Scene:
     def world_without_hand(self) -> Any:
         """The same with a hand of no pieces, too far away to matter: whom only robot, object and
         table concern."""
-        world: Any = World()
+        world: Any = self.sized(World)()
         world.assign(self.world)  # its arrays are shared
         n = len(self.hands.set)
         world.n_pieces = 0
@@ -363,7 +376,15 @@ class Scene:
         b, device = len(object_index), object_index.device
         gripper = gripper_tables(self.robot, self.device)
         count = gripper.kind.shape[0]
-        sizes = ((b, 3, 3), (b, 3), (b, count, 3, 3), (b, count, 3), (b, 3, 3), (b, 3), (b, 6))
+        sizes = (
+            (b, 3, 3),
+            (b, 3),
+            (b, count, 3, 3),
+            (b, count, 3),
+            (b, 3, 3),
+            (b, 3),
+            (b, len(self.robot.joints)),
+        )
         shapes = dict(zip(PLACED, sizes, strict=True))
         out = {
             k: torch.empty(shape, dtype=torch.float32, device=device) for k, shape in shapes.items()
@@ -371,7 +392,7 @@ class Scene:
         objects = object_index.to(torch.int32).contiguous()
         hands = hand_index.to(torch.int32).contiguous()
         launch_trials(
-            place_bodies,
+            self.sized(place_bodies),
             b,
             inputs={
                 "world": self.world,
@@ -388,7 +409,7 @@ class Scene:
             threads=threads,
             chunk=256,
         )
-        return _of_owners((objects, hands, *out.values(), T_world_hand, opening_m))
+        return self._of_owners((objects, hands, *out.values(), T_world_hand, opening_m))
 
     def reopened(
         self,
@@ -403,7 +424,13 @@ class Scene:
         own = tuple(x[rows] for x in body_poses.owners)
         T = torch.eye(4, dtype=torch.float32, device=opening_m.device).repeat(len(opening_m), 1, 1)
         moved = self.body_poses(own[0], own[1], T, own[9], opening_m, threads=threads).owners
-        return _of_owners((*own[:4], *moved[4:6], *own[6:10], moved[10]))
+        return self._of_owners((*own[:4], *moved[4:6], *own[6:10], moved[10]))
+
+    def _of_owners(self, owners: tuple[Tensor, ...]) -> "BodyPoses":
+        """Objects, hands, `PLACED`, T_world_hand and opening as `BodyPoses`."""
+        names = ("object", "hand", *PLACED[:-1], "object_motion_radius")
+        bodies = struct_of(self.sized(TrialBodies), dict(zip(names, owners, strict=False)))
+        return BodyPoses(bodies, owners)
 
 
 def _scene_of(
@@ -416,12 +443,6 @@ def _scene_of(
     """The scene that was pickled."""
     named = [load_objects([o])[0] if isinstance(o, str) else o for o in objects]
     return Scene(device, config=config, objects=named, hand_set=hand_set, robot=robot)
-
-
-def _of_owners(owners: tuple[Tensor, ...]) -> "BodyPoses":
-    """Objects, hands, `PLACED`, T_world_hand and opening as `BodyPoses`."""
-    names = ("object", "hand", *PLACED[:-1], "object_motion_radius")
-    return BodyPoses(struct_of(TrialBodies, dict(zip(names, owners, strict=False))), owners)
 
 
 def _listed(indices: object) -> Iterable[Any]:

@@ -22,6 +22,7 @@ from r2h_batch.bodies.robot import Kind, Robot
 from r2h_batch.config import Workplace
 from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, MAX_OBSTACLES
 from r2h_batch.kernels.robot.world import World
+from r2h_batch.launch.instances import of_joints
 
 MIDDLE_ROOT = 4
 """MANO's joint where the middle finger begins."""
@@ -108,7 +109,7 @@ class WorldTables:
 
     def world(self, device: str) -> Any:
         """The `World` of r2h_batch.kernels.robot.world."""
-        w = World()
+        w = of_joints(World, len(self.robot.joints))()
         for fill in (self._fill_robot, self._fill_hands, self._fill_objects):
             for name, (value, dtype) in fill().items():
                 if isinstance(value, int):
@@ -125,10 +126,12 @@ class WorldTables:
         return w
 
     def _fill_robot(self) -> dict:
-        robot, order = self.robot, self.arm_order
+        robot, order, joints = self.robot, self.arm_order, len(self.robot.joints)
         kind = np.concatenate([robot.arm.kind[order], robot.gripper.kind])
         size = np.concatenate([robot.arm.size[order], robot.gripper.size])
-        link = np.concatenate([robot.arm.link[order], np.full(len(robot.gripper.names), 7)])
+        link = np.concatenate(
+            [robot.arm.link[order], np.full(len(robot.gripper.names), joints + 1)]
+        )
         n_arm, n_robot = len(order), len(kind)
         pieces = len(self.hands.model.piece_names)
         if n_robot > 62 or n_arm > MAX_ARM_BODIES or pieces + 1 + n_arm > MAX_OBSTACLES:
@@ -139,8 +142,8 @@ class WorldTables:
         levers = bounds.robot_levers(robot)[np.concatenate([order, np.arange(n_arm, n_robot)])]
         ends, radii = bounds.gripper_balls(robot)
         link_caps, link_motion_radius = [], []
-        for k in range(8):
-            if k < 7:
+        for k in range(joints + 2):
+            if k <= joints:
                 mine = np.flatnonzero(link[:n_arm] == k)
                 T = robot.arm.T_link_prim[order[mine]]
                 axes = np.stack([T[i, :3, :3] @ caps[b][0] for i, b in enumerate(mine)])
@@ -151,11 +154,11 @@ class WorldTables:
                 centers, radius = ends.reshape(-1, 3), np.repeat(radii, ends.shape[1])
             link_caps.append(bounds.capsule_of_balls(centers, radius))
             link_motion_radius.append(levers[mine].max(0))
-        partners = np.zeros(9, np.int32)
+        partners = np.zeros(joints + 3, np.int32)
         for a, b in robot.self_pairs:
             partners[max(a, b)] |= 1 << int(min(a, b))
         for a in robot.object_pairs:
-            partners[8] |= 1 << int(a)
+            partners[-1] |= 1 << int(a)
         return {
             "joint_R": (robot.T_parent_joint[:, :3, :3], wp.mat33),
             "joint_p": (robot.T_parent_joint[:, :3, 3], wp.vec3),
@@ -172,7 +175,7 @@ class WorldTables:
             "body_R": (robot.arm.T_link_prim[order][:, :3, :3], wp.mat33),
             "body_p": (robot.arm.T_link_prim[order][:, :3, 3], wp.vec3),
             "motion_radius": (levers, wp.float32),
-            "link_first": (np.searchsorted(link, np.arange(9)), wp.int32),
+            "link_first": (np.searchsorted(link, np.arange(joints + 3)), wp.int32),
             "link_c0": ([c[0] for c in link_caps], wp.vec3),
             "link_c1": ([c[1] for c in link_caps], wp.vec3),
             "link_radius": ([c[2] for c in link_caps], wp.float32),

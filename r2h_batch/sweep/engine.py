@@ -355,7 +355,8 @@ def warm_up(job: Job, setting: Setting, trials: int = WARM_TRIALS) -> None:
         )
         T_world_ee = few.T_world_hand.clone()
     setting.evaluator.score(T_obj_ee, T_world_ee, few)
-    load_searches(setting.evaluator.scene.device)  # none of these few may have needed them
+    scene = setting.evaluator.scene
+    load_searches(scene.device, len(scene.robot.joints))  # none of these few may have needed them
 
 
 def shard_size(setting: Setting, jobs: list[Job]) -> int:

@@ -7,7 +7,8 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.world import CHANGES, FIELDS, World, bends, forward_kinematics, motion, twists, vec6
+from r2h_batch.kernels.robot.joints import CHANGES, FIELDS, vecq
+from r2h_batch.kernels.robot.world import World, bends, forward_kinematics, motion, twists
 from r2h_batch.launch import launch_trials
 
 wp.set_module_options(OPTIONS)
@@ -38,8 +39,8 @@ def settled_and_samples(
     p = wp.zeros(shape=7, dtype=wp.vec3)
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
-    q = vec6()
-    d = vec6()
+    q = vecq()
+    d = vecq()
     for j in range(6):
         q[j] = q_in[row, j]
         d[j] = d_in[row, j]

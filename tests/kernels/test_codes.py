@@ -5,8 +5,10 @@ from enum import IntEnum
 import pytest
 
 from r2h_batch.bodies import bounds
+from r2h_batch.bodies.robot import MOTIONS
 from r2h_batch.kernels.geometry import body
 from r2h_batch.kernels.plan import codes
+from r2h_batch.kernels.robot import gripper
 from r2h_batch.types import CollidingPair, PlanReason
 
 
@@ -27,6 +29,10 @@ def test_pairs_of_the_object_follow_those_of_the_robot() -> None:
     assert of_object == {"OBJECT_HAND", "OBJECT_TABLE", "OBJECT_ROBOT"}
     for met, pair in (("HAND", "OBJECT_HAND"), ("TABLE", "OBJECT_TABLE"), ("SELF", "OBJECT_ROBOT")):
         assert CollidingPair[met] + codes.PAIR_OF_OBJECT == CollidingPair[pair]
+
+
+def test_parts_of_a_gripper_move_by_the_same_numbers() -> None:
+    assert [getattr(gripper, motion.upper()) for motion in MOTIONS] == list(range(len(MOTIONS)))
 
 
 def test_hulls_are_sorted_into_as_many_cells_as_are_read() -> None:

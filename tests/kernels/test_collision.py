@@ -7,6 +7,7 @@ import oracle
 import pytest
 import torch
 from convex_twin import bodies, point_to_segment
+from seven import seven_joints
 
 from r2h_batch.bodies.robot import (
     Kind,
@@ -29,14 +30,14 @@ CAP_M = 0.05
 def postures_near(rng, base, n):
     """Half about a posture that is near the hand, half anywhere."""
     spread = rng.choice([0.03, 0.15, 0.5], (n, 1))
-    q = base + rng.normal(size=(n, 6)) * spread
-    q[n // 2 :] = rng.uniform(-np.pi, np.pi, (n - n // 2, 6))
+    q = base + rng.normal(size=(n, len(base))) * spread
+    q[n // 2 :] = rng.uniform(-np.pi, np.pi, (n - n // 2, len(base)))
     return q.astype(np.float32).astype(np.float64)
 
 
 def check(scene, body_poses, q):
     per_trial = q.shape[1]
-    flat = torch.tensor(q.reshape(-1, 6), dtype=torch.float32)
+    flat = torch.tensor(q.reshape(-1, q.shape[2]), dtype=torch.float32)
     out = Planner(scene, body_poses, None).check(flat, torch.ones(len(flat), dtype=torch.bool), per_trial)
     return [x.numpy().reshape(q.shape[:2]) for x in out]
 
@@ -87,8 +88,9 @@ def test_verdicts_on_100_000_postures_agree_with_mujoco_c(scene):
     test_verdicts_on_10_000_postures_agree_with_mujoco_c(scene, 400, 100, seed=2)
 
 
-def test_verdicts_on_postures_of_a_ur3e_agree_with_mujoco_c():
-    wrong, alone, _ = compare_postures(Scene(robot=load_robot("ur3e_2f85")), 12, 250, seed=4)
+@pytest.mark.parametrize("robot", [load_robot("ur3e_2f85"), seven_joints()], ids=lambda robot: robot.name)
+def test_verdicts_on_postures_of_other_arms_agree_with_mujoco_c(robot):
+    wrong, alone, _ = compare_postures(Scene(robot=robot), 12, 250, seed=4)
     assert not wrong, wrong[:3]
     assert min(alone[c] for c in ("hand", "table", "self", "object_hand")) >= 5
 

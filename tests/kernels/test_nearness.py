@@ -11,8 +11,9 @@ from r2h_batch.kernels.judge.goal import goal_safe_distance
 from r2h_batch.kernels.judge.hand_distance import posture_distance
 from r2h_batch.kernels.judge.nearness import guessed_distance
 from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.robot.joints import FIELDS, vecq
 from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import FIELDS, TrialBodies, World, forward_kinematics, vec6
+from r2h_batch.kernels.robot.world import TrialBodies, World, forward_kinematics
 from r2h_batch.launch import launch_trials
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
@@ -36,7 +37,7 @@ def _from_cap(
     mask = wp.zeros(shape=1, dtype=wp.uint64)
     mask[0] = (wp.uint64(1) << wp.uint64(world.n_robot)) - wp.uint64(1)
     q = load(q_in, trial)
-    found = posture_distance(world, mesh, bodies, trial, q, vec6(), cap, 0.0, mask, R, p, w, v, tri)
+    found = posture_distance(world, mesh, bodies, trial, q, vecq(), cap, 0.0, mask, R, p, w, v, tri)
     distance_out[trial] = found.distance
     body_out[trial] = found.body
     inside_out[trial] = found.inside

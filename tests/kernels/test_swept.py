@@ -7,16 +7,14 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.body import swept_support
 from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.robot.joints import CHANGES, FIELDS, vecq
 from r2h_batch.kernels.robot.world import (
-    CHANGES,
-    FIELDS,
     World,
     acceleration_seen_along,
     bends,
     forward_kinematics,
     robot_body,
     twists,
-    vec6,
 )
 from r2h_batch.launch import launch_trials
 
@@ -48,8 +46,8 @@ def bound_and_samples(
     p = wp.zeros(shape=7, dtype=wp.vec3)
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
-    q = vec6()
-    d = vec6()
+    q = vecq()
+    d = vecq()
     for j in range(6):
         q[j] = q_in[row, j]
         d[j] = d_in[row, j]

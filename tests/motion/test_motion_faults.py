@@ -91,8 +91,8 @@ def test_more_contacts_than_there_is_room_for_are_noticed_by_their_count(monkeyp
     honest, sizes, whole = sim_mjwarp._fields, [], reference_run(MJWARP)
     sim_mjwarp.forget_worlds()  # theirs are read when they are built
 
-    def crowded(model, data):
-        fields = honest(model, data)
+    def crowded(scene, model, data):
+        fields = honest(scene, model, data)
         sizes.append(data.naconmax)
         if len(sizes) < 3:
             fields.naconmax = -1  # less than the 0 contacts there are

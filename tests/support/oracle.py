@@ -95,7 +95,7 @@ class MujocoScene:
 
     def _add_arm(self, spec: mujoco.MjSpec) -> Any:
         robot, body = self.robot, spec.worldbody
-        for k, link in enumerate(robot.links[:7]):
+        for k, link in enumerate(robot.links[:-1]):
             if k:
                 body = body.add_body(name=link, **_pose(robot.T_parent_joint[k - 1]))
                 body.add_joint(name=robot.joints[k - 1], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
@@ -169,7 +169,7 @@ class MujocoScene:
         ids = {g: [self.model.geom(n).id for n in names] for g, names in self.groups.items()}
         for link in robot.links:
             rows += [(a, b, 0) for a in ids[link] for b in ids["hand"]]
-            if link not in ("base", "shoulder"):
+            if robot.links.index(link) >= robot.table_from:
                 rows += [(a, b, 1) for a in ids[link] for b in ids["table"]]
         for i, j in robot.self_pairs:
             rows += [(a, b, 2) for a in ids[robot.links[i]] for b in ids[robot.links[j]]]
@@ -181,24 +181,26 @@ class MujocoScene:
 
     @cached_property
     def reach(self) -> Array:
-        """(6,) metres: no point of any body is ever farther than this from the joint's origin (chain length + extents)."""
-        m, tail = self.model, 0.0
-        ends = np.zeros(7)
-        for k in range(7):
+        """(J,) metres: no point of any body is ever farther than this from the joint's origin (chain length + extents)."""
+        m, tail, joints = self.model, 0.0, len(self.robot.joints)
+        ends = np.zeros(joints + 1)
+        for k in range(joints + 1):
             body = 0 if k == 0 else m.body(self.robot.links[k]).id
             geoms = [i for i in range(m.ngeom) if m.geom_bodyid[i] == body and self.names[i] not in ("table",)]
             ends[k] = max((np.linalg.norm(m.geom_pos[i]) + m.geom_rbound[i] for i in geoms), default=0.0)
         held = m.body("object").id
         geoms = [i for i in range(m.ngeom) if m.geom_bodyid[i] == held]
-        ends[6] = max(
-            ends[6],
+        ends[-1] = max(
+            ends[-1],
             np.linalg.norm(m.body_pos[held]) + max(np.linalg.norm(m.geom_pos[i]) + m.geom_rbound[i] for i in geoms),
         )
-        out = np.zeros(6)
+        out = np.zeros(joints)
         for j in range(
-            5, -1, -1
+            joints - 1, -1, -1
         ):  # seen from joint j's origin: its own link, or the next joint's origin and what hangs there
-            tail = max(ends[j + 1], (np.linalg.norm(self.robot.T_parent_joint[j + 1][:3, 3]) + tail) if j < 5 else 0.0)
+            tail = max(
+                ends[j + 1], (np.linalg.norm(self.robot.T_parent_joint[j + 1][:3, 3]) + tail) if j < joints - 1 else 0.0
+            )
             out[j] = tail
         return out
 
@@ -407,7 +409,7 @@ def deepest_along(
 
     def put(s: float) -> None:
         i = min(int(s), len(path) - 2)
-        data.qpos[:6] = path[i] + (s - i) * (path[i + 1] - path[i])
+        data.qpos[: path.shape[1]] = path[i] + (s - i) * (path[i + 1] - path[i])
         mujoco.mj_kinematics(model, data)
 
     met: dict[int, tuple[float, float]] = {}
@@ -460,16 +462,18 @@ def samples(path: ArrayLike, step_rad: float) -> Iterator[Array]:
 
 
 def random_stages(scene: Scene, rng: np.random.Generator, n: int) -> tuple[list[Staged], Array]:
-    """N trials with hands right and left in turn, near the robot's gripper at the returned postures (n, 6).
+    """N trials with hands right and left in turn, near the robot's gripper at the returned postures (n, J).
 
     All numbers are exact in float32, so that kernels and twins see the same.
     """
-    stages, postures = [], np.zeros((n, 6))
+    robot = scene.robot
+    limits = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    stages, postures = [], np.zeros((n, len(robot.joints)))
     right = np.flatnonzero(scene.hands.set.side.numpy() == 0)
     left = np.flatnonzero(scene.hands.set.side.numpy() == 1)
     for k in range(n):
         while True:
-            q = rng.uniform(-np.pi, np.pi, 6).astype(np.float32).astype(np.float64)
+            q = rng.uniform(*limits).astype(np.float32).astype(np.float64)
             p = ee_pose(scene.robot, q)[:3, 3]
             if 0.15 < p[2] < 0.8 and 0.3 < np.hypot(p[0], p[1]) < 0.9:
                 break

@@ -33,9 +33,9 @@ from r2h_batch.kernels.frontier.settle import settle_pairs
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, PAIR_OF_OBJECT, POSTURE, SAMPLES
 from r2h_batch.kernels.plan.lines import CLEARANCE_CAP
-from r2h_batch.kernels.robot.world import FIELDS
 from r2h_batch.launch import launch_trials
 from r2h_batch.launch.arguments import new_struct, parameters, struct_of
+from r2h_batch.launch.instances import of_joints
 
 LANES, CUDA_LANES = 1, 1 << 16
 """Threads of a launch on a CPU and on CUDA; thread i takes entries i, i + threads, ... of a queue."""
@@ -94,17 +94,18 @@ class Levels:
     """
 
     def __init__(self, tables: dict[str, Any], device: str) -> None:
-        self.device = device
+        self.device, self.joints = device, tables["world"].joint_R.shape[0]
         self.lanes = LANES if device == "cpu" else CUDA_LANES
         self.full = torch.zeros(1, dtype=torch.int32, device=device)
         self.counts = torch.zeros(int(queues.COUNTS), dtype=torch.int32, device=device)
-        self.tables = tables | {"counts": struct_of(queues.Counts, {"n": self.counts})}
+        self.tables = tables | {"counts": struct_of(self._sized(queues.Counts), {"n": self.counts})}
 
     def launch(
         self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Any] | None = None
     ) -> None:
         """With those of the tables and queues that the kernel takes; on a CPU one thread, as its
         additions are not atomic."""
+        kernel = self._sized(kernel)
         inputs = {k: v for k, v in self.tables.items() if k in _taken(kernel)} | inputs
         launch_trials(
             kernel,
@@ -115,6 +116,20 @@ class Levels:
             threads=1,
             uneven=True,
         )
+
+    def new(self, kind: Any, n: int, given: dict[str, Tensor] | None = None, **sizes: int) -> Any:
+        """A struct of the kernels, with room for `n` entries (`new_struct`)."""
+        return new_struct(self._sized(kind), n, self.device, given, **sizes)
+
+    def new_frames(self, n: int) -> Any:
+        """Room for the link frames of n intervals."""
+        frames = self.joints + 1
+        return self.new(
+            queues.Frames, n, d=self.joints, open=3, R=frames, p=frames, w=2 * frames, v=2 * frames
+        )
+
+    def _sized(self, kernel: Any) -> Any:
+        return of_joints(kernel, self.joints)
 
     def clear(self) -> None:
         """Empties all queues."""
@@ -155,13 +170,12 @@ class Frontier(Levels):
 
     def _queues(self, n: int) -> dict[str, Any]:
         """Room for n intervals."""
-        device = self.device
-        self.intervals = [new_struct(queues.Intervals, n, device, look=3) for _ in range(2)]
+        self.intervals = [self.new(queues.Intervals, n, look=3) for _ in range(2)]
         bodies = int(queues.KINDS) * BODIES_PER_INTERVAL * n
         return {
-            "frames": new_frames(n, device),
-            "queue_bodies": new_struct(queues.Bodies, bodies, device),
-            "pairs": new_struct(queues.Pairs, PAIRS_PER_INTERVAL * n, device),
+            "frames": self.new_frames(n),
+            "queue_bodies": self.new(queues.Bodies, bodies),
+            "pairs": self.new(queues.Pairs, PAIRS_PER_INTERVAL * n),
         }
 
     def check(
@@ -210,7 +224,7 @@ class Frontier(Levels):
         lines = Lines(
             rows // BRANCHES,
             rows,
-            home.expand(b * BRANCHES, 6).contiguous(),
+            home.expand(b * BRANCHES, -1).contiguous(),
             goals,
             margin.reshape(-1),
         )
@@ -287,7 +301,7 @@ class Frontier(Levels):
                 k: torch.cat([x, x.new_empty((more, *x.shape[1:]))]) for k, x in tensors.items()
             }
         given = {k: x.contiguous() for k, x in tensors.items()} | {"found": found}
-        return new_struct(queues.Edges, len(given["trial"]), self.device, given)
+        return self.new(queues.Edges, len(given["trial"]), given)
 
     def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
         """Queues the edges in use, and runs all levels that they may need."""
@@ -335,11 +349,6 @@ class Frontier(Levels):
 
     def _arange(self, n: int) -> Int32[Tensor, " n"]:
         return torch.arange(n, dtype=torch.int32, device=self.device)
-
-
-def new_frames(n: int, device: str) -> Any:
-    """Room for the link frames of n intervals."""
-    return new_struct(queues.Frames, n, device, d=6, open=3, R=7, p=7, w=FIELDS, v=FIELDS)
 
 
 def cap_key(cap: float) -> int:

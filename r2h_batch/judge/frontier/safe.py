@@ -27,7 +27,6 @@ from r2h_batch.kernels.frontier.safe_pairs import face_distances, hull_distances
 from r2h_batch.kernels.frontier.safe_settle import safe_witness, settle_faces
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL
 from r2h_batch.kernels.plan.codes import WAYPOINTS
-from r2h_batch.launch.arguments import new_struct
 from r2h_batch.scene.scene import BodyPoses, Scene
 
 PER_ROW, PER_MOVED_ROW = 8, 40
@@ -59,15 +58,14 @@ class SafeFrontier(levels.Levels):
 
     def _queues(self, n: int) -> dict[str, Any]:
         """Room for n intervals."""
-        device = self.device
-        self._intervals = [new_struct(safe_queues.Moments, n, device) for _ in range(2)]
+        self._intervals = [self.new(safe_queues.Moments, n) for _ in range(2)]
         return {
-            "nearest": new_struct(safe_queues.Nearest, self._rows, device),
-            "frames": levels.new_frames(n, device),
-            "queue_bodies": new_struct(safe_queues.Bodies, PER_INTERVAL["bodies"] * n, device),
-            "pieces": new_struct(safe_queues.Pieces, PER_INTERVAL["pieces"] * n, device),
-            "sets": new_struct(safe_queues.Sets, PER_INTERVAL["sets"] * n, device),
-            "faces": new_struct(safe_queues.Faces, PER_INTERVAL["faces"] * n, device),
+            "nearest": self.new(safe_queues.Nearest, self._rows),
+            "frames": self.new_frames(n),
+            "queue_bodies": self.new(safe_queues.Bodies, PER_INTERVAL["bodies"] * n),
+            "pieces": self.new(safe_queues.Pieces, PER_INTERVAL["pieces"] * n),
+            "sets": self.new(safe_queues.Sets, PER_INTERVAL["sets"] * n),
+            "faces": self.new(safe_queues.Faces, PER_INTERVAL["faces"] * n),
         }
 
     def __call__(self, outputs: dict[str, Tensor]) -> None:

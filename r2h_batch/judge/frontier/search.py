@@ -20,7 +20,6 @@ from r2h_batch.kernels.frontier.trees import (
     next_edges,
     plant_trees,
 )
-from r2h_batch.launch.arguments import new_struct
 
 FEWEST, MOST = 16, 128
 """Lanes of a problem: an eighth of the iterations, between these. The more, the less each knows of
@@ -85,17 +84,17 @@ class _Search:
         self._iterations, self._lanes, self._capacity = iterations, lanes, _capacity(iterations)
         device, n, all_lanes = rows.device, len(rows), len(rows) * lanes
 
-        nodes = n * 2 * self._capacity
+        new, joints, nodes = self._frontier.new, frontier.joints, n * 2 * self._capacity
         trees = {
             "trial": rows,
-            "nodes": torch.empty((nodes, 7), dtype=torch.float32, device=device),
+            "nodes": torch.empty((nodes, joints + 1), dtype=torch.float32, device=device),
             "parents": torch.empty(nodes, dtype=torch.int32, device=device),
         }
-        self._edges = new_struct(Edges, all_lanes, device, a=6, b=6)
+        self._edges = new(Edges, all_lanes, a=joints, b=joints)
         self._tables: dict[str, Any] = {
             "edges": self._edges,
-            "trees": new_struct(Trees, n, device, trees, size=2),
-            "growers": new_struct(Growers, all_lanes, device, target=6),
+            "trees": new(Trees, n, trees, size=2),
+            "growers": new(Growers, all_lanes, target=joints),
         }
         self._state = self._tables["trees"].tensors["state"]
 
@@ -107,7 +106,7 @@ class _Search:
         }  # fmt: skip
         ends = {
             "home": p.home,
-            "goals": p.goals.view(-1, 6),
+            "goals": p.goals.flatten(0, 1),
             "n_goals": p.n_goals,
             "margin": p.margin,
         }

@@ -13,7 +13,6 @@ from r2h_batch.kernels.frontier.arcs import LANES, Arcs, Paths, draw_arcs
 from r2h_batch.kernels.frontier.queues import Edges
 from r2h_batch.kernels.frontier.shortcuts import begin_shortcuts, take_arcs
 from r2h_batch.kernels.plan.codes import WAYPOINTS
-from r2h_batch.launch.arguments import new_struct
 
 ROUNDS_OF_LINES, TRIES_A_ROUND = 2, 4
 """Rounds: so many, and one more for every so many tries that one thread would have."""
@@ -61,14 +60,15 @@ class _Shortcuts:
             **frontier.scene, device=frontier.device, rows=-(-lanes * ROOM // PER_ROW)
         )
 
-        copy = torch.empty((n, WAYPOINTS, 6), dtype=torch.float32, device=device)
-        point = torch.empty((2 * lanes, 6), dtype=torch.float32, device=device)
+        new, joints = self._frontier.new, frontier.joints
+        copy = torch.empty((n, WAYPOINTS, joints), dtype=torch.float32, device=device)
+        point = torch.empty((2 * lanes, joints), dtype=torch.float32, device=device)
         found = torch.empty(lanes, dtype=torch.int64, device=device)
-        self._edges = new_struct(Edges, 2 * lanes, device, {"found": found}, a=6, b=6)
+        self._edges = new(Edges, 2 * lanes, {"found": found}, a=joints, b=joints)
         self._tables: dict[str, Any] = {
             "edges": self._edges,
-            "paths": new_struct(Paths, n, device, {"trial": rows, "copy": copy}, known=WAYPOINTS),
-            "arcs": new_struct(Arcs, lanes, device, {"point": point}),
+            "paths": new(Paths, n, {"trial": rows, "copy": copy}, known=WAYPOINTS),
+            "arcs": new(Arcs, lanes, {"point": point}),
         }
         self._state = self._tables["paths"].tensors["state"]
 

@@ -1,0 +1,110 @@
+"""Joint angles of an arm without a closed form: damped least squares from seeds, up to eight
+postures that differ (kernels/ik/any_arm.py). What it does not find may still exist."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float32
+from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
+from torch import Tensor
+
+from r2h_batch.bodies.robot import Robot, ee_pose, forward_kinematics
+from r2h_batch.kernels.ik import any_arm
+from r2h_batch.launch import launch_trials
+from r2h_batch.launch.instances import of_joints
+
+SEEDS = 4096
+"""Postures from which the nearest are taken; more find little more."""
+TRIED = 64
+"""Of these, the nearest of a target that are tried, at most."""
+ITERATIONS = 40
+"""Steps from a seed."""
+APART_RAD = 0.25
+"""Postures that differ less in every joint count as one."""
+
+
+def solve(
+    robot: Robot,
+    T_world_ee: Float32[Tensor, "b 4 4"],
+    active: Bool[Tensor, " b"],
+    outputs: dict[str, Tensor],
+    *,
+    tolerance: tuple[float, float],
+    rotation_lever_m: float = 1.0,
+    iterations: int = ITERATIONS,
+    threads: int | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Writes the postures of each target into `outputs` (the kernel's, by name).
+
+    Args:
+        robot: any chain of turning joints.
+        T_world_ee: targets, m.
+        active: rows to solve.
+        outputs: `q`, `valid`, `position_error`, `rotation_error`, `status`, `steps`.
+        tolerance: m and rad, of what is returned.
+        rotation_lever_m: what a radian of the residual counts for.
+        iterations: steps from a seed.
+        threads: None: all cores.
+
+    Returns:
+        Where nothing was found: the posture (B, J) that came nearest, and by how much it misses, m
+        (B,). NaN and inf elsewhere.
+    """
+    b, joints, device = len(active), len(robot.joints), T_world_ee.device
+    place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
+    nearest = torch.empty((b, joints), dtype=torch.float32, device=device)
+    residual = torch.empty(b, dtype=torch.float32, device=device)
+    chain, seeds = tables(robot, place)
+    launch_trials(
+        of_joints(any_arm.solve_any, joints),
+        b,
+        inputs={
+            "chain": chain,
+            "seeds": seeds,
+            "most": TRIED,
+            "iterations": iterations,
+            "apart": APART_RAD,
+            "position_tolerance_m": tolerance[0],
+            "rotation_tolerance_rad": tolerance[1],
+            "rotation_lever_m": rotation_lever_m,
+            "T_world_ee": T_world_ee.contiguous(),
+            "active": active.contiguous(),
+        },
+        outputs={**outputs, "nearest": nearest, "residual": residual},
+        device=place,
+        threads=threads,
+        chunk=16,
+    )
+    return nearest, residual
+
+
+@lru_cache(maxsize=16)
+def tables(robot: Robot, device: str) -> tuple[Any, Any]:
+    """The kernels' `Chain` and `Seeds` of a robot, on a device.
+
+    Seeds are Halton's sequence within the joint limits (Halton 1960). A turn beyond +-180 degrees
+    repeats postures: they stay within it.
+    """
+    joints = len(robot.joints)
+    T = np.stack([*robot.T_parent_joint, robot.T_wrist3_ee])
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    q = lower + (upper - lower) * qmc.Halton(joints, scramble=False).random(SEEDS + 1)[1:]
+    ee = ee_pose(robot, q)
+    chain = of_joints(any_arm.Chain, joints)()
+    chain.R = wp.array(T[:, :3, :3], dtype=wp.mat33d, device=device)
+    chain.p = wp.array(T[:, :3, 3], dtype=wp.vec3d, device=device)
+    chain.lower = wp.array(robot.lower, dtype=wp.float64, device=device)
+    chain.upper = wp.array(robot.upper, dtype=wp.float64, device=device)
+    chain.center = wp.vec3d(*forward_kinematics(robot, np.zeros(joints))[1, :3, 3])
+    # from the first joint's origin no further than the stretched chain
+    chain.reach = float(np.linalg.norm(T[1:, :3, 3], axis=1).sum())
+    seeds = of_joints(any_arm.Seeds, joints)()
+    seeds.q = wp.array(q, dtype=wp.float64, device=device)
+    seeds.p = wp.array(ee[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device)
+    turns = Rotation.from_matrix(ee[:, :3, :3]).as_quat().astype(np.float32)
+    seeds.turn = wp.array(turns, dtype=wp.quat, device=device)
+    return chain, seeds
