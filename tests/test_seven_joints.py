@@ -62,7 +62,7 @@ def test_it_reaches_what_it_can_reach_and_says_only_what_is_proven(evaluator):
     away[10:] *= longest - 0.01  # they cannot be stretched so far, but nothing here says so
     target[1980:, :3, 3] = shoulder + away
     found = solve_ik(target, robot=SEVEN)
-    assert found.reachable[:1980].all() and not found.reachable[1980:].any() and not found.complete
+    assert found.reachable[:1980].all() and not found.reachable[1980:].any() and found.unproven[:1980].all()
     assert found.unreachable_proven.nonzero().flatten().tolist() == list(range(1980, 1990))
     rows, slots = found.valid.nonzero(as_tuple=True)
     postures = found.q[rows, slots].double().numpy()
@@ -83,6 +83,8 @@ def test_oracle_answers_for_the_ur5e_are_reached_on_free_paths(scene, evaluator)
     assert scores.success.sum() >= len(trials) - 1
     unproven = {PlanReason.IK_UNREACHABLE, PlanReason.IK_IN_COLLISION}
     assert not unproven & {PlanReason(int(r)) for r in scores.plan_reason}
+    with pytest.raises(ValueError, match="detach the poses"):
+        evaluator.score(answer.T_obj_ee.clone().requires_grad_(), answer.T_world_ee, trials, stages="pose")
     posed = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials, stages="pose")
     assert (posed.success | ~scores.success).all()
     for k in torch.nonzero(scores.success).flatten().tolist():

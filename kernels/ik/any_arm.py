@@ -9,7 +9,7 @@ it is pushed on. That no seed converges proves nothing; a target farther than th
 import warp as wp
 
 from r2h_batch.kernels.ik.jacobian import mat67d, rotation_vector, solve_spd
-from r2h_batch.kernels.ik.step import STATUS_CONVERGED, STATUS_INACTIVE, STATUS_UNREACHABLE, read_target
+from r2h_batch.kernels.ik.step import STATUS_INACTIVE, STATUS_UNREACHABLE, read_target
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.robot.fk import vec6d
@@ -18,8 +18,8 @@ from ..robot.joints import JOINTS, vecqd
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
-STATUS_NOT_FOUND = wp.constant(6)
-"""Of a target: no seed converged. Continues the list of ik/step.py."""
+STATUS_NOT_FOUND = wp.constant(6)  # no seed converged; the list of ik/step.py goes on here
+STATUS_SOME = wp.constant(7)  # there may be more postures than were found
 MOST_SEEDS = wp.constant(64)
 """Seeds of a target that are tried, at most."""
 
@@ -267,7 +267,7 @@ def solve_any(
                 valid_out[trial, found] = True
                 position_error_out[trial, found] = wp.float32(e_p)
                 rotation_error_out[trial, found] = wp.float32(e_r)
-                status = STATUS_CONVERGED
+                status = STATUS_SOME
                 found += 1
             elif found == 0 and e_p + rotation_lever_m * e_r < least:
                 least = e_p + rotation_lever_m * e_r

@@ -1,7 +1,7 @@
 """The goal posture of a handover pose, judged without a path: the branch the planner would go to,
 its clearance, Safe there."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -97,9 +97,9 @@ def judge_goals(
         **on,
     )
     _measure(goal, scene, body_poses, T_world_ee, postures, active, on)
-    return (
-        replace(goal, reason=weaken_singular_reason(goal.reason, ik)) if not ik.complete else goal
-    )
+    if scene.robot.family != "ur":  # of a UR the kernel knows what is proven
+        goal.reason.copy_(weaken_singular_reason(goal.reason, ik))
+    return goal
 
 
 def failed_clearance(
@@ -138,11 +138,14 @@ def weaken_singular_reason(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[T
     found.
     """
     met = reason == int(PlanReason.IK_IN_COLLISION)
-    if ik.complete:
-        return torch.where(ik.singular & met, int(PlanReason.NO_PATH_IN_BUDGET), reason)
-    missed = (reason == int(PlanReason.IK_UNREACHABLE)) & ~ik.unreachable_proven
-    reason = torch.where(met, int(PlanReason.NO_FREE_POSTURE_FOUND), reason)
-    return torch.where(missed, int(PlanReason.IK_NOT_FOUND), reason)
+    missed = reason == int(PlanReason.IK_UNREACHABLE)
+    for rows, weaker in (
+        (ik.singular & met, PlanReason.NO_PATH_IN_BUDGET),
+        (ik.unproven & met, PlanReason.NO_FREE_POSTURE_FOUND),
+        (ik.unproven & missed, PlanReason.IK_NOT_FOUND),
+    ):
+        reason = torch.where(rows, int(weaker), reason)
+    return reason
 
 
 def _unjudged(b: int, joints: int, device: torch.device) -> Goal:

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot, ur_lengths
 from r2h_batch.judge import ik_any
+from r2h_batch.kernels.ik import any_arm
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.ik.jacobian import first_branch
 from r2h_batch.kernels.plan.codes import BRANCHES
@@ -55,9 +56,12 @@ class IkResult:
     """How the pair of branches 2 s + w was settled: a STATUS_* code of kernels/ik/step.py."""
     steps: Int[Tensor, "b 4"]
     """Damped least squares steps spent on the pair, over all seeds tried."""
-    complete: bool = True
-    """These are all solutions, by the closed form; False: up to 8 that were found, in the order of
-    finding, `status` and `steps` as kernels/ik/any_arm.py says."""
+
+    @property
+    def unproven(self) -> Bool[Tensor, "b"]:
+        """Of an arm without a closed form, where the target is not provably out of reach: what was
+        found, nothing or up to 8 postures in the order of finding, need not be all there is."""
+        return (self.status >= int(any_arm.STATUS_NOT_FOUND)).any(1)
 
     @property
     def reachable(self) -> Bool[Tensor, "b"]:
@@ -108,7 +112,7 @@ def solve_ik(
         active = torch.ones(T_world_ee.shape[:1], dtype=torch.bool, device=device)
     init_warp()
     if robot.family != "ur":
-        found = _unsolved(len(T_world_ee), device, len(robot.joints), complete=False)
+        found = _unsolved(len(T_world_ee), device, len(robot.joints))
         _solve_any(robot, T_world_ee, active, found, threads=threads)
         return found
     start = ik_seeds() if seeds is None else np.asarray(seeds, dtype=np.float64)
@@ -151,7 +155,7 @@ def nearest_found(
 ) -> tuple[Float[Tensor, "b j"], Float[Tensor, "b"]]:
     """Of targets that a robot without a closed form was not found to reach: the posture (rad) that
     came nearest, and by how much it misses (m, a radian counts `rotation_lever_m`)."""
-    found = _unsolved(len(T_world_ee), T_world_ee.device, len(robot.joints), complete=False)
+    found = _unsolved(len(T_world_ee), T_world_ee.device, len(robot.joints))
     return _solve_any(
         robot, T_world_ee, active, found, rotation_lever_m=rotation_lever_m, threads=threads
     )
@@ -176,7 +180,7 @@ def _written(result: IkResult) -> dict[str, Tensor]:
     }
 
 
-def _unsolved(n: int, device: torch.device, joints: int = 6, *, complete: bool = True) -> IkResult:
+def _unsolved(n: int, device: torch.device, joints: int = 6) -> IkResult:
     """Room for n targets, all of which the kernel writes."""
     position, rotation = torch.empty((2, n, BRANCHES), dtype=torch.float32, device=device).unbind(0)
     return IkResult(
@@ -186,7 +190,6 @@ def _unsolved(n: int, device: torch.device, joints: int = 6, *, complete: bool =
         rotation_error_rad=rotation,
         status=torch.empty((n, 4), dtype=torch.uint8, device=device),
         steps=torch.empty((n, 4), dtype=torch.int32, device=device),
-        complete=complete,
     )
 
 

@@ -38,8 +38,14 @@ def differentiable(
     """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses; rows
     that are no poses do not.
 
-    `poses`: T_obj_ee and T_world_ee as they were given, with their history.
+    `poses`: T_obj_ee and T_world_ee as they were given, with their history. Raises ValueError for a
+    robot without a closed form of its inverse kinematics.
     """
+    if scene.robot.family != "ur":
+        raise ValueError(
+            f"a gradient is asked for with {scene.robot.name}; margins have one for arms of a UR's structure:"
+            " detach the poses"
+        )
     changes = MarginChanges(scene, config.thresholds, threads, scores, held, goal)
     first_order_only = [FirstOrderOnly.apply(T) for T in poses]
     return replace(scores, margin=with_gradient(scores.margin, changes(*first_order_only)))
