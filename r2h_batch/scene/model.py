@@ -334,10 +334,10 @@ def build_scene_model(
             )
         name = robot.links[k]
         add_visual(spec, link, f"robot/{name}_visual", robot, name, np.eye(4), name)
-    gripper = add_fingers(spec, links[-1], robot, partners[-2])
+    gripper = add_fingers(spec, links[-1], robot, partners[-3])
     body = add_object(gripper, payload_known=payload_known)
     for k, mesh in enumerate(object_rows[0]):
-        contact = partners[-1] if k else (0, 0)
+        contact = partners[-2] if k else (0, 0)
         name = "object/mesh_visual" if not k else f"object/{object_collision}_{k - 1}"
         add_mesh_geom(
             body, name, meshes[mesh][0], "object", *contact, group=COLLISION if k else VISUAL
@@ -410,21 +410,22 @@ def _shapes(meshes: Sequence[Mesh], model: mujoco.MjModel) -> dict[str, Array]:
 
 
 def _partners(robot: Robot) -> list[tuple[int, int]]:
-    """(contype, conaffinity) of links 0 to 6, gripper, object, table: contacts between exactly the
-    pairs that may push."""
-    conaffinity = [0] * 10
+    """(contype, conaffinity) of the arm's links, gripper, object, table: contacts between exactly
+    the pairs that may push."""
+    gripper = len(robot.joints) + 1
+    conaffinity = [0] * (gripper + 3)
     for a, b in robot.self_pairs:
         conaffinity[b] |= 1 << int(a)
     for a in robot.object_pairs:
-        conaffinity[a] |= 1 << 8
-    for k in range(robot.table_from, 8):
-        conaffinity[k] |= 1 << 9
+        conaffinity[a] |= 1 << gripper + 1
+    for k in range(robot.table_from, gripper + 1):
+        conaffinity[k] |= 1 << gripper + 2
     return [(1 << k, c) for k, c in enumerate(conaffinity)]
 
 
 def _add_table(spec: mujoco.MjSpec, partners: list[tuple[int, int]], at: Workplace) -> None:
     table = spec.worldbody.add_body(name="table")
     table.add_geom(
-        name="table/top", type=mujoco.mjtGeom.mjGEOM_BOX, pos=at.table_center, size=at.table_half, contype=partners[9][0],
-        conaffinity=partners[9][1], group=VISUAL, rgba=[*COLORS["table"], 1],
+        name="table/top", type=mujoco.mjtGeom.mjGEOM_BOX, pos=at.table_center, size=at.table_half, contype=partners[-1][0],
+        conaffinity=partners[-1][1], group=VISUAL, rgba=[*COLORS["table"], 1],
     )  # fmt: skip
