@@ -1,6 +1,6 @@
 """Inverse kinematics of any chain of turning joints: damped least squares from stored seeds, distinct postures kept.
 
-A thread takes one target. It tries the seeds whose ee is nearest to it, nearest first, until it has eight postures or no
+A thread takes one target. It tries the seeds whose ee is nearest to it, nearest first, until it has K postures or no
 seed is left. A step is dq = J^T y with (J J^T + lambda 1) y = e and lambda = 0.1 |e|^2 + 1e-6 (Sugihara 2011): the task has
 six rows whatever the number of joints. A joint that a step takes beyond its limit stays there, and leaves the Jacobian while
 it is pushed on. That no seed converges proves nothing; a target farther than the arm is long is proven unreachable.
@@ -11,7 +11,6 @@ import warp as wp
 from r2h_batch.kernels.ik.jacobian import mat67d, rotation_vector, solve_spd
 from r2h_batch.kernels.ik.step import STATUS_INACTIVE, STATUS_UNREACHABLE, read_target
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.robot.fk import vec6d
 
 from ..robot.joints import JOINTS, vecqd
@@ -207,7 +206,7 @@ def solve_any(
     T_world_ee_in: wp.array3d(dtype=wp.float32),
     active_in: wp.array(dtype=wp.bool),
     # out
-    q_out: wp.array3d(dtype=float),  # (B, BRANCHES, JOINTS)
+    q_out: wp.array3d(dtype=float),  # (B, K, JOINTS)
     valid_out: wp.array2d(dtype=wp.bool),
     position_error_out: wp.array2d(dtype=wp.float32),
     rotation_error_out: wp.array2d(dtype=wp.float32),
@@ -216,9 +215,9 @@ def solve_any(
     nearest_out: wp.array2d(dtype=float),  # (B, JOINTS) where nothing was found: the posture that came nearest
     residual_out: wp.array(dtype=float),  # and by how much it misses: metres + rotation_lever_m radians
 ):
-    """Up to eight postures of each target, `apart` from each other, in the order in which seeds found them."""
+    """Up to K postures of each target, `apart` from each other, in the order in which seeds found them."""
     trial = first + wp.tid()
-    for k in range(BRANCHES):
+    for k in range(q_out.shape[1]):
         valid_out[trial, k] = False
         position_error_out[trial, k] = wp.float32(wp.inf)
         rotation_error_out[trial, k] = wp.float32(wp.inf)
@@ -246,7 +245,7 @@ def solve_any(
     tried = int(0)
     total = int(0)
     least = wp.float64(wp.inf)
-    while tried < n and found < BRANCHES:
+    while tried < n and found < q_out.shape[1]:
         start = vecqd()
         for j in range(JOINTS):
             start[j] = seeds.q[row[tried], j]
