@@ -25,7 +25,7 @@ from dataclasses import fields, is_dataclass
 from functools import partial, wraps
 from logging.handlers import MemoryHandler
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, TextIO, get_origin, get_type_hints
 
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.validate import expand_home, parse_number, parse_whole_number
@@ -102,6 +102,12 @@ def read(
             raise  # --help, or a shell completion
         flags = [*more_flags, *(_flags(chosen) if chosen is not None else ())]
         raise UsageError(_one_line(box.getvalue(), arguments, flags)) from None
+    said = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
+    for flag in _lists(chosen) if chosen is not None else ():
+        if said.count(flag) > 1:  # the last would silently replace the others
+            raise UsageError(
+                f"{flag} is given twice; write its values one after another: {flag} A B"
+            )
     try:
         _check_text(os.getcwd(), "work in another folder")
     except OSError as error:
@@ -396,6 +402,12 @@ def _say_defaults(owner: Any) -> None:
             _say_defaults(kind)
         elif name != "return" and "_say_defaults" not in str(kind):
             hints[name] = Annotated[kind, tyro.conf.arg(help_behavior_hint=said)]
+
+
+def _lists(command: Command) -> list[str]:
+    """The flags that take several values."""
+    kinds = get_type_hints(command).items()
+    return ["--" + k.replace("_", "-") for k, kind in kinds if get_origin(kind) is tuple]
 
 
 def _flags(command: Command) -> list[str]:

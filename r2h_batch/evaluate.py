@@ -253,8 +253,8 @@ class Evaluator:
             planned_length: as `length`, of the plan.
 
         Returns:
-            Scores of B rows. INVALID_INPUT: an angle or a time is not finite, times go back, a
-            joint moves in no time, or the plan begins more than 0.1 rad beside the motion. A motion
+            Scores of B rows. INVALID_INPUT: an angle is not finite, times go back, are not finite or
+            end after 1e9 s, a joint moves in no time, or the plan begins more than 0.1 rad beside the motion. A motion
             beyond the limits of angles is judged as one without a path.
 
         Raises:

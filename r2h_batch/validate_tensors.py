@@ -57,8 +57,8 @@ def check_tensor(name: str, value: Any, words: str) -> Tensor:
     """
     if not isinstance(value, Tensor):
         raise TypeError(f"{name} is {describe_value(value)}; it must be {words}")
-    if value.layout != torch.strided:
-        layout = str(value.layout).removeprefix("torch.")
+    if value.layout != torch.strided or value.is_nested:
+        layout = "nested" if value.is_nested else str(value.layout).removeprefix("torch.")
         found = f"{name} is a tensor of layout {layout}"
         raise TypeError(f"{found}; it must be {words}: call .to_dense()")
     if torch.compiler.is_compiling():

@@ -79,6 +79,8 @@ def test_help_of_all_lists_the_subcommands_and_the_version_is_the_packages(capsy
         ("scene --run x --trail 1 --out y", ["did you mean --trial?"]),
         ("trials --out x --splits S3", ["'S3'", "'S0', 'S1'"]),
         ("trials --trials 3", ["--out"]),
+        ("sweep --method fc --method random", ["--method is given twice", "--method A B"]),
+        ("import robot --urdf x --base b --flange f --out y --package a=1 --package=b=2", ["--package is given twice"]),
     ],
 )
 def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code_2(line, parts, capsys):

@@ -208,6 +208,8 @@ def test_torch_func_and_sparse_poses_are_refused_by_name():
             transform(margin)(batch.T_obj_ee[None])
     with pytest.raises(TypeError, match=r"T_obj_ee is a tensor of layout sparse_coo; .* call \.to_dense"):
         margin(batch.T_obj_ee.to_sparse())
+    with pytest.raises(TypeError, match="T_obj_ee is a tensor of layout nested"):
+        margin(torch.nested.nested_tensor(list(batch.T_obj_ee)))
 
 
 def without_memory(kind, T):

@@ -15,7 +15,7 @@ from r2h_batch.benchmark.trials_file import LISTED, Labels
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set, neutral_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects, without_region
-from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot
+from r2h_batch.bodies.robot import Robot, load_robot
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE
 from r2h_batch.types import Trials
@@ -105,7 +105,7 @@ class Benchmark:
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # what there was before it could be said keeps its digest
             digest.update(f"receiver {self.receiver}\n".encode())
-        if self.robot.name != DEFAULT_ROBOT:
+        if self.robot != load_robot():  # a folder may give another one its name
             digest.update(f"robot {self.robot.digest} {self.persons}\n".encode())
         # it says how hands stand in these trials
         if self.protocol == WITH_BODIES and self.hand_set.in_body is not None:

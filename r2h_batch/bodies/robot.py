@@ -525,12 +525,14 @@ def frozen(value: Any, dtype: Any = np.float64) -> Any:
 
 MAX_BYTES = 1 << 20
 """Of robot.npz: 24 primitives of the arm have 5 kB."""
+SCENE_BODIES = ("world", "object", "hand", "table")
+"""Names that the simulated scene gives to bodies that are not the robot's."""
 MAX_BODIES = 24
 """As kernels/plan/codes.py, MAX_ARM_BODIES."""
 
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
-Positive = Annotated[float, Field(gt=0, le=1e6)]
+Positive = Annotated[float, Field(ge=1e-2, le=1e6)]
 Six = Field(min_length=JOINTS, max_length=JOINTS)
 
 
@@ -603,16 +605,20 @@ def read_robot(folder: str | Path) -> Robot:
     arrays = {name: arrays[name] for name in SPECS}
     robot = _robot(file, arrays)
     try:
-        ur_lengths(robot)
-        _check(robot)
+        check_robot(robot)
     except ValueError as error:
         raise FileError(f"{printable(folder)}: {error}") from None
     return robot
 
 
-def _check(robot: Robot) -> None:
-    """What shapes of arrays do not say."""
-    n, arm = len(robot.arm.kind), robot.arm
+def check_robot(robot: Robot) -> None:
+    """Raises ValueError for what shapes of arrays do not say: a robot that none can be."""
+    n, arm, own = len(robot.arm.kind), robot.arm, robot.dynamics
+    if not all(1e-3 <= length <= 5 for length in ur_lengths(robot)):
+        raise ValueError("the lengths of its joint frames must lie between 1 mm and 5 m")
+    for names in ((*robot.links, *SCENE_BODIES), robot.joints):
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"two links or joints are called {twice[0]!r}; rename one of them")
     if n > MAX_BODIES:
         raise ValueError(f"{n} collision bodies; the kernels hold {MAX_BODIES} of an arm")
     if not np.isin(arm.kind, (Kind.CAPSULE, Kind.CYLINDER, Kind.BOX)).all():
@@ -624,13 +630,18 @@ def _check(robot: Robot) -> None:
     if not all(1e-4 <= x <= 2 for x in used):
         raise ValueError("sizes of collision bodies must lie between 0.1 mm and 2 m")
     pairs = robot.self_pairs.ravel().tolist() + robot.object_pairs.tolist()
-    if not all(0 <= k <= JOINTS + 1 for k in pairs):
-        raise ValueError(f"pairs name links 0 to {JOINTS + 1} (the gripper)")
+    same = (robot.self_pairs[:, 0] == robot.self_pairs[:, 1]).any()
+    if not all(0 <= k <= JOINTS + 1 for k in pairs) or same:
+        raise ValueError(f"pairs name two links of 0 to {JOINTS + 1} (the gripper)")
     if not ((robot.lower <= robot.home_q) & (robot.home_q <= robot.upper)).all():
         raise ValueError("home_rad is outside the joint limits")
-    moments = np.linalg.eigvalsh(robot.dynamics.inertia)
-    if (robot.dynamics.mass <= 0).any() or (moments <= 0).any():
+    moments = np.linalg.eigvalsh(own.inertia)
+    if (own.mass <= 0).any() or (moments <= 0).any():
         raise ValueError("masses and moments of inertia must be above 0")
+    if own.mass.max() > 1e3 or np.abs(own.com).max() > 5 or moments.max() > 1e3:
+        raise ValueError("allowed are masses to 1000 kg, com to 5 m, inertia to 1000 kg m^2")
+    if np.abs(own.inertia - own.inertia.transpose(0, 2, 1)).max() > 1e-9 * moments.max():
+        raise ValueError("an inertia is not symmetric")
     if (moments[:, 2] > moments[:, 0] + moments[:, 1] + 1e-6).any():
         raise ValueError("an inertia is that of no body (one moment exceeds the sum of the others)")
 
@@ -694,10 +705,10 @@ def robot_arrays(robot: Robot) -> dict[str, Array]:
     return {k: np.ascontiguousarray(v, kinds[SPECS[k][0]]) for k, v in found.items()}
 
 
-def write_robot(folder: Path, robot: Robot) -> None:
-    """Writes robot.yaml and robot.npz, which `read_robot` reads as the same robot."""
+def robot_file(robot: Robot) -> RobotFile:
+    """What robot.yaml holds of a robot; ValueError where a name or number cannot be in one."""
     own = robot.dynamics
-    file = RobotFile(
+    return RobotFile(
         format=1,
         name=robot.name,
         arm=Arm(
@@ -719,7 +730,12 @@ def write_robot(folder: Path, robot: Robot) -> None:
         ),
         gripper="2f-85",
     )
+
+
+def write_robot(folder: Path, robot: Robot) -> None:
+    """Writes robot.yaml and robot.npz, which `read_robot` reads as the same robot."""
+    file = robot_file(robot).model_dump()
     folder.mkdir(parents=True, exist_ok=True)
-    text = yaml.safe_dump(file.model_dump(), sort_keys=False, default_flow_style=None, width=98)
+    text = yaml.safe_dump(file, sort_keys=False, default_flow_style=None, width=98)
     (folder / "robot.yaml").write_text(text, encoding="utf-8")
     write_npz(folder / "robot.npz", robot_arrays(robot))

@@ -21,9 +21,11 @@ from r2h_batch.bodies.robot import (
     Kind,
     Primitives,
     Robot,
+    check_robot,
     ee_pose,
     frozen,
     load_robot,
+    robot_file,
     ur_lengths,
 )
 from r2h_batch.bodies.robot_visuals import ARM_LINKS, visual_triangles
@@ -99,6 +101,17 @@ def import_robot(
         ur_lengths(bare)
     except ValueError as error:
         raise FileError(f"{shown}: {error}; arms of a UR's structure are allowed") from None
+    try:  # before the minutes that fitting takes
+        robot_file(bare)
+        check_robot(
+            replace(
+                bare,
+                lower=np.minimum(bare.lower, bare.home_q),
+                upper=np.maximum(bare.upper, bare.home_q),
+            )
+        )
+    except ValueError as error:
+        raise FileError(f"{shown}: {' '.join(str(error).split())[:200]}") from None
     arm, links = _primitives(chain.links)
     robot = replace(bare, arm=arm, dynamics=_dynamics(chain, bare, shown), home_q=_home(bare))
     pairs = _checked_pairs(robot)

@@ -22,7 +22,9 @@ __all__ = ["Chain", "Link", "read_chain"]
 Array = NDArray[np.float64]
 Element = ElementTree.Element
 
-MAX_BYTES, MAX_LINKS = 8 << 20, 256
+MAX_BYTES, MAX_LINKS, MAX_MESHES = 8 << 20, 256, 32
+LONGEST_M = 3.0
+"""Of a link: a mesh that is longer is in millimetres, and would be covered point by point."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +66,18 @@ def read_chain(path: Path, base: str, flange: str, packages: Mapping[str, Path])
     """
     root, shown = _parsed(path), printable(path)
     links = {str(e.get("name")): e for e in root.findall("link")}
-    if len(links) > MAX_LINKS:
-        raise FileError(f"{shown}: has {len(links)} links; {MAX_LINKS} are allowed")
+    joints = root.findall("joint")
+    if (most := max(len(links), len(joints))) > MAX_LINKS:
+        raise FileError(f"{shown}: has {most} links or joints; {MAX_LINKS} are allowed")
     for flag, name in (("--base", base), ("--flange", flange)):
         if name not in links:
             found = ", ".join(printable(n)[:40] for n in list(links)[:12])
             raise FileError(f"{shown}: {flag} {printable(name)} is no link of it; it has {found}")
-    joints = root.findall("joint")
     into = {_end(j, "child", shown): j for j in joints}
+    if unknown := {_end(j, end, shown) for j in joints for end in ("parent", "child")} - set(links):
+        raise FileError(
+            f"{shown}: a joint names {printable(min(unknown))[:40]!r}, which is no link of it"
+        )
     way: list[Element] = []
     at = flange
     while at != base:
@@ -196,12 +202,16 @@ def _rigid(
     path: Path, packages: Mapping[str, Path],
 ) -> Link:  # fmt: skip
     """A link and all that is fixed to it; T: the link in the frame of the joint that moves it."""
-    shown, triangles, bodies, todo = printable(path), [], [], [(name, T)]
+    shown, bodies, todo = printable(path), [], [(name, T)]
+    triangles: list[Array] = []
     seen = {name}
     while todo:
         at, T_at = todo.pop()
         for visual in links[at].findall("visual"):
             if (mesh := visual.find("geometry/mesh")) is not None:
+                if len(triangles) == MAX_MESHES:
+                    most = f"more than {MAX_MESHES} visual meshes; join them into one"
+                    raise FileError(f"{shown}: link {printable(name)} has {most}")
                 triangles.append(_mesh(mesh, T_at @ _origin(visual, shown), path, packages))
         if (inertial := links[at].find("inertial")) is not None:
             bodies.append(_body(inertial, T_at, f"{shown}: link {printable(at)}"))
@@ -213,13 +223,18 @@ def _rigid(
                 todo.append((child, T_at @ _origin(joint, shown)))
     if not triangles:
         raise FileError(f"{shown}: link {printable(name)} has no visual mesh")
+    faces = np.concatenate(triangles)
+    size = float(np.ptp(faces.reshape(-1, 3), axis=0).max())
+    if not 1e-3 <= size <= LONGEST_M:
+        how = f"1 mm to {LONGEST_M:g} m are allowed; correct the scale of its meshes"
+        raise FileError(f"{shown}: link {printable(name)} is {size:g} m long; {how}")
     mass = sum(m for m, _, _ in bodies)
     com = sum((m * c for m, c, _ in bodies), np.zeros(3)) / (mass or 1.0)
     about = np.zeros((3, 3))
     for m, c, inertia in bodies:  # the parallel axis theorem
         d = c - com
         about += inertia + m * ((d @ d) * np.eye(3) - np.outer(d, d))
-    return Link(name, np.concatenate(triangles), mass, com, about)
+    return Link(name, faces, mass, com, about)
 
 
 def _body(inertial: Element, T: Array, where: str) -> tuple[float, Array, Array]:

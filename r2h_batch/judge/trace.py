@@ -44,18 +44,20 @@ class Trace:
     q: Float32[Tensor, "b w 6"]  # rad
     time_s: Float32[Tensor, "b w"]
     length: Int32[Tensor, " b"]
-    usable: Bool[Tensor, " b"]  # finite, time never goes back, and no joint moves in no time
+    usable: Bool[
+        Tensor, " b"
+    ]  # finite, MOST_SECONDS at most, no time goes back or moves a joint in 0 s
 
     def __getitem__(self, rows: Any) -> "Trace":
         return Trace(self.q[rows], self.time_s[rows], self.length[rows], self.usable[rows])
 
 
 def checked_plan(planned_q: Any, length: Tensor | None, trace: Trace, device: str) -> Trace:
-    """The plans of executed motions: as `checked_trace`, at rest for ever at each sample, for a plan
-    has no times. Usable where the plan begins at the motion's first sample."""
+    """The plans of executed motions: as `checked_trace`, as slow as can be, for a plan has no
+    times. Usable where the plan begins at the motion's first sample."""
     planned_q = as_numbers("planned_q", planned_q, Q_WORDS, device)
     samples = planned_q.shape[-2] if planned_q.ndim > 1 else 0
-    times = torch.arange(samples, dtype=torch.float32, device=planned_q.device) * MOST_SECONDS
+    times = torch.linspace(0, MOST_SECONDS, samples, dtype=torch.float32, device=planned_q.device)
     plan = checked_trace(planned_q, times, length, len(trace.q), device, prefix="planned_")
     near = ((plan.q[:, 0] - trace.q[:, 0]).abs() <= START_RAD).all(1)
     return replace(plan, usable=plan.usable & near)
@@ -110,7 +112,7 @@ def checked_trace(
     q, time_s = q.float(), (time_s - time_s[:, :1]).float()  # float64 may be too large for it
     takes = time_s[:, 1:] - time_s[:, :-1]
     stays = (q[:, 1:] == q[:, :-1]).all(2)
-    usable = q.isfinite().flatten(1).all(1) & time_s.isfinite().all(1)
+    usable = q.isfinite().flatten(1).all(1) & (time_s <= MOST_SECONDS).all(1)  # False for NaN
     usable = usable & ((takes > 0) | ((takes == 0) & stays)).all(1)
     return Trace(q, time_s, length.to(torch.int32), usable)
 

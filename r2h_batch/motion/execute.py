@@ -40,6 +40,10 @@ NEAR_M = 1e-3
 """Clearance beyond this is not measured: no simulated motion is ever this far off its samples'
 lines."""
 
+FAR_OBJECT_M = 5.0
+"""An object that sticks out of the robot by more is not simulated: nothing holds it there, and at such
+a lever its inertia swings until `settle_s` is over, in the whole scene (14 times the time of a row)."""
+
 LOCATED_M = 1e-5
 """How exactly the clearance is located."""
 
@@ -130,7 +134,7 @@ def execute(
 
     Each trial runs until its reference has ended and `dwell_s` more; what has not come to rest by
     then runs again, for `settle_s` longer. How long the reference takes decides nothing. Rows do
-    not depend on each other.
+    not depend on each other. A row whose object is FAR_OBJECT_M off does not run and is not at rest.
 
     `clearance_m`: certified smallest distance of all pairs along each planned path
     (`Plan.clearance_m`). With `model="auto"` the arm alone moves first; where no body can have come
@@ -161,7 +165,8 @@ def execute(
         )
         return _until_at_rest(run, rows)
 
-    found = length > 0
+    sticks_out = body_poses.object_motion_radius - scene.motion_radii.amax(0).to(path.device)
+    found = (length > 0) & (sticks_out.amax(1) <= FAR_OBJECT_M)
     if config.model != "auto":
         return move(config.model, found)
     alone = _with_fingers(move("arm", found), found)

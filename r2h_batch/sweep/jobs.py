@@ -100,7 +100,7 @@ def prepare(options: Options) -> Setting:
     import platform
 
     from r2h_batch.bodies.objects import object_digest
-    from r2h_batch.bodies.robot import DEFAULT_ROBOT
+    from r2h_batch.bodies.robot import load_robot
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 
@@ -130,7 +130,7 @@ def prepare(options: Options) -> Setting:
             "hand_set": evaluator.scene.hands.set.digest,
             "code": provenance.code_digest(),
             # what there was before robots could be chosen keeps its digests
-            **({} if benchmark.robot.name == DEFAULT_ROBOT else {"robot": benchmark.robot.digest}),
+            **({} if benchmark.robot == load_robot() else {"robot": benchmark.robot.digest}),
         },
         "robot": {"name": benchmark.robot.name, "digest": benchmark.robot.digest},
         "motion": {

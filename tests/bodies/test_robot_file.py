@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 
 from r2h_batch.bodies.robot import (
@@ -25,6 +26,12 @@ from r2h_batch.importers.urdf import read_chain
 from r2h_batch.io.read import FileError
 
 OTHERS = ROBOTS[1:]
+
+
+def with_lengths(T: np.ndarray, factor: float) -> np.ndarray:
+    scaled = T.copy()
+    scaled[:, :3, 3] *= factor
+    return scaled
 
 
 def same(a: object, b: object) -> bool:
@@ -61,7 +68,11 @@ def test_a_built_in_arm_keeps_what_the_import_promises(name: str) -> None:
         (lambda y: y["arm"].update(home_rad=[0.0] * 5), "home_rad"),
         (lambda y: y["arm"].update(home_rad=[7.0] * 6), "home_rad"),
         (lambda y: y["arm"].update(max_velocity_rad_s=[0.0] * 6), "max_velocity_rad_s"),
+        (lambda y: y["arm"].update(max_velocity_rad_s=[1e-9] * 6), "max_velocity_rad_s"),
         (lambda y: y["arm"].update(visuals="../../x"), "visuals"),
+        (lambda y: y["arm"].update(links=["a"] * 7), "called 'a'"),
+        (lambda y: y["arm"]["links"].__setitem__(3, "table"), "called 'table'"),
+        (lambda y: y["arm"].update(joints=["j"] * 6), "called 'j'"),
         (lambda y: y["arm"].update(upper_rad=[-6.0] * 6), "home_rad is outside"),
     ],
 )
@@ -84,10 +95,16 @@ def test_a_wrong_robot_yaml_is_refused_in_one_line(change, words, tmp_path):
         (lambda a: a.update(size=a["size"][:3]), "size is"),
         (lambda a: a.update(link=a["link"] * 0), "every link"),
         (lambda a: a.update(kind=a["kind"] * 0), "kind must be"),
-        (lambda a: a.update(self_pairs=a["self_pairs"] + 9), "pairs name links"),
+        (lambda a: a.update(self_pairs=a["self_pairs"] + 9), "pairs name two links"),
         (lambda a: a.update(T_link_prim=2 * a["T_link_prim"]), "no rigid pose"),
         (lambda a: a.update(T_parent_joint=a["T_parent_joint"][::-1].copy()), "not that of a UR"),
         (lambda a: a.update(mass=-a["mass"]), "above 0"),
+        (lambda a: a.update(mass=a["mass"] * 1e300), "masses to 1000 kg"),
+        (lambda a: a.update(com=a["com"] + 1e300), "masses to 1000 kg"),
+        (lambda a: a.update(inertia=a["inertia"] + np.triu(np.ones((3, 3)), 1)), "not symmetric"),
+        (lambda a: a.update(self_pairs=np.array([[3, 3]])), "pairs name two links"),
+        (lambda a: a.update(T_parent_joint=with_lengths(a["T_parent_joint"], 0)), "between 1 mm and 5 m"),
+        (lambda a: a.update(T_parent_joint=with_lengths(a["T_parent_joint"], -1)), "between 1 mm and 5 m"),
     ],
 )
 def test_a_wrong_robot_npz_is_refused_in_one_line(change, words, tmp_path):
@@ -118,6 +135,8 @@ URDF = """<robot name="one"><link name="base"><visual><geometry><mesh filename="
         (URDF.replace('velocity="1"', ""), "velocity and effort above 0"),
         (URDF.replace('link="base"', 'link="hand"'), "no chain"),
         (URDF.replace("0 0 1", "0 nan 1"), "3 numbers"),
+        (URDF.replace('parent link="base"', 'parent link="x"'), "names 'x', which is no link"),
+        (URDF.replace("</robot>", 300 * '<joint name="j"/>' + "</robot>"), "301 links or joints"),
         ("<html/>", "begins with <html>"),
         ("<robot", "is no XML"),
     ],
@@ -139,3 +158,16 @@ def test_the_chain_of_the_ur5es_urdf_is_the_built_in_one() -> None:
     assert np.array_equal(chain.T_last_flange, robot.T_wrist3_flange)
     assert np.array_equal(chain.effort, robot.max_torque)
     assert replace(robot, digest="other") != robot
+
+
+def test_a_mesh_in_millimetres_and_too_many_meshes_are_refused_before_they_are_covered(tmp_path: Path) -> None:
+    trimesh.creation.box((100, 100, 900)).export(tmp_path / "a.stl")
+    text = URDF.format(mesh="a.stl", kind="revolute", more="")
+    for link, words in (("", "900 m long"), ('scale="0.001 0.001 0.001"', None), ('scale="0 0 0"', "0 m long")):
+        (tmp_path / "one.urdf").write_text(text.replace('"a.stl"', f'"a.stl" {link}'))
+        with pytest.raises(FileError, match=words or "link hand has no visual mesh"):
+            read_chain(tmp_path / "one.urdf", "base", "hand", {})
+    visual = text[text.index("<visual>") : text.index("</link>")]
+    (tmp_path / "one.urdf").write_text(text.replace(visual, 40 * visual))
+    with pytest.raises(FileError, match="more than 32 visual meshes"):
+        read_chain(tmp_path / "one.urdf", "base", "hand", {})

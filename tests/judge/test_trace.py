@@ -118,12 +118,13 @@ def test_rows_that_are_no_motion_are_invalid_and_limits_are_a_reason(evaluator, 
     q[2, 0, 2] = 4.0  # the elbow turns by at most pi
     q[3, 0, 2] = 1e30  # refused unwalked
     t[4, :] = 1.0  # a leap
+    t[5, 1:] += 2e9  # 63 years: no export would take it
     scores = moved(evaluator, planned, q=q, time_s=t)
-    wrong, beyond = [0, 1, 4], [2, 3]
+    wrong, beyond = [0, 1, 4, 5], [2, 3]
     assert (scores.outcome[wrong] == int(Outcome.INVALID_INPUT)).all() and scores.margin[wrong].isnan().all()
     assert (scores.plan_reason[beyond] == int(PlanReason.BEYOND_JOINT_LIMITS)).all()
     assert not scores.passed[beyond][:, [PLAN, SAFE]].any()
-    assert torch.equal(scores.outcome[5:], own.outcome[5:])
+    assert torch.equal(scores.outcome[6:], own.outcome[6:])
     large = moved(evaluator, planned, q=own.path.double().index_fill(0, torch.tensor([0]), 1e300))
     assert large.outcome[0] == int(Outcome.INVALID_INPUT)
 

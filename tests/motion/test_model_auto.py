@@ -15,10 +15,14 @@ import r2h_batch.motion.execute as module
 from r2h_batch import evaluate
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods import oracle
+from r2h_batch.motion import sim_mujoco
 from r2h_batch.motion.execute import FINGER_GIVE_M, NEAR_M, Executed, execute, nothing_pushes
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.model import TrialScene
+from r2h_batch.trials.protocol import make_trials
+from r2h_batch.types import Outcome, PlanReason
 
 AUTO = replace(MUJOCO, model="auto")
 SCENE = replace(MUJOCO, model="scene")
@@ -124,3 +128,17 @@ def test_rows_do_not_depend_on_who_else_needs_the_scene():
         part = auto(clearance, rows)
         for i, row in enumerate(rows.tolist()):
             assert same(part, whole, i, row) and torch.equal(part.slack_m[i], whole.slack_m[row])
+
+
+def test_an_object_metres_out_of_the_robot_is_not_settled_and_not_simulated(monkeypatch):
+    judge, simulate, rows = default_evaluator(), sim_mujoco.simulate, []
+    monkeypatch.setattr(sim_mujoco, "simulate", lambda job, **k: rows.extend(job.rows) or simulate(job, **k))
+    trials = make_trials(["S0"], 1)
+    answer = oracle.predict(trials, judge.scene, evaluator=judge)
+    far = answer.T_obj_ee.clone()
+    far[:, :3, 3] -= 6.0 * far[:, :3, 2]
+    both = trials[torch.zeros(2, dtype=torch.int64)]
+    scores = judge.score(torch.cat([answer.T_obj_ee, far]), answer.T_world_ee.repeat(2, 1, 1), both)
+    assert scores.path_len.gt(0).all() and rows == [0]
+    assert scores.plan_reason.tolist() == [int(PlanReason.OK), int(PlanReason.NOT_SETTLED)]
+    assert scores.outcome.tolist() == [int(Outcome.SUCCESS), int(Outcome.STABILITY)]
