@@ -137,11 +137,10 @@ def markdown(data: dict) -> str:
             ]  # S0 has no affordance
             shown = "n/a" if s1["presented"] is None else f"{s1['presented']:.1f}"
             failures.append(f"| {v['name']} | {short[m]} | " + " | ".join(cells) + f" | {shown} |")
-    pairs = ["| pair | base | " + " | ".join(v["name"] for v in variants_ if v["pairs"] and v is not base) + " |"]
-    pairs += ["|---|" + "---|" * sum(bool(v["pairs"]) for v in variants_)]
-    for pair in base["pairs"]:
-        said = [v["pairs"][pair] for v in variants_ if v["pairs"]]
-        pairs.append(f"| {pair} | " + " | ".join(said) + " |")
+    pairs = ["| changed | " + " | ".join(base["pairs"]) + " |", "|---|" + "---|" * len(base["pairs"])]
+    for v in (v for v in variants_ if v["pairs"]):
+        pairs.append(f"| {v['name']} | " + " | ".join(v["pairs"][pair] for pair in base["pairs"]) + " |")
+    pairs = [line.replace("-Handover", "").replace("Handover-", "") for line in pairs]
     stable = [v["name"] for v in variants_[1:] if v["kept"] == 6]
     best = sum(v["order"][0] == base["order"][0] for v in variants_[1:])
     parts = [

@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from needs import needs
+from needs import HADOLINT, needs
 from types_of_all import check
 
 import r2h_batch
@@ -133,6 +133,12 @@ def test_containers_run_targets_of_the_makefile() -> None:
     named = [re.findall(r"(?:RUN|CMD|^)\s*make ([a-z]+)", line, re.MULTILINE) for line in lines]
     assert named == [["demo", "test"], ["demo"]] and targets >= {"demo", "test"}
     assert (ROOT / ".devcontainer" / container["build"]["dockerfile"]).resolve() == ROOT / "Dockerfile"
+
+
+@needs("hadolint")
+def test_the_dockerfile_has_no_fault_that_hadolint_knows() -> None:
+    done = subprocess.run([HADOLINT, ROOT / "Dockerfile"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
 
 
 def test_every_public_name_can_be_imported() -> None:
