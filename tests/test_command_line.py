@@ -19,6 +19,7 @@ NESTED = (
     "results digest",
     "results reevaluate",
     "results rethreshold",
+    "results reception",
     "study paper",
     "study ratings",
     "study real",

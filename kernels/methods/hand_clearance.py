@@ -5,7 +5,7 @@ The same pieces and the same distance as the planner's: what keeps clear here ke
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import HULL, Body
+from r2h_batch.kernels.geometry.body import CAPSULE, HULL, Body
 from r2h_batch.kernels.geometry.closest import eroded, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.surface import inverse_pose
@@ -44,6 +44,41 @@ def enclose_pieces(first: int, hands: PosedHands, ball_out: wp.array(dtype=wp.ve
         ball_out[trial * hands.n_pieces + piece] = wp.vec4(middle[0], middle[1], middle[2], wp.sqrt(far) + 1.0e-6)
 
 
+@wp.func
+def gripper_distance(
+    gripper: Gripper, hands: PosedHands, hand: int, R_ee: wp.mat33, p_ee: wp.vec3, drive: float, cap: float
+):  # fmt: skip
+    """Distance (m) of the gripper from a hand: `cap` at most, 0 where they overlap. R_ee, p_ee: from the hand points' frame
+    to ee."""
+    best = float(cap)
+    a = Body()
+    a.kind = HULL
+    for g in range(gripper.kind.shape[0]):
+        if best > 0.0:
+            Rg, pg = finger_pose(gripper, g, drive)
+            R = wp.transpose(Rg) * R_ee  # hand frame to primitive frame
+            p = wp.transpose(Rg) * (p_ee - pg)
+            kind = gripper.kind[g]
+            size = gripper.size[g]
+            b = eroded(kind, size, 0.0)
+            around = wp.length(size)  # no point of a primitive is farther from its middle
+            if kind == CAPSULE:
+                around = size[0] + size[1]
+            primitive = -(wp.transpose(R) * p)  # its middle, hand frame
+            for piece in range(hands.n_pieces):
+                ball = hands.ball[hand * hands.n_pieces + piece]
+                center = wp.vec3(ball[0], ball[1], ball[2])
+                room = best + ball[3] + around
+                if best > 0.0 and wp.length_sq(center - primitive) < room * room:
+                    middle = R * center + p
+                    if signed_distance(kind, size, middle) - ball[3] < best:
+                        a.start = hand * hands.n_points + hands.piece_start[piece]
+                        a.count = hands.piece_start[piece + 1] - hands.piece_start[piece]
+                        d = gjk(a, R, p, hands.points, b, hands.points, p - middle, best, 0.0)
+                        best = wp.min(best, wp.max(d.lower, 0.0))
+    return best
+
+
 @wp.kernel
 def gripper_to_hand(
     first: int,
@@ -71,23 +106,4 @@ def gripper_to_hand(
     row = row_in[trial] + k
     R_ee, p_ee = inverse_pose(T_in[row])
     drive = drive_from_gap(gripper, opening_in[row])
-    best = float(cap)
-    a = Body()
-    a.kind = HULL
-    for g in range(gripper.kind.shape[0]):
-        if best > 0.0:
-            Rg, pg = finger_pose(gripper, g, drive)
-            R = wp.transpose(Rg) * R_ee  # hand frame to primitive frame
-            p = wp.transpose(Rg) * (p_ee - pg)
-            kind = gripper.kind[g]
-            size = gripper.size[g]
-            b = eroded(kind, size, 0.0)
-            for piece in range(hands.n_pieces):
-                ball = hands.ball[trial * hands.n_pieces + piece]
-                middle = R * wp.vec3(ball[0], ball[1], ball[2]) + p
-                if best > 0.0 and signed_distance(kind, size, middle) - ball[3] < best:
-                    a.start = trial * hands.n_points + hands.piece_start[piece]
-                    a.count = hands.piece_start[piece + 1] - hands.piece_start[piece]
-                    d = gjk(a, R, p, hands.points, b, hands.points, p - middle, best, 0.0)
-                    best = wp.min(best, wp.max(d.lower, 0.0))
-    clearance_out[trial, k] = best
+    clearance_out[trial, k] = gripper_distance(gripper, hands, trial, R_ee, p_ee, drive, cap)

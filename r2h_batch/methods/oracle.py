@@ -7,6 +7,7 @@ nothing succeeds, the proposal that failed last in the paper's order stays.
 """
 
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import torch
@@ -17,11 +18,19 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper, region_distance, squeezed
+from r2h_batch.judge.reception import reception
 from r2h_batch.methods.candidates import candidates_in, check_candidates, stacked
+from r2h_batch.methods.placing import check_choice
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CRITERIA, Outcome, Predictions, Scores, Trials
 
 __all__ = ["ROUNDS", "predict"]
+
+Aim = Literal["success", "reception"]
+"""What a solution is. reception: the person can take the object too."""
+
+SOLUTIONS = 4
+"""Of so many that the person can take the easiest is kept."""
 
 ROUNDS = 64
 """Proposals a trial gets at most."""
@@ -47,9 +56,21 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     rounds: int = ROUNDS,
+    for_: Aim = "success",
 ) -> Predictions:
     """For each trial the first proposal that succeeds, else the one that got farthest; drawn by
-    (seed, trial id)."""
+    (seed, trial id).
+
+    Args:
+        trials: B trials.
+        scene: as the evaluator's.
+        seed: of the draws.
+        evaluator: the judge; None: one of the scene.
+        rounds: proposals of a trial at most.
+        for_: "reception": of the first 4 proposals that succeed and that the person can take
+            (`judge.reception`), the one of least effort: an upper bound of reception, not a method.
+    """
+    check_choice("for_", for_, Aim)
     if evaluator is None:
         evaluator = Evaluator(
             scene.config, device=scene.device, objects=scene.objects, hand_set=scene.hands.set
@@ -64,12 +85,22 @@ def predict(
         torch.eye(4, dtype=torch.float32, device=scene.device).repeat(n, 1, 1) for _ in range(2)
     )
     todo = torch.arange(n, dtype=torch.int64, device=scene.device)
+    solutions = torch.zeros(n, dtype=torch.int64, device=scene.device)
+    wanted = SOLUTIONS if for_ == "reception" else 1
     for turn in range(rounds):
         if not len(todo):
             break
         grasp, pose = (T.to(scene.device) for T in fan.proposals(todo.cpu().numpy(), turn))
         scores = evaluator.score(grasp, pose, trials[todo])
-        reached = _how_far(scores)
+        reached, solved = _how_far(scores), scores.success
+        if for_ == "reception" and solved.any():
+            rows = torch.nonzero(solved)[:, 0]
+            taken = reception(scores[rows])
+            # beyond every failure and every success that nobody can take
+            ease = 1.0 / (1.0 + taken.effort.double())
+            reached[rows] += torch.where(taken.received, 1.0 + ease, 0.0)
+            solved[rows] = taken.received
+        solutions[todo] += solved
         better = reached > farthest[todo]
         rows = todo[better]
         farthest[rows], T_obj_ee[rows], T_world_ee[rows] = (
@@ -77,7 +108,7 @@ def predict(
             grasp[better],
             pose[better],
         )
-        todo = todo[~scores.success]
+        todo = todo[solutions[todo] < wanted]
     return Predictions(trials.trial_id, T_obj_ee, T_world_ee, method="oracle").to(home)
 
 

@@ -44,6 +44,8 @@ __all__ = ["PER_SIDE", "NoHoldError", "sample_receiving"]
 
 PER_SIDE = 32
 PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 600, 20, 160, 16
+"""Of a round, rounds, and holds of a pool that the choice begins with: the last two for `PER_SIDE`, more
+in proportion for more."""
 HOPELESS = 6
 """Rounds after which an object that nothing seemed to hold is given up: one of 3,600 proposals
 would be three of all."""
@@ -79,10 +81,11 @@ def sample_receiving(
     *,
     hand: HandModel | None = None,
     per_side: int = PER_SIDE,
+    series: str = "",
     threads: int | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Arrays as in `receiving.FIELDS`: up to `per_side` right-hand and left-hand holds; the same
-    object, the same holds.
+    object and `series`, the same holds.
 
     Each holds with thumb and a finger from opposite sides and with three regions of the hand or
     more. Raises `NoHoldError` where an object has none at all.
@@ -91,7 +94,7 @@ def sample_receiving(
     hand = load_hand() if hand is None else hand
     field = distance_field(ObjectSurface(model.vertices, model.faces), threads)
     right, left = (
-        _holds(model, hand, mirror, field, per_side, threads) for mirror in (False, True)
+        _holds(model, hand, mirror, field, per_side, series, threads) for mirror in (False, True)
     )
     if not len(right["side"]) + len(left["side"]):
         raise NoHoldError(
@@ -107,6 +110,7 @@ def _holds(
     mirror: bool,
     field: Any,
     count: int,
+    series: str,
     threads: int | None,
 ) -> dict[str, NDArray[Any]]:
     flip = np.array([-1.0 if mirror else 1.0, 1.0, 1.0], np.float32)
@@ -114,17 +118,18 @@ def _holds(
     pool: list[dict[str, NDArray[Any]]] = []
     known: dict[int, bool] = {}
     digest = hashlib.sha256(
-        f"receiving {model.name} {'left' if mirror else 'right'}".encode()
+        f"{series}receiving {model.name} {'left' if mirror else 'right'}".encode()
     ).digest()
     key = int.from_bytes(digest[:8], "little")
-    for turn in range(ROUNDS):
+    more = max(1, count // PER_SIDE)
+    for turn in range(more * ROUNDS):
         rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
         pool.append(_try(side, rng))
         held = np.concatenate([p["part"] for p in pool])
-        enough = len(held) >= ENOUGH and all(
+        enough = len(held) >= more * ENOUGH and all(
             np.isin(held, i.labels).sum() >= ENOUGH_OF_PART for i in intents_of(model)
         )
-        last = turn + 1 == ROUNDS or (turn + 1 >= HOPELESS and not len(held))
+        last = turn + 1 == more * ROUNDS or (turn + 1 >= HOPELESS and not len(held))
         if not (enough or last):
             continue
         every = {k: np.concatenate([p[k] for p in pool]) for k in pool[0]}

@@ -4,6 +4,7 @@ verify RUN        find damaged and foreign shards
 digest RUN        print the digest of each method's rows
 reevaluate RUN    judge a sample of stored rows again from their stored poses
 rethreshold RUN   print the rates at other thresholds
+reception RUN     print how many receivers could take the object
 """
 
 from pathlib import Path
@@ -118,9 +119,48 @@ def reevaluate(
     return code
 
 
+def reception(
+    folder: Path,
+    /,
+    *,
+    method: tuple[str, ...] = (),
+    benchmark: BenchmarkFlags = BUILT_IN,
+    device: str = "cpu",
+) -> int:
+    """Print how many receivers could take the object, and how easily; write RUN/reception/METHOD.parquet.
+
+    Each stored pose is tried with 256 receiving grasps that no predictor knows: the person's arm must
+    bring the hand there, past the gripper and clear of the robot. No part of the success rate. Trials
+    need a receiver's body (r2h-v1).
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+        method: only these methods, by the sweep's word (fc) or the table's name.
+        benchmark: the flags that the sweep had.
+        device: cpu, cuda or cuda:N.
+    """
+    from r2h_batch.benchmark.build import BenchmarkOverrides
+    from r2h_batch.results import reception as received
+    from r2h_batch.results.reevaluation import Judge, check_poses
+    from r2h_batch.runs.store import RunError, load_run
+
+    run = load_run(folder).only(method)
+    check_poses(run)
+    entries = [e for e in run.entries if e["receipts"]]
+    if not entries:
+        raise RunError(f"{folder}: no shard of any method is stored")
+    judge = Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
+    tables = {e["name"]: received.table_of(run, e["name"], judge) for e in entries}
+    for entry in entries:
+        received.write(folder / "reception" / f"{entry['slug']}.parquet", tables[entry["name"]])
+    print(received.render(tables), end="")
+    return 0
+
+
 COMMANDS = {
     "verify": verify,
     "digest": digest,
     "reevaluate": reevaluate,
     "rethreshold": rethreshold,
+    "reception": reception,
 }

@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import keyword
 import math
 import re
 import shutil
@@ -606,6 +607,7 @@ def options_of(method: str, function: Callable[..., Any], *, known: bool) -> dic
     found: dict[str, Any] = {}
     for part in parts:
         name, equals, text = (x.strip() for x in part.partition("="))
+        name += "_" if keyword.iskeyword(name) else ""  # oracle,for=reception: parameter for_
         if name not in allowed:
             takes = f"allowed are {', '.join(allowed)}" if allowed else "it takes none"
             raise UsageError(

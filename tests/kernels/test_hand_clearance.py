@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies.hand import load_hand, load_hand_set
 from r2h_batch.bodies.robot import Kind, load_robot
 from r2h_batch.judge.grasp import gripper_poses
+from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
 from r2h_batch.launch import init_warp
-from r2h_batch.methods.placing import gripper_clearance, posed_hand
 
 CAP = 0.004
 

@@ -1,0 +1,250 @@
+"""Can the receivers take what methods hand over, and what does it cost to know: docs/results/reception.{md,png}.
+
+`python bench/reception.py` asks it of the shipped baselines of r2h-v1 and of `oracle,for=reception`, measures the cost on the
+frozen poses of the oracle (median of three calls on one thread; process time), and draws one trial with all hands that were
+tried. `--render` writes the page again from the JSON.
+"""
+
+import argparse
+import json
+import statistics
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from _report import ROOT, made_by
+from scipy.spatial.transform import Rotation, Slerp
+
+PAGE = ROOT / "docs" / "results" / "reception.md"
+STORED = ROOT / "bench" / "results" / "reception.json"
+BOUND = "oracle,for=reception"
+SIZES = (64, 256, 1024)
+SHOWN_OF = 4
+TAKEN, BLOCKED, BEYOND, SKIN = (
+    (0.25, 0.65, 0.3, 1),
+    (0.8, 0.25, 0.2, 0.5),
+    (0.95, 0.8, 0.2, 0.35),
+    (0.87, 0.66, 0.54, 1),
+)
+
+HEAD = """# Reception: can the person take it?
+
+The shipped rows of r2h-v1, default preset, and the upper bound `oracle,for=reception` on the same trials
+([definitions](../receivers.md#reception-can-this-person-take-the-object)). `python bench/reception.py`
+(bench/results/reception.json) measured it on commit {commit}. Your method: `r2h-batch results reception runs/mine`.
+
+![One trial with all hands that were tried](reception.png)
+
+*{caption}*
+
+"""
+
+COST = """
+## Cost
+
+One core, 256 grasps a trial, the oracle's poses; process time, median of three calls.
+
+{table}
+"""
+
+
+def judged(folder: Path, trials: int) -> tuple[Any, dict[str, Any]]:
+    """The judge of the baselines, and the table of each method; of the first `trials` of each split."""
+    from r2h_batch.methods import oracle
+    from r2h_batch.results import reception as stored
+    from r2h_batch.results.reevaluation import Judge
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(folder)
+    judge = Judge(run)
+    tables = {name: stored.table_of(run, name, judge) for name in run.methods}
+    ids = tables["oracle"]["trial_id"].to_numpy()
+    asked = judge.trials(ids)
+    evaluator = judge.evaluator.kinematic
+    answer = oracle.predict(asked, evaluator.scene, evaluator=evaluator, for_="reception")
+    scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
+    tables[BOUND] = stored.rows_of(ids, scores, dict(zip(ids.tolist(), scores.success.tolist(), strict=True)))
+    return (judge, asked, answer, scores), {
+        name: table.filter(table["trial_id"].to_numpy() < 2 * trials) for name, table in tables.items()
+    }
+
+
+def cost(scores: Any) -> list[dict[str, float]]:
+    """Process milliseconds a trial, whole and by step, for growing numbers of trials."""
+    from r2h_batch.judge import reception as judge
+
+    found = []
+    for n in SIZES:
+        some = scores[:n]
+        spent: dict[str, list[float]] = {name: [] for name in PARTS}
+        parts = {
+            "arms": "_arms",
+            "gripper": "_come",
+            "robot": "_beside_robot",
+            "release": "_let_go",
+            "ways": "_easiest",
+        }
+        for _ in range(3):
+            clock = dict.fromkeys(parts, 0.0)
+
+            def timed(name: str, call: Any, clock: dict[str, float] = clock) -> Any:
+                def run(*args: Any) -> Any:
+                    begin = time.process_time()
+                    made = call(*args)
+                    clock[name] += time.process_time() - begin
+                    return made
+
+                return run
+
+            originals = {function: getattr(judge, function) for function in parts.values()}
+            for name, function in parts.items():
+                setattr(judge, function, timed(name, originals[function]))
+            begin = time.process_time()
+            judge.reception(some)
+            spent["whole"].append(time.process_time() - begin)
+            for function, call in originals.items():
+                setattr(judge, function, call)
+            for name, seconds in clock.items():
+                spent[name].append(seconds)
+        found.append({"trials": len(some)} | {k: 1e3 * statistics.median(v) / len(some) for k, v in spent.items()})
+    return found
+
+
+def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
+    """Writes the picture of the first trial that is received upright with a turn of the hand; gives its caption."""
+    from r2h_batch.export.drawing import Drawing, view_of
+    from r2h_batch.export.pictures import save_picture
+    from r2h_batch.export.stored import judged_again
+    from r2h_batch.judge import reception as steps
+
+    found = steps.reception(scores)
+    lean = found.angles_deg[:, steps.ANGLES.index("lean")]
+    fits = found.received & (lean == 0) & (found.turn_deg > 45) & (found.count[:, -1] > 6)
+    i = int(torch.nonzero(fits)[0, 0])
+    stored = judged_again(judge.evaluator.kinematic, asked[i : i + 1], answer[i : i + 1], BOUND)
+    batch = steps._batch_of(scores[i : i + 1])
+    arms = steps._arms(batch, steps.LEANS_DEG)
+    passes = torch.zeros((*arms["effort"].shape, len(steps.STEPS)), dtype=torch.bool)
+    passes[..., 0], passes[..., 5] = arms["effort"] >= 0, True
+    way = steps._come(batch, arms, passes)
+    steps._beside_robot(batch, arms, passes)
+    steps._let_go(batch, arms, passes)
+    taken = passes.all(2)[0]
+
+    def skin(k: int) -> np.ndarray:
+        """Skin of grasp k, world."""
+        pair = batch.pairs(torch.tensor([0]), torch.tensor([k]), arms)
+        turned = steps._about_axis(batch.grasps, pair["object"].long(), pair["turn"])[0].double()
+        T = (pair["T_world_obj"][0].double() @ turned).numpy()
+        own = batch.grasps.held_out.grasps[int(batch.first[0]) + k : int(batch.first[0]) + k + 1]
+        return own.vertices[0].double().numpy() @ T[:3, :3].T + T[:3, 3]
+
+    groups = {
+        "taken": (taken, TAKEN),
+        "blocked": (~taken & passes[0, :, 0], BLOCKED),
+        "beyond the arm": (~passes[0, :, 0], BEYOND),
+    }
+    size, drawing = (440, 400), Drawing(stored)
+    view = view_of([drawing], size[0] / size[1], close=True)
+    view = replace(view, distance_m=2.2 * view.distance_m)
+    some = [(skin(k), color) for mask, color in groups.values() for k in torch.nonzero(mask)[:, 0].tolist()[::SHOWN_OF]]
+    images = [frame(stored, some, stored.receiver, size, view)]
+    k = int(found.grasp[i]) - int(batch.first[0])
+    row, receiver = int(found.grasp[i]), np.array(stored.receiver)
+    table, hand = batch.grasps, skin(k)
+    pair = batch.pairs(torch.tensor([0]), torch.tensor([k]), arms)
+    wrist = batch.wrists(pair)[0].double().numpy()
+    R = (
+        found.T_world_hand[i, :3, :3].double().numpy()
+        @ batch.grasps.held_out.grasps.T_obj_hand[row, :3, :3].double().numpy().T
+    )
+    n, a = (R @ table.owners[j][row].double().numpy() for j in (2, 1))
+    u = (n, a, (n + a) / np.linalg.norm(n + a))[int(way[0, k])]
+    R_grasp, R_waits = found.T_world_hand[i, :3, :3].double().numpy(), stored.T_world_hand[:3, :3].astype(float)
+    turn = Slerp([0, 1], Rotation.from_matrix([R_waits, R_grasp]))
+    for t in (0.0, 1.0, 2.0):
+        before = wrist - 0.1 * u
+        at = receiver[2, :3] + t * (before - receiver[2, :3]) if t < 1 else before + (t - 1) * (wrist - before)
+        moved = (hand - wrist) @ (turn(min(t, 1.0)).as_matrix() @ R_grasp.T).T + at
+        posed = receiver.copy()
+        posed[1, :3] += 0.5 * t * (found.elbow[i].double().numpy() - receiver[1, :3])
+        posed[2, :3] = at
+        images.append(frame(stored, [(moved, SKIN)], posed, size, view))
+    save_picture(PAGE.with_suffix(".png"), np.concatenate(images, axis=1))
+    counts = ", ".join(f"{int(mask.sum())} {name}" for name, (mask, _) in groups.items())
+    return (
+        f"Trial {int(asked.trial_id[i])} ({stored.object_model.name}): {counts} of {int(found.known[i])} hands, one in"
+        f" {SHOWN_OF} drawn (green, red, yellow); then the easiest one: waiting, 10 cm before the grasp, there."
+        f" The hand turns by {float(found.turn_deg[i]):.0f} degrees."
+    )
+
+
+def frame(
+    stored: Any, hands: list[tuple[np.ndarray, Any]], receiver: Any, size: tuple[int, int], view: Any
+) -> np.ndarray:
+    """A picture of the trial at its goal, with these hands (skins in the world, colours) in place of the waiting one."""
+    import mujoco
+
+    from r2h_batch.export.mjcf import spec_of
+    from r2h_batch.scene.offscreen import renderer
+
+    spec = spec_of(replace(stored, receiver=receiver))
+    for geom in spec.geoms:
+        if geom.name.startswith("hand/"):
+            geom.rgba[3] = 0.0
+    faces = stored.hand_set.model.faces_by_side[int(stored.hand_set.side[stored.row["hand_index"]])].numpy()
+    for k, (skin, color) in enumerate(hands):
+        mesh = spec.add_mesh(name=f"taking{k}", uservert=skin.ravel(), userface=faces.ravel())
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        how = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name, "rgba": color}
+        spec.worldbody.add_geom(contype=0, conaffinity=0, **how)
+    model = spec.compile()
+    model.vis.global_.offwidth, model.vis.global_.offheight = size
+    data, camera, option = mujoco.MjData(model), mujoco.MjvCamera(), mujoco.MjvOption()
+    data.qpos[:] = stored.target_q
+    mujoco.mj_forward(model, data)
+    option.sitegroup[:], option.geomgroup[:] = 0, [1, 1, 1, 0, 0, 0]
+    camera.lookat[:], camera.distance = view.look_at, view.distance_m
+    camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
+    with renderer(model, *size) as drawer:
+        drawer.update_scene(data, camera, option)
+        return np.array(drawer.render())
+
+
+def markdown(data: dict[str, Any]) -> str:
+    """The page."""
+    from r2h_batch.report.text import aligned
+
+    lines = [[str(row["trials"]), *(f"{row[k]:.2f}" for k in PARTS)] for row in data["cost"]]
+    head = ["Trials", "ms a trial", "arm", "free, way", "clear", "release", "whole way"]
+    text = HEAD.format(commit=str(data["commit"])[:12], caption=data["caption"]) + data["tables"]
+    return text + COST.format(table=aligned(head, lines, 0))
+
+
+def main() -> None:
+    """Measures and writes, or writes again."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trials", type=int, default=500, help="of each split")
+    parser.add_argument("--render", action="store_true")
+    options = parser.parse_args()
+    if not options.render:
+        from r2h_batch.results.reception import render
+
+        asked, tables = judged(ROOT / "r2h_batch" / "compare" / "baselines", options.trials)
+        torch.set_num_threads(1)
+        data = {
+            "trials": options.trials,
+            "tables": render(tables),
+            "cost": cost(asked[3]),
+            "caption": draw(*asked),
+            **made_by(),
+        }
+        STORED.write_text(json.dumps(data, indent=1) + "\n")
+    PAGE.write_text(markdown(json.loads(STORED.read_text())))
+
+
+if __name__ == "__main__":
+    main()

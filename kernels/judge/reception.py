@@ -1,0 +1,623 @@
+"""Can a person take the object with a given grasp: the arm that brings the hand there, the gripper beside the hand, the
+robot beside the arm, and the way from where the hand waits.
+
+A pair is a trial and one receiving grasp of its object. Objects of revolution may be turned about their axis: a pair has an
+angle of its own, and all its work is done in the object's frame turned by it.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.angles import angle_of, arc_cosine, sin_cos
+from r2h_batch.kernels.geometry.body import BOX, CAPSULE, Body
+from r2h_batch.kernels.geometry.closest import from_segment
+from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.surface import inverse_pose
+from r2h_batch.kernels.methods.hand_clearance import PosedHands, gripper_distance
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap
+from r2h_batch.kernels.robot.world import (
+    TrialBodies,
+    World,
+    body_pose,
+    forward_kinematics,
+    link_frame,
+    robot_body,
+    vec6,
+)
+
+wp.set_module_options(OPTIONS)
+
+vec7 = wp.types.vector(length=7, dtype=float)
+"""Angles of an arm, degrees: shoulder flexion and abduction, elbow, forearm (+ supinated), wrist flexion and deviation
+(+ ulnar), lean of the trunk."""
+
+SWIVEL_LOW = wp.constant(-30)
+SWIVELS = wp.constant(16)
+SWIVEL_STEP = wp.constant(10)
+ELBOW_DEG = wp.constant(150.0)
+TURN_DEG = wp.constant(80.0)
+FLEXION_DEG = wp.constant(80.0)
+EXTENSION_DEG = wp.constant(70.0)
+RADIAL_DEG = wp.constant(20.0)
+ULNAR_DEG = wp.constant(30.0)
+SHOULDER_FLEXION_DEG = wp.constant(180.0)
+SHOULDER_EXTENSION_DEG = wp.constant(60.0)
+SHOULDER_ABDUCTION_DEG = wp.constant(180.0)
+SHOULDER_ADDUCTION_DEG = wp.constant(75.0)
+"""Ranges of the arm's joints (AAOS; docs/receivers.md); those of the shoulder scale its effort and exclude no posture."""
+MOST_FLEXED, MOST_EXTENDED = wp.constant(-0.98482), wp.constant(0.93971)
+LEAST_INWARDS = wp.constant(0.030150)
+"""Just beyond -sin 80, sin 70 and cos^2 80 degrees."""
+FOREARM_POINTS = wp.constant(9)
+"""Points of the forearm that must lie outside the torso's box, as when persons are placed (trials/receivers.py)."""
+
+WAY_M = wp.constant(0.10)
+"""Length of the straight ends of the ways: of the hand to the grasp, and of the gripper back from the object."""
+WAYS = wp.constant(3)
+TOUCH_M = wp.constant(1.0e-4)
+NEAR_M = wp.constant(0.03)
+FAR_M = wp.constant(0.05)
+"""Distances are computed up to these: to know whether bodies meet, for a step of a straight end, for one of the whole way."""
+MOST_STEPS = wp.constant(256)
+
+
+@wp.struct
+class Receiving:
+    """The receiving grasps of all objects, in their objects' frames."""
+
+    wrist: wp.array(dtype=wp.vec3)  # (M,) m
+    along: wp.array(dtype=wp.vec3)  # unit, from the wrist along the hand, in the palm's plane
+    normal: wp.array(dtype=wp.vec3)  # unit, out of the palm
+    R: wp.array(dtype=wp.mat33)  # the hand's frame
+    axis: wp.array(dtype=wp.vec3)  # (O,) of revolution; 0: the object has none
+    axis_point: wp.array(dtype=wp.vec3)
+
+
+@wp.struct
+class Arm:
+    """A person's arm and trunk in one posture, world or hand frame."""
+
+    shoulder: wp.vec3
+    elbow: wp.vec3
+    wrist: wp.vec3
+    upper_radius: float
+    lower_radius: float
+    torso: wp.vec3  # the box's middle
+    axes: wp.mat33  # its axes as columns: ahead, left, up
+    half: wp.vec3
+
+
+@wp.func
+def unit(v: wp.vec3):
+    return v / wp.max(wp.length(v), 1.0e-9)
+
+
+@wp.func
+def rotation(T: wp.mat44):
+    return wp.mat33(T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2])
+
+
+@wp.func
+def position(T: wp.mat44):
+    return wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+
+
+@wp.func
+def about_axis(grasps: Receiving, obj: int, angle: float):
+    """R, p of a turn by `angle` (rad) about the object's axis of revolution; the identity for an object without one."""
+    u = grasps.axis[obj]
+    s, c = sin_cos(angle)
+    if wp.length_sq(u) == 0.0:
+        s = float(0.0)
+        c = float(1.0)
+    R = c * wp.identity(n=3, dtype=float) + s * wp.skew(u) + (1.0 - c) * wp.outer(u, u)
+    return R, grasps.axis_point[obj] - R * grasps.axis_point[obj]
+
+
+@wp.func
+def trunk_axes(receiver: wp.array2d(dtype=wp.vec4), row: int, lean_deg: float):
+    """Axes of the torso as columns (ahead, left, up), turned forwards by `lean_deg` about the hip; and the hip."""
+    torso = receiver[row, 3]
+    half = receiver[row, 4]
+    s, c = sin_cos(wp.radians(lean_deg))
+    ahead = wp.vec3(torso[3], half[3], 0.0)
+    left = wp.vec3(-half[3], torso[3], 0.0)
+    up = wp.vec3(0.0, 0.0, 1.0)
+    axes = wp.matrix_from_cols(c * ahead - s * up, left, c * up + s * ahead)
+    return axes, wp.vec3(torso[0], torso[1], torso[2] - half[2])
+
+
+@wp.func
+def leaned(receiver: wp.array2d(dtype=wp.vec4), row: int, lean_deg: float) -> Arm:
+    """Trunk and shoulder of a person who leans; the elbow and wrist of the waiting posture."""
+    upright, hip = trunk_axes(receiver, row, 0.0)
+    axes, hip = trunk_axes(receiver, row, lean_deg)
+    arm = Arm()
+    arm.half = wp.vec3(receiver[row, 4][0], receiver[row, 4][1], receiver[row, 4][2])
+    shoulder = wp.vec3(receiver[row, 0][0], receiver[row, 0][1], receiver[row, 0][2])
+    arm.shoulder = hip + axes * (wp.transpose(upright) * (shoulder - hip))
+    arm.elbow = wp.vec3(receiver[row, 1][0], receiver[row, 1][1], receiver[row, 1][2])
+    arm.wrist = wp.vec3(receiver[row, 2][0], receiver[row, 2][1], receiver[row, 2][2])
+    arm.upper_radius = receiver[row, 0][3]
+    arm.lower_radius = receiver[row, 1][3]
+    arm.torso = hip + axes * wp.vec3(0.0, 0.0, arm.half[2])
+    arm.axes = axes
+    return arm
+
+
+@wp.func
+def crosses_torso(arm: Arm):
+    """Whether a point along the forearm lies in the torso's box."""
+    for k in range(FOREARM_POINTS):
+        t = float(k) / float(FOREARM_POINTS - 1)
+        d = wp.transpose(arm.axes) * (arm.elbow + t * (arm.wrist - arm.elbow) - arm.torso)
+        if wp.abs(d[0]) < arm.half[0] and wp.abs(d[1]) < arm.half[1] and wp.abs(d[2]) < arm.half[2]:
+            return True
+    return False
+
+
+@wp.func
+def share(angle: float, above: float, below: float):
+    """An angle over its joint's range on its side."""
+    return wp.where(angle >= 0.0, angle / above, angle / below)
+
+
+@wp.func
+def arm_angles(arm: Arm, outwards: float, along: wp.vec3, normal: wp.vec3) -> vec7:
+    """The arm's joint angles in degrees (lean 0), from where its hand points and its palm faces (unit vectors).
+
+    The inverse of how r2h-v1 draws a posture (trials/receivers.py: `_hand_axes`): the forearm turns, then the wrist bends,
+    then it goes aside.
+    """
+    u = unit(arm.elbow - arm.shoulder)
+    f = unit(arm.wrist - arm.elbow)
+    t = unit(wp.dot(u, f) * f - u)
+    i = -outwards * wp.cross(t, f)
+    n_f = wp.clamp(wp.dot(normal, f), -1.0, 1.0)
+    turn = angle_of(wp.dot(normal, t), wp.dot(normal, i))
+    s, c = sin_cos(turn)
+    aside = c * t - s * i
+    flexion = arc_cosine(n_f) - 1.5707963267948966  # -asin
+    deviation = angle_of(-wp.dot(along, aside), wp.dot(along, unit(f - n_f * normal)))
+    upper = wp.transpose(arm.axes) * u
+    out = vec7()
+    out[0] = wp.degrees(angle_of(upper[0], -upper[2]))
+    out[1] = 90.0 - wp.degrees(arc_cosine(wp.clamp(outwards * upper[1], -1.0, 1.0)))
+    out[2] = wp.degrees(arc_cosine(wp.clamp(wp.dot(u, f), -1.0, 1.0)))
+    out[3] = wp.degrees(turn)
+    out[4] = wp.degrees(flexion)
+    out[5] = wp.degrees(deviation)
+    return out
+
+
+@wp.func
+def square(x: float):
+    return x * x
+
+
+@wp.func
+def forearm_may_turn(upper: wp.vec3, forearm: wp.vec3, outwards: float, normal: wp.vec3):
+    """Whether the wrist's flexion and the forearm's turn can be within their ranges, without an arc: most postures end here.
+
+    `arm_angles` and `within_ranges` decide what passes here.
+    """
+    n_f = wp.dot(normal, forearm)
+    t = unit(wp.dot(upper, forearm) * forearm - upper)
+    ahead = wp.dot(normal, t)
+    inwards = -outwards * wp.dot(normal, wp.cross(t, forearm))
+    return (
+        n_f >= MOST_FLEXED
+        and n_f <= MOST_EXTENDED
+        and inwards >= 0.0
+        and square(inwards) >= LEAST_INWARDS * (square(ahead) + square(inwards))
+    )
+
+
+@wp.func
+def effort_of(a: vec7):
+    """Mean square of the angles over their ranges, and of the lean over 60 degrees."""
+    c = square(share(a[0], SHOULDER_FLEXION_DEG, SHOULDER_EXTENSION_DEG))
+    c += square(share(a[1], SHOULDER_ABDUCTION_DEG, SHOULDER_ADDUCTION_DEG))
+    c += square((a[2] - 80.0) / 75.0)
+    c += square(a[3] / TURN_DEG)
+    c += square(share(a[4], FLEXION_DEG, EXTENSION_DEG))
+    c += square(share(a[5], ULNAR_DEG, RADIAL_DEG))
+    return c / 6.0 + square(a[6] / 60.0)
+
+
+@wp.func
+def within_ranges(a: vec7):
+    return (
+        a[2] <= ELBOW_DEG
+        and wp.abs(a[3]) <= TURN_DEG
+        and a[4] <= FLEXION_DEG
+        and a[4] >= -EXTENSION_DEG
+        and a[5] <= ULNAR_DEG
+        and a[5] >= -RADIAL_DEG
+    )
+
+
+@wp.kernel
+def reach_with_arm(
+    first: int,
+    # tables
+    grasps: Receiving,
+    lean_in: wp.array(dtype=float),  # degrees, the leans that are tried
+    # trials
+    row_in: wp.array(dtype=int),
+    count_in: wp.array(dtype=int),
+    object_in: wp.array(dtype=int),
+    outwards_in: wp.array(dtype=float),  # -1 of right arms, 1 of left ones
+    T_world_obj_in: wp.array(dtype=wp.mat44),
+    T_world_hand_in: wp.array(dtype=wp.mat44),
+    receiver_in: wp.array2d(dtype=wp.vec4),
+    # out
+    effort_out: wp.array2d(dtype=float),
+    turn_out: wp.array2d(dtype=float),
+    angles_out: wp.array2d(dtype=vec7),
+    elbow_out: wp.array2d(dtype=wp.vec3),
+):
+    """The posture of least effort that brings the hand to grasp k of each trial; effort -1 where no posture does.
+
+    Leans and swivels of the elbow about the line from shoulder to wrist are tried; the rest follows. Every second grasp of an
+    object of revolution is turned to where the hand turns least from how it waits.
+    """
+    i, k = wp.tid()
+    trial = first + i
+    effort_out[trial, k] = -1.0
+    if k >= count_in[trial]:
+        return
+    row = row_in[trial] + k
+    obj = object_in[trial]
+    outwards = outwards_in[trial]
+    R_world_obj = rotation(T_world_obj_in[trial])
+    turn = float(0.0)
+    u = grasps.axis[obj]
+    if k % 2 == 1 and wp.length_sq(u) > 0.0:
+        # the turn that maximises trace(R_wait^T R_world_obj Rot(u, turn) R_grasp)
+        M = grasps.R[row] * wp.transpose(rotation(T_world_hand_in[trial])) * R_world_obj
+        v = wp.vec3(M[1, 2] - M[2, 1], M[2, 0] - M[0, 2], M[0, 1] - M[1, 0])
+        turn = angle_of(wp.dot(u, v), M[0, 0] + M[1, 1] + M[2, 2] - wp.dot(u, M * u))
+    turn_out[trial, k] = turn
+    R_turn, p_turn = about_axis(grasps, obj, turn)
+    R = R_world_obj * R_turn
+    wrist = R * grasps.wrist[row] + R_world_obj * p_turn + position(T_world_obj_in[trial])
+    along = R * grasps.along[row]
+    normal = R * grasps.normal[row]
+
+    waiting = leaned(receiver_in, trial, 0.0)
+    upper = wp.length(waiting.elbow - waiting.shoulder)
+    lower = wp.length(waiting.wrist - waiting.elbow)
+    best = float(1.0e30)
+    for j in range(lean_in.shape[0]):
+        arm = leaned(receiver_in, trial, lean_in[j])
+        arm.wrist = wrist
+        to = wrist - arm.shoulder
+        r = wp.length(to)
+        if r < upper + lower and r > wp.abs(upper - lower) and square(lean_in[j] / 60.0) < best:
+            to = to / r
+            middle = (upper * upper - lower * lower + r * r) / (2.0 * r)
+            beside = wp.sqrt(wp.max(upper * upper - middle * middle, 0.0))
+            down = wp.vec3(0.0, 0.0, -1.0)
+            hanging = unit(down - wp.dot(down, to) * to)
+            aside = outwards * wp.cross(to, hanging)
+            for swivel in range(SWIVELS):
+                s, c = sin_cos(wp.radians(float(SWIVEL_LOW + SWIVEL_STEP * swivel)))
+                out = middle * to + beside * (c * hanging + s * aside)
+                arm.elbow = arm.shoulder + out
+                if forearm_may_turn(out / upper, (wrist - arm.elbow) / lower, outwards, normal):
+                    a = arm_angles(arm, outwards, along, normal)
+                    a[6] = lean_in[j]
+                    effort = effort_of(a)
+                    if effort < best and within_ranges(a) and not crosses_torso(arm):
+                        best = effort
+                        effort_out[trial, k] = effort
+                        angles_out[trial, k] = a
+                        elbow_out[trial, k] = arm.elbow
+
+
+@wp.func
+def way_direction(grasps: Receiving, row: int, which: int):
+    """From where a hand comes down on the object: out of its palm, along itself, between the two."""
+    n = grasps.normal[row]
+    if which == 1:
+        n = grasps.along[row]
+    elif which == 2:
+        n = unit(grasps.normal[row] + grasps.along[row])
+    return n
+
+
+@wp.func
+def straight_is_free(
+    gripper: Gripper, hands: PosedHands, row: int, R: wp.mat33, p: wp.vec3, drive: float, step: wp.vec3, eps: float
+):  # fmt: skip
+    """Whether gripper and hand keep more than `eps` while the hand goes by `step` per metre, ee frame, over WAY_M.
+
+    Certified: no point moves farther than the parameter, so nothing meets within a distance that was measured.
+    """
+    s = float(0.0)
+    for _ in range(MOST_STEPS):
+        d = gripper_distance(gripper, hands, row, R, p + s * step, drive, NEAR_M)
+        if d <= eps:
+            return False
+        s += d
+        if s >= WAY_M:
+            return True
+    return False
+
+
+@wp.func
+def in_turned_object(grasps: Receiving, obj: int, turn: float, attached: wp.mat44):
+    """R, p from the object's frame, turned about its axis of revolution, to ee."""
+    R_ee, p_ee = inverse_pose(attached)
+    R_turn, p_turn = about_axis(grasps, obj, turn)
+    return R_ee * R_turn, R_ee * p_turn + p_ee
+
+
+@wp.kernel
+def come_to_object(
+    first: int,
+    # tables
+    gripper: Gripper,
+    hands: PosedHands,
+    grasps: Receiving,
+    eps: float,
+    # pairs
+    row_in: wp.array(dtype=int),
+    turn_in: wp.array(dtype=float),
+    object_in: wp.array(dtype=int),
+    attached_in: wp.array(dtype=wp.mat44),  # of each pair's trial, as are the openings
+    opening_in: wp.array(dtype=float),
+    # out
+    free_out: wp.array(dtype=wp.bool),
+    way_out: wp.array(dtype=int),
+):
+    """Whether each pair's hand is clear of the closed gripper, and the first direction from which it can come; -1: none."""
+    pair = first + wp.tid()
+    row = row_in[pair]
+    R, p = in_turned_object(grasps, object_in[pair], turn_in[pair], attached_in[pair])
+    drive = drive_from_gap(gripper, opening_in[pair])
+    way = int(-1)
+    free = gripper_distance(gripper, hands, row, R, p, drive, eps + 1.0e-4) > eps
+    if free:
+        for which in range(WAYS):
+            if way < 0:
+                step = -(R * way_direction(grasps, row, which))
+                if straight_is_free(gripper, hands, row, R, p, drive, step, eps):
+                    way = which
+    free_out[pair] = free
+    way_out[pair] = way
+
+
+@wp.kernel
+def let_go(
+    first: int,
+    gripper: Gripper,
+    hands: PosedHands,
+    grasps: Receiving,
+    eps: float,
+    open_gap: float,
+    row_in: wp.array(dtype=int),
+    turn_in: wp.array(dtype=float),
+    object_in: wp.array(dtype=int),
+    attached_in: wp.array(dtype=wp.mat44),
+    opening_in: wp.array(dtype=float),
+    release_out: wp.array(dtype=wp.bool),
+):
+    """Whether, with the object in each pair's hand, the fingers can open (looked at in three openings) and back off."""
+    pair = first + wp.tid()
+    row = row_in[pair]
+    R, p = in_turned_object(grasps, object_in[pair], turn_in[pair], attached_in[pair])
+    gap = opening_in[pair]
+    release = bool(True)
+    for k in range(3):
+        wider = drive_from_gap(gripper, gap + (open_gap - gap) * float(k + 1) / 3.0)
+        if release and gripper_distance(gripper, hands, row, R, p, wider, eps + 1.0e-4) <= eps:
+            release = bool(False)
+    if release:
+        # the gripper backs off along its -z: seen from it, the hand goes along z
+        opened = drive_from_gap(gripper, open_gap)
+        release = straight_is_free(gripper, hands, row, R, p, opened, wp.vec3(0.0, 0.0, 1.0), eps)
+    release_out[pair] = release
+
+
+@wp.func
+def frame_along(z: wp.vec3):
+    """A rotation whose third column is z."""
+    helper = wp.where(wp.abs(z[0]) > 0.7, wp.vec3(0.0, 1.0, 0.0), wp.vec3(1.0, 0.0, 0.0))
+    x = unit(wp.cross(helper, z))
+    return wp.matrix_from_cols(x, wp.cross(z, x), z)
+
+
+@wp.func
+def limb_gap(arm: Arm, limb: int, c0: wp.vec3, c1: wp.vec3):
+    """Lower bound (m) on the distance of a segment from a limb: forearm, upper arm, or the torso's box."""
+    if limb == 2:
+        # of the box around the segment, along the torso's axes
+        a = wp.transpose(arm.axes) * (c0 - arm.torso)
+        b = wp.transpose(arm.axes) * (c1 - arm.torso)
+        gap = wp.vec3(0.0, 0.0, 0.0)
+        for k in range(3):
+            gap[k] = wp.max(wp.max(wp.min(a[k], b[k]), -wp.max(a[k], b[k])) - arm.half[k], 0.0)
+        return wp.length(gap)
+    if limb == 1:
+        return wp.length(from_segment(arm.shoulder, arm.elbow, c0, c1)) - arm.upper_radius
+    return wp.length(from_segment(arm.elbow, arm.wrist, c0, c1)) - arm.lower_radius
+
+
+@wp.func
+def limb_body(arm: Arm, limb: int):
+    """A limb as a shape, and its frame: R, p."""
+    body = Body()
+    if limb == 2:
+        body.kind = BOX
+        body.size = arm.half
+        return body, arm.axes, arm.torso
+    a = wp.where(limb == 0, arm.elbow, arm.shoulder)
+    b = wp.where(limb == 0, arm.wrist, arm.elbow)
+    body.kind = CAPSULE
+    body.radius = wp.where(limb == 0, arm.lower_radius, arm.upper_radius)
+    body.size = wp.vec3(body.radius, 0.5 * wp.length(b - a), 0.0)
+    return body, frame_along(unit(b - a)), 0.5 * (a + b)
+
+
+@wp.func
+def arm_distance(
+    world: World, bodies: TrialBodies, trial: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), arm: Arm,
+    cap: float,
+):  # fmt: skip
+    """Distance (m) of the robot (without the object) from forearm, upper arm and torso, all in the world's hand frame: `cap`
+    at most, 0 where they meet. R, p: the links' frames (`forward_kinematics`)."""
+    best = float(cap)
+    none = wp.vec3(0.0, 0.0, 0.0)
+    for link in range(8):
+        k = link_frame(link)
+        l0 = R[k] * world.link_c0[link] + p[k]
+        l1 = R[k] * world.link_c1[link] + p[k]
+        for limb in range(3):
+            if best > 0.0 and limb_gap(arm, limb, l0, l1) - world.link_radius[link] < best:
+                other, frame, middle = limb_body(arm, limb)
+                inverse = wp.transpose(frame)
+                for b in range(world.link_first[link], world.link_first[link + 1]):
+                    Rb, pb = body_pose(world, bodies, trial, R, p, b)
+                    axis = Rb * world.cap_axis[b]
+                    if best > 0.0 and limb_gap(arm, limb, pb - axis, pb + axis) - world.cap_radius[b] < best:
+                        d = gjk(
+                            robot_body(world, b), inverse * Rb, inverse * (pb - middle), world.points,
+                            other, world.points, none, best, 0.0,
+                        )  # fmt: skip
+                        best = wp.min(best, wp.max(d.lower, 0.0))
+    return best
+
+
+@wp.func
+def into_hand_frame(arm: Arm, R: wp.mat33, p: wp.vec3) -> Arm:
+    """The arm in the frame in which the robot's bodies are: `TrialBodies`' R_hand_world, p_hand_world."""
+    arm.shoulder = R * arm.shoulder + p
+    arm.elbow = R * arm.elbow + p
+    arm.wrist = R * arm.wrist + p
+    arm.torso = R * arm.torso + p
+    arm.axes = R * arm.axes
+    return arm
+
+
+@wp.kernel
+def arm_beside_robot(
+    first: int,
+    world: World,
+    bodies: TrialBodies,
+    receiver: wp.array2d(dtype=wp.vec4),
+    q: wp.array(dtype=vec6),
+    trial_in: wp.array(dtype=int),
+    lean_in: wp.array(dtype=float),
+    elbow_in: wp.array(dtype=wp.vec3),
+    wrist_in: wp.array(dtype=wp.vec3),
+    clear_out: wp.array(dtype=wp.bool),
+):
+    """Whether the robot at its goal meets neither arm nor torso of each pair's posture."""
+    pair = first + wp.tid()
+    trial = trial_in[pair]
+    R = wp.zeros(shape=7, dtype=wp.mat33)
+    p = wp.zeros(shape=7, dtype=wp.vec3)
+    forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q[trial], R, p)
+    arm = leaned(receiver, trial, lean_in[pair])
+    arm.elbow = elbow_in[pair]
+    arm.wrist = wrist_in[pair]
+    arm = into_hand_frame(arm, bodies.R_hand_world[trial], bodies.p_hand_world[trial])
+    clear_out[pair] = arm_distance(world, bodies, trial, R, p, arm, TOUCH_M) > 0.0
+
+
+@wp.kernel
+def way_to_grasp(
+    first: int,
+    # tables
+    world: World,
+    bodies: TrialBodies,
+    gripper: Gripper,
+    hands: PosedHands,
+    grasps: Receiving,
+    receiver: wp.array2d(dtype=wp.vec4),
+    q: wp.array(dtype=vec6),
+    eps: float,
+    # pairs
+    trial_in: wp.array(dtype=int),
+    row_in: wp.array(dtype=int),
+    turn_in: wp.array(dtype=float),
+    way_in: wp.array(dtype=int),
+    object_in: wp.array(dtype=int),
+    attached_in: wp.array(dtype=wp.mat44),
+    opening_in: wp.array(dtype=float),
+    T_world_obj_in: wp.array(dtype=wp.mat44),
+    T_world_hand_in: wp.array(dtype=wp.mat44),
+    lean_in: wp.array(dtype=float),
+    elbow_in: wp.array(dtype=wp.vec3),
+    # out
+    free_out: wp.array(dtype=wp.bool),
+):
+    """Whether hand and arm come from where they wait to the grasp without meeting gripper and robot.
+
+    The wrist goes straight to 10 cm before the grasp while the hand turns about one axis, then straight in (`way_direction`);
+    elbow, shoulder and lean go in proportion. The hand has the grasp's shape all the way. Certified: with d the distance and L
+    the farthest that a point goes per unit of the parameter t (0 waiting, 1 before the grasp, 2 there), nothing meets within
+    d / L.
+    """
+    pair = first + wp.tid()
+    trial = trial_in[pair]
+    row = row_in[pair]
+    R_hand_world = bodies.R_hand_world[trial]
+    p_hand_world = bodies.p_hand_world[trial]
+    links = wp.zeros(shape=7, dtype=wp.mat33)
+    origins = wp.zeros(shape=7, dtype=wp.vec3)
+    forward_kinematics(world, R_hand_world, p_hand_world, q[trial], links, origins)
+    # the turned object's frame
+    R_turn, p_turn = about_axis(grasps, object_in[pair], turn_in[pair])
+    R_world = rotation(T_world_obj_in[pair]) * R_turn
+    p_world = rotation(T_world_obj_in[pair]) * p_turn + position(T_world_obj_in[pair])
+    R_ee, p_ee = in_turned_object(grasps, object_in[pair], turn_in[pair], attached_in[pair])
+    drive = drive_from_gap(gripper, opening_in[pair])
+
+    start = leaned(receiver, trial, 0.0)
+    goal = leaned(receiver, trial, lean_in[pair])
+    goal.elbow = elbow_in[pair]
+    target = grasps.wrist[row]
+    before = target + WAY_M * way_direction(grasps, row, way_in[pair]) * -1.0
+    waits = wp.transpose(R_world) * (start.wrist - p_world)
+    R_waits = wp.transpose(R_world) * rotation(T_world_hand_in[pair])
+    # from the waiting hand's orientation to the grasp's, about one axis
+    axis, angle = wp.quat_to_axis_angle(wp.quat_from_matrix(grasps.R[row] * wp.transpose(R_waits)))
+    if angle > 3.141592653589793:
+        angle = 6.283185307179586 - angle
+        axis = -axis
+    size = float(0.0)
+    for piece in range(hands.n_pieces):
+        ball = hands.ball[row * hands.n_pieces + piece]
+        size = wp.max(size, wp.length(wp.vec3(ball[0], ball[1], ball[2]) - target) + ball[3])
+
+    trunk = wp.radians(lean_in[pair]) * (2.0 * goal.half[2] + wp.length(goal.half))
+    joints = 0.5 * wp.max(wp.max(wp.length(goal.shoulder - start.shoulder), wp.length(goal.elbow - start.elbow)), trunk)
+    t = float(0.0)
+    free = bool(False)
+    for _ in range(MOST_STEPS):
+        wrist = before + (t - 1.0) * (target - before)
+        travel = WAY_M
+        turn_left = float(0.0)
+        if t < 1.0:
+            wrist = waits + t * (before - waits)
+            travel = wp.length(before - waits)
+            turn_left = 1.0 - t
+        speed = travel + wp.where(t < 1.0, angle * size, 0.0)
+        R_back = wp.quat_to_matrix(wp.quat_from_axis_angle(axis, -turn_left * angle))
+        d = gripper_distance(gripper, hands, row, R_ee * R_back, R_ee * (wrist - R_back * target) + p_ee, drive, FAR_M)
+        arm = leaned(receiver, trial, 0.5 * t * lean_in[pair])
+        arm.elbow = start.elbow + 0.5 * t * (goal.elbow - start.elbow)
+        arm.wrist = R_world * wrist + p_world
+        arm = into_hand_frame(arm, R_hand_world, p_hand_world)
+        e = arm_distance(world, bodies, trial, links, origins, arm, FAR_M)
+        if d <= eps or e <= 1.0e-4:
+            break
+        if t >= 2.0:
+            free = bool(True)
+            break
+        onward = t + wp.min(d / wp.max(speed, 1.0e-6), e / wp.max(wp.max(joints, travel), 1.0e-6))
+        t = wp.min(onward, wp.where(t < 1.0, 1.0, 2.0))  # both speeds change at 1
+    free_out[pair] = free

@@ -1,0 +1,114 @@
+"""Distance of closed grippers from posed hands: where a hand stands, and where it holds the object."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import warp as wp
+from jaxtyping import Float32, Int32
+from torch import Tensor
+
+from r2h_batch.bodies.hand import HandModel
+from r2h_batch.bodies.robot import Robot
+from r2h_batch.kernels.methods import hand_clearance as kernels
+from r2h_batch.launch import launch_trials
+from r2h_batch.scene.grasp_tables import gripper_tables
+
+__all__ = ["PosedHand", "gripper_clearance", "posed_hand"]
+
+
+@dataclass(frozen=True)
+class PosedHand:
+    """B posed hands: the kernels' struct, and the tensors that own its memory."""
+
+    struct: Any
+    owners: tuple[Any, ...]
+    device: str
+
+    def __len__(self) -> int:
+        return len(self.owners[0])
+
+
+def posed_hand(
+    model: HandModel, vertices: Float32[Tensor, "b v 3"], device: str, *, threads: int | None = None
+) -> PosedHand:
+    """Hands as convex pieces.
+
+    Args:
+        model: whose order the vertices have.
+        vertices: (b, V, 3) in metres, each row in a frame of its own.
+        device: of the result.
+        threads: of the CPU.
+    """
+    ids = model.piece_vertices.to(vertices.device).long()
+    points = vertices[:, ids].float().to(device).contiguous()
+    ball = torch.empty((len(points), len(model.piece_names), 4), dtype=torch.float32, device=device)
+    start = model.piece_offsets.to(torch.int32).to(device).contiguous()
+    struct = kernels.PosedHands()
+    struct.n_pieces, struct.n_points = len(model.piece_names), len(ids)
+    struct.piece_start = wp.from_torch(start)
+    struct.points = wp.from_torch(points.reshape(-1, 3), dtype=wp.vec3)
+    struct.ball = wp.from_torch(ball.reshape(-1, 4), dtype=wp.vec4)
+    launch_trials(
+        kernels.enclose_pieces,
+        len(points),
+        inputs={"hands": struct},
+        outputs={"ball": struct.ball},
+        device=device,
+        threads=threads,
+        chunk=64,
+    )
+    return PosedHand(struct, (points, ball, start), device)
+
+
+def gripper_clearance(
+    robot: Robot,
+    hand: PosedHand,
+    T_hand_ee: Float32[Tensor, "m 4 4"],
+    opening_m: Float32[Tensor, " m"],
+    row: Int32[Tensor, " b"],
+    count: Int32[Tensor, " b"],
+    width: int,
+    *,
+    cap_m: float,
+    threads: int | None = None,
+) -> Float32[Tensor, "b k"]:
+    """Distance of several grippers from each hand.
+
+    Args:
+        robot: with the gripper.
+        hand: b hands.
+        T_hand_ee: (m, 4, 4) gripper poses in the frame of a hand's vertices.
+        opening_m: (m,) their openings.
+        row: (b,) where the grippers of a hand begin in these two.
+        count: (b,) how many a hand has.
+        width: columns of the result.
+        cap_m: distances are computed up to this.
+        threads: of the CPU.
+
+    Returns:
+        (b, width) metres, at most `cap_m`; 0 where they meet, and from `count` on.
+    """
+    n = len(hand)
+    out = torch.zeros((n, width), dtype=torch.float32, device=hand.device)
+    if n == 0 or width == 0:
+        return out
+    launch_trials(
+        kernels.gripper_to_hand,
+        n,
+        inputs={
+            "gripper": gripper_tables(robot, hand.device),
+            "hands": hand.struct,
+            "cap": cap_m,
+            "row": row.to(torch.int32).contiguous(),
+            "count": count.to(torch.int32).contiguous(),
+            "T": T_hand_ee.contiguous(),
+            "opening": opening_m.contiguous(),
+        },
+        outputs={"clearance": out},
+        device=hand.device,
+        threads=threads,
+        chunk=8,
+        width=width,
+    )
+    return out

@@ -1,0 +1,482 @@
+"""Can this person take the object? Which of the held-out receiving grasps the receiver can have, and the
+easiest of them. No part of the verdict.
+
+A grasp counts when it passes every step of `STEPS`. The person may lean; the object is where the robot
+holds it out, and the robot stands at its goal. docs/receivers.md has the definitions, ranges and sources.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float32, Float64, Int8, Int16, Int32, Int64, Shaped
+from numpy.typing import NDArray
+from scipy.special import gammaln
+from torch import Tensor
+
+from r2h_batch import se3
+from r2h_batch.bodies.hand import palm_frame
+from r2h_batch.judge.execution_error import executed_poses
+from r2h_batch.judge.grasp import attach
+from r2h_batch.judge.hand_clearance import PosedHand, posed_hand
+from r2h_batch.kernels.judge import reception as kernels
+from r2h_batch.launch import launch_trials, new_outputs
+from r2h_batch.receiver.held_out import GRAVITY, HeldOut, load_held_out
+from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.scene import Scene
+from r2h_batch.scene.tables import MIDDLE_ROOT
+from r2h_batch.types import CRITERIA, ScoreInputs, Scores
+
+__all__ = ["ANGLES", "STEPS", "Reception", "chance_of_one", "reception", "rula"]
+
+STEPS = ("arm", "free", "way", "clear", "release", "hold")
+"""What a grasp must pass, in this order. arm: joint ranges allow it. free: the hand is clear of the closed
+gripper. way: it can come straight from 10 cm away. clear: arm and torso are clear of the robot. release: the
+fingers can open and back off by 10 cm. hold: the hand carries the object with at most `GRIP_N`."""
+
+ANGLES = (
+    "shoulder_flexion",
+    "shoulder_abduction",
+    "elbow",
+    "supination",
+    "wrist_flexion",
+    "ulnar_deviation",
+    "lean",
+)
+
+LEANS_DEG = (0.0, 10.0, 20.0, 30.0)
+ROOM_M = 0.0005
+"""Between hand and gripper [choice]."""
+GRIP_N = 40.0
+"""What one digit or the palm may press with [choice]."""
+WAYS_TRIED = 8
+"""The easiest grasps whose whole way is looked at, one after the other."""
+TRIALS_AT_ONCE, PAIRS_CHUNK = 256, 16
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Reception:
+    """Of B handovers.
+
+    Attributes:
+        evaluated: whether the object is in the gripper (Stability) and the robot has a goal posture.
+        received: some grasp passes all steps, and the whole way from the waiting hand to it is free.
+        known: number of held-out grasps of the object for the receiver's hand.
+        count: how many of them pass each of `STEPS` and all before it.
+        grasp: row of the easiest of them in `load_held_out`; -1 where none is received.
+        effort: mean square of the arm's angles over their ranges there, the lean over 60 degrees.
+        turn_deg: by how much the hand turns from how it waits.
+        travel_m: how far the wrist goes.
+        angles_deg: `ANGLES` of the arm that takes the object.
+        rula: grand score (McAtamney and Corlett 1993) of that posture, 1 to 7; 0 where none is received.
+        elbow: where the elbow is then, world, m.
+        T_world_hand: where the hand is then, m.
+    """
+
+    evaluated: Bool[Tensor, " b"]
+    received: Bool[Tensor, " b"]
+    known: Int16[Tensor, " b"]
+    count: Int16[Tensor, "b 6"]
+    grasp: Int32[Tensor, " b"]
+    effort: Float32[Tensor, " b"]
+    turn_deg: Float32[Tensor, " b"]
+    travel_m: Float32[Tensor, " b"]
+    angles_deg: Float32[Tensor, "b 7"]
+    rula: Int8[Tensor, " b"]
+    elbow: Float32[Tensor, "b 3"]
+    T_world_hand: Float32[Tensor, "b 4 4"]
+
+
+def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Reception:
+    """Whether each receiver can take the object that was handed over.
+
+    Args:
+        scores: what `Evaluator.score` returned for trials with a receiver's body (r2h-v1).
+        leans_deg: leans of the trunk that a person may use, degrees; (0,): none.
+
+    Raises:
+        ValueError: the scores do not know what was asked, or the trials have no receiver's body.
+    """
+    if (inputs := scores.inputs) is None:
+        raise ValueError("these scores do not know what was asked; score again")
+    if inputs.trials.receiver is None:
+        raise ValueError(
+            "these trials have no receiver's body, so nobody can take the object; use protocol r2h-v1"
+        )
+    rows = range(0, len(scores), TRIALS_AT_ONCE)
+    parts = [_reception(scores[i : i + TRIALS_AT_ONCE], leans_deg) for i in rows]
+    return Reception(
+        **{k: torch.cat([getattr(p, k) for p in parts]) for k in Reception.__dataclass_fields__}
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Grasps:
+    """Held-out grasps on a device: the kernels' struct and what it is made of, the posed hands, and for
+    each object and side the first row and the number."""
+
+    held_out: HeldOut
+    table: Any
+    owners: tuple[Tensor, ...]
+    hands: PosedHand
+    first: Int32[Tensor, "o 2"]
+    number: Int32[Tensor, "o 2"]
+    grip_n: Float32[Tensor, "m 6"]
+    open_gap_m: float
+
+
+@lru_cache(maxsize=2)
+def _grasps(scene: Scene) -> _Grasps:
+    held_out = load_held_out(scene.objects, scene.hands.model)
+    grasps = held_out.grasps
+    joints = grasps.joints.double()
+    _, normal = palm_frame(joints, grasps.side)
+    along = joints[:, MIDDLE_ROOT] - joints[:, 0]
+    along = along - se3.dot(along, normal)[:, None] * normal
+    along = along / se3.dot(along, along).sqrt()[:, None]
+    vectors = [x.float().to(scene.device) for x in (joints[:, 0], along, normal)]
+    R = grasps.T_obj_hand[:, :3, :3].contiguous().to(scene.device)
+    lines = [x.to(scene.device) for x in (held_out.axis, held_out.axis_point)]
+    table: Any = kernels.Receiving()
+    for name, x in zip(("wrist", "along", "normal"), vectors, strict=True):
+        setattr(table, name, wp.from_torch(x, dtype=wp.vec3))
+    table.R = wp.from_torch(R, dtype=wp.mat33)
+    table.axis, table.axis_point = (wp.from_torch(x, dtype=wp.vec3) for x in lines)
+    of = grasps.object_index.long() * 2 + grasps.side.long()
+    number = torch.bincount(of, minlength=2 * len(scene.objects)).to(torch.int32)
+    first = (torch.cumsum(number, 0) - number).to(torch.int32)
+    return _Grasps(
+        held_out,
+        table,
+        (*vectors, R, *lines),
+        posed_hand(scene.hands.model, grasps.vertices, scene.device),
+        first.view(-1, 2).to(scene.device),
+        number.view(-1, 2).to(scene.device),
+        held_out.grip_n.to(scene.device),
+        scene.robot.open_gap_m,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Some handovers, and what every step reads of them."""
+
+    grasps: _Grasps
+    on: dict[str, Any]
+    """device and threads of a launch"""
+    tables: dict[str, Any]
+    """gripper, hands and grasps, for the kernels that look at both"""
+    robot: dict[str, Any]
+    """the robot at its goals, and the receivers"""
+    evaluated: Bool[Tensor, " b"]
+    side: Int64[Tensor, " b"]
+    first: Int32[Tensor, " b"]
+    """first grasp of each trial's object and hand, and how many there are"""
+    known: Int32[Tensor, " b"]
+    of_trial: dict[str, Tensor]
+
+    @property
+    def width(self) -> int:
+        return max(int(self.grasps.number.max()), 2)
+
+    def pairs(self, trial: Tensor, k: Tensor, arms: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Columns of the pairs (trial, k), from what the arm's step found."""
+        own = {name: x[trial].contiguous() for name, x in self.of_trial.items()}
+        return own | {
+            "trial": trial.to(torch.int32),
+            "row": (self.first[trial] + k).to(torch.int32),
+            "turn": arms["turn"][trial, k],
+            "lean": arms["angles"][trial, k, ANGLES.index("lean")].contiguous(),
+            "elbow": arms["elbow"][trial, k].contiguous(),
+        }
+
+    def wrists(self, pair: dict[str, Tensor]) -> Float32[Tensor, "p 3"]:
+        """Where the wrists of pairs are, world, m."""
+        row = pair["row"].long().clamp(max=len(self.grasps.grip_n) - 1)
+        turned = _about_axis(self.grasps, pair["object"].long(), pair["turn"])
+        return se3.apply(pair["T_world_obj"], se3.apply(turned, self.grasps.owners[0][row]))
+
+
+def _reception(scores: Scores, leans_deg: tuple[float, ...]) -> Reception:
+    batch = _batch_of(scores)
+    arms = _arms(batch, leans_deg)
+    passes = torch.zeros(
+        (*arms["effort"].shape, len(STEPS)), dtype=torch.bool, device=batch.on["device"]
+    )
+    passes[..., 0] = arms["effort"] >= 0
+    passes[..., 5] = _held(batch)
+    way = _come(batch, arms, passes)
+    _beside_robot(batch, arms, passes)
+    _let_go(batch, arms, passes)
+    passes = passes.cummin(2).values
+    chosen = _easiest(batch, arms, way, passes[..., -1])
+    return _result(batch, arms, passes.sum(1), chosen)
+
+
+def _batch_of(scores: Scores) -> _Batch:
+    inputs = scores.inputs
+    assert isinstance(inputs, ScoreInputs)
+    evaluator, trials = inputs.evaluator, inputs.trials
+    scene, threads, receiver = evaluator.scene, evaluator.threads, trials.receiver
+    assert receiver is not None  # `reception` has asked
+    grasps, device = _grasps(scene), scene.device
+    error = evaluator.config.execution_error
+    asked = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, trials)
+    evaluated = scores.passed[:, CRITERIA.index("stability")] & scores.q_goal.isfinite().all(1)
+    eye = torch.eye(4, dtype=torch.float32, device=device)
+    T_obj_ee, T_world_ee = (
+        se3.orthonormalise(torch.where(evaluated[:, None, None], T.to(device), eye)) for T in asked
+    )
+    attached = attach(T_obj_ee, torch.where(evaluated, scores.grasp_shift_m, 0.0)).contiguous()
+    squeezed = scores.opening_m - evaluator.config.thresholds.pad_squeeze_m
+    opening = torch.where(evaluated, squeezed, 0.0).clamp(min=0.0).contiguous()
+    T_world_obj = se3.matmul(T_world_ee.double(), se3.inverse(attached.double())).float()
+    objects = trials.object_index.long()
+    side = scene.hands.set.side.to(device)[trials.hand_index.long()].long()
+    poses = scene.body_poses(
+        trials.object_index,
+        trials.hand_index,
+        attached,
+        trials.T_world_hand,
+        opening,
+        threads=threads,
+    )
+    return _Batch(
+        grasps,
+        {"device": device, "threads": threads},
+        {
+            "gripper": gripper_tables(scene.robot, device),
+            "hands": grasps.hands.struct,
+            "grasps": grasps.table,
+            "eps": ROOM_M,
+        },
+        {
+            "world": scene.world,
+            "bodies": poses.bodies,
+            "receiver": receiver.contiguous(),
+            "q": scores.q_goal.nan_to_num(nan=0.0).contiguous(),
+        },
+        evaluated,
+        side,
+        grasps.first[objects, side].contiguous(),
+        torch.where(evaluated, grasps.number[objects, side], 0),
+        {
+            "object": trials.object_index.contiguous(),
+            "attached": attached,
+            "opening": opening,
+            "T_world_obj": T_world_obj.contiguous(),
+            "T_world_hand": trials.T_world_hand.contiguous(),
+        },
+    )
+
+
+def _arms(batch: _Batch, leans_deg: tuple[float, ...]) -> dict[str, Tensor]:
+    """Effort (-1: no posture), turn about the axis of revolution, angles and elbow of every grasp of
+    every trial, (b, k, ...)."""
+    b, width, device = len(batch.known), batch.width, batch.on["device"]
+    sizes = dict.fromkeys(("effort", "turn", "angles", "elbow"), width)
+    arms = new_outputs(kernels.reach_with_arm, b, device, **sizes)
+    launch_trials(
+        kernels.reach_with_arm,
+        b,
+        inputs={
+            "grasps": batch.grasps.table,
+            "lean": torch.tensor(leans_deg, dtype=torch.float32, device=device),
+            "row": batch.first,
+            "count": batch.known.contiguous(),
+            "outwards": torch.where(batch.side == 0, -1.0, 1.0).float(),
+            "receiver": batch.robot["receiver"],
+            **{k: batch.of_trial[k] for k in ("object", "T_world_obj", "T_world_hand")},
+        },
+        outputs=arms,
+        width=width,
+        chunk=1,
+        **batch.on,
+    )
+    return arms
+
+
+def _launch(batch: _Batch, kernel: Any, n: int, **inputs: Any) -> dict[str, Tensor]:
+    """What a kernel over n pairs writes."""
+    made = new_outputs(kernel, n, batch.on["device"])
+    launch_trials(kernel, n, inputs=inputs, outputs=made, chunk=PAIRS_CHUNK, **batch.on)
+    return made
+
+
+_BESIDE = ("row", "turn", "object", "attached", "opening")
+"""What a look at gripper and hand needs of a pair."""
+
+
+def _come(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> Int32[Tensor, "b k"]:
+    """Writes the steps free and way; the direction from which each hand comes, -1: none."""
+    trial, k = torch.nonzero(passes[..., 0], as_tuple=True)
+    pair = batch.pairs(trial, k, arms)
+    beside = {n: pair[n] for n in _BESIDE}
+    made = _launch(batch, kernels.come_to_object, len(trial), **batch.tables, **beside)
+    passes[trial, k, 1], passes[trial, k, 2] = made["free"], made["way"] >= 0
+    way = torch.full(passes.shape[:2], -1, dtype=torch.int32, device=batch.on["device"])
+    way[trial, k] = made["way"]
+    return way
+
+
+def _beside_robot(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
+    """Writes the step clear."""
+    trial, k = torch.nonzero(passes[..., :3].all(2), as_tuple=True)
+    pair = batch.pairs(trial, k, arms)
+    posture = {n: pair[n] for n in ("trial", "lean", "elbow")}
+    wrist = batch.wrists(pair).contiguous()
+    made = _launch(
+        batch, kernels.arm_beside_robot, len(trial), **batch.robot, **posture, wrist=wrist
+    )
+    passes[trial, k, 3] = made["clear"]
+
+
+def _let_go(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
+    """Writes the step release."""
+    trial, k = torch.nonzero(passes[..., :4].all(2), as_tuple=True)
+    pair = batch.pairs(trial, k, arms)
+    beside = {n: pair[n] for n in _BESIDE} | {"open_gap": batch.grasps.open_gap_m}
+    passes[trial, k, 4] = _launch(batch, kernels.let_go, len(trial), **batch.tables, **beside)[
+        "release"
+    ]
+
+
+def _easiest(
+    batch: _Batch, arms: dict[str, Tensor], way: Tensor, passing: Bool[Tensor, "b k"]
+) -> Int64[Tensor, " b"]:
+    """The grasp of least effort whose whole way is free, among the first `WAYS_TRIED`; -1: none."""
+    effort = torch.where(passing, arms["effort"], torch.inf)
+    order = effort.argsort(dim=1, stable=True)
+    chosen = torch.full((len(passing),), -1, dtype=torch.int64, device=passing.device)
+    left = torch.nonzero(passing.any(1))[:, 0]
+    for turn in range(min(WAYS_TRIED, passing.shape[1])):
+        k = order[left, turn]
+        tried = torch.isfinite(effort[left, k])
+        left, k = left[tried], k[tried]
+        if not len(left):
+            break
+        pair = batch.pairs(left, k, arms) | {"way": way[left, k]}
+        inputs = {**batch.tables, **batch.robot, **pair}
+        made = _launch(batch, kernels.way_to_grasp, len(left), **inputs)
+        chosen[left[made["free"]]] = k[made["free"]]
+        left = left[~made["free"]]
+    return chosen
+
+
+def _result(
+    batch: _Batch, arms: dict[str, Tensor], count: Tensor, chosen: Int64[Tensor, " b"]
+) -> Reception:
+    received, nan = chosen >= 0, torch.nan
+    trial = torch.arange(len(chosen), dtype=torch.int64, device=chosen.device)
+    k = chosen.clamp(min=0)
+    pair = batch.pairs(trial, k, arms)
+    row = pair["row"].long().clamp(max=len(batch.grasps.grip_n) - 1)
+    turned = _about_axis(batch.grasps, pair["object"].long(), pair["turn"]).double()
+    hand = batch.grasps.held_out.grasps.T_obj_hand.to(chosen.device)[row].double()
+    T_hand = se3.matmul(se3.matmul(pair["T_world_obj"].double(), turned), hand)
+    relative = se3.matmul(se3.inverse(pair["T_world_hand"].double()), T_hand)[:, :3, :3]
+    cosine = 0.5 * (relative.diagonal(dim1=1, dim2=2).sum(1) - 1.0)
+    travel = batch.wrists(pair) - batch.robot["receiver"][:, 2, :3]
+    angles = arms["angles"][trial, k]
+    score = torch.from_numpy(rula(angles.cpu().numpy().astype(np.float64))).to(chosen.device)
+    return Reception(
+        batch.evaluated,
+        received,
+        batch.known.to(torch.int16),
+        count.to(torch.int16),
+        torch.where(received, pair["row"], -1).to(torch.int32),
+        torch.where(received, arms["effort"][trial, k], nan),
+        torch.where(received, cosine.clamp(-1.0, 1.0).acos().rad2deg().float(), nan),
+        torch.where(received, se3.dot(travel, travel).sqrt(), nan),
+        torch.where(received[:, None], angles, nan),
+        torch.where(received, score, 0).to(torch.int8),
+        torch.where(received[:, None], arms["elbow"][trial, k], nan),
+        torch.where(received[:, None, None], T_hand.float(), nan),
+    )
+
+
+def _about_axis(grasps: _Grasps, objects: Tensor, angle: Tensor) -> Float32[Tensor, "n 4 4"]:
+    """Turns of objects about their axes of revolution, frame obj."""
+    axis, point = (
+        x.to(angle.device)[objects].double()
+        for x in (grasps.held_out.axis, grasps.held_out.axis_point)
+    )
+    s, c = (x[:, None] for x in (angle.double().sin(), angle.double().cos()))
+    columns = torch.eye(3, dtype=torch.float64, device=angle.device)
+    R = torch.stack(
+        [
+            c * e + s * se3.cross(axis, e.expand_as(axis)) + (1 - c) * (axis @ e)[:, None] * axis
+            for e in columns
+        ],
+        2,
+    )
+    R = torch.where((se3.dot(axis, axis) > 0)[:, None, None], R, columns)
+    return se3.from_rotation(R, point - se3.rotate(R, point)).float()
+
+
+def _held(batch: _Batch) -> Bool[Tensor, "b k"]:
+    """Whether the hands carry the object against gravity, that of the nearest of `GRAVITY`."""
+    down = -batch.of_trial["T_world_obj"][:, 2, :3]
+    nearest = (down @ torch.from_numpy(GRAVITY.T).to(down)).argmax(1)
+    k = torch.arange(batch.width, dtype=torch.int64, device=down.device)
+    rows = (batch.first.long()[:, None] + k).clamp(max=len(batch.grasps.grip_n) - 1)
+    return batch.grasps.grip_n[rows, nearest[:, None]] <= GRIP_N
+
+
+def chance_of_one(
+    passing: Shaped[NDArray[Any], " b"], known: Shaped[NDArray[Any], " b"], k: int
+) -> Float64[Array, " b"]:
+    """The chance that at least one of k grasps, drawn from the `known`, is one of those that pass.
+
+    1 - C(known - passing, k) / C(known, k): what fewer known grasps would have said of a trial.
+    """
+    n, m = known.astype(np.float64), (known - passing).astype(np.float64)
+    k_ = np.minimum(k, n)
+    with np.errstate(invalid="ignore"):
+        log = gammaln(m + 1) - gammaln(m - k_ + 1) - gammaln(n + 1) + gammaln(n - k_ + 1)
+    return np.where(m >= k_, 1.0 - np.exp(np.where(m >= k_, log, 0.0)), 1.0) * (n > 0)
+
+
+_A = np.array(
+    [  # upper arm 1 to 6, lower arm 1 to 3, wrist 1 to 4, wrist twist 1 and 2
+        [[[1, 2], [2, 2], [2, 3], [3, 3]], [[2, 2], [2, 2], [3, 3], [3, 3]], [[2, 3], [3, 3], [3, 3], [4, 4]]],
+        [[[2, 3], [3, 3], [3, 4], [4, 4]], [[3, 3], [3, 3], [3, 4], [4, 4]], [[3, 4], [4, 4], [4, 4], [5, 5]]],
+        [[[3, 3], [4, 4], [4, 4], [5, 5]], [[3, 4], [4, 4], [4, 4], [5, 5]], [[4, 4], [4, 4], [4, 5], [5, 5]]],
+        [[[4, 4], [4, 4], [4, 5], [5, 5]], [[4, 4], [4, 4], [4, 5], [5, 5]], [[4, 4], [4, 5], [5, 5], [6, 6]]],
+        [[[5, 5], [5, 5], [5, 6], [6, 7]], [[5, 6], [6, 6], [6, 7], [7, 7]], [[6, 6], [6, 7], [7, 7], [7, 8]]],
+        [[[7, 7], [7, 7], [7, 8], [8, 9]], [[8, 8], [8, 8], [8, 9], [9, 9]], [[9, 9], [9, 9], [9, 9], [9, 9]]],
+    ]
+)  # fmt: skip
+_B = np.array([1, 2, 3, 5])
+"""Of trunk 1 to 4, neck 1, legs 1."""
+_C = np.array(
+    [
+        [1, 2, 3, 3, 4, 5, 5], [2, 2, 3, 4, 4, 5, 5], [3, 3, 3, 4, 4, 5, 6], [3, 3, 3, 4, 5, 6, 6],
+        [4, 4, 4, 5, 6, 7, 7], [4, 4, 5, 6, 6, 7, 7], [5, 5, 6, 6, 7, 7, 7], [5, 5, 6, 7, 7, 7, 7],
+    ]
+)  # fmt: skip
+
+ABDUCTED_DEG, STRAIGHT_DEG, TWISTED_DEG = 30.0, 5.0, 60.0
+"""RULA names no angles for an abducted arm, for a wrist in neutral and for a forearm near the end of its
+range [choice]."""
+
+
+def rula(angles_deg: Float64[Array, "n 7"]) -> Int8[NDArray[np.int8], " n"]:
+    """RULA's grand score of arms (`ANGLES`): neck and legs 1, no load, no repetition.
+
+    McAtamney and Corlett 1993, Applied Ergonomics 24(2), tables A, B and C.
+    """
+    flexion, abduction, elbow, twist, wrist, deviation, lean = angles_deg.T
+    upper = 1 + ((flexion > 20) | (flexion < -20)) + (flexion > 45) + (flexion > 90)
+    upper = upper + (abduction > ABDUCTED_DEG)
+    lower = np.where((elbow >= 60) & (elbow <= 100), 1, 2)
+    bent = 1 + (abs(wrist) > STRAIGHT_DEG) + (abs(wrist) > 15) + (abs(deviation) > STRAIGHT_DEG)
+    turned = np.where(abs(twist) > TWISTED_DEG, 2, 1)
+    trunk = 1 + (lean > 0) + (lean > 20) + (lean > 60)
+    arm = _A[np.minimum(upper, 6) - 1, lower - 1, np.minimum(bent, 4) - 1, turned - 1]
+    return _C[np.minimum(arm, 8) - 1, _B[trunk - 1] - 1].astype(np.int8)

@@ -1,0 +1,464 @@
+"""Reception: the arm found again from how persons are drawn, and every step against float64 twins of its bodies."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+from convex_twin import bodies, convex_distance
+from scipy.optimize import linprog
+from scipy.spatial.transform import Rotation, Slerp
+
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.bodies.robot import Kind, ee_pose, forward_kinematics
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge import reception as judge
+from r2h_batch.judge.grasp import gripper_poses
+from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception, rula
+from r2h_batch.kernels.judge import reception as kernels
+from r2h_batch.launch import launch_trials, new_outputs
+from r2h_batch.methods import oracle
+from r2h_batch.receiver.held_out import grip_forces, load_held_out, revolution_axis
+from r2h_batch.receiver.receiving import load_receiving
+from r2h_batch.trials.protocol import make_trials
+from r2h_batch.trials.receivers import arm_axes
+
+HULL = Kind.BOX + 1
+RANGES = {"elbow": (0, 150), "supination": (-80, 80), "wrist_flexion": (-70, 80), "ulnar_deviation": (-20, 30)}
+
+
+@cache
+def evaluator():
+    return Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+
+
+@pytest.fixture(scope="module")
+def scores():
+    trials = make_trials(trials=16, protocol="r2h-v1")
+    answer = oracle.predict(trials, evaluator().scene, evaluator=evaluator())
+    return evaluator().score(answer.T_obj_ee, answer.T_world_ee, trials)
+
+
+@pytest.fixture(scope="module")
+def found(scores):
+    return reception(scores)
+
+
+@pytest.fixture(scope="module")
+def steps(scores):
+    """The batch, its arms and what each step says before the steps are counted together."""
+    batch = judge._batch_of(scores)
+    arms = judge._arms(batch, judge.LEANS_DEG)
+    passes = torch.zeros((*arms["effort"].shape, len(STEPS)), dtype=torch.bool)
+    passes[..., 0] = arms["effort"] >= 0
+    way = judge._come(batch, arms, passes)
+    judge._beside_robot(batch, arms, passes)
+    judge._let_go(batch, arms, passes)
+    return batch, arms, passes, way
+
+
+# --- the arm ---------------------------------------------------------------------------------------------------------
+
+
+def waiting(trials):
+    """The waiting hands as grasps of an object that lies at the world's origin: one for each trial."""
+    scene, n = evaluator().scene, len(trials)
+    hands = scene.hands.directions[trials.hand_index.long()]
+    R = trials.T_world_hand[:, :3, :3].double()
+    vectors = [trials.receiver[:, 2, :3], *((R @ hands)[:, :, k].float() for k in (0, 1))]
+    table = kernels.Receiving()
+    for name, x in zip(("wrist", "along", "normal"), vectors, strict=True):
+        setattr(table, name, wp.from_torch(x.contiguous(), dtype=wp.vec3))
+    table.R = wp.from_torch(R.float().contiguous(), dtype=wp.mat33)
+    table.axis, table.axis_point = (wp.zeros(1, dtype=wp.vec3) for _ in range(2))
+    outwards = torch.where(scene.hands.set.side[trials.hand_index.long()] == 0, -1.0, 1.0)
+    inputs = {
+        "grasps": table,
+        "lean": torch.zeros(1),
+        "row": torch.arange(n, dtype=torch.int32),
+        "count": torch.ones(n, dtype=torch.int32),
+        "object": torch.zeros(n, dtype=torch.int32),
+        "outwards": outwards,
+        "T_world_obj": torch.eye(4).repeat(n, 1, 1),
+        "T_world_hand": trials.T_world_hand,
+        "receiver": trials.receiver,
+    }
+    return inputs, vectors, outwards
+
+
+def searched(inputs):
+    made = new_outputs(kernels.reach_with_arm, len(inputs["row"]), "cpu", effort=2, turn=2, angles=2, elbow=2)
+    launch_trials(kernels.reach_with_arm, len(inputs["row"]), inputs=inputs, outputs=made, device="cpu", width=2)
+    return made["effort"][:, 0].double().numpy(), made["angles"][:, 0].double().numpy()
+
+
+def effort_twin(trials, vectors, outwards, i):
+    """Least effort of trial i's waiting hand over the swivels, in float64, from the equations of docs/receivers.md."""
+    body = trials.receiver[i].double().numpy()
+    shoulder, elbow, wrist = body[0, :3], body[1, :3], body[2, :3]
+    ahead = np.array([body[3, 3], body[4, 3], 0.0])
+    out = float(outwards[i]) * np.array([-ahead[1], ahead[0], 0.0])
+    a, n = (v[i].double().numpy() for v in vectors[1:])
+    upper, lower = np.linalg.norm(elbow - shoulder), np.linalg.norm(wrist - elbow)
+    to = wrist - shoulder
+    r = np.linalg.norm(to)
+    to /= r
+    along = (upper**2 - lower**2 + r**2) / (2 * r)
+    down = np.array([0, 0, -1.0])
+    hanging = down - (down @ to) * to
+    hanging /= np.linalg.norm(hanging)
+    best = np.inf
+    for swivel in np.radians(np.arange(-30, 130, 10)):
+        way = np.cos(swivel) * hanging + np.sin(swivel) * float(outwards[i]) * np.cross(to, hanging)
+        e = shoulder + along * to + np.sqrt(upper**2 - along**2) * way
+        inside = [
+            (abs((p - body[3, :3]) @ axis) < half).item()
+            for p in np.linspace(e, wrist, 9)
+            for axis, half in zip((ahead, out, [0, 0, 1]), body[4, :3], strict=True)
+        ]
+        if np.array(inside).reshape(9, 3).all(1).any():
+            continue
+        f, t, inward = (x[0] for x in arm_axes(shoulder[None], e[None], wrist[None], np.array([float(outwards[i])])))
+        turn = np.arctan2(n @ t, n @ inward)
+        flexion = -np.arcsin(n @ f)
+        flat = f - (f @ n) * n
+        deviation = np.arctan2(-a @ (np.cos(turn) * t - np.sin(turn) * inward), a @ flat / np.linalg.norm(flat))
+        u = (e - shoulder) / upper
+        deg = np.degrees
+        bend = deg(np.arccos(u @ f))
+        angles = (
+            deg(np.arctan2(u @ ahead, -u[2])),
+            deg(np.arcsin(u @ out)),
+            bend,
+            deg(turn),
+            deg(flexion),
+            deg(deviation),
+        )
+        if not all(low <= x <= high for x, (low, high) in zip(angles[2:], RANGES.values(), strict=True)):
+            continue
+        scale = [(180, 60), (180, 75), None, (80, 80), (80, 70), (30, 20)]
+        terms = [x / (s[0] if x >= 0 else s[1]) for x, s in zip(angles, scale, strict=True) if s] + [(bend - 80) / 75]
+        best = min(best, sum(x * x for x in terms) / 6)
+    return best
+
+
+def test_the_arms_that_persons_were_drawn_with_are_found_and_have_the_twins_effort():
+    trials = make_trials(trials=150, protocol="r2h-v1")
+    inputs, vectors, outwards = waiting(trials)
+    effort, angles = searched(inputs)
+    assert (effort >= 0).all()
+    for name, (low, high) in RANGES.items():
+        x = angles[:, ANGLES.index(name)]
+        assert low <= x.min() and x.max() <= high
+    twin = np.array([effort_twin(trials, vectors, outwards, i) for i in range(0, 300, 6)])
+    assert np.abs(effort[::6] - twin).max() < 1e-4
+
+
+def test_a_mirrored_person_finds_the_mirrored_arm():
+    trials = make_trials(trials=20, protocol="r2h-v1")
+    inputs, vectors, outwards = waiting(trials)
+    flip = torch.tensor([1.0, -1.0, 1.0])
+    table = kernels.Receiving()
+    table.assign(inputs["grasps"])
+    mirrored = [(v * flip).contiguous() for v in vectors]
+    for name, x in zip(("wrist", "along", "normal"), mirrored, strict=True):
+        setattr(table, name, wp.from_torch(x, dtype=wp.vec3))
+    receiver = trials.receiver.clone()
+    receiver[:, :4, 1] *= -1.0
+    receiver[:, 4, 3] *= -1.0  # y of the direction that the torso faces
+    effort, angles = searched(inputs)
+    other, turned = searched({**inputs, "grasps": table, "receiver": receiver, "outwards": -outwards})
+    assert np.abs(effort - other).max() < 1e-5 and np.abs(angles - turned).max() < 1e-2
+
+
+def test_no_hand_beyond_the_arms_length_is_reached():
+    trials = make_trials(trials=10, protocol="r2h-v1")
+    inputs, vectors, _ = waiting(trials)
+    far = (vectors[0] + torch.tensor([-0.8, 0.0, 0.0])).contiguous()
+    inputs["grasps"].wrist = wp.from_torch(far, dtype=wp.vec3)
+    assert (searched(inputs)[0] == -1).all()
+
+
+# --- bodies ----------------------------------------------------------------------------------------------------------
+
+
+def turned_object(batch, trial, turn):
+    held_out, obj = batch.grasps.held_out, int(batch.of_trial["object"][trial])
+    axis, point = (x[obj].double().numpy() for x in (held_out.axis, held_out.axis_point))
+    T = np.eye(4)
+    if axis.any():
+        T[:3, :3] = Rotation.from_rotvec(float(turn) * axis).as_matrix()
+        T[:3, 3] = point - T[:3, :3] @ point
+    return batch.of_trial["T_world_obj"][trial].double().numpy() @ T
+
+
+def hand_pieces(batch, row, T):
+    model = evaluator().scene.hands.model
+    skin = batch.grasps.held_out.grasps[row : row + 1].vertices[0].double().numpy()
+    return [(skin @ T[:3, :3].T + T[:3, 3])[ids.numpy()] for ids in model.pieces]
+
+
+def gripper_bodies(batch, trial, opening):
+    """Kinds, sizes and world poses of the gripper's primitives."""
+    robot = evaluator().scene.robot
+    R, p = (x[0].double().numpy() for x in gripper_poses(robot, torch.tensor([opening], dtype=torch.float32)))
+    T_ee = batch.of_trial["T_world_obj"][trial].double().numpy() @ batch.of_trial["attached"][trial].double().numpy()
+    T = np.tile(np.eye(4), (len(p), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = R, p
+    return robot.gripper.kind, robot.gripper.size, T_ee @ T
+
+
+def least(kinds, sizes, poses, pieces):
+    """Least distance of primitives to convex point sets, 0 where any two meet."""
+    g, n = len(kinds), len(pieces)
+    most = max(map(len, pieces))
+    padded = [np.concatenate([q, np.repeat(q[:1], most - len(q), axis=0)]) for q in pieces]
+    a = bodies(np.repeat(kinds, n), np.repeat(sizes, n, axis=0), np.repeat(poses, n, axis=0))
+    b = bodies([HULL] * g * n, None, np.tile(np.eye(4), (g * n, 1, 1)), padded * g)
+    return max(float(convex_distance(a, b)[0].min()), 0.0)
+
+
+def gap_to_gripper(batch, trial, row, turn, opening, shift=(0, 0, 0)):
+    pieces = hand_pieces(batch, row, turned_object(batch, trial, turn))
+    return least(*gripper_bodies(batch, trial, opening), [p + np.asarray(shift) for p in pieces])
+
+
+def arm_bodies(receiver, lean_deg, elbow, wrist, shoulder=None):
+    """Forearm, upper arm and torso as kinds, sizes and world poses; the shoulder of that lean unless it is given."""
+    body = receiver.double().numpy()
+    ahead, up = np.array([body[3, 3], body[4, 3], 0.0]), np.array([0, 0, 1.0])
+    left = np.cross(up, ahead)
+    lean = Rotation.from_rotvec(np.radians(lean_deg) * left)
+    hip = body[3, :3] - body[4, 2] * up
+    shoulder = hip + lean.apply(body[0, :3] - hip) if shoulder is None else shoulder
+    kinds, sizes, poses = [], [], []
+    for a, b, r in ((elbow, wrist, body[1, 3]), (shoulder, elbow, body[0, 3])):
+        z = (b - a) / np.linalg.norm(b - a)
+        x = np.cross([0, 1.0, 0] if abs(z[0]) > 0.7 else [1.0, 0, 0], z)
+        x /= np.linalg.norm(x)
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = np.stack([x, np.cross(z, x), z], 1), (a + b) / 2
+        kinds.append(Kind.CAPSULE)
+        sizes.append([r, np.linalg.norm(b - a) / 2, 0])
+        poses.append(T)
+    T = np.eye(4)
+    T[:3, :3] = lean.as_matrix() @ np.stack([ahead, left, up], 1)
+    T[:3, 3] = hip + lean.apply(body[4, 2] * up)
+    return [*kinds, Kind.BOX], np.array([*sizes, body[4, :3]]), np.array([*poses, T])
+
+
+def gap_to_robot(batch, trial, q, arm):
+    """Least distance of the robot's primitives at posture q to an arm's bodies."""
+    robot = evaluator().scene.robot
+    T = forward_kinematics(robot, q)[robot.arm.link] @ robot.arm.T_link_prim
+    opening = float(batch.of_trial["opening"][trial])
+    R, p = (x[0].double().numpy() for x in gripper_poses(robot, torch.tensor([opening], dtype=torch.float32)))
+    G = np.tile(np.eye(4), (len(p), 1, 1))
+    G[:, :3, :3], G[:, :3, 3] = R, p
+    kinds = np.concatenate([robot.arm.kind, robot.gripper.kind])
+    sizes = np.concatenate([robot.arm.size, robot.gripper.size])
+    poses = np.concatenate([T, ee_pose(robot, q) @ G])
+    g, n = len(kinds), len(arm[0])
+    a = bodies(np.repeat(kinds, n), np.repeat(sizes, n, axis=0), np.repeat(poses, n, axis=0))
+    b = bodies(np.tile(arm[0], g), np.tile(arm[1], (g, 1)), np.tile(arm[2], (g, 1, 1)))
+    return max(float(convex_distance(a, b)[0].min()), 0.0)
+
+
+def some(mask, n, seed=0):
+    """n of the pairs (trial, k) where a mask holds."""
+    pairs = torch.nonzero(mask)
+    assert len(pairs) >= n
+    return pairs[np.random.default_rng(seed).choice(len(pairs), n, replace=False)].tolist()
+
+
+def test_hands_are_free_of_the_gripper_as_the_twin_says(steps):
+    batch, arms, passes, _ = steps
+    within, clear = passes[..., 0], passes[..., 1]
+    for mask, free in ((within & clear, True), (within & ~clear, False)):
+        for i, k in some(mask, 20):
+            opening = float(batch.of_trial["opening"][i])
+            gap = gap_to_gripper(batch, i, int(batch.first[i]) + k, arms["turn"][i, k], opening)
+            assert gap > judge.ROOM_M - 2e-5 if free else gap < judge.ROOM_M + 2e-5, (i, k, gap)
+
+
+def test_a_way_in_and_the_release_are_free_at_every_sample(steps):
+    batch, arms, passes, way = steps
+    table = batch.grasps
+    for i, k in some(passes[..., :5].all(2), 5):
+        row, turn = int(batch.first[i]) + k, arms["turn"][i, k]
+        T = turned_object(batch, i, turn)
+        n, a = (x[row].double().numpy() for x in (table.owners[2], table.owners[1]))
+        u = (n, a, (n + a) / np.linalg.norm(n + a))[int(way[i, k])]
+        opening = float(batch.of_trial["opening"][i])
+        gaps = [gap_to_gripper(batch, i, row, turn, opening, -s * T[:3, :3] @ u) for s in np.linspace(0, 0.1, 12)]
+        assert min(gaps) > 0, (i, k)
+        T_ee = batch.of_trial["T_world_obj"][i].double().numpy() @ batch.of_trial["attached"][i].double().numpy()
+        back = [gap_to_gripper(batch, i, row, turn, 0.085, s * T_ee[:3, 2]) for s in np.linspace(0, 0.1, 8)]
+        assert min(back) > 0, (i, k)
+
+
+def test_arm_and_torso_are_clear_of_the_robot_as_the_twin_says(scores, steps):
+    batch, arms, passes, _ = steps
+    asked = passes[..., :3].all(2)
+    for mask, clear in ((asked & passes[..., 3], True), (asked & ~passes[..., 3], False)):
+        for i, k in some(mask, 12):
+            trial, at = torch.tensor([i]), torch.tensor([k])
+            wrist = batch.wrists(batch.pairs(trial, at, arms))[0].double().numpy()
+            lean, elbow = float(arms["angles"][i, k, 6]), arms["elbow"][i, k].double().numpy()
+            arm = arm_bodies(batch.robot["receiver"][i], lean, elbow, wrist)
+            gap = gap_to_robot(batch, i, scores.q_goal[i].double().numpy(), arm)
+            assert gap > 0 if clear else gap < 2e-5, (i, k, gap)
+
+
+def test_the_whole_way_to_the_chosen_grasp_is_free_at_every_sample(scores, steps, found):
+    batch, arms, _, way = steps
+    rows = torch.nonzero(found.received)[:, 0].tolist()
+    assert len(rows) >= 20
+    for i in rows[::6]:
+        row = int(found.grasp[i])
+        k = row - int(batch.first[i])
+        opening = float(batch.of_trial["opening"][i])
+        T = turned_object(batch, i, arms["turn"][i, k])
+        table, receiver = batch.grasps, batch.robot["receiver"][i]
+        n, a, wrist = (table.owners[j][row].double().numpy() for j in (2, 1, 0))
+        u = (n, a, (n + a) / np.linalg.norm(n + a))[int(way[i, k])]
+        target = T[:3, :3] @ wrist + T[:3, 3]
+        start, before = receiver[2, :3].double().numpy(), target - 0.1 * T[:3, :3] @ u
+        R = [
+            scores.inputs.trials.T_world_hand[i, :3, :3].double().numpy(),
+            found.T_world_hand[i, :3, :3].double().numpy(),
+        ]
+        turn = Slerp([0, 1], Rotation.from_matrix(R))
+        skin = hand_pieces(batch, row, T)
+        lean, elbow = float(found.angles_deg[i, 6]), found.elbow[i].double().numpy()
+        waits = receiver[1, :3].double().numpy()
+        for t in np.linspace(0, 2, 21):
+            at = start + t * (before - start) if t < 1 else before + (t - 1) * (target - before)
+            back = turn(min(t, 1.0)).as_matrix() @ R[1].T
+            pieces = [(p - target) @ back.T + at for p in skin]
+            assert least(*gripper_bodies(batch, i, opening), pieces) > 0, (i, t)
+            arm = arm_bodies(receiver, 0.5 * t * lean, waits + 0.5 * t * (elbow - waits), at)
+            assert gap_to_robot(batch, i, scores.q_goal[i].double().numpy(), arm) > 0, (i, t)
+
+
+# --- what comes out --------------------------------------------------------------------------------------------------
+
+
+def test_a_row_depends_on_its_own_trial_alone(scores, found):
+    rows = torch.tensor([5, 2, 29])
+    again = reception(scores[rows])
+    for name in judge.Reception.__dataclass_fields__:
+        a, b = getattr(found, name)[rows], getattr(again, name)
+        assert torch.equal(torch.nan_to_num(a.float(), nan=-7), torch.nan_to_num(b.float(), nan=-7)), name
+
+
+def test_counts_fall_step_by_step_and_the_easiest_grasp_is_one_that_passes(found):
+    assert (found.count.diff(dim=1) <= 0).all() and (found.count[:, 0] <= found.known).all()
+    assert (found.count[found.received, -1] > 0).all() and (found.known[found.evaluated] == 256).all()
+    assert found.received.float().mean() > 0.8
+    assert (found.rula[found.received] >= 1).all() and (found.rula[~found.received] == 0).all()
+
+
+def test_without_lean_fewer_arms_reach(scores, found):
+    upright = reception(scores, leans_deg=(0.0,))
+    assert (upright.count[:, 0] <= found.count[:, 0]).all() and upright.count[:, 0].sum() < found.count[:, 0].sum()
+    assert (upright.angles_deg[upright.received, ANGLES.index("lean")] == 0).all()
+
+
+def test_rows_that_hold_nothing_are_not_evaluated(scores):
+    T = scores.inputs.T_obj_ee.clone()
+    T[:4, :3, 3] += 1.0
+    empty = evaluator().score(T, scores.inputs.T_world_ee, scores.inputs.trials, stages="pose")
+    found = reception(empty)
+    assert not found.evaluated[:4].any() and not found.received[:4].any() and (found.count[:4] == 0).all()
+    assert found.evaluated[4:].all()
+
+
+def test_trials_without_a_body_are_refused():
+    trials = make_trials(trials=2, protocol="r2h-v0")
+    posed = evaluator().score(torch.eye(4).repeat(4, 1, 1), torch.eye(4).repeat(4, 1, 1), trials, stages="pose")
+    with pytest.raises(ValueError, match=r"no receiver's body.*r2h-v1"):
+        reception(posed)
+
+
+def test_the_oracle_for_reception_hands_over_what_can_be_taken(scores, found):
+    trials = scores.inputs.trials
+    answer = oracle.predict(trials, evaluator().scene, evaluator=evaluator(), for_="reception")
+    again = evaluator().score(answer.T_obj_ee, answer.T_world_ee, trials)
+    best = reception(again)
+    assert again.success.all() and best.received.sum() >= found.received.sum()
+    both = best.received & found.received
+    assert best.effort[both].mean() < found.effort[both].mean()
+
+
+def test_the_chance_of_one_is_that_of_drawing_without_replacement():
+    rng = np.random.default_rng(1)
+    draws = np.array([rng.permutation(10)[:3] for _ in range(40000)])
+    for passing in (0, 1, 4, 9):
+        simulated = (draws < passing).any(1).mean()
+        assert chance_of_one(np.array([passing]), np.array([10]), 3)[0] == pytest.approx(simulated, abs=0.01)
+    assert chance_of_one(np.array([0, 0]), np.array([0, 5]), 8).tolist() == [0.0, 0.0]
+    curve = [chance_of_one(np.array([7]), np.array([256]), k)[0] for k in range(1, 257)]
+    assert (np.diff(curve) >= -1e-12).all() and curve[-1] == 1.0
+
+
+def test_rula_scores_postures_as_its_tables_do():
+    good = [10, 0, 80, 0, 0, 0, 0]  # upper arm 1, lower arm 1, wrist 1, twist 1: A 1; trunk 1: B 1
+    worse = [95, 40, 120, 70, 30, 20, 25]  # upper arm 5, lower arm 2, wrist 4, twist 2: A 7; trunk 3: B 3
+    reaching = [60, 0, 40, 0, 10, 0, 0]  # upper arm 3, lower arm 2, wrist 2, twist 1: A 4; B 1
+    assert rula(np.array([good, worse, reaching], float)).tolist() == [1, 6, 3]
+
+
+# --- held-out grasps -------------------------------------------------------------------------------------------------
+
+
+def test_held_out_grasps_are_none_of_those_that_predictors_are_shown():
+    objects = load_objects()
+    shown, own = load_receiving(), load_held_out(objects).grasps
+    for i in range(len(objects)):
+        a, b = (g.T_obj_hand[g.rows_of(i)].flatten(1) for g in (shown, own))
+        assert len(b) == 512 and (torch.cdist(a, b) > 1e-5).all()
+
+
+def test_no_predictor_and_no_method_but_the_oracle_reads_them(monkeypatch):
+    import r2h_batch.receiver.held_out as held_out
+    from r2h_batch.methods import contact, fc, handover_va, intent
+
+    def read(*args, **kwargs):
+        raise AssertionError("a predictor reads the held-out grasps")
+
+    for name in ("load_held_out", "_load", "_of_object", "stored_arrays"):
+        monkeypatch.setattr(held_out, name, read)
+    monkeypatch.setattr(judge, "load_held_out", read)
+    trials = make_trials(trials=2, protocol="r2h-v1")
+    for method in (contact, fc, handover_va, intent):
+        assert len(method.predict(trials, evaluator().scene, seed=0).T_obj_ee) == 4
+
+
+def test_objects_of_revolution_are_known_by_their_surface():
+    axes = {o.name: revolution_axis(o)[0] for o in load_objects()}
+    round_ones = {name for name, axis in axes.items() if any(axis)}
+    assert round_ones == {"bowl", "cup", "wineglass", "bottle"}
+    assert all(abs(axes[name][2]) > 0.999 for name in round_ones)
+
+
+def test_stored_grips_are_those_of_the_linear_program_again():
+    model = next(o for o in load_objects() if o.name == "hammer")
+    own = load_held_out([model])
+    rows = [0, 300]
+    again = grip_forces(model, own.grasps[torch.tensor(rows)].vertices.numpy(), own.grasps.hand)
+    assert np.allclose(again, own.grip_n[rows].numpy(), rtol=1e-3)
+
+
+def test_a_pinch_needs_the_grip_of_coulombs_law():
+    """Two fingers from both sides of a ball carry it with friction alone: each presses with m g / (2 mu), by the pyramid."""
+    inward = np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
+    arm = np.array([[-0.03, 0.01, 0], [0.03, 0.01, 0], [-0.03, -0.01, 0], [0.03, -0.01, 0]])
+    from r2h_batch.receiver.held_out import CONE_EDGES, FRICTION, _edges
+
+    wrench = _edges(arm, inward)
+    found = linprog(np.ones(wrench.shape[1]), A_eq=wrench, b_eq=[0, 0, 1, 0, 0, 0], method="highs")
+    assert found.status == 0
+    assert 1 / FRICTION <= found.fun <= 1 / (FRICTION * np.cos(np.pi / CONE_EDGES)) + 1e-9

@@ -1,0 +1,52 @@
+"""The command `results reception`: a table in the run folder, a funnel on the screen."""
+
+import pyarrow.parquet as pq
+import pytest
+
+from r2h_batch.__main__ import main
+from r2h_batch.results.reception import SCHEMA
+from r2h_batch.runs.store import load_run
+
+QUICK = ["--sim", "none", "--no-progress"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reception") / "run"
+    assert (
+        main(["sweep", "--method", "random", "oracle,for=reception", "--trials", "8", "--out", str(folder), *QUICK])
+        == 0
+    )
+    return folder
+
+
+def test_every_stored_pose_has_a_row_and_the_funnel_counts_them(run, capsys):
+    assert main(["results", "reception", str(run)]) == 0
+    shown = capsys.readouterr().out
+    for entry in load_run(run).entries:
+        table = pq.read_table(run / "reception" / f"{entry['slug']}.parquet")
+        assert table.schema.equals(SCHEMA) and len(table) == 16
+        rows = table.to_pylist()
+        assert all((r["grasp"] is None) == (not r["received"]) for r in rows)
+        assert all(r["n_hold"] <= r["n_arm"] <= r["known"] for r in rows)
+        judged = [r for r in rows if r["evaluated"]]
+        share = 100 * sum(r["received"] for r in judged) / len(judged)
+        line = next(
+            x for x in shown.splitlines() if x.startswith("| " + ("oracle" if "oracle" in entry["name"] else "random"))
+        )
+        assert f"{share:.1f}" in line and line.split("|")[2].strip() == str(len(judged))
+    best = [r for r in rows if r["success"]]
+    assert len(best) == 16 and sum(r["received"] for r in best) >= 14  # the bound
+    assert main(["results", "verify", str(run)]) == 0
+
+
+def test_a_run_whose_receivers_have_no_body_is_refused_in_one_line(tmp_path, capsys):
+    folder = tmp_path / "v0"
+    assert (
+        main(["sweep", "--method", "random", "--protocol", "r2h-v0", "--trials", "2", "--out", str(folder), *QUICK])
+        == 0
+    )
+    capsys.readouterr()
+    assert main(["results", "reception", str(folder)]) == 2
+    error = capsys.readouterr().err
+    assert "no receiver's body" in error and "r2h-v1" in error and error.count("\n") == 1
