@@ -23,6 +23,7 @@ STORED = ROOT / "bench" / "results" / "reception.json"
 BOUND = "oracle,for=reception"
 SIZES = (64, 256, 1024)
 SHOWN_OF = 4
+PARTS = ("whole", "arms", "gripper", "robot", "release", "ways")
 TAKEN, BLOCKED, BEYOND, SKIN = (
     (0.25, 0.65, 0.3, 1),
     (0.8, 0.25, 0.2, 0.5),

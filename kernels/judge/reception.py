@@ -14,16 +14,11 @@ from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.surface import inverse_pose
 from r2h_batch.kernels.methods.hand_clearance import PosedHands, gripper_distance
 from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.receiver.grasps import Receiving, about_axis, unit, way_direction
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap
-from r2h_batch.kernels.robot.world import (
-    TrialBodies,
-    World,
-    body_pose,
-    forward_kinematics,
-    link_frame,
-    robot_body,
-    vec6,
-)
+
+from ..robot.joints import FRAMES, GRIPPER, vecq
+from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, link_frame, robot_body
 
 wp.set_module_options(OPTIONS)
 
@@ -62,18 +57,6 @@ MOST_STEPS = wp.constant(256)
 
 
 @wp.struct
-class Receiving:
-    """The receiving grasps of all objects, in their objects' frames."""
-
-    wrist: wp.array(dtype=wp.vec3)  # (M,) m
-    along: wp.array(dtype=wp.vec3)  # unit, from the wrist along the hand, in the palm's plane
-    normal: wp.array(dtype=wp.vec3)  # unit, out of the palm
-    R: wp.array(dtype=wp.mat33)  # the hand's frame
-    axis: wp.array(dtype=wp.vec3)  # (O,) of revolution; 0: the object has none
-    axis_point: wp.array(dtype=wp.vec3)
-
-
-@wp.struct
 class Arm:
     """A person's arm and trunk in one posture, world or hand frame."""
 
@@ -88,11 +71,6 @@ class Arm:
 
 
 @wp.func
-def unit(v: wp.vec3):
-    return v / wp.max(wp.length(v), 1.0e-9)
-
-
-@wp.func
 def rotation(T: wp.mat44):
     return wp.mat33(T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2])
 
@@ -100,18 +78,6 @@ def rotation(T: wp.mat44):
 @wp.func
 def position(T: wp.mat44):
     return wp.vec3(T[0, 3], T[1, 3], T[2, 3])
-
-
-@wp.func
-def about_axis(grasps: Receiving, obj: int, angle: float):
-    """R, p of a turn by `angle` (rad) about the object's axis of revolution; the identity for an object without one."""
-    u = grasps.axis[obj]
-    s, c = sin_cos(angle)
-    if wp.length_sq(u) == 0.0:
-        s = float(0.0)
-        c = float(1.0)
-    R = c * wp.identity(n=3, dtype=float) + s * wp.skew(u) + (1.0 - c) * wp.outer(u, u)
-    return R, grasps.axis_point[obj] - R * grasps.axis_point[obj]
 
 
 @wp.func
@@ -317,17 +283,6 @@ def reach_with_arm(
 
 
 @wp.func
-def way_direction(grasps: Receiving, row: int, which: int):
-    """From where a hand comes down on the object: out of its palm, along itself, between the two."""
-    n = grasps.normal[row]
-    if which == 1:
-        n = grasps.along[row]
-    elif which == 2:
-        n = unit(grasps.normal[row] + grasps.along[row])
-    return n
-
-
-@wp.func
 def straight_is_free(
     gripper: Gripper, hands: PosedHands, row: int, R: wp.mat33, p: wp.vec3, drive: float, step: wp.vec3, eps: float
 ):  # fmt: skip
@@ -470,7 +425,7 @@ def arm_distance(
     at most, 0 where they meet. R, p: the links' frames (`forward_kinematics`)."""
     best = float(cap)
     none = wp.vec3(0.0, 0.0, 0.0)
-    for link in range(8):
+    for link in range(GRIPPER + 1):
         k = link_frame(link)
         l0 = R[k] * world.link_c0[link] + p[k]
         l1 = R[k] * world.link_c1[link] + p[k]
@@ -507,7 +462,7 @@ def arm_beside_robot(
     world: World,
     bodies: TrialBodies,
     receiver: wp.array2d(dtype=wp.vec4),
-    q: wp.array(dtype=vec6),
+    q: wp.array(dtype=vecq),
     trial_in: wp.array(dtype=int),
     lean_in: wp.array(dtype=float),
     elbow_in: wp.array(dtype=wp.vec3),
@@ -517,8 +472,8 @@ def arm_beside_robot(
     """Whether the robot at its goal meets neither arm nor torso of each pair's posture."""
     pair = first + wp.tid()
     trial = trial_in[pair]
-    R = wp.zeros(shape=7, dtype=wp.mat33)
-    p = wp.zeros(shape=7, dtype=wp.vec3)
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q[trial], R, p)
     arm = leaned(receiver, trial, lean_in[pair])
     arm.elbow = elbow_in[pair]
@@ -537,7 +492,7 @@ def way_to_grasp(
     hands: PosedHands,
     grasps: Receiving,
     receiver: wp.array2d(dtype=wp.vec4),
-    q: wp.array(dtype=vec6),
+    q: wp.array(dtype=vecq),
     eps: float,
     # pairs
     trial_in: wp.array(dtype=int),
@@ -566,8 +521,8 @@ def way_to_grasp(
     row = row_in[pair]
     R_hand_world = bodies.R_hand_world[trial]
     p_hand_world = bodies.p_hand_world[trial]
-    links = wp.zeros(shape=7, dtype=wp.mat33)
-    origins = wp.zeros(shape=7, dtype=wp.vec3)
+    links = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    origins = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     forward_kinematics(world, R_hand_world, p_hand_world, q[trial], links, origins)
     # the turned object's frame
     R_turn, p_turn = about_axis(grasps, object_in[pair], turn_in[pair])

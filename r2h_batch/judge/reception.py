@@ -5,6 +5,7 @@ A grasp counts when it passes every step of `STEPS`. The person may lean; the ob
 holds it out, and the robot stands at its goal. docs/receivers.md has the definitions, ranges and sources.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -23,6 +24,7 @@ from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.hand_clearance import PosedHand, posed_hand
 from r2h_batch.kernels.judge import reception as kernels
+from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.receiver.held_out import GRAVITY, HeldOut, load_held_out
 from r2h_batch.scene.grasp_tables import gripper_tables
@@ -142,7 +144,7 @@ def _grasps(scene: Scene) -> _Grasps:
     vectors = [x.float().to(scene.device) for x in (joints[:, 0], along, normal)]
     R = grasps.T_obj_hand[:, :3, :3].contiguous().to(scene.device)
     lines = [x.to(scene.device) for x in (held_out.axis, held_out.axis_point)]
-    table: Any = kernels.Receiving()
+    table: Any = Receiving()
     for name, x in zip(("wrist", "along", "normal"), vectors, strict=True):
         setattr(table, name, wp.from_torch(x, dtype=wp.vec3))
     table.R = wp.from_torch(R, dtype=wp.mat33)
@@ -167,6 +169,8 @@ class _Batch:
     """Some handovers, and what every step reads of them."""
 
     grasps: _Grasps
+    sized: Callable[[Any], Any]
+    """a kernel for the arm's number of joints (`Scene.sized`)"""
     on: dict[str, Any]
     """device and threads of a launch"""
     tables: dict[str, Any]
@@ -248,6 +252,7 @@ def _batch_of(scores: Scores) -> _Batch:
     )
     return _Batch(
         grasps,
+        scene.sized,
         {"device": device, "threads": threads},
         {
             "gripper": gripper_tables(scene.robot, device),
@@ -282,7 +287,7 @@ def _arms(batch: _Batch, leans_deg: tuple[float, ...]) -> dict[str, Tensor]:
     sizes = dict.fromkeys(("effort", "turn", "angles", "elbow"), width)
     arms = new_outputs(kernels.reach_with_arm, b, device, **sizes)
     launch_trials(
-        kernels.reach_with_arm,
+        batch.sized(kernels.reach_with_arm),
         b,
         inputs={
             "grasps": batch.grasps.table,
@@ -304,7 +309,8 @@ def _arms(batch: _Batch, leans_deg: tuple[float, ...]) -> dict[str, Tensor]:
 def _launch(batch: _Batch, kernel: Any, n: int, **inputs: Any) -> dict[str, Tensor]:
     """What a kernel over n pairs writes."""
     made = new_outputs(kernel, n, batch.on["device"])
-    launch_trials(kernel, n, inputs=inputs, outputs=made, chunk=PAIRS_CHUNK, **batch.on)
+    sized = batch.sized(kernel)
+    launch_trials(sized, n, inputs=inputs, outputs=made, chunk=PAIRS_CHUNK, **batch.on)
     return made
 
 

@@ -18,6 +18,7 @@ from r2h_batch.judge import reception as judge
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception, rula
 from r2h_batch.kernels.judge import reception as kernels
+from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.methods import oracle
 from r2h_batch.receiver.held_out import grip_forces, load_held_out, revolution_axis
@@ -68,7 +69,7 @@ def waiting(trials):
     hands = scene.hands.directions[trials.hand_index.long()]
     R = trials.T_world_hand[:, :3, :3].double()
     vectors = [trials.receiver[:, 2, :3], *((R @ hands)[:, :, k].float() for k in (0, 1))]
-    table = kernels.Receiving()
+    table = Receiving()
     for name, x in zip(("wrist", "along", "normal"), vectors, strict=True):
         setattr(table, name, wp.from_torch(x.contiguous(), dtype=wp.vec3))
     table.R = wp.from_torch(R.float().contiguous(), dtype=wp.mat33)
@@ -160,7 +161,7 @@ def test_a_mirrored_person_finds_the_mirrored_arm():
     trials = make_trials(trials=20, protocol="r2h-v1")
     inputs, vectors, outwards = waiting(trials)
     flip = torch.tensor([1.0, -1.0, 1.0])
-    table = kernels.Receiving()
+    table = Receiving()
     table.assign(inputs["grasps"])
     mirrored = [(v * flip).contiguous() for v in vectors]
     for name, x in zip(("wrist", "along", "normal"), mirrored, strict=True):

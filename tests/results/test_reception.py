@@ -7,7 +7,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.results.reception import SCHEMA
 from r2h_batch.runs.store import load_run
 
-QUICK = ["--sim", "none", "--no-progress"]
+QUICK = ["--sim", "none", "--quiet"]
 
 
 @pytest.fixture(scope="module")
