@@ -1,12 +1,14 @@
 """Another arm goes through the whole evaluator, and no stage falls back to the UR5e."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from r2h_batch import Evaluator
+from r2h_batch.__main__ import main
 from r2h_batch.benchmark import built_in
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
@@ -63,3 +65,11 @@ def test_an_arm_that_airo_models_does_not_show_is_simulated_without_its_meshes()
         build_scene_model(robot, scene.objects[:1], scene.hands, [0], step_s=0.002).model for robot in (UR3E, bare)
     )
     assert shown.ngeom - hidden.ngeom == 7 and np.allclose(shown.dof_M0, hidden.dof_M0, rtol=1e-9)
+
+
+def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(tmp_path: Path) -> None:
+    run = str(tmp_path / "run")
+    line = ["sweep", "--robot", "ur3e_2f85", "--method", "random", "--trials", "2", "--sim", "none", "--out", run]
+    assert main(line) == 0
+    assert main(["results", "reevaluate", run]) == 0
+    assert main(["results", "reevaluate", run, "--robot", "ur5e_2f85"]) == 2

@@ -515,7 +515,8 @@ def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | P
 def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where: str) -> Benchmark:
     """The benchmark of a stored run, from the flags that the user gives again.
 
-    No file that run.json names is opened: a run folder may come from anybody.
+    No file that run.json names is opened: a run folder may come from anybody. The name of a built-in
+    robot need not be given again.
 
     Args:
         header: run.json.
@@ -529,6 +530,13 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
     if protocol not in (*PROTOCOLS, LISTED):
         known = f"this version makes the trials of {', '.join(PROTOCOLS)}"
         raise FileError(f"{where}: protocol {protocol!r}; {known}")
+    said = [
+        f.partition(" ")[2]
+        for f in (header.get("benchmark") or {}).get("flags", ())
+        if f.startswith("--robot ")
+    ]
+    if said and said[0] in ROBOTS and not given.robot:  # a built-in robot is no file
+        given = replace(given, robot=said[0])
     flags = _check_flags(header, given, where)
     if protocol != LISTED:
         given = replace(given, protocol=protocol)
