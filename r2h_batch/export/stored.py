@@ -111,7 +111,9 @@ class Reader:
         if word is None and len(names) == 1:
             return str(names[0])
         if word is None:
-            listed = ", ".join(names) or "none"
+            if not names:
+                raise ExportError(f"{folder}: no method is complete; run its sweep again to go on")
+            listed = ", ".join(names)
             raise ExportError(f"{folder}: has several methods; choose one with --method: {listed}")
         try:
             name = str(self.run.named(word))

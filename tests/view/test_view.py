@@ -1,6 +1,7 @@
 """The viewer, pages, films, strips and captions: bodies are drawn where MuJoCo has them, and a page needs no server."""
 
 import base64
+import contextlib
 import json
 import re
 import subprocess
@@ -273,10 +274,10 @@ def test_the_viewer_lists_filters_steps_and_shows(reader, monkeypatch):
         viewer.stop()
 
 
-def test_only_its_own_page_may_connect_to_the_viewer():
+def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end_it():
     """Any page in a browser can open a websocket to this machine; its Origin says whose it is."""
     import viser
-    from websockets.exceptions import InvalidStatus
+    from websockets.exceptions import ConnectionClosed, InvalidStatus
     from websockets.sync.client import connect
 
     from r2h_batch.view.page import new_server, stop_server
@@ -298,6 +299,9 @@ def test_only_its_own_page_may_connect_to_the_viewer():
         for name in ("127.0.0.1", "localhost"):
             with connect(f"ws://127.0.0.1:{port}", origin=f"http://{name}:{port}", max_size=None, **how) as page:
                 assert page.recv(timeout=10)
+                for odd in (b"", b"\xc1", b"\xdd\xff\xff\xff\xff", b"\x91" * 100_000, "text", b"x" * (1 << 20)):
+                    with contextlib.suppress(ConnectionClosed):
+                        page.send(odd)
     finally:
         stop_server(server)
 
