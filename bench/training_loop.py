@@ -92,10 +92,6 @@ def sizes(report: Report, evaluator: Evaluator, mix: Poses, clock: Clock, larges
         report.add(f"{name}.candidates_per_s_best", b / best)
         report.add(f"{name}.core_us_per_candidate", 1e6 * core / b)
         report.add(f"{name}.candidates_per_2_core_s", 2 * b / core)
-    for b in (1, 64):
-        captured, c = evaluator.capture(b), repeated(mix, b)
-        _, best, _ = clock.of(lambda captured=captured, c=c: captured(*c), 30)  # type: ignore[misc]
-        report.add(f"training_loop.captured.b{b}.ms", 1e3 * best)
 
 
 def main() -> None:

@@ -1,7 +1,6 @@
 """The one command: `r2h-batch SUBCOMMAND ...`, or `python -m r2h_batch SUBCOMMAND ...`; `--version`
 names the version."""
 
-import re
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -66,7 +65,7 @@ COMMANDS = {
     ),
     "study": (
         "study.command:COMMANDS",
-        "Compare simulation with people, as the user study does.",
+        "Compare a real robot with a run, and test people's ratings.",
     ),
     "compare": (
         "compare.command:compare",
@@ -79,18 +78,10 @@ A module is imported when its subcommand is chosen, not before. `sweep` reads it
 itself.
 """
 
-OLD_NAMES: dict[tuple[str, ...], tuple[list[str], dict[str, str]]] = {
-    ("rescore",): (["results", "rethreshold"], {}),
-    ("video",): (["view"], {"--out": "--video"}),
-    ("strips",): (["view"], {"--out": "--strips"}),
-    ("results", "verify", "--rejudge"): (["results", "reevaluate"], {"--rejudge": "--rows"}),
-}
-"""Commands of version 0.1, and a flag that marks one -> what they and their flags are called now."""
-
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> int:
     """Exit code of the chosen subcommand; 2 with one line where there is no such."""
-    given = with_new_names(sys.argv[1:] if arguments is None else arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
     name = given[0] if given else "--help"
     if name not in COMMANDS:
         return answer(prog, lambda: _about(name, given, prog))
@@ -103,21 +94,7 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> 
         return refuse(name, "interrupted", 130)
     if name == "sweep":
         return int(command(given[1:], prog=f"{prog} {name}"))
-    rest = given[1:] or (["paper"] if name == "study" else [])
-    return call(command, rest, prog=f"{prog} {name}", name=name)
-
-
-def with_new_names(words: Sequence[str]) -> list[str]:
-    """A command line with today's names in place of those of version 0.1."""
-    flags = [word.partition("=")[0] for word in words]
-    for (*old, last), (new, renamed) in OLD_NAMES.items():
-        named = [*old, *([] if last.startswith("-") else [last])]
-        if flags[: len(named)] == named and last in flags:
-            rest = words[len(named) :]
-            for before, now in renamed.items():
-                rest = [re.sub(f"^{before}(?==|$)", now, word) for word in rest]
-            return [*new, *rest]
-    return list(words)
+    return call(command, given[1:], prog=f"{prog} {name}", name=name)
 
 
 def command_of(name: str) -> Any:

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float32, Int64
-from safetensors.numpy import save_file
 from torch import Tensor
 
 from r2h_batch.io.arrays import Spec, check_array, check_arrays, not_rigid
-from r2h_batch.io.read import FileError, open_file, printable, read_npz, read_safetensors
-from r2h_batch.io.tables import read_csv_arrays, read_json_arrays, read_parquet_arrays
-from r2h_batch.io.write import atomic_path, write_npz
+from r2h_batch.io.read import FileError, open_file, printable, read_npz
+from r2h_batch.io.tables import read_json_arrays, read_parquet_arrays
+from r2h_batch.io.write import write_npz
 from r2h_batch.types import Predictions
 from r2h_batch.validate import instance_of, text
 from r2h_batch.validate import path as path_rule
@@ -38,7 +37,6 @@ _SPECS: dict[str, Spec] = {
     "T_world_ee": ("f", ("N", 4, 4)),
     "t_method_s": ("f", ("N",)),
 }
-_WIDTHS = {"trial_id": 1, "T_obj_ee": 16, "T_world_ee": 16, "t_method_s": 1}
 _PARQUET_SHAPES = {
     **dict.fromkeys(("q", "planned_q"), (-1, 6)),
     **dict.fromkeys(("T_obj_ee", "T_world_ee"), (-1, 4, 4)),
@@ -51,8 +49,7 @@ _HOW_MOTIONS = (
 )
 _HOW = {
     "": "write np.savez(FILE, trial_id=..., T_obj_ee=..., T_world_ee=...) or r2h_batch.predictions.write_predictions",
-    ".csv": "write the columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), a line for each trial",
-    ".json": 'write {"predictions": [{"trial_id": ..., "T_obj_ee": 4 x 4, "T_world_ee": 4 x 4}, ...]}',
+    ".json": 'write {"trial_id": [...], "T_obj_ee": [4 x 4, ...], "T_world_ee": [4 x 4, ...]}',
 }
 
 
@@ -116,11 +113,7 @@ class Answers:
 
 
 def load_predictions(path: str | Path) -> Predictions:
-    """Read predictions from a .npz, .safetensors, .csv or .json file.
-
-    CSV: columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), optional
-    t_method_s. JSON: an object with `method` and a list `predictions` of objects with the same
-    names, poses as 16 numbers or 4 x 4.
+    """Read predictions from a .npz file, or a .json file of the same arrays as lists.
 
     Args:
         path: the file.
@@ -141,8 +134,8 @@ def load_predictions(path: str | Path) -> Predictions:
 
 
 def load_answers(path: str | Path) -> Answers:
-    """Read predictions as `load_predictions` does, or motions, from a .npz, .safetensors or
-    .parquet file (docs/run_folder.md, Motions file).
+    """Read predictions as `load_predictions` does, or motions, from a .npz, .json or .parquet
+    file (docs/run_folder.md, Motions file).
 
     Raises:
         PredictionsError: the file cannot be scored.
@@ -222,27 +215,23 @@ def _check_precision(key: str, value: Any, shown: str) -> None:
 
 def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
     """The arrays of a file, as they are, and the method's name."""
-    if suffix == ".csv":
-        return read_csv_arrays(path, _WIDTHS, ["t_method_s"]), path.stem
-    if suffix == ".json":
-        arrays, words = read_json_arrays(path, _WIDTHS, ["t_method_s"], words=["method"])
-        return arrays, words.get("method", path.stem)
     shown = printable(path)
     if suffix == ".parquet":
         return _parquet(path), path.stem
     with open_file(path, MAX_BYTES) as file:
         magic = file.read(16)
-    if magic.startswith(b"PK"):
-        arrays = read_npz(path, most=MAX_BYTES, most_each=MAX_BYTES)
+    if suffix == ".json" or magic.startswith(b"PK"):
+        arrays = (
+            read_json_arrays(path)
+            if suffix == ".json"
+            else read_npz(path, most=MAX_BYTES, most_each=MAX_BYTES)
+        )
         method = arrays.pop("method", np.array(path.stem))
         if method.dtype.kind != "U" or method.size != 1:
             found = f"'method' is {method.dtype} {method.shape}"
             raise FileError(f"{shown}: {found}; it must be one string: np.array('NAME')")
         return arrays, str(method.item())
-    if suffix == ".safetensors" or magic[8:9] == b"{":
-        arrays, metadata = read_safetensors(path, most=MAX_BYTES)
-        return arrays, metadata.get("method", path.stem)
-    what = "neither .npz, .safetensors, .csv nor .json"
+    what = "neither .npz nor .json"
     if not magic:
         what = "the file is empty (0 bytes)"
     elif magic[:1] == b"\x80" and magic[1] < 6:
@@ -269,9 +258,6 @@ def _parquet(path: Path) -> dict[str, Any]:
 
 def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
     shown = printable(path)
-    for name in ("T_obj_ee", "T_world_ee"):
-        if path.suffix.lower() in (".csv", ".json") and name in arrays:
-            arrays[name] = arrays[name].reshape(-1, 4, 4)
     if not method.strip() or len(method) > MAX_METHOD_CHARS or not method.isprintable():
         found = f"method {printable(method[:120])!r}"
         raise FileError(f"{shown}: {found} must be 1 to {MAX_METHOD_CHARS} printable characters")
@@ -298,7 +284,7 @@ def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
 
 
 def write_predictions(path: str | Path, predictions: Predictions) -> None:
-    """Write predictions to a .npz or .safetensors file; `load_predictions` reads them back equal.
+    """Write predictions to a .npz file; `load_predictions` reads them back equal.
 
     Args:
         path: the file; an existing one is replaced.
@@ -312,19 +298,15 @@ def write_predictions(path: str | Path, predictions: Predictions) -> None:
         "predictions", predictions
     )
     method, data = text("predictions.method", predictions.method), {}
-    for name in _WIDTHS:
+    for name in _SPECS:
         value = getattr(predictions, name)
         if value is not None or name in _NEEDED:
             value = check_tensor(f"predictions.{name}", value, "a torch tensor of N rows")
             data[name] = np.ascontiguousarray(value.detach().cpu().numpy())
-    if path.suffix == ".npz":
-        write_npz(path, {"method": np.array(method), **data})
-    elif path.suffix == ".safetensors":
-        with atomic_path(path) as temporary:
-            save_file(data, temporary, metadata={"method": method})
-    else:
-        allowed = "predictions are written as .npz or .safetensors"
-        raise PredictionsError(f"{printable(path)}: {allowed}, not {path.suffix!r}")
+    if path.suffix != ".npz":
+        shown = printable(path)
+        raise PredictionsError(f"{shown}: predictions are written as .npz, not {path.suffix!r}")
+    write_npz(path, {"method": np.array(method), **data})
 
 
 def align(

@@ -11,7 +11,7 @@ import torch
 from problems import Batch, assert_same, default_evaluator, make_batch
 
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.types import Outcome, Scores, in_one_copy
+from r2h_batch.types import Outcome, Scores
 
 SIZE = 66
 
@@ -79,12 +79,6 @@ def test_an_empty_batch_gives_empty_scores_of_the_same_types(stages):
         assert x.shape == (0, *y.shape[1:]) and x.dtype == y.dtype, f.name
 
 
-@every_stage
-def test_order_changes_nothing(stages):
-    order = torch.randperm(SIZE, generator=torch.Generator().manual_seed(0))
-    assert_same(reference(stages)[order], score(batch(SIZE).rows(order), None, stages))
-
-
 @pytest.mark.parametrize(("chunk", "threads"), [(1, 1), (7, 2), (64, 3), (2048, 1), (2048, 5)])
 @every_stage
 def test_chunk_size_and_thread_count_change_nothing(chunk, threads, stages):
@@ -111,17 +105,6 @@ def test_random_numbers_follow_the_trial_id_and_not_the_row():
     assert torch.equal(s.plan_reason == 2, reference().plan_reason == 2)
     straight = reference().path_len == 2
     assert torch.equal(s.path[straight], reference().path[straight])
-
-
-@pytest.mark.parametrize("rows", [0, 1, 7])
-def test_tensors_packed_for_one_copy_come_back_as_they_were(rows):
-    """What takes scores from a GPU; the packing itself runs anywhere."""
-    part = reference()[torch.arange(rows)]
-    tensors = [getattr(part, f.name) for f in fields(part) if isinstance(getattr(part, f.name), torch.Tensor)]
-    tensors.append(torch.arange(2 * rows, dtype=torch.float64).reshape(rows, 2).T)  # not contiguous
-    for mine, theirs in zip(in_one_copy(tensors), tensors, strict=True):
-        assert mine.dtype == theirs.dtype and mine.shape == theirs.shape
-        assert mine.contiguous().numpy().tobytes() == theirs.contiguous().numpy().tobytes()
 
 
 @every_stage

@@ -20,7 +20,7 @@ def gpu(monkeypatch):
 
 
 def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path, monkeypatch, capsys):
-    apart = ("capture_first", "worlds", "marked_tests")  # processes of their own, and minutes of MuJoCo-Warp on a CPU
+    apart = ("worlds", "marked_tests")  # processes of their own, and minutes of MuJoCo-Warp on a CPU
     monkeypatch.setattr(gpu, "PARTS", tuple(p for p in gpu.PARTS if p.__name__ not in apart))
     assert gpu.main(["--device", "cpu", "--trials", "6", "--out", str(tmp_path)]) == 0
     values = json.loads((tmp_path / "gpu.json").read_text())["values"]
@@ -32,7 +32,7 @@ def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path,
     assert values["gpu.forms.loser"] == min(rates, key=rates.get) and values["gpu.forms.winner_is_faster_by"] >= 1
     assert values["gpu.forms.rows"] == 6 and values["gpu.forms.outcomes_that_differ"] == 0
     assert f"| gpu.forms.loser | {values['gpu.forms.loser']} |" in (tmp_path / "gpu.md").read_text()
-    assert "%" in values["gpu.profile.1"] and "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
+    assert "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

@@ -1,6 +1,5 @@
 """What is kept on disk: made once, by one process, and made again whenever it cannot be read or depends on other things."""
 
-import fcntl
 import multiprocessing
 import os
 from pathlib import Path
@@ -94,18 +93,6 @@ def test_what_stands_in_the_locks_place_is_neither_followed_nor_waited_for(folde
     for _ in range(2):
         assert cached("things", KEY, make, FORM)["x"].shape == (5,) and make.times == 1
     assert not precious.exists()
-
-
-def test_a_process_that_holds_the_lock_and_does_nothing_is_waited_for_with_a_line_and_not_for_ever(
-    folder, monkeypatch, capsys
-):
-    monkeypatch.setattr(module, "REPORT_AFTER_S", 0.05)
-    monkeypatch.setattr(module, "GIVE_UP_AFTER_S", 0.2)
-    (folder / "things").mkdir(parents=True)
-    with (folder / "things" / f"{KEY}.lock").open("w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        assert cached("things", KEY, Maker(), FORM)["x"].shape == (5,)
-    assert capsys.readouterr().err.count("another process is making this entry") == 1
 
 
 def _one(folder: str, queue: "multiprocessing.Queue[int]") -> None:

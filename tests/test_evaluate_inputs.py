@@ -183,11 +183,6 @@ def test_wrong_inputs_are_refused_by_name_before_any_work(case, stages, no_work)
         staged_evaluator().score(*arguments, stages)
 
 
-def test_an_unknown_stage_is_refused(no_work):
-    with pytest.raises(ValueError, match="stages is 'path'; allowed are pose, all"):
-        staged_evaluator().score(*batch_of([GOOD]), "path")
-
-
 @every_stage
 @pytest.mark.parametrize("kind", ["float64", "numpy", "lists"])
 def test_poses_may_be_float64_arrays_or_lists(kind, stages):

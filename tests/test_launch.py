@@ -3,11 +3,8 @@
 import ast
 import threading
 import time
-import weakref
-from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -15,7 +12,7 @@ import torch
 import trimesh
 import warp as wp
 
-from r2h_batch.launch import cached, init_warp, launch, launch_trials, load, threads
+from r2h_batch.launch import cached, init_warp, launch_trials, threads
 from r2h_batch.launch.arguments import parameters, struct_of
 
 ROOT = Path(__file__).parents[1]
@@ -61,12 +58,6 @@ class Table:
 def weighted(first: int, table: Table, y_out: wp.array(dtype=float)):
     i = first + wp.tid()
     y_out[i] = table.weight[i] * float(table.count[i])
-
-
-@wp.kernel
-def doubled(x_in: wp.array(dtype=wp.float64), x_out: wp.array(dtype=wp.float64)):
-    i = wp.tid()
-    x_out[i] = wp.float64(2.0) * x_in[i]
 
 
 N = 7
@@ -134,14 +125,6 @@ def test_tensors_arrays_and_warp_arrays_give_the_same_bits():
         np.testing.assert_array_equal(outputs["length"].numpy(), other)
 
 
-def test_a_tensor_that_wants_a_gradient_is_passed_by_value_and_gets_none():
-    inputs, outputs = arguments()
-    inputs["weight"].requires_grad_()
-    launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
-    torch.testing.assert_close(outputs["length"], expected(inputs).detach())
-    assert inputs["weight"].grad is None
-
-
 def test_a_repeated_call_takes_the_memory_rows_and_values_it_is_given():
     for n in (N, 3, 50, 0, N):
         for power, offset in ((1, 0.5), (2, 0.25), (1, -0.0)):
@@ -151,15 +134,6 @@ def test_a_repeated_call_takes_the_memory_rows_and_values_it_is_given():
             length = inputs["point"].norm(dim=1) * inputs["weight"] * 2.0 + offset + 0.25
             torch.testing.assert_close(outputs["length"], length**power)
             assert (outputs["calls"] == 1).all()
-
-
-def test_a_recording_of_the_cpu_is_refused_before_and_after_a_first_call():
-    load(scaled, "cpu")
-    for inputs, outputs in (arguments(), arguments()):
-        with wp.ScopedCapture(device="cpu"):
-            refused("Warp records a graph on the CPU, and scaled would be missing", inputs, outputs, RuntimeError)
-        launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
-        torch.testing.assert_close(outputs["length"], expected(inputs))
 
 
 def test_a_struct_whose_numbers_change_and_another_one_are_both_seen():
@@ -196,20 +170,6 @@ def test_what_is_refused_the_first_time_is_refused_after_a_call_that_was_right()
     torch.testing.assert_close(outputs["length"], expected(inputs))
 
 
-def test_callers_in_threads_do_not_see_each_others_memory():
-    def many(seed: int) -> bool:
-        right = True
-        for n in [2, 40] * 20:
-            inputs, outputs = arguments(n, offset=float(seed))
-            launch_trials(scaled, n, inputs=inputs, outputs=outputs, device="cpu", threads=2, chunk=16)
-            length = inputs["point"].norm(dim=1) * inputs["weight"] * 2.0 + seed + 0.25
-            right = right and torch.allclose(outputs["length"], length) and bool((outputs["calls"] == 1).all())
-        return right
-
-    with ThreadPoolExecutor(4) as pool:
-        assert all(pool.map(many, range(4)))
-
-
 def test_a_struct_made_of_tensors_keeps_their_memory_and_refuses_other_kinds():
     made = struct_of(Table, {"weight": torch.full((N,), 2.0), "count": torch.arange(N, dtype=torch.int32)})
     others = [torch.full((N,), 7.0) for _ in range(20)]  # would take the memory if it were free
@@ -222,25 +182,6 @@ def test_a_struct_made_of_tensors_keeps_their_memory_and_refuses_other_kinds():
         assert out[:n].tolist() == [weight * i for i in range(n)]
     with pytest.raises(TypeError, match="`weight`"):
         struct_of(Table, {"weight": torch.zeros(N, dtype=torch.float64), "count": torch.zeros(N, dtype=torch.int32)})
-
-
-def test_memory_of_a_call_is_given_back_after_it():
-    """What is kept for the next call is addresses, not what stands there."""
-    inputs, outputs = arguments()
-    launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
-    gone = [weakref.ref(x) for x in (inputs["scale"], inputs["point"], outputs["length"])]
-    del inputs, outputs
-    assert [x() for x in gone] == [None] * 3
-
-
-def test_one_name_on_both_sides_and_a_kernel_without_first():
-    x, y = np.arange(4.0), np.zeros(4)
-    launch(doubled, 4, inputs={"x": x}, outputs={"x": y}, device="cpu")
-    assert y.tolist() == [0, 2, 4, 6]
-    with pytest.raises(TypeError, match="kernel doubled lacks a leading parameter `first`: use launch"):
-        launch_trials(doubled, 4, inputs={"x": x}, outputs={"x": y}, device="cpu")
-    with pytest.raises(TypeError, match="kernel scaled has a leading parameter `first`: use launch_trials"):
-        launch(scaled, 4, inputs={}, outputs={}, device="cpu")
 
 
 def test_names_that_the_kernel_does_not_declare_are_refused():
@@ -341,17 +282,6 @@ def test_only_the_launcher_calls_warps_launch():
 # --- repeated calls, interrupts, exit -----------------------------------------------------------------------------------
 
 
-def test_a_kernel_is_loaded_before_its_first_row():
-    @wp.kernel(module="unique")
-    def later(first: int, x_out: wp.array(dtype=float)):
-        x_out[first + wp.tid()] = 1.0
-
-    load(later, "cpu")
-    assert (known := dict(later.module.execs))
-    launch_trials(later, 3, inputs={}, outputs={"x": torch.zeros(3)}, device="cpu")
-    assert later.module.execs == known
-
-
 @pytest.mark.parametrize("guards", [True, False])
 def test_a_repeated_call_takes_tensors_that_are_given_twice_and_sees_them_change(monkeypatch, guards):
     if not guards:  # a torch without them
@@ -423,12 +353,3 @@ def test_every_trial_is_in_one_piece(n, chunk):
     assert [i for start, rows in done for i in range(start, start + rows)] == list(range(5, 5 + n))
     sizes = [rows for _, rows in done]
     assert sizes == sorted(sizes, reverse=True)  # small ones last: the workers end together
-
-
-def test_a_program_that_is_going_down_works_on_the_calling_thread():
-    """No pool takes work then: what is scored at exit is scored all the same."""
-    pool, done = ThreadPoolExecutor(2), []
-    pool.shutdown()
-    with mock.patch.object(threads, "thread_pool", lambda _: pool):
-        threads.share(lambda worker, start, rows: done.append((worker, start, rows)), 3, 10, 3, 4)
-    assert done == [(0, 3, 4), (0, 7, 4), (0, 11, 2)]

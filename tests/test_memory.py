@@ -11,7 +11,7 @@ from pretend_cuda import pretending
 
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import POSE_CHUNK_CUDA, Evaluator
-from r2h_batch.launch.memory import CUDA_ROWS, in_parts, rows_at_once
+from r2h_batch.launch.memory import CUDA_ROWS, in_parts
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import make_trials
 
@@ -40,22 +40,6 @@ def test_out_of_memory_halves_the_rows_and_says_so(error: Exception, caplog: pyt
         "out of memory with 8 rows: going on with 4 at a time",
         "out of memory with 4 rows: going on with 2 at a time",
     ]
-
-
-def test_other_errors_and_a_single_row_that_is_too_much_are_not_swallowed() -> None:
-    for rows, error in ((4, RuntimeError("shapes differ")), (1, torch.OutOfMemoryError("CUDA out of memory"))):
-        judge = mock.Mock(side_effect=error)
-        with pytest.raises(type(error), match=str(error)):
-            in_parts(4, rows, judge)
-        assert judge.call_count == 1
-
-
-def test_a_gpu_takes_what_its_memory_is_good_for() -> None:
-    with pretending(), mock.patch.object(torch.cuda, "mem_get_info", lambda device: (4 << 30, 8 << 30)):
-        assert rows_at_once("cuda:0", 2048, 64 << 10) == (1 << 30) // (64 << 10)
-        assert rows_at_once("cuda:0", 2048, 1 << 30) == 2048  # never fewer than were asked for
-        assert rows_at_once("cuda:0", 2048, 1 << 10) == CUDA_ROWS
-    assert rows_at_once("cpu", 2048, 1) == 2048
 
 
 def test_an_evaluator_that_runs_out_of_memory_gives_the_same_rows() -> None:

@@ -1,5 +1,6 @@
 """What is said to somebody whose file is not what a command takes: what was given, what is allowed, what to do."""
 
+import json
 import re
 
 import numpy as np
@@ -11,8 +12,8 @@ from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.io.read import FileError
 from r2h_batch.trials import make_trials
 
-NAMES = [f"{p}_{i}" for p in ("T_obj_ee", "T_world_ee") for i in range(16)]
-TABLE = ",".join(["trial_id", *NAMES]) + "\n0," + ",".join(["1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1"] * 2) + "\n"
+POSE = [np.eye(4).tolist()]
+ONE = {"trial_id": [0], "T_obj_ee": POSE, "T_world_ee": POSE}
 
 BENCHMARK, PREDICTIONS = "benchmark check b.yaml", "sweep --trials 1 --out run --predictions p"
 SAID = {
@@ -25,11 +26,9 @@ SAID = {
     "centimetres": (b"thresholds: {reach_radius_m: 8}", BENCHMARK, "reach_radius_m is 8; it must be 0.001 to 2 metres"),
     "two numbers": (b"table: {half: [1, 2]}", BENCHMARK, "table.half is .*; it must have 3 entries or more, it has 2"),
     "missing": (b"objects: [{file: a.obj}]", BENCHMARK, "b.yaml: objects.0.file: .*a.obj: no such file"),
-    "UTF-16": (TABLE.encode("utf-16"), f"{PREDICTIONS}.csv", "no readable CSV .*; save it as CSV UTF-8"),
-    "semicolons": (TABLE.replace(",", ";").encode(), f"{PREDICTIONS}.csv", "write commas between columns, and points in"),
     "JSON in UTF-16": (b"\xff\xfe{\0}\0", f"{PREDICTIONS}.json", "is in UTF-16; save it in UTF-8"),
-    "a long number": (b'{"predictions": [{"trial_id": %s}]}' % (b"9" * 5000), f"{PREDICTIONS}.json", "of 5000 digits; at most"),
-    "one id": (TABLE.encode(), f"{PREDICTIONS}.csv", "1 trial id is planned but missing: 1;"),
+    "a long number": (b'{"trial_id": [%s]}' % (b"9" * 5000), f"{PREDICTIONS}.json", "of 5000 digits; at most"),
+    "one id": (json.dumps(ONE).encode(), f"{PREDICTIONS}.json", "1 trial id is planned but missing: 1;"),
     "a config of words": (b"trials: many", "sweep --out run --config c.yaml", "trials is 'many'; it must be a whole number"),
 }  # fmt: skip
 
@@ -43,26 +42,6 @@ def test_a_file_that_is_something_else_is_told_what_it_is_and_what_is_allowed(ca
     error = capsys.readouterr().err
     assert re.search(words, error) and error.count("\n") == 1, error
     assert "NoneType" not in error and "input should" not in error and "int_max_str" not in error
-
-
-def test_an_address_and_a_folder_are_told_what_to_give_instead(tmp_path, capsys):
-    line = [
-        "--object-mesh",
-        "https://x.org/a.obj:S1",
-        "--method",
-        "random",
-        "--trials",
-        "1",
-        "--out",
-        str(tmp_path / "run"),
-    ]
-    assert main(["sweep", *line]) == 2
-    assert "an address; nothing is fetched: save the file and give its path" in capsys.readouterr().err
-    assert main(["benchmark", "check", str(tmp_path)]) == 2
-    assert "is a folder; give a benchmark.yaml; meshes alone: sweep --objects FOLDER" in capsys.readouterr().err
-    (tmp_path / "benchmark.yaml").write_text("")
-    assert main(["benchmark", "check", str(tmp_path)]) == 2
-    assert f"is a folder; give {tmp_path}/benchmark.yaml" in capsys.readouterr().err
 
 
 def hands(**changes):

@@ -161,7 +161,7 @@ def test_a_copied_evaluator_gives_the_same_rows(batch, how):
 
 @pytest.mark.parametrize("dtype", ["float64", pytest.param("bfloat16", marks=pytest.mark.slow)])
 def test_defaults_of_the_callers_program_change_no_bit(tmp_path, dtype):
-    """Trials, all methods, scores, gradients, captured calls, rewards; `meta` fails whatever lands there."""
+    """Trials, all methods, scores, gradients, rewards; `meta` fails whatever lands there."""
     line = [sys.executable, str(DEFAULTS), dtype, "meta", str(tmp_path / "out.npz")]
     done = subprocess.run(line, capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 0, done.stderr
@@ -184,7 +184,6 @@ WRONG = {
     "a device that is none": (lambda: Evaluator(device="gpu"), "device is 'gpu'; allowed are cpu, cuda, cuda:N"),
     "half a trial": (lambda: make_trials(("S0",), 1.5), "trials is 1.5; it must be a whole number from 0"),
     "trial ids of 32 bits": (lambda: trials_with_ids(torch.arange(3).int()), "trial_id is torch.int32.*torch.int64"),
-    "stages of a captured call": (lambda: default_evaluator().capture(3, stages="x"), "stages is 'x'; allowed are pose, all"),
     "a gripper that opens too wide": (lambda: Thresholds(w_max_m=0.3), "w_max_m is 0.3; it must be 0.085 or less: metres"),
     "a distance to the hand that no goal has": (lambda: PlanConfig(hand_clearance_m=0.01), "it must be 0.006 or less: metres"),
     "pads that give a metre": (lambda: Thresholds(pad_squeeze_m=1), "pad_squeeze_m is 1; it must be 0.01 or less: metres"),
@@ -263,7 +262,6 @@ def test_obvious_meanings():
     assert [t.trial_id.item() for t in trials] == trials.trial_id.tolist()
     bytes_ = torch.tensor([0, 1, 1, 0, 0, 5], dtype=torch.uint8)  # to torch a mask
     assert trials[bytes_].trial_id.tolist() == trials[bytes_.tolist()].trial_id.tolist() and not len(trials[[]])
-    assert default_evaluator().capture(np.int64(4), stages="pose").T_obj_ee.shape == (4, 4, 4)
 
 
 def test_an_optimizers_step_in_place_does_not_change_what_scores_were_asked_about(evaluator, batch):

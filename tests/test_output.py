@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from made_runs import write_run
 
-from r2h_batch.command_line import answer, tell
+from r2h_batch.command_line import tell
 from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.verdicts import Outcome
 
@@ -69,35 +69,6 @@ def test_a_full_or_closed_stdout_is_one_line_and_exit_code_1(folder, name, redir
     assert ("No space left" if "full" in redirection else "closed") in done.stderr
 
 
-def test_a_reader_that_goes_away_is_one_line_and_exit_code_1(folder):
-    """`| head`: the pipe is closed before anything is written."""
-    ours, theirs = os.pipe()
-    os.close(ours)
-    with os.fdopen(theirs, "wb") as pipe:
-        done = subprocess.run(
-            [sys.executable, "-m", "r2h_batch", "report", str(folder)],
-            stdout=pipe,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-    assert done.returncode == 1 and done.stderr == "report: standard output: Broken pipe; the answer is not complete\n"
-
-
-@pytest.mark.parametrize("name", ["report", "results"])
-def test_an_ascii_stdout_is_told_what_it_does_not_take(folder, name):
-    done = shell("", lines(folder)[name], PYTHONIOENCODING="ascii", PYTHONUTF8="0")
-    assert done.returncode == 1 and done.stdout == ""
-    assert (
-        done.stderr == f"{name}: standard output takes ascii only, the answer has \\xe9; set PYTHONIOENCODING=utf-8\n"
-    )
-
-
-def test_a_full_stderr_is_no_traceback_in_the_answer(folder):
-    done = shell("2> /dev/full", lines(folder)["report"])
-    assert done.returncode == 0 and "Traceback" not in done.stdout and done.stdout.count("\n") > 3
-
-
 @pytest.mark.parametrize("name", ["report", "results", "rethreshold"])
 def test_names_in_files_reach_no_terminal_as_control_characters(hostile, name):
     done = shell("", lines(hostile)[name])
@@ -109,16 +80,6 @@ def test_names_in_files_reach_no_terminal_as_control_characters(hostile, name):
 def test_what_is_told_on_stderr_is_cleaned(capsys):
     tell(f"{HOSTILE}\r\nnext")
     assert capsys.readouterr().err == "=1+2\\x1b]0;owned\\x07\\u202eé\\r\nnext\n"
-
-
-def test_errors_of_the_work_are_told_from_errors_of_stdout(capsys):
-    def work():
-        print("half an answer")
-        raise OSError(28, "No space left on device", "runs/x/shard")
-
-    assert answer("sweep", work) == 1
-    out, err = capsys.readouterr()
-    assert err == "sweep: runs/x/shard: No space left on device\n" and out == "half an answer\n"
 
 
 def test_every_print_of_the_package_goes_through_the_cleaned_ways():

@@ -10,10 +10,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import torch
-from prediction_files import FORMATS, arrays, members, npy, refused, store, zipped
-from safetensors.numpy import save
+from prediction_files import arrays, members, npy, refused, store, zipped
 
-from r2h_batch import predictions
 from r2h_batch.predictions import PredictionsError, load_predictions
 
 
@@ -49,23 +47,11 @@ def test_pickles_and_other_formats_are_refused_unread_saying_what_to_write(tmp_p
     np.save(tmp_path / "one.npy", np.zeros(4))
     (tmp_path / "p.txt").write_bytes(b"trial_id,x\n1,2\n")
     (tmp_path / "empty.npz").touch()
-    for name, words in {"one.npy": "single .npy", "p.txt": "neither .npz, .safe", "empty.npz": "empty"}.items():
+    for name, words in {"one.npy": "single .npy", "p.txt": "neither .npz nor", "empty.npz": "empty"}.items():
         refused(tmp_path / name, words, "np.savez")
 
 
 # --- row 13: bombs --------------------------------------------------------------------------------------------------
-
-
-def declare(path, name: str, size: int) -> None:
-    """Let the archive's directory and local header claim another uncompressed size for a member."""
-    data = bytearray(path.read_bytes())
-    for signature, at_size, at_name in ((b"PK\x01\x02", 24, 46), (b"PK\x03\x04", 22, 30)):
-        at = data.find(signature)
-        while at >= 0:
-            if data[at + at_name : at + at_name + len(name)] == name.encode():
-                data[at + at_size : at + at_size + 4] = struct.pack("<I", size)
-            at = data.find(signature, at + 4)
-    path.write_bytes(data)
 
 
 def bomb(path, compression, claim: int | None = None):
@@ -93,13 +79,6 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path, compression, claim, w
         refused(path, words)
 
 
-def test_small_constant_arrays_may_compress_well_up_to_the_limit_on_the_sum(tmp_path, monkeypatch):
-    np.savez_compressed(tmp_path / "p.npz", **arrays(500, T_obj_ee=np.tile(np.eye(4, dtype=np.float32), (500, 1, 1))))
-    assert len(load_predictions(tmp_path / "p.npz")) == 500
-    monkeypatch.setattr(predictions, "MAX_BYTES", 60_000)
-    refused(tmp_path / "p.npz", "at most 60000 are allowed")
-
-
 @pytest.mark.parametrize("shape", [(10**9, 4, 4), (10**18, 10**18, 16), (-5, -4, 4)])
 def test_an_array_header_that_lies_about_its_shape_is_refused_before_allocation(tmp_path, shape):
     header = io.BytesIO()
@@ -107,13 +86,6 @@ def test_an_array_header_that_lies_about_its_shape_is_refused_before_allocation(
     zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), ("T_obj_ee.npy", header.getvalue() + bytes(5 * 64))])
     with memory_below(4 << 20):
         refused(tmp_path / "p.npz", "T_obj_ee")
-
-
-@pytest.mark.parametrize("size", [100, 500, 100_000])
-def test_a_directory_that_lies_about_a_members_size_is_refused(tmp_path, size):
-    zipped(tmp_path / "p.npz", members())
-    declare(tmp_path / "p.npz", "T_obj_ee.npy", size)
-    refused(tmp_path / "p.npz")
 
 
 LINK = zipfile.ZipInfo("T_obj_ee.npy")
@@ -150,16 +122,6 @@ def test_members_that_share_their_bytes_are_refused(tmp_path):
     refused(path, "overlap")
 
 
-def test_a_directory_of_a_million_names_is_refused_unread(tmp_path):
-    path = zipped(tmp_path / "p.npz", members())
-    raw = path.read_bytes()
-    end, first = raw.rfind(b"PK\x05\x06"), raw.find(b"PK\x01\x02")
-    many = raw[first:end] * 40_000
-    path.write_bytes(raw[:first] + many + raw[end : end + 12] + struct.pack("<II", len(many), first) + b"\0\0")
-    with memory_below(8 << 20):
-        refused(path, "directory")
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -178,10 +140,9 @@ def test_an_array_header_that_cannot_be_parsed_is_one_line(tmp_path, text, recwa
 # --- row 15: damage -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_a_file_cut_at_any_place_is_refused_and_named(tmp_path, suffix):
-    data = store(tmp_path / f"whole{suffix}", arrays(3), "m").read_bytes()
-    path = tmp_path / f"cut{suffix}"
+def test_a_file_cut_at_any_place_is_refused_and_named(tmp_path):
+    data = store(tmp_path / "whole.npz", arrays(3), "m").read_bytes()
+    path = tmp_path / "cut.npz"
     for n in range(0, len(data), 7):
         path.write_bytes(data[:n])
         refused(path)
@@ -202,25 +163,3 @@ def test_any_flipped_bit_is_refused_or_harmless_and_never_another_error(tmp_path
         for key, value in arrays(2).items():
             assert np.array_equal(getattr(read, key).numpy(), value)
     assert accepted < len(data) / 2
-
-
-def safetensors_with(header: bytes, length: int | None = None) -> bytes:
-    return struct.pack("<Q", len(header) if length is None else length) + header + bytes(1 << 10)
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"\xff" * 64, "safetensors"),
-        (save(arrays()) + b"tail", "not fully covered"),
-        (safetensors_with(b"{}", 2**62), "a header of 4611686018427387904 bytes"),
-        (safetensors_with(b'{"__metadata__":' + b"[" * 90_000), "damaged"),
-        (safetensors_with(b'{"trial_id":1,"trial_id":2}'), "duplicate key 'trial_id'"),
-        (safetensors_with(b'{"trial_id":{"shape":[5]},"T_obj_ee":0,"T_world_ee":0}'), "damaged"),
-        (safetensors_with(b'{"trial_id":{"dtype":"I64","shape":[9223372036854775807],"data_offsets":[0,8]}}'), "damaged"),
-    ],
-    ids=range(7),
-)  # fmt: skip
-def test_damaged_safetensors_are_refused_in_one_line(tmp_path, content, words):
-    (tmp_path / "p.safetensors").write_bytes(content)
-    refused(tmp_path / "p.safetensors", words)

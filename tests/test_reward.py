@@ -84,15 +84,6 @@ def test_ranks_and_the_best_of_k_equal_a_slow_count_with_ties_and_nan():
         reward.rank_of_k(value.flatten(), 7)
 
 
-def test_rows_of_scores_can_be_seen_by_trial(scores):
-    table = scores.by_trial(K)
-    assert table.margin.shape == (N, K, 5) and table.outcome.shape == (N, K)
-    assert table.margin.data_ptr() == scores.margin.data_ptr()
-    assert torch.equal(table.q_goal[3, 2].nan_to_num(), scores.q_goal[3 * K + 2].nan_to_num())
-    with pytest.raises(ValueError, match="k is 5"):
-        scores.by_trial(5)
-
-
 def test_not_evaluated_never_counts_as_a_failure(scores):
     blank = replace(
         scores,

@@ -54,7 +54,6 @@ def with_gradients(batch):
 CALLS = {
     "the pose stage": score,
     "everything": lambda batch: score(batch, "all"),
-    "a captured call": lambda b: default_evaluator().capture(64)(b.T_obj_ee, b.T_world_ee, b.trials),
     "gradients": with_gradients,
 }
 
@@ -63,16 +62,6 @@ CALLS = {
 def test_a_call_works_on_one_thread_and_leaves_two(batch, seen, call):
     call(batch)
     assert seen == {1} and torch.get_num_threads() == 2
-
-
-def test_a_refused_call_leaves_two(batch, monkeypatch):
-    def refused(*args, **kwargs):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(attach, "launch_trials", refused)
-    with pytest.raises(KeyboardInterrupt):
-        score(batch)
-    assert torch.get_num_threads() == 2
 
 
 def test_a_thread_that_begins_during_a_call_has_the_programs_number():

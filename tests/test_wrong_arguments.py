@@ -41,11 +41,6 @@ def scores():
     return default_evaluator().score(b.T_obj_ee, b.T_world_ee, b.trials, "pose")
 
 
-@cache
-def captured():
-    return default_evaluator().capture(4, stages="pose")
-
-
 def scored() -> dict:
     b = batch()
     return {"T_obj_ee": b.T_obj_ee, "T_world_ee": b.T_world_ee, "trials": b.trials}
@@ -62,9 +57,7 @@ CALLS = {
     "Evaluator.from_benchmark": (Evaluator.from_benchmark, lambda _: {"benchmark": _benchmark(), "config": None,
         "device": "cpu", "threads": None}),
     "Evaluator.score": (lambda **k: default_evaluator().score(**k), lambda _: {**scored(), "stages": "pose"}),
-    "Evaluator.capture": (lambda **k: default_evaluator().capture(**k), lambda _: {"b": 2, "stages": "pose"}),
     "Evaluator.rows_at_once": (lambda **k: default_evaluator().rows_at_once(**k), lambda _: {"stages": "pose"}),
-    "a captured call": (lambda **k: captured()(**k), lambda _: scored()),
     "Scene": (Scene, lambda _: {"device": "cpu", "config": None, "objects": None, "hand_set": None}),
     "Scene.palm": (lambda **k: default_evaluator().scene.palm(**k), lambda _: {
         "hand_index": batch().trials.hand_index, "T_world_hand": batch().trials.T_world_hand}),

@@ -94,9 +94,7 @@ class ObjectEntry(_Entry):
         description="part -> what it is for; else grasp in the receiver's region, function elsewhere",
     )
     words: WordsEntry | None = None
-    grasps: FilePath | None = Field(
-        default=None, description="candidates, .npz or .safetensors beside this file"
-    )
+    grasps: FilePath | None = Field(default=None, description="candidates, .npz beside this file")
 
 
 class HandsEntry(_Entry):

@@ -1,5 +1,5 @@
 """Trials of somebody's own: which object meets which hand, and where that hand stands.
-`--trials-file FILE.npz|.parquet|.csv|.json`.
+`--trials-file FILE.npz|.parquet|.json`.
 
 | name | npz | Parquet | meaning |
 |---|---|---|---|
@@ -15,8 +15,7 @@ row of `skin` |
 | `id`, `variant` | (N,) text | text | optional: what its owner calls the trial, and the method behind
 it |
 
-As text, with `hand`: .csv with the columns object, hand, T_world_hand_0 to _15; .json with a list
-`trials` of objects with these names.
+A .json holds the arrays of the .npz by name, as lists.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.io.arrays import Spec, check_arrays, check_poses
 from r2h_batch.io.read import FileError, printable, read_npz
-from r2h_batch.io.tables import read_csv_arrays, read_json_arrays, read_parquet_arrays
+from r2h_batch.io.tables import read_json_arrays, read_parquet_arrays
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
@@ -216,20 +215,8 @@ def _parquet(path: Path) -> Columns:
     return columns
 
 
-def _text(path: Path) -> Columns:
-    """The columns of a CSV or JSON file."""
-    widths = {"hand": 1, "object": 1, "T_world_hand": 16}
-    if path.suffix == ".csv":
-        columns = read_csv_arrays(path, widths, names=["object"])
-    else:
-        columns = read_json_arrays(path, widths, rows="trials", names=["object"])[0]
-    columns["object"] = np.array(columns["object"], np.str_)
-    return {**columns, "T_world_hand": columns["T_world_hand"].reshape(-1, 4, 4)}
-
-
 READERS: dict[str, Callable[[Path], Columns]] = {
     ".npz": lambda path: read_npz(path, most=MAX_BYTES),
     ".parquet": _parquet,
-    ".csv": _text,
-    ".json": _text,
+    ".json": read_json_arrays,
 }

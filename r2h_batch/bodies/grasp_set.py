@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.io.arrays import Spec, check_arrays, check_poses
-from r2h_batch.io.read import FileError, printable, read_npz, read_safetensors
+from r2h_batch.io.read import FileError, printable, read_npz
 
 __all__ = ["ANY_PART", "GraspSet", "read_grasps"]
 
@@ -67,17 +67,17 @@ class GraspSet:
 
 
 def read_grasps(path: str | Path) -> GraspSet:
-    """An .npz or .safetensors file with T_obj_ee (N, 4, 4), and width, score, part (N,) where they
+    """An .npz file with T_obj_ee (N, 4, 4), and width, score, part (N,) where they
     are known.
 
     Missing ones are 0, 1 and -1. An .npz may name its `gripper`. Raises `FileError`, one line.
     """
     path, where = Path(path), printable(path)
-    if path.suffix not in (".npz", ".safetensors"):
+    if path.suffix != ".npz":
         raise FileError(
-            f"{where}: grasps are an .npz or .safetensors file; r2h-batch import grasps makes one of others"
+            f"{where}: grasps are an .npz file; r2h-batch import grasps makes one of others"
         )
-    found = read_npz(path) if path.suffix == ".npz" else read_safetensors(path)[0]
+    found = read_npz(path)
     gripper = found.pop("gripper", np.array("2f-85"))
     if gripper.shape != () or gripper.dtype.kind != "U" or len(str(gripper)) > 64:
         raise FileError(f"{where}: gripper is no name")

@@ -379,7 +379,7 @@ your own robot model for `home_rad` and compare it with `T_world_ee_at_home` bef
 
 Answer every trial with the grasp `T_obj_ee` and the handover pose `T_world_ee`, as JSON:
 
-    {"method": "mine", "predictions": [{"trial_id": 0, "T_obj_ee": [16 numbers], "T_world_ee": [16 numbers]}, ...]}
+    {"method": "mine", "trial_id": [0, ...], "T_obj_ee": [[[4 numbers], ...4], ...], "T_world_ee": [...]}
 
     ANSWER
 """

@@ -144,7 +144,7 @@ def grasps(
 
     Args:
         file: ACRONYM's .h5, graspnetAPI's .npy (N x 17) or GraspNet's _labels.npz, an isaac_grasp
-            .yaml, GraspGen's .json, poses as .npy (N x 4 x 4), or our own .npz or .safetensors to check.
+            .yaml, GraspGen's .json, poses as .npy (N x 4 x 4), or our own .npz to check.
         source: Whose it is: acronym, graspnet, graspgen, isaac (also GraspGen's predictions), poses, own.
         out: The grasps to write, .npz.
         gripper: Whose frame the grasps are in; graspgen, isaac and poses need it.

@@ -8,7 +8,7 @@
 | .yaml | isaac_grasp 1.0 (Isaac Sim; GraspGen's predictions): position, orientation, confidence | GRIPPER's |
 | .json | GraspGen's data set (Murali et al. 2025): grasps/transforms, object_in_gripper | GRIPPER's |
 | .npy, N x 4 x 4 | poses of a gripper, as any generator can write them | GRIPPER's |
-| .npz, .safetensors | our own (`bodies.grasp_set`) | ee |
+| .npz | our own (`bodies.grasp_set`) | ee |
 
 A gripper's frame becomes ours by `T_obj_ee = T_obj_gripper @ T_gripper_ee`, which turns its closing
 axis to our y, its approach to our z, and puts our fingertips where its are: our pads' centre is 18.75
@@ -63,7 +63,7 @@ YAML = (".yaml", ".yml")
 FRAMELESS = (*YAML, ".json")
 """Files that do not say whose frame they are in: FILE:GRIPPER does."""
 HDF5 = (".h5", ".hdf5")
-GRASP_FILES = (".npz", ".safetensors", *HDF5, ".npy")
+GRASP_FILES = (".npz", *HDF5, ".npy")
 """Grasps that need no further word."""
 MAX_YAML, DEEPEST, MAX_LISTED = 4 << 20, 8, 10_000
 

@@ -26,13 +26,13 @@ from typing import Any, BinaryIO
 
 __all__ = [
     "FileError", "archive_members", "kind_of", "open_archive", "open_file", "path_within", "printable", "read_file",
-    "read_json", "read_npy", "read_npz", "read_safetensors", "read_yaml",
+    "read_json", "read_npy", "read_npz", "read_yaml",
 ]  # fmt: skip
 
 MAX_ARRAY_BYTES = 256 << 20
 MAX_ARRAYS = 64
 MAX_HEADER_BYTES = 1 << 20
-"""Largest directory of an archive (some thousand names) and largest header of safetensors."""
+"""Largest directory of an archive: some thousand names."""
 MAX_RATIO, RATIO_FREE_BYTES = 200, 1 << 20
 """Largest compression ratio of an archive's member; smaller members may have any ratio."""
 MAX_YAML_BYTES, MAX_YAML_DEPTH = 1 << 20, 4
@@ -345,37 +345,12 @@ def _array(data: bytes, where: str, objects: Objects | None) -> Any:
     return found
 
 
-def read_safetensors(
-    path: Path, *, most: int = MAX_ARRAY_BYTES
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """The arrays of a .safetensors file of at most `most` bytes, by name, and its metadata."""
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
-    data, where = read_file(path, most), f"{printable(path)}: damaged safetensors"
-    start = 8 + int.from_bytes(data[:8], "little")
-    if start > min(len(data), MAX_HEADER_BYTES):
-        raise FileError(f"{where}: a header of {start - 8} bytes in a file of {len(data)}")
-    header = _json(data[8:start], where)  # the library takes names that stand twice
-    if not isinstance(header, dict) or len(header) > MAX_ARRAYS:
-        raise FileError(f"{where}: at most {MAX_ARRAYS} arrays are allowed")
-    try:
-        found = load(data)
-        more = header.get("__metadata__", {}).items()
-    except (SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise FileError(f"{where} ({printable(repr(error))[:120]}); copy it again") from None
-    return found, {str(k): str(v) for k, v in more}
-
-
 # ---- JSON and YAML
 
 
 def read_json(path: Path, *, most: int = MAX_JSON_BYTES) -> Any:
     """The value of a JSON file in UTF-8 of at most `most` bytes, in which no key stands twice."""
-    return _json(read_file(path, most), printable(path))
-
-
-def _json(data: bytes, where: str) -> Any:
+    data, where = read_file(path, most), printable(path)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise FileError(f"{where}: is in UTF-16; save it in UTF-8")
     try:

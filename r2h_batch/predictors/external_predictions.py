@@ -1,7 +1,7 @@
 """Predictions of a user's own networks, read from files in place of the built-in error model
 (`--predicted-hands`, `--predicted-parts`, `--predicted-contacts`).
 
-A file is an .npz or .safetensors. It has N rows by `trial_id` (N,). Parts and contacts may instead
+A file is an .npz. It has N rows by `trial_id` (N,). Parts and contacts may instead
 have K rows by `object` (K,), names (.npz), or by `object_index` (K,). `source` (.npz) is the
 network's name for the table. Lengths are in metres.
 
@@ -41,7 +41,7 @@ from r2h_batch.bodies.hand import HandGeometry, HandModel
 from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.io.arrays import Spec, check_arrays, check_poses
-from r2h_batch.io.read import FileError, printable, read_npz, read_safetensors
+from r2h_batch.io.read import FileError, printable, read_npz
 from r2h_batch.types import Trials
 
 __all__ = ["ExternalHands", "ExternalPoints", "Observations", "read_observations"]
@@ -187,9 +187,9 @@ def rows_of(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int
 def _read(path: Path, allowed: Sequence[str]) -> tuple[Arrays, str]:
     """Arrays of known names, and the network's name."""
     where = printable(path)
-    if path.suffix not in (".npz", ".safetensors"):
-        raise FileError(f"{where}: predictions of networks are an .npz or .safetensors file")
-    arrays = read_npz(path) if path.suffix == ".npz" else read_safetensors(path)[0]
+    if path.suffix != ".npz":
+        raise FileError(f"{where}: predictions of networks are an .npz file")
+    arrays = read_npz(path)
     source = arrays.pop("source", np.array(path.stem))
     name = str(source) if source.shape == () and source.dtype.kind == "U" else ""
     if not name.strip() or len(name) > 60 or not name.isprintable():

@@ -1513,8 +1513,7 @@ def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = Tru
     old = read_header(folder)
     if fields := differing(old, new):
         words = f"another run, which differs in {', '.join(fields)}"
-        words = f"{words}; {OTHER_OUT}, or --force-new: a new folder beside this one"
-        raise RunError(f"{folder}: {words}")
+        raise RunError(f"{folder}: {words}; {OTHER_OUT}")
     if exact and wanted and wanted != old["shard_trials"]:
         words = f"has shards of {old['shard_trials']} trials, asked were {wanted}; {OTHER_OUT}"
         raise RunError(f"{folder}: {words}")

@@ -1,8 +1,6 @@
-"""Tables that people fill in: CSV as Excel, LibreOffice and pandas write it. An error names the line
-and the column."""
+"""Tables that people fill in, as CSV. An error names the line and the column."""
 
 import csv
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,11 +61,7 @@ class Text:
 
 
 def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[str, Any]]:
-    """Read a CSV file.
-
-    It is UTF-8, or UTF-16 with its mark. Its first line shows whether commas, semicolons or tabs
-    separate the cells; with the last two, a comma may stand for the decimal point. Lines that start
-    with # are comments.
+    """Read a CSV file in UTF-8: commas between the cells, points in numbers, comments after #.
 
     Args:
         path: of the file.
@@ -79,21 +73,15 @@ def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[st
     Raises:
         StudyError: in one line, with the file, the line, the column and what is allowed.
     """
-    # comments become empty lines, so that the reader counts the lines of the file
-    lines = [
-        "" if line.startswith(("#", "sep=")) else f"{line}\n"
-        for line in re.split(r"\r\n|\r|\n", _text(path))
-    ]
-    delimiter = max(",;\t", key=next((line for line in lines if line.strip()), "").count)
-    reader = csv.reader(lines, delimiter=delimiter)
-    records, line = [], 1
     try:
-        for cells in reader:
-            if any(cell.strip() for cell in cells) or len(cells) > 1:
-                records.append((line, cells))
-            line = reader.line_num + 1
-    except csv.Error as error:
-        raise StudyError(f"{path}: line {line}: no CSV ({printable(error)})") from None
+        text = read_file(path, MAX_BYTES).decode("utf-8-sig")
+        # comments become empty lines, so that the reader counts the lines of the file
+        lines = ["" if line.startswith("#") else line for line in text.splitlines()]
+        reader = csv.reader(lines, strict=True)
+        records = [(reader.line_num, cells) for cells in reader if any(map(str.strip, cells))]
+    except (UnicodeDecodeError, csv.Error) as error:
+        why = printable(error)[:200]
+        raise StudyError(f"{path}: no readable CSV ({why}); save it as 'CSV UTF-8'") from None
     names = [name.strip() for name in records[0][1]] if records else []
     for c in columns:
         if names.count(c) != 1:
@@ -109,12 +97,10 @@ def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[st
         for name, kind in columns.items():
             place = names.index(name)
             cell = cells[place].strip() if place < len(cells) else ""
-            if isinstance(kind, Number) and not kind.whole and delimiter != ",":
-                cell = cell.replace(",", ".")
             try:
-                row[name] = kind.read(cell[: MAX_CELL + 1])
                 if len(cell) > MAX_CELL:
                     raise ValueError
+                row[name] = kind.read(cell)
             except ValueError:
                 shown = printable(cell[:40]) + ("..." if len(cell) > 40 else "") or "(empty)"
                 raise StudyError(
@@ -122,15 +108,3 @@ def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[st
                 ) from None
         rows.append(row)
     return rows
-
-
-def _text(path: Path) -> str:
-    data = read_file(path, MAX_BYTES)
-    marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
-    try:
-        text = data.decode("utf-16" if marked else "utf-8-sig")
-        if "\0" not in text:
-            return text
-    except UnicodeDecodeError:
-        pass
-    raise StudyError(f"{path}: neither UTF-8 nor UTF-16 with its mark; save it as 'CSV UTF-8'")

@@ -137,7 +137,7 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
             f"ready in {time.perf_counter() - start:.1f} s: {setting.evaluator!r}, {counted(setting.planned, 'trials')}"
         )
         jobs = sweep_jobs.make_jobs(options, files, setting)
-        out, folder = _open(options, setting, jobs)
+        folder = _open(options, setting, jobs)
         log_to(folder.folder / _of_part("log.txt", options))
         if setting.labels:
             write_labels(folder.folder, setting.labels)
@@ -151,7 +151,7 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
     except OSError as error:
         return _failed(error, Path(options.out))
     try:
-        return _score(options, setting, jobs, out, folder, stopping)
+        return _score(options, setting, jobs, folder, stopping)
     except OSError as error:
         return _failed(error, folder.folder)
     except Stopped:
@@ -174,7 +174,6 @@ def _score(
     options: Options,
     setting: "Setting",
     jobs: "list[Job]",
-    out: str,
     folder: "RunFolder",
     stopping: Callable[[], bool],
 ) -> int:
@@ -191,7 +190,7 @@ def _score(
         refused = score_on_ray(setting, jobs, folder, options, stopping, log)
     else:
         refused = score_local(setting, jobs, folder, options, stopping, log)
-    code = _finish(options, out, [j.name for j in jobs if j.name not in refused])
+    code = _finish(options, [j.name for j in jobs if j.name not in refused])
     return 2 if refused else code
 
 
@@ -202,26 +201,16 @@ def _of_part(name: str, options: Options) -> str:
     return name if options.part[1] == 1 else f"{stem}-{options.part[0]}.{ending}"
 
 
-def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "tuple[str, RunFolder]":
+def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "RunFolder":
     """The run folder of the options: new, or the one to go on with."""
-    from r2h_batch.runs.store import RunError, open_run
+    from r2h_batch.runs.store import open_run
     from r2h_batch.sweep.engine import shard_size
 
-    out, number = options.out, 1
-    while True:
-        new = not (Path(out) / "run.json").exists()
-        size = options.shard_trials or (shard_size(setting, jobs) if new else 0)
-        try:
-            # the first of two sweeps that start together decides the shard size; the other takes it
-            return out, open_run(
-                out, {**setting.header, "shard_trials": size}, exact=bool(options.shard_trials)
-            )
-        except RunError:
-            # no other run in the way: no folder would do
-            if not options.force_new or not Path(out).exists():
-                raise
-        number += 1
-        out = f"{options.out}-{number}"
+    new = not (Path(options.out) / "run.json").exists()
+    size = options.shard_trials or (shard_size(setting, jobs) if new else 0)
+    # the first of two sweeps that start together decides the shard size; the other takes it
+    header = {**setting.header, "shard_trials": size}
+    return open_run(options.out, header, exact=bool(options.shard_trials))
 
 
 def _log(stored: "Run", kind: "LoggerName") -> None:
@@ -237,14 +226,14 @@ def _log(stored: "Run", kind: "LoggerName") -> None:
             logger.log({f"{place}/{name}": value for name, value in numbers.items()})
 
 
-def _finish(options: Options, out: str, names: list[str]) -> int:
+def _finish(options: Options, names: list[str]) -> int:
     """Print the table if every method of this sweep is complete, else what is left; the exit
     code."""
     from r2h_batch.report import table as report
     from r2h_batch.report.card import write_summary
     from r2h_batch.runs import store as results
 
-    stored = results.load_run(out)
+    stored = results.load_run(options.out)
     code = 0
     for name in names:
         bad = [str(s.index) for s in stored.quarantined(name)]
@@ -264,5 +253,5 @@ def _finish(options: Options, out: str, names: list[str]) -> int:
     if names and not left:
         sys.stdout.write(report.render(report.table_of(stored), options.format))
         sys.stdout.flush()
-    tell(f"run folder: {out}")
+    tell(f"run folder: {options.out}")
     return code

@@ -59,9 +59,7 @@ class Options:
         "fc, handover-va, contact, intent, random, oracle; your own: package.module:function,"
         " FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik",
     )
-    predictions: tuple[str, ...] = _option(
-        (), _METHODS, "files of poses: .npz, .safetensors, .csv, .json"
-    )
+    predictions: tuple[str, ...] = _option((), _METHODS, "files of poses: .npz, .json")
     motions: tuple[str, ...] = _option(
         (), _METHODS, "files of joint motions, judged as they are: .npz, .parquet"
     )
@@ -111,7 +109,9 @@ class Options:
     )
     out: str = _option("", _OUTPUT, "run folder; the same command goes on with it")
     format: Literal["md", "latex", "csv", "json"] = _option("md", _OUTPUT, "format of the table")
-    save_paths: bool = _option(False, _OUTPUT, "store waypoints and details, for r2h-batch scene")
+    save_paths: bool = _option(
+        False, _OUTPUT, "store waypoints, goals, grasps and witnesses, for r2h-batch scene"
+    )
     quiet: bool = _option(False, _OUTPUT, "print only errors on stderr")
     device: str = _option("cpu", _WORK, "cpu, cuda or cuda:N")
     threads: int | None = _option(None, _WORK, "CPU threads; default: all cores")
@@ -141,7 +141,7 @@ class Options:
     predicted_hands: str = _option(
         "",
         _CONFIG,
-        "hands of your own network instead of the error model, .npz or .safetensors; fc,"
+        "hands of your own network instead of the error model, .npz; fc,"
         " handover-va, contact and intent see them",
     )
     predicted_parts: str = _option(
@@ -217,19 +217,12 @@ class Options:
         "a sweep at each of four execution errors and without, in folders of --out; prints how SR"
         " falls",
     )
-    force_new: bool = _option(
-        False, _CONFIG, "if --out holds another run, write to OUT-2, OUT-3, ... instead"
-    )
     log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = _option(
         "", _CONFIG, "also write the table's numbers into a logger, in the run folder (offline)"
-    )
-    save_details: bool = _option(
-        False, _CONFIG, "store joint goal, opening, shift and witness of every trial"
     )
     no_poses: bool = _option(
         False, _CONFIG, "do not store the scored poses: 51 to 81 bytes a trial less, no reevaluate"
     )
-    save_poses: bool = _option(False, _CONFIG, "store the scored poses (the default)")
     verbose: bool = _option(
         False, _CONFIG, "print every step and shard on stderr; log.txt always has them"
     )
@@ -249,13 +242,9 @@ class Options:
     @property
     def stored(self) -> list[str]:
         """What is stored beside the trials; paths bring everything that opening a trial needs."""
-        wanted = {
-            "details": self.save_details,
-            "poses": not self.no_poses,
-            "paths": self.save_paths,
-        }
-        every = self.save_paths or bool(self.motions or self.trials_from)  # nobody plans them again
-        return [kind for kind in KINDS if every or wanted[kind]]
+        if self.save_paths or self.motions or self.trials_from:  # nobody plans the last two again
+            return list(KINDS)
+        return [] if self.no_poses else ["poses"]
 
     @property
     def part(self) -> tuple[int, int]:
@@ -354,7 +343,10 @@ def check(options: Options) -> Options:
             )
     if not -(1 << 63) <= options.seed < 1 << 63:
         raise UsageError(f"--seed is {str(options.seed)[:40]}; it must fit 64 bits")
-    _check_stored(options)
+    if options.no_poses and options.save_paths:
+        raise UsageError(
+            "--save-paths stores all that a trial can be opened by; leave --no-poses out"
+        )
     for name in ("method", "splits", "predictions", "motions"):
         given = getattr(options, name)
         if twice := [g for g in given if given.count(g) > 1]:
@@ -364,7 +356,7 @@ def check(options: Options) -> Options:
             f"--predictor-noise is {options.predictor_noise}; it must be 0 (the truth) or more, 1 is the default"
         )
     if options.robustness:
-        others = ("execution_error", "motions", "trials_from", "force_new")
+        others = ("execution_error", "motions", "trials_from")
         for name in (name for name in others if getattr(options, name)):
             flag = name.replace("_", "-")
             raise UsageError(f"--robustness sweeps its own execution errors; leave --{flag} out")
@@ -441,16 +433,6 @@ def execution_error(text: str, seed: int = 0) -> "ExecutionError":
         return error if error.any else ExecutionError()
     except ValueError as error:
         raise UsageError(f"--execution-error: {error}") from None
-
-
-def _check_stored(options: Options) -> None:
-    if options.no_poses and (options.save_poses or options.save_paths):
-        why = (
-            "--save-poses stores them"
-            if options.save_poses
-            else "--save-paths stores all that a trial can be opened by"
-        )
-        raise UsageError(f"--no-poses stores no poses, {why}; leave one of the two out")
 
 
 def _count(text: str) -> bool:

@@ -1,1 +1,1 @@
-"""Gradients, torch.compile, captured calls."""
+"""Gradients and torch.compile."""

@@ -17,7 +17,7 @@ from r2h_batch.benchmark.model import built_in_text
 from r2h_batch.bodies.hand import palm_frame
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import ee_pose, load_robot
-from r2h_batch.config import HOME_Q, Thresholds, Workplace
+from r2h_batch.config import Thresholds
 from r2h_batch.io.read import FileError
 from r2h_batch.methods.part_roles import GRASP, WRAP, roles_of
 from r2h_batch.receiver.instructions import intents_of, understand
@@ -159,15 +159,6 @@ def test_a_users_object_brings_parts_region_roles_words_and_mass(box):
     assert (said.object, said.part, said.verb) == ("brick", "foot", "hammer")
 
 
-def test_a_config_that_says_other_limits_is_refused():
-    own = replace(built_in(), thresholds=Thresholds(reach_radius_m=0.2), workplace=Workplace(HOME_Q[:5] + (1.0,)))
-    config = own.config(EvalConfig(chunk=7))
-    assert (config.thresholds, config.workplace, config.chunk) == (own.thresholds, own.workplace, 7)
-    assert own.config(config) == config
-    with pytest.raises(ValueError, match="say it in one place"):
-        own.config(EvalConfig(thresholds=Thresholds(reach_radius_m=0.3)))
-
-
 REFUSED = {
     "objects: [{built_in: mug}]": "objects.0.built_in is 'mug'",
     "objects: [{built_in: cup}, {built_in: cup}]": "two objects are called 'cup'",
@@ -203,12 +194,3 @@ def test_files_that_are_no_benchmark_are_refused_in_one_line(text, box, capsys, 
     assert main(["benchmark", "check", str(path)]) == 2
     told = capsys.readouterr()
     assert told.out == "" and len(told.err.splitlines()) == 1 and REFUSED[text] in told.err
-
-
-def test_a_huge_or_missing_benchmark_file_is_refused(tmp_path, capsys):
-    path = tmp_path / "huge.yaml"
-    with path.open("wb") as file:
-        file.truncate(1 << 40)
-    for wrong in (path, tmp_path / "none.yaml", tmp_path):
-        assert main(["benchmark", "check", str(wrong)]) == 2
-        assert len(capsys.readouterr().err.splitlines()) == 1

@@ -75,18 +75,3 @@ def test_cells_never_lose_the_farthest_point() -> None:
         best = np.array([(x[:c] @ n).max() for x, c, n in zip(kept, count, d, strict=True)])
         np.testing.assert_allclose(best, (points @ d.T).max(0), atol=1e-9)
         assert count.mean() < 0.25 * len(points) or len(points) < 20
-
-
-def test_gripper_balls_hold_the_fingers_between_the_sampled_openings() -> None:
-    from r2h_batch.bodies.robot import gripper_primitives_at, load_robot
-
-    robot = load_robot()
-    ends, radii = bounds.gripper_balls(robot)
-    halfway = (bounds.OPENINGS_M[1:] + bounds.OPENINGS_M[:-1]) / 2
-    T = robot.T_wrist3_flange @ robot.T_flange_ee @ gripper_primitives_at(robot, halfway)
-    for g in range(len(radii)):
-        axis, radius = bounds.capsule_of_primitive(int(robot.gripper.kind[g]), robot.gripper.size[g])
-        for sign in (-1, 1):
-            c = T[:, g, :3, 3] + sign * (T[:, g, :3, :3] @ axis)
-            nearest = np.linalg.norm(c[:, None] - ends[g][None], axis=2).min(1)
-            assert (nearest + radius <= radii[g]).all()

@@ -11,7 +11,6 @@ import trimesh
 
 from r2h_batch.bodies.mesh_import import closed, limits
 from r2h_batch.bodies.mesh_import import file as mesh_file
-from r2h_batch.bodies.mesh_import.file import load_mesh_file
 from r2h_batch.bodies.mesh_import.limits import Budget
 from r2h_batch.bodies.objects import ObjectMeshError, build_object
 from r2h_batch.io import child
@@ -95,29 +94,6 @@ def test_buffers_outside_the_folder_and_special_files_are_not_read(tmp_path, whe
     )
 
 
-def test_buffers_beside_the_file_are_read(tmp_path):
-    data, contents = gltf(tmp_path)
-    (tmp_path / "bin").mkdir()
-    for k, (buffer, content) in enumerate(zip(data["buffers"], contents, strict=True)):
-        buffer["uri"] = f"bin/{k}.bin"
-        (tmp_path / "bin" / f"{k}.bin").write_bytes(content)
-    gltf(tmp_path, buffers=data["buffers"])
-    assert np.allclose(load_mesh_file(tmp_path / "box.gltf", "box").extents, BOX.extents)
-
-
-def test_materials_and_textures_are_never_opened(tmp_path):
-    """A pipe as material file would be waited for."""
-    os.mkfifo(tmp_path / "wood.mtl")
-    (tmp_path / "box.obj").write_text("mtllib wood.mtl\n" + trimesh.exchange.obj.export_obj(BOX, include_texture=False))
-    (tmp_path / "box.ply").write_bytes(
-        trimesh.exchange.ply.export_ply(BOX)
-        .replace(b"ply\n", b"ply\n", 1)
-        .replace(b"element vertex", b"comment TextureFile wood.mtl\nelement vertex")
-    )
-    for name in ("box.obj", "box.ply"):
-        assert np.allclose(load_mesh_file(tmp_path / name, "box").extents, BOX.extents)
-
-
 @pytest.mark.parametrize("name", ["pipe.obj", "zero.stl", "folder.ply", "huge.stl"])
 def test_special_and_oversized_files_are_refused_before_reading(tmp_path, name):
     os.mkfifo(tmp_path / "pipe.obj")
@@ -154,21 +130,3 @@ def test_bodies_apart_are_counted_and_measured_and_bodies_that_touch_are_not():
         build_object(trimesh.util.concatenate([BOX, other]), pieces=False)
     with pytest.warns(UserWarning, match=r"2 bodies apart from each other \(largest sides 0\.1, 0\.004 m\)"):
         build_object(trimesh.util.concatenate([BOX, other, crumb]), pieces=False)
-
-
-def test_regions_are_files_like_the_others_and_objects_names_are_clean(tmp_path):
-    os.mkfifo(tmp_path / "pipe.npy")
-    header = b"\x93NUMPY\x01\x00" + (9000).to_bytes(2, "little") + b"(" * 9000
-    (tmp_path / "header.npy").write_bytes(header)
-    for name, text in (("pipe.npy", "not a regular file"), ("header.npy", "not a plain .npy array")):
-        refused(BOX, text, split="S1", receiver=tmp_path / name)
-    model = build_object(BOX, name="mug\x1b[31m", pieces=False)
-    assert model.name == "mug\\x1b[31m" and model.instruction.isprintable()
-
-
-def test_modules_beside_a_mesh_are_not_run(tmp_path, monkeypatch):
-    (tmp_path / "trimesh.py").write_text("open('run', 'w').close()")
-    BOX.export(tmp_path / "box.stl")
-    monkeypatch.chdir(tmp_path)
-    assert len(load_mesh_file("box.stl", "box").faces) == 12
-    assert not (tmp_path / "run").exists()

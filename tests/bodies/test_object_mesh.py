@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from convex_twin import winding_number
 
-from r2h_batch.bodies.objects import ObjectMeshError, build_object, object_from_argument
+from r2h_batch.bodies.objects import ObjectMeshError, build_object
 
 
 def ball(subdivisions=3, radius=0.04):
@@ -120,14 +120,6 @@ def test_wrong_winding_is_mended():
     assert "inside-out" in said and model.mesh.volume == pytest.approx(mesh.volume, rel=1e-5)
 
 
-def test_nearly_equal_vertices_are_welded():
-    mesh = ball()
-    rng = np.random.default_rng(0)
-    soup = mesh.triangles.reshape(-1, 3) + rng.uniform(-2e-7, 2e-7, (3 * len(mesh.faces), 3))
-    model, said = built(trimesh.Trimesh(soup, np.arange(len(soup)).reshape(-1, 3), process=False))
-    assert "welded" in said and model.mesh.volume == pytest.approx(mesh.volume, rel=1e-3)
-
-
 def test_a_small_hole_is_filled():
     mesh = ball()
     south = int(np.argmin(mesh.vertices[:, 2]))
@@ -198,14 +190,6 @@ def test_a_receiver_region_can_be_given_in_four_ways(tmp_path):
         assert said == "" and (model.receiver_face == low).all()
 
 
-def test_the_default_region_is_the_lighter_half():
-    head = brick(0.02, 0.08, 0.03)
-    head.apply_translation((0.055, 0, 0))
-    with pytest.warns(UserWarning, match="'x<0.5'"):
-        model = build_object(trimesh.util.concatenate([brick(), head]), split="S1", pieces=False)
-    assert model.mesh.triangles_center[model.receiver_face, 0].max() < 0.02
-
-
 @pytest.mark.parametrize(
     ("receiver", "text"),
     [
@@ -241,24 +225,6 @@ def test_labels_and_faces_of_a_file_are_carried_over_to_the_repaired_mesh(tmp_pa
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object), allow_pickle=True)
     with pytest.raises(ObjectMeshError, match=r"not a plain \.npy array"):
         build_object(mesh, split="S1", receiver=tmp_path / "objects.npy", pieces=False)
-
-
-def test_wrong_options_are_refused():
-    with pytest.raises(ValueError, match="split is 'S2'"):
-        build_object(brick(), split="S2")
-    with pytest.raises(ValueError, match="for an S0 object"):
-        build_object(brick(), receiver="x<0.3")
-    with pytest.raises(ValueError, match="mass is -1"):
-        build_object(brick(), mass=-1)
-
-
-def test_the_command_lines_form_names_file_split_and_region(tmp_path):
-    brick().export(tmp_path / "saw.ply")
-    assert object_from_argument(f"{tmp_path}/saw.ply").split == "S0"
-    model = object_from_argument(f"{tmp_path}/saw.ply:S1:x>0.6")
-    assert model.split == "S1" and model.mesh.triangles_center[model.receiver_face, 0].min() > 0.009
-    with pytest.raises(ValueError, match="split is 'S3'"):
-        object_from_argument(f"{tmp_path}/saw.ply:S3")
 
 
 def test_without_manifold3d_the_hull_is_the_only_piece_and_rebuilding_is_refused(monkeypatch):

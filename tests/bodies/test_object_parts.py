@@ -69,16 +69,6 @@ def test_nodes_of_a_glb_are_parts_where_they_stand(tmp_path):
     assert model.mesh.triangles_center[model.receiver_face, 0].max() < 1e-6
 
 
-def test_one_group_is_no_part_and_a_group_without_faces_neither(tmp_path):
-    text = obj_text("g").replace("g blade #1", "g handle") + "\ng nothing"
-    (tmp_path / "rod.obj").write_text(text)
-    model = build_object(tmp_path / "rod.obj", pieces=False)
-    assert model.part_names == ("body",)
-    assert model.mesh.bounds[:, 0] == pytest.approx((-0.1, 0.08), abs=1e-6), (
-        "indices from the end count what stands before"
-    )
-
-
 def test_a_build_is_kept_by_content_and_options_and_warns_each_time(tmp_path, monkeypatch):
     monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path / "cache"))
     built, times = objects._built, []  # the private one: what is counted is work, not calls of build_object
@@ -109,22 +99,6 @@ def test_a_build_is_kept_by_content_and_options_and_warns_each_time(tmp_path, mo
     assert len(times) == 5 and object_digest(model) == object_digest(first), "a damaged file is made again"
 
 
-def test_several_meshes_are_built_by_workers_and_asked_for_as_one(tmp_path, monkeypatch):
-    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path / "cache"))
-    for k in range(3):
-        block(-0.05, 0.05 + 0.01 * k).export(tmp_path / f"rod{k}.ply")
-    (tmp_path / "bad.ply").write_text("nothing")
-    calls = [{"mesh": str(path), "pieces": False} for path in sorted(tmp_path.glob("*.ply"))]
-    assert build_ahead(calls, cores=2) == 4
-    assert [is_built(**call) for call in calls] == [False, True, True, True]
-    monkeypatch.setattr(objects, "_built", None)  # whoever built now would fail
-    assert build_ahead(calls[1:], cores=2) == 0
-    assert [build_object(**call).mesh.extents[0] for call in calls[1:]] == pytest.approx([0.1, 0.11, 0.12])
-    monkeypatch.undo()
-    with pytest.raises(ObjectMeshError, match=r"bad\.ply"):
-        build_object(**calls[0])
-
-
 def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
     for name in ("saw", "cube"):
         block(-0.1, 0.08).subdivide().export(tmp_path / f"{name}.ply")
@@ -147,3 +121,19 @@ def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
         (tmp_path / "saw.yaml").write_text(text)
         with pytest.raises(FileError, match=words):
             BenchmarkOverrides(objects=str(tmp_path)).read()
+
+
+def test_several_meshes_are_built_by_workers_and_asked_for_as_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path / "cache"))
+    for k in range(3):
+        block(-0.05, 0.05 + 0.01 * k).export(tmp_path / f"rod{k}.ply")
+    (tmp_path / "bad.ply").write_text("nothing")
+    calls = [{"mesh": str(path), "pieces": False} for path in sorted(tmp_path.glob("*.ply"))]
+    assert build_ahead(calls, cores=2) == 4
+    assert [is_built(**call) for call in calls] == [False, True, True, True]
+    monkeypatch.setattr(objects, "_built", None)  # whoever built now would fail
+    assert build_ahead(calls[1:], cores=2) == 0
+    assert [build_object(**call).mesh.extents[0] for call in calls[1:]] == pytest.approx([0.1, 0.11, 0.12])
+    monkeypatch.undo()
+    with pytest.raises(ObjectMeshError, match=r"bad\.ply"):
+        build_object(**calls[0])

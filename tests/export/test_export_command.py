@@ -28,18 +28,6 @@ def refused(arguments, capsys):
     return out.err
 
 
-def test_what_is_not_there_is_refused_with_what_is(run, tmp_path, capsys):
-    out = ["--out", tmp_path / "x"]
-    message = refused(["--run", run, "--trial", 0, *out], capsys)
-    assert "--method" in message and "oracle" in message and "random" in message
-    message = refused(["--run", run, "--trial", 0, "--method", "orcale", *out], capsys)
-    assert "'orcale'" in message and "oracle, random" in message
-    message = refused(["--run", run, "--trial", 77, "--method", "oracle", *out], capsys)
-    assert "no trial 77" in message and "0, 2, 1, 3" in message
-    assert "run.json" in refused(["--run", tmp_path, "--trial", 0, *out], capsys)
-    assert not (tmp_path / "x").exists()
-
-
 def test_what_a_run_does_not_store_is_computed_again_to_the_same_bits(run, tmp_path, capsys):
     bare = tmp_path / "bare"
     assert sweep.main(["--method", "oracle", "random", "--trials", "2", "--no-poses", "--out", str(bare)]) == 0

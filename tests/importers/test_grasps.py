@@ -136,14 +136,11 @@ def test_our_own_gripper_needs_no_new_place(tmp_path):
     assert np.abs(T_gripper_ee("2f-85-base")[:3, :3] - base[:3, :3]).max() < 1e-6
 
 
-@pytest.mark.parametrize("kind", ["npz", "safetensors"])
-def test_our_own_format_in_both_containers(tmp_path, kind):
-    from safetensors.numpy import save_file
-
+def test_our_own_format(tmp_path):
     arrays = {"T_obj_ee": poses(5).astype(np.float32), "width": np.full(5, 0.03, np.float32),
               "score": np.linspace(0, 1, 5).astype(np.float32), "part": np.arange(5, dtype=np.int32) - 1}  # fmt: skip
-    path = tmp_path / f"grasps.{kind}"
-    save_file(arrays, path) if kind == "safetensors" else np.savez(path, **arrays)
+    path = tmp_path / "grasps.npz"
+    np.savez(path, **arrays)
     found = read_grasps(path)
     assert all(np.array_equal(v, arrays[k]) for k, v in found.arrays().items()) and found.gripper == "2f-85"
     np.savez(tmp_path / "few.npz", T_obj_ee=arrays["T_obj_ee"])
@@ -196,24 +193,6 @@ def test_an_object_with_a_users_grasps_has_another_digest():
 
 
 @needs("h5py")
-def test_the_command_writes_a_file_that_reads_back(tmp_path, capsys):
-    h5 = write_acronym(tmp_path / "mug.h5", poses(20), np.ones(20, int))
-    out = tmp_path / "mug.npz"
-    assert main(["import", "grasps", str(h5), "--from", "acronym", "--out", str(out)]) == 0
-    assert capsys.readouterr().out == f"20 grasps of the acronym-panda in {out}; 0 left out\n"
-    assert read_grasps(out).digest == read_file_of("acronym", h5)[0].digest
-    capsys.readouterr()  # on a busy machine reading is told after 5 s
-    for line, message in (
-        (["--from", "acronym", "--gripper", "ee"], "--gripper says nothing about grasps from acronym"),
-        (["--from", "isaac"], "say --gripper, or FILE:GRIPPER, one of"),
-        (["--from", "own"], "an .npz or .safetensors"),
-    ):
-        assert main(["import", "grasps", str(h5), "--out", str(tmp_path / "x.npz"), *line]) == 2
-        err = capsys.readouterr().err
-        assert message in err and len(err.splitlines()) == 1 and not (tmp_path / "x.npz").exists()
-
-
-@needs("h5py")
 def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path, capsys):
     T, held = poses(6), np.array([1, 1, 0, 1, 1, 1])
     for ending in ("h5", "hdf5"):
@@ -241,20 +220,3 @@ def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path,
     (tmp_path / "b.yaml").write_text("objects: [{built_in: cup, grasps: 'mug.yaml:ee'}]\n")
     (cup,) = read_benchmark(tmp_path / "b.yaml").objects
     assert cup.grasps.digest == read_file_of("isaac", tmp_path / "mug.yaml", "ee")[0].digest
-
-
-def test_a_name_of_another_case_is_told_the_nearest_object(tmp_path):
-    for said in ("Cup=cup.npz", "cups=cup.npz"):
-        with pytest.raises(FileError, match=f"no object is called '{said.partition('=')[0]}', did you mean cup\\?"):
-            BenchmarkOverrides(grasps=(said,)).read()
-
-
-def test_one_object_takes_grasps_of_one_file(tmp_path):
-    for name in ("cup.yaml", "other.yaml"):
-        write_isaac(tmp_path / name, poses(2), np.ones(2))
-    twice = (f"{tmp_path / 'cup.yaml'}:ee", f"cup={tmp_path / 'other.yaml'}:ee")
-    with pytest.raises(FileError, match=r"gives cup two files, .*cup\.yaml:ee and .*other\.yaml:ee; leave one out"):
-        BenchmarkOverrides(grasps=twice).read()
-    for nothing in ("", "cup="):
-        with pytest.raises(FileError, match="names no file"):
-            BenchmarkOverrides(grasps=(nothing,)).read()

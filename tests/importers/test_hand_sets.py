@@ -290,19 +290,6 @@ def test_a_subjects_folder_is_a_data_set_and_vertex_files_beside_its_sequences_a
     assert code == 0 and "2 hands" in out and "0 files skipped" in out
 
 
-def test_our_own_postures_in_the_same_form(tmp_path, capsys):
-    out = tmp_path / "hands.npz"
-    assert main(["import", "hands", "--from", "built-in", "--out", str(out)]) == 0
-    hands, motions = loaded(out)
-    own = load_hand_set()
-    assert np.array_equal(hands["pose"], own.pose.numpy()) and np.array_equal(hands["side"], own.side.numpy())
-    assert np.array_equal(hands["shape"], own.shape.numpy()) and hands["posture"].tolist() == list(own.posture)
-    assert np.isnan(hands["T_world_hand"]).all() and len(motions["fingers"]) == 400
-    again = load_hand_set(out)
-    assert again.digest == own.digest, "the same hands, the same benchmark"
-    assert torch.equal(again.hull_vertex_ids, own.hull_vertex_ids) and torch.equal(again.hull_offsets, own.hull_offsets)
-
-
 class Runs:
     def __reduce__(self):
         return eval, ("__import__('pathlib').Path('/tmp/r2h_batch_hands_ran').touch()",)
@@ -347,13 +334,6 @@ def test_a_sequence_of_zeros_is_refused_where_it_is_read_and_not_where_the_hands
     assert code == 2 and "no rotation and two directions that differ" in err and not (tmp_path / "hands.npz").exists()
 
 
-def test_a_file_of_the_data_set_itself_is_not_written_over(tmp_path, capsys):
-    good = write_grab(tmp_path)
-    before = good.read_bytes()
-    code, _, err = imported(capsys, tmp_path, "grab", good)
-    assert code == 2 and "is there already" in err and good.read_bytes() == before
-
-
 def test_nothing_outside_the_folder_is_read(tmp_path, capsys, means, mano):
     outside = write_grab(tmp_path / "elsewhere")
     inside = tmp_path / "data" / "grab" / "s1"
@@ -373,18 +353,6 @@ def test_nothing_outside_the_folder_is_read(tmp_path, capsys, means, mano):
     meta.write_text("a: &x [1, 2]\nb: *x\n")
     code, _, err = imported(capsys, tmp_path / "ycb", "dexycb", tmp_path / "hands.npz", "--mano-right", mano[0])
     assert code == 2 and "anchors and aliases are not allowed" in err
-
-
-@pytest.mark.parametrize("arguments, message", [
-    (["--from", "grab", "--out", "h.npz"], "no folder"),
-    (["/nowhere", "--from", "grab", "--out", "h.npz"], "no such folder"),
-    (["/tmp", "--from", "grab", "--out", "h.txt"], "ends in .npz"),
-    (["/tmp", "--from", "grub", "--out", "h.npz"], "grub"),
-])  # fmt: skip
-def test_a_wrong_command_line_is_one_line(capsys, arguments, message):
-    assert main(["import", "hands", *arguments]) == 2
-    err = capsys.readouterr().err
-    assert message in err and len(err.splitlines()) == 1
 
 
 def test_the_hand_command_writes_a_model_that_loads(tmp_path, capsys, mano):

@@ -71,14 +71,6 @@ def test_parts_as_point_clouds_label_the_same_faces(oakink, tmp_path):
     assert knife.split == "S1" and (knife.receiver_face == (x < 0.01))[clear].all()
 
 
-def test_objects_of_the_images_are_called_by_their_number(tmp_path, capsys):
-    (tmp_path / "image" / "obj").mkdir(parents=True)
-    block(-0.1, 0.08).export(tmp_path / "image" / "obj" / "A01001.obj")
-    assert main(["import", "objects", str(tmp_path), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 0
-    (found,) = BenchmarkOverrides(objects=str(tmp_path / "mine")).read().objects
-    assert found.name == "A01001" and np.abs(found.mesh.bounds.mean(axis=0)).max() < 1e-7
-
-
 def test_what_is_not_as_it_should_be_is_named_and_skipped_or_refused(oakink, tmp_path, capsys):
     part = oakink / "OakBase" / "knife" / "knife 1" / "part_00.ply"
     far = block(-0.1, 0.0)

@@ -58,21 +58,6 @@ def test_sets_come_back_as_lists_so_that_nothing_of_a_file_is_hashed(protocol):
     assert sorted(found["names"]) == ["a", "x"] and found["fixed"] == [3] and found["none"] == []
 
 
-@pytest.mark.parametrize("protocol", (0, 2, 4))
-@pytest.mark.parametrize("kind", (scipy.sparse.csc_matrix, scipy.sparse.csr_matrix, scipy.sparse.csc_array))
-def test_sparse_matrices_come_back_dense(kind, protocol):
-    dense = np.where(np.random.default_rng(0).random((16, 30)) > 0.8, 1.5, 0.0)
-    assert np.array_equal(read_pickle(pickle.dumps(kind(dense), protocol)), dense)
-
-
-def test_a_text_pickle_of_python_2_is_read_as_latin_1():
-    raw = (
-        b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I0\ntS'b'\ntR(I1\n(I2\ntcnumpy\ndtype\n(S'f4'\nI0\n"
-        b"I1\ntR(I3\nS'<'\nNNNI-1\nI-1\nI0\ntbI00\nS'\\x00\\x00\\x80?\\x00\\x00\\x00\\xc0'\ntb."
-    )
-    assert np.array_equal(read_pickle(raw), np.array([1.0, -2.0], np.float32))
-
-
 class Runs:
     def __reduce__(self):
         return os.system, ("touch /tmp/r2h_batch_pickle_ran",)

@@ -1,7 +1,7 @@
 """What a robot adds to the poses that it is asked for (`EvalConfig.execution_error`)."""
 
 import copy
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +14,6 @@ from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.export.stored import judged_again
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.methods import fc, oracle
-from r2h_batch.results.reevaluation import configuration
-from r2h_batch.sweep.options import UsageError, execution_error
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions
 
@@ -112,21 +110,3 @@ def test_motions_are_refused_with_errors(asked):
     q = torch.zeros(24, 2, 6)
     with pytest.raises(ValueError, match="motions are judged as they are"):
         evaluator(BOTH).score_motion(asked[0], q, torch.arange(2.0), asked[2])
-
-
-def test_the_option_says_which_error_has_which_size():
-    both = ExecutionError(0.005, 1.0, "trial", 0.005, 1.0, 3)
-    assert execution_error("5mm,1deg", 3) == both
-    assert execution_error("camera:5mm,1.0deg", 3) == replace(both, object_m=0.0, object_deg=0.0)
-    assert execution_error("object:5mm,1deg", 3) == replace(both, camera_m=0.0, camera_deg=0.0)
-    assert execution_error("bias:5mm,1deg", 3) == replace(both, camera_drawn="run", object_m=0.0, object_deg=0.0)
-    assert not execution_error("").any
-    for wrong in ("5mm", "5cm,1deg", "-5mm,1deg", "hand:5mm,1deg", "5mm,999deg"):
-        with pytest.raises(UsageError, match="execution-error"):
-            execution_error(wrong)
-
-
-def test_a_run_that_names_no_errors_had_none():
-    stored = asdict(EvalConfig())
-    del stored["execution_error"]
-    assert not configuration(stored, "run").execution_error.any

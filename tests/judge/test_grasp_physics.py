@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-import mujoco
 import numpy as np
 import pytest
 import torch
@@ -11,11 +10,11 @@ import trimesh
 from staging import frame
 
 from r2h_batch.bodies.objects import build_object
-from r2h_batch.bodies.robot import drive_from_gap, gap_from_drive, load_robot, pad_center_z
+from r2h_batch.bodies.robot import gap_from_drive, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper
-from r2h_batch.judge.grasp_physics import close_in_physics, gripper_spec
+from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.launch import init_warp
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.trials.protocol import trials_with_ids
@@ -68,20 +67,6 @@ def test_without_an_object_between_them_the_pads_close_to_the_linkages_end():
         closed.opening_m[0] == pytest.approx(float(gap_from_drive(load_robot(), 0.8)), abs=5e-4)
         and closed.moved_m[0] < 1e-9
     )
-
-
-def test_the_closing_fingers_move_as_the_linkage_says():
-    robot = load_robot()
-    m = gripper_spec(robot, parts()[0], frame(Z, Y, np.array([0.0, 0.0, 0.5]))).compile()
-    data = mujoco.MjData(m)
-    for gap in (0.085, 0.05, 0.02, 0.002):
-        drive = float(drive_from_gap(load_robot(), gap))
-        data.qpos[:4] = np.array([1, -1, 1, -1]) * drive
-        mujoco.mj_kinematics(m, data)
-        for name, side in (("left", -1), ("right", 1)):
-            want = [0, side * (gap / 2 + robot.linkage.pad_half_size[1]), float(pad_center_z(load_robot(), drive))]
-            np.testing.assert_allclose(data.geom(name).xpos, want, atol=1e-9)
-            np.testing.assert_allclose(data.geom(name).xmat, np.eye(3).ravel(), atol=1e-12)
 
 
 def test_a_light_part_is_held_through_the_shake_and_a_heavy_one_drops():

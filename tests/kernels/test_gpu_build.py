@@ -1,6 +1,5 @@
 """Every kernel module compiles for a GPU without one being here (NVRTC, sm_90)."""
 
-import pkgutil
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -8,7 +7,6 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-import r2h_batch.kernels
 from r2h_batch.launch import init_warp
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
@@ -18,11 +16,6 @@ from needs import needs
 
 PACKAGE = "r2h_batch.kernels."
 MODULES = gpu_build.kernel_modules()
-
-
-def test_the_modules_of_all_folders_are_found() -> None:
-    every = [m.name for m in pkgutil.walk_packages(r2h_batch.kernels.__path__, PACKAGE) if not m.ispkg]
-    assert len(every) >= 35 and 20 <= len(MODULES) < len(every)
 
 
 def compiled(name: str, folder: Path) -> Path:

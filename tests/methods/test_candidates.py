@@ -14,12 +14,10 @@ from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
 from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.config import EvalConfig
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.box_grasps import three_boxes
-from r2h_batch.methods.candidates import candidate_table, candidates_in, candidates_of
+from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps.sample import generate_grasps
-from r2h_batch.scene.scene import Scene
 
 OBJECTS = load_objects()
 
@@ -59,14 +57,6 @@ def test_the_stored_ones_are_made_again():
     stored = stored_arrays("objects", "grasps_as_generated.npz")
     for model in OBJECTS[6:8]:
         assert np.array_equal(generate_grasps(model).T_obj_ee, stored[f"{model.name}/T_obj_ee"])
-
-
-def test_a_scene_gives_methods_the_kind_that_its_configuration_says():
-    scene = Scene(config=EvalConfig(candidates="as-generated"))
-    assert candidates_in(scene) is candidates_of(scene.objects, "as-generated")
-    rows = torch.from_numpy(np.concatenate([c.T_obj_ee for c in candidates_in(scene)]))
-    assert torch.equal(candidate_table(scene).T_obj_ee, rows)
-    assert not torch.equal(rows, candidate_table(default_evaluator().scene).T_obj_ee)
 
 
 def test_a_users_own_grasps_are_taken_as_they_are():

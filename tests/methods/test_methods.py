@@ -3,7 +3,6 @@
 from functools import cache
 
 import numpy as np
-import pytest
 import torch
 from problems import default_evaluator as evaluator
 from scipy import stats
@@ -14,7 +13,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle, random
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.trials.protocol import make_trials
-from r2h_batch.types import CRITERIA, Outcome, Predictions, Trials
+from r2h_batch.types import Outcome, Predictions, Trials
 
 
 def same(a: Predictions, b: Predictions) -> bool:
@@ -129,29 +128,3 @@ def test_the_proposal_that_got_farthest_is_kept_over_the_rounds():
         solved = torch.stack(rounds[:r]) == 6
         assert torch.equal(reached, torch.stack(rounds[:r]).amax(0)) and not solved.any(0).all()
     assert len({int(torch.stack(rounds)[:, i].argmax()) for i in range(24)}) > 2
-
-
-def test_a_proposal_ranks_by_its_first_failure_and_then_by_its_margin():
-    trials, low, _ = bounds()
-    scores = evaluator().score(low.T_obj_ee, low.T_world_ee, trials)
-    # as above: the rank itself
-    far = oracle._how_far(scores)
-    assert far.isfinite().all()
-    order = torch.tensor([6, 1, 2, 3, 4, 5])[scores.outcome.long()]  # success is beyond all failures
-    assert (far.ceil().long() == order).logical_or(far == order).all()
-    reach = scores.outcome == int(Outcome.REACH)
-    assert reach.sum() > 5
-    margin = scores.margin[reach, CRITERIA.index("reach")]
-    assert torch.equal(margin.argsort(), far[reach].argsort())
-
-
-def test_directions_of_the_fan_cover_the_cone_evenly():
-    assert np.degrees(np.arccos(oracle._TILTS[:, 2])).max() < oracle.TILT_DEG
-    assert np.abs(np.linalg.norm(oracle._TILTS, axis=1) - 1).max() < 1e-9
-    assert oracle._TILTS[:, 2].mean() == pytest.approx((1 + np.cos(np.radians(oracle.TILT_DEG))) / 2, abs=1e-6)
-    assert np.linalg.norm(oracle._TILTS[:, :2].mean(0)) < 0.02
-    # no public way to directions that a proposal meets by chance only
-    frames = oracle._basis(np.array([[0.0, 0, 1], [0, 0, -1], [0.3, -2, 0], [1, 2, -3]]))
-    assert np.abs(frames.transpose(0, 2, 1) @ frames - np.eye(3)).max() < 1e-12 and (np.linalg.det(frames) > 0.99).all()
-    u = np.mod(np.arange(64)[:, None] * oracle._STEPS, 1.0)
-    assert all(stats.kstest(column, "uniform").statistic < 0.08 for column in u.T)

@@ -5,11 +5,8 @@ import pytest
 import torch
 from scipy.integrate import quad
 
-from r2h_batch.config import HOME_Q, ExecConfig
-from r2h_batch.judge.ik import solve_ik
+from r2h_batch.config import ExecConfig
 from r2h_batch.motion.time_law import Motion, time_at, time_path
-from r2h_batch.scene.tables import Hands
-from r2h_batch.trials.protocol import make_trials
 
 LAW = ExecConfig()
 V, A = LAW.scale * LAW.max_velocity_rad_s, LAW.scale * LAW.max_acceleration_rad_s2
@@ -136,38 +133,3 @@ def test_no_joint_exceeds_its_share_of_the_limits_and_waypoints_are_stops(scale)
             here = np.array([np.interp(stop, t_all, q_all[:, j]) for j in range(6)])
             reach = np.abs(q_all[near] - here).max(1)
             assert (reach <= 0.5 * a * (t_all[near] - stop) ** 2 * 1.01 + 1e-5).all()
-
-
-def test_straight_lines_to_protocol_poses_take_the_papers_time():
-    """The paper's T_exec is 8.4 to 9.0 s; MoveIt 2's default scaling of 0.1 explains it (measured.md: 8.46 s)."""
-    trials = make_trials(trials=250, protocol="r2h-v0")
-    rng = np.random.default_rng(3)
-    T = np.tile(np.eye(4), (len(trials), 1, 1))
-    ball, normal = ball_centers(trials)
-    z = ball * [1, 1, 0]
-    z = z / np.linalg.norm(z, axis=1, keepdims=True) - normal + 0.3 * rng.normal(size=z.shape)
-    z /= np.linalg.norm(z, axis=1, keepdims=True)
-    x = np.cross(rng.normal(size=z.shape), z)
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    T[:, :3, :3], T[:, :3, 3] = np.stack([x, np.cross(z, x), z], -1), ball - 0.05 * z
-    ik = solve_ik(torch.from_numpy(T.astype(np.float32)))
-    home = torch.tensor(HOME_Q)
-    distance = torch.where(ik.valid, (ik.q - home).square().sum(-1), torch.inf)
-    goal = ik.q[torch.arange(len(ik.q)), distance.argmin(1)]
-    reachable = ik.reachable
-    path = torch.stack([home.expand_as(goal), goal], 1)[reachable]
-    motion = time_path(path, torch.full((len(path),), 2, dtype=torch.int32), LAW)
-    assert len(path) > 450
-    assert 7.9 < float(motion.t_exec_s.mean()) < 9.0
-
-
-def ball_centers(trials) -> tuple[np.ndarray, np.ndarray]:
-    """c_h and palm normals in the world, float64."""
-    from r2h_batch.bodies.hand import load_hand_set
-
-    hands = Hands.posed(load_hand_set())
-    T = trials.T_world_hand.double().numpy()
-    i = trials.hand_index.long()
-    point, normal = hands.palm_point[i].double().numpy(), hands.palm_normal[i].double().numpy()
-    normal = np.einsum("nij,nj->ni", T[:, :3, :3], normal)
-    return np.einsum("nij,nj->ni", T[:, :3, :3], point) + T[:, :3, 3] + 0.12 * normal, normal

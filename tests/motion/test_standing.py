@@ -78,20 +78,3 @@ def test_more_trials_than_there_was_room_for_find_more(monkeypatch):
         for i in rows:
             n = int(whole.length[i])
             assert int(e.length[i]) == n and torch.equal(e.path[i, :n], whole.path[i, :n])
-
-
-def test_only_so_many_sets_of_worlds_are_kept(monkeypatch):
-    monkeypatch.setattr(sim_mjwarp, "KEPT", 2)
-    found = torch.nonzero(problems().plan.length > 0).flatten().tolist()
-    for worlds in (1, 2, 3):
-        monkeypatch.setitem(sim_mjwarp.MAX_WORLDS, "cpu", worlds)
-        run(ARM, *some_paths(found[:5]))
-    assert len(sim_mjwarp._kept) == 2
-
-
-@pytest.mark.parametrize(
-    ("n", "cpu", "cuda"), [(1, 1, 1), (3, 1, 4), (4, 4, 4), (17, 16, 64), (64, 64, 64), (5000, 64, 4096)]
-)
-def test_batches_of_about_one_size_share_their_worlds(n, cpu, cuda):
-    # no public way to how many worlds an engine takes
-    assert sim_mjwarp._worlds_for(n, "cpu") == cpu and sim_mjwarp._worlds_for(n, "cuda:0") == cuda

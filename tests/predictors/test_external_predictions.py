@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from safetensors.numpy import save_file
 
 from r2h_batch import make_trials
 from r2h_batch.__main__ import main
@@ -23,7 +22,6 @@ from r2h_batch.predictors import (
 )
 from r2h_batch.receiver.receiving import load_receiving
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.jobs import table_name
 
 TRUTH = PredictorNoise().scaled(0)
 COUNT = 3
@@ -83,8 +81,8 @@ def test_hands_as_manos_numbers_are_the_hands_that_were_meant(scene, asked, tmp_
 
 def test_skins_with_21_joints_say_the_same_hand(scene, asked, tmp_path):
     arrays = truth(scene, asked, predict_receiving, "skin")
-    save_file({k: np.ascontiguousarray(v) for k, v in arrays.items()}, tmp_path / "h.safetensors")
-    seen = read_observations(scene.objects, scene.hands.model, hands=str(tmp_path / "h.safetensors"))
+    np.savez(tmp_path / "h.npz", **arrays)
+    seen = read_observations(scene.objects, scene.hands.model, hands=str(tmp_path / "h.npz"))
     for mine, other in (
         (predict_receiving(asked, scene, seen=seen), predict_receiving(asked, scene, noise=TRUTH)),
         (predict_target(asked, scene, seen=seen), predict_target(asked, scene, noise=TRUTH)),
@@ -167,16 +165,6 @@ def test_a_sweep_says_whose_predictions_its_methods_saw(scene, tmp_path, capsys)
     assert "both say the contacts" in capsys.readouterr().err
 
 
-def test_names_in_the_table_leave_nothing_out():
-    sees = ("receiving", "target", "contacts")
-    assert table_name("C", "VoxNet, built-in contacts", 1) == "C (VoxNet, built-in contacts + noise)"
-    shown = {"contacts": "deepcontact"}
-    wanted = "C (hand: oracle + noise, target hand: oracle + noise, contacts: deepcontact)"
-    assert table_name("C", "VoxNet, built-in contacts", 1, shown, sees) == wanted
-    shown = {"receiving": "g", "target": "g"}
-    assert table_name("C", "net.pt", 0.5, shown, sees) == "C (hand: g, target hand: g, contacts: net.pt)"
-
-
 def broken(scene, trials, form="mano", **change):
     arrays = truth(scene, trials, predict_receiving, form)
     return {k: v for k, v in (arrays | change).items() if v is not None}
@@ -221,7 +209,7 @@ def test_files_that_are_no_predictions_are_refused_in_one_line(scene, asked, tmp
             read_observations(scene.objects, scene.hands.model, **{kind: str(tmp_path / "x.npz")})
         assert words in str(error.value) and "\n" not in str(error.value), words
     (tmp_path / "x.pkl").write_bytes(b"\x80\x04.")
-    with pytest.raises(FileError, match=r"\.npz or \.safetensors"):
+    with pytest.raises(FileError, match=r"an \.npz file"):
         read_observations(scene.objects, scene.hands.model, hands=str(tmp_path / "x.pkl"))
 
 

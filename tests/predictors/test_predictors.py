@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from r2h_batch.bodies.hand import palm_frame
-from r2h_batch.bodies.objects import build_object, load_objects
 from r2h_batch.predictors import PredictorNoise, predict_parts, predict_receiving, predict_target, retrieve_receiving
 from r2h_batch.receiver.instructions import InstructionError, intents_of
 from r2h_batch.receiver.receiving import load_receiving
@@ -144,19 +143,3 @@ def test_a_border_moves_as_a_whole(scene, trials) -> None:
     shrunk = (~seen.usage & true.usage).sum(1) > 0
     assert 0.25 < float(grown.float().mean()) < 0.9 and 0.25 < float(shrunk.float().mean()) < 0.9
     assert float((grown & shrunk).float().mean()) < 0.5  # mostly one or the other, not salt and pepper
-
-
-@pytest.mark.check
-def test_noise_is_checked() -> None:
-    with pytest.raises(ValueError, match="border_m is -1"):
-        PredictorNoise(border_m=-1)
-    with pytest.raises(ValueError, match="noise factor is nan"):
-        PredictorNoise().scaled(float("nan"))
-
-
-def test_a_users_object_has_words_of_its_own() -> None:
-    from r2h_batch.receiver.instructions import understand
-
-    model = build_object(load_objects(["hammer"])[0].mesh, "ice_axe", "S1", receiver="x<0.4", pieces=False)
-    found = understand("hand me the Ice Axe", [model])
-    assert found.object == "ice_axe" and intents_of(model)[found.intent].labels == (0,)

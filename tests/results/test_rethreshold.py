@@ -9,7 +9,6 @@ from made_runs import NAMES, make_header, make_scores, make_trials
 from problems import default_evaluator
 
 from r2h_batch.__main__ import main
-from r2h_batch.results import rethreshold as thresholds
 from r2h_batch.runs.rows import score_rows
 from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.statistics import thresholds as others
@@ -123,29 +122,6 @@ def test_what_cannot_be_rescored_exactly_is_refused_with_what_can(made, capsys, 
     assert captured.out == "" and captured.err.count("\n") == 1
     for part in parts:
         assert part in captured.err
-
-
-def test_ranges_hold_both_ends():
-    assert thresholds.values(".08:.12:.01", "x") == (0.08, 0.09, 0.1, 0.11, 0.12)
-    assert thresholds.values(".08:.119:.01", "x") == (0.08, 0.09, 0.1, 0.11)
-    assert thresholds.values(".1,.2", "x") == (0.1, 0.2) and thresholds.values("1", "x") == (1.0,)
-
-
-def test_the_command_prints_rates_and_rank_stability(made, capsys):
-    run, *_ = made
-    assert thresholds.rethreshold(run.folder, reach_radius=".02:.12:.02", safe_margin="0,.01") == 0
-    text = capsys.readouterr().out
-    assert (
-        "12 settings" in text
-        and "#2" in text
-        and max(map(len, text.splitlines())) <= 100
-        and "undecided" in text
-        and text.isascii()
-    )
-    points = others.rethreshold(run, reach_radius_m=thresholds.values(".02:.12:.02", "r"))
-    ranks = others.rank_stability(points, run.methods)
-    rates = np.array([[p.rate(m) for m in run.methods] for p in points])
-    assert ranks[0, 0] == pytest.approx(((rates[:, 0] > rates[:, 1]) + 0.5 * (rates[:, 0] == rates[:, 1])).mean())
 
 
 @pytest.mark.slow

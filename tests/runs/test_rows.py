@@ -64,31 +64,12 @@ def test_what_the_simulator_failed_on_can_be_run_again_from_its_row():
     assert rows[1]["executed_q"] is None and rows[1]["failed_state"] == [9.0, 10.0, 11.0]
 
 
-def test_a_missing_trial_is_a_row_with_its_names_and_nothing_else():
-    trials = make_trials(2, 1)
-    for row in missing_rows(trials, NAMES).to_pylist():
-        assert row["outcome"] == "missing" and row["object"] and row["split"] and row["side"]
-        known = ("trial_id", "object", "split", "side", "outcome")
-        assert all(v is None for k, v in row.items() if k not in known)
-
-
 def test_what_met_and_what_is_nearest_are_two_columns():
     trials = make_trials(2, 0)
     scores = make_scores(trials, np.array([Outcome.SUCCESS, Outcome.PLAN]))
     scores.plan_pair[:] = torch.tensor([CollidingPair.HAND, CollidingPair.OBJECT_HAND], dtype=torch.int8)
     rows = score_rows(trials, scores, NAMES).to_pylist()
     assert [(r["plan_pair"], r["nearest_pair"]) for r in rows] == [(None, "hand"), ("object_hand", None)]
-
-
-def test_scores_in_another_order_than_their_trials_are_refused():
-    trials = make_trials(3, 0)
-    scores = make_scores(trials, np.zeros(3, int))
-    with pytest.raises(ValueError, match="same order"):
-        score_rows(trials[torch.tensor([1, 0, 2])], scores, NAMES)
-
-
-def test_outcome_names_follow_the_enum():
-    assert OUTCOME_NAMES[Outcome.INVALID_SIM] == "invalid_sim" and OUTCOME_NAMES[-1] == "missing"
 
 
 def test_the_documentation_names_every_column_and_every_word_in_it():

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from dynamics_twin import ROBOT, bodies, centers, mass_matrix, some_payload
 
-from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import forward_kinematics
 from r2h_batch.config import HOME_Q
-from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, Payload, arm_model, loaded_model
+from r2h_batch.scene.dynamics import arm_model, loaded_model
 
 G = 9.81
 STEP_S = 0.002
@@ -36,30 +35,6 @@ def test_mass_matrix_and_weight_are_those_of_the_links_gripper_and_payload(seed)
     np.testing.assert_allclose(data.qfrc_bias, torque, atol=1e-6)
     np.testing.assert_allclose(data.qfrc_gravcomp, torque, atol=1e-6)
     np.testing.assert_allclose(data.qacc, 0, atol=1e-9 + 1e3 * np.abs(data.ctrl - q).max())
-
-
-@pytest.mark.check
-def test_frames_are_the_robots():
-    model = arm_model(ROBOT, step_s=STEP_S)
-    data = mujoco.MjData(model)
-    for q in np.random.default_rng(0).uniform(-3, 3, (20, 6)):
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
-        T = forward_kinematics(ROBOT, q)
-        np.testing.assert_allclose(data.xpos[2:9], T[1:8, :3, 3], atol=1e-12)
-        np.testing.assert_allclose(data.xmat[2:9].reshape(-1, 3, 3), T[1:8, :3, :3], atol=1e-12)
-
-
-def test_a_loaded_model_is_a_copy_and_carries_what_the_compiler_would_derive():
-    base = arm_model(ROBOT, step_s=STEP_S)
-    before = base.body_mass.copy(), base.body_subtreemass.copy()
-    payload = Payload.of(load_objects(["hammer"])[0], np.eye(4))
-    model = loaded_model(base, payload, mujoco.MjData(base))
-    assert np.array_equal(base.body_mass, before[0]) and np.array_equal(base.body_subtreemass, before[1])
-    total = ROBOT.dynamics.mass.sum() + GRIPPER_MASS_KG + payload.mass
-    assert model.body_subtreemass[2] == pytest.approx(total, abs=1e-8)
-    assert model.body_subtreemass[-1] == pytest.approx(0.665)
-    assert (model.dof_invweight0 < base.dof_invweight0).any()
 
 
 def hold(model: mujoco.MjModel, q: np.ndarray, seconds: float) -> np.ndarray:
@@ -111,13 +86,3 @@ def test_torques_stay_within_the_joints_limits_weight_included():
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(data.qfrc_actuator, model.jnt_actfrcrange[:, 1])
     assert (data.qfrc_gravcomp[1:3] != 0).all()
-
-
-def test_a_broken_state_stays_broken():
-    """MuJoCo's automatic reset would put the arm back to zero and go on as if nothing had been."""
-    model = arm_model(ROBOT, step_s=STEP_S)
-    data = mujoco.MjData(model)
-    data.qpos[:] = HOME_Q
-    data.qvel[2] = np.nan
-    mujoco.mj_step(model, data)
-    assert not np.isfinite(data.qvel).all()

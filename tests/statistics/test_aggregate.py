@@ -1,7 +1,5 @@
 """Rates, intervals and means from per-trial verdicts, against scipy and against counting by hand."""
 
-import math
-
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -48,12 +46,6 @@ def test_wilson_agrees_with_scipy_on_a_grid():
                 assert 0 <= a <= k / n <= b <= 1
 
 
-def test_wilson_of_nothing_is_undefined_and_does_not_warn(recwarn):
-    low, high = aggregate.wilson_interval([0], [0])
-    assert math.isnan(low[0]) and math.isnan(high[0])
-    assert not recwarn.list
-
-
 def test_the_clustered_interval_with_equal_objects_is_the_t_interval_of_their_rates():
     rng = np.random.default_rng(3)
     rates = np.array([0.2, 0.5, 0.6, 0.9, 0.4])
@@ -78,18 +70,6 @@ def test_the_clustered_interval_covers_new_objects_and_wilson_does_not():
         covered["clustered"] += clustered.low <= 60 <= clustered.high
     assert covered["clustered"] / runs > 0.93
     assert covered["wilson"] / runs < 0.75
-
-
-@pytest.mark.parametrize("value", [False, True])
-def test_the_clustered_interval_at_0_and_100_percent_is_inside_and_not_empty(value):
-    rate = aggregate.clustered_rate(np.full(4, 10 * value), np.full(4, 10))
-    assert 0 <= rate.low < rate.high <= 100
-    assert rate.percent == 100 * value
-
-
-def test_the_clustered_interval_of_one_object_or_none_is_undefined():
-    assert aggregate.clustered_rate(np.array([9]), np.array([9])) is None
-    assert aggregate.clustered_rate(np.zeros(0, int), np.zeros(0, int)) is None
 
 
 def test_the_interval_of_a_mean_rate_covers():
@@ -117,28 +97,11 @@ def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
     assert row.counts == dict(zip(OUTCOME_NAMES, [5, 4, 3, 2, 1, 6, 7, 8, 9]))
 
 
-def test_an_outcome_that_is_none_of_the_known_ones_is_refused():
-    with pytest.raises(ValueError, match="outcome"):
-        tally_of([0, MISSING + 1])
-
-
-def test_an_affordance_failure_in_s0_is_refused():
-    with pytest.raises(ValueError, match="S0 skips"):
-        aggregate.group_row(tally_of([Outcome.AFFORDANCE]), "S0")
-
-
 def test_times_are_means_over_the_trials_in_which_the_stage_ran():
     row = aggregate.group_row(tally_of([0, 0, 2, 2], t_plan_s=[1.0, 2.0, None, 6.0]), "S0")
     assert (row.times["t_plan_s"].value, row.times["t_plan_s"].count) == (3.0, 3)
     assert (row.times["t_exec_s"].value, row.times["t_exec_s"].count) == (None, 0)
     assert row.times["t_tot_s"].value is None
-
-
-@pytest.mark.parametrize("code", [Outcome.SUCCESS, Outcome.PLAN])
-def test_0_and_100_percent_give_intervals_inside_0_to_100(code):
-    row = aggregate.group_row(tally_of(np.full(20, code)), "S0")
-    for rate in row.rates.values():
-        assert rate is None or 0 <= rate.low <= rate.percent <= rate.high <= 100
 
 
 def test_an_empty_split_has_no_rates_no_times_and_no_average():
@@ -151,10 +114,6 @@ def test_an_empty_split_has_no_rates_no_times_and_no_average():
         assert row.times["t_tot_s"].value is None
 
 
-def test_one_planned_split_gives_no_avg_row():
-    assert [r.split for r in aggregate.summarise([tally_of([0, 2], splits=("S0",))])] == ["S0"]
-
-
 def test_avg_is_the_mean_of_the_splits_whatever_their_sizes_and_takes_s0s_affordance_as_0():
     outcome = [0, 0, 0, 2] + [0] * 5 + [Outcome.AFFORDANCE] * 5
     rows = {r.split: r for r in aggregate.summarise([tally_of(outcome, [0] * 4 + [1] * 10)])}
@@ -162,11 +121,6 @@ def test_avg_is_the_mean_of_the_splits_whatever_their_sizes_and_takes_s0s_afford
     assert rows["S0"].rates["f_afford"] is None
     s1, avg = rows["S1"].rates["f_afford"], rows["Avg"].rates["f_afford"]
     assert (avg.percent, avg.low, avg.high) == pytest.approx((s1.percent / 2, s1.low / 2, s1.high / 2))
-
-
-def test_methods_of_the_same_name_are_refused():
-    with pytest.raises(ValueError, match="differ"):
-        aggregate.summarise([tally_of([0]), tally_of([0])])
 
 
 def test_the_papers_rows_give_back_every_number_of_table_1(tmp_path):
@@ -187,25 +141,6 @@ def test_the_papers_rows_give_back_every_number_of_table_1(tmp_path):
             assert row.times[name].value == pytest.approx(float(cell[name]), abs=1e-5), (cell, name)
 
 
-def test_rows_that_are_not_as_many_as_planned_are_refused(tmp_path):
-    run = write_run(tmp_path / "run", {"m": np.array([0, 0, 2])}, 2, 1)
-    run.header["trials"]["S1"] = 4
-    with pytest.raises(ValueError, match="1 rows in S1, 4 were planned"):
-        tally(run, "m")
-
-
-def test_a_mean_is_exact_whatever_the_shards():
-    random = np.random.default_rng(6)
-    values = random.uniform(0.5, 30, 20_000).astype(np.float32)
-    values[random.random(20_000) < 0.1] = np.nan
-    expected = math.fsum(values[~np.isnan(values)].tolist()) / (~np.isnan(values)).sum()
-    for ends in ([], [7, 8192, 19_999], np.sort(random.integers(0, 20_000, 99))):
-        seconds = [[None if math.isnan(v) else v for v in piece.tolist()] for piece in np.split(values, ends)]
-        tables = [table_of(np.zeros(len(s), int), t_plan_s=s) for s in seconds]
-        row = aggregate.group_row(Tally.of("m", SPLITS, tables), "S0")
-        assert row.times["t_plan_s"].value == expected
-
-
 def test_the_table_is_the_same_for_any_shards(tmp_path):
     outcomes = np.random.default_rng(4).choice([0, 0, 1, 2, 3, 5, 6, 8], 240)
     rows = []
@@ -214,19 +149,3 @@ def test_the_table_is_the_same_for_any_shards(tmp_path):
         counted = tally(run, "m")
         rows.append((aggregate.summarise([counted]), breakdown.by_object(counted)))
     assert rows[0] == rows[1] == rows[2]
-
-
-def test_what_is_kept_does_not_grow_with_the_trials():
-    """300 shards with every object and outcome in each: their counts are merged before they become many."""
-    allocated = []
-
-    def shards():
-        random = np.random.default_rng(2)
-        for _ in range(300):
-            code = np.arange(2000) % 3
-            yield table_of(random.integers(0, 4, 2000), code % 2, code)
-            allocated.append(pa.total_allocated_bytes())
-
-    counted = Tally.of("m", SPLITS, shards())
-    assert counted.n.sum() == 600_000 and len(counted.n) == 3 * 4
-    assert max(allocated[150:]) < 1.2 * max(allocated[:150])

@@ -29,7 +29,8 @@ class FakeEvaluator:
         objects = [SimpleNamespace(name=n, split=s) for n, s in zip(NAMES.objects, NAMES.object_splits)]
         sides = torch.tensor([("right", "left").index(s) for s in NAMES.hand_sides])
         hands = SimpleNamespace(set=SimpleNamespace(side=sides, digest="h"))
-        self.scene = SimpleNamespace(device="cpu", objects=objects, hands=hands, part_names=NAMES.parts)
+        robot = SimpleNamespace(joints=range(6))
+        self.scene = SimpleNamespace(device="cpu", objects=objects, hands=hands, part_names=NAMES.parts, robot=robot)
 
     def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
         assert T_obj_ee.shape == T_world_ee.shape == (len(trials), 4, 4)

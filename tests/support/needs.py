@@ -4,7 +4,6 @@
 What was skipped is listed at the end of every run (tests/conftest.py).
 """
 
-import os
 import shutil
 import subprocess
 import sys
@@ -48,14 +47,6 @@ def _can_unshare() -> bool:
     if not shutil.which("unshare"):
         return False
     return subprocess.run(["unshare", "-rn", "true"], capture_output=True, check=False).returncode == 0
-
-
-def _can_netns() -> bool:
-    if os.name != "posix" or os.geteuid() != 0 or not shutil.which("ip"):
-        return False
-    made = subprocess.run(["ip", "netns", "add", "r2h-probe"], capture_output=True, check=False).returncode == 0
-    subprocess.run(["ip", "netns", "del", "r2h-probe"], capture_output=True, check=False)
-    return made
 
 
 def _has_latex() -> bool:
@@ -103,7 +94,6 @@ WANTS = {
     "unshare": Want(
         "a way to cut the network off", "Linux with util-linux's unshare and user namespaces", _can_unshare
     ),
-    "netns": Want("network namespaces", "Linux, as root, with iproute2 (ip netns)", _can_netns),
     "ray": _module("ray", "ray"),
     "mkdocs": _module("mkdocs", "docs"),
     "rtree": _module("rtree", "test"),

@@ -34,11 +34,9 @@ def everything() -> dict[str, np.ndarray]:
     poses = [answers["oracle"].T_obj_ee, answers["contact"].T_world_ee]
     moving = [T.clone().requires_grad_() for T in poses]
     near = [T.clone() for T in moving]
-    captured = evaluator.capture(len(trials))
     for name, scores in {
         "all": evaluator.score(*poses, trials, keep_motion=True),
         "pose": evaluator.score(*near, trials, "pose"),
-        "captured": captured(*[T.detach() for T in near], trials),
     }.items():
         out |= {f"{name} {f.name}": getattr(scores, f.name) for f in fields(scores) if f.name != "t_plan_s"}
         out |= {f"{name} {k}": getattr(reward, k)(scores) for k in ("quality", "success", "margin_vector")}

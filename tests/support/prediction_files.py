@@ -6,11 +6,8 @@ import zipfile
 
 import numpy as np
 import pytest
-from safetensors.numpy import save_file
 
 from r2h_batch.predictions import PredictionsError, load_predictions
-
-FORMATS = (".npz", ".safetensors")
 
 
 def arrays(n: int = 5, **changes) -> dict[str, np.ndarray]:
@@ -24,11 +21,7 @@ def arrays(n: int = 5, **changes) -> dict[str, np.ndarray]:
 
 
 def store(path, data, method=None):
-    if path.suffix == ".npz":
-        np.savez(path, **data, **({} if method is None else {"method": np.array(method)}))
-    else:
-        data = {k: np.ascontiguousarray(v) for k, v in data.items()}
-        save_file(data, path, metadata=None if method is None else {"method": method})
+    np.savez(path, **data, **({} if method is None else {"method": np.array(method)}))
     return path
 
 

@@ -104,17 +104,6 @@ def test_what_a_method_prints_goes_to_stderr_and_its_streams_end_with_its_call(t
     assert out == "" and err == ("" if what == "closed" else "mine printed: hello\n")
 
 
-def test_answers_are_what_a_file_may_hold(trials):
-    seconds = torch.tensor([0.0, torch.nan, 1.0, 2.0], dtype=torch.float64)
-    grasp = poses(trials, torch.float64).requires_grad_()
-    grasp_nan = poses(trials)
-    grasp_nan[1] = torch.nan  # one row's affair
-    given = answer_of("mine", trials, lambda t: [grasp, grasp_nan, seconds])
-    assert given.T_obj_ee.dtype == given.t_method_s.dtype == torch.float32 and not given.T_obj_ee.requires_grad
-    assert torch.isnan(given.T_world_ee[1]).all() and torch.equal(given.trial_id, trials.trial_id)
-    assert bool((answer_of("mine", trials, lambda t: (grasp, grasp_nan)).t_method_s > 0).all())
-
-
 def test_a_method_reaches_neither_the_trials_nor_the_answers_that_are_judged(trials):
     before, kept = trials.clone(), {}
 
@@ -163,7 +152,7 @@ def test_poses_get_the_same_rows_from_a_method_that_edits_its_trials_and_from_a_
     out = tmp_path / "run"
     line = ["--method", "my_cheat:cheats", "--predictions", str(tmp_path / "p.npz"), "--trials", "4", "--sim", "none"]
     try:
-        assert sweep.main([*line, "--save-details", "--out", str(out)]) == 0
+        assert sweep.main([*line, "--save-paths", "--out", str(out)]) == 0
     finally:
         sys.modules.pop("my_cheat", None)
     run = load_run(out)
@@ -211,13 +200,6 @@ def test_a_method_that_ends_the_program_is_no_success(fake, tmp_path, capsys):
     assert sweep.main(["--method", "mine:ends", "--trials", "3", "--out", str(tmp_path / "run")]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and "sweep: method mine:ends: SystemExit: 0 (" in captured.err
-
-
-def test_a_method_that_changes_the_directory_takes_no_shard_along(fake, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    line = ["--method", "mine:wanders", "--trials", "3", "--shard-trials", "2", "--chunk", "1", "--out", "run"]
-    assert sweep.main(line) == 0
-    assert load_run(tmp_path / "run").trials("mine:wanders").num_rows == 6
 
 
 @pytest.mark.parametrize(

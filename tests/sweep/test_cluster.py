@@ -65,20 +65,6 @@ def test_kill_9_of_the_driver_leaves_a_folder_that_goes_on(tmp_path, undisturbed
     same_rows(out, undisturbed)
 
 
-@pytest.mark.slow
-def test_a_stop_signal_stores_what_is_being_scored_and_ends_with_130(tmp_path, undisturbed):
-    out = tmp_path / "run"
-    sweep = start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0.3")
-    wait_for(lambda: len(receipts(out)) >= 2, "two shards")
-    sweep.send_signal(signal.SIGTERM)
-    code, table, error = finish(sweep)
-    assert code == 130 and table == "" and "sweep: interrupted" in error, error
-    assert 2 <= len(receipts(out)) < 12
-    code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
-    assert code == 0, error
-    same_rows(out, undisturbed)
-
-
 def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_again_on_resume(tmp_path, undisturbed):
     out, log = tmp_path / "run", tmp_path / "log"
     code, table, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="47"))
@@ -92,14 +78,6 @@ def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_ag
     code, table, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="-1"))
     assert code == 0 and table.startswith("split,"), error
     assert not list((out / "quarantine").rglob("*.json"))
-    same_rows(out, undisturbed, DEADLY)
-
-
-@pytest.mark.slow
-def test_a_shard_that_kills_its_worker_once_is_stored(tmp_path, undisturbed):
-    out = tmp_path / "run"
-    code, _, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="47", FAKE_TIMES="2"))
-    assert code == 0, error
     same_rows(out, undisturbed, DEADLY)
 
 

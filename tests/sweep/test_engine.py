@@ -82,11 +82,6 @@ def test_a_shard_is_what_is_done_in_a_minute_and_at_most_100000_trials(monkeypat
     assert engine.shard_size(bench(600, fake_bench.FakeEvaluator()), [JOB]) == SHARD_TRIALS
 
 
-def test_a_small_plan_is_not_probed():
-    evaluator = fake_bench.FakeEvaluator()
-    assert engine.shard_size(bench(500, evaluator), [JOB]) == SHARD_TRIALS and evaluator.sizes == []
-
-
 @pytest.mark.parametrize("splits", [("S0", "S1"), ("S1",), ("S0",), ("S1", "S0")])
 def test_planned_ids_are_those_of_the_protocol_in_any_range(splits):
     from r2h_batch.trials.protocol import make_trials

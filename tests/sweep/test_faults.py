@@ -3,11 +3,9 @@
 The evaluator is a fake; processes, signals and files are real.
 """
 
-import json
 import os
 import resource
 import signal
-import time
 from pathlib import Path
 
 import fake_bench
@@ -194,33 +192,6 @@ def test_what_stands_in_the_place_of_a_runs_own_file_is_named_with_the_run_folde
         assert sweep.main(line) == 0 and load_run(out).digest(name) == load_run(tmp_path / "other").digest(name)
 
 
-def test_a_run_inside_a_run_folder_is_refused(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
-    line = ["--method", "fake_bench:best", "--trials", "6", "--out"]
-    assert sweep.main([*line, str(tmp_path / "run")]) == 0
-    for inside in ("inner", "trials/inner"):
-        assert sweep.main([*line, str(tmp_path / "run" / inside)]) == 2
-        assert f"lies in the run folder {tmp_path / 'run'}, which holds its own" in capsys.readouterr().err
-        assert not (tmp_path / "run" / inside).exists()
-
-
-@pytest.mark.slow
-def test_a_clock_that_is_set_back_between_two_sweeps_changes_nothing(tmp_path, undisturbed):
-    out, year = tmp_path / "run", 365 * 86400
-    first = start(tmp_path, out, SLOW, FAKE_SECONDS="0.2", FAKE_CLOCK=str(year))
-    wait_for(lambda: len(receipts(out)) >= 3, "three shards")
-    first.kill()
-    finish(first)
-    stored = receipts(out)
-    for path in out.rglob("*"):  # as if written then: newer than anything that is written now
-        os.utime(path, (time.time() + year,) * 2)
-    code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
-    assert code == 0, error
-    written = [json.loads(p.read_text())["written"] for p in receipts(out)]
-    assert max(written) > f"{time.gmtime().tm_year + 1}-" > min(written) and len(written) == 12 > len(stored)
-    same_rows(out, undisturbed)
-
-
 def test_another_version_on_resume_is_refused_and_the_old_one_goes_on(tmp_path, undisturbed):
     out = tmp_path / "run"
     first = start(tmp_path, out, SLOW, FAKE_SECONDS="0.2")
@@ -235,17 +206,3 @@ def test_another_version_on_resume_is_refused_and_the_old_one_goes_on(tmp_path, 
     code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
     assert code == 0, error
     same_rows(out, undisturbed)
-
-
-@pytest.mark.parametrize("turns", [1, pytest.param(20, marks=pytest.mark.slow)])
-def test_of_two_configurations_started_at_the_same_moment_one_has_the_folder_and_the_other_is_refused(tmp_path, turns):
-    for turn in range(turns):
-        out = tmp_path / str(turn)
-        both = [start(tmp_path, out, SLOW, "--seed", str(seed), FAKE_SECONDS="0") for seed in (0, 1)]
-        ends = [finish(p) for p in both]
-        codes = [code for code, _, _ in ends]
-        assert sorted(codes) == [0, 2], ends
-        loser = ends[codes.index(2)][2]
-        assert "another run, which differs in seed" in loser and "Traceback" not in loser
-        run = load_run(out)
-        assert run.header["seed"] == codes.index(0) and run.methods == (SLOW,)

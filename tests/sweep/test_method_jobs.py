@@ -10,7 +10,7 @@ import pytest
 from problems import default_evaluator
 
 from r2h_batch.runs.provenance import file_digest
-from r2h_batch.runs.store import load_run, run_hash
+from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.options import METHODS, Options
@@ -53,23 +53,6 @@ def test_a_users_network_is_named_and_reaches_contact_alone(bench, tmp_path, mon
     assert json.loads(given[1].source["predictors"])["contact"] == contact
 
 
-@pytest.mark.parametrize("spec", ["no_net.pt", "no_module:net"])
-def test_a_network_that_cannot_be_loaded_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, spec):
-    monkeypatch.setattr(jobs, "prepare", lambda _: pytest.fail("prepared before the network was looked for"))
-    line = ["--method", "contact", "--predictor", spec, "--trials", "1", "--out", str(tmp_path / "run")]
-    assert sweep.main(line) == 2
-    error = capsys.readouterr().err.splitlines()
-    assert error[-1].startswith("sweep: predictor ") and spec.partition(":")[0] in error[-1]
-    assert not (tmp_path / "run").exists()
-
-
-def test_noise_is_part_of_a_runs_identity_and_older_runs_keep_their_hash():
-    header = {"shard_trials": 5, "device": {"kind": "cpu"}}
-    # no public way to the header without building an evaluator for each
-    noisy = [run_hash({**header, "predictors": jobs._predictors(Options(predictor_noise=f))}) for f in (0.0, 1.0, 1.0)]
-    assert noisy[0] != noisy[1] == noisy[2] and run_hash(header) not in noisy
-
-
 def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "howto" / "method.md").read_text(), re.S)
     assert len([line for line in code.splitlines() if line]) <= 15
@@ -101,14 +84,6 @@ def test_a_methods_options_reach_it_and_stand_in_its_name(bench):
     assert [j.source.get("options") for j in given] == [None, "gate=ik, height_m=0.12", "rounds=8"]
     # no public way from a job to what its function is called with
     assert jobs._method(some[1]).options == {"gate": "ik", "height_m": 0.12}
-
-
-def test_a_users_own_function_takes_options_too(bench, tmp_path, monkeypatch):
-    code = "def predict(trials, scene, *, seed, shift, name='a', often: int = 3):\n    raise ValueError\n"
-    (tmp_path / "with_options.py").write_text(code)
-    monkeypatch.syspath_prepend(tmp_path)
-    assert jobs._method("with_options:predict,shift=0.5,name=b").options == {"shift": 0.5, "name": "b"}
-    assert names(bench, method=("with_options:predict,shift=2",)) == ["with_options:predict (shift=2)"]
 
 
 @pytest.mark.parametrize(

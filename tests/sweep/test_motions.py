@@ -119,11 +119,3 @@ def test_a_motion_with_a_number_that_is_none_is_one_invalid_row(planned):
     whole = judged(folder, folder / "motions.npz", "given").trials("my planner").to_pylist()
     expected = {r["trial_id"]: r["outcome"] for r in whole} | {int(data["trial_id"][row]): "invalid_input"}
     assert outcome == expected and reevaluate(run, "my planner", 100, Judge(run)).differences == ()
-
-
-def test_a_file_of_motions_is_no_file_of_predictions(planned):
-    folder, *_ = planned
-    done = in_process("--predictions", folder / "motions.npz", "--trials", TRIALS, "--out", folder / "no")
-    assert (
-        done.returncode == 2 and "--predictions needs predictions, the file holds motions; say --motions" in done.stderr
-    )

@@ -28,14 +28,6 @@ def test_without_a_terminal_a_line_comes_when_it_is_due_and_one_at_the_end(capsy
     assert lines[2].startswith("oracle: 40 trials in ") and len(lines) == 3
 
 
-def test_lines_are_not_said_more_often_than_every_30_s(capsys):
-    with progress("oracle", 3) as advance:
-        for _ in range(3):
-            advance(1)
-    captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1
-
-
 def _on_a_terminal(term: str) -> tuple[bytes, bytes]:
     """stdout and what a terminal on stderr received."""
     own, terminal = pty.openpty()
@@ -64,9 +56,3 @@ def test_on_a_terminal_there_is_a_bar_on_stderr_only():
     out, received = _on_a_terminal("xterm")
     assert out == b"table\n"
     assert b"\x1b[" in received and b"4/4" in received and b"oracle: 4 trials in" in received
-
-
-def test_on_a_dumb_terminal_there_are_plain_lines():
-    out, received = _on_a_terminal("dumb")
-    assert out == b"table\n"
-    assert b"\x1b" not in received and b"oracle: 4 trials in" in received

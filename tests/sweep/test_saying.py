@@ -1,6 +1,5 @@
 """How much a sweep says: --quiet, --verbose, and the log in its folder."""
 
-from r2h_batch.command_line import note, tell, telling
 from r2h_batch.sweep import command as sweep
 
 SHORT = ["--method", "random", "--splits", "S0", "--trials", "2", "--sim", "none"]
@@ -20,13 +19,3 @@ def test_a_quiet_sweep_says_nothing_and_its_log_says_all(tmp_path, capsys):
     )
     assert sweep.main([*SHORT, "--quiet", "--device", "cuda:77", "--out", str(tmp_path / "b")]) == 2
     assert capsys.readouterr().err.count("\n") == 1, "what went wrong is said"
-
-
-def test_a_link_in_the_place_of_the_log_is_not_followed(tmp_path, capsys):
-    (tmp_path / "mine").write_text("mine")
-    (tmp_path / "log.txt").symlink_to(tmp_path / "mine")
-    with telling(verbose=True) as log_to:
-        tell("before")
-        log_to(tmp_path / "log.txt")
-        note("a\nb")
-    assert (tmp_path / "mine").read_text() == "mine" and capsys.readouterr().err == "before\na\nb\n"

@@ -12,7 +12,7 @@ from r2h_batch.types import Predictions
 
 
 def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
-    line = ["--method", "random", "oracle", "--trials", 6, "--out", tmp_path / "run", "--save-paths", "--save-poses"]
+    line = ["--method", "random", "oracle", "--trials", 6, "--out", tmp_path / "run", "--save-paths"]
     done = command(*line, env=WITH_HOME)
     assert done.returncode == 0, done.stderr
     assert done.stdout.isascii() and done.stdout.startswith("preset: default")
@@ -30,15 +30,15 @@ def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
 
 
 def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
-    first = in_process("--method", "random", "--trials", 8, "--out", tmp_path / "a", "--save-poses")
+    first = in_process("--method", "random", "--trials", 8, "--out", tmp_path / "a")
     assert first.returncode == 0, first.stderr
     run = load_run(tmp_path / "a")
     poses = run.poses("random")
     parts = [torch.tensor(poses[k].to_pylist()).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
     order = torch.randperm(len(parts[0]), generator=torch.Generator().manual_seed(1))
     ids = torch.tensor(poses["trial_id"].to_pylist())
-    write_predictions(tmp_path / "p.safetensors", Predictions(ids, *parts, None, "random again")[order])
-    second = in_process("--predictions", tmp_path / "p.safetensors", "--trials", 8, "--out", tmp_path / "b")
+    write_predictions(tmp_path / "p.npz", Predictions(ids, *parts, None, "random again")[order])
+    second = in_process("--predictions", tmp_path / "p.npz", "--trials", 8, "--out", tmp_path / "b")
     assert second.returncode == 0, second.stderr
     timing = ["t_plan_s", "t_method_s"]
     a, b = (r.drop_columns(timing) for r in (run.trials("random"), load_run(tmp_path / "b").trials("random again")))

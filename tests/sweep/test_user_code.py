@@ -63,21 +63,6 @@ def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refus
     assert "uc_rules.py imports uc_helper, and " in error and "rename one of them" in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("said", "words"),
-    [
-        ("gone.py:predict", "gone.py: no such file; it must be package.module:function or FILE.py:function"),
-        ("uc_rules.py:other", "uc_rules.py has no function 'other'"),
-        ("uc_rules.txt:predict", "No module named 'uc_rules.txt'"),
-        ("near=contact", "contact is built in and keeps its name in tables; leave near= out"),
-    ],
-)
-def test_what_is_not_found_is_one_line(place, capsys, said, words):
-    assert sweep.main(["--method", said, "--trials", "3", "--out", "run"]) == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1
-
-
 @pytest.mark.parametrize("engine", ["local", "ray"])
 def test_the_console_script_finds_a_module_in_the_current_folder(place, engine):
     """A process of its own: nothing but the script's folder stands in its path of modules."""

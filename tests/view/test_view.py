@@ -382,25 +382,19 @@ def test_a_film_and_strips_show_the_motion(run, reader, tmp_path):
 
 
 @needs("gl")
-def test_strips_have_the_words_of_the_verdict_and_old_names_still_work(run, tmp_path, capsys):
+def test_strips_have_the_words_of_the_verdict(run, tmp_path, capsys):
     import imageio.v3 as imageio
 
-    files = tmp_path / "new.png", tmp_path / "old.png"
+    file = tmp_path / "new.png"
     how = [str(run), "--trial", "1", "--method", "oracle", "--frames", "2", "--size", "160", "120"]
-    assert main(["view", *how, "--strips", str(files[0])]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("oracle: success, ")
-    assert main(["strips", *how, "--out", str(files[1])]) == 0
-    assert capsys.readouterr().out == out.replace("new.png", "old.png")
-    new = imageio.imread(files[0])[..., :3]
-    assert np.array_equal(new, imageio.imread(files[1])[..., :3])
+    assert main(["view", *how, "--strips", str(file)]) == 0
+    assert capsys.readouterr().out.startswith("oracle: success, ")
+    new = imageio.imread(file)[..., :3]
     for rgb in ((0.16, 0.44, 0.70), (0.87, 0.68, 0.56)):  # the object, the hand
         hue = new / (np.linalg.norm(new, axis=-1, keepdims=True) + 1e-9)
         seen = hue @ (np.array(rgb) / np.linalg.norm(rgb)) > 0.985
         half = new.shape[1] // 2
         assert seen[:, :half].mean() > 1e-3 and seen[:, half:].mean() > 1e-3
-    assert main(["video", "x", "--trial", "0", "--out", "x.doc"]) == 2
-    assert "--video x.doc" in capsys.readouterr().err
 
 
 @needs("chromium")
