@@ -167,10 +167,10 @@ def forearm_may_turn(upper: wp.vec3, forearm: wp.vec3, outwards: float, normal: 
 
     `arm_angles` and `within_ranges` decide what passes here.
     """
+    # of the thumb's direction t only u - (u . f) f counts, however long it is: both parts of the turn scale with it
     n_f = wp.dot(normal, forearm)
-    t = unit(wp.dot(upper, forearm) * forearm - upper)
-    ahead = wp.dot(normal, t)
-    inwards = -outwards * wp.dot(normal, wp.cross(t, forearm))
+    ahead = wp.dot(upper, forearm) * n_f - wp.dot(normal, upper)
+    inwards = outwards * wp.dot(normal, wp.cross(upper, forearm))
     return (
         n_f >= MOST_FLEXED
         and n_f <= MOST_EXTENDED
