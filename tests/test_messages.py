@@ -27,7 +27,7 @@ SAID = {
     "two numbers": (b"table: {half: [1, 2]}", BENCHMARK, "table.half is .*; it must have 3 entries or more, it has 2"),
     "missing": (b"objects: [{file: a.obj}]", BENCHMARK, "b.yaml: objects.0.file: .*a.obj: no such file"),
     "JSON in UTF-16": (b"\xff\xfe{\0}\0", f"{PREDICTIONS}.json", "is in UTF-16; save it in UTF-8"),
-    "a long number": (b'{"trial_id": [%s]}' % (b"9" * 5000), f"{PREDICTIONS}.json", "of 5000 digits; at most"),
+    "a long number": (b'{"trial_id": [%s]}' % (b"9" * 5000), f"{PREDICTIONS}.json", "no readable JSON .number out of range"),
     "one id": (json.dumps(ONE).encode(), f"{PREDICTIONS}.json", "1 trial id is planned but missing: 1;"),
     "a config of words": (b"trials: many", "sweep --out run --config c.yaml", "trials is 'many'; it must be a whole number"),
 }  # fmt: skip

@@ -29,7 +29,16 @@ from numpy.typing import NDArray
 from r2h_batch import se3
 from r2h_batch.bodies.hand import MAX_SKIN_PIECES, palm_frame
 from r2h_batch.bodies.robot import DEFAULT_ROBOT, ee_pose, load_robot
-from r2h_batch.importers.release_files import MAX_BYTES, RIGID, Box, Own, TrialFile, validated
+from r2h_batch.importers.release_files import (
+    MAX_BYTES,
+    RIGID,
+    Boxes,
+    Own,
+    TrialFile,
+    box_faces,
+    transform_points,
+    validated,
+)
 from r2h_batch.importers.release_scenes import experiment_trials, paired_trials
 from r2h_batch.io.read import FileError, printable, read_file, read_json
 from r2h_batch.io.write import csv_cell, write_npz, write_text
@@ -67,12 +76,16 @@ END_M, END_ENTRY = 0.005, 0.01
 """How far a motion may end from the handover pose: the release's own test of Plan."""
 MOST_TRIALS = 100_000
 
-TABLE_BOX = Box(center=[-0.35, 0.0, 0.70], half_extents=[0.65, 0.55, 0.035])
+TABLE_BOX = Boxes(
+    np.array([[[1.0, 0, 0, -0.35], [0, 1, 0, 0], [0, 0, 1, 0.70], [0, 0, 0, 1]]]),
+    np.array([[0.65, 0.55, 0.035]]),
+)
 """The release's default table, of trials that name no obstacles."""
-NO_TABLE = Box(center=[0.0, 0.0, -9.0], half_extents=[0.001, 0.001, 0.001])
+NO_TABLE = Boxes(
+    np.array([[[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -9.0], [0, 0, 0, 1]]]),
+    np.full((1, 3), 0.001),
+)
 """Stands for the table of trials whose list of obstacles is empty: nothing reaches it."""
-CORNERS = trimesh.creation.box((2.0, 2.0, 2.0)).vertices.view(np.ndarray)
-CORNER_FACES = trimesh.creation.box((2.0, 2.0, 2.0)).faces.view(np.ndarray)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +186,7 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
         own = None
     return ReleaseTrial(
         file.id, file.object_id, file.variant, file.split, mesh, region,
-        np.array(file.T_object_gripper) @ back, T_world_ee, T_world_release @ T_world_palm, side,
+        file.T_object_gripper @ back, T_world_ee, T_world_release @ T_world_palm, side,
         own, *surface, place,
         *_motion(file, T_world_ee), file.dt_s,
     )  # fmt: skip
@@ -190,10 +203,10 @@ def _tool_pose(file: TrialFile) -> Array:
     """Where the tool ends, our world frame: at the last executed sample, as the release judges Reach;
     at the target of a trial without a trace, or without a path."""
     if not len(file.executed_joints) or file.planning.status == "failed":
-        return T_world_release @ np.array(file.target_T_world_gripper)
+        return T_world_release @ file.target_T_world_gripper
     robot = load_robot(DEFAULT_ROBOT)
     T_world_flange = ee_pose(robot, file.executed_joints[-1]) @ np.linalg.inv(robot.T_flange_ee)
-    return np.asarray(T_world_flange @ along_z(TCP_M) @ np.array(file.T_tcp_asset_tool))
+    return np.asarray(T_world_flange @ along_z(TCP_M) @ file.T_tcp_asset_tool)
 
 
 def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bool_]]:
@@ -206,50 +219,42 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
             )
         mesh = trimesh.Trimesh(vertices, faces, process=False)
     else:
-        boxes = [
-            trimesh.creation.box(2 * np.array(b.half_extents), b.pose("object_boxes", k))
-            for k, b in enumerate(file.object_boxes)
-        ]
-        mesh = sum(boxes[1:], boxes[0])
+        boxes = file.object_boxes
+        mesh = trimesh.Trimesh(boxes.corners().reshape(-1, 3), box_faces(len(boxes)), process=False)
     if np.ptp(mesh.vertices, axis=0).max() < LEAST_M:
         raise FileError(f"{where}: object_mesh_object is smaller than {LEAST_M * 1e3:g} mm")
     region = np.zeros(len(mesh.faces), bool)
     if file.split == "S0":
         return mesh, region
     if file.own is not None:
-        if not 0 <= max(file.own.receiver_faces, default=-1) < len(region):
+        if not 0 <= file.own.receiver_faces.max(initial=-1) < len(region):
             raise FileError(f"{where}: provenance.r2h_batch.receiver_faces names no face")
         region[file.own.receiver_faces] = True
         return mesh, region
-    if not file.usage_boxes:
+    if not len(file.usage_boxes):
         raise FileError(f"{where}: usage_boxes is empty; a trial of S1 needs one or more")
-    for k, box in enumerate(file.usage_boxes):
-        local = trimesh.transform_points(
-            mesh.triangles_center, np.linalg.inv(box.pose("usage_boxes", k))
-        )
-        inside = (np.abs(local) <= np.array(box.half_extents) + REGION_M).all(1)
-        if not inside.any():
-            raise FileError(f"{where}: usage_boxes.{k} holds no face of the object")
-        region |= inside
-    return mesh, region
+    local = transform_points(np.linalg.inv(file.usage_boxes.T), mesh.triangles_center)
+    apart = (np.abs(local) - file.usage_boxes.half[:, None]).max(2)  # (boxes, faces)
+    if (nearest := apart.min(1)).max() > REGION_M:
+        raise FileError(f"{where}: usage_boxes.{nearest.argmax()} holds no face of the object")
+    return mesh, np.asarray(apart.min(0) <= REGION_M)
 
 
 def _place(file: TrialFile, where: str) -> dict[str, Any]:
     """Thresholds, table and home as a benchmark file says them."""
-    boxes = [TABLE_BOX] if file.obstacle_boxes_world is None else file.obstacle_boxes_world
-    boxes = boxes or [NO_TABLE]
+    boxes = TABLE_BOX if file.obstacle_boxes_world is None else file.obstacle_boxes_world
+    boxes = boxes if len(boxes) else NO_TABLE
     if len(boxes) > 1:
         raise FileError(
             f"{where}: obstacle_boxes_world has {len(boxes)} boxes; one, the table, can be judged"
         )
-    turned = np.abs(boxes[0].pose("obstacle_boxes_world", 0)[:3, :3])
+    turned = np.abs(boxes.T[0, :3, :3])
     if np.abs(turned - np.round(turned)).max() > RIGID:
         raise FileError(
             f"{where}: obstacle_boxes_world.0 is turned; a table lies along the world's axes"
         )
-    center = np.array(boxes[0].center)
-    half = np.round(turned) @ boxes[0].half_extents
-    middle = trimesh.transform_points([center], T_world_release)[0]
+    half = np.round(turned) @ boxes.half[0]
+    middle = (T_world_release @ boxes.T[0])[:3, 3]
     home = file.planned_joints[0] if len(file.planned_joints) else HOME_Q
     limits = {
         "reach_offset_m": file.reach_offset_m,
@@ -270,7 +275,7 @@ def _palm(file: TrialFile, where: str) -> tuple[int, Array]:
     horizontal across the normal, or along x where the normal is vertical.
     """
     if file.receiver is not None:
-        return SIDES.index(file.receiver.side), np.array(file.receiver.T_world_hand)
+        return SIDES.index(file.receiver.side), file.receiver.T_world_hand
     normal = np.array(file.palm_normal_world)
     size = np.linalg.norm(normal)
     if size < 1e-9:
@@ -290,15 +295,9 @@ def _hand_surface(
 ) -> tuple[tuple[NDArray[np.float32], NDArray[np.int32]] | None, Array]:
     """The hand's mesh, if there is one, and the corners of its boxes, in the palm's frame."""
     to_palm = np.linalg.inv(T_world_palm)
-    corners = CORNERS * ([-1, 1, 1] if side else [1, 1, 1])  # faces of left hands count backwards
-    boxes = np.array(
-        [
-            trimesh.transform_points(
-                corners * b.half_extents, to_palm @ b.pose("hand_boxes_world", k)
-            )
-            for k, b in enumerate(file.hand_boxes_world)
-        ]
-    )
+    boxes = file.hand_boxes_world.moved(to_palm).corners()
+    if side:  # faces of left hands count backwards: the sides at -x and +x change places
+        boxes = np.roll(boxes, 4, 1)
     if file.hand_mesh_world is None:
         return None, boxes
     vertices, faces = file.hand_mesh_world.vertices, file.hand_mesh_world.faces
@@ -306,7 +305,7 @@ def _hand_surface(
         raise FileError(
             f"{where}: hand_mesh_world.faces names vertex {faces.max()}; there are {len(vertices)}"
         )
-    skin = trimesh.transform_points(vertices, to_palm).astype(np.float32)
+    skin = transform_points(to_palm, vertices).astype(np.float32)
     return (skin, (faces[:, ::-1] if side else faces).astype(np.int32)), boxes
 
 
@@ -334,7 +333,7 @@ def _motion(file: TrialFile, T_world_ee: Array) -> tuple[Array | None, Array]:
     planned = file.planned_joints if len(file.planned_joints) else file.executed_joints
     if min(len(executed), len(planned)) < 2 or file.planning.status == "failed":
         return None, planned
-    target = T_world_release @ np.array(file.target_T_world_gripper) @ _back(file)
+    target = T_world_release @ file.target_T_world_gripper @ _back(file)
     for q, T in ((executed[-1], T_world_ee), (planned[-1], target)):
         end = ee_pose(load_robot(DEFAULT_ROBOT), q)
         near = np.linalg.norm(end[:3, 3] - T[:3, 3]) <= END_M
@@ -434,8 +433,8 @@ def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
         # a hand with fewer boxes has its last one several times
         at = [np.minimum(np.arange(n), len(t.hand_boxes) - 1) for t in trials]
         skins = np.stack([t.hand_boxes[k].reshape(-1, 3) for t, k in zip(trials, at)])
-        faces = (CORNER_FACES + 8 * np.arange(n)[:, None, None]).reshape(-1, 3)
-        piece = np.repeat(np.arange(n) * min(n, MAX_SKIN_PIECES) // n, len(CORNER_FACES))
+        faces = box_faces(n)
+        piece = np.repeat(np.arange(n) * min(n, MAX_SKIN_PIECES) // n, len(faces) // n)
     rounded = np.concatenate([side[:, None], skins.reshape(len(skins), -1).round(6)], 1)
     _, first, hand = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     return form, {

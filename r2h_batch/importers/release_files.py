@@ -3,9 +3,11 @@ is judged, with their types and bounds."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
@@ -20,8 +22,8 @@ from r2h_batch.io.read import FileError, printable
 from r2h_batch.validate import rule_of
 
 __all__ = [
-    "MAX_BYTES", "RIGID", "Box", "Entry", "GraspContract", "Id", "Mesh", "Metres", "Name", "Opening",
-    "Own", "Pose", "Receiver", "TrialFile", "Vector", "validated",
+    "MAX_BYTES", "NO_BOXES", "RIGID", "BoxList", "Boxes", "Entry", "GraspContract", "Id", "Mesh",
+    "Name", "Opening", "Own", "Pose", "Receiver", "TrialFile", "Vector", "box_faces", "transform_points", "validated",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -35,50 +37,130 @@ Opening = Annotated[float, Field(gt=0, le=0.085)]
 Metres = Annotated[float, Field(ge=-10, le=10)]
 Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
 Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
-Row = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
-def _rows(columns: int, low: float, high: float, *, least: int = 0, whole: bool = False) -> Any:
-    """A long list of rows of numbers, checked as one array: pydantic takes a second for each million."""
+def _array(value: Any, shape: tuple[int, ...], low: float, high: float, kinds: str = "iuf") -> Any:
+    """A list of rows of this shape as one array: pydantic takes a second for each million numbers."""
+    form = " x ".join(map(str, shape))
+    try:
+        a = np.array(value)
+    except ValueError:
+        raise ValueError(f"rows must have {form} numbers each") from None
+    if not isinstance(value, list):
+        raise ValueError("must be a list of rows")
+    if not len(value):
+        return np.zeros((0, *shape))
+    if a.shape[1:] != shape:
+        raise ValueError(f"rows must have {form} numbers each")
+    if a.dtype.kind not in kinds:
+        raise ValueError(f"must hold {'' if 'f' in kinds else 'whole '}numbers")
+    wrong = ~((a >= low) & (a <= high)).reshape(len(a), -1).all(1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise ValueError(f"row {row} is {a[row].tolist()}; {low:g} to {high:g} is allowed")
+    return a
+
+
+def _rows(columns: int, low: float, high: float, least: int = 0, kinds: str = "iuf") -> Any:
+    """A field that is a long list of rows of numbers."""
 
     def check(value: Any) -> Any:
-        try:
-            a = np.array(value)
-        except ValueError:
-            raise ValueError(f"rows must have {columns} numbers each") from None
-        if not isinstance(value, list) or len(value) < least:
+        a = _array(value, (columns,), low, high, kinds)
+        if len(a) < least:
             raise ValueError(f"must be a list of {least} or more rows")
-        if not len(value):
-            return np.zeros((0, columns))
-        if a.ndim != 2 or a.shape[1] != columns:
-            raise ValueError(f"rows must have {columns} numbers each")
-        if a.dtype.kind not in ("iu" if whole else "iuf"):
-            raise ValueError(f"must hold {'whole ' if whole else ''}numbers")
-        wrong = ~((a >= low) & (a <= high)).all(1)
-        if wrong.any():
-            row = int(wrong.argmax())
-            raise ValueError(f"row {row} is {a[row].tolist()}; {low:g} to {high:g} is allowed")
         return a
 
     return PlainValidator(check)
+
+
+def _whole_numbers(value: Any) -> Any:
+    return _array(value, (), 0, 1 << 31, "iu").astype(np.int64)
 
 
 Joints = Annotated[Array, _rows(6, -6.2832, 6.2832)]
 NO_JOINTS = np.zeros((0, 6))
 
 
-def _is_rigid(T: list[list[float]]) -> list[list[float]]:
-    a = np.array(T)
-    R = a[:3, :3]
-    wrong = np.abs(a[3] - [0, 0, 0, 1]).max() > 1e-7 or np.abs(R.T @ R - np.eye(3)).max() > RIGID
-    if wrong or abs(np.linalg.det(R) - 1) > RIGID:
+def _are_rotations(R: Array) -> NDArray[np.bool_]:
+    """Which of (..., 3, 3) are, to `RIGID`."""
+    turned = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max((-1, -2))
+    return np.asarray((turned <= RIGID) & (np.abs(np.linalg.det(R) - 1) <= RIGID))
+
+
+def _pose(value: Any) -> Any:
+    a = _array(value, (4,), -10, 10).astype(np.float64)
+    rigid = a.shape == (4, 4) and np.abs(a[3] - [0, 0, 0, 1]).max() <= 1e-7
+    if not rigid or not _are_rotations(a[:3, :3]):
         raise ValueError("must be a rigid pose, 4 x 4, row by row")
-    if np.abs(a[:3, 3]).max() > 10:
-        raise ValueError("must lie within 10 m")
-    return T
+    return a
 
 
-Pose = Annotated[list[Row], Field(min_length=4, max_length=4), AfterValidator(_is_rigid)]
+Pose = Annotated[Array, PlainValidator(_pose)]
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """n boxes in any frame, m."""
+
+    T: Array
+    """(n, 4, 4) poses of their middles"""
+    half: Array
+    """(n, 3) half sides"""
+
+    def __len__(self) -> int:
+        return len(self.T)
+
+    def moved(self, T: NDArray[np.floating[Any]]) -> Boxes:
+        """The same boxes in the frame in which theirs has the pose T."""
+        return Boxes(np.asarray(T @ self.T), self.half)
+
+    def corners(self) -> Array:
+        """(n, 8, 3) in the order of `CORNERS`."""
+        return transform_points(self.T, CORNERS * self.half[:, None])
+
+
+CORNERS = trimesh.creation.box((2.0, 2.0, 2.0)).vertices.view(np.ndarray)
+
+
+def box_faces(n: int) -> NDArray[np.int32]:
+    """Faces of n boxes, whose corners follow each other."""
+    one = trimesh.creation.box((2.0, 2.0, 2.0)).faces.view(np.ndarray)
+    return np.asarray(one + 8 * np.arange(n)[:, None, None], np.int32).reshape(-1, 3)
+
+
+def transform_points(T: NDArray[np.floating[Any]], points: Array) -> Array:
+    """Points (..., k, 3) moved by poses (..., 4, 4)."""
+    return np.asarray(points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3])
+
+
+BOX = (
+    ("center", (3,), -10.0, None),
+    ("half_extents", (3,), 1e-9, None),
+    ("rotation", (3, 3), -10.0, np.eye(3).tolist()),
+)
+"""Fields of a box: shape, least number, what stands for a missing one."""
+
+
+def _boxes(value: Any) -> Any:
+    if isinstance(value, Boxes):  # of a scene, checked there
+        return value
+    if not isinstance(value, list) or not all(isinstance(b, dict) for b in value):
+        raise ValueError("must be a list of boxes")
+    parts = {}
+    for name, shape, low, usual in BOX:
+        try:
+            parts[name] = _array([b.get(name, usual) for b in value], shape, low, 10.0)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+    T = np.tile(np.eye(4), (len(value), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = parts["rotation"], parts["center"]
+    if not (right := _are_rotations(T[:, :3, :3])).all():
+        raise ValueError(f"rotation: row {right.argmin()} is no rotation, 3 x 3")
+    return Boxes(T, parts["half_extents"].astype(np.float64))
+
+
+BoxList = Annotated[Boxes, PlainValidator(_boxes)]
+NO_BOXES = Boxes(np.zeros((0, 4, 4)), np.zeros((0, 3)))
 
 
 class Entry(BaseModel):
@@ -87,31 +169,11 @@ class Entry(BaseModel):
     model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
 
 
-class Box(Entry):
-    """A box in any frame, m."""
-
-    center: Vector
-    half_extents: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
-    rotation: Annotated[list[Vector], Field(min_length=3, max_length=3)] = [
-        [1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0],
-    ]  # fmt: skip
-
-    def pose(self, field: str, k: int) -> Array:
-        """T of the box, the k-th of a field, in its frame."""
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = self.rotation, self.center
-        try:
-            _is_rigid(T.tolist())
-        except ValueError:
-            raise FileError(f"{field}.{k}.rotation is no rotation, 3 x 3, row by row") from None
-        return T
-
-
 class Mesh(Entry):
     """A triangle mesh, m."""
 
     vertices: Annotated[Array, _rows(3, -10, 10, least=4)]
-    faces: Annotated[NDArray[np.int64], _rows(3, 0, 1 << 31, least=4, whole=True)]
+    faces: Annotated[NDArray[np.int64], _rows(3, 0, 1 << 31, least=4, kinds="iu")]
 
 
 class Receiver(Entry):
@@ -131,7 +193,7 @@ class Own(Entry):
     T_world_palm: (
         Pose  # as in `receiver` when it was written: a hand that was moved since is theirs
     )
-    receiver_faces: list[Annotated[int, Field(ge=0)]]
+    receiver_faces: Annotated[Array, PlainValidator(_whole_numbers)]
 
 
 def _own(provenance: Any) -> Any:
@@ -165,12 +227,12 @@ class TrialFile(Entry):
     split: Literal["S0", "S1"]
     T_object_gripper: Pose
     target_T_world_gripper: Pose
-    object_boxes: Annotated[list[Box], Field(min_length=1)]
-    usage_boxes: list[Box] = []
+    object_boxes: Annotated[BoxList, Field(min_length=1)]
+    usage_boxes: BoxList = NO_BOXES
     object_mesh_object: Mesh | None = None
-    hand_boxes_world: Annotated[list[Box], Field(min_length=1, max_length=1000)]
+    hand_boxes_world: Annotated[BoxList, Field(min_length=1, max_length=1000)]
     hand_mesh_world: Mesh | None = None
-    obstacle_boxes_world: list[Box] | None = None
+    obstacle_boxes_world: BoxList | None = None
     palm_position_world: Vector
     palm_normal_world: Vector
     receiver: Receiver | None = None
@@ -180,7 +242,7 @@ class TrialFile(Entry):
     dt_s: Annotated[float, Field(gt=0, le=1)] = 1 / 60
     planned_joints: Joints = NO_JOINTS
     executed_joints: Joints = NO_JOINTS
-    T_tcp_asset_tool: Pose = np.eye(4).tolist()
+    T_tcp_asset_tool: Pose = np.eye(4)
     grasp_contract: GraspContract = GraspContract()
     planning: Planning = Planning()
     method_geometry_invalidated: bool = False

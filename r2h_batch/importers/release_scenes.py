@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import trimesh
-from numpy.typing import NDArray
 from pydantic import Field
 
 from r2h_batch.importers.release_files import (
     MAX_BYTES,
-    Box,
+    NO_BOXES,
+    BoxList,
     Entry,
     GraspContract,
     Id,
@@ -27,6 +26,7 @@ from r2h_batch.importers.release_files import (
     Receiver,
     TrialFile,
     Vector,
+    transform_points,
     validated,
 )
 from r2h_batch.io.read import FileError, path_within, printable, read_json
@@ -39,8 +39,8 @@ PALM_NORMAL = [1.0, 0.0, 0.0]
 
 class _Object(Entry):
     id: Name
-    boxes: list[Box]
-    usage_regions: dict[str, list[Box]] = Field(default={})
+    boxes: BoxList
+    usage_regions: dict[str, BoxList] = Field(default={})
     mesh: Mesh | None = None
 
 
@@ -51,7 +51,7 @@ class _Intent(Entry):
 class _Hand(Entry):
     center: Vector
     palm_normal: Vector = PALM_NORMAL
-    boxes: list[Box]
+    boxes: BoxList
     mesh: Mesh | None = None
 
 
@@ -158,23 +158,24 @@ def _trial(scene: SceneFile, said: SelectionFile, where: str) -> TrialFile | Non
     grasps = {
         g.id: g.T_object_gripper
         for g in (*scene.candidates, *said.candidates)
-        if g.T_object_gripper
+        if g.T_object_gripper is not None
     }
     if said.selected not in grasps:
         raise FileError(
             f"{where}: selected is {said.selected}; no candidate of this id has T_object_gripper"
         )
-    T_world_object = np.array(scene.target_T_world_object)
-    T_object_gripper = np.array(grasps[said.selected])
+    T_world_object, T_object_gripper = scene.target_T_world_object, grasps[said.selected]
     hand, receiver = scene.receiving_hand, scene.receiver
-    palm = trimesh.transform_points([hand.center], T_world_object)[0]
+    palm = transform_points(T_world_object, np.array([hand.center]))[0]
     normal = T_world_object[:3, :3] @ hand.palm_normal
-    if receiver is not None:
-        palm, normal = (
-            np.array(receiver.T_world_hand)[:3, 3],
-            np.array(receiver.T_world_hand)[:3, 2],
+    mesh = None
+    if hand.mesh is not None:
+        mesh = hand.mesh.model_copy(
+            update={"vertices": transform_points(T_world_object, hand.mesh.vertices)}
         )
-    region = scene.object.usage_regions.get(scene.intent.human_region, [])
+    if receiver is not None:
+        palm, normal = receiver.T_world_hand[:3, 3], receiver.T_world_hand[:3, 2]
+    region = scene.object.usage_regions.get(scene.intent.human_region, NO_BOXES)
     name = f"{scene.object.id}_{said.mode}" + (
         f"_{receiver.id}" if receiver and receiver.id else ""
     )
@@ -189,9 +190,9 @@ def _trial(scene: SceneFile, said: SelectionFile, where: str) -> TrialFile | Non
         "target_T_world_gripper": (T_world_object @ T_object_gripper).tolist(),
         "object_boxes": scene.object.boxes,
         "object_mesh_object": scene.object.mesh,
-        "usage_boxes": region if scene.evaluation_split == "S1" else [],
-        "hand_boxes_world": [_moved(b, T_world_object, k) for k, b in enumerate(hand.boxes)],
-        "hand_mesh_world": None if hand.mesh is None else _moved_mesh(hand.mesh, T_world_object),
+        "usage_boxes": region if scene.evaluation_split == "S1" else NO_BOXES,
+        "hand_boxes_world": hand.boxes.moved(T_world_object),
+        "hand_mesh_world": mesh,
         "palm_position_world": palm.tolist(),
         "palm_normal_world": normal.tolist(),
         "receiver": receiver,
@@ -199,15 +200,3 @@ def _trial(scene: SceneFile, said: SelectionFile, where: str) -> TrialFile | Non
         "grasp_contract": GraspContract(width_policy=scene.gripper.width_policy),
     }
     return validated(trial, where, TrialFile)
-
-
-def _moved(box: Box, T: NDArray[np.float64], k: int) -> Box:
-    moved = T @ box.pose("receiving_hand.boxes", k)
-    return Box(
-        center=moved[:3, 3].tolist(), half_extents=box.half_extents, rotation=moved[:3, :3].tolist()
-    )
-
-
-def _moved_mesh(mesh: Mesh, T: NDArray[np.float64]) -> dict[str, Any]:
-    vertices = trimesh.transform_points(mesh.vertices, T)
-    return {"vertices": vertices.tolist(), "faces": mesh.faces.tolist()}
