@@ -70,6 +70,7 @@ def rows(first: int, last: int, n_s0: int) -> pa.Table:
         "outcome": words(outcome, list(OUTCOME_NAMES)),
         **{f"passed_{c}": pa.array(passed[:, i], mask=~evaluated[:, i]) for i, c in enumerate(CRITERIA)},
         **{f"margin_{c}_m": floats(margin[:, i], evaluated[:, i]) for i, c in enumerate(CRITERIA)},
+        **{f"margin_kind_{c}": words(np.where(evaluated[:, i], 0, -1), ["distance"]) for i, c in enumerate(CRITERIA)},
         "plan_reason": words(reason, [r.name.lower() for r in PlanReason]),
         "plan_pair": words(pair, [p.name.lower() for p in CollidingPair]),
         "nearest_pair": words(np.where(found, 1, -1), [p.name.lower() for p in CollidingPair]),

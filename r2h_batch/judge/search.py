@@ -130,7 +130,10 @@ class Search:
         """One search of those `rows` whose `length` is 0; the hand clearance that paths keep."""
         b, device = len(path), path.device
         kept, n_kept, margin = goals_for_search(
-            self.goals.view(b, BRANCHES, -1), self.n_goals, self.margin, everything=everything
+            self.goals.view(b, BRANCHES, self.goals.shape[-1]),
+            self.n_goals,
+            self.margin,
+            everything=everything,
         )
         # An iteration adds one node to one tree and then as many to the other as it takes to meet
         # or to be blocked; how many is not bounded, so a tree that is full ends the search
