@@ -8,7 +8,7 @@ from enum import IntEnum
 from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import numpy as np
 import yaml
@@ -23,7 +23,6 @@ from r2h_batch.io.write import write_npz
 
 Array = NDArray[np.float64]
 
-JOINTS = 6
 DEFAULT_ROBOT = "ur5e_2f85"
 ROBOTS = (DEFAULT_ROBOT, "ur3e_2f85")
 """What is built in."""
@@ -171,8 +170,13 @@ class Robot:
         return hash(self.digest)
 
     def fitted(self, config: EvalConfig) -> EvalConfig:
-        """The configuration with this robot's home and speed where it has the UR5e's."""
-        return config.for_robot(self.home_q, float(self.max_velocity.min()))
+        """The configuration with this robot's home and speed where it has the UR5e's. A gripper
+        with jaws on slides has no simulator: motions are as planned unless the configuration names
+        one."""
+        found = config.for_robot(self.home_q, float(self.max_velocity.min()))
+        if self.linkage.slide and found.execute.sim == "auto":
+            found = replace(found, execute=replace(found.execute, sim="none"))
+        return found
 
     @property
     def closed_gap_m(self) -> float:
@@ -520,7 +524,7 @@ def frozen(value: Any, dtype: Any = np.float64) -> Any:
     return array
 
 
-# ---- robot.yaml, which a person edits, and robot.npz, which the import writes. The gripper goes by
+# ---- robot.yaml, which a person edits, and robot.npz, which the import writes. The 2F-85 goes by
 # name: its shapes and its linkage are those of the built-in robot that carries it.
 
 MAX_BYTES = 1 << 20
@@ -533,7 +537,9 @@ MAX_BODIES = 24
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
 Positive = Annotated[float, Field(ge=1e-2, le=1e6)]
-Six = Field(min_length=JOINTS, max_length=JOINTS)
+Length = Annotated[float, Field(ge=1e-3, le=0.2)]
+Each = Field(min_length=4, max_length=12)
+"""One number a joint."""
 
 
 class _Part(BaseModel):
@@ -543,25 +549,35 @@ class _Part(BaseModel):
 class Servo(_Part):
     """Position and velocity servos: force = kp (ctrl - q) - kp / rate qd."""
 
-    stiffness_nm_rad: Annotated[list[Positive], Six]
+    stiffness_nm_rad: Annotated[list[Positive], Each]
     rate_per_s: Positive
     armature_kg_m2: Annotated[float, Field(ge=0, le=10)]
 
 
 class Arm(_Part):
-    """The arm: six joints of a UR's structure."""
+    """The arm. `family` ur: of a UR's structure, with a closed form; else numerical."""
 
-    family: Literal["ur"]
-    links: Annotated[list[Word], Field(min_length=JOINTS + 1, max_length=JOINTS + 1)]
-    joints: Annotated[list[Word], Six]
-    home_rad: Annotated[list[Angle], Six]
-    lower_rad: Annotated[list[Angle], Six]
-    upper_rad: Annotated[list[Angle], Six]
-    max_velocity_rad_s: Annotated[list[Positive], Six]
-    max_torque_nm: Annotated[list[Positive], Six]
+    family: Literal["ur", "numerical"]
+    links: Annotated[list[Word], Field(min_length=5, max_length=13)]
+    joints: Annotated[list[Word], Each]
+    home_rad: Annotated[list[Angle], Each]
+    lower_rad: Annotated[list[Angle], Each]
+    upper_rad: Annotated[list[Angle], Each]
+    max_velocity_rad_s: Annotated[list[Positive], Each]
+    max_torque_nm: Annotated[list[Positive], Each]
     servo: Servo
-    table_from: Annotated[int, Field(ge=1, le=JOINTS)]
+    table_from: Annotated[int, Field(ge=1, le=12)]
     visuals: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{0,32}$")] = ""
+
+
+class Jaws(_Part):
+    """A gripper with parallel jaws on slides; its shapes stand in robot.npz."""
+
+    law: Literal["slide"]
+    open_gap_m: Annotated[float, Field(gt=0, le=0.5)]
+    closed_gap_m: Annotated[float, Field(ge=0, le=0.5)]
+    pad_half_size_m: Annotated[list[Length], Field(min_length=3, max_length=3)]
+    parts: Annotated[list[Literal["body", "finger", "pad"]], Field(min_length=3, max_length=31)]
 
 
 class RobotFile(_Part):
@@ -570,17 +586,24 @@ class RobotFile(_Part):
     format: Literal[1]
     name: Word
     arm: Arm
-    gripper: Literal["2f-85"]
+    gripper: Literal["2f-85"] | Jaws
 
 
 SPECS: dict[str, Spec] = {
-    "T_parent_joint": ("f", (JOINTS, 4, 4)), "T_wrist3_flange": ("f", (4, 4)),
-    "mass": ("f", (JOINTS,)), "com": ("f", (JOINTS, 3)), "inertia": ("f", (JOINTS, 3, 3)),
+    "T_parent_joint": ("f", ("joints", 4, 4)), "T_wrist3_flange": ("f", (4, 4)),
+    "mass": ("f", ("joints",)), "com": ("f", ("joints", 3)), "inertia": ("f", ("joints", 3, 3)),
     "kind": ("iu", ("bodies",)), "link": ("iu", ("bodies",)),
     "T_link_prim": ("f", ("bodies", 4, 4)), "size": ("f", ("bodies", 3)),
     "self_pairs": ("iu", ("pairs", 2)), "object_pairs": ("iu", ("links",)),
 }  # fmt: skip
 """robot.npz."""
+
+GRIPPER_SPECS: dict[str, Spec] = {
+    "T_flange_ee": ("f", (4, 4)), "T_flange_gripper": ("f", (4, 4)), "gripper_kind": ("iu", ("parts",)),
+    "gripper_side": ("iu", ("parts",)), "T_gripper_prim": ("f", ("parts", 4, 4)),
+    "gripper_size": ("f", ("parts", 3)),
+}  # fmt: skip
+"""What it holds besides where the gripper does not go by name."""
 
 
 def read_robot(folder: str | Path) -> Robot:
@@ -598,41 +621,63 @@ def read_robot(folder: str | Path) -> Robot:
         where = ".".join(map(printable, first["loc"]))
         raise FileError(f"{printable(text)}: {where}: {first['msg'][:200]}") from None
     arrays, where = read_npz(packed, most=MAX_BYTES), printable(packed)
-    check_arrays(arrays, SPECS, where, only=True)
-    for name in ("T_parent_joint", "T_link_prim"):
-        check_poses(f"{where}: {name}", arrays[name])
-    check_poses(f"{where}: T_wrist3_flange", arrays["T_wrist3_flange"][None])
-    arrays = {name: arrays[name] for name in SPECS}
-    robot = _robot(file, arrays)
+    specs = SPECS if file.gripper == "2f-85" else SPECS | GRIPPER_SPECS
+    lengths = check_arrays(arrays, specs, where, only=True)
+    for name in specs:
+        if name.startswith("T_"):
+            check_poses(f"{where}: {name}", arrays[name].reshape(-1, 4, 4))
     try:
+        _check_lengths(file, lengths)
+        robot = _robot(file, {name: arrays[name] for name in specs})
+        if robot.family != file.arm.family:
+            ur_lengths(robot)  # says what is not a UR's
+            raise ValueError(f"family is {file.arm.family}; the joint frames are those of a UR")
         check_robot(robot)
     except ValueError as error:
         raise FileError(f"{printable(folder)}: {error}") from None
     return robot
 
 
+def _check_lengths(file: RobotFile, lengths: dict[str, int]) -> None:
+    """Raises ValueError where lists are not as long as there are joints or parts."""
+    arm, joints = file.arm, lengths["joints"]
+    lists = {k: v for k, v in [*vars(arm).items(), *vars(arm.servo).items()] if isinstance(v, list)}
+    for name, values in lists.items():
+        wanted = joints + (name == "links")
+        if len(values) != wanted:
+            raise ValueError(f"{name} has {len(values)} entries; {joints} joints need {wanted}")
+    if isinstance(file.gripper, Jaws):
+        parts = file.gripper.parts
+        if len(parts) != lengths["parts"] or parts.count("pad") != 2:
+            raise ValueError(f"gripper.parts must name {lengths['parts']} parts, two of them pads")
+        if file.gripper.closed_gap_m >= file.gripper.open_gap_m:
+            raise ValueError("gripper.closed_gap_m must be below open_gap_m")
+
+
 def check_robot(robot: Robot) -> None:
     """Raises ValueError for what shapes of arrays do not say: a robot that none can be."""
-    n, arm, own = len(robot.arm.kind), robot.arm, robot.dynamics
-    if not all(1e-3 <= length <= 5 for length in ur_lengths(robot)):
+    n, arm, own, last = len(robot.arm.kind), robot.arm, robot.dynamics, len(robot.joints)
+    lengths = ur_lengths(robot) if robot.family == "ur" else [robot.reach_m]
+    if not all(1e-3 <= length <= 5 for length in lengths):
         raise ValueError("the lengths of its joint frames must lie between 1 mm and 5 m")
     for names in ((*robot.links, *SCENE_BODIES), robot.joints):
         if twice := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"two links or joints are called {twice[0]!r}; rename one of them")
     if n > MAX_BODIES:
         raise ValueError(f"{n} collision bodies; the kernels hold {MAX_BODIES} of an arm")
-    if not np.isin(arm.kind, (Kind.CAPSULE, Kind.CYLINDER, Kind.BOX)).all():
+    kinds = np.concatenate([arm.kind, robot.gripper.kind])
+    if not np.isin(kinds, (Kind.CAPSULE, Kind.CYLINDER, Kind.BOX)).all():
         raise ValueError("kind must be 1 (capsule), 2 (cylinder) or 3 (box)")
-    if set(arm.link.tolist()) != set(range(JOINTS + 1)):
-        raise ValueError(f"every link, 0 to {JOINTS}, needs a collision body")
+    if set(arm.link.tolist()) != set(range(last + 1)):
+        raise ValueError(f"every link, 0 to {last}, needs a collision body")
     used = arm.size[arm.kind != Kind.BOX, :2].ravel().tolist()
     used += arm.size[arm.kind == Kind.BOX].ravel().tolist()
     if not all(1e-4 <= x <= 2 for x in used):
         raise ValueError("sizes of collision bodies must lie between 0.1 mm and 2 m")
     pairs = robot.self_pairs.ravel().tolist() + robot.object_pairs.tolist()
     same = (robot.self_pairs[:, 0] == robot.self_pairs[:, 1]).any()
-    if not all(0 <= k <= JOINTS + 1 for k in pairs) or same:
-        raise ValueError(f"pairs name two links of 0 to {JOINTS + 1} (the gripper)")
+    if not all(0 <= k <= last + 1 for k in pairs) or same:
+        raise ValueError(f"pairs name two links of 0 to {last + 1} (the gripper)")
     if not ((robot.lower <= robot.home_q) & (robot.home_q <= robot.upper)).all():
         raise ValueError("home_rad is outside the joint limits")
     moments = np.linalg.eigvalsh(own.inertia)
@@ -689,7 +734,41 @@ def _robot(file: RobotFile, a: dict[str, Array]) -> Robot:
         self_pairs=frozen(a["self_pairs"], np.int32),
         object_pairs=frozen(a["object_pairs"], np.int32),
         digest=digest.hexdigest(),
+        **(_jaws(file.gripper, a) if isinstance(file.gripper, Jaws) else {}),
     )
+
+
+def _jaws(gripper: Jaws, a: dict[str, Array]) -> dict[str, Any]:
+    """The fields of a `Robot` that its gripper fills."""
+    side = frozen(a["gripper_side"], np.int32)
+    names = [f"{part}_{i}" for i, part in enumerate(gripper.parts)]
+    pad_z = float((np.linalg.inv(a["T_flange_gripper"]) @ a["T_flange_ee"])[2, 3])
+    none = frozen(np.zeros(2))
+    return {
+        "open_gap_m": gripper.open_gap_m,
+        "T_flange_ee": frozen(a["T_flange_ee"]),
+        "T_flange_gripper": frozen(a["T_flange_gripper"]),
+        "gripper": Primitives(
+            tuple(names),
+            frozen(np.full(len(side), len(a["mass"]) + 1), np.int32),
+            frozen(a["gripper_kind"], np.int32),
+            frozen(a["T_gripper_prim"]),
+            frozen(a["gripper_size"]),
+        ),
+        "gripper_part": tuple(gripper.parts),
+        "gripper_motion": tuple("slide" if s else "fixed" for s in side.tolist()),
+        "gripper_side": side,
+        "linkage": Linkage(
+            none,
+            none,
+            none,
+            frozen([gripper.pad_half_size_m[1], pad_z]),
+            frozen(gripper.pad_half_size_m),
+            -gripper.open_gap_m / 2,
+            -gripper.closed_gap_m / 2,
+            slide=True,
+        ),
+    }
 
 
 def robot_arrays(robot: Robot) -> dict[str, Array]:
@@ -701,8 +780,14 @@ def robot_arrays(robot: Robot) -> dict[str, Array]:
         "T_link_prim": arm.T_link_prim, "size": arm.size, "self_pairs": robot.self_pairs,
         "object_pairs": robot.object_pairs,
     }  # fmt: skip
-    kinds = {"f": "<f8", "iu": "<i4"}
-    return {k: np.ascontiguousarray(v, kinds[SPECS[k][0]]) for k, v in found.items()}
+    if robot.linkage.slide:
+        shapes = robot.gripper
+        found |= {
+            "T_flange_ee": robot.T_flange_ee, "T_flange_gripper": robot.T_flange_gripper, "gripper_kind": shapes.kind,
+            "gripper_side": robot.gripper_side, "T_gripper_prim": shapes.T_link_prim, "gripper_size": shapes.size,
+        }  # fmt: skip
+    kinds, specs = {"f": "<f8", "iu": "<i4"}, SPECS | GRIPPER_SPECS
+    return {k: np.ascontiguousarray(v, kinds[specs[k][0]]) for k, v in found.items()}
 
 
 def robot_file(robot: Robot) -> RobotFile:
@@ -712,7 +797,7 @@ def robot_file(robot: Robot) -> RobotFile:
         format=1,
         name=robot.name,
         arm=Arm(
-            family="ur",
+            family=robot.family,
             links=list(robot.links[:-1]),
             joints=list(robot.joints),
             home_rad=list(robot.home_q),
@@ -728,7 +813,15 @@ def robot_file(robot: Robot) -> RobotFile:
             table_from=robot.table_from,
             visuals=robot.visuals if robot.visuals.isidentifier() else "",
         ),
-        gripper="2f-85",
+        gripper="2f-85"
+        if not robot.linkage.slide
+        else Jaws(
+            law="slide",
+            open_gap_m=robot.open_gap_m,
+            closed_gap_m=robot.closed_gap_m,
+            pad_half_size_m=robot.linkage.pad_half_size.tolist(),
+            parts=[cast(Any, part) for part in robot.gripper_part],
+        ),
     )
 
 

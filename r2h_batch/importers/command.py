@@ -292,11 +292,11 @@ def robot(
     flange: str,
     out: Path,
     gripper: Literal["2f85"] = "2f85",
+    fingers: str = "",
     name: str = "",
     package: tuple[str, ...] = (),
 ) -> int:
-    """An arm of a UR's structure with a gripper as a folder for --robot: robot.yaml, robot.npz,
-    report.json.
+    """An arm with a gripper as a folder for --robot: robot.yaml, robot.npz, report.json.
 
     Args:
         urdf: The arm. Its meshes are .obj, .stl, .ply or .glb, beside it or in a --package.
@@ -304,6 +304,7 @@ def robot(
         flange: The link that carries the gripper.
         out: A new or empty folder.
         gripper: The gripper at the flange.
+        fingers: LINK,LINK of the URDF's own gripper, which slide apart; in place of --gripper.
         name: Of the robot, in rows and tables; default: the folder's and the gripper's.
         package: NAME=FOLDER, where package://NAME/ leads to.
     """
@@ -315,9 +316,13 @@ def robot(
     folders = {k: Path(v) for k, _, v in (p.partition("=") for p in package)}
     if wrong := [p for p in package if not all(p.partition("="))]:
         raise UsageError(f"--package {wrong[0]}: write NAME=FOLDER")
+    one, _, other = fingers.partition(",")
+    if fingers and not (one and other):
+        raise UsageError(f"--fingers {fingers}: write LINK,LINK")
     found, report = import_robot(
-        urdf, name=name or f"{out.name}_{gripper}", base=base, flange=flange, packages=folders
-    )
+        urdf, name=name or f"{out.name}_{'jaws' if fingers else gripper}", base=base, flange=flange, packages=folders,
+        fingers=(one, other) if fingers else None,
+    )  # fmt: skip
     write_robot(out, found)
     write_json(out / "report.json", report)
     for link, row in report["links"].items():

@@ -1,12 +1,12 @@
 """A robot out of a URDF: the arm's chain and masses, collision bodies fitted to its visual meshes,
 the pairs of links that are checked, a posture to start from.
 
-The arm is of a UR's structure, which has a closed form for its inverse kinematics. The gripper is
-the 2F-85. Each link of a UR has the shape of the UR5e's at another length, so the search for its
-primitives starts from the UR5e's, stretched to the box of the mesh.
+Each link of a UR has the shape of the UR5e's at another length, so the search for its primitives
+starts from the UR5e's, stretched to the box of the mesh; for a link of another arm from parts of its
+mesh. The gripper is the 2F-85, or two jaws on slides of the same URDF.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.stats import qmc
 
 from r2h_batch.bodies.robot import (
     DEFAULT_ROBOT,
-    JOINTS,
     Kind,
+    Linkage,
     Primitives,
     Robot,
     check_robot,
@@ -26,27 +27,30 @@ from r2h_batch.bodies.robot import (
     frozen,
     load_robot,
     robot_file,
-    ur_lengths,
 )
 from r2h_batch.bodies.robot_visuals import ARM_LINKS, visual_triangles
 from r2h_batch.importers.robot_fit import (
     ARM_STEP_M,
+    BOX,
     Shape,
     box_of,
     fit,
     mouths_for,
     recipe_for,
+    recipe_of,
     split_longest,
     target,
 )
-from r2h_batch.importers.robot_pairs import contact_rates
-from r2h_batch.importers.urdf import Chain, Link, read_chain
+from r2h_batch.importers.robot_pairs import contact_rates, touching
+from r2h_batch.importers.urdf import Chain, Jaws, Link, read_chain, read_jaws
 from r2h_batch.io.read import FileError, printable
 
 __all__ = ["import_robot"]
 
 Array = NDArray[np.float64]
 
+LEAST_JOINTS, MOST_JOINTS = 6, 7
+"""Of an arm: the kernels take any number, these have been tried."""
 MOST_OVERSHOOT_MM = 3.0
 """Mean distance from a link's bodies to its mesh above which it gets one body more."""
 NEAR_M = 0.010
@@ -66,9 +70,10 @@ def import_robot(
     base: str,
     flange: str,
     packages: Mapping[str, Path],
+    fingers: tuple[str, str] | None = None,
     visuals: str = "",
 ) -> tuple[Robot, dict[str, Any]]:
-    """A robot with a 2F-85 at its flange, and the figures of its import.
+    """A robot with a gripper at its flange, and the figures of its import.
 
     Args:
         path: the URDF.
@@ -76,14 +81,18 @@ def import_robot(
         base: the link that stands on the table.
         flange: the link that carries the gripper.
         packages: folder of each `package://NAME/`.
+        fingers: the links of the URDF's own gripper that slide apart; None: a 2F-85.
         visuals: the arm of airo-models whose meshes show it.
 
     Raises:
         FileError: one line that says what the file has and what is allowed.
     """
-    chain, shown = read_chain(path, base, flange, packages), printable(path)
-    if len(chain.joints) != len(ARM_LINKS) - 1:
-        raise FileError(f"{shown}: {len(chain.joints)} joints move {flange}; arms of 6 are allowed")
+    chain = read_chain(path, base, flange, packages, bare=fingers is not None)
+    shown, n = printable(path), len(chain.joints)
+    if not LEAST_JOINTS <= n <= MOST_JOINTS:
+        raise FileError(
+            f"{shown}: {n} joints move {flange}; {LEAST_JOINTS} to {MOST_JOINTS} are allowed"
+        )
     bare = replace(
         load_robot(DEFAULT_ROBOT),
         name=name,
@@ -97,33 +106,47 @@ def import_robot(
         max_torque=frozen(chain.effort),
         digest=f"{name}, being imported",
     )
-    try:
-        ur_lengths(bare)
-    except ValueError as error:
-        raise FileError(f"{shown}: {error}; arms of a UR's structure are allowed") from None
-    try:  # before the minutes that fitting takes
-        robot_file(bare)
-        check_robot(
-            replace(
-                bare,
-                lower=np.minimum(bare.lower, bare.home_q),
-                upper=np.maximum(bare.upper, bare.home_q),
-            )
-        )
-    except ValueError as error:
-        raise FileError(f"{shown}: {' '.join(str(error).split())[:200]}") from None
-    arm, links = _primitives(chain.links)
-    robot = replace(bare, arm=arm, dynamics=_dynamics(chain, bare, shown), home_q=_home(bare))
+    palm: dict[str, Any] = {}
+    if fingers is not None:
+        gripper, palm = _jaws(read_jaws(path, flange, fingers, packages), n, shown)
+        bare = replace(bare, **gripper)
+    if bare.family == "ur":
+        home = np.array(bare.home_q)  # before the minutes that fitting takes
+        limits = {"lower": np.minimum(bare.lower, home), "upper": np.maximum(bare.upper, home)}
+        _check(replace(bare, **limits), shown)
+        arm, links = _primitives(chain.links)
+    else:
+        bare = replace(bare, links=(*(part.name for part in chain.links), bare.links[-1]))
+        shapes, links = _fitted(chain.links)
+        where = [k for k, own in enumerate(shapes) for _ in own]
+        names = [f"{chain.links[k].name}_{where[:i].count(k)}" for i, k in enumerate(where)]
+        arm = _primitives_of([s for own in shapes for s in own], where, names)
+        bare = replace(bare, object_pairs=frozen(np.arange(n + 1), np.int32))
+    bare = replace(bare, arm=arm, dynamics=_dynamics(chain, bare, shown))
+    robot = replace(bare, home_q=_home(bare))
     pairs = _checked_pairs(robot)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
     robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
+    if met := touching(robot, np.array(robot.home_q)):
+        raise FileError(f"{shown}: {', '.join(met)} overlap at home, {list(robot.home_q)} rad")
+    _check(robot, shown)
     report = {
-        "links": links,
+        "links": links | palm,
         "pairs": {f"{a} - {b}": says for (a, b), (_, says) in pairs.items()},
         "home_rad": list(robot.home_q),
+        "inverse_kinematics": robot.family,
         "reach_m": robot.reach_m,
     }
     return robot, report
+
+
+def _check(robot: Robot, shown: str) -> None:
+    """Refuses what no robot file may hold."""
+    try:
+        robot_file(robot)
+        check_robot(robot)
+    except ValueError as error:
+        raise FileError(f"{shown}: {' '.join(str(error).split())[:200]}") from None
 
 
 def _primitives(links: tuple[Link, ...]) -> tuple[Primitives, dict[str, Any]]:
@@ -140,16 +163,82 @@ def _primitives(links: tuple[Link, ...]) -> tuple[Primitives, dict[str, Any]]:
             found = fit(split_longest(recipe), mesh, ARM_STEP_M)
             report[like] = mesh.report(found)
         shapes += [(k, s) for s in found]
-    T, size = np.tile(np.eye(4), (len(shapes), 1, 1)), np.zeros((len(shapes), 3))
-    for i, (_, s) in enumerate(shapes):
-        T[i, :3, :3], T[i, :3, 3], size[i, : len(s.size)] = s.R, s.pos, s.size
     where = [k for k, _ in shapes]
     names = [f"{ARM_LINKS[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
-    kind = [Kind[s.kind.upper()] for _, s in shapes]
-    arm = Primitives(
-        tuple(names), frozen(where, np.int32), frozen(kind, np.int32), frozen(T), frozen(size)
+    return _primitives_of([s for _, s in shapes], where, names), report
+
+
+def _fitted(links: Sequence[Link]) -> tuple[list[list[Shape]], dict[str, Any]]:
+    """Primitives of links of any shape, and each link's figures."""
+    found, report = [], {}
+    for link in links:
+        mesh = target(link.triangles, [])
+        found.append(fit(recipe_of(mesh.coarse), mesh, ARM_STEP_M))
+        report[link.name] = mesh.report(found[-1])
+    return found, report
+
+
+def _primitives_of(
+    shapes: Sequence[Shape], link: Sequence[int], names: Sequence[str]
+) -> Primitives:
+    T, size = np.tile(np.eye(4), (len(shapes), 1, 1)), np.zeros((len(shapes), 3))
+    for i, s in enumerate(shapes):
+        T[i, :3, :3], T[i, :3, 3], size[i, : len(s.size)] = s.R, s.pos, s.size
+    kind = [Kind[s.kind.upper()] for s in shapes]
+    return Primitives(
+        tuple(names), frozen(link, np.int32), frozen(kind, np.int32), frozen(T), frozen(size)
     )
-    return arm, report
+
+
+def _jaws(jaws: Jaws, joints: int, shown: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The fields of a `Robot` that its gripper fills, and the palm's figures.
+
+    z of the gripper is the flange's, +y the way in which the first jaw opens. The box of a jaw that
+    reaches farthest along z is its pad.
+    """
+    y, z = jaws.opens[0], np.array([0.0, 0.0, 1.0])
+    if abs(y @ z) > 1e-6:
+        raise FileError(f"{shown}: the jaws must open across the flange's z")
+    T_flange_gripper = np.eye(4)
+    T_flange_gripper[:3, :3] = np.stack([np.cross(y, z), y, z], 1)
+    turned = replace(jaws.palm, triangles=jaws.palm.triangles @ T_flange_gripper[:3, :3])
+    (shapes,), report = _fitted([turned])
+    part, side = ["body"] * len(shapes), [0] * len(shapes)
+    faces, pads = [], []
+    for sign, boxes in zip((1, -1), jaws.jaws, strict=True):
+        placed = [(T_flange_gripper.T @ T, half) for T, half in boxes]  # it only turns
+        square = [b for b in placed if np.abs(np.abs(b[0][:3, :3]) - np.eye(3)).max() < 1e-6]
+        if not square:
+            raise FileError(f"{shown}: a finger has no box along the gripper's axes for a pad")
+        pad = max(square, key=lambda b: float(b[0][2, 3] + b[1][2]))
+        pads.append(pad)
+        faces.append(float(sign * pad[0][1, 3] - pad[1][1]))
+        for T, half in placed:  # drive 0 has the pads' faces at y = 0
+            at = T[:3, 3] - [0.0, sign * faces[-1], 0.0]
+            shapes.append(Shape(BOX, at, T[:3, :3], half))
+            part.append("pad" if T is pad[0] else "finger")
+            side.append(sign)
+    half, pad_z = pads[0][1], float(pads[0][0][2, 3])
+    if abs(faces[0] - faces[1]) > 1e-4 or np.abs(half - pads[1][1]).max() > 1e-6:
+        raise FileError(f"{shown}: the two pads must be mirror images")
+    closed, opened = (max(2 * (travel + max(faces)), 0.0) for travel in jaws.travel)
+    T_flange_ee = T_flange_gripper.copy()
+    T_flange_ee[2, 3] = pad_z
+    none = frozen(np.zeros(2))
+    names = [f"{p}_{i}" for i, p in enumerate(part)]
+    return {
+        "open_gap_m": opened,
+        "T_flange_ee": frozen(T_flange_ee),
+        "T_flange_gripper": frozen(T_flange_gripper),
+        "gripper": _primitives_of(shapes, [joints + 1] * len(shapes), names),
+        "gripper_part": tuple(part),
+        "gripper_motion": tuple("slide" if s else "fixed" for s in side),
+        "gripper_side": frozen(side, np.int32),
+        "linkage": Linkage(
+            none, none, none, frozen([half[1], pad_z]), frozen(half), -opened / 2, -closed / 2,
+            slide=True,
+        ),
+    }, report  # fmt: skip
 
 
 def _dynamics(chain: Chain, robot: Robot, shown: str) -> Any:
@@ -179,6 +268,8 @@ def _home(robot: Robot) -> tuple[float, ...]:
     def off(q: Array) -> Array:
         return np.asarray((ee_pose(robot, q) - goal)[:3].ravel())
 
+    if robot.family != "ur":
+        return _middle_home(robot, off)
     found = least_squares(off, usual.home_q, xtol=1e-14, ftol=1e-14, gtol=1e-14)
     if np.abs(off(found.x)).max() > 1e-6:
         raise FileError(
@@ -187,12 +278,29 @@ def _home(robot: Robot) -> tuple[float, ...]:
     return tuple(np.round(found.x, 4).tolist())
 
 
+def _middle_home(robot: Robot, off: Callable[[Array], Array]) -> tuple[float, ...]:
+    """Of the postures that 64 starts lead to the one that is nearest to the middle of its limits."""
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    starts = qmc.Halton(len(lower), scramble=False).random(65)[1:]
+    best, least = None, np.inf
+    for start in lower + (upper - lower) * starts:
+        found = least_squares(
+            off, start, bounds=(lower - 1e-9, upper + 1e-9), xtol=1e-14, ftol=1e-14, gtol=1e-14
+        )
+        away = float(np.square((found.x - (lower + upper) / 2) / (upper - lower)).sum())
+        if np.abs(off(found.x)).max() < 1e-6 and away < least:
+            best, least = found.x, away
+    if best is None:
+        raise FileError(f"{robot.name}: no posture puts the gripper where trials start")
+    return tuple(np.round(best, 4).tolist())
+
+
 def _checked_pairs(robot: Robot) -> dict[tuple[str, str], tuple[bool, str]]:
     """Whether each pair of links is checked, and why."""
     found = {}
     for (a, b), (rate, nearest) in contact_rates(robot, POSTURES).items():
         first, last = robot.links.index(a), robot.links.index(b)
-        joints = min(last, JOINTS) - first
+        joints = min(last, len(robot.joints)) - first
         if last - first == 1:
             found[a, b] = False, "neighbours"
         elif rate == 1:

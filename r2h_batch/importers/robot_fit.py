@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans2
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -400,6 +401,42 @@ def recipe_for(name: str, box: Array, other: Array) -> Recipe:
         radius = size[0] * (across + scale["xyz".index(normal)]) / 2
         stretched.append((kind, (float(u), float(v)), angle, (radius, size[1] * along)))
     return normal, stretched
+
+
+def recipe_of(points: Array, parts: int = 3) -> Recipe:
+    """A start for a link of any shape: its mirror plane, and in it `parts` bodies about heaps of points (k-means).
+
+    Each is the smallest of a capsule, a cylinder and a box along its heap.
+    """
+    tree = cKDTree(points)
+    n = int(np.argmin([tree.query(points * (1 - 2 * e))[0].mean() for e in np.eye(3)]))
+    flat = np.delete(points, n, axis=1)
+    long = np.linalg.svd(flat - flat.mean(0), full_matrices=False)[2][0]
+    order = np.argsort(flat @ long)
+    first = flat[order[((np.arange(parts) + 0.5) / parts * len(flat)).astype(int)]]
+    centers, label = kmeans2(flat, first, minit="matrix")
+    rows: list[Row] = []
+    for k in range(len(centers)):
+        own, across = flat[label == k], points[label == k, n]
+        if len(own) < 4:
+            continue
+        along = np.linalg.svd(own - own.mean(0), full_matrices=False)[2][0]
+        off = np.array([-along[1], along[0]])
+        u, v = own @ along, own @ off
+        at = (u.max() + u.min()) / 2 * along + (v.max() + v.min()) / 2 * off
+        half, wide, thick = np.ptp(u) / 2, np.ptp(v) / 2, np.abs(across).max()
+        r = max(wide, thick)
+        volume = {
+            CAPSULE: np.pi * r * r * 2 * max(half - r, 1e-3) + 4 / 3 * np.pi * r**3,
+            CYLINDER: 2 * np.pi * r * r * half,
+            BOX: 8 * half * wide * thick,
+        }
+        kind = min(volume, key=lambda name: float(volume[name]))
+        size = {CAPSULE: (r, max(half - r, 1e-3)), CYLINDER: (r, half), BOX: (thick, wide, half)}[
+            kind
+        ]
+        rows.append((kind, tuple(at.tolist()), float(np.arctan2(along[1], along[0])), size))
+    return "xyz"[n], rows
 
 
 def split_longest(recipe: Recipe) -> Recipe:

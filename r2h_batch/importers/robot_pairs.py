@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.robot import JOINTS, Kind, Robot, gripper_primitives_at, load_robot
-from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.bodies.robot import Kind, Robot, gripper_primitives_at, load_robot
 
-OPENINGS_M = (OPEN_GAP_M, 0.0)
 FAR_M = 0.05
 
 
@@ -35,7 +33,7 @@ def mjcf(robot: Robot) -> str:
         strict=True,
     ):
         geoms[robot.links[link]].append(_geom(f"{robot.links[link]}/{name}", int(kind), T, size))
-    for i, opening in enumerate(OPENINGS_M):
+    for i, opening in enumerate((robot.open_gap_m, 0.0)):
         for name, kind, T, size in zip(
             robot.gripper.names,
             robot.gripper.kind,
@@ -43,9 +41,11 @@ def mjcf(robot: Robot) -> str:
             robot.gripper.size,
             strict=True,
         ):
-            geoms["gripper"].append(_geom(f"gripper/{name}@{i}", int(kind), T_gripper_ee @ T, size))
-    xml, tail = "".join(geoms["base"]), ""
-    for i in range(JOINTS):
+            geoms[robot.links[-1]].append(
+                _geom(f"{robot.links[-1]}/{name}@{i}", int(kind), T_gripper_ee @ T, size)
+            )
+    xml, tail = "".join(geoms[robot.links[0]]), ""
+    for i in range(len(robot.joints)):
         xml += (
             f'<body {_pose(robot.T_parent_joint[i])}><joint name="{robot.joints[i]}"/>'
             + "".join(geoms[robot.links[i + 1]])
@@ -53,7 +53,7 @@ def mjcf(robot: Robot) -> str:
         tail += "</body>"
     xml += (
         f"<body {_pose(robot.T_wrist3_flange @ robot.T_flange_gripper)}>"
-        + "".join(geoms["gripper"])
+        + "".join(geoms[robot.links[-1]])
         + "</body>"
     )
     return (
@@ -74,7 +74,9 @@ def contact_rates(
     )
     touched = np.zeros((len(robot.links),) * 2, int)
     nearest = np.full((len(robot.links),) * 2, FAR_M)
-    for q in np.random.default_rng(seed).uniform(-np.pi, np.pi, (configurations, JOINTS)):
+    limits = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    size = (configurations, len(robot.joints))
+    for q in np.random.default_rng(seed).uniform(*limits, size):
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -87,6 +89,20 @@ def contact_rates(
         (robot.links[a], robot.links[b]): (touched[a, b] / configurations, float(nearest[a, b]))
         for a, b in combinations(range(len(robot.links)), 2)
     }
+
+
+def touching(robot: Robot, q: NDArray[np.float64]) -> list[str]:
+    """Checked pairs of links that overlap at a posture, gripper open or closed."""
+    model = mujoco.MjModel.from_xml_string(mjcf(robot))
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    owner = [robot.links.index(model.geom(g).name.split("/")[0]) for g in range(model.ngeom)]
+    met = {tuple(sorted(owner[g] for g in c.geom)) for c in data.contact if c.dist <= 0}
+    checked = {tuple(sorted(pair)) for pair in robot.self_pairs.tolist()}
+    return [f"{robot.links[a]} and {robot.links[b]}" for a, b in sorted(met & checked)]
 
 
 def _geom(name: str, kind: int, T: NDArray[np.float64], size: NDArray[np.float64]) -> str:

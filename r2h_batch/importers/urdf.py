@@ -1,4 +1,5 @@
-"""The chain of a URDF between two links: joint frames, limits, masses, visual meshes.
+"""The chain of a URDF between two links: joint frames, limits, masses, visual meshes; a
+gripper of parallel jaws.
 
 The file comes from a stranger. It is text of bounded size without a doctype, so it has no entities;
 meshes lie in its folder or in a package's that the caller names. Nothing is fetched.
@@ -9,6 +10,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
 from r2h_batch.io.read import FileError, path_within, printable, read_file
 
-__all__ = ["Chain", "Link", "read_chain"]
+__all__ = ["Box", "Chain", "Jaws", "Link", "read_chain", "read_jaws"]
 
 Array = NDArray[np.float64]
 Element = ElementTree.Element
@@ -25,6 +27,13 @@ Element = ElementTree.Element
 MAX_BYTES, MAX_LINKS, MAX_MESHES = 8 << 20, 256, 32
 LONGEST_M = 3.0
 """Of a link: a mesh that is longer is in millimetres, and would be covered point by point."""
+
+
+class Box(NamedTuple):
+    """A box of a `<collision>`: its frame and its half sides."""
+
+    T: Array
+    half: Array
 
 
 @dataclass(frozen=True)
@@ -36,6 +45,16 @@ class Link:
     mass: float
     com: Array  # (3,)
     inertia: Array  # (3, 3) about com
+
+
+@dataclass(frozen=True)
+class Jaws:
+    """A gripper with two jaws on slides, flange frame at joint positions 0."""
+
+    palm: Link
+    jaws: tuple[tuple[Box, ...], tuple[Box, ...]]
+    opens: tuple[Array, Array]  # (3,) the direction in which each jaw opens
+    travel: tuple[float, float]  # smallest and largest position of each, m
 
 
 @dataclass(frozen=True)
@@ -52,7 +71,9 @@ class Chain:
     links: tuple[Link, ...]
 
 
-def read_chain(path: Path, base: str, flange: str, packages: Mapping[str, Path]) -> Chain:
+def read_chain(
+    path: Path, base: str, flange: str, packages: Mapping[str, Path], *, bare: bool = False
+) -> Chain:
     """The chain between two links of a URDF.
 
     Args:
@@ -60,6 +81,7 @@ def read_chain(path: Path, base: str, flange: str, packages: Mapping[str, Path])
         base: the link that stands still.
         flange: the link that carries the gripper.
         packages: folder of each package that `package://NAME/` names.
+        bare: without what is fixed to the flange.
 
     Raises:
         FileError: one line that says what the file has and what is allowed.
@@ -97,13 +119,67 @@ def read_chain(path: Path, base: str, flange: str, packages: Mapping[str, Path])
     carried = [base, *(_end(j, "child", shown) for j in moving)]
     back = [np.eye(4), *(_to_axis(j, shown).T for j in moving)]
     parts = [
-        _rigid(name, T, links, joints, set(carried), path, packages)
+        _rigid(name, T, links, joints, {*carried, flange} if bare else set(carried), path, packages)
         for name, T in zip(carried, back, strict=True)
     ]
     names = tuple(str(j.get("name")) for j in moving)
     low, high, speed, effort = limits.T
     T = _exact(np.array(frames))
     return Chain(names, T, _exact(T_before), low, high, speed, effort, tuple(parts))
+
+
+def read_jaws(
+    path: Path, flange: str, fingers: tuple[str, str], packages: Mapping[str, Path]
+) -> Jaws:
+    """The gripper at a flange whose two `fingers` are links on prismatic joints that open apart.
+
+    Args:
+        path: the URDF.
+        flange: the link that carries the gripper.
+        fingers: two links; a finger collides as boxes.
+        packages: as in `read_chain`.
+
+    Raises:
+        FileError: one line that says what the file has and what is allowed.
+    """
+    root, shown = _parsed(path), printable(path)
+    links = {str(e.get("name")): e for e in root.findall("link")}
+    joints = root.findall("joint")
+    frames, todo = {flange: np.eye(4)}, [flange]
+    while todo:
+        at = todo.pop()
+        for joint in joints:
+            child = _end(joint, "child", shown)
+            if _end(joint, "parent", shown) == at and child not in frames:
+                frames[child] = frames[at] @ _origin(joint, shown)
+                todo += [child] if joint.get("type") == "fixed" else []
+    jaws, opens, travel = [], [], []
+    for finger in fingers:
+        into = [j for j in joints if _end(j, "child", shown) == finger]
+        if not into or into[0].get("type") != "prismatic" or finger not in frames:
+            what = f"is no link on a prismatic joint of the gripper at {flange}"
+            raise FileError(f"{shown}: --fingers {printable(finger)} {what}")
+        opens.append(frames[finger][:3, :3] @ _to_axis(into[0], shown)[:3, 2])
+        jaws.append(_boxes(links[finger], frames[finger], shown))
+        travel.append(_limits(into[0], shown)[:2])
+    if travel[0] != travel[1] or np.abs(opens[0] + opens[1]).max() > 1e-6:
+        raise FileError(f"{shown}: the two fingers must open apart, by as much each")
+    palm = _rigid(flange, np.eye(4), links, joints, set(), path, packages)
+    return Jaws(palm, (jaws[0], jaws[1]), (opens[0], opens[1]), travel[0])
+
+
+def _boxes(link: Element, T: Array, shown: str) -> tuple[Box, ...]:
+    """What a link collides as, which must be boxes."""
+    found = []
+    for collision in link.findall("collision"):
+        box = collision.find("geometry/box")
+        if box is None:
+            raise FileError(
+                f"{shown}: {printable(link.get('name'))} collides as other than boxes; a finger is made of boxes"
+            )
+        half = _numbers(box.get("size", ""), 3, f"{shown}: a box") / 2
+        found.append(Box(T @ _origin(collision, shown), half))
+    return tuple(found)
 
 
 def _parsed(path: Path) -> Element:

@@ -143,6 +143,8 @@ def add_fingers(
 ) -> mujoco.MjsBody:  # fmt: skip
     """The 2F-85: per side a driver, an inner finger at its pin and an inner knuckle, closed to a
     loop; one motor."""
+    if robot.linkage.slide:
+        raise ValueError(f"{robot.name} has jaws on slides; pictures and simulators know the 2F-85")
     gripper = add_gripper(wrist, robot, GRIPPER_MASS_KG - 2 * sum(FINGER_MASS_KG.values()))
     add_visual(spec, gripper, "gripper/body_visual", robot, "body", np.eye(4), "gripper")
     stiff = [2.5 * spec.option.timestep, 1.0]

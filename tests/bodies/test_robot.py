@@ -15,7 +15,6 @@ from convex_twin import primitive_distance
 
 from r2h_batch.assets.robot import build_robot
 from r2h_batch.bodies.robot import (
-    JOINTS,
     drive_from_gap,
     ee_pose,
     forward_kinematics,
@@ -28,6 +27,7 @@ from r2h_batch.bodies.robot import (
 MODELS = Path(airo_models.__file__).parent
 Q0 = np.array([-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483])
 # The visual origins of ur5e.urdf, written down a second time: mesh, rpy, xyz.
+JOINTS = 6
 P = np.pi
 VISUALS = {
     "base": ("base", (0, 0, 0), (0, 0, 0)),

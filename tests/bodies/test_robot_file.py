@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
+from seven import seven_joints, with_jaws
 
 from r2h_batch.bodies.robot import (
     ROBOTS,
@@ -22,7 +23,7 @@ from r2h_batch.bodies.robot import (
     robot_arrays,
     write_robot,
 )
-from r2h_batch.importers.urdf import read_chain
+from r2h_batch.importers.urdf import read_chain, read_jaws
 from r2h_batch.io.read import FileError
 
 OTHERS = ROBOTS[1:]
@@ -40,13 +41,13 @@ def same(a: object, b: object) -> bool:
     return np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
 
 
-def test_the_ur5e_written_and_read_is_equal_field_by_field(tmp_path: Path) -> None:
-    ur5e = load_robot()
-    write_robot(tmp_path, ur5e)
+@pytest.mark.parametrize("robot", [load_robot(), with_jaws(seven_joints())], ids=lambda robot: robot.name)
+def test_a_robot_written_and_read_is_equal_field_by_field(robot: Robot, tmp_path: Path) -> None:
+    write_robot(tmp_path, robot)
     again = read_robot(tmp_path)
     for f in fields(Robot):
-        assert f.name == "digest" or same(getattr(ur5e, f.name), getattr(again, f.name)), f.name
-    assert read_robot(tmp_path) == again != ur5e
+        assert f.name == "digest" or same(getattr(robot, f.name), getattr(again, f.name)), f.name
+    assert read_robot(tmp_path) == again != robot
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -74,6 +75,8 @@ def test_a_built_in_arm_keeps_what_the_import_promises(name: str) -> None:
         (lambda y: y["arm"]["links"].__setitem__(3, "table"), "called 'table'"),
         (lambda y: y["arm"].update(joints=["j"] * 6), "called 'j'"),
         (lambda y: y["arm"].update(upper_rad=[-6.0] * 6), "home_rad is outside"),
+        (lambda y: y["arm"].update(links=y["arm"]["links"][:-1]), "links has 6 entries; 6 joints need 7"),
+        (lambda y: y.update(gripper={"law": "slide"}), "gripper"),
     ],
 )
 def test_a_wrong_robot_yaml_is_refused_in_one_line(change, words, tmp_path):
@@ -147,6 +150,52 @@ def test_a_bad_urdf_is_refused_in_one_line(text, words, tmp_path):
     (tmp_path / "one.urdf").write_text(text)
     with pytest.raises(FileError, match=words) as refused:
         read_chain(tmp_path / "one.urdf", "base", "hand", {})
+    assert "\n" not in str(refused.value)
+
+
+JAWS = """<robot name="jaws"><link name="flange"><visual><geometry><mesh filename="palm.stl"/></geometry></visual></link>
+<link name="l">{box}</link><link name="r">{box}</link>
+<joint name="one" type="{kind}"><parent link="flange"/><child link="l"/><origin xyz="0 0 0.1"/><axis xyz="{axis}"/>{limit}</joint>
+<joint name="two" type="prismatic"><parent link="flange"/><child link="r"/><origin xyz="0 0 0.1"/><axis xyz="0 -1 0"/>
+{limit}</joint>
+</robot>"""
+USUAL = {
+    "box": '<collision><geometry><box size="0.02 0.01 0.03"/></geometry></collision>',
+    "kind": "prismatic",
+    "axis": "0 1 0",
+    "limit": '<limit lower="0" upper="0.04" velocity="1" effort="1"/>',
+}
+
+
+def jaws_of(folder: Path, **changes: str):
+    trimesh.creation.box((0.1, 0.1, 0.05)).export(folder / "palm.stl")
+    text = JAWS
+    for key, value in (USUAL | changes).items():
+        text = text.replace("{" + key + "}", value)
+    (folder / "jaws.urdf").write_text(text)
+    return read_jaws(folder / "jaws.urdf", "flange", ("l", "r"), {})
+
+
+def test_jaws_of_a_urdf_stand_and_open_as_it_says(tmp_path):
+    jaws = jaws_of(tmp_path)
+    assert jaws.travel == (0.0, 0.04) and np.allclose(jaws.opens, [[0, 1, 0], [0, -1, 0]])
+    ((T, half),) = jaws.jaws[0]
+    assert np.array_equal(T[:3, 3], [0, 0, 0.1]) and np.allclose(half, [0.01, 0.005, 0.015])
+    assert np.allclose(np.ptp(jaws.palm.triangles.reshape(-1, 3), axis=0), [0.1, 0.1, 0.05])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"kind": "revolute"}, "no link on a prismatic joint"),
+        ({"axis": "0 -1 0"}, "must open apart"),
+        ({"box": USUAL["box"].replace('box size="0.02 0.01 0.03"', 'sphere radius="1"')}, "made of boxes"),
+        ({"limit": ""}, "no <limit>"),
+    ],
+)
+def test_jaws_that_are_none_are_refused_in_one_line(changes, words, tmp_path):
+    with pytest.raises(FileError, match=words) as refused:
+        jaws_of(tmp_path, **changes)
     assert "\n" not in str(refused.value)
 
 

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 import trimesh
 
-from r2h_batch.bodies.robot import drive_from_gap, load_robot, pad_center_z
-from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.bodies.robot import Robot, drive_from_gap, load_robot, pad_center_z
 from r2h_batch.scene.grasp_tables import grasp_tables
 
 BAND = 1e-4
@@ -18,7 +17,7 @@ PAD_X, PAD_Z = 0.011, 0.01875
 
 
 def material64(
-    mesh: trimesh.Trimesh, T_obj_ee: np.ndarray, gap: float, grow: float = 0.0
+    mesh: trimesh.Trimesh, T_obj_ee: np.ndarray, gap: float, grow: float = 0.0, robot: Robot | None = None
 ) -> tuple[float, float] | None:
     """From where to where (m, along y) material lies between pads with this gap, the pads `grow` larger; None: nowhere."""
     solid = manifold3d.Manifold(
@@ -27,10 +26,12 @@ def material64(
             mesh.faces.astype(np.uint64),
         )
     )
-    z = float(pad_center_z(load_robot(), drive_from_gap(load_robot(), gap))) + float(
-        load_robot().T_flange_gripper[2, 3] - load_robot().T_flange_ee[2, 3]
+    robot = robot or load_robot()
+    z = float(pad_center_z(robot, drive_from_gap(robot, gap))) + float(
+        robot.T_flange_gripper[2, 3] - robot.T_flange_ee[2, 3]
     )
-    prism = box((2 * (PAD_X + grow), 2.0, 2 * (PAD_Z + grow)), (0, 0, z))
+    pad_x, _, pad_z = robot.linkage.pad_half_size
+    prism = box((2 * (pad_x + grow), 2.0, 2 * (pad_z + grow)), (0, 0, z))
     runs: list[list[float]] = []
     for piece in (solid ^ prism).decompose():
         sides = piece.bounding_box()
@@ -42,7 +43,7 @@ def material64(
             merged[-1][1] = max(merged[-1][1], high)
         else:
             merged.append([low, high])
-    held = [r for r in merged if r[1] > -OPEN_GAP_M / 2 and r[0] < OPEN_GAP_M / 2]
+    held = [r for r in merged if r[1] > -robot.open_gap_m / 2 and r[0] < robot.open_gap_m / 2]
     return (held[0][0], held[-1][1]) if held else None
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from r2h_batch.bodies.robot import Robot, frozen, load_robot
+from r2h_batch.bodies.robot import Kind, Linkage, Primitives, Robot, frozen, load_robot
 
 AXIS = np.array([[0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """Takes z to the forearm's axis, -x of its link."""
@@ -30,6 +30,8 @@ def seven_joints() -> Robot:
     def renumbered(pairs: np.ndarray) -> np.ndarray:
         return pairs + (pairs > 3)
 
+    links = (*ur.links[:4], "forearm_turned", *ur.links[4:])
+    names = tuple(f"{links[k]}_{np.sum(link[:i] == k)}" for i, k in enumerate(link))
     pairs = renumbered(ur.self_pairs).tolist()
     more = [sorted((4, b if a == 3 else a)) for a, b in pairs if 3 in (a, b)]
     more = [p for p in more if p[1] - p[0] > 1]
@@ -38,7 +40,7 @@ def seven_joints() -> Robot:
         ur,
         name="seven",
         home_q=(*ur.home_q[:3], 0.0, *ur.home_q[3:]),
-        links=(*ur.links[:4], "forearm_turned", *ur.links[4:]),
+        links=links,
         joints=(*ur.joints[:3], "forearm_turn", *ur.joints[3:]),
         T_parent_joint=frozen(np.array(T)),
         lower=wider(ur.lower, -2.0),
@@ -49,9 +51,36 @@ def seven_joints() -> Robot:
             own, mass=wider(own.mass, 0.5), com=wider(own.com, 0.0), inertia=wider(own.inertia, 0.0) + 1e-4 * np.eye(3),
             stiffness=wider(own.stiffness, 2000.0),
         ),
-        arm=replace(ur.arm, link=frozen(link, np.int32), T_link_prim=frozen(T_link_prim)),
+        arm=replace(ur.arm, names=names, link=frozen(link, np.int32), T_link_prim=frozen(T_link_prim)),
         self_pairs=frozen(np.array(pairs + more), np.int32),
         object_pairs=frozen(np.append(renumbered(ur.object_pairs), 4), np.int32),
         visuals="",
         digest="seven joints",
+    )  # fmt: skip
+
+
+def with_jaws(robot: Robot) -> Robot:
+    """The same arm with a made gripper: a palm, and two jaws of two boxes, 0 to 80 mm apart. Its y is the flange's x."""
+    T = np.eye(4)
+    T[:3, :3] = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    T_ee = T.copy()
+    T_ee[2, 3] = 0.1
+    rows = [("body", 0, (0.0, 0.0, 0.03), (0.03, 0.1, 0.03))]
+    for side in (1, -1):
+        rows.append(("finger", side, (0.0, side * 0.012, 0.075), (0.01, 0.012, 0.015)))
+        rows.append(("pad", side, (0.0, side * 0.007, 0.1), (0.009, 0.007, 0.01)))
+    place = np.tile(np.eye(4), (len(rows), 1, 1))
+    place[:, :3, 3] = [at for *_, at, _ in rows]
+    side = np.array([s for _, s, *_ in rows], np.int32)
+    none = frozen(np.zeros(2))
+    names = tuple(f"{part}_{i}" for i, (part, *_) in enumerate(rows))
+    return replace(
+        robot, name=f"{robot.name}_jaws", digest=f"{robot.digest}, jaws", open_gap_m=0.08, T_flange_ee=frozen(T_ee),
+        T_flange_gripper=frozen(T), gripper_part=tuple(part for part, *_ in rows),
+        gripper_motion=tuple("slide" if s else "fixed" for s in side), gripper_side=frozen(side, np.int32),
+        gripper=Primitives(
+            names, frozen(np.full(len(rows), len(robot.joints) + 1), np.int32), frozen([Kind.BOX] * len(rows), np.int32),
+            frozen(place), frozen([half for *_, half in rows]),
+        ),
+        linkage=Linkage(none, none, none, frozen([0.007, 0.1]), frozen([0.009, 0.007, 0.01]), -0.04, 0.0, slide=True),
     )  # fmt: skip

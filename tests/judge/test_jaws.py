@@ -1,0 +1,49 @@
+"""A gripper with parallel jaws on slides: where its parts stand and where it closes, against NumPy and manifold3d."""
+
+import numpy as np
+import pytest
+import torch
+from grasp_cases import BAND, material64, model_of, random_grasps, shapes
+from seven import seven_joints, with_jaws
+
+from r2h_batch import Evaluator
+from r2h_batch.bodies.robot import gap_from_drive, gripper_primitives_at, load_robot
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.judge.grasp import close_gripper, gripper_poses
+from r2h_batch.scene.grasp_tables import grasp_tables
+
+JAWS = with_jaws(load_robot())
+
+
+def test_jaws_stand_where_numpy_has_them_and_their_pads_are_the_gap_apart():
+    gap = torch.linspace(0.0, 0.08, 9)
+    R, p = gripper_poses(JAWS, gap)
+    T = gripper_primitives_at(JAWS, gap.double().numpy())
+    assert np.abs(R.numpy() - T[..., :3, :3]).max() < 1e-6 and np.abs(p.numpy() - T[..., :3, 3]).max() < 1e-7
+    left, right = (T[:, JAWS.gripper_part.index("pad") + k, 1, 3] for k in (2, 0))
+    assert np.allclose(right - left - 2 * JAWS.linkage.pad_half_size[1], gap, atol=1e-9)
+    assert np.allclose(T[:, 2, 2, 3], 0.0) and float(gap_from_drive(JAWS, JAWS.linkage.drive_lower)) == JAWS.open_gap_m
+
+
+def test_jaws_close_to_the_extent_of_what_is_between_them():
+    T, index = random_grasps(120, seed=4)
+    tables = grasp_tables([model_of(m) for m in shapes().values()], JAWS)
+    grasp, meshes, seen = close_gripper(tables, T, index), list(shapes().values()), 0
+    for i in range(len(T)):
+        found = [material64(meshes[index[i]], T[i].double().numpy(), 0.0, grow, JAWS) for grow in (-BAND, 0.0, BAND)]
+        low, high = np.array([f or (np.nan, np.nan) for f in found]).T
+        width = high - low
+        if not max(-low.min(), high.max()) < 0.0399:
+            continue  # nothing, or the open jaws decide
+        seen += 1
+        assert width.min() - 3e-5 <= float(grasp.opening_m[i]) <= width.max() + 3e-5, i
+        assert abs(float(grasp.shift_m[i]) - (low[1] + high[1]) / 2) <= 3e-5 + np.ptp(low) + np.ptp(high), i
+    assert seen > 30
+
+
+def test_what_knows_the_linkage_alone_is_refused_in_one_line():
+    robot = with_jaws(seven_joints())
+    assert Evaluator(robot=robot).config.execute.sim == "none"
+    for config in (EvalConfig(execute=ExecConfig(sim="mujoco")), EvalConfig(stability="physics")):
+        with pytest.raises(ValueError, match="jaws on slides, for which it must be"):
+            Evaluator(config, robot=robot)
