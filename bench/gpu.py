@@ -8,6 +8,7 @@ means anything.
 """
 
 import os
+import shutil
 import statistics
 import subprocess
 import sys
@@ -124,6 +125,32 @@ def machine(bench: Bench) -> None:
         bench.report.add("gpu.driver", str(wp.get_cuda_driver_version()))
 
 
+FIRST_CALL = """
+import sys, torch
+from r2h_batch import Evaluator
+from r2h_batch.methods import random
+from r2h_batch.trials.protocol import make_trials
+evaluator = Evaluator(device=sys.argv[1])
+trials = make_trials(("S0", "S1"), 4, protocol="r2h-v0")
+poses = random.predict(trials, Evaluator().scene, seed=0)
+g, h, t = poses.T_obj_ee.to(sys.argv[1]), poses.T_world_ee.to(sys.argv[1]), trials.to(sys.argv[1])
+captured = evaluator.capture(8)(g, h, t)
+plain = evaluator.score(g, h, t, "pose")
+same = all(a.cpu().numpy().tobytes() == b.cpu().numpy().tobytes() for a, b in zip(captured.margin, plain.margin))
+sys.exit(0 if same and plain.margin.isfinite().any() else 3)
+"""
+
+
+def capture_first(bench: Bench) -> None:
+    """`capture()` as the first call of a process, compilation included: the bits of the plain call?"""
+    start = time.perf_counter()
+    code = bench.command("capture_first", [sys.executable, "-c", FIRST_CALL, bench.device])
+    bench.report.add("gpu.capture_first_call_ok", code == 0)
+    bench.report.add("gpu.capture_first_call_s", time.perf_counter() - start)
+    if code:
+        raise RuntimeError(f"exit code {code}; capture_first.log")
+
+
 def compile_times(bench: Bench) -> None:
     """Seconds until the modules of a first full call are compiled or loaded, and the call itself."""
     start = time.perf_counter()
@@ -178,6 +205,17 @@ def equal_bits(bench: Bench) -> None:
             raise RuntimeError(f"rows of a batch of {name} have other bits")
 
 
+def memcheck(bench: Bench) -> None:
+    """compute-sanitizer over the first call, where the tool is."""
+    tool = shutil.which("compute-sanitizer")
+    if tool is None or not bench.cuda:
+        bench.report.add("gpu.memcheck", "not here")
+        return
+    line = [tool, "--tool", "memcheck", "--error-exitcode", "9", sys.executable, "-c", FIRST_CALL, bench.device]
+    code = bench.command("memcheck", line)
+    bench.report.add("gpu.memcheck", {0: "clean", 124: "out of time"}.get(code, f"exit code {code}"))
+
+
 def throughput(bench: Bench) -> None:
     """Kinematic trials/s of the mix over chunk and block size."""
     best = 0.0
@@ -213,11 +251,14 @@ def both_forms(bench: Bench) -> None:
 
 
 def pose_stage(bench: Bench) -> None:
-    """Candidates/s of stages="pose"."""
+    """Candidates/s of stages="pose", plain and as a captured call."""
     for n in (64, 4096, 65536) if bench.cuda else (bench.trials,):
         batch = bench.repeated(bench.mix, n)
         rate = n / bench.seconds(partial(bench.evaluator.score, *batch, stages="pose"))
         bench.report.add(f"gpu.candidates_per_s.{n}", rate)
+        captured = bench.evaluator.capture(n)
+        rate = n / bench.seconds(partial(captured, *batch))
+        bench.report.add(f"gpu.candidates_per_s.{n}.captured", rate)
 
 
 def worlds(bench: Bench) -> None:
@@ -240,8 +281,8 @@ def worlds(bench: Bench) -> None:
 
 
 PARTS: tuple[Callable[[Bench], None], ...] = (
-    machine, compile_times, equal_to_cpu, equal_bits, both_forms, throughput, pose_stage, worlds,
-    marked_tests,
+    machine, capture_first, compile_times, equal_to_cpu, equal_bits, both_forms, throughput, pose_stage, worlds,
+    marked_tests, memcheck,
 )  # fmt: skip
 """In the order of what is missed most when the time ends."""
 

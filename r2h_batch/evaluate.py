@@ -65,6 +65,7 @@ from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.summary import html_table
 from r2h_batch.training import torch_op
+from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
 from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
 from r2h_batch.validate import instance_of, optional
@@ -302,6 +303,40 @@ class Evaluator:
         return html_table(
             repr(self), ("limit", "value"), [(name, f"{value:g}") for name, value in limits]
         )
+
+    def capture(self, b: int, *, stages: Stages = "pose") -> Captured:
+        """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on
+        CUDA one graph."""
+        check_stages(stages)
+        device, stability = torch.device(self.scene.device), self.config.stability
+        if device.type == "cuda" and self.config.execution_error.any:
+            raise ValueError(
+                "execution_error is drawn on the host and cannot be captured; perturb the poses with"
+                " judge.execution_error.executed_poses before the call"
+            )
+        if device.type == "cuda" and self.config.ik.solver != "fused":
+            raise ValueError(
+                "ik.solver='pytorch-kinematics' waits for the device and cannot be captured; use 'fused'"
+            )
+        if device.type == "cuda" and self.config.plan.hand == "estimated":
+            raise ValueError(
+                "plan.hand='estimated' is drawn on the host and cannot be captured; use 'true'"
+            )
+        if device.type == "cuda" and (stages != "pose" or stability == "physics"):
+            raise ValueError(
+                f"stages is {stages!r}, stability {stability!r}: planning and physics wait for the "
+                "device and cannot be captured; capture stages='pose' with stability='geometric'"
+            )
+        return Captured(partial(self._score_checked, stages=stages), device, b)
+
+    def _score_checked(
+        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages
+    ) -> Scores:
+        """`score` of tensors whose shapes are known to fit."""
+        with one_torch_thread(self.scene.device):
+            check_indices(self.scene, trials)
+            check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
+            return self._score(T_obj_ee, T_world_ee, trials, stages)
 
     def _score(
         self,

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from r2h_batch.io.arrays import Spec, check_array, check_arrays, not_rigid
 from r2h_batch.io.read import FileError, open_file, printable, read_npz
-from r2h_batch.io.tables import read_json_arrays, read_parquet_arrays
+from r2h_batch.io.tables import read_csv_arrays, read_json_arrays, read_parquet_arrays
 from r2h_batch.io.write import write_npz
 from r2h_batch.types import Predictions
 from r2h_batch.validate import instance_of, text
@@ -37,6 +37,12 @@ _SPECS: dict[str, Spec] = {
     "T_world_ee": ("f", ("N", 4, 4)),
     "t_method_s": ("f", ("N",)),
 }
+_CSV = {
+    "trial_id": ("int64", 1),
+    "T_obj_ee": ("float64", 16),
+    "T_world_ee": ("float64", 16),
+    "t_method_s": ("float64", 1),
+}
 _PARQUET_SHAPES = {
     **dict.fromkeys(("q", "planned_q"), (-1, 6)),
     **dict.fromkeys(("T_obj_ee", "T_world_ee"), (-1, 4, 4)),
@@ -49,6 +55,7 @@ _HOW_MOTIONS = (
 )
 _HOW = {
     "": "write np.savez(FILE, trial_id=..., T_obj_ee=..., T_world_ee=...) or r2h_batch.predictions.write_predictions",
+    ".csv": "write the columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), a line for each trial",
     ".json": 'write {"trial_id": [...], "T_obj_ee": [4 x 4, ...], "T_world_ee": [4 x 4, ...]}',
 }
 
@@ -113,7 +120,8 @@ class Answers:
 
 
 def load_predictions(path: str | Path) -> Predictions:
-    """Read predictions from a .npz file, or a .json file of the same arrays as lists.
+    """Read predictions from a .npz file, or a .json file of the same arrays as lists, or a .csv file
+    with the columns trial_id, T_obj_ee_0 to _15, T_world_ee_0 to _15 (row by row) and t_method_s.
 
     Args:
         path: the file.
@@ -218,6 +226,10 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
     shown = printable(path)
     if suffix == ".parquet":
         return _parquet(path), path.stem
+    if suffix == ".csv":
+        arrays = read_csv_arrays(path, _CSV)
+        poses = {k: v.reshape(-1, 4, 4) for k, v in arrays.items() if v.ndim == 2}
+        return {**arrays, **poses}, path.stem
     with open_file(path, MAX_BYTES) as file:
         magic = file.read(16)
     if suffix == ".json" or magic.startswith(b"PK"):
@@ -231,7 +243,7 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
             found = f"'method' is {method.dtype} {method.shape}"
             raise FileError(f"{shown}: {found}; it must be one string: np.array('NAME')")
         return arrays, str(method.item())
-    what = "neither .npz nor .json"
+    what = "neither .npz, .csv nor .json"
     if not magic:
         what = "the file is empty (0 bytes)"
     elif magic[:1] == b"\x80" and magic[1] < 6:

@@ -344,7 +344,7 @@ class Scores(_Rows):
     def inputs(self) -> ScoreInputs | None:
         """The inputs of the call that returned these scores.
 
-        None for compiled calls, and for rows of two calls.
+        None for captured and compiled calls, and for rows of two calls.
         """
         return self._context
 

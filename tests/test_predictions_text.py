@@ -1,4 +1,4 @@
-"""Predictions as JSON: the same rows as a binary file's, and refused as strictly."""
+"""Predictions as CSV and JSON: the same rows as a binary file's, and refused as strictly."""
 
 import json
 
@@ -21,6 +21,41 @@ def test_json_gives_the_same_bits_as_a_binary_file(tmp_path):
     assert found.method == "mine" and torch.equal(found.trial_id, wanted.trial_id)
     for name in ("T_obj_ee", "T_world_ee", "t_method_s"):
         assert torch.equal(getattr(found, name).nan_to_num(7), getattr(wanted, name).nan_to_num(7))
+
+
+def as_csv(data, **columns):
+    """The text of a CSV file: arrays as columns, and other columns by name."""
+    table = {"trial_id": data["trial_id"].tolist()}
+    for name in ("T_obj_ee", "T_world_ee"):
+        table |= {f"{name}_{k}": data[name].reshape(-1, 16)[:, k].tolist() for k in range(16)}
+    table |= columns
+    return "\n".join([",".join(table), *(",".join(map(str, row)) for row in zip(*table.values(), strict=True))])
+
+
+def test_csv_gives_the_same_bits_as_a_binary_file(tmp_path):
+    data = arrays(4, T_obj_ee=np.full((4, 4, 4), np.float32(1 / 3)))
+    np.savez(tmp_path / "p.npz", **data)
+    (tmp_path / "p.csv").write_text(as_csv(data, t_method_s=[0.5, "nan", 1, 2]), encoding="utf-8-sig")
+    wanted, found = load_predictions(tmp_path / "p.npz"), load_predictions(tmp_path / "p.csv")
+    assert found.method == "p" and found.t_method_s.isnan().tolist() == [False, True, False, False]
+    for name in ("trial_id", "T_obj_ee", "T_world_ee"):
+        assert torch.equal(getattr(found, name), getattr(wanted, name))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("trial_id", "trial"), "column 'trial' is unknown; allowed are trial_id, T_obj_ee"),
+        (("T_obj_ee_3", "T_obj_ee_2"), "column 'T_obj_ee_2' is given twice"),
+        ((",T_world_ee_15", ""), "no readable CSV"),
+        (("\n0,", "\nx,"), "no readable CSV (In CSV column #0"),
+        (("\n0,", "\n,"), "trial_id is empty in 1 rows"),
+        ((",", ";"), "column 'trial_id;T_obj_ee_0"),
+    ],
+)
+def test_csv_that_cannot_be_scored_is_refused_by_its_column(change, words, tmp_path):
+    (tmp_path / "p.csv").write_text(as_csv(arrays(1)).replace(*change))
+    refused(tmp_path / "p.csv", words, "write the columns trial_id")
 
 
 BAD = {

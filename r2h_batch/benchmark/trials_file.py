@@ -1,5 +1,5 @@
 """Trials of somebody's own: which object meets which hand, and where that hand stands.
-`--trials-file FILE.npz|.parquet|.json`.
+`--trials-file FILE.npz|.parquet|.csv|.json`.
 
 | name | npz | Parquet | meaning |
 |---|---|---|---|
@@ -15,7 +15,8 @@ row of `skin` |
 | `id`, `variant` | (N,) text | text | optional: what its owner calls the trial, and the method behind
 it |
 
-A .json holds the arrays of the .npz by name, as lists.
+A .json holds the arrays of the .npz by name, as lists. A .csv has the columns object, hand,
+T_world_hand_0 to _15, and id and variant if they are said.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.io.arrays import Spec, check_arrays, check_poses
 from r2h_batch.io.read import FileError, printable, read_npz
-from r2h_batch.io.tables import read_json_arrays, read_parquet_arrays
+from r2h_batch.io.tables import read_csv_arrays, read_json_arrays, read_parquet_arrays
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
@@ -65,6 +66,13 @@ SPECS: dict[str, Spec] = {
     "shape": ("f", ("N", 10)),
     "side": ("iu", ("N",)),
     **dict.fromkeys(LABELS, ("U", ("N",))),
+}
+
+CSV = {
+    "object": ("string", 1),
+    "hand": ("int64", 1),
+    "T_world_hand": ("float64", 16),
+    **dict.fromkeys(LABELS, ("string", 1)),
 }
 
 Labels = dict[int, tuple[str, str]]
@@ -215,8 +223,16 @@ def _parquet(path: Path) -> Columns:
     return columns
 
 
+def _csv(path: Path) -> Columns:
+    found = read_csv_arrays(path, CSV)
+    if "T_world_hand" in found:
+        found["T_world_hand"] = found["T_world_hand"].reshape(-1, 4, 4)
+    return found
+
+
 READERS: dict[str, Callable[[Path], Columns]] = {
     ".npz": lambda path: read_npz(path, most=MAX_BYTES),
     ".parquet": _parquet,
+    ".csv": _csv,
     ".json": read_json_arrays,
 }

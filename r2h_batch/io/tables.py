@@ -1,8 +1,8 @@
-"""Bounded reading of tables: arrays as JSON, Parquet."""
+"""Bounded reading of tables: arrays as CSV, JSON, Parquet."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +11,64 @@ from r2h_batch.io.read import FileError, open_file, printable, read_json
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
-__all__ = ["check_decoded_size", "read_json_arrays", "read_parquet_arrays"]
+__all__ = ["check_decoded_size", "read_csv_arrays", "read_json_arrays", "read_parquet_arrays"]
 
 MAX_WORD = 200
+MAX_CSV_BYTES = 512 << 20
+
+
+def read_csv_arrays(path: Path, columns: Mapping[str, tuple[str, int]]) -> dict[str, Any]:
+    """The arrays of a CSV file in UTF-8 whose first line names the columns, in any order.
+
+    Args:
+        path: the file.
+        columns: name -> kind (int64, float64 or string) and count in a row: the column NAME, or NAME_0 to
+            NAME_(count - 1).
+
+    Returns:
+        name -> (N,) or (N, count), of the names that the file has.
+
+    Raises:
+        FileError: a column is unknown, given twice, empty in a row, or holds something else.
+    """
+    import numpy as np
+    import pyarrow as pa
+    import pyarrow.csv as pc
+
+    where = printable(path)
+    parts = {
+        name: [name] if n == 1 else [f"{name}_{k}" for k in range(n)]
+        for name, (_, n) in columns.items()
+    }
+    kinds = {part: columns[name][0] for name, own in parts.items() for part in own}
+    with open_file(path, MAX_CSV_BYTES) as stream:
+        try:
+            table = pc.read_csv(
+                stream, convert_options=pc.ConvertOptions(column_types=kinds, null_values=[""])
+            )
+        except (pa.ArrowException, UnicodeDecodeError) as error:
+            why = printable(error)[:200]
+            raise FileError(f"{where}: no readable CSV ({why}); save it as CSV UTF-8") from None
+    names = table.column_names
+    if odd := [n for n in names if n not in kinds or names.count(n) > 1]:
+        how = "given twice" if odd[0] in kinds else f"unknown; allowed are {', '.join(columns)}"
+        raise FileError(f"{where}: column {printable(odd[0])[:60]!r} is {how}")
+    found = {}
+    for name, own in parts.items():
+        there = [part for part in own if part in names]
+        if not there:
+            continue
+        if missing := [part for part in own if part not in names]:
+            raise FileError(f"{where}: column {missing[0]!r} is missing")
+        if empty := [part for part in own if table[part].null_count]:
+            raise FileError(f"{where}: {empty[0]} is empty in {table[empty[0]].null_count} rows")
+        values = [table[part].to_numpy() for part in own]
+        if columns[name][0] == "string":
+            if any(len(x) > MAX_WORD for x in values[0]):
+                raise FileError(f"{where}: {name} is no text of at most {MAX_WORD} characters")
+            values = [values[0].astype(np.str_)]
+        found[name] = values[0] if len(own) == 1 else np.stack(values, 1)
+    return found
 
 
 def read_json_arrays(path: Path) -> dict[str, Any]:

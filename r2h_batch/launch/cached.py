@@ -185,7 +185,7 @@ def refuse_graph(name: str) -> None:
     if cpu().is_capturing:
         raise RuntimeError(
             f"Warp records a graph on the CPU, and {name} would be missing in it: it runs on threads of its own; call "
-            "it before or after the recording"
+            "it before or after the recording (Evaluator.capture records calls on a GPU)"
         )
 
 

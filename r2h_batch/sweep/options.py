@@ -59,7 +59,7 @@ class Options:
         "fc, handover-va, contact, intent, random, oracle; your own: package.module:function,"
         " FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik",
     )
-    predictions: tuple[str, ...] = _option((), _METHODS, "files of poses: .npz, .json")
+    predictions: tuple[str, ...] = _option((), _METHODS, "files of poses: .npz, .csv, .json")
     motions: tuple[str, ...] = _option(
         (), _METHODS, "files of joint motions, judged as they are: .npz, .parquet"
     )

@@ -1,1 +1,1 @@
-"""Gradients and torch.compile."""
+"""Gradients, torch.compile, captured calls."""

@@ -289,7 +289,7 @@ def show(scores: Scores, *, height: int = 640) -> Shown:
         raise ValueError(f"show takes one row, given are {shape}; say show(scores[0])")
     inputs = scores.inputs
     if inputs is None:
-        why = "compiled, joined or loaded"
+        why = "captured, compiled, joined or loaded"
         raise ValueError(f"these scores do not know what was asked ({why}); score again")
     if bool((scores.opening_m != scores.opening_m).any()):
         raise ValueError(

@@ -1,5 +1,7 @@
 """Scoring inside torch programs: compiled, captured, without gradients; on CUDA without a word from the host."""
 
+from dataclasses import fields
+
 import pytest
 import torch
 from problems import assert_same, default_evaluator, make_batch
@@ -7,7 +9,7 @@ from problems import assert_same, default_evaluator, make_batch
 from r2h_batch import reward
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.training import torch_op
-from r2h_batch.types import Outcome, Trials
+from r2h_batch.types import Outcome, Scores, Trials
 
 B = 24
 
@@ -78,6 +80,29 @@ def test_candidates_per_trial_are_rows_in_order(batch, stages):
     assert_same(evaluator.score(g.transpose(0, 1).contiguous().transpose(0, 1), h, trials, stages), s)
 
 
+def test_a_captured_call_repeats_the_plain_one_in_the_same_memory(batch):
+    evaluator = default_evaluator()
+    captured = evaluator.capture(B)
+    first = captured(batch.T_obj_ee, batch.T_world_ee, batch.trials)
+    assert_same(first, evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials, "pose"))
+    before = {f.name: getattr(first, f.name).data_ptr() for f in fields(Scores)}
+    order = torch.arange(B).flip(0)
+    T_obj_ee = batch.T_obj_ee[order].clone()
+    T_obj_ee[3] = torch.nan
+    second = captured(T_obj_ee, batch.T_world_ee[order], batch.trials[order])
+    assert_same(second, evaluator.score(T_obj_ee, batch.T_world_ee[order], batch.trials[order], "pose"))
+    assert int(second.outcome[3]) == Outcome.INVALID_INPUT
+    assert {f.name: getattr(second, f.name).data_ptr() for f in fields(Scores)} == before
+    captured.T_obj_ee.copy_(batch.T_obj_ee[order])  # a generator may write there itself
+    assert_same(
+        captured(), evaluator.score(batch.T_obj_ee[order], batch.T_world_ee[order], batch.trials[order], "pose")
+    )
+    with pytest.raises(ValueError, match=r"T_obj_ee is torch.float32 \(23, 4, 4\)"):
+        captured(batch.T_obj_ee[1:])
+    with pytest.raises(ValueError, match="b is 0"):
+        evaluator.capture(0)
+
+
 def test_memory_stays_flat_over_a_hundred_calls(batch):
     """Resident memory after warming up: what one call allocates, the next one uses again."""
     evaluator = default_evaluator()
@@ -135,6 +160,24 @@ def test_bad_rows_and_indices_are_invalid_on_cuda_and_leave_their_neighbours_alo
     bad[[2, 3, 5, 7]] = True
     assert (s.outcome[bad] == int(Outcome.INVALID_INPUT)).all() and torch.isnan(s.margin[bad]).all()
     assert_same(s[~bad].to("cpu"), good[~bad].to("cpu"))
+
+
+@pytest.mark.gpu
+def test_a_graph_on_another_stream_gives_the_bits_of_the_plain_call(cuda, batch):
+    g, h, trials = on_cuda(batch)
+    plain = cuda.score(g, h, trials, "pose")
+    captured = cuda.capture(B)
+    assert_same(captured(g, h, trials).to("cpu"), plain.to("cpu"))
+    stream = torch.cuda.Stream()
+    stream.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(stream):
+        mine = captured(g.flip(0), h.flip(0), trials[torch.arange(B - 1, -1, -1, device="cuda")])
+        eager = cuda.score(g, h, trials, "pose")
+    stream.synchronize()
+    assert_same(mine.to("cpu"), plain[torch.arange(B - 1, -1, -1, device="cuda")].to("cpu"))
+    assert_same(eager.to("cpu"), plain.to("cpu"))
+    with pytest.raises(ValueError, match="cannot be captured"):
+        cuda.capture(B, stages="all")
 
 
 @pytest.mark.gpu

@@ -1,0 +1,93 @@
+"""A scoring call of fixed size that is repeated: fixed memory in and out; on CUDA one graph,
+without a word from the host."""
+
+from collections.abc import Callable
+from dataclasses import fields
+
+import torch
+from torch import Tensor
+
+from r2h_batch.types import Scores, Trials
+from r2h_batch.validate import instance_of, integer
+from r2h_batch.validate_tensors import check_tensor
+
+_WARM_UP = 3
+"""Calls before a graph is captured: they load kernels and tables, and fill torch's caches."""
+
+
+class Captured:
+    """`captured(T_obj_ee, T_world_ee, trials)` equals `evaluator.score(...)`, bit for bit.
+
+    The arguments are copied into `T_obj_ee`, `T_world_ee`, `trials`, which live as long as this
+    object; what is left out stays as it was, so a generator may as well write there itself. The
+    result is always the same `scores`, overwritten by the next call: clone what has to stay. On
+    CUDA a call is a copy and one graph launch on the current stream; on a CPU it is the ordinary
+    call, its result copied into `scores`.
+    """
+
+    def __init__(
+        self, score: Callable[[Tensor, Tensor, Trials], Scores], device: torch.device, b: int
+    ) -> None:
+        """`score`: what is repeated, of poses (b, 4, 4) and b trials; on CUDA it may not wait for
+        the device."""
+        b = integer(1, what=" of rows")("b", b)
+        self._score = score
+        self.T_obj_ee = torch.eye(4, dtype=torch.float32, device=device).repeat(b, 1, 1)
+        self.T_world_ee = self.T_obj_ee.clone()
+        zero = torch.zeros(b, dtype=torch.int32, device=device)
+        self.trials = Trials(zero.long(), zero, zero.clone(), self.T_obj_ee.clone())
+        self._graph: torch.cuda.CUDAGraph | None = None
+        if device.type == "cuda":
+            aside = torch.cuda.Stream(device)
+            aside.wait_stream(torch.cuda.current_stream(device))
+            with torch.cuda.stream(aside):
+                for _ in range(_WARM_UP):
+                    self._run()
+            torch.cuda.current_stream(device).wait_stream(aside)
+            self._graph = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(self._graph):
+                self.scores = self._run()
+        else:
+            first = self._run()
+            self.scores = Scores(**{f.name: getattr(first, f.name).clone() for f in fields(Scores)})
+
+    def __call__(
+        self,
+        T_obj_ee: Tensor | None = None,
+        T_world_ee: Tensor | None = None,
+        trials: Trials | None = None,
+    ) -> Scores:
+        """`scores` of the b rows; poses (b, 4, 4) float32."""
+        with torch.no_grad():
+            for name, mine, given in (
+                ("T_obj_ee", self.T_obj_ee, T_obj_ee),
+                ("T_world_ee", self.T_world_ee, T_world_ee),
+            ):
+                if given is not None:
+                    _copy(name, mine, given)
+            if trials is not None:
+                instance_of(Trials)("trials", trials)
+                for f in fields(Trials):
+                    # the receiver's body decides nothing
+                    if (mine := getattr(self.trials, f.name)) is not None:
+                        _copy(f"trials.{f.name}", mine, getattr(trials, f.name))
+            if self._graph is not None:
+                self._graph.replay()
+            else:
+                new = self._run()
+                for f in fields(Scores):
+                    getattr(self.scores, f.name).copy_(getattr(new, f.name))
+        return self.scores
+
+    def _run(self) -> Scores:
+        return self._score(self.T_obj_ee, self.T_world_ee, self.trials)
+
+
+def _copy(name: str, mine: Tensor, given: Tensor) -> None:
+    check_tensor(name, given, f"a torch tensor {tuple(mine.shape)} of {mine.dtype}")
+    if given.shape != mine.shape or given.dtype != mine.dtype or given.device != mine.device:
+        raise ValueError(
+            f"{name} is {given.dtype} {tuple(given.shape)} on {given.device}; "
+            f"this call was captured for {mine.dtype} {tuple(mine.shape)} on {mine.device}"
+        )
+    mine.copy_(given)
