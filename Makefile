@@ -54,6 +54,7 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.assets.objects.build_objects
 	$(BIN)/python -m r2h_batch.assets.objects.build_grasps
 	$(BIN)/python -m r2h_batch.assets.receiving.build_receiving
+	$(BIN)/python -m r2h_batch.assets.receiving.build_held_out
 	$(BIN)/python -m r2h_batch.assets.receiving.train_voxnet
 
 bench: $(VENV)/.installed-test  ## all benchmarks, results under bench/results/

@@ -92,9 +92,16 @@ def test_trials_as_text_are_those_of_an_npz(tmp_path):
     columns = {k: columns[k] for k in ("object", "T_world_hand")} | {"hand": np.arange(len(columns["object"]))}
     np.savez(tmp_path / "t.npz", **columns)
     (tmp_path / "t.json").write_text(json.dumps({k: v.tolist() for k, v in columns.items()}))
-    found, wanted = (read_trials_file(tmp_path / f"t.{k}", base.objects, base.hand_set)[0] for k in ("json", "npz"))
-    for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
-        assert torch.equal(getattr(found, name), getattr(wanted, name))
+    head = ["object", "hand", *(f"T_world_hand_{k}" for k in range(16))]
+    rows = zip(columns["object"], columns["hand"], columns["T_world_hand"].reshape(-1, 16), strict=True)
+    lines = [",".join(head), *(",".join(map(str, (o, h, *T))) for o, h, T in rows)]
+    (tmp_path / "t.csv").write_text("\n".join(lines))
+    wanted, *read = (
+        read_trials_file(tmp_path / f"t.{k}", base.objects, base.hand_set)[0] for k in ("npz", "json", "csv")
+    )
+    for found in read:
+        for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
+            assert torch.equal(getattr(found, name), getattr(wanted, name))
 
 
 def test_a_split_without_objects_is_refused(tmp_path, capsys):
