@@ -238,7 +238,7 @@ def test_what_the_flags_cannot_mean_is_refused_in_one_line(tmp_path, capsys):
         (("--benchmark", tmp_path / "pipe.yaml"), "not a regular file"),
         (("--predicted-hands", pipe), "not a regular file"),
         (("--hand-model", tmp_path / "none.npz"), "none.npz"),
-        (("--trials-file", tmp_path / "none.txt"), ".npz, .parquet, .json file"),
+        (("--trials-file", tmp_path / "none.txt"), ".npz, .parquet, .csv, .json file"),
     ):
         assert main(["sweep", "--method", "fc", "--trials", "1", *map(str, flags)]) == 2
         told = capsys.readouterr()
