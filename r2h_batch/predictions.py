@@ -348,7 +348,7 @@ def align(
     at = np.minimum(np.searchsorted(ids, planned), len(ids) - 1)
     found = ids[at] == planned
     if not allow_missing:
-        how = "predict every planned trial, or count them as failures with --allow-missing"
+        how = "predict every planned trial, plan fewer (--trials), or count them as failures with --allow-missing"
         _refuse(source, "planned but missing", planned[~found], how)
     return torch.from_numpy(np.where(found, first[at], -1).astype(np.int64))
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from r2h_batch.command_line import UsageError, refuse, tell
+from r2h_batch.command_line import UsageError, counted, refuse, tell
 from r2h_batch.io.read import FileError, archive_members, open_archive, printable
 from r2h_batch.io.write import atomic_path, check_output_file, write_text
 
@@ -57,7 +57,8 @@ def submit(
         for file in files:
             archive.write(stored.folder / file, f"run/{file}")
         archive.writestr(BUNDLE, json.dumps(about, indent=1))
-    print(f"{out}: {len(digests)} methods, {len(files)} files, {out.stat().st_size:,} bytes")
+    held = counted(len(digests), "methods")
+    print(f"{out}: {held}, {len(files)} files, {out.stat().st_size:,} bytes")
     return 0
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from r2h_batch.export.drawing import MARKS, Drawing
+from r2h_batch.export.drawing import MARKS, Drawing, body_name
 from r2h_batch.report.text import plain
 from r2h_batch.verdicts import CRITERIA
 
@@ -84,8 +84,7 @@ def headline(row: dict[str, Any]) -> str:
         short = f": {by} short" if by and reason in ("ik_unreachable", "ik_not_found") else ""
         return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
-        part = str(row["witness_safe_part"]).replace("_", " ")
-        return f"{words}{part} meets the hand at {row['witness_time_s']:.1f} s"
+        return f"{words}{body_name(str(row['witness_safe_part']))} meets the hand at {row['witness_time_s']:.1f} s"
     if outcome == "stability" and row.get("width_m") is not None:
         words += f"{1e3 * row['width_m']:.1f} mm of material between the pads, "
     said = FAILS.get(outcome)

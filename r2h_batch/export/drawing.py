@@ -328,8 +328,7 @@ class Drawing:
             found.append(Mark("witness", RED, points=witness.line, text=text))
         elif row["outcome"] == "safe" and row.get("witness_point_m"):
             point = np.array(row["witness_point_m"], np.float64)[None]
-            part = str(row.get("witness_safe_part")).replace("_", " ")
-            text = f"{part} meets the hand at {row['witness_time_s']:.1f} s"
+            text = f"{body_name(str(row.get('witness_safe_part')))} meets the hand at {row['witness_time_s']:.1f} s"
             found.append(Mark("witness", RED, points=point, radius_m=0.015, text=text))
         return tuple(found)
 
@@ -477,11 +476,16 @@ def _color(rgba: Sequence[float]) -> Color:
     return r, g, b, a
 
 
+def body_name(part: str) -> str:
+    """A part of the robot in words, without the number of its collision body: wrist_3_0: wrist 3."""
+    return re.sub(r"_\d+$", "", part).replace("_", " ")
+
+
 def _geom_name(geom: str) -> str:
     """robot/wrist_3_0: wrist 3; hand/index2: hand index 2; object/hull: object."""
     owner, _, part = geom.partition("/")
     if owner in ("object", "table"):
         return owner
     if owner == "robot":
-        return re.sub(r"_\d+$", "", part).replace("_", " ")
+        return body_name(part)
     return f"{owner} {re.sub(r'(?<=[a-z])(?=[0-9])', ' ', part).replace('_', ' ')}"

@@ -126,6 +126,7 @@ def test_a_headline_names_the_first_failure_and_its_cause():
     plan = {"outcome": "plan", "plan_reason": "ik_in_collision", "plan_pair": "object_hand"}
     for row, words in (
         (safe, "safe fails: left pad meets the hand at 4.2 s"),
+        (safe | {"witness_safe_part": "wrist_1_0"}, "safe fails: wrist 1 meets the hand at 4.2 s"),
         (
             {"outcome": "stability", "margin_stability_m": -0.0123, "width_m": 0.0973},
             "stability fails: 97.3 mm of material between the pads, the gripper does not hold it, by 12.3 mm",

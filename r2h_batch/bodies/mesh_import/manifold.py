@@ -109,7 +109,7 @@ def _manifold3d(label: str, purpose: str) -> Any:
         import manifold3d
     except ImportError as error:
         raise ObjectMeshError(
-            f"{label}: manifold3d is needed to {purpose}; `pip install r2h_batch[build]`, or repair the mesh first"
+            f"{label}: manifold3d is needed to {purpose}; `pip install 'r2h_batch[build]'`, or repair the mesh first"
         ) from error
     return manifold3d
 

@@ -48,7 +48,7 @@ def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> 
     if importlib.util.find_spec(needed) is None:
         warnings.warn(
             f"{label}: {needed} is not installed, so the convex pieces are the hull alone; "
-            "`pip install r2h_batch[build]` for a convex decomposition",
+            "`pip install 'r2h_batch[build]'` for a convex decomposition",
             stacklevel=3,
         )
         return [convex_hull(solid.vertices)]
