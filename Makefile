@@ -34,6 +34,7 @@ tables: $(VENV)/.installed-test  ## all published rows, tables, findings and pic
 
 $(SETUP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else f"r2h_batch needs Python 3.11 to 3.13; $(PYTHON) is {v[0]}.{v[1]}. Try: make PYTHON=python3.12 demo")'
+	@echo 'installing into $(VENV): some minutes'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -q -c constraints.txt -e .
 	touch $@

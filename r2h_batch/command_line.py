@@ -25,7 +25,7 @@ from dataclasses import fields, is_dataclass
 from functools import partial, wraps
 from logging.handlers import MemoryHandler
 from pathlib import Path
-from typing import Annotated, Any, TextIO, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TextIO, get_args, get_origin, get_type_hints
 
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.validate import expand_home, parse_number, parse_whole_number
@@ -401,7 +401,21 @@ def _say_defaults(owner: Any) -> None:
         if is_dataclass(kind):
             _say_defaults(kind)
         elif name != "return" and "_say_defaults" not in str(kind):
-            hints[name] = Annotated[kind, tyro.conf.arg(help_behavior_hint=said)]
+            shown = _metavar(kind)
+            hints[name] = Annotated[kind, tyro.conf.arg(metavar=shown, help_behavior_hint=said)]
+
+
+def _metavar(kind: Any) -> str | None:
+    """What stands behind the flag of a value that may be left out: PATH, not `{None}|PATH`; None: as
+    tyro has it."""
+    plain = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    some = [k for k in get_args(plain) if k is not type(None)]
+    if len(some) != 1 or len(get_args(plain)) != 2:
+        return None
+    if get_origin(some[0]) is Literal:
+        return "{" + ",".join(map(str, get_args(some[0]))) + "}"
+    parts = get_args(some[0]) or some
+    return " ".join(part.__name__.upper() for part in parts)
 
 
 def _lists(command: Command) -> list[str]:

@@ -85,7 +85,9 @@ def headline(row: dict[str, Any]) -> str:
         return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
         return f"{words}{body_name(str(row['witness_safe_part']))} meets the hand at {row['witness_time_s']:.1f} s"
-    if outcome == "stability" and row.get("width_m") is not None:
+    if outcome == "stability" and row.get("width_m") is None:
+        return f"{words}nothing lies between the pads"
+    if outcome == "stability":
         words += f"{1e3 * row['width_m']:.1f} mm of material between the pads, "
     said = FAILS.get(outcome)
     if said is None or not by:

@@ -153,16 +153,18 @@ class Drawing:
         """
         row, (times, q) = self.stored.row, self.motion()
         at = np.linspace(0.0, min(row.get("t_exec_s") or times[-1], times[-1]), n)
-        seen = at[-1] if self.witness is not None else None
+        seen = at[-1] if self.witness is not None or row["outcome"] == "stability" else None
         if row["outcome"] == "safe" and (touch := row.get("witness_time_s")) is not None:
             seen = at[np.abs(at - touch).argmin()] = touch
         return [(float(t), q[np.abs(times - t).argmin()], bool(t == seen)) for t in at]
 
     @cached_property
     def witness(self) -> Witness | None:
-        """What speaks against the posture at the target; None where nothing does but a width or a
-        touch on the way."""
+        """What speaks against the posture at the target; None where nothing does but a touch on the
+        way, or where Stability fails first: the pads show that (`marks`)."""
         stored = self.stored
+        if stored.row["outcome"] == "stability":
+            return None
         reason, pair = (stored.row.get(k) for k in ("plan_reason", "plan_pair"))
         if stored.moves:
             seen = {"reach": self._gap, "affordance": self._finger_on_region}
@@ -284,8 +286,8 @@ class Drawing:
         """All marks of the trial.
 
         The ghost at the target, the part that the receiver wants, the ball and the palm's normal,
-        the material between the pads, and in red what the first failure is seen by. Only this mark,
-        or the width where Stability fails, has words: so no two labels overlap.
+        the material between the pads, and in red what the first failure is seen by: where Stability
+        fails, pads and width. Only one red mark has words: so no two labels overlap.
         """
         model, row, witness = self.model, self.stored.row, self.witness
         data, found = self.at(self.stored.target_q), []
@@ -308,24 +310,25 @@ class Drawing:
         line = np.stack([palm.xpos, tip])
         found.append(Mark("palm", (*green, 1.0), points=line, radius_m=0.003, arrow=True))
         pads = [f"gripper/{side}_pad" for side in ("left", "right")]
+        fails = row["outcome"] == "stability"
+        group, color = ("witness", RED) if fails else ("width", YELLOW)
         for pad in pads:
-            surface("width", pad, YELLOW)
+            surface(group, pad, color)
         if row.get("width_m") is not None:
             width = row["width_m"]
             a, b = (model.geom(pad).pos for pad in pads)
             half = width / 2 * (b - a) / np.linalg.norm(b - a)
             line = np.stack([(a + b) / 2 - half, (a + b) / 2 + half])
-            text = f"{1e3 * width:.1f} mm" if row["outcome"] == "stability" else ""
+            text = f"{1e3 * width:.1f} mm" if fails else ""
             body = self.body_of(int(model.geom(pads[0]).id))
-            found.append(Mark("width", YELLOW, body, points=line, radius_m=0.0015, text=text))
+            found.append(Mark(group, color, body, points=line, radius_m=0.0015, text=text))
         if witness is not None:
             for name, point in zip(witness.geoms, witness.line, strict=False):
                 if name.startswith("table"):  # where it is met, not all of it
                     found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
                 else:
                     surface("witness", name, RED)
-            text = witness.caption if row["outcome"] != "stability" else ""
-            found.append(Mark("witness", RED, points=witness.line, text=text))
+            found.append(Mark("witness", RED, points=witness.line, text=witness.caption))
         elif row["outcome"] == "safe" and row.get("witness_point_m"):
             point = np.array(row["witness_point_m"], np.float64)[None]
             text = f"{body_name(str(row.get('witness_safe_part')))} meets the hand at {row['witness_time_s']:.1f} s"

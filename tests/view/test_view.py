@@ -111,6 +111,15 @@ def test_a_failed_reach_shows_the_gap_and_a_failed_affordance_the_part_on_the_re
         assert drawing.moments(3)[-1][2] and not drawing.moments(3)[0][2]
 
 
+def test_a_failed_stability_shows_pads_and_width_in_red(reader):
+    stored = first(reader)
+    drawing = Drawing(replace(stored, row={**stored.row, "outcome": "stability", "width_m": 0.0973}))
+    red = [m for m in drawing.marks if m.group == "witness"]
+    assert [drawing.model.geom(m.geom).name for m in red if m.geom >= 0] == ["gripper/left_pad", "gripper/right_pad"]
+    assert [m.text for m in drawing.marks if m.text] == ["97.3 mm"] and drawing.witness is None
+    assert not any(m.group == "width" for m in drawing.marks)
+
+
 def test_of_a_table_only_the_touched_spot_is_red(reader):
     drawing = Drawing(first(reader, plan_reason="ik_in_collision"))
     line = np.array([[0.4, 0.1, 0.0], [0.4, 0.1, -0.01]])
@@ -130,6 +139,10 @@ def test_a_headline_names_the_first_failure_and_its_cause():
         (
             {"outcome": "stability", "margin_stability_m": -0.0123, "width_m": 0.0973},
             "stability fails: 97.3 mm of material between the pads, the gripper does not hold it, by 12.3 mm",
+        ),
+        (
+            {"outcome": "stability", "margin_stability_m": -0.085, "margin_kind_stability": "cap", "width_m": None},
+            "stability fails: nothing lies between the pads",
         ),
         (
             {"outcome": "affordance", "margin_affordance_m": -0.0123, "margin_kind_affordance": "bound"},
