@@ -5,6 +5,7 @@ import contextlib
 import json
 import re
 import subprocess
+from dataclasses import replace
 from io import BytesIO
 
 import mujoco
