@@ -150,6 +150,9 @@ def reception(
     if not entries:
         raise RunError(f"{folder}: no shard of any method is stored")
     judge = Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
+    one = run.trials(entries[0]["name"], ["trial_id"])["trial_id"][:1].to_numpy()
+    if judge.trials(one).receiver is None:
+        raise RunError(f"{folder}: its trials have no receiver's body; sweep --protocol r2h-v1")
     tables = {}
     for entry in entries:
         tell(f"{entry['name']}: 256 grasps for each trial, 4 ms a trial")
