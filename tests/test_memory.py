@@ -67,18 +67,17 @@ def test_an_evaluator_that_runs_out_of_memory_gives_the_same_rows() -> None:
         assert there.rows_at_once("pose") == POSE_CHUNK_CUDA and there.rows_at_once("all") == CUDA_ROWS
 
 
-@pytest.mark.parametrize("calls", [500, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_hundreds_of_calls_of_one_row_take_no_more_memory_than_the_first(calls: int) -> None:
+def test_hundreds_of_calls_of_one_row_take_no_more_memory_than_the_first() -> None:
     judge = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), threads=1)
     trials = make_trials(trials=2)
     answer = random.predict(trials, judge.scene, seed=0)
 
-    def memory_mib(n: int) -> float:
-        for i in range(n):
+    def memory_mib(calls: int) -> float:
+        for i in range(calls):
             row = slice(i % len(trials), i % len(trials) + 1)
             stages = "pose" if i % 10 else "all"
             judge.score(answer.T_obj_ee[row], answer.T_world_ee[row], trials[row], stages)
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE") / 2**20
 
     settled = memory_mib(100)
-    assert memory_mib(calls) - settled < 2.0  # 4 kB a call of 500
+    assert memory_mib(500) - settled < 2.0  # 4 kB a call
