@@ -1,39 +1,104 @@
-"""A job array under fire: its jobs are killed and start again; the rows are those of one undisturbed process.
+"""Large numbers of trials and calls, with and without kills: rows, memory and time stay what they were.
 
-`python bench/soak.py --parts 4 --kills 30 --kill-every 3 --trials 50000 --shard-trials 1000 --json bench/results/job_array.json`:
-the real evaluator, `--sim none`. At the end the digests of both folders must be equal.
+`python bench/soak.py array --json bench/results/job_array.json`: a job array, whose jobs are killed and start again.
+`python bench/soak.py long --json bench/results/million.json`: a million trials in one process, then a tenth again with kills,
+flipped bits and full disks between.
+`python bench/soak.py calls --json bench/results/calls.json`: 100,000 calls of one row of each kind, a process for each.
+
+The sweeps use the real evaluator with `--sim none`. Rows are compared by the run's digest.
 """
 
+import argparse
+import json
+import multiprocessing
+import os
 import random
+import resource
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 from _report import ROOT, Report, arguments
 
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods import random as random_method
 from r2h_batch.results.command import verify
 from r2h_batch.runs.store import load_run
+from r2h_batch.trials.protocol import make_trials
+
+FULL_BYTES = 4096
+"""What a process may still write to a file when its disk is full: a limit on file sizes, as quotas are."""
+
+COUNTS = (500, 10_000, 50_000, 100_000)
+"""Calls after which memory is read."""
+
+KINDS = ("pose", "all", "gradient")
 
 
-def sweep(out: Path, given: object, part: str = "1/1") -> subprocess.Popen[str]:
+def sweep(out: Path, given: argparse.Namespace, part: str = "1/1") -> subprocess.Popen[str]:
     """The sweep command, or a part of it, as a process of its own, quiet."""
     line = [sys.executable, "-m", "r2h_batch.sweep", "--method", "random", "--sim", "none", "--out", str(out)]
-    line += ["--trials", str(given.trials), "--shard-trials", str(given.shard_trials), "--format", "csv"]  # type: ignore[attr-defined]
+    line += ["--trials", str(given.trials), "--shard-trials", str(given.shard_trials), "--format", "csv"]
     line += ["--shard", part]
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
 
 
-def job_array(out: Path, given: object, dice: random.Random) -> int:
-    """Sweep the folder as so many jobs at once, each killed and started again at random; the number of kills."""
-    parts = [f"{i + 1}/{given.parts}" for i in range(given.parts)]  # type: ignore[attr-defined]
-    jobs, kills = {p: sweep(out, given, p) for p in parts}, 0
+def ended(process: subprocess.Popen[str]) -> None:
+    """Waits for a sweep, which must end well."""
+    text, _ = process.communicate()
+    assert process.returncode == 0, text[-2000:]
+
+
+def receipts(out: Path) -> list[Path]:
+    return sorted((out / "manifest").rglob("[!.]*.json"))
+
+
+def memory_mib(pid: int) -> float:
+    """Resident memory of a process; NaN where it is gone."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    except (OSError, IndexError):
+        return float("nan")
+    return pages * os.sysconf("SC_PAGESIZE") / 2**20
+
+
+def digest(out: Path, shards: set[int]) -> str:
+    """Of those shards of a run."""
+    run = load_run(out)
+    entry = run.entry("random")
+    kept = {i: r for i, r in entry["receipts"].items() if i in shards}
+    return replace(run, entries=({**entry, "receipts": kept},)).digest("random")
+
+
+def compare(report: Report, name: str, plain: Path, fire: Path) -> None:
+    """Whether the disturbed run has the rows of the other, as far as both came."""
+    ran, disturbed = (set(load_run(p).entry("random")["receipts"]) for p in (plain, fire))
+    shards = ran & disturbed
+    report.add(f"{name}.shards_compared", len(shards))
+    report.add(f"{name}.digest_equal", same := bool(shards) and digest(plain, shards) == digest(fire, shards))
+    report.add(f"{name}.verified", verify(fire) == 0)
+    assert same, "the disturbed run has other rows"
+
+
+def array(given: argparse.Namespace, base: Path, report: Report, dice: random.Random) -> None:
+    """Sweep a folder as so many jobs at once, each killed and started again at random."""
+    plain, fire, start = base / "undisturbed", base / "disturbed", time.perf_counter()
+    ended(sweep(plain, given))
+    report.add("soak.trials", 2 * given.trials)
+    report.add("soak.undisturbed_s", time.perf_counter() - start)
+    report.add("soak.parts", given.parts)
+    parts = [f"{i + 1}/{given.parts}" for i in range(given.parts)]
+    jobs, kills = {p: sweep(fire, given, p) for p in parts}, 0
     while jobs:
-        time.sleep(dice.uniform(0, 2 * given.kill_every))  # type: ignore[attr-defined]
+        time.sleep(dice.uniform(0, 2 * given.kill_every))
         part = dice.choice(sorted(jobs))
-        if kills < given.kills and jobs[part].poll() is None:  # type: ignore[attr-defined]
+        if kills < given.kills and jobs[part].poll() is None:
             jobs[part].send_signal(signal.SIGKILL)
             kills += 1
         for part, job in list(jobs.items()):
@@ -41,44 +106,124 @@ def job_array(out: Path, given: object, dice: random.Random) -> int:
                 continue
             text, _ = job.communicate()
             if job.returncode == -signal.SIGKILL:
-                jobs[part] = sweep(out, given, part)
+                jobs[part] = sweep(fire, given, part)
                 continue
             assert job.returncode == 0, text[-2000:]
             del jobs[part]
-    return kills
+    report.add("soak.kills", kills)
+    compare(report, "soak", plain, fire)
 
 
-def finish(report: Report, plain: Path, fire: Path) -> None:
-    """Whether the disturbed run has the rows of the other."""
-    same = load_run(plain).digest("random") == load_run(fire).digest("random")
-    report.add("soak.digest_equal", same)
-    report.add("soak.verified", verify(fire) == 0)
-    assert same, "the disturbed run has other rows"
+def long(given: argparse.Namespace, base: Path, report: Report, dice: random.Random) -> None:
+    """One undisturbed process, then a tenth of its shards with a disturbance every so often."""
+    plain, fire, start = base / "undisturbed", base / "disturbed", time.perf_counter()
+    process, tenth = sweep(plain, given), 0
+    while process.poll() is None:
+        time.sleep(0.5)
+        stored = len(receipts(plain)) * given.shard_trials
+        if stored * 5 // given.trials > tenth and process.poll() is None:
+            tenth = stored * 5 // given.trials
+            report.add(f"long.memory_mib_at_{stored}", memory_mib(process.pid))
+            report.add(f"long.trials_per_s_at_{stored}", stored / (time.perf_counter() - start))
+        if time.perf_counter() - start > given.limit_s:
+            process.send_signal(signal.SIGTERM)
+            break
+    text, _ = process.communicate()
+    assert process.returncode in (0, 130), text[-2000:]
+    stored = [json.loads(p.read_text()) for p in receipts(plain)]
+    report.add("long.trials", sum(r["last"] - r["first"] for r in stored))
+    report.add("long.seconds", time.perf_counter() - start)
+    report.add("long.bytes", sum(p.stat().st_size for p in plain.rglob("*") if p.is_file()))
+    for how, count in under_fire(fire, given, dice).items():
+        report.add(f"long.{how.replace(' ', '_')}", count)
+    compare(report, "long", plain, fire)
+
+
+def under_fire(out: Path, given: argparse.Namespace, dice: random.Random) -> dict[str, int]:
+    """Sweep a tenth of the shards with kills, flipped bits and full disks until they are complete."""
+    done = dict.fromkeys(("kill", "kill and flip", "full disk"), 0)
+    while True:
+        process, before = sweep(out, given, "1/10"), len(receipts(out))
+        end = time.monotonic() + dice.uniform(0, 2 * given.kill_every)
+        # one shard at least is new, or a machine slower than the kills would never come to an end
+        while process.poll() is None and (time.monotonic() < end or len(receipts(out)) <= before):
+            time.sleep(0.1)
+        if process.poll() is not None:
+            ended(process)
+            return done
+        how = min(done, key=lambda h: done[h])
+        done[how] += 1
+        disturb(process, how, out, dice)
+
+
+def disturb(process: subprocess.Popen[str], how: str, out: Path, dice: random.Random) -> None:
+    """Kill it, kill it and flip a bit, or fill its disk and see that it ends with one line and exit code 1."""
+    if how == "full disk":
+        hard = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)[1]
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (FULL_BYTES, hard))
+        text, _ = process.communicate()
+        last = (text.strip().splitlines() or [""])[-1]
+        full = process.returncode == 1 and last.startswith("sweep: ") and "Traceback" not in text
+        assert full or process.returncode == 0, text[-2000:]  # 0: it had nothing left to write
+        return
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    if how == "kill and flip":
+        path = dice.choice(sorted((out / "trials").rglob("*.parquet")))
+        data = bytearray(path.read_bytes())
+        data[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
+        path.write_bytes(data)
+
+
+def calls(given: argparse.Namespace, report: Report) -> None:
+    """Calls of one row; memory after so many."""
+    for kind in given.kinds:
+        # a process of its own: what one kind has taken would hide what the next one takes
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            for name, value in pool.submit(memory_of_calls, kind, given.calls).result().items():
+                report.add(f"calls.{kind}.{name}", value)
+
+
+def memory_of_calls(kind: str, calls: int) -> dict[str, float]:
+    """Resident memory in MiB after each of `COUNTS` calls, and milliseconds a call."""
+    judge = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), threads=1)
+    trials = make_trials(trials=50)
+    answer = random_method.predict(trials, judge.scene, seed=0)
+    moved = answer.T_world_ee.clone().requires_grad_(kind == "gradient")
+    seen, start = {}, time.perf_counter()
+    for i in range(calls):
+        row = slice(i % len(trials), i % len(trials) + 1)
+        scores = judge.score(answer.T_obj_ee[row], moved[row], trials[row], "all" if kind == "all" else "pose")
+        if kind == "gradient":
+            moved.grad = None
+            scores.margin.nan_to_num(0.0, 0.0, 0.0).sum().backward()
+        if i + 1 in COUNTS:
+            seen[f"memory_mib_after_{i + 1}"] = memory_mib(os.getpid())
+    return {**seen, "ms_per_call": 1e3 * (time.perf_counter() - start) / calls}
 
 
 def main() -> None:
     parser = arguments(__doc__)
-    parser.add_argument("--trials", type=int, default=50_000, help="of each of two splits")
-    parser.add_argument("--shard-trials", type=int, default=1000)
+    parser.add_argument("mode", choices=("array", "long", "calls"))
+    parser.add_argument("--trials", type=int, help="of each of two splits; array: 50,000, long: 500,000")
+    parser.add_argument("--shard-trials", type=int, help="array: 1000, long: 10,000")
     parser.add_argument("--kill-every", type=float, default=3.0, help="seconds between kills, on average")
     parser.add_argument("--seed", type=int, default=0, help="of the kills")
-    parser.add_argument("--parts", type=int, default=4, help="jobs of the array, all at once")
-    parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--folder", type=Path, help="keep both run folders here")
-    given = parser.parse_args()
-    report, dice = Report(), random.Random(given.seed)
-    with tempfile.TemporaryDirectory() as temporary:
-        base = given.folder or Path(temporary)
-        plain, fire = base / "undisturbed", base / "disturbed"
-        start = time.perf_counter()
-        process = sweep(plain, given)
-        text, _ = process.communicate()
-        assert process.returncode == 0, text[-2000:]
-        report.add("soak.trials", 2 * given.trials)
-        report.add("soak.undisturbed_s", time.perf_counter() - start)
-        report.add("soak.parts", given.parts)
-        report.add("soak.kills", job_array(fire, given, dice))
-        finish(report, plain, fire)
+    parser.add_argument("--parts", type=int, default=4, help="array: jobs, all at once")
+    parser.add_argument("--kills", type=int, default=30, help="array: of jobs")
+    parser.add_argument("--limit-s", type=float, default=float("inf"), help="long: end the undisturbed run then")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, help="calls: what they ask for")
+    parser.add_argument("--calls", type=int, default=COUNTS[-1], help="calls: of each kind")
+    given, report = parser.parse_args(), Report()
+    given.trials = given.trials or (50_000 if given.mode == "array" else 500_000)
+    given.shard_trials = given.shard_trials or (1000 if given.mode == "array" else 10_000)
+    if given.mode == "calls":
+        calls(given, report)
+    else:
+        with tempfile.TemporaryDirectory() as temporary:
+            run = array if given.mode == "array" else long
+            run(given, given.folder or Path(temporary), report, random.Random(given.seed))
     report.write(given.json)
 
 
