@@ -66,9 +66,9 @@ def _files(run: "Run") -> list[str]:
     """What a run is read from, relative to its folder."""
     files = ["run.json", "README.md", "table.md", "results.json"]
     for entry in run.entries:
-        files.append(f"methods/{entry['slug']}.json")
-        for number, receipt in sorted(entry["receipts"].items()):
-            files.append(f"manifest/{entry['slug']}/{number:06d}.json")
+        files.append(f"methods/{entry.slug}.json")
+        for number, receipt in sorted(entry.receipts.items()):
+            files.append(f"manifest/{entry.slug}/{number:06d}.json")
             files += [file["path"] for file in receipt["files"].values()]
     return files
 
@@ -97,8 +97,7 @@ def _marked(run: "Run", built_in: Sequence[str]) -> "Run":
     """The run with `(submitted)` behind the names of all methods but the built-in ones: a name says
     nothing of who answered."""
     entries = (
-        e if e["name"] in built_in else {**e, "name": f"{e['name']} (submitted)"}
-        for e in run.entries
+        e if e.name in built_in else replace(e, name=f"{e.name} (submitted)") for e in run.entries
     )
     return replace(run, entries=tuple(entries))
 

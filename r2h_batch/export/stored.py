@@ -28,7 +28,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.io.read import FileError
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
-from r2h_batch.runs.store import Run, load_run
+from r2h_batch.runs.store import Entry, Run, load_run
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
@@ -284,14 +284,14 @@ def _stored(
 
 
 def _answer_again(
-    header: dict[str, Any], entry: dict[str, Any], trial: Trials, evaluator: Evaluator
+    header: dict[str, Any], entry: Entry, trial: Trials, evaluator: Evaluator
 ) -> Predictions:
     """What a built-in method of a run folder answers to one trial."""
     try:
-        return job_of_run(header, entry, evaluator).predict(trial, None)
+        return job_of_run(header, entry.source, evaluator).predict(trial, None)
     except (UsageError, AnswerError) as error:
         words = f"are not stored, and it cannot answer again ({error}); sweep without --no-poses"
-        raise ExportError(f"the poses of {entry['name']!r} {words}") from error
+        raise ExportError(f"the poses of {entry.name!r} {words}") from error
 
 
 def _rows(table: Any, trial_id: int) -> list[dict[str, Any]]:

@@ -102,7 +102,7 @@ def gallery(
     found: dict[str, list[dict[str, str]]] = {}
     shown = {method: first_of_each_outcome(run, method, n) for method in run.methods}
     for method in run.methods:
-        found[method], slug = [], re.sub(r"[^A-Za-z0-9._-]+", "_", run.entry(method)["slug"])
+        found[method], slug = [], re.sub(r"[^A-Za-z0-9._-]+", "_", run.entry(method).slug)
         for outcome, trials in shown[method].items():
             for trial in trials:
                 stored = reader.trial(trial, method)

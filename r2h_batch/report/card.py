@@ -44,7 +44,7 @@ def write_summary(run: Run) -> None:
     text = render(table, "md")
     write_text(run.folder / TABLE, text)
     write_text(run.folder / RESULTS, render(table, "json"))
-    slugs = [run.entry(m)["slug"] for m in run.methods]
+    slugs = [run.entry(m).slug for m in run.methods]
     head = {
         "pretty_name": run.folder.absolute().name,
         "tags": ["robotics", "human-robot-interaction", "handover", "r2h_batch"],

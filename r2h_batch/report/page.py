@@ -23,7 +23,7 @@ from r2h_batch.report.table import (
 )
 from r2h_batch.report.text import NA, short_names
 from r2h_batch.runs.rows import OUTCOME_NAMES
-from r2h_batch.runs.store import JoinedRun, Run
+from r2h_batch.runs.store import Run
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import FAILURES, RATES, Row
 from r2h_batch.statistics.common import Common
@@ -67,7 +67,7 @@ def page(
     counted = [tally(run, m) for m in run.methods]
     table = table_of(run, counted=counted)
     short = short_names(run.methods)
-    runs = run.runs if isinstance(run, JoinedRun) else (run,)
+    runs = run.runs
     comparable = len(run.methods) > 1 and not (len(runs) > 1 and common is None)
     compared = compare(pair_up([run], common)) if comparable else ()
     environment = jinja2.Environment(

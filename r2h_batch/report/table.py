@@ -23,7 +23,7 @@ from r2h_batch.report.text import (
     tex_number,
     tex_table,
 )
-from r2h_batch.runs.store import JoinedRun, Run
+from r2h_batch.runs.store import Run
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import FAILURES, RATES, TIMES, Mean, Rate, Row, summarise
 from r2h_batch.statistics.tally import Tally, tally
@@ -89,7 +89,7 @@ def table_of(run: Run, counted: Sequence[Tally] | None = None) -> Table:
         counted: these methods' trials, if they were counted before.
     """
     tallies = [tally(run, method) for method in run.methods] if counted is None else counted
-    runs = run.runs if isinstance(run, JoinedRun) else (run,)
+    runs = run.runs
     robots = {
         r.robot for r in runs if "robot" in r.header["digests"]
     }  # none: all have the usual one

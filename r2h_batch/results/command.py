@@ -48,7 +48,7 @@ def digest(folder: Path, /) -> int:
     from r2h_batch.runs.store import load_run
 
     run = load_run(folder)
-    for name in (e["name"] for e in run.entries):
+    for name in (e.name for e in run.entries):
         left = len(run.missing(name))
         print(f"{run.digest(name)}  {name}" + (f" (without {left} shards)" if left else ""))
     return 0
@@ -92,7 +92,7 @@ def reevaluate(
     from r2h_batch.runs.store import RunError, load_run
 
     run = load_run(folder, verify=False).only(method)
-    names = [e["name"] for e in run.entries if e["receipts"]]
+    names = [e.name for e in run.entries if e.receipts]
     if not names:
         raise RunError(f"{folder}: no shard of any method is stored")
     again.check_poses(run)
@@ -146,18 +146,18 @@ def reception(
 
     run = load_run(folder).only(method)
     check_poses(run)
-    entries = [e for e in run.entries if e["receipts"]]
+    entries = [e for e in run.entries if e.receipts]
     if not entries:
         raise RunError(f"{folder}: no shard of any method is stored")
     judge = Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
-    one = run.trials(entries[0]["name"], ["trial_id"])["trial_id"][:1].to_numpy()
+    one = run.trials(entries[0].name, ["trial_id"])["trial_id"][:1].to_numpy()
     if judge.trials(one).receiver is None:
         raise RunError(f"{folder}: its trials have no receiver's body; sweep --protocol r2h-v1")
     tables = {}
     for entry in entries:
-        tell(f"{entry['name']}: 256 grasps for each trial, 4 ms a trial")
-        tables[entry["name"]] = received.table_of(run, entry["name"], judge)
-        received.write(folder / "reception" / f"{entry['slug']}.parquet", tables[entry["name"]])
+        tell(f"{entry.name}: 256 grasps for each trial, 4 ms a trial")
+        tables[entry.name] = received.table_of(run, entry.name, judge)
+        received.write(folder / "reception" / f"{entry.slug}.parquet", tables[entry.name])
     print(received.render(tables), end="")
     return 0
 

@@ -71,7 +71,7 @@ def table_of(run: Run, method: str, judge: Judge) -> pa.Table:
 
 def _parts(run: Run, method: str) -> Iterator[dict[str, pa.Table]]:
     """Rows, poses and goals of a method, `ROWS` trials at a time."""
-    files = run.entry(method)["receipts"]
+    files = run.entry(method).receipts
     for index, receipt in sorted(files.items()):
         kinds = [k for k in ("trials", "poses", "details") if k in receipt["files"]]
         stored = {k: run.shard(k, method, index).sort_by("trial_id") for k in kinds}

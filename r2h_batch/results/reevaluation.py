@@ -26,7 +26,7 @@ from r2h_batch.launch import cpu_threads
 from r2h_batch.predictions import Motions
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import DETAIL_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
-from r2h_batch.runs.store import TIMING, Run, RunError
+from r2h_batch.runs.store import TIMING, Entry, Run, RunError
 from r2h_batch.sweep.engine import judged_tables
 from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
 from r2h_batch.sweep.options import UsageError
@@ -236,7 +236,7 @@ def reevaluate(
     """
     check_poses(run)
     entry = run.entry(method)
-    sizes = {index: r["last"] - r["first"] for index, r in sorted(entry["receipts"].items())}
+    sizes = {index: r["last"] - r["first"] for index, r in sorted(entry.receipts.items())}
     ends = np.cumsum([0, *sizes.values()])
     total = int(ends[-1])
     chosen = np.sort(np.random.default_rng(seed).choice(total, min(n, total), replace=False))
@@ -246,14 +246,14 @@ def reevaluate(
         rows = chosen[(chosen >= ends[place]) & (chosen < ends[place + 1])] - ends[place]
         if not len(rows):
             continue
-        files = entry["receipts"][index]["files"]
+        files = entry.receipts[index]["files"]
         kinds = [k for k in ("trials", "poses", "details", "paths") if k in files]
         stored = {kind: run.shard(kind, method, index) for kind in kinds}
         ids = stored["trials"]["trial_id"].take(pa.array(rows))
         stored = {k: table.filter(pc.is_in(table["trial_id"], ids)) for k, table in stored.items()}
         if job is not None:
             differences += _other_answers(job, ids.to_numpy(), stored["poses"], judge)
-        given = entry["source"].get("kind") == "motions"
+        given = entry.source.get("kind") == "motions"
         differences += _other_rows(run, stored, given, judge)
     unequal = {d.trial_id for d in differences}
     if judge.other:
@@ -267,18 +267,18 @@ def reevaluate(
     )
 
 
-def _who_answers(run: Run, entry: Mapping[str, Any], judge: Judge) -> tuple[Job | None, str]:
+def _who_answers(run: Run, entry: Entry, judge: Judge) -> tuple[Job | None, str]:
     """The built-in method to be asked again, and a phrase; `RunError` if it has another name, or
     options that it does not take."""
     try:
-        job = job_of_run(run.header, entry, judge.evaluator)
+        job = job_of_run(run.header, entry.source, judge.evaluator)
     except NotBuiltIn as error:
         return None, f"not asked again: {error}"
     except UsageError as error:
-        raise RunError(f"{run.folder}: {entry['name']!r} cannot be asked again: {error}") from None
-    if job.name != entry["name"]:
-        function = entry["source"]["function"]
-        words = f"{entry['name']!r} is said to be {function}, which is called {job.name!r}"
+        raise RunError(f"{run.folder}: {entry.name!r} cannot be asked again: {error}") from None
+    if job.name != entry.name:
+        function = entry.source["function"]
+        words = f"{entry.name!r} is said to be {function}, which is called {job.name!r}"
         raise RunError(f"{run.folder}: {words}")
     return job, "asked again for the same trials"
 

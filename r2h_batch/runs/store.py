@@ -15,7 +15,6 @@ any number of processes can share a folder. A folder may come from anybody: each
 size limit and goes through a model with bounds before a field is used.
 """
 
-import contextlib
 import csv
 import difflib
 import errno
@@ -30,9 +29,9 @@ import socket
 import stat
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from io import TextIOWrapper
 from pathlib import Path
@@ -156,23 +155,17 @@ def link_once(temporary: Path, final: Path) -> bool:
 
 def write_json_once(path: Path, data: Mapping[str, Any]) -> bool:
     """Write a JSON file unless it exists; False if it does."""
-    temporary = _json_file(path, data)
-    try:
-        return link_once(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    return bool(_write_json(path, data, link_once))
 
 
 def replace_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write or replace a JSON file; a reader sees the old or the new one."""
-    temporary = _json_file(path, data)
-    try:
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    _write_json(path, data, os.replace)
 
 
-def _json_file(path: Path, data: Mapping[str, Any]) -> Path:
+def _write_json(
+    path: Path, data: Mapping[str, Any], give_name: Callable[[Path, Path], bool | None]
+) -> bool | None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = temporary_name(path)
     try:
@@ -180,10 +173,9 @@ def _json_file(path: Path, data: Mapping[str, Any]) -> Path:
             file.write(packed_json(data) + "\n")
             file.flush()
             os.fsync(file.fileno())
-    except BaseException:
+        return give_name(temporary, path)
+    finally:
         temporary.unlink(missing_ok=True)
-        raise
-    return temporary
 
 
 def _drop_second_names(folder: Path) -> None:
@@ -531,7 +523,7 @@ def _near(folder: Path) -> str:
     name beside it; empty where there is none."""
 
     def runs_in(place: Path) -> list[Path]:
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             names = itertools.islice(os.scandir(place), MOST_NEAR)
             return [place / e.name for e in names if (place / e.name / "run.json").is_file()]
         return []
@@ -612,75 +604,152 @@ def planned_in(header: Mapping[str, Any], shard: Shard) -> dict[str, int]:
 _SLUG = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,79}")
 
 
-def read_methods(folder: Path) -> list[dict[str, Any]]:
-    """The methods in the order in which they were added; `slug` is their part of file names."""
+@dataclass(frozen=True)
+class Entry:
+    """A method of a run folder.
+
+    Attributes:
+        folder: the run folder.
+        header: its run.json.
+        slug: the method's part of file names.
+        name: the method's name. In a joined run its robot or run may stand in front.
+        source: where its answers come from.
+        command: the command line that added it.
+        order: its place among the methods.
+        receipts: number of a stored shard -> its receipt; `load_run` reads them.
+    """
+
+    folder: Path
+    header: dict[str, Any]
+    slug: str
+    name: str
+    source: dict[str, str]
+    command: list[str]
+    order: int
+    receipts: dict[int, dict[str, Any]] = field(default_factory=dict)
+
+    def receipt_path(self, shard: Shard) -> Path:
+        """The receipt of a shard."""
+        return self.folder / "manifest" / self.slug / f"{shard.name}.json"
+
+    def quarantine_path(self, shard: Shard) -> Path:
+        """The note about a shard that failed for good."""
+        return self.folder / "quarantine" / self.slug / f"{shard.name}.json"
+
+    def claim_path(self, number: int) -> Path:
+        """The file that a process locks while it works on a shard."""
+        return self.folder / ".claims" / f"{self.slug}-{number:06d}"
+
+    def stored_shards(self) -> list[Shard]:
+        """Shards that have a receipt, in order."""
+        place = self.folder / "manifest" / self.slug
+        try:
+            names = [n for n in os.listdir(place) if re.fullmatch(r"[0-9]{6}\.json", n, re.ASCII)]
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            words = f"{place}: cannot be read ({error.strerror or error})"
+            whats = (_in_the_way(p, folder=True) for p in (place.parent, place))
+            raise RunError(next(filter(None, whats), words)) from None
+        found = (shard_at(self.header, int(n[:6])) for n in sorted(names))
+        return [shard for shard in found if shard is not None]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every shard is stored; run.json may claim a million, so none is listed."""
+        return len(self.receipts) == shard_count(self.header)
+
+    def read_receipt(self, shard: Shard) -> dict[str, Any]:
+        """A shard's receipt; `RunError` if it belongs to another run, method or shard."""
+        path = self.receipt_path(shard)
+        receipt = _checked(Receipt, read_json(path), path)
+        expected = {"run": self.header["hash"], "method": self.name}
+        for key, value in {**expected, "first": shard.first, "last": shard.last}.items():
+            if receipt[key] != value:
+                raise RunError(f"{path}: foreign, its {key} is {receipt[key]!r} and not {value!r}")
+        counts = {s: sum(c.values()) for s, c in receipt["outcomes"].items()}
+        if counts != (planned := planned_in(self.header, shard)):
+            raise RunError(f"{path}: holds {counts} trials, planned were {planned}")
+        found, kinds = sorted(receipt["files"]), {"trials", *self.header["stored"]}
+        if set(found) - {"failures"} != kinds:
+            raise RunError(f"{path}: names files of {found}, stored are {sorted(kinds)}")
+        for kind, file in receipt["files"].items():
+            own = f"{kind}/{self.slug}/{shard.name}-{file['sha256'][:16]}.parquet"
+            if file["path"] != own:
+                named = f"names the file {file['path'][:200]!r}"
+                raise RunError(f"{path}: {named}; the only one it may name is {own}")
+        return receipt
+
+    def files(self) -> dict[int, list[Path]]:
+        """Number of a shard -> the table files of it; -1: files without a number."""
+        found: dict[int, list[Path]] = {}
+        for kind in SCHEMAS:
+            for file in sorted((self.folder / kind / self.slug).glob("[!.]*.parquet")):
+                numbered = re.match(r"[0-9]{6}(-|$)", file.stem, re.ASCII)
+                found.setdefault(int(file.stem[:6]) if numbered else -1, []).append(file)
+        return found
+
+    def table(self, kind: str, receipt: Mapping[str, Any], columns: Sequence[str]) -> pa.Table:
+        """Those columns that a stored file has; `RunError` if the file is not as its schema says."""
+        path = self.folder / receipt["files"][kind]["path"]
+        trials = receipt["last"] - receipt["first"]
+        try:
+            with pq.ParquetFile(path) as file:
+                rows, names = file.metadata.num_rows, file.schema_arrow.names
+                if rows > trials or (kind == "trials" and rows != trials):
+                    raise RunError(f"{path}: holds {rows} rows, its receipt says {trials} trials")
+                if lacking := set(columns) - set(names) - set(LATER_COLUMNS):
+                    words = f"column {min(lacking)!r} is missing; format {FORMAT} has it"
+                    raise RunError(f"{path}: {words}")
+                there = [c for c in columns if c in names]
+                check_decoded_size(file, _most_decoded(kind, trials), str(path), there)
+                table = file.read(columns=there)
+        except FileError as error:
+            raise RunError(str(error)) from None
+        except (OSError, pa.ArrowException) as error:
+            raise RunError(f"{path}: cannot be read ({printable(error)[:300]})") from error
+        for name in there:
+            if what := _wrong_column(table[name], SCHEMAS[kind].field(name)):
+                raise RunError(f"{path}: column {name!r} {what}")
+        return table.select(there)
+
+
+def _most_decoded(kind: str, trials: int) -> int:
+    """Largest memory, bytes, that the columns of a shard may take."""
+    return (16 << 20) + (1 << 17 if kind == "paths" else 1 << 13) * trials
+
+
+def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
+    if column.type != field.type:
+        return f"is of another type than format {FORMAT} says"
+    if not field.nullable and column.null_count:
+        return f"has {column.null_count} empty rows; it must have none"
+    if pa.types.is_dictionary(field.type):
+        for chunk in column.chunks:
+            words = chunk.dictionary.to_pylist()[: MAX_WORDS + 1]
+            if len(words) > MAX_WORDS or not all(
+                w and len(w) <= 200 and w.isprintable() for w in words
+            ):
+                return "holds what is no name; sweep again"
+            if field.name == "outcome" and (odd := set(words) - set(OUTCOME_NAMES)):
+                return f"holds {min(odd)!r}; known are {', '.join(OUTCOME_NAMES)}"
+    return ""
+
+
+def read_methods(folder: Path, header: dict[str, Any]) -> list[Entry]:
+    """The methods in the order in which they were added, without receipts."""
     entries = []
     for path in sorted((folder / "methods").glob("[!.]*.json")):
         if not _SLUG.fullmatch(path.stem):
             words = "foreign, no method's file has such a name; take it away"
             raise RunError(f"{printable(path)}: {words}")
-        entries.append({**_checked(Method, read_json(path), path), "slug": path.stem})
-    names = [e["name"] for e in entries]
+        entries.append(Entry(folder, header, path.stem, **_checked(Method, read_json(path), path)))
+    names = [e.name for e in entries]
     if len(set(names)) != len(names):
         twice = max(names, key=names.count)
         words = f"two files name the method {twice!r}; take one away"
         raise RunError(f"{folder / 'methods'}: {words}")
-    return sorted(entries, key=lambda e: (e["order"], e["name"]))
-
-
-def _receipt_path(folder: Path, slug: str, shard: Shard) -> Path:
-    return folder / "manifest" / slug / f"{shard.name}.json"
-
-
-def _quarantine_path(folder: Path, slug: str, shard: Shard) -> Path:
-    return folder / "quarantine" / slug / f"{shard.name}.json"
-
-
-def _claim_path(folder: Path, slug: str, number: int) -> Path:
-    return folder / ".claims" / f"{slug}-{number:06d}"
-
-
-def _stored_shards(folder: Path, header: Mapping[str, Any], slug: str) -> list[Shard]:
-    """Shards of a method that have a receipt, in order."""
-    place = folder / "manifest" / slug
-    try:
-        names = [n for n in os.listdir(place) if re.fullmatch(r"[0-9]{6}\.json", n, re.ASCII)]
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        words = f"{place}: cannot be read ({error.strerror or error})"
-        whats = (_in_the_way(p, folder=True) for p in (place.parent, place))
-        raise RunError(next(filter(None, whats), words)) from None
-    return [s for n in sorted(names) if (s := shard_at(header, int(n[:6]))) is not None]
-
-
-def _read_receipt(
-    folder: Path, header: Mapping[str, Any], entry: Mapping[str, Any], shard: Shard
-) -> dict[str, Any]:
-    """A shard's receipt; `RunError` if it belongs to another run, method or shard."""
-    path = _receipt_path(folder, entry["slug"], shard)
-    receipt = _checked(Receipt, read_json(path), path)
-    expected = {
-        "run": header["hash"],
-        "method": entry["name"],
-        "first": shard.first,
-        "last": shard.last,
-    }
-    for key, value in expected.items():
-        if receipt[key] != value:
-            raise RunError(f"{path}: foreign, its {key} is {receipt[key]!r} and not {value!r}")
-    counts = {s: sum(c.values()) for s, c in receipt["outcomes"].items()}
-    if counts != (planned := planned_in(header, shard)):
-        raise RunError(f"{path}: holds {counts} trials, planned were {planned}")
-    found, kinds = sorted(receipt["files"]), {"trials", *header["stored"]}
-    if set(found) - {"failures"} != kinds:
-        raise RunError(f"{path}: names files of {found}, stored are {sorted(kinds)}")
-    for kind, file in receipt["files"].items():
-        own = f"{kind}/{entry['slug']}/{shard.name}-{file['sha256'][:16]}.parquet"
-        if file["path"] != own:
-            named = f"names the file {file['path'][:200]!r}"
-            raise RunError(f"{path}: {named}; the only one it may name is {own}")
-    return receipt
+    return sorted(entries, key=lambda e: (e.order, e.name))
 
 
 def write_labels(folder: Path, labels: Mapping[int, tuple[str, str]]) -> None:
@@ -704,17 +773,24 @@ def _plain_cell(text: str) -> str:
 
 @dataclass(frozen=True)
 class Run:
-    """A stored run.
+    """A stored run, or several as one (`join`).
 
-    Args:
-        folder: the run folder.
-        header: run.json.
-        entries: the methods, each with `receipts` by number of shard.
+    Attributes:
+        folder: the run folder; of several runs the first one's.
+        header: run.json; of several runs the first one's.
+        entries: the methods.
+        runs: the runs that were joined, or this one.
     """
 
     folder: Path
     header: dict[str, Any]
-    entries: tuple[dict[str, Any], ...]
+    entries: tuple[Entry, ...]
+    joined: tuple["Run", ...] = ()
+
+    @property
+    def runs(self) -> tuple["Run", ...]:
+        """The runs that were joined, or this one."""
+        return self.joined or (self,)
 
     @property
     def robot(self) -> str:
@@ -724,11 +800,12 @@ class Run:
     @property
     def methods(self) -> tuple[str, ...]:
         """Names of the complete methods, in the order in which they were added."""
-        return tuple(e["name"] for e in self.entries if self._complete(e["name"]))
+        return tuple(e.name for e in self.entries if e.complete)
 
-    def _complete(self, method: str) -> bool:
-        """Whether every shard is stored; run.json may claim a million, so none is listed."""
-        return len(self.entry(method)["receipts"]) == shard_count(self.header)
+    @property
+    def unfinished(self) -> tuple[str, ...]:
+        """Names of the methods with shards still to score."""
+        return tuple(e.name for e in self.entries if not e.complete)
 
     @cached_property
     def labels(self) -> dict[int, tuple[str, str]]:
@@ -757,21 +834,25 @@ class Run:
                 return number
         raise RunError(f"{self.folder}: no trial has the id {printable(word)[:80]!r}")
 
-    @property
-    def unfinished(self) -> tuple[str, ...]:
-        """Names of the methods with shards still to score."""
-        return tuple(e["name"] for e in self.entries if not self._complete(e["name"]))
+    def entry(self, method: str) -> Entry:
+        """The method of this name."""
+        text("method", method)
+        for entry in self.entries:
+            if entry.name == method:
+                return entry
+        names = ", ".join(e.name for e in self.entries) or "none"
+        raise RunError(f"{self.folder}: no method {method!r}; it has {names}")
 
     def named(self, word: str) -> str:
         """The full name of a method from that name or from the sweep's word (fc)."""
         text("word", word)
-        names = [e["name"] for e in self.entries]
+        names = [e.name for e in self.entries]
         if word in names:
             return word
         function = f"r2h_batch.methods.{word.replace('-', '_')}:predict"
-        found = [e["name"] for e in self.entries if e["source"].get("function") == function]
+        found = [e.name for e in self.entries if e.source.get("function") == function]
         if len(found) == 1:
-            return str(found[0])
+            return found[0]
         if found:
             words = f"{word!r} answered several times: {', '.join(found)}; give one of these names"
             raise RunError(f"{self.folder}: {words}")
@@ -780,55 +861,41 @@ class Run:
         has = ", ".join(names) or "none"
         raise RunError(f"{self.folder}: no method {word!r}{hint}; it has {has}")
 
-    def view_command(self, method: str) -> str:
-        """The command that shows trials of a method: `r2h-batch view RUN --method WORD --trial`, with
-        the files that the sweep was given."""
-        function = str(self.entry(method)["source"].get("function", ""))
-        word = function.removeprefix("r2h_batch.methods.").partition(":")[0].replace("_", "-")
-        with contextlib.suppress(RunError):
-            method = word if self.named(word) == method else method
-        flags = (self.header.get("benchmark") or {}).get("flags") or []
-        given = [f.split() for f in flags if not f.startswith(("--protocol", "--receiver"))]
-        words = [
-            "r2h-batch",
-            "view",
-            str(self.folder),
-            "--method",
-            method,
-            *itertools.chain(*given),
-        ]
-        return shlex.join([*words, "--trial"])
-
     def only(self, words: Sequence[str]) -> "Run":
         """The same run with these methods alone (see `named`), in stored order; empty: all."""
         if not sequence_of(str, "names of methods", least=0)("words", words):
             return self
         names = {self.named(w) for w in words}
-        return replace(self, entries=tuple(e for e in self.entries if e["name"] in names))
+        return replace(self, entries=tuple(e for e in self.entries if e.name in names))
+
+    def view_command(self, method: str) -> str:
+        """The command that shows trials of a method: `r2h-batch view RUN --method WORD --trial`, with
+        the files that the sweep was given."""
+        entry = self.entry(method)
+        run = next(r for r in self.runs if r.folder == entry.folder)
+        name = next(e.name for e in run.entries if e.slug == entry.slug)
+        module = entry.source.get("function", "").partition(":")[0]
+        word = module.removeprefix("r2h_batch.methods.").replace("_", "-")
+        with suppress(RunError):
+            name = word if run.named(word) == name else name
+        flags = (entry.header.get("benchmark") or {}).get("flags") or []
+        given = [f.split() for f in flags if not f.startswith(("--protocol", "--receiver"))]
+        words = ["r2h-batch", "view", str(entry.folder), "--method", name]
+        return shlex.join([*words, *itertools.chain(*given), "--trial"])
 
     def planned(self, method: str) -> dict[str, int]:
         """Split -> trials that a method was asked."""
-        self.entry(method)
-        return dict(self.header["trials"])
+        return dict(self.entry(method).header["trials"])
 
     def missing(self, method: str) -> list[Shard]:
         """Shards of a method that are planned and not stored."""
-        stored = self.entry(method)["receipts"]
-        return [s for s in shards_of(self.header) if s.index not in stored]
+        entry = self.entry(method)
+        return [s for s in shards_of(entry.header) if s.index not in entry.receipts]
 
     def quarantined(self, method: str) -> list[Shard]:
         """Missing shards of a method that failed three times in the last attempt."""
-        slug = self.entry(method)["slug"]
-        return [s for s in self.missing(method) if _quarantine_path(self.folder, slug, s).exists()]
-
-    def entry(self, method: str) -> dict[str, Any]:
-        """A method's name, source, command, slug, and `receipts` by number of shard."""
-        text("method", method)
-        for entry in self.entries:
-            if entry["name"] == method:
-                return entry
-        names = ", ".join(e["name"] for e in self.entries) or "none"
-        raise RunError(f"{self.folder}: no method {method!r}; it has {names}")
+        entry = self.entry(method)
+        return [s for s in self.missing(method) if entry.quarantine_path(s).exists()]
 
     def trials(self, method: str, columns: Sequence[str] | None = None) -> pa.Table:
         """One row per trial in planned order: all or some columns of `TRIAL_SCHEMA`."""
@@ -848,47 +915,7 @@ class Run:
 
     def failures(self, method: str) -> pa.Table:
         """What is needed to repeat a failed simulation, `FAILURE_SCHEMA`."""
-        receipts = self.entry(method)["receipts"].values()
-        found = [self._table("failures", r) for r in receipts if "failures" in r["files"]]
-        return pa.concat_tables([FAILURE_SCHEMA.empty_table(), *found]).unify_dictionaries()
-
-    def shards(
-        self, kind: str, method: str, columns: Sequence[str] | None = None
-    ) -> Iterator[pa.Table]:
-        """The tables of a kind, one shard at a time, for runs that do not fit into memory."""
-        for receipt in self.entry(method)["receipts"].values():
-            if kind not in receipt["files"]:
-                words = f"method {method!r} has no {kind}; sweep again with --save-{kind}"
-                raise RunError(f"{self.folder}: {words}")
-            yield self._table(kind, receipt, columns)
-
-    def shard(self, kind: str, method: str, index: int) -> pa.Table:
-        """The table of a kind of one shard, without later columns that an older run lacks."""
-        receipt = self.entry(method)["receipts"].get(index)
-        if receipt is None or kind not in receipt["files"]:
-            raise RunError(f"{self.folder}: shard {index} of {method!r} has no {kind}")
-        return self._stored(kind, receipt, SCHEMAS[kind].names)
-
-    def verify(self) -> None:
-        """Raise `RunError` unless every stored file is as it was written."""
-        for _, shard, file, what in problems(self.folder, self.header):
-            if shard is not None:
-                words = f"`r2h-batch results verify {self.folder}` marks it, the sweep redoes it"
-                raise RunError(f"{file}: {what}; {words}")
-
-    def digest(self, method: str) -> str:
-        """sha256 (hex) over all rows of a method without `TIMING`: equal for any shards and
-        workers. Later columns that an older run lacks are not part of its digest."""
-        columns = [c for c in TRIAL_SCHEMA.names if c not in TIMING]
-        hashes: dict[tuple[str, str], Any] = defaultdict(hashlib.sha256)
-        for receipt in self.entry(method)["receipts"].values():
-            table = self._stored("trials", receipt, columns)
-            for name in table.column_names:
-                column = table[name].combine_chunks()
-                given = column.is_valid().to_numpy(zero_copy_only=False)
-                hashes[name, "given"].update(given.tobytes())
-                hashes[name, "value"].update(_plain(column).tobytes())
-        return hashlib.sha256(b"".join(h.digest() for h in hashes.values())).hexdigest()
+        return self._read("failures", method)
 
     def _read(self, kind: str, method: str, columns: Sequence[str] | None = None) -> pa.Table:
         schema = SCHEMAS[kind]
@@ -897,57 +924,46 @@ class Run:
         tables = [schema.empty_table(), *self.shards(kind, method, columns)]
         return pa.concat_tables(tables).unify_dictionaries()
 
-    def _table(
-        self, kind: str, receipt: Mapping[str, Any], columns: Sequence[str] | None = None
-    ) -> pa.Table:
-        """Columns of a stored file; later ones that an older run lacks are null."""
-        names = list(columns or SCHEMAS[kind].names)
-        table = self._stored(kind, receipt, names)
-        for name in set(names) - set(table.column_names):
-            field = SCHEMAS[kind].field(name)
-            table = table.append_column(field, pa.nulls(len(table), field.type))
-        return table.select(names)
+    def shards(
+        self, kind: str, method: str, columns: Sequence[str] | None = None
+    ) -> Iterator[pa.Table]:
+        """The tables of a kind, one shard at a time, for runs that do not fit into memory. Later
+        columns that an older run lacks are null."""
+        entry, names = self.entry(method), list(columns or SCHEMAS[kind].names)
+        for receipt in entry.receipts.values():
+            if kind not in receipt["files"]:
+                if kind == "failures":  # no simulation of this shard failed
+                    continue
+                words = f"method {method!r} has no {kind}; sweep again with --save-{kind}"
+                raise RunError(f"{entry.folder}: {words}")
+            table = entry.table(kind, receipt, names)
+            for name in set(names) - set(table.column_names):
+                field = SCHEMAS[kind].field(name)
+                table = table.append_column(field, pa.nulls(len(table), field.type))
+            yield table.select(names)
 
-    def _stored(self, kind: str, receipt: Mapping[str, Any], columns: Sequence[str]) -> pa.Table:
-        """Those columns that a stored file has, of at most the trials of its shard."""
-        path = self.folder / receipt["files"][kind]["path"]
-        trials = receipt["last"] - receipt["first"]
-        try:
-            with pq.ParquetFile(path) as file:
-                rows, names = file.metadata.num_rows, file.schema_arrow.names
-                if rows > trials or (kind == "trials" and rows != trials):
-                    raise RunError(f"{path}: holds {rows} rows, its receipt says {trials} trials")
-                if lacking := set(columns) - set(names) - set(LATER_COLUMNS):
-                    words = f"column {min(lacking)!r} is missing; format {FORMAT} has it"
-                    raise RunError(f"{path}: {words}")
-                there = [c for c in columns if c in names]
-                check_decoded_size(file, _most_decoded(kind, trials), str(path), there)
-                table = file.read(columns=there)
-        except FileError as error:
-            raise RunError(str(error)) from None
-        except (OSError, pa.ArrowException) as error:
-            raise RunError(f"{path}: cannot be read ({printable(error)[:300]})") from error
-        for name in there:
-            if what := _wrong_column(table[name], SCHEMAS[kind].field(name)):
-                raise RunError(f"{path}: column {name!r} {what}")
-        return table.select(there)
+    def shard(self, kind: str, method: str, index: int) -> pa.Table:
+        """The table of a kind of one shard, without later columns that an older run lacks."""
+        entry = self.entry(method)
+        receipt = entry.receipts.get(index)
+        if receipt is None or kind not in receipt["files"]:
+            raise RunError(f"{self.folder}: shard {index} of {method!r} has no {kind}")
+        return entry.table(kind, receipt, SCHEMAS[kind].names)
 
-
-def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
-    if column.type != field.type:
-        return f"is of another type than format {FORMAT} says"
-    if not field.nullable and column.null_count:
-        return f"has {column.null_count} empty rows; it must have none"
-    if pa.types.is_dictionary(field.type):
-        for chunk in column.chunks:
-            words = chunk.dictionary.to_pylist()[: MAX_WORDS + 1]
-            if len(words) > MAX_WORDS or not all(
-                w and len(w) <= 200 and w.isprintable() for w in words
-            ):
-                return "holds what is no name; sweep again"
-            if field.name == "outcome" and (odd := set(words) - set(OUTCOME_NAMES)):
-                return f"holds {min(odd)!r}; known are {', '.join(OUTCOME_NAMES)}"
-    return ""
+    def digest(self, method: str) -> str:
+        """sha256 (hex) over all rows of a method without `TIMING`: equal for any shards and
+        workers. Later columns that an older run lacks are not part of its digest."""
+        columns = [c for c in TRIAL_SCHEMA.names if c not in TIMING]
+        hashes: dict[tuple[str, str], Any] = defaultdict(hashlib.sha256)
+        entry = self.entry(method)
+        for receipt in entry.receipts.values():
+            table = entry.table("trials", receipt, columns)
+            for name in table.column_names:
+                column = table[name].combine_chunks()
+                given = column.is_valid().to_numpy(zero_copy_only=False)
+                hashes[name, "given"].update(given.tobytes())
+                hashes[name, "value"].update(_plain(column).tobytes())
+        return hashlib.sha256(b"".join(h.digest() for h in hashes.values())).hexdigest()
 
 
 def _plain(column: pa.Array) -> np.ndarray:
@@ -957,49 +973,6 @@ def _plain(column: pa.Array) -> np.ndarray:
         codes = np.frombuffer(b"".join([*words, bytes(8)]), "<u8")
         return codes[column.indices.fill_null(len(words)).to_numpy()]
     return np.asarray(column.fill_null(False if pa.types.is_boolean(column.type) else 0))
-
-
-@dataclass(frozen=True)
-class JoinedRun(Run):
-    """Several runs as one, for tables and pages: what `join` gives.
-
-    Attributes:
-        runs: the runs.
-        origin: name of a method -> its run, and its name there.
-    """
-
-    runs: tuple[Run, ...]
-    origin: dict[str, tuple[Run, str]]
-
-    def planned(self, method: str) -> dict[str, int]:
-        """Split -> trials that a method was asked."""
-        self.entry(method)
-        run, name = self.origin[method]
-        return run.planned(name)
-
-    def _complete(self, method: str) -> bool:
-        """Whether every shard of a method is stored."""
-        run, name = self.origin[method]
-        return run._complete(name)
-
-    def missing(self, method: str) -> list[Shard]:
-        """Shards of a method that are planned and not stored."""
-        self.entry(method)
-        run, name = self.origin[method]
-        return run.missing(name)
-
-    def view_command(self, method: str) -> str:
-        """The command that shows trials of a method."""
-        run, name = self.origin[method]
-        return run.view_command(name)
-
-    def shards(
-        self, kind: str, method: str, columns: Sequence[str] | None = None
-    ) -> Iterator[pa.Table]:
-        """The tables of a kind of a method, one shard at a time."""
-        self.entry(method)
-        run, name = self.origin[method]
-        return run.shards(kind, name, columns)
 
 
 def robot_words(runs: Sequence[Run]) -> dict[str, str]:
@@ -1012,7 +985,7 @@ def robot_words(runs: Sequence[Run]) -> dict[str, str]:
 
 
 def join(runs: Sequence[Run]) -> Run:
-    """Several runs as one.
+    """Several runs as one, for tables and pages.
 
     A method has its robot's name in front if the runs have several, and its run's name if there is
     another method of that name.
@@ -1023,20 +996,17 @@ def join(runs: Sequence[Run]) -> Run:
     if len(runs) == 1:
         return runs[0]
     robots = robot_words(runs)
-    names = Counter(robots[run.robot] + e["name"] for run in runs for e in run.entries)
-    origin: dict[str, tuple[Run, str]] = {}
-    entries = []
+    names = Counter(robots[run.robot] + e.name for run in runs for e in run.entries)
+    entries: dict[str, Entry] = {}
     for run in runs:
         for entry in run.entries:
-            own = entry["name"]
-            name = robots[run.robot] + own
+            name = robots[run.robot] + entry.name
             if names[name] > 1:
-                name = f"{run.folder.absolute().name}/{own}"
-            if name in origin:
+                name = f"{run.folder.absolute().name}/{entry.name}"
+            if name in entries:
                 raise RunError(f"two run folders of one name hold {name!r}; rename one of them")
-            origin[name] = (run, own)
-            entries.append({**entry, "name": name})
-    return JoinedRun(runs[0].folder, runs[0].header, tuple(entries), tuple(runs), origin)
+            entries[name] = replace(entry, name=name)
+    return Run(runs[0].folder, runs[0].header, tuple(entries.values()), tuple(runs))
 
 
 @check_arguments(verify=boolean)
@@ -1055,15 +1025,17 @@ def load_run(folder: str | Path, *, verify: bool = True) -> Run:
     """
     folder = path_of("folder", folder)
     header = read_header(folder)
-    entries = []
-    for entry in read_methods(folder):
-        shards = _stored_shards(folder, header, entry["slug"])
-        receipts = {s.index: _read_receipt(folder, header, entry, s) for s in shards}
-        entries.append({**entry, "receipts": receipts})
-    run = Run(folder, header, tuple(entries))
-    if verify:
-        run.verify()
-    return run
+    entries = tuple(
+        replace(e, receipts={s.index: e.read_receipt(s) for s in e.stored_shards()})
+        for e in read_methods(folder, header)
+    )
+    for entry in entries if verify else ():
+        for _, problems in _problems(entry):
+            for problem in problems:
+                if problem.shard is not None:
+                    words = f"`r2h-batch results verify {folder}` marks it, the sweep redoes it"
+                    raise RunError(f"{problem.file}: {problem.what}; {words}")
+    return Run(folder, header, entries)
 
 
 # Verifying.
@@ -1078,58 +1050,35 @@ class Problem(NamedTuple):
     what: str
 
 
-def problems(folder: Path, header: Mapping[str, Any]) -> Iterator[Problem]:
-    """Everything stored that cannot be trusted."""
-    for entry in read_methods(folder):
-        files = _tables(folder, entry["slug"])
-        for number in _numbers(folder, header, entry["slug"], files):
-            yield from problems_of(folder, header, entry, number, files.get(number, []))
-
-
-def _tables(folder: Path, slug: str) -> dict[int, list[Path]]:
-    """Number of a shard -> the table files of it; -1: files without a number."""
-    found: dict[int, list[Path]] = {}
-    for kind in SCHEMAS:
-        for file in sorted((folder / kind / slug).glob("[!.]*.parquet")):
-            numbered = re.match(r"[0-9]{6}(-|$)", file.stem, re.ASCII)
-            found.setdefault(int(file.stem[:6]) if numbered else -1, []).append(file)
-    return found
-
-
-def _numbers(
-    folder: Path, header: Mapping[str, Any], slug: str, files: Mapping[int, Any]
-) -> list[int]:
-    return sorted({s.index for s in _stored_shards(folder, header, slug)} | set(files))
-
-
-def problems_of(
-    folder: Path,
-    header: Mapping[str, Any],
-    entry: Mapping[str, Any],
-    number: int,
-    files: Sequence[Path],
-) -> list[Problem]:
+def problems_of(entry: Entry, number: int, files: Sequence[Path]) -> list[Problem]:
     """What is wrong with one shard: its receipt, what that names, other `files` of its number."""
-    name, slug, shard = entry["name"], entry["slug"], shard_at(header, number)
-    found, known = [], set()
-    if shard is not None and os.path.lexists(path := _receipt_path(folder, slug, shard)):
+    found, known, shard = [], set(), shard_at(entry.header, number)
+    if shard is not None and os.path.lexists(path := entry.receipt_path(shard)):
         try:
-            receipt = _read_receipt(folder, header, entry, shard)
+            receipt = entry.read_receipt(shard)
         except RunError as error:
-            found.append(Problem(name, shard, path, str(error).removeprefix(f"{path}: ")))
+            what = str(error).removeprefix(f"{path}: ")
+            found.append(Problem(entry.name, shard, path, what))
         else:
             for kind, stored in receipt["files"].items():
-                file = folder / stored["path"]
+                file = entry.folder / stored["path"]
                 known.add(file)
-                what = _damage(file, stored)
-                what = what or _wrong_rows(header, receipt, kind, file)
-                if what:
-                    found.append(Problem(name, shard, file, what))
+                if what := _damage(file, stored) or _wrong_rows(entry.header, receipt, kind, file):
+                    found.append(Problem(entry.name, shard, file, what))
     foreign = [f for f in files if f not in known]
-    return found + [Problem(name, None, f, "foreign: no receipt names it") for f in foreign]
+    return found + [Problem(entry.name, None, f, "foreign: no receipt names it") for f in foreign]
 
 
-def _damage(file: Path, stored: Mapping[str, Any]) -> str | None:
+def _problems(entry: Entry) -> Iterator[tuple[int, list[Problem]]]:
+    """Each shard of a method that cannot be trusted, by number, and what is wrong with it."""
+    files = entry.files()
+    for number in sorted({s.index for s in entry.stored_shards()} | set(files)):
+        if found := problems_of(entry, number, files.get(number, [])):
+            yield number, found
+
+
+def _damage(file: Path, stored: Mapping[str, Any]) -> str:
+    """How a file differs from what its receipt says; empty: it does not."""
     try:
         found = file.lstat()
     except OSError:
@@ -1139,7 +1088,7 @@ def _damage(file: Path, stored: Mapping[str, Any]) -> str | None:
     if (size := found.st_size) != stored["bytes"]:
         what = "truncated" if size < stored["bytes"] else "too long"
         return f"{what}: {size} bytes, written were {stored['bytes']}"
-    return None if sha256_of(file) == stored["sha256"] else "flipped bits: differs from its sha256"
+    return "" if sha256_of(file) == stored["sha256"] else "flipped bits: differs from its sha256"
 
 
 def _wrong_rows(
@@ -1193,11 +1142,6 @@ def _not_as_planned(
     return f"{missing} planned trials are missing" if every and missing else ""
 
 
-def _most_decoded(kind: str, trials: int) -> int:
-    """Largest memory, bytes, that the columns of a shard may take."""
-    return (16 << 20) + (1 << 17 if kind == "paths" else 1 << 13) * trials
-
-
 def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
     """Rename everything that cannot be trusted to FILE.bad, so that the sweep scores it again.
 
@@ -1208,24 +1152,19 @@ def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
         One line for each file.
     """
     lines = []
-    for entry in read_methods(folder):
-        slug = entry["slug"]
-        files = _tables(folder, slug)
-        for number in _numbers(folder, header, slug, files):
-            if not problems_of(folder, header, entry, number, files.get(number, [])):
-                continue
-            with claim(_claim_path(folder, slug, number)) as own:
+    for entry in read_methods(folder, header):
+        for number, _ in _problems(entry):
+            with claim(entry.claim_path(number)) as own:
                 if own:  # else another sweep is between a file and its receipt
-                    now = _tables(folder, slug).get(number, [])
-                    found = problems_of(folder, header, entry, number, now)
-                    lines += [_set_aside(folder, slug, problem) for problem in found]
+                    found = problems_of(entry, number, entry.files().get(number, []))
+                    lines += [_set_aside(entry, problem) for problem in found]
     return lines
 
 
-def _set_aside(folder: Path, slug: str, problem: Problem) -> str:
+def _set_aside(entry: Entry, problem: Problem) -> str:
     again = "set aside"
     if problem.shard is not None:
-        receipt = _receipt_path(folder, slug, problem.shard)
+        receipt = entry.receipt_path(problem.shard)
         if receipt.exists():
             receipt.replace(receipt.with_suffix(".json.bad"))
         again = f"shard {problem.shard.index} of {problem.method!r} will be scored again"
@@ -1246,9 +1185,9 @@ class ShardWriter:
     def append(self, **tables: pa.Table) -> None:
         """Add rows of `trials`, `details`, `poses`, `paths` or `failures`."""
         for kind, table in tables.items():
-            for field in SCHEMAS[kind]:
-                if not field.nullable and (n := table[field.name].null_count):
-                    raise ValueError(f"{kind}: column {field.name!r} has {n} empty rows")
+            for column in SCHEMAS[kind]:
+                if not column.nullable and (n := table[column.name].null_count):
+                    raise ValueError(f"{kind}: column {column.name!r} has {n} empty rows")
             self.tables[kind].append(table)
 
     def table(self, kind: str) -> pa.Table:
@@ -1262,56 +1201,58 @@ class RunFolder:
 
     def __init__(self, folder: Path, header: dict[str, Any], command: Sequence[str]) -> None:
         self.folder, self.header, self.command = folder, header, _printable_words(command)
-        self.slugs = {e["name"]: e["slug"] for e in read_methods(folder)}
+        self.entries = {e.name: e for e in read_methods(folder, header)}
         for part in (folder, folder / "methods"):
             _drop_second_names(part)
 
     def register(self, method: str, source: Mapping[str, Any]) -> None:
         """Add a method; `RunError` if the folder has one of this name from another source."""
         readable = re.sub(r"[^A-Za-z0-9._-]+", "_", method).strip("._")[:60] or "method"
-        taken = {e["slug"].lower(): e for e in read_methods(self.folder)}
+        taken = {e.slug.lower(): e for e in read_methods(self.folder, self.header)}
         for slug in (readable, f"{readable}-{hashlib.sha256(method.encode()).hexdigest()[:8]}"):
             path = self.folder / "methods" / f"{slug}.json"
-            entry = {"name": method, "source": dict(source), "command": self.command}
-            entry = _checked(Method, {**entry, "order": len(taken)}, path)
-            stored = taken.get(slug.lower())
-            if stored is None and write_json_once(path, entry):
-                stored = entry
-            stored = stored or next(e for e in read_methods(self.folder) if e["slug"] == slug)
-            if stored["name"] == method:
-                old = stored["source"]
+            new = {"name": method, "source": dict(source), "command": self.command}
+            new = _checked(Method, {**new, "order": len(taken)}, path)
+            entry = taken.get(slug.lower())
+            if entry is None and not write_json_once(path, new):  # another process was faster
+                found = read_methods(self.folder, self.header)
+                entry = next(e for e in found if e.slug == slug)
+            entry = entry or Entry(self.folder, self.header, slug, **new)
+            if entry.name == method:
+                old = entry.source
                 if other := [k for k in {**old, **source} if old.get(k) != source.get(k)]:
                     words = f"already holds {method!r}, made with another {', '.join(other)}"
                     raise RunError(f"{self.folder}: {words}; {OTHER_OUT}")
-                self.slugs[method] = slug
+                self.entries[method] = entry
                 return
         raise RunError(f"{self.folder}: no free file name for method {method!r}; {OTHER_OUT}")
 
     def stored(self, method: str, shard: Shard) -> bool:
         """Whether the shard is complete."""
-        return _receipt_path(self.folder, self.slugs[method], shard).exists()
+        return self.entries[method].receipt_path(shard).exists()
 
     def todo(self, method: str, part: tuple[int, int] = (1, 1)) -> list[Shard]:
         """Shards still to score, of part I of N (every N-th shard)."""
-        done = set(_stored_shards(self.folder, self.header, self.slugs[method]))
-        _drop_second_names(self.folder / "manifest" / self.slugs[method])
+        entry = self.entries[method]
+        done = set(entry.stored_shards())
+        _drop_second_names(self.folder / "manifest" / entry.slug)
         return [s for s in shards_of(self.header)[part[0] - 1 :: part[1]] if s not in done]
 
     @contextmanager
     def claim(self, method: str, shard: Shard) -> Iterator[bool]:
         """Whether this process alone works on the shard; remains of a killed one are removed."""
-        slug = self.slugs[method]
-        with claim(_claim_path(self.folder, slug, shard.index)) as own:
+        entry = self.entries[method]
+        with claim(entry.claim_path(shard.index)) as own:
             if own:
                 for kind in (*SCHEMAS, "manifest"):
-                    for stale in (self.folder / kind / slug).glob(f".{shard.name}*.tmp"):
+                    for stale in (self.folder / kind / entry.slug).glob(f".{shard.name}*.tmp"):
                         stale.unlink(missing_ok=True)
             yield own
 
     def claimed_by(self, method: str, shard: Shard) -> str:
         """Who works on the shard, or did last: `process 7 on HOST`; empty if that is not known."""
         with suppress(OSError, FileError):
-            path = _claim_path(self.folder, self.slugs[method], shard.index)
+            path = self.entries[method].claim_path(shard.index)
             return printable(read_file(path, 1000).decode(errors="replace"))
         return ""
 
@@ -1339,23 +1280,23 @@ class RunFolder:
 
     def quarantined(self, method: str, shard: Shard) -> bool:
         """Whether the shard was given up."""
-        return _quarantine_path(self.folder, self.slugs[method], shard).exists()
+        return self.entries[method].quarantine_path(shard).exists()
 
     def give_another_try(self, method: str, shard: Shard) -> None:
         """Take back a quarantine: one more death brings it back."""
-        _quarantine_path(self.folder, self.slugs[method], shard).unlink(missing_ok=True)
+        self.entries[method].quarantine_path(shard).unlink(missing_ok=True)
         if (deaths := self.deaths(method, shard)) > 1:
             os.truncate(self._begun(method, shard), min(deaths, TRIES) - 1)
 
     def quarantine(self, method: str, shard: Shard, errors: Sequence[str]) -> None:
         """Note that a shard failed for good; the next run of the same command tries it again."""
         data = {"method": method, "first": shard.first, "last": shard.last}
-        path = _quarantine_path(self.folder, self.slugs[method], shard)
+        path = self.entries[method].quarantine_path(shard)
         replace_json(path, {**data, "errors": [printable(e) for e in errors]})
 
     def _begun(self, method: str, shard: Shard) -> Path:
         """The mark of an attempt: one byte for each death."""
-        path = _claim_path(self.folder, self.slugs[method], shard.index)
+        path = self.entries[method].claim_path(shard.index)
         return path.with_name(f"{path.name}.begun")
 
     @contextmanager
@@ -1375,28 +1316,23 @@ class RunFolder:
         Raises:
             RunError: the rows are not the planned ones.
         """
-        slug, where = self.slugs[method], f"{self.folder}: shard {shard.index} of {method!r}"
-        outcomes = _count_outcomes(writer.table("trials"))
+        entry, where = self.entries[method], f"{self.folder}: shard {shard.index} of {method!r}"
+        tables = {kind: writer.table(kind) for kind in SCHEMAS}
+        outcomes = _count_outcomes(tables["trials"])
         planned = planned_in(self.header, shard)
         found = {s: sum(c.values()) for s, c in outcomes.items()}
         if found != planned:
             raise RunError(f"{where} has {found} rows, planned were {planned}")
-        for kind in SCHEMAS:
+        for kind, table in tables.items():
             if what := _not_as_planned(
-                self.header, shard.first, shard.last, writer.table(kind), every=kind == "trials"
+                self.header, shard.first, shard.last, table, every=kind == "trials"
             ):
                 raise RunError(f"{where}, {kind}: {what}; nothing was stored")
-        own: list[Path] = []
-        receipt_path = _receipt_path(self.folder, slug, shard)
+        failed = ["failures"] if len(tables["failures"]) else []
+        files: dict[str, dict[str, Any]] = {}
         try:
-            files = {}
-            failed = ["failures"] if len(writer.table("failures")) else []
             for kind in ("trials", *self.header["stored"], *failed):
-                base = self.folder / kind / slug / shard.name
-                file, sha256, size = self._file(kind, base, writer.table(kind), method)
-                own.append(file)
-                name = str(file.relative_to(self.folder))
-                files[kind] = {"path": name, "sha256": sha256, "bytes": size}
+                files[kind] = self._file(kind, entry.slug, shard, tables[kind], method)
             receipt = {
                 "run": self.header["hash"],
                 "method": method,
@@ -1408,25 +1344,31 @@ class RunFolder:
                 "host": socket.gethostname(),
                 "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             }
-            won = write_json_once(receipt_path, receipt)
+            won = write_json_once(entry.receipt_path(shard), receipt)
         except BaseException:
-            for file in own:
-                file.unlink(missing_ok=True)
+            self._remove(files, keep=())
             raise
         if not won:
-            winners = {f["path"] for f in read_json(receipt_path)["files"].values()}
-            for file in own:
-                if str(file.relative_to(self.folder)) not in winners:
-                    file.unlink(missing_ok=True)
-        for path in (_quarantine_path(self.folder, slug, shard), self._begun(method, shard)):
+            winner = read_json(entry.receipt_path(shard))
+            self._remove(files, keep=[f["path"] for f in winner["files"].values()])
+        for path in (entry.quarantine_path(shard), self._begun(method, shard)):
             path.unlink(missing_ok=True)
         return won
 
-    def _file(self, kind: str, base: Path, table: pa.Table, method: str) -> tuple[Path, str, int]:
-        """Write a table; its path, sha256 and size.
+    def _remove(self, files: Mapping[str, Mapping[str, Any]], keep: Collection[str]) -> None:
+        """Delete stored tables that no receipt names."""
+        for file in files.values():
+            if file["path"] not in keep:
+                (self.folder / file["path"]).unlink(missing_ok=True)
+
+    def _file(
+        self, kind: str, slug: str, shard: Shard, table: pa.Table, method: str
+    ) -> dict[str, Any]:
+        """Write a table; what the receipt says of it.
 
         The name holds the sha256, so two writers of one shard never meet in one file.
         """
+        base = self.folder / kind / slug / shard.name
         base.parent.mkdir(parents=True, exist_ok=True)
         temporary = temporary_name(base)
         metadata = {
@@ -1452,11 +1394,11 @@ class RunFolder:
             )
             sync_file(temporary)
             sha256, size = sha256_of(temporary), temporary.stat().st_size
-            final = base.with_name(f"{base.name}-{sha256[:16]}.parquet")
-            link_once(temporary, final)
+            name = f"{kind}/{slug}/{shard.name}-{sha256[:16]}.parquet"
+            link_once(temporary, self.folder / name)
         finally:
             temporary.unlink(missing_ok=True)
-        return final, sha256, size
+        return {"path": name, "sha256": sha256, "bytes": size}
 
 
 def _count_outcomes(table: pa.Table) -> dict[str, dict[str, int]]:

@@ -282,12 +282,12 @@ class _Stream:
     def __init__(self, run: Run, method: str, trials: Mapping[str, int]) -> None:
         self.run, self.method, self.trials = run, method, trials
         entry, header = run.entry(method), run.header
-        function = str(entry["source"].get("function", ""))
+        function = entry.source.get("function", "")
         self.is_built_in = function.startswith("r2h_batch.methods.")
         self.is_bound = function in BOUNDS
         # a built-in method is the same method in each release; its verdicts tell whether it answers
         # the same
-        source = {k: v for k, v in entry["source"].items() if k != "sha256" or not self.is_built_in}
+        source = {k: v for k, v in entry.source.items() if k != "sha256" or not self.is_built_in}
         self.source = (method, source, header["seed"], header.get("predictors"), run.robot)
         """What answered: two methods with one source give the same rows for the same trials."""
 

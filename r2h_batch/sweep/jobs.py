@@ -515,14 +515,14 @@ class NotBuiltIn(UsageError):
     """A method, or files of its networks, are the user's: they are not run or opened again."""
 
 
-def job_of_run(header: Mapping[str, Any], entry: Mapping[str, Any], evaluator: "Evaluator") -> Job:
+def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: "Evaluator") -> Job:
     """The built-in method that a run folder names, to be asked again.
 
     A folder may come from anybody: modules and files that it names are not opened.
 
     Args:
         header: run.json.
-        entry: the method with its source, as `Run.entry` gives it.
+        source: where its answers come from, as its `Entry` says.
         evaluator: of the run's objects and hands.
 
     Raises:
@@ -531,7 +531,7 @@ def job_of_run(header: Mapping[str, Any], entry: Mapping[str, Any], evaluator: "
     """
     from r2h_batch.predictors.noise import Errors
 
-    source, predictors = entry["source"], header.get("predictors", {})
+    predictors = header.get("predictors", {})
     function = source.get("function", "")
     word = function.removeprefix("r2h_batch.methods.").removesuffix(":predict").replace("_", "-")
     if function != _function_of(word) or word not in METHODS:

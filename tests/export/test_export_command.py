@@ -46,7 +46,9 @@ def test_what_a_run_does_not_store_is_computed_again_to_the_same_bits(run, tmp_p
 def test_what_a_folder_names_is_neither_imported_nor_opened(run, tmp_path, monkeypatch):
     """A folder may come from anybody: the method that it names may be any code."""
     reader = Reader(run)
-    entry = {**reader.run.entry("oracle"), "source": {"kind": "method", "function": "evil_module:predict"}}
+    entry = dataclasses.replace(
+        reader.run.entry("oracle"), source={"kind": "method", "function": "evil_module:predict"}
+    )
     monkeypatch.setattr(type(reader.run), "entry", lambda self, method: entry)
     reader.run.header["stored"][:] = []
     monkeypatch.syspath_prepend(tmp_path)

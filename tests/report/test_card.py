@@ -43,7 +43,7 @@ def test_a_run_folder_is_a_data_set_of_the_hugging_face_library(run, tmp_path, m
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     import datasets
 
-    slug = run.entry("a")["slug"]
+    slug = run.entry("a").slug
     files = str(run.folder / "trials" / slug / "*.parquet")
     alone = datasets.load_dataset("parquet", data_files=files, cache_dir=str(tmp_path / "alone"))["train"]
     assert alone["outcome"][:] == run.trials("a")["outcome"].to_pylist()

@@ -24,7 +24,7 @@ def test_every_stored_pose_has_a_row_and_the_funnel_counts_them(run, capsys):
     assert main(["results", "reception", str(run)]) == 0
     shown = capsys.readouterr().out
     for entry in load_run(run).entries:
-        table = pq.read_table(run / "reception" / f"{entry['slug']}.parquet")
+        table = pq.read_table(run / "reception" / f"{entry.slug}.parquet")
         assert table.schema.equals(SCHEMA) and len(table) == 16
         rows = table.to_pylist()
         assert all((r["grasp"] is None) == (not r["received"]) for r in rows)
@@ -32,7 +32,7 @@ def test_every_stored_pose_has_a_row_and_the_funnel_counts_them(run, capsys):
         judged = [r for r in rows if r["evaluated"]]
         share = 100 * sum(r["received"] for r in judged) / len(judged)
         line = next(
-            x for x in shown.splitlines() if x.startswith("| " + ("oracle" if "oracle" in entry["name"] else "random"))
+            x for x in shown.splitlines() if x.startswith("| " + ("oracle" if "oracle" in entry.name else "random"))
         )
         assert f"{share:.1f}" in line and line.split("|")[2].strip() == str(len(judged))
     best = [r for r in rows if r["success"]]

@@ -121,10 +121,9 @@ def test_the_digest_is_of_the_rows_and_not_of_the_clock(tmp_path):
 def test_a_write_that_fails_leaves_what_was_stored_and_no_trace_of_its_own(tmp_path):
     write(tmp_path / "run", method="first")
     trials = make_trials(6, 6)
-    before = sorted(p for p in (tmp_path / "run").rglob("*") if p.is_file())
     run = open_run(tmp_path / "run", make_header(6, 6))
-    run.register("first", {"kind": "test"})
-    run.slugs["second"] = "second"
+    run.register("second", {"kind": "test"})
+    before = sorted(p for p in (tmp_path / "run").rglob("*") if p.is_file())
     with pytest.raises(RuntimeError, match="power"), run.write("second", shards_of(run.header)[0]) as writer:
         writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES), NAMES))
         raise RuntimeError("power")

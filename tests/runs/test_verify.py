@@ -59,7 +59,7 @@ def test_a_shard_of_another_run_or_method_is_foreign(tmp_path, capsys):
     assert "foreign" in capsys.readouterr().out
     trials = make_trials(6, 6)
     run = open_run(tmp_path / "a", make_header(6, 6))
-    assert [s.index for s in run.todo("m")] if run.slugs else False
+    assert [s.index for s in run.todo("m")] == [0]
     store(run, "m", trials, make_scores(trials, OUTCOMES))
     assert load_run(tmp_path / "a").digest("m") == digest
 
@@ -94,10 +94,8 @@ def test_a_disk_that_fills_up_leaves_no_partial_shard_and_the_folder_goes_on_aft
     monkeypatch.setattr(f"r2h_batch.runs.store.{when}", full)
     trials = make_trials(6, 6)
     run = open_run(tmp_path / "run", make_header(6, 6))
-    with pytest.raises(OSError, match="No space"):
-        run.slugs["second"] = "second"
-        with run.write("second", shards_of(run.header)[0]) as writer:
-            writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES), NAMES))
+    with pytest.raises(OSError, match="No space"), run.write("second", shards_of(run.header)[0]) as writer:
+        writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES), NAMES))
     monkeypatch.undo()
     assert not files_of(tmp_path / "run", "trials/second") and not list((tmp_path / "run").rglob("*.tmp"))
     assert load_run(tmp_path / "run").methods == ("first",)

@@ -157,7 +157,7 @@ def test_a_predictions_file_in_any_order_is_scored_as_what_it_is(fake, tmp_path,
     stored = np.array(run.poses("Mine (learned)")["T_world_ee"].to_pylist(), np.float32).reshape(-1, 4, 4)
     assert stored.tobytes() == made.T_world_ee.numpy().tobytes()
     assert run.trials("Mine (learned)")["t_method_s"].null_count == 8
-    assert run.entry("Mine (learned)")["source"]["file"] == file
+    assert run.entry("Mine (learned)").source["file"] == file
 
 
 def test_missing_predictions_are_refused_or_counted_as_failures(fake, tmp_path, capsys):
