@@ -72,13 +72,13 @@ def digest(out: Path, shards: set[int]) -> str:
     """Of those shards of a run."""
     run = load_run(out)
     entry = run.entry("random")
-    kept = {i: r for i, r in entry["receipts"].items() if i in shards}
-    return replace(run, entries=({**entry, "receipts": kept},)).digest("random")
+    kept = {i: r for i, r in entry.receipts.items() if i in shards}
+    return replace(run, entries=(replace(entry, receipts=kept),)).digest("random")
 
 
 def compare(report: Report, name: str, plain: Path, fire: Path) -> None:
     """Whether the disturbed run has the rows of the other, as far as both came."""
-    ran, disturbed = (set(load_run(p).entry("random")["receipts"]) for p in (plain, fire))
+    ran, disturbed = (set(load_run(p).entry("random").receipts) for p in (plain, fire))
     shards = ran & disturbed
     report.add(f"{name}.shards_compared", len(shards))
     report.add(f"{name}.digest_equal", same := bool(shards) and digest(plain, shards) == digest(fire, shards))
