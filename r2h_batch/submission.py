@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
+from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import UsageError, counted, refuse, tell
 from r2h_batch.io.read import FileError, archive_members, open_archive, printable
 from r2h_batch.io.write import atomic_path, check_output_file, write_text
@@ -26,7 +27,13 @@ BUNDLE = "submission.json"
 
 
 def submit(
-    run: Path, /, *, out: Path | None = None, rows: int = 200, overwrite: bool = False
+    run: Path,
+    /,
+    *,
+    out: Path | None = None,
+    rows: int = 200,
+    benchmark: BenchmarkFlags = BUILT_IN,
+    overwrite: bool = False,
 ) -> int:
     """Write a finished run as one file for a leaderboard, after judging a sample of its rows again.
 
@@ -36,6 +43,7 @@ def submit(
         run: a run folder with poses, as `r2h-batch sweep --out` writes it.
         out: the file to write; RUN.zip by default.
         rows: rows of each method that are judged again first.
+        benchmark: the flags that the sweep had.
         overwrite: replace a file of this name.
     """
     from r2h_batch.report.card import write_summary
@@ -45,7 +53,7 @@ def submit(
     check_output_file(out, overwrite=overwrite)
     stored = load_run(run)
     try:
-        built_in = _judged_again(stored, rows, {})
+        built_in = _judged_again(stored, rows, {}, benchmark)
     except ValueError as error:
         raise ValueError(f"{run}: {error}; the run cannot be submitted") from None
     write_summary(stored)
@@ -73,19 +81,24 @@ def _files(run: "Run") -> list[str]:
     return files
 
 
-def _judged_again(run: "Run", rows: int, judges: "dict[str, Judge]") -> list[str]:
+def _judged_again(
+    run: "Run", rows: int, judges: "dict[str, Judge]", benchmark: BenchmarkFlags
+) -> list[str]:
     """The run's built-in methods, which answered again; ValueError where a row is not what the
     evaluator says.
 
     `judges`: evaluators by what they depend on (`JUDGED_BY`); runs that agree in these share one.
     """
+    from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.results.reevaluation import Judge, check_poses, reevaluate
 
     if run.unfinished or not run.methods:
         raise ValueError(f"{(run.unfinished or ('no method',))[0]} is not complete")
     check_poses(run)
     key = json.dumps({k: run.header.get(k) for k in JUDGED_BY}, sort_keys=True)
-    judge = judges.get(key) or judges.setdefault(key, Judge(run))
+    if key not in judges:
+        judges[key] = Judge(run, given=BenchmarkOverrides.of(benchmark))
+    judge = judges[key]
     found = [reevaluate(run, method, rows, judge) for method in run.methods]
     for method in found:
         if method.differences:
@@ -129,6 +142,7 @@ def leaderboard(
     *,
     out: Path = Path("leaderboard.html"),
     rows: int = 200,
+    benchmark: BenchmarkFlags = BUILT_IN,
     overwrite: bool = False,
 ) -> int:
     """Write a static page of submissions: each is verified, and a sample of its rows judged again.
@@ -141,6 +155,7 @@ def leaderboard(
         submissions: files of `submit`, run folders, folders of these, or the word baselines.
         out: the page to write.
         rows: rows of each method that are judged again.
+        benchmark: the flags that their sweeps had.
         overwrite: replace a page of this name.
     """
     from r2h_batch.compare.command import BASELINES, baselines_for, stored_rows
@@ -160,7 +175,9 @@ def leaderboard(
                 shipped = str(given) == BASELINES and not given.exists()
                 folder = baselines_for() if shipped else _unpacked(given, Path(place) / str(number))
                 stored = load_run(folder)
-                built_in = stored.methods if shipped else _judged_again(stored, rows, judges)
+                built_in = (
+                    stored.methods if shipped else _judged_again(stored, rows, judges, benchmark)
+                )
                 stored = _marked(stored, built_in)
                 join([*held.values(), stored])  # refuses a second run and method of one name
                 held[printable(given)] = stored

@@ -90,10 +90,15 @@ def as_numbers(name: str, value: Any, words: str, device: str | torch.device) ->
         device: where arrays and lists are copied to; a tensor stays where it is.
 
     Raises:
-        TypeError: it holds no real numbers, or is no plain tensor in memory (`check_tensor`).
+        TypeError: it holds no real numbers, some of them are masked, or it is no plain tensor in
+            memory (`check_tensor`).
     """
     words = f"{words} (or a NumPy array, or nested lists)"
     if not isinstance(value, Tensor):
+        parts = value if isinstance(value, (list, tuple)) else (value,)
+        if any(np.ma.is_masked(part) for part in parts):  # a tensor has no masks
+            how = "call .filled(numpy.nan), which makes their rows invalid"
+            raise TypeError(f"{name} holds masked numbers; it must be {words}: {how}")
         try:
             if isinstance(value, (str, bytes)) or not isinstance(value, (Sequence, np.ndarray)):
                 raise TypeError

@@ -152,6 +152,8 @@ def wrong_inputs() -> dict:
         "too many rows": ((grasp, torch.cat([handover, handover]), trials), ValueError, "T_world_ee"),
         "float16": ((grasp.half(), handover, trials), TypeError, "T_obj_ee"),
         "float16 of NumPy": ((grasp.half().numpy(), handover, trials), TypeError, "T_obj_ee"),
+        "masked": ((np.ma.masked_greater(grasp.numpy(), 0.9), handover, trials), TypeError, r"T_obj_ee.*\.filled\("),
+        "a list of masked": ((grasp, [*np.ma.masked_less(handover.numpy(), 0.1)], trials), TypeError, "T_world_ee"),
         "words": (([["a"]], handover, trials), TypeError, "T_obj_ee"),
         "none": ((grasp, None, trials), TypeError, "T_world_ee"),
         "meta device": ((grasp.to("meta"), handover, trials), TypeError, "T_obj_ee"),

@@ -205,9 +205,18 @@ class Pool:
             self.starting[actor.header.remote()] = actor
 
     def stop(self) -> None:
-        """End all actors."""
-        for actor in [*self.starting.values(), *(a for a, _ in self.busy.values()), *self.idle]:
-            self.ray.kill(actor)
+        """End all actors; those of a cluster that is gone have ended."""
+        with contextlib.suppress(OSError, self.ray.exceptions.RayError):
+            for actor in [*self.starting.values(), *(a for a, _ in self.busy.values()), *self.idle]:
+                self.ray.kill(actor)
+
+
+def _lost(error: Exception) -> ClusterError:
+    """What a call of Ray's says that does not reach the cluster."""
+    return ClusterError(
+        f"the Ray cluster does not answer any more ({printable(error)[:200]}): its node on this machine or its head is"
+        " gone; complete shards are stored, the same command goes on"
+    )
 
 
 def score_on_ray(
@@ -317,11 +326,14 @@ def _feed(
         pool.check()
         if stopping():
             todo.clear()  # what is being scored is stored, nothing new is begun
-        while pool.idle and todo:
-            actor, task = pool.idle.pop(), todo.popleft()
-            pool.busy[actor.score.remote(*task)] = actor, task
-        pool.fill(min(size, len(todo) + len(pool.busy)))
-        done, _ = pool.ray.wait([*pool.starting, *pool.busy], num_returns=1, timeout=POLL_S)
+        try:
+            while pool.idle and todo:
+                actor, task = pool.idle.pop(), todo.popleft()
+                pool.busy[actor.score.remote(*task)] = actor, task
+            pool.fill(min(size, len(todo) + len(pool.busy)))
+            done, _ = pool.ray.wait([*pool.starting, *pool.busy], num_returns=1, timeout=POLL_S)
+        except (OSError, pool.ray.exceptions.RayError) as error:
+            raise _lost(error) from error
         for ref in done:
             if ref in pool.starting:
                 _came_up(pool, ref, setting, sources)
@@ -349,6 +361,8 @@ def _feed(
                     folder.quarantine(name, shard, errors[task])
                     tell(f"{name}: shard {shard.index} failed {TRIES} times")
                 continue
+            except OSError as error:
+                raise _lost(error) from error
             pool.idle.append(actor)
             # no other sweep takes the files for foreign ones meanwhile
             with folder.claim(name, shard):
@@ -372,6 +386,8 @@ def _came_up(
                 f"{STARTS} Ray actors died before their first shard: {error}"
             ) from error
         return
+    except OSError as error:
+        raise _lost(error) from error
     pool.deaths = 0
     others = [n for n, source in header.get("sources", {}).items() if source != sources[n]]
     if others:

@@ -4,6 +4,7 @@ import os
 import signal
 import socket
 import time
+from collections import deque
 from types import SimpleNamespace
 
 import pytest
@@ -47,6 +48,21 @@ def test_a_worker_whose_method_has_other_files_is_refused():
     pool = cluster.Pool(ray, lambda: None, starting={0: "actor"})
     with pytest.raises(cluster.ClusterError, match="a Ray worker has another mine"):
         cluster._came_up(pool, 0, SimpleNamespace(header={}), {"mine": {"sha256": "a"}})
+
+
+def test_a_cluster_that_breaks_off_is_no_trouble_of_the_run_folder(tmp_path):
+    """A killed raylet: whichever of Ray's calls comes next raises an OSError without a number."""
+
+    def broken(*_, **__):
+        raise OSError("Broken pipe")
+
+    ray = SimpleNamespace(wait=broken, kill=broken, exceptions=SimpleNamespace(RayError=KeyError))
+    pool = cluster.Pool(ray, lambda: SimpleNamespace(header=SimpleNamespace(remote=object)))
+    todo = deque([("mine", store.Shard(0, 0, 10))])
+    rest = (SimpleNamespace(), SimpleNamespace(), lambda: False, print, {})
+    with pytest.raises(cluster.ClusterError, match=r"does not answer any more .Broken pipe.*the same command goes on"):
+        cluster._feed(pool, 1, todo, *rest)
+    pool.stop()
 
 
 @pytest.mark.slow
