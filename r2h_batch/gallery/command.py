@@ -30,6 +30,7 @@ def report(
     intervals: bool = False,
     method: tuple[str, ...] = (),
     gallery: int = 0,
+    perceived: bool = False,
     out: Path | None = None,
     overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
@@ -49,6 +50,8 @@ def report(
         method: only these methods, by the sweep's word (fc) or the table's name; all by default.
         gallery: html: pictures of this many successes and failures of each kind and method, each
             with a page of its trial in three dimensions in a folder beside --out.
+        perceived: what the run measures beside how people rated the paper's four methods, instead of
+            Table I; md. Each pose is tried with 256 receiving grasps, 8 ms a trial.
         out: the file to write instead of printing.
         overwrite: replace what is there under these names.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
@@ -59,6 +62,8 @@ def report(
         raise UsageError(
             "--gallery needs --format html and --out FILE.html, for the pages of its trials"
         )
+    if perceived and (format != "md" or len(runs) > 1 or by_object):
+        raise UsageError("--perceived prints one run as md; leave --format and --by-object out")
     if out is not None:
         check_output_file(out, overwrite=overwrite)
     if gallery and out is not None:
@@ -79,6 +84,12 @@ def report(
             _gallery_of(runs[0], method, gallery, out, benchmark) if gallery and out else None
         )
         text = page(stored, pictures, common=_common(loaded))
+    elif perceived:
+        from r2h_batch.results.reception import tables_of_run
+        from r2h_batch.study.perceived import measured_trials
+        from r2h_batch.study.perceived import perceived as beside_people
+
+        text = beside_people(tables_of_run(runs[0], method, benchmark, "cpu", measured_trials)[1])
     elif by_object:
         from r2h_batch.report.table import object_lines
 

@@ -10,7 +10,7 @@ reception RUN     print how many receivers could take the object
 from pathlib import Path
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import UsageError, check_seed, tell
+from r2h_batch.command_line import UsageError, check_seed
 from r2h_batch.results.rethreshold import rethreshold
 
 LISTED = 200
@@ -139,25 +139,11 @@ def reception(
         benchmark: the flags that the sweep had.
         device: cpu, cuda or cuda:N.
     """
-    from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.results import reception as received
-    from r2h_batch.results.reevaluation import Judge, check_poses
-    from r2h_batch.runs.store import RunError, load_run
 
-    run = load_run(folder).only(method)
-    check_poses(run)
-    entries = [e for e in run.entries if e.receipts]
-    if not entries:
-        raise RunError(f"{folder}: no shard of any method is stored")
-    judge = Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
-    one = run.trials(entries[0].name, ["trial_id"])["trial_id"][:1].to_numpy()
-    if judge.trials(one).receiver is None:
-        raise RunError(f"{folder}: its trials have no receiver's body; sweep --protocol r2h-v1")
-    tables = {}
-    for entry in entries:
-        tell(f"{entry.name}: 256 grasps for each trial, 4 ms a trial")
-        tables[entry.name] = received.table_of(run, entry.name, judge)
-        received.write(folder / "reception" / f"{entry.slug}.parquet", tables[entry.name])
+    run, tables = received.tables_of_run(folder, method, benchmark, device)
+    for name, table in tables.items():
+        received.write(folder / "reception" / f"{run.entry(name).slug}.parquet", table)
     print(received.render(tables), end="")
     return 0
 

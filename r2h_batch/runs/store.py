@@ -934,7 +934,7 @@ class Run:
             if kind not in receipt["files"]:
                 if kind == "failures":  # no simulation of this shard failed
                     continue
-                words = f"method {method!r} has no {kind}; sweep again with --save-{kind}"
+                words = f"method {method!r} has no {kind}; sweep again with --save-paths"
                 raise RunError(f"{entry.folder}: {words}")
             table = entry.table(kind, receipt, names)
             for name in set(names) - set(table.column_names):

@@ -3,7 +3,9 @@
 import sys
 from pathlib import Path
 
+from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import Command, check_range
+from r2h_batch.io.write import check_output_file, write_text
 
 MOST_TRIALS = 10**9
 
@@ -37,4 +39,58 @@ def real(run: Path, file: Path, /, *, trials: int) -> int:
     return 0
 
 
-COMMANDS: dict[str, Command] = {"ratings": ratings, "real": real}
+def trials(
+    run: Path,
+    /,
+    *,
+    out: Path,
+    method: tuple[str, ...] = (),
+    overwrite: bool = False,
+    benchmark: BenchmarkFlags = BUILT_IN,
+    device: str = "cpu",
+) -> int:
+    """Write the trials of a run with poses, receivers and measures as CSV: what to show to people.
+
+    Args:
+        run: a run folder with poses; its trials need a receiver's body (r2h-v1).
+        out: the file to write, a line for each trial and method.
+        method: only these methods, by the sweep's word (fc) or the table's name.
+        overwrite: replace a file that is there.
+        benchmark: the flags that the sweep had.
+        device: cpu, cuda or cuda:N.
+    """
+    from r2h_batch.results.reception import tables_of_run
+    from r2h_batch.study.perceived import measured_trials, trials_csv
+
+    check_output_file(out, overwrite=overwrite)
+    _, tables = tables_of_run(run, method, benchmark, device, measured_trials)
+    write_text(out, trials_csv(tables))
+    print(out)
+    return 0
+
+
+def rated(
+    ratings: Path, /, *, trials: Path, out: Path | None = None, overwrite: bool = False
+) -> int:
+    """People's ratings of single trials beside what was measured of them.
+
+    Args:
+        ratings: a CSV with columns participant, method, trial_id, dimension, rating (1 to 5); methods
+            as in --trials.
+        trials: what `study trials` wrote.
+        out: a CSV to write, a line for each rating with the measures, for a mixed model.
+        overwrite: replace a file that is there.
+    """
+    from r2h_batch.study.perceived import rated as joined
+
+    if out is not None:
+        check_output_file(out, overwrite=overwrite)
+    text, rows = joined(ratings, trials)
+    sys.stdout.write(text)
+    if out is not None:
+        write_text(out, rows)
+        print(out)
+    return 0
+
+
+COMMANDS: dict[str, Command] = {"ratings": ratings, "real": real, "trials": trials, "rated": rated}

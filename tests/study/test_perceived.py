@@ -1,0 +1,124 @@
+"""Measures beside the paper's ratings, and ratings of single trials beside measures."""
+
+import csv
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from r2h_batch.__main__ import main
+from r2h_batch.bodies.hand import palm_frame
+from r2h_batch.runs.store import load_run
+from r2h_batch.study.perceived import MEASURES
+
+METHODS = ("fc", "handover-va", "contact")
+NAMES = ("FC-Handover", "Handover-VA", "Contact-Handover")
+QUICK = ["--sim", "none", "--quiet", "--trials", "5", "--save-paths"]
+COMFORT = (3.2, 2.8, 2.5)  # Fig. 7 of the paper
+PEOPLE = ("anna", "ben", "cleo")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("perceived") / "run"
+    assert main(["sweep", "--method", *METHODS, "--out", str(folder), *QUICK]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def trials(run, tmp_path_factory):
+    file = tmp_path_factory.mktemp("trials") / "trials.csv"
+    assert main(["study", "trials", str(run), "--out", str(file)]) == 0
+    with file.open(newline="") as opened:
+        return file, list(csv.DictReader(opened))
+
+
+def array(row, name, *shape):
+    return np.array([float(row[f"{name}_{i}"]) for i in range(np.prod(shape))]).reshape(shape)
+
+
+def test_measures_stand_beside_the_ratings_with_their_order_and_the_warning(run, capsys):
+    assert main(["report", str(run), "--perceived"]) == 0
+    text = capsys.readouterr().out
+    cells = {r[0].strip(): r[1:] for line in text.splitlines() if (r := line.strip("|").split("|"))[1:]}
+    stored = load_run(run)
+    for at, entry in enumerate(stored.entries):
+        outcome = stored.trials(entry.name)["outcome"].to_pylist()
+        assert float(cells["SR, %"][at]) == pytest.approx(100 * outcome.count("success") / len(outcome), abs=0.05)
+    assert list(cells)[2:6] == [
+        "people: comfort",
+        "people: safety",
+        "people: naturalness",
+        MEASURES["f_afford"].heading,
+    ]
+    assert [float(x) for x in cells["people: comfort"][:3]] == list(COMFORT)
+    times = [stored.trials(e.name)["t_exec_s"].to_numpy() for e in stored.entries]
+    values = [np.nanmean(t) for t in times]
+    agree = [np.sign((values[a] - values[b]) * (COMFORT[a] - COMFORT[b])) for a, b in combinations(range(3), 2)]
+    assert float(cells[MEASURES["t_exec_s"].heading][3]) == pytest.approx(-np.mean(agree), abs=0.01)
+    assert "decide nothing" in text
+
+
+def test_a_trial_is_written_with_its_poses_and_what_its_person_sees(run, trials, scene):
+    stored = load_run(run)
+    entry = stored.entries[0].name
+    poses = {r["trial_id"]: r for r in stored.poses(entry).to_pylist()}
+    hands = {r["trial_id"]: r["hand_index"] for r in stored.details(entry).to_pylist()}
+    objects = {o.name: o for o in scene.objects}
+    mine = [r for r in trials[1] if r["method"] == entry]
+    assert len(trials[1]) == 30 and len(mine) == 10
+    for row in mine:
+        i = int(row["trial_id"])
+        assert array(row, "T_world_ee", 16) == pytest.approx(poses[i]["T_world_ee"])
+        grasp, ee, hand = (array(row, name, 4, 4) for name in ("T_obj_ee", "T_world_ee", "T_world_hand"))
+        of = hands[i]
+        joints, side = scene.hands.set.geometry.joints[of : of + 1].double(), scene.hands.set.side[of : of + 1]
+        normal = hand[:3, :3] @ palm_frame(joints, side)[1][0].numpy()
+        assert float(row["finger_palm"]) == (ee[:3, 2] @ -normal >= np.cos(np.radians(45)))
+        corners = objects[row["object"]].vertices
+        middle = ee @ np.linalg.inv(grasp) @ [*(corners.min(0) + corners.max(0)) / 2, 1]
+        shoulder, _, _, torso, size = array(row, "receiver", 5, 4)
+        facing = np.array([torso[3], size[3], 0])
+        sideways = np.cross([0, 0, 1], facing)
+        across = sideways * (sideways @ (torso - shoulder)[:3])  # from the shoulder to the median plane
+        head = shoulder[:3] + across + [0, 0, 0.17] + 0.08 * facing
+        assert float(row["head_m"]) == pytest.approx(np.linalg.norm(middle[:3] - head), abs=1e-4)
+
+
+def ratings(tmp_path, rows, rate):
+    file = tmp_path / "ratings.csv"
+    with file.open("w", newline="") as opened:
+        writer = csv.writer(opened)
+        writer.writerow(["participant", "method", "trial_id", "dimension", "rating"])
+        writer.writerows([p, r["method"], r["trial_id"], "comfort", rate(p, r)] for p in PEOPLE for r in rows)
+    return file
+
+
+def test_ratings_of_trials_meet_their_measures_row_by_row(trials, tmp_path, capsys):
+    far = sorted(float(r["head_m"]) for r in trials[1])
+    file = ratings(tmp_path, trials[1], lambda _, r: 1 + sum(float(r["head_m"]) > far[k] for k in (6, 12, 18, 24)))
+    out = tmp_path / "joined.csv"
+    assert main(["study", "rated", str(file), "--trials", str(trials[0]), "--out", str(out)]) == 0
+    text = capsys.readouterr().out
+    line = next(x for x in text.splitlines() if MEASURES["head_m"].heading in x)
+    assert float(line.split("|")[2].split()[0]) > 0.95 and "mixed model" in text
+    with out.open(newline="") as opened:
+        joined = list(csv.DictReader(opened))
+    assert len(joined) == len(PEOPLE) * len(trials[1])
+    measured = {(r["method"], r["trial_id"]): r for r in trials[1]}
+    assert all(r[k] == measured[r["method"], r["trial_id"]][k] for r in joined for k in MEASURES)
+
+
+def test_a_rating_of_an_unknown_trial_and_one_given_twice_are_refused_by_line(trials, tmp_path, capsys):
+    file = ratings(tmp_path, trials[1][:2], lambda *_: 3)
+    for extra, why in (("anna,fc,999,comfort,3", "no trial 999 of fc"), (file.read_text().splitlines()[1], "twice")):
+        odd = tmp_path / "odd.csv"
+        odd.write_text(f"{file.read_text()}{extra}\n")
+        assert main(["study", "rated", str(odd), "--trials", str(trials[0])]) == 2
+        error = capsys.readouterr().err
+        assert why in error and "line 8" in error and error.count("\n") == 1
+
+
+def test_two_methods_are_no_order(run, capsys):
+    assert main(["report", str(run), "--perceived", "--method", "fc", "contact"]) == 2
+    assert "needs three" in capsys.readouterr().err
