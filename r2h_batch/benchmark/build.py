@@ -99,13 +99,13 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
         if "robot" in file.model_fields_set or "persons" in file.model_fields_set:
             beside = file.robot if file.robot in ROBOTS else str(path_within(folder, file.robot))
             own = own.on(robot_of(beside), file.persons)
-        objects = own.objects
+        hand_set, listed, labels = _hands(file, folder, own), None, None
+        objects = own.objects  # take longer to read than hands: what is wrong there is said first
         if "objects" in file.model_fields_set:
             objects = objects_of(file.objects, folder, pieces)
         names = [o.name for o in objects]
         if twice := [n for n in names if names.count(n) > 1]:
             raise FileError(f"{shown}: two objects are called {twice[0]!r}; rename one of them")
-        hand_set, listed, labels = _hands(file, folder, own), None, None
         if file.trials is not None:
             path_of_trials = path_within(folder, file.trials)
             listed, hand_set, labels = read_trials_file(path_of_trials, objects, hand_set)

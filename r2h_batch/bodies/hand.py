@@ -359,9 +359,9 @@ class HandSet:
     digest: str
     model: HandModel
     """the hand that takes these postures"""
-    in_body: Float64[Tensor, "H 3 3"] | None = None
-    """how each was turned in the frame of its body (x where the chest faces, z up), NaN where
-    nobody knows; None: of none"""
+    in_body: Float64[Tensor, "H 3 K"] | None = None
+    """how each was turned in the frame of its body (x where the chest faces, z up), and where arms are
+    known (H, 3, 5) elbow and wrist from the shoulder, m; NaN where nobody knows; None: of none"""
     skin: HandGeometry | None = None
     """meshes and joints as somebody measured them; None: the model takes the postures"""
 
@@ -447,6 +447,8 @@ def make_hand_set(
     from r2h_batch.bodies.hand_pieces import hulls_of
 
     check_postures(pose, shape)
+    if in_body is not None and np.isnan(in_body[:, :, 3:]).all():
+        in_body = in_body[:, :, :3]
     order = np.argsort(side, kind="stable")
     arrays: dict[str, np.ndarray] = {
         "pose": np.asarray(pose, np.float32)[order],

@@ -53,6 +53,10 @@ BODY: dict[str, Spec] = {
     "T_world_hand": ("f", ("H", 4, 4)),
 }
 """What a hand set may know of a hand's body and place when it was recorded, in one world."""
+ARM: dict[str, Spec] = {"arm": ("f", ("H", 3, 3))}
+"""Its shoulder, elbow and wrist there."""
+LONGEST_M = 1.0
+"""Of an upper arm or a forearm."""
 
 MOST_TURN_RAD = 2 * math.pi
 MOST_SHAPE = 100.0
@@ -195,7 +199,7 @@ class HandChoice:
                 continue
             if self.count is not None and len(rows) < self.count:
                 raise FileError(
-                    f"{where}: {len(rows)} {name} hands fit; count asks for {self.count}"
+                    f"{where}: {len(rows)} {name} hands fit; count asks for {self.count}: ask for fewer, or import more"
                 )
             n = len(rows) if self.count is None else self.count
             taken.append(rows[np.arange(n) * len(rows) // max(n, 1)])
@@ -206,8 +210,8 @@ class HandChoice:
 
 
 def read_hand_set(path: str | Path, choice: HandChoice = HandChoice()) -> dict[str, np.ndarray]:
-    """Of the chosen hands: pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set, and in_body (H, 3, 3)
-    float64: how each was turned to its body (`HandSet.in_body`), NaN where the file does not know.
+    """Of the chosen hands: pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set, and in_body (H, 3, 5)
+    float64: how hand and arm stood to the body (`HandSet.in_body`), NaN where the file does not know.
     Raises `FileError`, one line."""
     where, arrays = printable(path), read_npz(Path(path))
     sizes = check_arrays(arrays, SET, where)
@@ -224,12 +228,13 @@ def read_hand_set(path: str | Path, choice: HandChoice = HandChoice()) -> dict[s
 
 
 def in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:
-    """Rotations (H, 3, 3) from body to hand: the body stands as `up` says and looks where `facing`
-    does, level."""
-    out = np.full((count, 3, 3), np.nan)
+    """Rotations (H, 3, 3) from body to hand, and as columns 3 and 4 elbow and wrist from the shoulder:
+    the body stands as `up` says and looks where `facing` does, level."""
+    out = np.full((count, 3, 5), np.nan)
     if not all(name in arrays for name in BODY):
         return out
-    specs: dict[str, Spec] = {k: (kind, (count, *shape[1:])) for k, (kind, shape) in BODY.items()}
+    there = BODY | (ARM if "arm" in arrays else {})
+    specs: dict[str, Spec] = {k: (kind, (count, *shape[1:])) for k, (kind, shape) in there.items()}
     check_arrays(arrays, specs, where, gaps=specs)
     facing, up, T = (arrays[name].astype(np.float64) for name in BODY)
     known = np.isfinite(facing).all(1) & np.isfinite(up).all(1) & np.isfinite(T).all((1, 2))
@@ -245,5 +250,15 @@ def in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:
         raise FileError(
             f"{where}: T_world_hand, facing and up of hand {i} are no rotation and two directions that differ"
         )
-    out[known] = body.transpose(0, 2, 1) @ T[:, :3, :3]
+    out[known, :, :3] = body.transpose(0, 2, 1) @ T[:, :3, :3]
+    if "arm" in arrays:
+        arm = arrays["arm"].astype(np.float64)
+        length = np.linalg.norm(np.diff(arm, axis=1), axis=2)
+        if (bad := ((length <= 0) | (length > LONGEST_M)).any(1)).any():
+            odd = int(bad.argmax())
+            raise FileError(
+                f"{where}: arm of hand {odd} has limbs of {length[odd].round(3).tolist()} m; up to {LONGEST_M} m are allowed"
+            )
+        ways = (arm[known, 1:] - arm[known, :1]).transpose(0, 2, 1)
+        out[known, :, 3:] = body.transpose(0, 2, 1) @ ways
     return out

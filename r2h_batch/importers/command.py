@@ -69,6 +69,7 @@ def hands(
     mano_right: Path | None = None,
     mano_left: Path | None = None,
     negate_left_shape: bool = False,
+    smplx: Path | None = None,
     idle: bool = False,
     strict: bool = False,
     overwrite: bool = False,
@@ -87,6 +88,8 @@ def hands(
             (arctic, dexycb), for shapes of subjects (grab) and for the wrist's exact place.
         mano_left: MANO_LEFT.pkl.
         negate_left_shape: As for `hand`.
+        smplx: A folder with SMPLX_MALE.npz, SMPLX_FEMALE.npz, SMPLX_NEUTRAL.npz, for the arms of
+            bodies (grab, arctic), which r2h-v1's receivers then keep.
         idle: Take hands too that never carry the object; they are left out and counted otherwise.
         strict: Refuse a data set with a file that cannot be read, instead of skipping it.
         overwrite: Replace files that are there.
@@ -94,7 +97,10 @@ def hands(
 
     from r2h_batch.bodies.hand import load_hand_set
     from r2h_batch.importers import hand_sets
+    from r2h_batch.importers.smplx import Bodies
 
+    if smplx is not None and not list(smplx.glob("SMPLX_*.npz")):
+        raise UsageError(f"--smplx {smplx}: has no SMPLX_MALE.npz, _FEMALE.npz or _NEUTRAL.npz")
     target = _npz(out, overwrite)
     check_output_file(
         hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in"
@@ -110,8 +116,9 @@ def hands(
     rule = int(frame) if isinstance(frame, int) or str(frame).lstrip("-").isdigit() else frame
     found = hand_sets.Collected()
     mano = _mano(mano_right, mano_left, negate_left_shape)
+    bodies = None if smplx is None else Bodies(smplx)
     for at, name in zip(folder, source, strict=True):
-        hand_sets.collect(name, at, mano, rule, strict=strict, idle=idle, into=found)
+        hand_sets.collect(name, at, mano, rule, strict=strict, idle=idle, into=found, bodies=bodies)
     hand_sets.write(target, found)
     right, left = found.counts()
     print(

@@ -24,6 +24,7 @@ from r2h_batch.command_line import tell
 from r2h_batch.importers.arrays import files_below, numbers, rigid
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.safe_pickle import read_npy, read_pickle, read_pickle_file
+from r2h_batch.importers.smplx import Bodies
 from r2h_batch.io.read import (
     FileError,
     path_within,
@@ -64,9 +65,11 @@ class HandMotion:
     """(F, 3) unit vector that the body's chest points along; None: the data do not know the body"""
     up: F64 | None = None
     """(3,) unit vector against gravity; None: unknown"""
+    arm: F64 | None = None
+    """(F, 3, 3) the body's shoulder, elbow and wrist on this side; None: unknown"""
 
 
-Reader = Callable[[Path, ManoHand | None], list[HandMotion]]
+Reader = Callable[[Path, ManoHand | None, Bodies | None], list[HandMotion]]
 
 
 @dataclass(frozen=True)
@@ -148,14 +151,15 @@ def name_of(text: str) -> str:
 # root's frame. GRAB's save_grab_vertices.py puts *_verts_*.npz beside the sequences.
 
 GRAB = ("rhand", "lhand", "object", "body", "obj_name", "motion_intent", "framerate")
+GENDER = "gender"
 GRAB_BYTES = 2 << 30
 """Largest file: it also holds contact labels of every vertex, of which nothing is read."""
 FAR_SHAPE_M = 0.005
 
 
-def _grab(path: Path, hand: ManoHand | None) -> list[HandMotion]:
+def _grab(path: Path, hand: ManoHand | None, bodies: Bodies | None) -> list[HandMotion]:
     where = f"grab:{path.parent.name}/{path.stem}"
-    found = read_npz(path, objects=read_pickle, only=GRAB, most=GRAB_BYTES)
+    found = read_npz(path, objects=read_pickle, only=(*GRAB, GENDER), most=GRAB_BYTES)
     if missing := [k for k in GRAB if k not in found]:
         raise FileError(f"{where}: has no {missing[0]}; it is no sequence of GRAB")
     name, intent = str(found["obj_name"]), str(found["motion_intent"])
@@ -166,6 +170,12 @@ def _grab(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     T = rigid(Rotation.from_rotvec(turn).inv(), place)
     body = _parameter(found["body"], "global_orient", 3, f"{where} body")
     facing = Rotation.from_rotvec(body).as_matrix()[:, :, 2]
+    root, arms = path.resolve().parents[2], None
+    if bodies is not None:
+        more = (("transl", 3), ("body_pose", 63))
+        own = [_parameter(found["body"], k, n, f"{where} body") for k, n in more]
+        mesh = str(found["body"].get("vtemp"))
+        arms = bodies.arms(str(found.get(GENDER)), root, mesh, (body, *own))
     hands = []
     for key, side in (("rhand", RIGHT), ("lhand", LEFT)):
         columns = [
@@ -175,10 +185,11 @@ def _grab(path: Path, hand: ManoHand | None) -> list[HandMotion]:
         if len({len(turn), len(body), *map(len, columns)}) != 1:
             raise FileError(f"{where}: {key}, body and object have different numbers of frames")
         mesh = str(found[key].get("vtemp")) if hand else "meshes of subjects"
-        shape = _subject_shape(path.resolve().parents[2], mesh, hand, side if hand else RIGHT)
+        shape = _subject_shape(root, mesh, hand, side if hand else RIGHT)
         hands.append(
             _motion(where, hand, side, columns, shape, flat=True, rate_hz=rate, object_name=name,
-                    instruction=f"{intent} the {name}", T_world_object=T, facing=facing, up=np.array([0.0, 0.0, 1.0]))
+                    instruction=f"{intent} the {name}", T_world_object=T, facing=facing, up=np.array([0.0, 0.0, 1.0]),
+                    arm=None if arms is None else arms[side])
         )  # fmt: skip
     return hands
 
@@ -213,10 +224,11 @@ def _subject_shape(root: Path, mesh: str, hand: ManoHand | None, side: int) -> F
 # ---- ARCTIC (Fan et al. 2023): raw_seqs/sXX/OBJECT_ACTION_N.mano.npy, .object.npy, .smplx.npy, 30 Hz.
 #
 # Postures about MANO's mean hand. Object rows of [articulation rad, axis-angle, millimetres]. The
-# body's facing is that of its SMPL-X root.
+# body's facing is that of its SMPL-X root; meta/misc.json beside raw_seqs/ says its gender, its mesh is
+# meta/subject_vtemplates/sXX.obj.
 
 
-def _arctic(path: Path, hand: ManoHand | None) -> list[HandMotion]:
+def _arctic(path: Path, hand: ManoHand | None, bodies: Bodies | None) -> list[HandMotion]:
     stem = path.name.removesuffix(".mano.npy")
     where = f"arctic:{path.parent.name}/{stem}"
     found = read_npy(path)
@@ -224,7 +236,7 @@ def _arctic(path: Path, hand: ManoHand | None) -> list[HandMotion]:
         raise FileError(f"{where}: holds no dictionary; it is no sequence of ARCTIC")
     rows = numbers(read_npy(path.with_name(f"{stem}.object.npy")), (None, 7), f"{where} object")
     T = rigid(Rotation.from_rotvec(rows[:, 1:4]), rows[:, 4:] / 1000)
-    facing, up = _arctic_body(path.with_name(f"{stem}.smplx.npy"), len(rows), where)
+    facing, up, arms = _arctic_body(path.with_name(f"{stem}.smplx.npy"), len(rows), where, bodies)
     name, _, action = stem.partition("_")
     hands = []
     for key, side in (("right", RIGHT), ("left", LEFT)):
@@ -241,24 +253,43 @@ def _arctic(path: Path, hand: ManoHand | None) -> list[HandMotion]:
         verb = action.partition("_")[0] or "use"
         hands.append(
             _motion(where, hand, side, columns, shape, flat=False, rate_hz=30.0, object_name=name,
-                    instruction=f"{verb} the {name}", T_world_object=T, facing=facing, up=up)
+                    instruction=f"{verb} the {name}", T_world_object=T, facing=facing, up=up,
+                    arm=None if arms is None else arms[side])
         )  # fmt: skip
     return hands
 
 
-def _arctic_body(path: Path, frames: int, where: str) -> tuple[F64 | None, F64 | None]:
-    """The chest's direction, and the world's axis that the body stands along."""
+def _arctic_body(
+    path: Path, frames: int, where: str, bodies: Bodies | None
+) -> tuple[F64 | None, F64 | None, F64 | None]:
+    """The chest's direction, the world's axis that the body stands along, and its arms."""
     if not path.is_file():
-        return None, None
+        return None, None, None
     found = read_npy(path)
-    turn = found.get("global_orient") if isinstance(found, Mapping) else None
-    turn = numbers(turn, (None, 3), f"{where} body")
+    found = found if isinstance(found, Mapping) else {}
+    turn = numbers(found.get("global_orient"), (None, 3), f"{where} body")
     if len(turn) != frames:
         raise FileError(f"{where}: body and object have different numbers of frames")
+    arms = None
+    if bodies is not None:
+        meta, subject = path.resolve().parents[2] / "meta", path.parent.name
+        own = [
+            numbers(found.get(k), (frames, n), f"{where} {k}")
+            for k, n in (("transl", 3), ("body_pose", 63))
+        ]
+        mesh = f"subject_vtemplates/{subject}.obj"
+        arms = bodies.arms(_arctic_gender(meta / "misc.json", subject), meta, mesh, (turn, *own))
     R = Rotation.from_rotvec(turn).as_matrix()
     spine = R[:, :, 1].mean(0)
     axis = int(np.abs(spine).argmax())
-    return R[:, :, 2], np.sign(spine[axis]) * np.eye(3)[axis]
+    return R[:, :, 2], np.sign(spine[axis]) * np.eye(3)[axis], arms
+
+
+@lru_cache(maxsize=16)
+def _arctic_gender(file: Path, subject: str) -> str:
+    said = read_json(file, most=META_BYTES) if file.is_file() else {}
+    about = said.get(subject) if isinstance(said, Mapping) else None
+    return str(about.get(GENDER)) if isinstance(about, Mapping) else "neutral"
 
 
 # ---- H2O, the two-hands data set (Kwon et al. 2021): SUBJECT/PLACE/NUMBER/cam4/hand_pose_mano/*.txt, 30 Hz.
@@ -279,7 +310,7 @@ H2O_ACTIONS = ("", *(f"{verb} the {x}" for verb, things in _DONE_WITH.items() fo
 H2O_BYTES, H2O_FRAMES = 16 << 10, 20_000
 
 
-def _h2o(path: Path, hand: ManoHand | None) -> list[HandMotion]:
+def _h2o(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMotion]:
     """The frames in which a hand is annotated; `path` is the folder of the hands' poses."""
     sequence = path.parent
     where = "h2o:" + "/".join(sequence.parts[-4:])
@@ -363,7 +394,7 @@ YCB = (
 )  # fmt: skip
 
 
-def _dexycb(path: Path, hand: ManoHand | None) -> list[HandMotion]:
+def _dexycb(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMotion]:
     """The hand of one sequence, in the frames where there is one."""
     root, where = path.parents[2], f"dexycb:{path.parent.parent.name}/{path.parent.name}"
     meta = read_yaml(path.parent / "meta.yml")
@@ -462,7 +493,7 @@ def _receives(path: Path) -> bool:
     return match[3] == HANDOVER and RECEIVER in text
 
 
-def _oakink(path: Path, _: ManoHand | None) -> list[HandMotion]:
+def _oakink(path: Path, *_: ManoHand | Bodies | None) -> list[HandMotion]:
     """The one hand of a grasp."""
     text, match = _oakink_source(path)
     action = ACTIONS.get(match[3], "hold")

@@ -10,6 +10,7 @@ is known of each:
     frame, frames (H,)     which frame it is, of how many; rate_hz (H,) 0 where unknown
     T_world_hand, T_world_object (H, 4, 4)        in the source's world at that frame; NaN where unknown
     facing, up (H, 3)      the body's chest, and against gravity, in that world; NaN where unknown
+    arm (H, 3, 3)          the body's shoulder, elbow and wrist there; NaN where unknown
     held_s (H,)            seconds in which it carries the object; NaN where that is unknown
     mover (H,)             whether it carries the object longest of the hands of its sequence
 
@@ -37,6 +38,7 @@ from r2h_batch.bodies.hand_file import HELD_S, check_postures, in_body
 from r2h_batch.command_line import tell
 from r2h_batch.importers.data_sets import DATA_SETS, HandMotion, oakink_receivers
 from r2h_batch.importers.mano import ManoHand
+from r2h_batch.importers.smplx import Bodies
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import write_npz
 
@@ -94,9 +96,11 @@ class Collected:
             "T_world_object": at(hand.T_world_object, (4, 4)),
             "facing": at(hand.facing, (3,)),
             "up": np.full(3, np.nan) if hand.up is None else hand.up,
+            "arm": at(hand.arm, (3, 3)),
         }
         if np.isfinite(row["facing"]).all() and np.isfinite(row["up"]).all():
-            in_body({k: row[k][None] for k in ("T_world_hand", "facing", "up")}, 1, hand.source)
+            names = ("T_world_hand", "facing", "up", "arm")
+            in_body({k: row[k][None] for k in names}, 1, hand.source)
         about = {"source": hand.source, "instruction": hand.instruction, "object": hand.object_name}
         row |= {"pose": pose, "shape": hand.shape, "side": hand.side, "posture": posture, **about}
         return {**row, "frame": frame, "frames": len(hand.fingers), "rate_hz": hand.rate_hz, **more}
@@ -115,6 +119,7 @@ def collect(
     strict: bool = False,
     idle: bool = False,
     into: Collected | None = None,
+    bodies: Bodies | None = None,
 ) -> Collected:
     """The hands of a data set's folder.
 
@@ -126,6 +131,7 @@ def collect(
         strict: refuse what cannot be read, instead of telling and counting it.
         idle: take hands too that never carry the object.
         into: hands of other data sets that they join.
+        bodies: SMPL-X' models, for the arms of bodies.
     """
     data_set = DATA_SETS[source]
     paths = data_set.find(folder)
@@ -136,7 +142,7 @@ def collect(
     before, skipped = sum(found.counts()), len(found.skipped)
     for path in _shown(paths, f"reading {source}"):
         try:
-            hands = data_set.read(path, hand)
+            hands = data_set.read(path, hand, bodies)
             held = [seconds_held(h) for h in hands]
             longest = int(np.argmax(np.nan_to_num(held, nan=-1.0)))
             taken = [

@@ -41,7 +41,11 @@ MAX_PART_BYTES = 64 << 10
 HELD, MOST_PARTS = "held_by_hand", 64
 ON_PART = 0.05
 """A face farther from every part than this share of the object's largest side is on none of them:
-these parts are not of this mesh, or not in its frame."""
+these parts are not of this mesh, or not in its frame. From a cloud it may be farther by the gaps
+between the cloud's points."""
+CLOUD_GAP = 2.1
+"""Of points that are spread evenly on a surface: the distance that 95 % of the surface keep to the
+nearest point, over the median distance between nearest points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +124,7 @@ def _labels(
         return np.zeros(len(mesh.faces), np.int64), ("body",), ()
     if len(files) > MOST_PARTS:
         raise FileError(f"{label}: {len(files)} parts; at most {MOST_PARTS} are allowed")
-    names, held, distance = [], [], []
+    names, held, distance, gaps = [], [], [], []
     for file in files:
         said = _dictionary(file, MAX_PART_BYTES)
         attributes = said.get("attr", [])
@@ -131,10 +135,13 @@ def _labels(
         names.append(name_of(name))
         if HELD in attributes:
             held.append(names[-1])
-        distance.append(_distance(file.with_suffix(".ply"), mesh.triangles_center, label))
+        away, gap = _distance(file.with_suffix(".ply"), mesh.triangles_center, label)
+        distance.append(away)
+        gaps.append(gap)
     nearest = np.stack(distance)
-    off = float(np.quantile(nearest.min(axis=0), 0.95))
-    if off > ON_PART * float(mesh.extents.max()):
+    most = ON_PART * float(mesh.extents.max())
+    off = float(np.quantile((nearest - np.minimum(gaps, most)[:, None]).min(axis=0), 0.95))
+    if off > most:
         raise FileError(
             f"{label}: its parts are {1e3 * off:.1f} mm from its mesh; are both in one frame?"
         )
@@ -187,13 +194,18 @@ def write(
     (out / "benchmark.yaml").write_text("\n".join(lines) + "\n")
 
 
-def _distance(file: Path, points: NDArray[np.float64], label: str) -> NDArray[np.float64]:
-    """How far points are from a part: from its surface, or from a cloud's nearest point."""
+def _distance(
+    file: Path, points: NDArray[np.float64], label: str
+) -> tuple[NDArray[np.float64], float]:
+    """How far points are from a part: from its surface, or from a cloud's nearest point; and how far
+    a point of the surface may be from a cloud that is sparse."""
     part = load_mesh_file(file, label, points=True)
     if len(part.faces):
-        return Surface(part).within(points, 10.0)[0]
+        return Surface(part).within(points, 10.0)[0], 0.0
     vertices = numbers(np.asarray(part.vertices), (None, 3), printable(file), most=1e3)
-    return np.asarray(cKDTree(vertices).query(points)[0])
+    tree = cKDTree(vertices)
+    apart = tree.query(vertices, k=2)[0][:, 1] if len(vertices) > 1 else np.zeros(1)
+    return np.asarray(tree.query(points)[0]), CLOUD_GAP * float(np.median(apart))
 
 
 def _meshes(folder: Path) -> list[Path]:
@@ -218,7 +230,8 @@ def collect(
     known = find(folder)
     every = {n for oid, name, _ in known for n in (oid, name, name_of(name))}
     if missing := [n for n in only if n not in every]:
-        hint = nearest(missing[0], sorted(every))
+        there = printable(", ".join(sorted(every)[:20]))
+        hint = nearest(missing[0], sorted(every)) or f"; there are {there}"
         raise FileError(f"{printable(folder)}: no object is called {printable(missing[0])!r}{hint}")
     for oid, name, at in known:
         if only and not {oid, name, name_of(name)} & set(only):

@@ -369,7 +369,7 @@ def _draw_people(
 
     def place_hand(
         people: receivers.Person, rows: NDArray[np.int64], number: NDArray[np.int64]
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32], receivers.Person]:
         hand, palm, able = hand_index[rows], people.palm, np.ones(len(rows), bool)
         n, a = hands.palm_normal[hand], hands.along[hand]
         local = np.stack([a, n, np.cross(a, n)], 2)
@@ -377,11 +377,17 @@ def _draw_people(
         R = _from_frames(world, local)
         # of those recorded with a body the arm is the one that can have them
         if hands.in_body is not None:
-            known = np.isfinite(hands.in_body[hand][:, 0, 0]) & (number < recorded.GIVEN_UP)
-            own = recorded.recorded_in_world(people.facing, np.nan_to_num(hands.in_body[hand]))
-            R = np.where(known[:, None, None], own, R)
+            in_body = hands.in_body[hand]
+            own = recorded.recorded_in_world(people.facing, np.nan_to_num(in_body))
+            has_arm = np.isfinite(in_body[:, 0, 3:]).any(1)
+            with_arm = has_arm & (number < recorded.GIVEN_UP)
+            until = recorded.GIVEN_UP * np.where(has_arm, 2, 1)
+            known = np.isfinite(in_body[:, 0, 0]) & (number < until)
+            R = np.where(known[:, None, None], own[:, :, :3], R)
             palm = np.where(known[:, None], se3.rotate(R, n), palm)
-            able = ~known | recorded.arm_can(people, hands.side[hand], se3.rotate(R, a), palm)
+            can = recorded.arm_can(people, hands.side[hand], se3.rotate(R, a), palm)
+            able = ~known | with_arm | can
+            people = recorded.with_arms(people, own[:, :, 3:], with_arm)
         center = (
             people.wrist
             + se3.rotate(R, hands.palm_point[hand] - hands.wrist[hand])
@@ -397,7 +403,7 @@ def _draw_people(
         clear = _hand_is_clear(T.astype(np.float64), hand[kept], hands, robot, at)
         fits = np.zeros(len(rows), bool)
         fits[kept[clear]] = True
-        return fits, T[clear]
+        return fits, T[clear], people
 
     edge_m = round(at.table_center[0] + at.table_half[0], 6)
     return receivers.draw_receivers(

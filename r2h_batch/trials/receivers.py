@@ -122,7 +122,7 @@ def draw_receivers(
     side: NDArray[np.int64],
     place_hand: Callable[
         [Person, NDArray[np.int64], NDArray[np.int64]],
-        tuple[NDArray[np.bool_], NDArray[np.float32]],
+        tuple[NDArray[np.bool_], NDArray[np.float32], Person],
     ],
     table_edge_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -130,7 +130,8 @@ def draw_receivers(
     accepted.
 
     `side` (n,): 0 right, 1 left. `place_hand(people, rows, number)`: whether these proposals of
-    trials `rows`, the `number`-th of each, are kept, and the poses (k, 4, 4) of the k that are.
+    trials `rows`, the `number`-th of each, are kept, the poses (k, 4, 4) of the k that are, and the
+    people, whose arms it may move.
     """
 
     person = rng.uniforms(key, ids, OF_PERSON, purpose=_PERSON)
@@ -146,7 +147,7 @@ def draw_receivers(
         number = tried + np.tile(np.arange(turns), len(todo))
         v = rng.uniforms(key, ids[rows], OF_POSTURE, purpose=_POSE, attempt=number)
         people = propose(person[:, rows], v, side[rows], table_edge_m)
-        fits, T = place_hand(people, rows, number)
+        fits, T, people = place_hand(people, rows, number)
         kept = np.flatnonzero(fits)
         done, first = np.unique(rows[kept], return_index=True)
         T_world_hand[done], receiver[done] = T[first], people.rows(kept[first]).table()

@@ -1,8 +1,10 @@
-"""Hands of r2h-v1 that were recorded with a body: they keep their direction to it, and an arm is
-looked for that can have them.
+"""Hands of r2h-v1 that were recorded with a body: they keep their direction to it, and the recorded
+arm; where that is unknown, an arm is looked for that can have them.
 
 Only +, -, *, / and sqrt, as in receivers.py.
 """
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +21,31 @@ from r2h_batch.trials.receivers import (
     sine_cosine,
 )
 
-__all__ = ["GIVEN_UP", "arm_can", "recorded_in_world"]
+__all__ = ["GIVEN_UP", "arm_can", "recorded_in_world", "with_arms"]
 
 GIVEN_UP = 4000
-"""Proposals after which a hand's recorded direction is let go: hands that grasp from above show no
-palm to robot or sky."""
+"""Proposals after which a hand's recorded arm is let go, and after as many its direction: hands that
+grasp from above show no palm to robot or sky."""
 
 
 def recorded_in_world(facing: Array, R_body_hand: Array) -> Array:
-    """(n, 3, 3) rotations of hands in the world, of bodies that stand upright and face (n, 2)."""
+    """(n, 3, k) rotations of hands, or vectors, in the world, of bodies that stand upright and face
+    (n, 2)."""
     x, y = facing[:, 0, None], facing[:, 1, None]
     ahead, aside, up = R_body_hand[:, 0], R_body_hand[:, 1], R_body_hand[:, 2]
     return np.stack([x * ahead - y * aside, y * ahead + x * aside, up], 1)
+
+
+def with_arms(people: Person, ways: Array, changed: NDArray[np.bool_]) -> Person:
+    """The people, those of `changed` (n,) with elbow and wrist at `ways` (n, 3, 2) from their
+    shoulder, m."""
+    if not changed.any():
+        return people
+    moved = {
+        name: np.where(changed[:, None], people.shoulder + ways[:, :, k], getattr(people, name))
+        for k, name in enumerate(("elbow", "wrist"))
+    }
+    return replace(people, **moved)
 
 
 def arm_can(

@@ -5,9 +5,22 @@ import pickle
 import numpy as np
 import pytest
 import torch
-from hand_data import FRAMES, LIFTED, WIDEST, truth, write_arctic, write_dexycb, write_grab, write_h2o, write_oakink
-from mano_files import mano_dictionary, mano_twin, write_mano
+from hand_data import (
+    FRAMES,
+    LIFTED,
+    WIDEST,
+    body_truth,
+    truth,
+    write_arctic,
+    write_dexycb,
+    write_grab,
+    write_h2o,
+    write_oakink,
+)
+from hand_errors import CASES, OAKINK, largest_errors, moving_camera
+from mano_files import mano_dictionary, write_mano
 from scipy.spatial.transform import Rotation
+from smplx_files import SIDES, smplx_dictionary, smplx_twin, write_smplx
 
 from r2h_batch.__main__ import main
 from r2h_batch.bodies.hand import load_hand_set
@@ -57,54 +70,11 @@ def check(hands, motions, row, side, frame, first, wrist_offset=None, pose_toler
     assert np.abs(motions["object"][mine, 3:] - h["object"][first:, :3, 3]).max() < 1e-5
 
 
-def moving_camera():
-    rng = np.random.default_rng(3)
-    camera = np.tile(np.eye(4), (FRAMES, 1, 1))
-    camera[:, :3, :3] = Rotation.from_rotvec(rng.normal(0, 0.3, (FRAMES, 3))).as_matrix()
-    camera[:, :3, 3] = rng.normal(0, 1, (FRAMES, 3))
-    return camera
-
-
-OAKINK = "pass1/A01001_0004_0001_0002/2021-09-26-19-59-58_alt"
-
-
-@pytest.mark.parametrize(
-    "source", ["grab", "arctic", "h2o", "h2o as its page has it", "dexycb", "oakink", "oakink in axis-angle"]
-)
-def test_vertices_are_those_of_an_own_forward_pass_of_mano_over_the_released_numbers(
-    tmp_path, capsys, mano, means, source
-):
+@pytest.mark.parametrize("case", CASES)
+def test_vertices_and_arms_are_those_of_an_own_forward_pass_over_the_released_numbers(tmp_path, mano, case):
     """Every layout as its owners release it; the pass is the data set's own recipe in float64."""
-    (mean, components), camera = means, np.tile(moving_camera()[0], (FRAMES, 1, 1))
-    set_name, _, variant = source.partition(" ")
-    if set_name == "h2o":
-        write_h2o(
-            tmp_path, camera, kinds=("hand_pose_MANO", "obj_pose_RT") if variant else ("hand_pose_mano", "obj_pose_rt")
-        )
-    elif set_name == "dexycb":
-        write_dexycb(tmp_path, components[0], mean[0])
-    elif set_name == "oakink":
-        write_oakink(tmp_path, "abcdef0123", OAKINK, quaternions=not variant)
-    else:
-        write_grab(tmp_path, subjects=True) if set_name == "grab" else write_arctic(tmp_path, mean)
-    options = ("--mano-right", mano[0], "--mano-left", mano[1], "--strict")
-    code, _, err = imported(capsys, tmp_path, set_name, tmp_path / "hands.npz", *options)
-    assert code == 0, err
-    hands, _ = loaded(tmp_path / "hands.npz")
-    pose, shape, sides = (torch.from_numpy(hands[k]) for k in ("pose", "shape", "side"))
-    got = load_mano(*mano).model.pose(pose, shape, sides).vertices.double().numpy()
-    T = hands["T_world_hand"].astype(np.float64)
-    got = np.einsum("nij,nvj->nvi", T[:, :3, :3], got) + T[:, None, :3, 3]
-    for row, side in enumerate(hands["side"]):
-        h, arrays = truth(side), mano_dictionary(side)
-        place, turn, beta = h["place"][WIDEST], h["turn"][WIDEST], h["shape"]
-        to_world = camera[WIDEST] if set_name == "h2o" else np.eye(4)
-        R, t = to_world[:3, :3], to_world[:3, 3]
-        turn = Rotation.from_matrix(R.T @ Rotation.from_rotvec(turn).as_matrix()).as_rotvec()
-        vertices, joints = mano_twin(arrays, np.concatenate([turn, h["fingers"][WIDEST]]), beta)
-        vertices = vertices + R.T @ (place - t) - (joints[0] if set_name == "oakink" else 0)
-        error = np.abs(got[row] - (vertices @ R.T + t)).max()
-        assert error < 1e-7, f"{1e3 * error} mm"
+    skin, arm = largest_errors(tmp_path, case, mano)
+    assert skin < 1e-7 and arm < 1e-6, f"{1e3 * skin} mm, arms {1e3 * arm} mm"
 
 
 def test_grab(tmp_path, capsys):
@@ -353,6 +323,39 @@ def test_nothing_outside_the_folder_is_read(tmp_path, capsys, means, mano):
     meta.write_text("a: &x [1, 2]\nb: *x\n")
     code, _, err = imported(capsys, tmp_path / "ycb", "dexycb", tmp_path / "hands.npz", "--mano-right", mano[0])
     assert code == 2 and "anchors and aliases are not allowed" in err
+
+
+def test_a_body_without_its_mesh_has_the_models_arms(tmp_path, capsys):
+    write_grab(tmp_path)
+    model, body = write_smplx(tmp_path / "smplx"), body_truth()
+    code, _, err = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz", "--smplx", tmp_path / "smplx")
+    assert code == 0 and "s1.ply: not in " in err and "its arms get the model's own lengths" in err
+    turns = np.concatenate([body["global_orient"][WIDEST], body["body_pose"][WIDEST]]).reshape(22, 3)
+    joints = smplx_twin(model, model["v_template"], turns, body["transl"][WIDEST])[list(SIDES["right"])]
+    assert np.abs(loaded(tmp_path / "hands.npz")[0]["arm"][0] - joints).max() < 1e-6
+    ways = load_hand_set(tmp_path / "hands.npz").in_body[0, :, 3:].T.numpy()
+    lengths = np.linalg.norm(np.diff(joints, axis=0), axis=1)
+    assert np.abs([np.linalg.norm(ways[0]), np.linalg.norm(ways[1] - ways[0])] - lengths).max() < 1e-6
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({}, "no such file"), ({"J_regressor": None}, "has no J_regressor; it is no SMPL-X model"),
+    ({"kintree_table": np.zeros((2, 55), np.uint32)}, "kintree_table is not SMPL-X'"),
+    ({"J_regressor": np.zeros((55, 3))}, "J_regressor is (55, 3)"),
+])  # fmt: skip
+def test_a_body_model_that_is_none_is_told_once_and_the_hands_are_taken(tmp_path, capsys, change, words):
+    write_grab(tmp_path)
+    write_grab(tmp_path, "s1/cup_lift_1")
+    write_smplx(tmp_path / "smplx", gender="FEMALE")
+    if change:
+        arrays = {k: v for k, v in {**smplx_dictionary(), **change}.items() if v is not None}
+        np.savez(tmp_path / "smplx" / "SMPLX_MALE.npz", **arrays)
+    code, out, err = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz", "--smplx", tmp_path / "smplx")
+    lines = [line for line in err.splitlines() if "SMPLX_MALE" in line]
+    assert code == 0 and "4 hands" in out and len(lines) == 1 and words in lines[0] and "stay unknown" in lines[0]
+    assert np.isnan(loaded(tmp_path / "hands.npz")[0]["arm"]).all()
+    code, _, err = imported(capsys, tmp_path, "grab", tmp_path / "no.npz", "--smplx", tmp_path / "grab")
+    assert code == 2 and "has no SMPLX_MALE.npz" in err
 
 
 def test_the_hand_command_writes_a_model_that_loads(tmp_path, capsys, mano):

@@ -25,7 +25,7 @@ def block(x0, x1):
 
 
 def write_oakink_objects(root):
-    """A mug without parts and a knife with a handle."""
+    """A mug without parts and a knife with a handle, parts as point clouds."""
     meta = root / "shape" / "metaV2"
     meta.mkdir(parents=True)
     names = {"C1": {"name": "mug"}, "C2": {"name": "knife 1"}, "C3": {"name": "pan"}}
@@ -37,7 +37,7 @@ def write_oakink_objects(root):
     parts = root / "OakBase" / "knife" / "knife 1"
     parts.mkdir(parents=True)
     for k, (name, span, attr) in enumerate([("handle", (-0.1, 0.0), ["held_by_hand"]), ("blade", (0.0, 0.1), ["cut"])]):
-        block(*span).export(parts / f"part_{k}.ply")
+        trimesh.PointCloud(block(*span).sample(300, seed=k)).export(parts / f"part_{k}.ply")
         (parts / f"part_{k}.json").write_text(json.dumps({"name": name, "attr": attr}))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 from mano_files import mano_dictionary
 from scipy.spatial.transform import Rotation
+from smplx_files import smplx_dictionary
 
 FRAMES, WIDEST, LIFTED = 80, 20, 26
 UP = np.array([0.0, 0.0, 1.0])
@@ -37,9 +38,26 @@ def truth(side=0, seed=0, idle=False):
             "object": object_pose, "body": body}  # fmt: skip
 
 
+def body_truth():
+    """SMPL-X' numbers of the body in the same frames, as GRAB and ARCTIC call them."""
+    rng = np.random.default_rng(9)
+    pose = rng.normal(0, 0.3, 63) + 0.002 * np.arange(FRAMES)[:, None]
+    return {"global_orient": truth()["body"], "transl": rng.normal(0, 0.5, (FRAMES, 3)), "body_pose": pose}
+
+
+def body_mesh(folder: Path, name):
+    """The subject's own body, 4 % larger than the model."""
+    vertices = 1.04 * smplx_dictionary()["v_template"]
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    faces = np.arange(len(vertices) // 4 * 4).reshape(-1, 4)[:, :3]
+    trimesh.Trimesh(vertices, np.vstack([faces, faces + 1]), process=False).export(folder / name)
+    return vertices
+
+
 def write_grab(folder: Path, name="s1/mug_pass_1", idle=(), subjects=False):
     """One sequence as GRAB stores it: dictionaries in an .npz, the object's turn transposed. Sides in `idle` take no part;
-    `subjects`: with the subject's hands as meshes."""
+    `subjects`: with the subject's hands and body as meshes."""
+    body_mesh(folder, "tools/subject_meshes/male/s1.ply") if subjects else None
     hands = [truth(s, idle=s in idle) for s in (0, 1)]
     for side, part in enumerate(("rhand", "lhand")) if subjects else ():
         mano, mesh = mano_dictionary(side), folder / "tools" / "subject_meshes" / "male" / f"s1_{part}.ply"
@@ -59,7 +77,7 @@ def write_grab(folder: Path, name="s1/mug_pass_1", idle=(), subjects=False):
     contact = {"body": np.zeros((FRAMES, 10475), np.int8), "object": np.zeros((FRAMES, 50_000), np.int8)}
     np.savez_compressed(
         path, gender="male", sbj_id="s1", obj_name="mug", motion_intent="pass", framerate=120.0, n_frames=FRAMES,
-        n_comps=24, body={"params": {"global_orient": hands[0]["body"], "transl": np.zeros((FRAMES, 3))}, "vtemp": "x.ply"},
+        n_comps=24, body={"params": body_truth(), "vtemp": "tools/subject_meshes/male/s1.ply"},
         rhand=hand(hands[0], "rhand"), lhand=hand(hands[1], "lhand"),
         object={"params": {"global_orient": Rotation.from_matrix(T[:, :3, :3].transpose(0, 2, 1)).as_rotvec(),
                            "transl": T[:, :3, 3]}, "object_mesh": "tools/object_meshes/mug.ply"},
@@ -83,9 +101,9 @@ def write_arctic(folder: Path, mean, name="s01/box_use_01", body=True):
     stem = path.name.removesuffix(".mano.npy")
     np.save(path.with_name(f"{stem}.object.npy"), rows)
     if body:
-        np.save(
-            path.with_name(f"{stem}.smplx.npy"), {"global_orient": truth()["body"], "transl": np.zeros((FRAMES, 3))}
-        )
+        np.save(path.with_name(f"{stem}.smplx.npy"), body_truth())
+        body_mesh(folder, "meta/subject_vtemplates/s01.obj")
+        (folder / "meta" / "misc.json").write_text('{"s01": {"gender": "male", "image_size": []}}')
     return path
 
 

@@ -83,6 +83,38 @@ def test_a_direction_that_no_arm_can_show_is_let_go(recorded):
     assert rows and all(np.abs(turned(trials, i) - in_body[0]).max() > 0.1 for i in rows)
 
 
+def test_a_recorded_arm_is_kept_with_its_lengths_and_without_one_nothing_changes(recorded):
+    in_body, known, hands, before = recorded
+    arms = np.full((2 * COUNT, 3, 5), np.nan)
+    arms[:, :, :3] = in_body
+    for i in range(len(before)):
+        k = int(before.hand_index[i])
+        if known[k] and k % 4 == 0:  # as somebody with limbs of 0.9 of theirs stood
+            x, y = before.receiver[i, 3:, 3].double().numpy()
+            body = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
+            joint = before.receiver[i, :3, :3].double().numpy()
+            arms[k, :, 3:] = 0.9 * body.T @ (joint[1:] - joint[0]).T
+    trials = make_trials(trials=60, hand_set=some_hands(arms), protocol="r2h-v1")
+    kept = []
+    for i in range(len(trials)):
+        k = int(trials.hand_index[i])
+        if np.isnan(arms[k, 0, 3]):
+            assert torch.equal(trials.T_world_hand[i], before.T_world_hand[i])
+            assert torch.equal(trials.receiver[i], before.receiver[i])
+            continue
+        x, y = trials.receiver[i, 3:, 3].double().numpy()
+        body = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
+        joint = trials.receiver[i, :3, :3].double().numpy()
+        same = np.abs(body @ arms[k, :, 3:] - (joint[1:] - joint[0]).T).max() < 1e-6
+        if same and k:
+            assert np.abs(turned(trials, i) - in_body[k]).max() < 1e-6
+            wrist = hands.model.pose(hands.pose[k : k + 1], hands.shape[k : k + 1], hands.side[k : k + 1]).joints[0, 0]
+            R, p = trials.T_world_hand[i, :3, :3], trials.T_world_hand[i, :3, 3]
+            assert (R @ wrist + p - trials.receiver[i, 2, :3]).abs().max() < 1e-5
+        kept.append(same)
+    assert len(kept) > 10 and np.mean(kept) > 0.8
+
+
 def test_a_trial_alone_is_that_of_the_batch(recorded):
     _, _, hands, trials = recorded
     for i in (3, 64):
@@ -100,10 +132,14 @@ def test_a_file_says_it_by_facing_up_and_place_and_nonsense_is_refused(tmp_path)
     facing[1] = np.nan
     np.savez(tmp_path / "h.npz", **base, facing=facing, up=up, T_world_hand=T)
     found = read_hand_set(tmp_path / "h.npz")["in_body"]
-    assert np.allclose(found[0], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) and np.isnan(found[1]).all()
+    assert np.allclose(found[0, :, :3], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) and np.isnan(found[1]).all()
+    arm = np.float32([[[0, 0, 1.4], [0, 0.3, 1.4], [0.2, 0.3, 1.4]]] * n)
+    np.savez(tmp_path / "arm.npz", **base, facing=facing, up=up, T_world_hand=T, arm=arm)
+    found = read_hand_set(tmp_path / "arm.npz")["in_body"]
+    assert np.allclose(found[0, :, 3:].T, [[0.3, 0, 0], [0.3, -0.2, 0]]), "ahead, to the left, up"
     np.savez(tmp_path / "without.npz", **base)
     assert np.isnan(read_hand_set(tmp_path / "without.npz")["in_body"]).all()
-    for name, value in (("facing", up), ("T_world_hand", 2 * T), ("up", up[:2])):
+    for name, value in (("facing", up), ("T_world_hand", 2 * T), ("up", up[:2]), ("arm", 1000 * arm)):
         np.savez(tmp_path / "bad.npz", **{**base, "facing": facing, "up": up, "T_world_hand": T, name: value})
         with pytest.raises(FileError, match=name):
             read_hand_set(tmp_path / "bad.npz")
