@@ -148,7 +148,9 @@ def stable(mesh: trimesh.Trimesh, T_obj_ee: torch.Tensor) -> NDArray[np.bool_]:
     """(count,) whether grasps pass Stability on a surface as it is."""
     faces = np.asarray(mesh.faces, np.int32)
     region = np.zeros(len(faces), bool)
-    model = SimpleNamespace(vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=region)
+    model = SimpleNamespace(
+        vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=region, receiver_boxes=None
+    )
     tables = grasp_tables([model], load_robot())  # type: ignore[list-item]
     return close_gripper(tables, T_obj_ee, torch.zeros(len(T_obj_ee), dtype=torch.int32)).margin_m.numpy() >= 0
 

@@ -121,6 +121,8 @@ class Benchmark:
                 "roles": None if o.roles is None else dict(o.roles),
                 "words": None if o.words is None else asdict(o.words),
             }
+            if o.receiver_boxes is not None:  # what there was before keeps its digest
+                said["receiver_boxes"] = o.receiver_boxes.tolist()
             digest.update(json.dumps(said, sort_keys=True).encode())
         if self.listed is not None:
             for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):

@@ -82,7 +82,7 @@ class ObjectEntry(_Entry):
     )
     receiver: FilePath | None = Field(
         default=None,
-        description="the receiver's region (S1): a part's name, z<0.3, or a .npy beside this file",
+        description="the receiver's region (S1): a part's name, z<0.3, or a .npy of faces or boxes beside this file",
     )
     parts: FilePath | None = Field(
         default=None,

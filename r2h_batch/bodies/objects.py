@@ -29,7 +29,7 @@ from r2h_batch.bodies.mesh_import.cache import kept_with_warnings, key_of
 from r2h_batch.bodies.mesh_import.closed import ObjectMeshError, Repair, closed_mesh
 from r2h_batch.bodies.mesh_import.file import SUFFIXES, labels_of
 from r2h_batch.bodies.mesh_import.pieces import convex_hull, convex_pieces
-from r2h_batch.bodies.mesh_import.region import part_of_faces, receiver_region
+from r2h_batch.bodies.mesh_import.region import part_of_faces, receiver_region, region_boxes
 from r2h_batch.bodies.solid import sample_surface, solid_occupancy
 from r2h_batch.io.cache import is_cached
 from r2h_batch.io.read import printable
@@ -125,6 +125,9 @@ class ObjectModel:
     """how people ask for it, where a benchmark says so (`receiver.instructions`)"""
     repair: Repair | None = None
     """what was done to a user's mesh, and what came of it"""
+    receiver_boxes: NDArray[np.float64] | None = None
+    """(N, 5, 3) the receiver's region as volumes, where a user gave boxes: centre, half sides, the
+    rows of R_obj_box. Affordance asks them instead of ``receiver_face``, the faces in them"""
 
     @property
     def occupancy(self) -> NDArray[np.bool_]:
@@ -178,7 +181,7 @@ def without_region(model: ObjectModel) -> ObjectModel:
     region = np.zeros_like(model.receiver_face)
     region.flags.writeable = False
     words = f"hand over the {model.name.replace('_', ' ')} to human"
-    return replace(model, split="S0", receiver_face=region, instruction=words)
+    return replace(model, split="S0", receiver_face=region, receiver_boxes=None, instruction=words)
 
 
 def stored_objects() -> dict[str, ObjectModel]:
@@ -220,14 +223,16 @@ def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     return digest.hexdigest()
 
 
-SAID = ("grasps", "roles", "words", "repair")
+SAID = ("grasps", "roles", "words", "repair", "receiver_boxes")
 """Fields that only a benchmark or a user fills: nothing of them is stored with an object."""
 
 
-def _said(value: GraspSet | Mapping[str, str] | Thing) -> str:
+def _said(value: GraspSet | Mapping[str, str] | Thing | NDArray[np.float64]) -> str:
     """What the digest takes of a field that somebody filled."""
     if isinstance(value, GraspSet):
         return value.digest
+    if isinstance(value, np.ndarray):
+        return json.dumps(value.tolist())
     return json.dumps(dict(value) if isinstance(value, Mapping) else asdict(value), sort_keys=True)
 
 
@@ -253,8 +258,9 @@ def build_object(
     ``part_names`` for each face of the file) labels the faces; without it the named groups of an
     OBJ or GLB do. An S1 object needs its receiver's region: ``receiver`` is the name of a part
     (``"handle"``, ``"handle,guard"``), ``"z<0.3"`` (axis, comparison, fraction of the bounding box
-    from its low side), or one bool per face of the file or indices of its faces (array, or ``.npy``
-    file); without it, S1 takes the lighter half of the longest axis, with a warning. Labels and
+    from its low side), or one bool per face of the file, indices of its faces, or boxes
+    (`ObjectModel.receiver_boxes`), as array or ``.npy`` file; without it, S1 takes the lighter half
+    of the longest axis, with a warning. Labels and
     faces are carried over to a repaired mesh. ``pieces=False`` skips the convex decomposition (half
     a second): the hull is then the only piece. ``"fine"`` is CoACD's, as of the built-in objects: a
     minute and more.
@@ -271,9 +277,12 @@ def build_object(
     # OpenBLAS' idle threads spin: a fifth of a build's CPU time
     with threadpool_limits(1, user_api="blas"):
         if key is None:
-            return _built(mesh, **options)
-        make = lambda: _as_arrays(_built(mesh, **options))  # noqa: E731
-        return _from_arrays(kept_with_warnings(key, make, _from_arrays))
+            model = _built(mesh, **options)
+        else:
+            make = lambda: _as_arrays(_built(mesh, **options))  # noqa: E731
+            model = _from_arrays(kept_with_warnings(key, make, _from_arrays))
+    boxes = region_boxes(receiver, model.part_names, model.name)
+    return model if boxes is None else _frozen(replace(model, receiver_boxes=boxes))
 
 
 def _options(mesh: str | Path | trimesh.Trimesh, **given: Any) -> dict[str, Any]:

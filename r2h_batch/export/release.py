@@ -18,6 +18,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from r2h_batch.export.mjcf import posture_at
+from r2h_batch.export.region_boxes import region_as_boxes
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.importers.release import PADS_M, T_world_release, along_z, palm_in_hand
 from r2h_batch.io.write import atomic_path, csv_cell, write_json, write_text
@@ -34,6 +35,7 @@ vertices; objects are filled alike."""
 LEAST_HALF_M = 0.002
 TOOL_M = 0.051953
 """`T_tcp_asset_tool` along z with which the release's tool is our gripper's finger tips."""
+NOT_TURNED: Array = np.eye(3)
 CELLS_OF_OBJECT = 12
 """As many boxes along each axis of an object: its shape decides Reach and Affordance."""
 
@@ -66,7 +68,6 @@ def release_trial(stored: StoredTrial, name: str, variant: str) -> dict[str, Any
     T_release_palm = T_release_hand @ palm_in_hand(geometry.joints[rows], side)
     skin = trimesh.transform_points(skin, T_release_hand)
     executed = _frames(stored)
-    region = model.receiver_face
     place, moves = stored.workplace, stored.moves
     own: dict[str, Any] = {}
     if stored.hand_set.skin is None:  # what the release has no field for
@@ -75,8 +76,9 @@ def release_trial(stored: StoredTrial, name: str, variant: str) -> dict[str, Any
             "shape": stored.hand_set.shape[rows[0]].tolist(),
             "T_world_hand": stored.T_world_hand.tolist(),
             "T_world_palm": T_release_palm.tolist(),
-            "receiver_faces": np.flatnonzero(region).tolist(),
         }
+        if model.receiver_boxes is None:
+            own["receiver_faces"] = np.flatnonzero(model.receiver_face).tolist()
     return {
         "schema_version": "handover.trial.v1",
         "units": "m",
@@ -95,7 +97,10 @@ def release_trial(stored: StoredTrial, name: str, variant: str) -> dict[str, Any
             "source_path": f"r2h_batch:{model.name}",
             "source_sha256": "",
         },
-        "usage_boxes": _region_boxes(model),
+        "usage_boxes": [
+            _box(center, half, "receiver", np.stack(R))
+            for center, half, *R in region_as_boxes(model).round(9)
+        ],
         "hand_boxes_world": _cells(skin, CELLS, "hand"),
         "hand_mesh_world": {
             "vertices": skin.tolist(),
@@ -179,29 +184,13 @@ def _cells(points: Array, n: int, label: str) -> list[dict[str, Any]]:
     return boxes
 
 
-def _box(center: Array, half: Array, label: str) -> dict[str, Any]:
+def _box(center: Array, half: Array, label: str, R: Array = NOT_TURNED) -> dict[str, Any]:
     return {
         "center": center.tolist(),
         "half_extents": half.tolist(),
-        "rotation": np.eye(3).tolist(),
+        "rotation": R.tolist(),
         "label": label,
     }
-
-
-def _region_boxes(model: Any) -> list[dict[str, Any]]:
-    """The bounding box of each connected part of the receiver's region: a patch has no volume."""
-    if not model.receiver_face.any():
-        return []
-    region = trimesh.Trimesh(model.vertices, model.faces[model.receiver_face], process=False)
-    groups = trimesh.graph.connected_components(
-        region.face_adjacency, nodes=np.arange(len(region.faces)), min_len=1
-    )
-    boxes = []
-    for faces in groups:
-        points = region.triangles[faces].reshape(-1, 3)
-        half = np.maximum(np.ptp(points, axis=0) / 2, LEAST_HALF_M)
-        boxes.append(_box((points.min(0) + points.max(0)) / 2, half, "receiver"))
-    return boxes
 
 
 def _table(place: Any, to_release: Array) -> dict[str, Any]:

@@ -206,7 +206,9 @@ def _object_arrays(o: ObjectModel, grasps: Candidates) -> Arrays:
     pitch = "side of a voxel, m; centre of (i, j, k): origin + (ijk + 0.5) pitch"
     poses = "grasp candidates, best first: ee in the obj frame, m"
     at_points = o.receiver_face[o.point_face]
+    of_boxes = "boxes of the region (N, 5, 3): centre, half sides, rows of the rotation"
     return {
+        **({} if o.receiver_boxes is None else {"receiver_boxes": (o.receiver_boxes, of_boxes)}),
         "vertices": (o.vertices, "closed mesh, m, obj frame"),
         "faces": (o.faces, "triangles, counter-clockwise seen from outside"),
         "face_part": (o.face_part, "part label of every face: index into part_names"),

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from r2h_batch import se3
 from r2h_batch.bodies.hand import MAX_SKIN_PIECES, palm_frame
+from r2h_batch.bodies.mesh_import.region import faces_in_boxes
 from r2h_batch.bodies.robot import DEFAULT_ROBOT, ee_pose, load_robot
 from r2h_batch.importers.release_files import (
     MAX_BYTES,
@@ -66,8 +67,6 @@ HOME_Q = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
 """The posture at the start of trials without planned joints."""
 TCP_M = 0.12
 """The release's tool stands so far out of the flange; `T_tcp_asset_tool` corrects it for a gripper."""
-REGION_M = 1e-6
-"""A usage box is this much larger than it says: faces of the object lie on its sides."""
 FLAT_M = 1e-4
 """Faces of a hand that lie so near one plane make no convex piece of their own."""
 LEAST_M = 1e-3
@@ -97,7 +96,9 @@ class ReleaseTrial:
     variant: str
     split: str
     mesh: trimesh.Trimesh
-    region: NDArray[np.bool_]  # (F,) faces of the receiver's region
+    region: NDArray[
+        Any
+    ]  # of the receiver: boxes (n, 5, 3), else bool (F,) of the faces that our exporter named
     T_obj_ee: Array
     T_world_ee: Array
     T_world_palm: Array
@@ -209,8 +210,8 @@ def _tool_pose(file: TrialFile) -> Array:
     return np.asarray(T_world_flange @ along_z(TCP_M) @ file.T_tcp_asset_tool)
 
 
-def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bool_]]:
-    """The mesh, or the boxes side by side, and the faces whose middle lies in a usage box."""
+def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[Any]]:
+    """The mesh, or the boxes side by side, and the receiver's region: the usage boxes as volumes, in S0 none."""
     if file.object_mesh_object is not None:
         vertices, faces = file.object_mesh_object.vertices, file.object_mesh_object.faces
         if faces.max() >= len(vertices):
@@ -223,21 +224,21 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
         mesh = trimesh.Trimesh(boxes.corners().reshape(-1, 3), box_faces(len(boxes)), process=False)
     if np.ptp(mesh.vertices, axis=0).max() < LEAST_M:
         raise FileError(f"{where}: object_mesh_object is smaller than {LEAST_M * 1e3:g} mm")
-    region = np.zeros(len(mesh.faces), bool)
     if file.split == "S0":
-        return mesh, region
-    if file.own is not None:
+        return mesh, np.zeros(len(mesh.faces), bool)
+    if file.own is not None and file.own.receiver_faces is not None:
+        region = np.zeros(len(mesh.faces), bool)
         if not 0 <= file.own.receiver_faces.max(initial=-1) < len(region):
             raise FileError(f"{where}: provenance.r2h_batch.receiver_faces names no face")
         region[file.own.receiver_faces] = True
         return mesh, region
-    if not len(file.usage_boxes):
+    T, half = file.usage_boxes.T, file.usage_boxes.half
+    if not len(T):
         raise FileError(f"{where}: usage_boxes is empty; a trial of S1 needs one or more")
-    local = transform_points(np.linalg.inv(file.usage_boxes.T), mesh.triangles_center)
-    apart = (np.abs(local) - file.usage_boxes.half[:, None]).max(2)  # (boxes, faces)
-    if (nearest := apart.min(1)).max() > REGION_M:
-        raise FileError(f"{where}: usage_boxes.{nearest.argmax()} holds no face of the object")
-    return mesh, np.asarray(apart.min(0) <= REGION_M)
+    volumes = np.concatenate([T[:, None, :3, 3], half[:, None], T[:, :3, :3]], 1)
+    if not faces_in_boxes(mesh.triangles_center, volumes).any():
+        raise FileError(f"{where}: usage_boxes hold no face of the object")
+    return mesh, volumes
 
 
 def _place(file: TrialFile, where: str) -> dict[str, Any]:

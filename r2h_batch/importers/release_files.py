@@ -193,7 +193,8 @@ class Own(Entry):
     T_world_palm: (
         Pose  # as in `receiver` when it was written: a hand that was moved since is theirs
     )
-    receiver_faces: Annotated[Array, PlainValidator(_whole_numbers)]
+    receiver_faces: Annotated[Array, PlainValidator(_whole_numbers)] | None = None
+    """None: the region is the usage boxes"""
 
 
 def _own(provenance: Any) -> Any:

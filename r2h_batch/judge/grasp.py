@@ -202,8 +202,9 @@ def region_distance(
     `Robot.gripper`).
 
     Exact below `cap_m`, `cap_m` beyond; negative: minus the depth of the region's deepest point in
-    a finger. NaN and -1 for an object without a region. `T_obj_ee` is the attachment (`attach`).
-    All that moves counts, the palm does not.
+    a finger, or minus a finger's inner radius where it lies in a region of boxes. NaN and -1 for an
+    object without a region. `T_obj_ee` is the attachment (`attach`). All that moves counts, the
+    palm does not.
     """
     # In the table of surfaces the regions stand behind the objects, in their order: index +
     # tables.objects
@@ -214,7 +215,7 @@ def region_distance(
         opening_m,
         tables.objects,
         tables.moving,
-        False,
+        tables.volumes,
         cap_m,
         threads,
         known=known,

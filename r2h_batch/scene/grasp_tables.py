@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import trimesh
 import warp as wp
 from numpy.typing import NDArray
 
@@ -30,6 +31,7 @@ class GraspTables:
     surfaces: Surfaces
     gripper: Gripper
     objects: int
+    volumes: bool  # whether some region is boxes: closed, where others are parts of a surface
     every: int  # bit masks of gripper primitives: all of them,
     moving: int  # all but coupling and palm,
     behind_pads: int  # all but the pads
@@ -42,15 +44,20 @@ def grasp_tables(objects: Sequence[ObjectModel], robot: Robot, device: str = "cp
     """The tables that every function here reads: built once per scene."""
     init_warp()
     triangles = [o.vertices[o.faces] for o in objects]
-    regions = [t[o.receiver_face] for t, o in zip(triangles, objects, strict=True)]
+    volumes = [o.receiver_boxes is not None for o in objects]
+    regions = [
+        t[o.receiver_face] if o.receiver_boxes is None else _sides(o.receiver_boxes)
+        for t, o in zip(triangles, objects, strict=True)
+    ]
     if len(robot.gripper_part) > 31:
         raise ValueError(
             f"the gripper has {len(robot.gripper_part)} primitives; the kernels' bit masks hold 31"
         )
     return GraspTables(
-        surfaces=surface_tables(triangles + regions, device),
+        surfaces=surface_tables(triangles + regions, device, [True] * len(objects) + volumes),
         gripper=gripper_tables(robot, device),
         objects=len(objects),
+        volumes=any(volumes),
         every=(1 << len(robot.gripper_part)) - 1,
         moving=sum(1 << i for i, motion in enumerate(robot.gripper_motion) if motion != "fixed"),
         behind_pads=sum(1 << i for i, part in enumerate(robot.gripper_part) if part != "pad"),
@@ -90,9 +97,18 @@ def gripper_tables(robot: Robot, device: str = "cpu") -> Gripper:
     return g
 
 
-def surface_tables(surfaces: Sequence[NDArray[np.float32]], device: str) -> Surfaces:
+def _sides(boxes: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The triangles of boxes (`ObjectModel.receiver_boxes`)."""
+    cube = trimesh.creation.box((2.0, 2.0, 2.0)).triangles.reshape(-1, 3)
+    corners = boxes[:, :1] + (cube * boxes[:, 1:2]) @ boxes[:, 2:].transpose(0, 2, 1)
+    return corners.astype(np.float32).reshape(-1, 3, 3)
+
+
+def surface_tables(
+    surfaces: Sequence[NDArray[np.float32]], device: str, closed: Sequence[bool]
+) -> Surfaces:
     """Surfaces, each a (T, 3, 3) array of triangles, sorted into nodes of 64 and leaves of 8 with
-    bounding spheres."""
+    bounding spheres. Those that are not `closed` get an empty bounding box: nothing lies inside."""
     points: list[NDArray[np.float32]] = []
     leaf_first, node_first, surface_first = [0], [0], [0]
     for triangles in surfaces:
@@ -106,7 +122,8 @@ def surface_tables(surfaces: Sequence[NDArray[np.float32]], device: str) -> Surf
     flat = np.concatenate([*points, np.zeros((0, 3), np.float32)]).astype(np.float32)
     leaf_points = [3 * i for i in leaf_first]
     node_points = [leaf_points[i] for i in node_first]
-    corners = [t.reshape(-1, 3) if len(t) else np.zeros((1, 3), np.float32) for t in surfaces]
+    nothing = np.zeros((1, 3), np.float32)
+    corners = [t.reshape(-1, 3) if c and len(t) else nothing for t, c in zip(surfaces, closed)]
     (node_sphere, node_half), (leaf_sphere, leaf_half) = (
         _bounds(flat, node_points),
         _bounds(flat, leaf_points),

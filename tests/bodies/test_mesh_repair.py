@@ -154,7 +154,10 @@ def test_a_gripper_beside_an_opening_is_clear_once_it_is_closed_though_a_ray_thr
     for mesh in (repaired.mesh, repaired.given):
         faces = np.asarray(mesh.faces, np.int32)
         model = SimpleNamespace(
-            vertices=np.float32(mesh.vertices), faces=faces, receiver_face=np.ones(len(faces), bool)
+            vertices=np.float32(mesh.vertices),
+            faces=faces,
+            receiver_face=np.ones(len(faces), bool),
+            receiver_boxes=None,
         )
         tables = grasp_tables([model], load_robot())
         clear.append(open_is_clear(tables, poses, none, clearance_m=0.001).numpy())

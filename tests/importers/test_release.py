@@ -3,17 +3,27 @@
 import copy
 import csv
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 
+import fcl
 import numpy as np
 import pytest
 import torch
+import trimesh
+from grasp_cases import model_of
 from scipy.optimize import least_squares
 from sweep_command import in_process
 
 from r2h_batch import EvalConfig, Evaluator
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark import read_benchmark
+from r2h_batch.bodies.objects import object_digest
+from r2h_batch.bodies.robot import Kind, Primitives, load_robot
+from r2h_batch.export.region_boxes import region_as_boxes
+from r2h_batch.judge.grasp import region_distance
 from r2h_batch.runs.store import load_run
+from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.trials.protocol import trials_of
 from r2h_batch.types import Outcome
 from r2h_batch.verdicts import CRITERIA
@@ -32,6 +42,8 @@ OBJECTS = {  # two boxes (centre, half extents), the part that people use first;
 }
 REACH_MM = {"hammer": (69.0, -70.576), "screwdriver": (74.0, -80.943), "bottle": (90.0, -51.483)}
 """Margins of the release's own evaluator at the goal, and where the arm stayed at home."""
+TIPS = 0.01875
+"""Our TCP stands so far behind the finger tips."""
 MATCHED = 0.051953
 """`T_tcp_asset_tool` along z with which the release's tool is our gripper's finger tips."""
 
@@ -173,6 +185,95 @@ def test_twelve_fixtures_get_the_flags_and_first_failures_that_the_release_publi
             assert row["outcome"] == (failure or "success")
 
 
+def release_fingers():
+    """Our robot with the release's fingers: two boxes on slides, whose ends are our pads' ends."""
+    own = load_robot()
+    T_gripper_ee = np.linalg.inv(own.T_flange_gripper) @ own.T_flange_ee
+    at = np.stack(
+        [T_gripper_ee @ trimesh.transformations.translation_matrix((0, y, TIPS - 0.022)) for y in (-0.006, 0.006)]
+    )
+    boxes = Primitives(
+        ("left", "right"),
+        np.zeros(2, np.int32),
+        np.full(2, int(Kind.BOX), np.int32),
+        at,
+        np.tile((0.012, 0.006, 0.022), (2, 1)),
+    )
+    slides = replace(own.linkage, slide=True, drive_lower=-0.0425, drive_upper=0.0)
+    return replace(
+        own, gripper=boxes, gripper_part=("pad", "pad"), gripper_motion=("slide", "slide"),
+        gripper_side=np.array([-1, 1], np.int32), linkage=slides, digest="fingers of the release",
+    )  # fmt: skip
+
+
+def as_rows(boxes):
+    """A trial's boxes as `ObjectModel.receiver_boxes`."""
+    return np.array([[b["center"], b["half_extents"], *b["rotation"]] for b in boxes])
+
+
+def region_distances(regions, T_object_gripper, opening):
+    """Of region i to the release's fingers at grasp i, m."""
+    cube = trimesh.creation.box((0.01, 0.01, 0.01))
+    objects = [SimpleNamespace(**vars(model_of(cube)) | {"receiver_boxes": r}) for r in regions]
+    index = torch.arange(len(regions), dtype=torch.int32)
+    T = torch.tensor(np.array(T_object_gripper) @ shift(-TIPS), dtype=torch.float32)
+    return region_distance(
+        grasp_tables(objects, release_fingers()), T, index, torch.tensor(opening, dtype=torch.float32)
+    )[0]
+
+
+def test_with_the_releases_fingers_usage_boxes_are_volumes_as_there():
+    """Its published flags of all S1 fixtures, and FCL's boxes on random grasps: in, around and inside."""
+    s1 = [fixture(name, v) for name in ("hammer", "screwdriver") for v in ("intent_aware", "region_agnostic")]
+    regions = [as_rows([{**b, "rotation": np.eye(3)} for b in t["usage_boxes"]]) for t in s1]
+    width = [0.05, 0.05, 0.038, 0.038]  # of the whole object, as the release opens its fingers
+    touch_m = 1e-6  # the screwdriver's fingers touch its handle, which fails: rounding decides nothing
+    flags = region_distances(regions, [t["T_object_gripper"] for t in s1], width) > touch_m
+    assert flags.tolist() == [True, True, True, False]
+
+    rng, n = np.random.default_rng(5), 300
+    regions, grasps = [], []
+    for _ in range(n):
+        turns = [trimesh.transformations.random_rotation_matrix(rng.random(3)) for _ in range(3)]
+        many = rng.integers(1, 3)
+        regions.append(
+            np.array([[rng.normal(0, 0.02, 3), rng.uniform(0.002, 0.06, 3), *T[:3, :3]] for T in turns[:many]])
+        )
+        turns[2][:3, 3] = rng.normal(0, 0.05, 3)
+        grasps.append(turns[2])
+    opening = rng.uniform(0, 0.085, n)
+    distance = region_distances(regions, grasps, opening).numpy()
+    met, within = np.zeros(n, bool), 0
+    for i in range(n):
+        for side in (-1, 1):
+            finger = grasps[i] @ trimesh.transformations.translation_matrix(
+                (0, side * (opening[i] / 2 + 0.006), -0.022)
+            )
+            corners = trimesh.transform_points(trimesh.creation.box((0.024, 0.012, 0.044)).vertices, finger)
+            for center, half, *R in regions[i]:
+                a = fcl.CollisionObject(fcl.Box(0.024, 0.012, 0.044), fcl.Transform(finger[:3, :3], finger[:3, 3]))
+                b = fcl.CollisionObject(fcl.Box(*2 * half), fcl.Transform(np.stack(R), center))
+                met[i] |= fcl.collide(a, b) > 0
+                within += (np.abs((corners - center) @ np.stack(R)) < half).all()
+    clear = np.abs(distance) > 1e-5
+    assert clear.sum() > n - 3 and (met == (distance < 0))[clear].all()
+    assert 20 < met.sum() < n - 20 and within > 5
+
+
+def test_usage_boxes_come_back_as_they_came(tmp_path):
+    """Of a box that no face's middle lies in too; its inside is asked all the same."""
+    turned = trimesh.transformations.rotation_matrix(0.4, (1, 2, 3))
+    trial = fixture("hammer", "intent_aware", tool=MATCHED)
+    more = box(turned, (0.0, 0.01, -0.02), (0.003, 0.002, 0.001))
+    trial["usage_boxes"] = [{**trial["usage_boxes"][0], "rotation": np.eye(3).tolist()}, more]
+    _, benchmark, _, _ = imported(tmp_path, [trial])
+    assert np.allclose(benchmark.objects[0].receiver_boxes, as_rows(trial["usage_boxes"]), atol=1e-12)
+    assert np.allclose(region_as_boxes(benchmark.objects[0]), as_rows(trial["usage_boxes"]), atol=1e-12)
+    plain = replace(benchmark.objects[0], receiver_boxes=None)
+    assert object_digest(plain) != object_digest(benchmark.objects[0])
+    assert replace(benchmark, objects=(plain,)).digest != benchmark.digest
+
+
 def test_a_sweep_judges_their_files_in_one_step_and_keeps_their_ids(tmp_path):
     """Of our gripper (`T_tcp_asset_tool`) the executed motion is judged, of another one the pose is planned to."""
     (tmp_path / "in").mkdir()
@@ -298,7 +399,7 @@ def changed(**fields):
         ({"T_object_gripper": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "T_object_gripper is"),
         ({"palm_normal_world": [0, 0, 0]}, "palm_normal_world is zero"),
         ({"usage_boxes": []}, "usage_boxes is empty"),
-        ({"usage_boxes": [{"center": [9, 9, 9], "half_extents": [1e-3] * 3}]}, "usage_boxes.0 holds no face"),
+        ({"usage_boxes": [{"center": [9, 9, 9], "half_extents": [1e-3] * 3}]}, "usage_boxes hold no face of the object"),
         ({"planned_joints": [[0, 0, 0]]}, "planned_joints is [[0, 0, 0]]; rows must have 6 numbers each"),
         ({"object_boxes": None}, "object_boxes is missing"),
         ({"object_mesh_object": {"vertices": [[0, 0, 0]] * 4, "faces": [[0, 1, 7]] * 4}}, "names vertex 7; there are 4"),

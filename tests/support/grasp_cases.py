@@ -90,7 +90,9 @@ def shapes() -> dict[str, trimesh.Trimesh]:
 def model_of(mesh: trimesh.Trimesh, region=None) -> Any:
     faces = np.asarray(mesh.faces, np.int32)
     receiver = np.zeros(len(faces), bool) if region is None else region(mesh)
-    return SimpleNamespace(vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=receiver)
+    return SimpleNamespace(
+        vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=receiver, receiver_boxes=None
+    )
 
 
 def upper(mesh: trimesh.Trimesh) -> np.ndarray:

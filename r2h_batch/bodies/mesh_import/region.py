@@ -18,10 +18,20 @@ from r2h_batch.bodies.mesh_import.limits import ObjectMeshError
 from r2h_batch.bodies.solid import Surface
 from r2h_batch.io.read import FileError, printable, read_file
 
-__all__ = ["PLANE", "carried", "part_of_faces", "read_region", "receiver_region"]
+__all__ = [
+    "PLANE",
+    "carried",
+    "faces_in_boxes",
+    "part_of_faces",
+    "read_region",
+    "receiver_region",
+    "region_boxes",
+]
 
 MAX_REGION_BYTES = 64 << 20
 """Of a file that says which faces the receiver's region has: eight bytes for each of millions."""
+RIGID, ON_SIDE_M = 1e-6, 1e-6
+"""How far a box's rows may be from a rotation; faces of an object may lie on the sides of its boxes."""
 PLANE = re.compile(r"\s*([xyz])\s*([<>])\s*([0-9.]+)\s*")
 WAYS = "the name of a part, 'AXIS<FRACTION' (axis x, y or z; < or >; fraction of the bounding box from its low side)"
 
@@ -72,12 +82,10 @@ def receiver_region(
         axis, fraction = "xyz".index(match[1]), float(match[3])
         position = (solid.triangles_center[:, axis] - low[axis]) / (high[axis] - low[axis])
         region = position < fraction if match[2] == "<" else position > fraction
+    elif (boxes := region_boxes(receiver, names, label)) is not None:
+        region = faces_in_boxes(solid.triangles_center, boxes)
     else:
-        given = (
-            read_region(receiver, names, label)
-            if isinstance(receiver, (str, Path))
-            else np.asarray(receiver)
-        )
+        given = _region_array(receiver, names, label)
         region = _region_of_faces(given, len(closed.given.faces), label)[carried(closed)]
     if not region.any() or region.all():
         raise ObjectMeshError(
@@ -85,6 +93,47 @@ def receiver_region(
             "the robot needs a part to hold and the receiver a part to take"
         )
     return region
+
+
+def region_boxes(
+    receiver: Receiver, names: Sequence[str], label: str
+) -> NDArray[np.float64] | None:
+    """The boxes that a region is said by (`ObjectModel.receiver_boxes`); None where something else says it."""
+    if receiver is None or (isinstance(receiver, (str, Path)) and Path(receiver).suffix != ".npy"):
+        return None
+    given = _region_array(receiver, names, label)
+    if given.dtype.kind != "f":
+        return None
+    boxes = given.astype(np.float64)
+    if boxes.shape[1:] != (5, 3) or not np.isfinite(boxes).all():
+        raise ObjectMeshError(
+            f"{label}: receiver array is {given.dtype} {given.shape}; boxes are finite numbers (N, 5, 3): centre, half sides, "
+            "and three rows of a rotation"
+        )
+    R = boxes[:, 2:]
+    turned = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2), initial=0.0)
+    wrong = (boxes[:, 1] <= 0).any(1) | (turned > RIGID) | (np.linalg.det(R) < 0)
+    if wrong.any():
+        raise ObjectMeshError(
+            f"{label}: box {wrong.argmax()} of the receiver has a half side that is not positive, or rows that are no rotation"
+        )
+    return boxes
+
+
+def faces_in_boxes(middle: NDArray[np.float64], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(F,) which faces have their middle (F, 3) in a box, or on its side."""
+    found = np.zeros(len(middle), bool)
+    for box in boxes:
+        found |= (np.abs((middle - box[0]) @ box[2:]) <= box[1] + ON_SIDE_M).all(1)
+    return found
+
+
+def _region_array(
+    receiver: str | Path | NDArray[np.generic], names: Sequence[str], label: str
+) -> NDArray[np.generic]:
+    if isinstance(receiver, (str, Path)):
+        return read_region(receiver, names, label)
+    return np.asarray(receiver)
 
 
 def read_region(path: str | Path, names: Sequence[str], label: str) -> NDArray[np.generic]:
