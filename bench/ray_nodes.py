@@ -107,8 +107,12 @@ def fill_stores(address: str, full: object) -> None:
     import ray
 
     ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-    block = ray.remote(num_cpus=0, scheduling_strategy="SPREAD")(np.zeros)
-    held = [block.remote(1_000_000) for _ in range(4 * STORE_BYTES // 8_000_000)]
+
+    @ray.remote(num_cpus=0, scheduling_strategy="SPREAD")
+    def block() -> np.ndarray:
+        return np.zeros(1_000_000)
+
+    held = [block.remote() for _ in range(4 * STORE_BYTES // 8_000_000)]
     ray.wait(held, num_returns=len(held), timeout=60)
     full.set()  # type: ignore[attr-defined]
     time.sleep(3600)
@@ -122,7 +126,8 @@ def full_stores(address: str) -> Iterator[None]:
     holder = spawn.Process(target=fill_stores, args=(address, full))
     holder.start()
     try:
-        wait_for(full.is_set, "full object stores")
+        wait_for(lambda: full.is_set() or not holder.is_alive(), "full object stores")
+        assert holder.is_alive(), "nothing fills the object stores"
         yield
     finally:
         holder.kill()
@@ -223,7 +228,7 @@ FAULTS = {
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--faults", nargs="+", choices=FAULTS, default=list(FAULTS))
-    parser.add_argument("--trials", type=int, default=20_000, help="of each of two splits")
+    parser.add_argument("--trials", type=int, default=10_000, help="of each of two splits")
     parser.add_argument("--shard-trials", type=int, default=1000)
     given, report = parser.parse_args(), Report()
     os.environ.update(RAY_AUTH_MODE="disabled", RAY_USAGE_STATS_ENABLED="0")

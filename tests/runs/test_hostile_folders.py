@@ -224,6 +224,15 @@ def test_a_forged_table_with_the_right_sha256_is_one_line(run, what, capsys):
         assert captured.out == "" and captured.err.count("\n") == 1 and captured.err[:-1].isprintable()
 
 
+def test_a_table_that_unpacks_to_more_than_its_rows_can_hold_is_refused_undecoded(run, monkeypatch):
+    forge(run, lambda t: with_words(t, "object", ["x" * (20 << 20)]))  # a few kB on the disk
+    read = []
+    monkeypatch.setattr(pq.ParquetFile, "read", lambda *_, **__: read.append(1))
+    with pytest.raises(RunError, match=r"unpacks to .* bytes; at most"):
+        load_run(run, verify=False).trials("m")
+    assert not read
+
+
 def at(row, **values):
     """A change of a table: other values in one row."""
 
