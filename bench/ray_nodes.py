@@ -153,6 +153,12 @@ def on(cluster: Cluster, out: Path, given: argparse.Namespace) -> subprocess.Pop
     )
 
 
+def again(report: Report, name: str, cluster: Cluster, out: Path, given: argparse.Namespace) -> None:
+    """The same command, which must complete the run."""
+    if said(report, f"{name}.again", on(cluster, out, given), out) != 0:
+        raise SystemExit(f"{name}: the same command did not go on")
+
+
 def dies(report: Report, name: str, base: Path, plain: Path, given: argparse.Namespace) -> None:
     """One process of a cluster, or the driver, is killed while both nodes score; then the same command again."""
     out, cluster = base / name, Cluster(base / f"r_{name}")
@@ -172,12 +178,12 @@ def dies(report: Report, name: str, base: Path, plain: Path, given: argparse.Nam
                 cluster.nodes[0].kill("/gcs/gcs_server")
             case "driver":
                 driver.kill()
-        said(report, name, driver, out)
+        code = said(report, name, driver, out)
         if name in ("head_raylet", "gcs"):
             cluster.stop()
             cluster = Cluster(base / f"r2_{name}")
-        if said(report, f"{name}.again", on(cluster, out, given), out) != 0:
-            raise SystemExit(f"{name}: the same command did not go on")
+        if code != 0:
+            again(report, name, cluster, out, given)
         compare(report, name, plain, out)
     finally:
         cluster.stop()
@@ -192,8 +198,7 @@ def full_store(report: Report, name: str, base: Path, plain: Path, given: argpar
             with full_stores(cluster.address):
                 report.add(f"{name}.session_folder_used", round(shutil.disk_usage(folder).used / 2**20))
                 said(report, name, on(cluster, out, given), out)
-            if said(report, f"{name}.again", on(cluster, out, given), out) != 0:
-                raise SystemExit(f"{name}: the same command did not go on")
+            again(report, name, cluster, out, given)
             compare(report, name, plain, out)
         finally:
             cluster.stop()
@@ -207,8 +212,7 @@ def full_disk(report: Report, name: str, base: Path, plain: Path, given: argpars
             out = folder / "run"
             said(report, name, on(cluster, out, given), out)
             subprocess.run(["mount", "-o", "remount,size=1g", str(folder)], check=True)
-            if said(report, f"{name}.again", on(cluster, out, given), out) != 0:
-                raise SystemExit(f"{name}: the same command did not go on")
+            again(report, name, cluster, out, given)
             compare(report, name, plain, out)
     finally:
         cluster.stop()
@@ -237,7 +241,7 @@ def main() -> None:
         ended(sweep(base / "plain", given))
         for name in given.faults:
             FAULTS[name](report, name, base, base / "plain", given)
-    report.write(given.json)
+            report.write(given.json)
 
 
 if __name__ == "__main__":

@@ -134,6 +134,7 @@ def long(given: argparse.Namespace, base: Path, report: Report, dice: random.Ran
     report.add("long.trials", sum(r["last"] - r["first"] for r in stored))
     report.add("long.seconds", time.perf_counter() - start)
     report.add("long.bytes", sum(p.stat().st_size for p in plain.rglob("*") if p.is_file()))
+    report.write(given.json)
     for how, count in under_fire(fire, given, dice).items():
         report.add(f"long.{how.replace(' ', '_')}", count)
     compare(report, "long", plain, fire)
@@ -182,6 +183,7 @@ def calls(given: argparse.Namespace, report: Report) -> None:
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             for name, value in pool.submit(memory_of_calls, kind, given.calls).result().items():
                 report.add(f"calls.{kind}.{name}", value)
+        report.write(given.json)
 
 
 def memory_of_calls(kind: str, calls: int) -> dict[str, float]:

@@ -48,11 +48,14 @@ def read_csv_arrays(path: Path, columns: Mapping[str, tuple[str, int]]) -> dict[
             )
         except (pa.ArrowException, UnicodeDecodeError) as error:
             why = printable(error)[:200]
-            raise FileError(f"{where}: no readable CSV ({why}); save it as CSV UTF-8") from None
+            how = "save it as CSV UTF-8, with commas"
+            raise FileError(f"{where}: no readable CSV ({why}); {how}") from None
     names = table.column_names
-    if odd := [n for n in names if n not in kinds or names.count(n) > 1]:
-        how = "given twice" if odd[0] in kinds else f"unknown; allowed are {', '.join(columns)}"
-        raise FileError(f"{where}: column {printable(odd[0])[:60]!r} is {how}")
+    # the first one only: counting each of a million names would take hours
+    odd = next((n for n in names if n not in kinds or names.count(n) > 1), None)
+    if odd is not None:
+        how = "given twice" if odd in kinds else f"unknown; allowed are {', '.join(columns)}"
+        raise FileError(f"{where}: column {printable(odd)[:60]!r} is {how}")
     found = {}
     for name, own in parts.items():
         there = [part for part in own if part in names]

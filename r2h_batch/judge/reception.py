@@ -31,6 +31,7 @@ from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene
 from r2h_batch.scene.tables import MIDDLE_ROOT
 from r2h_batch.types import CRITERIA, ScoreInputs, Scores
+from r2h_batch.validate import array, check_arguments, instance_of
 
 __all__ = ["ANGLES", "STEPS", "Reception", "chance_of_one", "reception", "rula"]
 
@@ -94,15 +95,20 @@ class Reception:
     T_world_hand: Float32[Tensor, "b 4 4"]
 
 
+@check_arguments(
+    scores=instance_of(Scores, "what Evaluator.score returns"),
+    leans_deg=array("iuf", 1, "leans of the trunk, 0 to 90 degrees", low=0.0, high=90.0),
+)
 def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Reception:
     """Whether each receiver can take the object that was handed over.
 
     Args:
         scores: what `Evaluator.score` returned for trials with a receiver's body (r2h-v1).
-        leans_deg: leans of the trunk that a person may use, degrees; (0,): none.
+        leans_deg: leans of the trunk that a person may use, 0 to 90 degrees; (0,): none.
 
     Raises:
-        ValueError: the scores do not know what was asked, or the trials have no receiver's body.
+        TypeError, ValueError: an argument is none of these, the scores do not know what was asked, or
+            the trials have no receiver's body.
     """
     if (inputs := scores.inputs) is None:
         raise ValueError("these scores do not know what was asked; score again")
@@ -110,7 +116,9 @@ def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Re
         raise ValueError(
             "these trials have no receiver's body, so nobody can take the object; use protocol r2h-v1"
         )
-    rows = range(0, len(scores), TRIALS_AT_ONCE)
+    if not len(leans_deg):
+        raise ValueError("leans_deg is empty; give (0.0,) for a person who does not lean")
+    rows = range(0, max(len(scores), 1), TRIALS_AT_ONCE)
     parts = [_reception(scores[i : i + TRIALS_AT_ONCE], leans_deg) for i in rows]
     return Reception(
         **{k: torch.cat([getattr(p, k) for p in parts]) for k in Reception.__dataclass_fields__}

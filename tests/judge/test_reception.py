@@ -368,6 +368,13 @@ def test_without_lean_fewer_arms_reach(scores, found):
     assert (upright.angles_deg[upright.received, ANGLES.index("lean")] == 0).all()
 
 
+def test_no_rows_give_no_rows_and_leans_are_degrees_that_a_trunk_has(scores):
+    assert len(reception(scores[:0]).received) == 0
+    for leans in ((), (-30.0,), (float("nan"),), "30"):
+        with pytest.raises((TypeError, ValueError), match="leans_deg is"):
+            reception(scores, leans_deg=leans)
+
+
 def test_rows_that_hold_nothing_are_not_evaluated(scores):
     T = scores.inputs.T_obj_ee.clone()
     T[:4, :3, 3] += 1.0
