@@ -259,16 +259,17 @@ def hand_distance_at(
     q: Float32[Tensor, "b 6"],
     active: Bool[Tensor, " b"],
     *,
+    cap_m: float = CLEARANCE_CAP_M,
     threads: int | None = None,
 ) -> NearestApproach:
     """The distance of the robot from the hand at the postures `q` (rad), measured as in
-    `hand_distance`."""
+    `hand_distance`; exact below `cap_m`."""
     made = new_outputs(goal_safe_distance, len(active), scene.device)
     launch_trials(
         scene.sized(goal_safe_distance),
         len(active),
         inputs={
-            "cap": CLEARANCE_CAP_M,
+            "cap": cap_m,
             "world": scene.world,
             "mesh": scene.hand_mesh,
             "bodies": body_poses.bodies,

@@ -23,7 +23,9 @@ from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
 
-__all__ = ["Criterion", "Evidence", "affordance", "judge", "plan", "reach", "safe", "stability"]
+__all__ = [
+    "Criterion", "Evidence", "affordance", "judge", "plan", "reach", "reach_distance", "safe", "stability",
+]  # fmt: skip
 
 KINDS = (MarginKind.CAP, MarginKind.BOUND, MarginKind.DISTANCE, MarginKind.CAP)
 _TOUCHING_PASSES = {entry.name: entry.touching_passes for entry in REGISTRY}
@@ -150,25 +152,37 @@ def reach(e: Evidence) -> Criterion:
     The mesh's tree stands in the object's frame: the ball is moved there, not the object.
     """
     held = e.held
-    made = new_outputs(reach_kernels.point_to_object, len(held.ball), e.scene.device)
-    surfaces = e.scene.grasp_tables.surfaces
+    distance = reach_distance(e.scene, held.objects, held.ball, threads=e.threads)
+    return Criterion.of("reach", e.config.thresholds.reach_radius_m - distance, held.active)
+
+
+def reach_distance(
+    scene: Scene,
+    objects: Int32[Tensor, " b"],
+    point: Float32[Tensor, "b 3"],
+    *,
+    threads: int | None = None,
+) -> Float32[Tensor, " b"]:
+    """Distance of points (object frame, m) from what Reach measures of these objects, 0 inside."""
+    made = new_outputs(reach_kernels.point_to_object, len(point), scene.device)
+    surfaces = scene.grasp_tables.surfaces
     launch_trials(
         reach_kernels.point_to_object,
-        len(held.ball),
+        len(point),
         inputs={
             "cap": FARTHEST_M,
-            "mesh": e.scene.reach_mesh_ids,
+            "mesh": scene.reach_mesh_ids,
             "low": surfaces.low,
             "high": surfaces.high,
-            "object": held.objects,
-            "point": held.ball,
+            "object": objects,
+            "point": point,
         },
         outputs=made,
-        device=e.scene.device,
-        threads=e.threads,
+        device=scene.device,
+        threads=threads,
         chunk=64,
     )
-    return Criterion.of("reach", e.config.thresholds.reach_radius_m - made["distance"], held.active)
+    return made["distance"]
 
 
 def affordance(e: Evidence) -> Criterion:

@@ -19,6 +19,7 @@ from r2h_batch.verdicts import (
 )
 
 if TYPE_CHECKING:  # readers of rows need no torch
+    from r2h_batch.closed_loop.env import Episodes
     from r2h_batch.types import Predictions, Scores, Trials
 
 MISSING = max(Outcome) + 1
@@ -33,6 +34,14 @@ KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
 
 _NAME = pa.dictionary(pa.int32(), pa.string())
 _POSE = pa.list_(pa.float32(), 16)
+
+ENDS = ("running", "success", "contact", "collision", "drop", "not_received", "timeout")
+"""How an episode of a closed loop ends, in the order of `closed_loop.env.End`."""
+
+EPISODE_NUMBERS = (
+    "time_s", "least_m", "slack_m", "near_speed_m_s", "ssm_s", "ssm_depth_m", "pfl_share", "robot_idle", "human_idle",
+    "concurrent", "delay", "hand_path_m",
+)  # fmt: skip
 
 TRIAL_SCHEMA = pa.schema(
     [
@@ -110,6 +119,16 @@ PATH_SCHEMA = pa.schema(
         pa.field("planned_q", pa.list_(pa.list_(pa.float32(), 6))),
     ]
 )
+
+EPISODE_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("end", _NAME, nullable=False),  # ENDS
+        pa.field("robot_touched", pa.bool_()),  # null: no contact
+        *(pa.field(name, pa.float32(), nullable=False) for name in EPISODE_NUMBERS),
+    ]
+)
+"""A row for each answered trial of a closed loop; columns as in `closed_loop.env.Episodes`."""
 
 FAILURE_SCHEMA = pa.schema(
     [
@@ -267,6 +286,18 @@ def pose_rows(predictions: "Predictions") -> pa.Table:
     return pa.table(
         [pa.array(_array(predictions.trial_id), pa.int64()), *arrays], schema=POSE_SCHEMA
     )
+
+
+def episode_rows(trial_id: Any, episodes: "Episodes") -> pa.Table:
+    """Rows of `EPISODE_SCHEMA`."""
+    end, by_robot = _array(episodes.end), _array(episodes.robot_touched)
+    arrays = [
+        pa.array(_array(trial_id), pa.int64()),
+        _named(end, ENDS),
+        pa.array(by_robot, pa.bool_(), mask=end != ENDS.index("contact")),
+        *(_floats(getattr(episodes, name)) for name in EPISODE_NUMBERS),
+    ]
+    return pa.table(arrays, schema=EPISODE_SCHEMA)
 
 
 def path_rows(scores: "Scores", planned: tuple[Any, Any] | None = None) -> pa.Table:

@@ -49,6 +49,7 @@ from r2h_batch.io.tables import check_decoded_size
 from r2h_batch.io.write import atomic_path, csv_cell, packed_json, run_folder_of
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
+    EPISODE_SCHEMA,
     FAILURE_SCHEMA,
     LATER_COLUMNS,
     OUTCOME_NAMES,
@@ -69,6 +70,7 @@ SCHEMAS = {
     "poses": POSE_SCHEMA,
     "paths": PATH_SCHEMA,
     "failures": FAILURE_SCHEMA,
+    "episodes": EPISODE_SCHEMA,
 }
 """Kind of table (and folder) -> its columns."""
 
@@ -281,7 +283,7 @@ _ABSENT: Any = None  # a field may be absent, but a written one is not null
 
 Count = Annotated[int, Field(ge=0, le=10**12)]
 Split = Literal["S0", "S1"]
-Kind = Literal["trials", "details", "poses", "paths", "failures"]
+Kind = Literal["trials", "details", "poses", "paths", "failures", "episodes"]
 OutcomeName = Literal[OUTCOME_NAMES]  # type: ignore[valid-type]
 Text = Annotated[str, Field(max_length=MAX_TEXT)]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -913,6 +915,10 @@ class Run:
         """Waypoints and times of the trials with a path, `PATH_SCHEMA`."""
         return self._read("paths", method)
 
+    def episodes(self, method: str) -> pa.Table:
+        """How closed loops ended, `EPISODE_SCHEMA`."""
+        return self._read("episodes", method)
+
     def failures(self, method: str) -> pa.Table:
         """What is needed to repeat a failed simulation, `FAILURE_SCHEMA`."""
         return self._read("failures", method)
@@ -1101,12 +1107,14 @@ def _wrong_rows(
     """
     first, last, every = receipt["first"], receipt["last"], kind == "trials"
     exact = last - first
-    if kind in ("details", "poses"):  # a row of each trial that was answered
+    if kind in ("details", "poses", "episodes"):  # a row of each trial that was answered
         exact -= sum(counts.get("missing", 0) for counts in receipt["outcomes"].values())
     try:
         with pq.ParquetFile(file) as stored:
             rows = stored.metadata.num_rows
-            if rows > exact or (kind in ("trials", "details", "poses") and rows != exact):
+            if rows > exact or (
+                kind in ("trials", "details", "poses", "episodes") and rows != exact
+            ):
                 return f"holds {rows} rows, planned were {exact}"
             if "trial_id" not in stored.schema_arrow.names:
                 return "column 'trial_id' is missing"

@@ -116,12 +116,13 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
     from r2h_batch.sweep.engine import Stopped
 
     try:
-        for module, flag in (
-            ("ray" if options.engine == "ray" else "", "--engine ray"),
-            (options.log, f"--log {options.log}"),
+        for module, flag, extra in (
+            ("ray" if options.engine == "ray" else "", "--engine ray", "ray"),
+            (options.log, f"--log {options.log}", options.log),
+            ("gymnasium" if options.receiver_motion else "", "--receiver-motion", "env"),
         ):
             if module and find_spec(module) is None:
-                raise UsageError(f"{flag} needs {module}: pip install 'r2h_batch[{module}]'")
+                raise UsageError(f"{flag} needs {module}: pip install 'r2h_batch[{extra}]'")
         if options.address:
             reach(options.address, options.ray_timeout)
         # a method may change the directory, when it is imported or asked
@@ -252,6 +253,12 @@ def _finish(options: Options, names: list[str]) -> int:
             _log(stored, options.log)
     if names and not left:
         sys.stdout.write(report.render(report.table_of(stored), options.format))
+        if options.receiver_motion:
+            from r2h_batch.report.closed_loop import render
+
+            words = render(stored)
+            (stored.folder / "closed_loop.md").write_text(words)
+            (sys.stdout if options.format == "md" else sys.stderr).write(f"\n{words}")
         sys.stdout.flush()
     tell(f"run folder: {options.out}")
     return code

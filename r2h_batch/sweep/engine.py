@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +21,7 @@ from r2h_batch.predictions import Motions
 from r2h_batch.runs.rows import (
     TrialNames,
     detail_rows,
+    episode_rows,
     failure_rows,
     missing_rows,
     path_rows,
@@ -32,6 +33,9 @@ from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import Job, Setting
 from r2h_batch.sweep.options import Options
 from r2h_batch.types import Outcome, Predictions, Scores, Trials
+
+if TYPE_CHECKING:
+    from r2h_batch.closed_loop.episodes import Loop
 
 CPU_CHUNK = 256
 """Trials between two looks at the clock on a CPU; on a GPU it is the evaluator's own chunk."""
@@ -284,7 +288,8 @@ def _scored(
     part = part.to(device)
     answers = job.predict(part, rows).to(device)
     given = None if motions is None else motions.padded(cast(torch.Tensor, rows), device)
-    return judged_tables(setting.evaluator, part, answers, given, setting.header["stored"], names)
+    stored = setting.header["stored"]
+    return judged_tables(setting.evaluator, part, answers, given, stored, names, setting.loop)
 
 
 def judged_tables(
@@ -294,10 +299,12 @@ def judged_tables(
     given: dict[str, torch.Tensor] | None,
     stored: Sequence[str],
     names: TrialNames,
+    loop: "Loop | None" = None,
 ) -> dict[str, pa.Table]:
     """Tables of trials and of the kinds `stored`, as a run folder has them.
 
-    `given`: motions in place of the handover poses, as `Evaluator.score_motion` takes them.
+    `given`: motions in place of the handover poses, as `Evaluator.score_motion` takes them. `loop`: how
+    `episodes` are played.
     """
     if given is not None:
         scores = evaluator.score_motion(answers.T_obj_ee, trials=part, **given)
@@ -306,6 +313,7 @@ def judged_tables(
     else:
         keep = "paths" in stored
         scores = evaluator.score(answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep)
+    played = None if loop is None else loop(scores)
     # one copy each from a GPU
     part, answers, scores = part.to("cpu"), answers.to("cpu"), scores.to("cpu")
     tables = {"trials": score_rows(part, scores, names, answers.t_method_s)}
@@ -318,6 +326,8 @@ def judged_tables(
             tables[kind] = pose_rows(answers)
         elif kind == "paths":
             tables[kind] = path_rows(*_paths(scores, given or {}))
+        elif kind == "episodes" and played is not None:
+            tables[kind] = episode_rows(part.trial_id, played)
     return tables
 
 

@@ -41,6 +41,7 @@ from r2h_batch.verdicts import SIDES, SPLITS
 
 if TYPE_CHECKING:
     from r2h_batch.bodies.objects import ObjectModel
+    from r2h_batch.closed_loop.episodes import Loop
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.predictors import Observations, PredictorNoise
@@ -63,6 +64,7 @@ class Setting:
     header: dict[str, Any]
     ids: Callable[[int, int], torch.Tensor]
     trials: Callable[[torch.Tensor], Trials]
+    loop: "Loop | None" = None  # how handovers are played in closed loop
     labels: Labels | None = None  # what the owner of listed trials calls them
 
     @property
@@ -111,6 +113,7 @@ def prepare(options: Options) -> Setting:
     given = given_of(options)
     # a convex decomposition takes up to a minute: only where it is used
     benchmark = given.read(pieces=options.object_collision == "pieces")
+    loop = loop_of(options)
     config, objects = benchmark.config(_configuration(options)), benchmark.objects
     plan = _plan(options, benchmark)
     first_trials = make_trials(
@@ -131,6 +134,7 @@ def prepare(options: Options) -> Setting:
             "code": provenance.code_digest(),
             # what there was before robots could be chosen keeps its digests
             **({} if benchmark.robot == load_robot() else {"robot": benchmark.robot.digest}),
+            **({} if loop is None else {"closed_loop": loop.identity}),
         },
         "robot": {"name": benchmark.robot.name, "digest": benchmark.robot.digest},
         "motion": {
@@ -163,7 +167,7 @@ def prepare(options: Options) -> Setting:
     def ids(first: int, last: int) -> torch.Tensor:
         return torch.from_numpy(trial_ids(plan, first, last))
 
-    return Setting(evaluator, header, ids, partial(trials_of, benchmark), benchmark.labels)
+    return Setting(evaluator, header, ids, partial(trials_of, benchmark), loop, benchmark.labels)
 
 
 def _said_of(model: "ObjectModel") -> dict[str, Any]:
@@ -376,9 +380,28 @@ class _Method:
     options: Mapping[str, Any]
 
 
+def loop_of(options: Options) -> "Loop | None":
+    """How the handovers are played in closed loop; None: they are not."""
+    if not options.receiver_motion:
+        return None
+    from r2h_batch.closed_loop.env import LoopConfig
+    from r2h_batch.closed_loop.episodes import Loop
+    from r2h_batch.closed_loop.moving import ReceiverMotion
+
+    motion = ReceiverMotion.parse(options.receiver_motion, options.seed)
+    return Loop(motion, options.policy, LoopConfig(seed=options.seed))
+
+
 def resolve(options: Options) -> None:
-    """Raises `UsageError` or `ValueError` for a --method or --predictor that is not there, before
+    """Raises `UsageError` or `ValueError` for a --method, --policy or --predictor that is not there, before
     anything slow starts."""
+    if (loop := loop_of(options)) is not None:
+        from r2h_batch.closed_loop.episodes import policy_of
+
+        try:
+            policy_of(loop.policy)
+        except (ImportError, TypeError) as error:
+            raise UsageError(f"--policy {loop.policy}: {error}") from None
     for name in options.method:
         _method(name)
     if options.predictor and options.predicted_contacts:

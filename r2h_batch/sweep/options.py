@@ -217,6 +217,19 @@ class Options:
         "a sweep at each of four execution errors and without, in folders of --out; prints how SR"
         " falls",
     )
+    receiver_motion: str = _option(
+        "",
+        _CONFIG,
+        "also play every handover in closed loop, with receivers that are still, or that move: moves, reaches,"
+        " hesitates, withdraws, takes, with a size such as moves:100mm,20deg; or replay:NAME_motion.npz of import"
+        " hands (needs the extra env)",
+    )
+    policy: str = _option(
+        "planned",
+        _CONFIG,
+        "who moves the arm in closed loop: planned, stop, servo, replan, or package.module:function of an"
+        " observation of HandoverEnv",
+    )
     log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = _option(
         "", _CONFIG, "also write the table's numbers into a logger, in the run folder (offline)"
     )
@@ -242,9 +255,10 @@ class Options:
     @property
     def stored(self) -> list[str]:
         """What is stored beside the trials; paths bring everything that opening a trial needs."""
+        played = ["episodes"] if self.receiver_motion else []
         if self.save_paths or self.motions or self.trials_from:  # nobody plans the last two again
-            return list(KINDS)
-        return [] if self.no_poses else ["poses"]
+            return [*KINDS, *played]
+        return [*([] if self.no_poses else ["poses"]), *played]
 
     @property
     def part(self) -> tuple[int, int]:
@@ -362,6 +376,16 @@ def check(options: Options) -> Options:
             raise UsageError(f"--robustness sweeps its own execution errors; leave --{flag} out")
         if options.format == "latex":
             raise UsageError("--robustness writes --format md, csv or json, not latex")
+    if options.policy != Options.policy and not options.receiver_motion:
+        raise UsageError(
+            "--policy moves the arm in closed loop; add --receiver-motion, such as moves or still"
+        )
+    if options.receiver_motion:
+        unfit = ("motions", "trials_from", "execution_error", "robustness")
+        for name in (name for name in unfit if getattr(options, name)):
+            raise UsageError(
+                f"--receiver-motion plays handovers from poses without errors; leave --{name.replace('_', '-')} out"
+            )
     if options.execution_error:
         execution_error(options.execution_error)
         if options.motions or options.trials_from:

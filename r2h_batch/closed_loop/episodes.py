@@ -1,0 +1,89 @@
+"""Episodes of a batch of handovers: a policy, receivers that move, and how they end."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import torch
+
+from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
+from r2h_batch.closed_loop.moving import ReceiverMotion
+from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
+from r2h_batch.runs import provenance
+from r2h_batch.types import Scores
+from r2h_batch.user_code import load_function
+
+__all__ = ["Loop", "play", "policy_of"]
+
+AT_ONCE = 256
+"""Episodes that run together."""
+
+
+def policy_of(said: str) -> tuple[Any, str]:
+    """A built-in policy by its name, or the user's (`package.module:function` or `FILE.py:function`), and a text
+    that says what decides its actions.
+
+    Raises:
+        ImportError: there is no such module or function.
+        TypeError: it cannot be called.
+    """
+    if said in POLICIES:
+        return POLICIES[said], said
+    if ":" not in said:
+        raise ImportError(
+            f"no policy {said!r}; built in are {', '.join(POLICIES)}, your own is package.module:function"
+        )
+    found = load_function(said)
+    if not callable(found.function):
+        raise TypeError(f"{said} is no function")
+    return found.function, f"{found.spec} {provenance.file_digest(found.files().values())[:16]}"
+
+
+def play(env: HandoverEnv, policy: Callable[..., Any]) -> Episodes:
+    """Runs all episodes to their ends.
+
+    Args:
+        env: whose action is what the policy says (`kind_of_action`).
+        policy: a function of an observation, or a class that is made with the environment first.
+    """
+    seen, _ = env.reset()
+    act = policy(env) if isinstance(policy, type) else policy
+    while bool((env.ends == int(End.RUNNING)).any()):
+        seen, *_ = env.step(act(seen))
+    return env.episodes()
+
+
+@dataclass(frozen=True)
+class Loop:
+    """How a sweep's handovers are played in closed loop."""
+
+    motion: ReceiverMotion
+    policy: str
+    config: LoopConfig
+
+    @property
+    def identity(self) -> str:
+        """What decides its episodes, as a text for run folders."""
+        m, c = asdict(self.motion), asdict(self.config)
+        if self.motion.file:
+            m["file"] = provenance.file_digest([self.motion.path])[:16]
+        said = [f"{k} {v}" for k, v in {**m, **c}.items() if v != ""]
+        return f"{policy_of(self.policy)[1]}; {', '.join(said)}"
+
+    def __call__(self, scores: Scores) -> Episodes:
+        policy, _ = policy_of(self.policy)
+        parts = []
+        for i in range(0, len(scores), AT_ONCE):
+            env = HandoverEnv(
+                scores[i : i + AT_ONCE],
+                self.motion,
+                config=self.config,
+                action=kind_of_action(policy),  # type: ignore[arg-type]
+            )
+            parts.append(play(env, policy))
+        return Episodes(
+            **{
+                f.name: torch.cat([getattr(p, f.name) for p in parts]).cpu()
+                for f in fields(Episodes)
+            }
+        )

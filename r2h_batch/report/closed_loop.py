@@ -1,0 +1,101 @@
+"""Handovers in closed loop as tables: how episodes ended, beside the verdict of the plan, and how they went."""
+
+from typing import Any
+
+import numpy as np
+
+from r2h_batch.report.text import aligned, notes_list, plain, short_names
+from r2h_batch.runs.rows import ENDS
+from r2h_batch.runs.store import Run
+from r2h_batch.statistics.aggregate import wilson_interval
+
+__all__ = ["render"]
+
+NOTES = (
+    "Ends in percent of all trials; a trial without an answer counts as a failure. SR: the verdict of the plan, hand at rest"
+    " (Table I); brackets: 95 %, Wilson. Contact by robot, by hand: who brought them together.",
+    "Least: median of the least distance at the steps; between steps it is less by `slack` at most (mean; certified). Near"
+    " speed: median of the largest speed within 25 cm, of the arm's fastest point, from above; PFL: largest share of ISO/TS"
+    " 15066's transient limit for a hand (from memory). SSM: time nearer than its protective distance, while the robot"
+    " moves, 25 cm at most.",
+    "Idle, both move, delay (neither moves): shares of an episode, means (Hoffman 2019). Time: median handover time of"
+    " successes.",
+)
+SHOWN = ("contact", "collision", "drop", "not_received", "timeout")
+
+
+def render(run: Run) -> str:
+    """Tables of all methods of a run that holds episodes, as text that ends in a newline."""
+    short = short_names(run.methods)
+    ends, went = [], []
+    for name in run.methods:
+        rows = {
+            k: run.episodes(name)[k].to_numpy(zero_copy_only=False)
+            for k in run.episodes(name).column_names
+        }
+        verdicts = run.trials(name, ["outcome"])["outcome"].to_numpy(zero_copy_only=False)
+        n, label = len(verdicts), plain(short[name])
+        touched = rows["end"] == "contact"
+        by_robot = touched & (rows["robot_touched"] == True)  # noqa: E712 - null where nothing touched
+        won = rows["end"] == "success"
+        shares = [_percent(rows["end"] == end, n) for end in SHOWN[1:]]
+        touches = [_percent(by_robot, n), _percent(touched & ~by_robot, n)]
+        ends.append(
+            [label, str(n), _rate(verdicts == "success", n), _rate(won, n), *touches, *shares]
+        )
+        went.append([label, *_numbers(rows, won)])
+    head = [
+        "Method",
+        "n",
+        "SR",
+        "closed loop",
+        "contact by robot",
+        "by hand",
+        *(ENDS_SHORT[e] for e in SHOWN[1:]),
+    ]
+    how = [
+        "Method", "time, s", "least, cm", "slack, cm", "near speed, cm/s", "PFL", "SSM, s", "robot idle", "human idle",
+        "both move", "delay",
+    ]  # fmt: skip
+    digests: Any = run.header["digests"]
+    parts = [
+        f"Closed loop: {plain(digests.get('closed_loop', 'unknown'))}", aligned(head, ends, 1), aligned(how, went, 1),
+        notes_list(NOTES),
+    ]  # fmt: skip
+    return "\n\n".join(parts) + "\n"
+
+
+ENDS_SHORT = {name: name.replace("_", " ") for name in ENDS}
+
+
+def _percent(hits: np.ndarray, n: int) -> str:
+    return f"{100 * float(hits.sum()) / n:.1f}" if n else "-"
+
+
+def _rate(hits: np.ndarray, n: int) -> str:
+    if not n:
+        return "-"
+    low, high = wilson_interval(hits.sum(), n)
+    return f"{100 * hits.sum() / n:.1f} [{100 * float(low):.1f}, {100 * float(high):.1f}]"
+
+
+def _numbers(rows: dict[str, np.ndarray], won: np.ndarray) -> list[str]:
+    lived = rows["time_s"] > 0
+    if not lived.any():
+        return ["-"] * 10
+    time = f"{np.median(rows['time_s'][won]):.1f}" if won.any() else "-"
+    cm = [
+        f"{100 * f(rows[k][lived]):.1f}"
+        for f, k in ((np.median, "least_m"), (np.mean, "slack_m"), (np.median, "near_speed_m_s"))
+    ]
+    shares = [
+        f"{np.mean(rows[k][lived]):.2f}"
+        for k in ("robot_idle", "human_idle", "concurrent", "delay")
+    ]
+    return [
+        time,
+        *cm,
+        f"{rows['pfl_share'][lived].max():.2f}",
+        f"{np.mean(rows['ssm_s'][lived]):.1f}",
+        *shares,
+    ]

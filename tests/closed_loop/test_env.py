@@ -1,0 +1,292 @@
+"""The closed loop: today's verdicts beside a still hand, distances against MuJoCo C and the exact mesh, any batch."""
+
+import numpy as np
+import oracle
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
+from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig, single
+from r2h_batch.closed_loop.moving import ReceiverMotion
+from r2h_batch.closed_loop.policies import POLICIES, Planned
+from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods import oracle as oracle_method
+from r2h_batch.methods import random as random_method
+from r2h_batch.trials.protocol import make_trials
+
+ON_LINE_RAD = 2e-6
+
+
+@pytest.fixture(scope="module")
+def evaluator():
+    return Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+
+
+@pytest.fixture(scope="module")
+def scores(evaluator):
+    """Good handovers, and random ones: some fail, some have no path, some search for theirs."""
+    trials = make_trials(trials=8, protocol="r2h-v1")
+    good = oracle_method.predict(trials, evaluator.scene, evaluator=evaluator)
+    poor = random_method.predict(trials, evaluator.scene, seed=3)
+    some = torch.arange(len(trials)) % 4 == 3
+    T = [torch.where(some[:, None, None], getattr(poor, k), getattr(good, k)) for k in ("T_obj_ee", "T_world_ee")]
+    return evaluator.score(*T, trials)
+
+
+def run(env, policy):
+    seen, _ = env.reset()
+    policy = policy(env) if isinstance(policy, type) else policy
+    while bool((env.ends == int(End.RUNNING)).any()):
+        seen, *_ = env.step(policy(seen))
+    return env.episodes()
+
+
+def played(scores, name, motion, **more):
+    policy = POLICIES[name]
+    env = HandoverEnv(scores, motion, action=policy.action, **more)
+    return env, run(env, policy)
+
+
+def thinned(q):
+    """A motion without the samples that lie, in order, on lines between those that stay, and without rests."""
+    keep = [0]
+    while keep[-1] < len(q) - 1:
+        i = best = keep[-1]
+        for j in range(i + 1, len(q)):
+            d, between = q[j] - q[i], q[i + 1 : j] - q[i]
+            along = between @ d / max(d @ d, 1e-300)
+            if len(between) and (
+                np.abs(between - along[:, None] * d).max() > ON_LINE_RAD or (np.diff([0, *along, 1]) < -1e-9).any()
+            ):
+                break
+            best = j
+        keep.append(best)
+    return np.array([q[k] for n, k in enumerate(keep) if n == 0 or (q[k] != q[keep[n - 1]]).any()])
+
+
+@pytest.mark.check
+def test_the_planned_motion_beside_a_still_hand_has_todays_verdicts_bit_for_bit(evaluator, scores):
+    """Without an end before the plan's: the motion that was walked, judged as motions are, has the outcome, the
+    criteria, and the margins of Plan and Safe that `score` gave the plan."""
+    env = HandoverEnv(scores, "still", action="posture", config=LoopConfig(horizon_s=15))
+    env.reset()
+    env._receive = lambda *_: None  # nobody takes it early
+    seen, policy = env._observe(), Planned(env)
+    while env.time_s < 15 - 1e-6:
+        seen, *_ = env.step(policy(seen))
+    q = env.trace()[0].numpy().astype(np.float64)
+    found = np.flatnonzero((scores.path_len > 0).numpy() & (env.ends != int(End.DROP)).numpy())
+    paths = [thinned(q[i]) for i in found]
+    assert len(found) > 10 and (scores.path_len[found] > 2).any()
+    for i, path in zip(found, paths, strict=True):
+        planned = scores.path[i, : scores.path_len[i]].numpy()
+        if scores.passed[i, 4]:  # else it touched the hand and stood from there on
+            assert np.array_equal(path.astype(np.float32), thinned(planned.astype(np.float64)).astype(np.float32))
+    assert (
+        not scores.evaluated[found, 4].all() or (scores.passed[found, 4] == (env.ends[found] != int(End.CONTACT))).all()
+    )
+    width = max(len(p) for p in paths)
+    padded = torch.tensor(np.stack([np.concatenate([p, np.repeat(p[-1:], width - len(p), 0)]) for p in paths]))
+    length = torch.tensor([len(p) for p in paths])
+    times = 5.0 * torch.arange(width, dtype=torch.float64)
+    again = evaluator.score_motion(
+        scores.inputs.T_obj_ee[found], padded.float(), times, env.trials[found], length=length
+    )
+    assert torch.equal(again.outcome, scores.outcome[found]) and torch.equal(again.passed, scores.passed[found])
+    assert torch.equal(again.margin[:, [0, 1, 3, 4]].nan_to_num(9), scores.margin[found][:, [0, 1, 3, 4]].nan_to_num(9))
+    assert (again.margin[:, 2] - scores.margin[found, 2]).abs().max() < 2e-5  # Reach: the pose by FK, not as asked
+
+
+def test_kinematics_are_mujocos_and_the_jacobian_is_the_derivative(scores):
+    robot, random = HandoverEnv(scores).scene.robot, np.random.default_rng(1)
+    q = torch.tensor(random.uniform(-3, 3, (40, 6)))
+    T, J = ee_and_jacobian(robot, q)
+    assert np.abs(T.numpy() - ee_pose(robot, q.numpy())).max() < 1e-12
+    for j in range(6):
+        step = torch.zeros(6, dtype=torch.float64)
+        step[j] = 1e-6
+        ahead, behind = (ee_and_jacobian(robot, q + s * step)[0] for s in (1, -1))
+        turn = Rotation.from_matrix(ahead[:, :3, :3].numpy() @ behind[:, :3, :3].numpy().swapaxes(1, 2)).as_rotvec()
+        both = np.concatenate([(ahead - behind)[:, :3, 3].numpy(), turn], 1) / 2e-6
+        assert np.abs(both - J[:, :, j].numpy()).max() < 1e-6
+    near = ee_and_jacobian(robot, q + 1e-3 * torch.tensor(random.normal(size=(40, 6))))[0]
+    e = twist_between(T, near)
+    turn = Rotation.from_matrix(near[:, :3, :3].numpy() @ T[:, :3, :3].numpy().swapaxes(1, 2)).as_rotvec()
+    assert np.abs(e[:, 3:].numpy() - turn).max() < 1e-7
+    J_q = torch.einsum("nij,nj->ni", J, joint_speeds(J, e))
+    assert (J_q - e).norm(dim=1).median() < 0.05 * e.norm(dim=1).median()
+
+
+def test_distances_between_steps_hold_against_dense_samples_of_mujoco_c_and_the_exact_mesh(evaluator, scores):
+    """16 moments of a step: kinematics by MuJoCo C, distance of its primitives to the exact mesh in float64."""
+    env = HandoverEnv(scores, ReceiverMotion("moves", 0.15, 40.0), action="posture")
+    seen, _ = env.reset()
+    policy, looked, near = Planned(env), 0, 0
+    staged = [
+        oracle.Staged(
+            int(env.trials.object_index[i]), int(env.trials.hand_index[i]), env._attached[i].double().numpy(),
+            np.eye(4), float(env._opening[i]),
+        )
+        for i in range(env.num_envs)
+    ]  # fmt: skip
+    steps = 0
+    while bool((env.ends == int(End.RUNNING)).any()) and looked < 24:
+        rows = torch.nonzero(env.ends == int(End.RUNNING)).flatten()
+        before, q0, t0 = env.gap.clone(), env.q.clone(), env.time_s
+        moving = env.hands.moving(t0, env.step_s)
+        seen, *_ = env.step(policy(seen))
+        steps += 1
+        passed = env._distance.over_step(rows, (q0[rows], env.q[rows]), env.hands, (t0, env.time_s), before[rows])
+        close = (passed.least_m < 0.08) & moving[rows]
+        for k in torch.nonzero(close).flatten()[: 2 if steps % 3 == 0 else 0].tolist():
+            i = int(rows[k])
+            least = np.inf
+            for s in np.linspace(0, 1, 7):
+                T = env.hands.pose(t0 + s * env.step_s)[i].double().numpy()
+                own = oracle.Staged(
+                    staged[i].object_index, staged[i].hand_index, staged[i].T_obj_ee, T, staged[i].opening_m
+                )
+                twin = oracle.mujoco_scene(env.scene, own)
+                q = (q0[i] + s * (env.q[i] - q0[i])).double().numpy()
+                least = min(least, twin.safe_at(oracle.hand_triangles(env.scene, own), q, cap=0.15))
+            assert passed.least_m[k] <= max(least, 0) + 2e-5, (i, t0)
+            assert bool(passed.touch[k]) or least > 0
+            if not passed.touch[k]:
+                assert min(float(before[i]), float(passed.gap_m[k])) >= least - 2e-5
+            looked, near = looked + 1, near + (least < 0.03)
+    assert looked >= 10 and near >= 1
+
+
+def test_rows_do_not_depend_on_their_batch(scores):
+    config = LoopConfig(horizon_s=4)
+    for name in ("servo", "stop", "replan"):
+        whole, e = played(scores, name, "moves", config=config)
+        rows = torch.tensor([5, 0, 9])
+        inputs = scores.inputs
+        part = scores[rows]
+        assert part.inputs is not None and inputs is not None
+        some, f = played(part, name, "moves", config=config)
+        n = min(whole.k, some.k) + 1
+        for a, b in zip(whole.trace(), some.trace(), strict=True):
+            assert torch.equal(a[rows][:, :n], b[:, :n]), name
+        for k in ("end", "least_m", "slack_m", "near_speed_m_s"):
+            assert torch.equal(getattr(e, k)[rows], getattr(f, k)), (name, k)
+
+
+def test_what_is_seen_is_late_noisy_and_sometimes_old_and_the_truth_only_on_request(scores):
+    exact = LoopConfig(noise=0, dropout=0, latency_s=0.2, horizon_s=9)
+    env = HandoverEnv(scores, "moves", config=exact, privileged=True)
+    seen, _ = env.reset()
+    assert torch.equal(seen["T_world_hand"], seen["true_T_world_hand"])  # begins with the first frame
+    truth = [seen["true_T_world_hand"]]
+    for _ in range(120):
+        seen, *_ = env.step(torch.zeros(env.num_envs, 6))
+        truth.append(seen["true_T_world_hand"])
+        assert torch.equal(seen["T_world_hand"], truth[max(0, len(truth) - 5)])
+    assert (truth[0] - truth[-1]).abs().max() > 0.05
+    assert not any(k.startswith("true") for k in HandoverEnv(scores).single_observation_space)
+    noisy = HandoverEnv(scores, "still", config=LoopConfig(dropout=0.5, latency_s=0.0))
+    seen, _ = noisy.reset()
+    off, age = [], []
+    for _ in range(100):
+        off.append((seen["T_world_hand"] - noisy.T_world_hand)[:, :3, 3].norm(dim=1))
+        age.append(seen["age"])
+        seen, *_ = noisy.step(torch.zeros(noisy.num_envs, 6))
+    running = noisy.ends == int(End.RUNNING)
+    off, age = torch.stack(off)[:, running], torch.stack(age)[:, running]
+    assert 0.005 < off.mean() < 0.06 and 0.35 < (age > 0).float().mean() < 0.65
+    assert off.std(0).mean() < 0.5 * off.mean()  # most of it stays through a trial
+
+
+def test_arms_keep_their_limits_and_every_kind_of_action_moves_them(scores):
+    env = HandoverEnv(scores, "still", action="pose", config=LoopConfig(noise=0, dropout=0, horizon_s=14))
+    seen, _ = env.reset()
+    ok = scores.success
+    while bool((env.ends == int(End.RUNNING)).any()):
+        seen, *_ = env.step((seen["T_world_hand"].double() @ seen["T_hand_ee"].double()).float())
+    assert (env.ends[ok] == int(End.SUCCESS)).float().mean() > 0.3
+    q = env.trace()[0].double()
+    v = (q[:, 1:] - q[:, :-1]) / env.step_s
+    assert v.abs().max() <= env.speed * 1.002
+    a = (v[:, 1:] - v[:, :-1]) / env.step_s
+    speeding = v[:, 1:].abs() > v[:, :-1].abs() + 1e-4
+    runs = (v[:, 1:] != 0).any(2)  # what has ended stands from one step to the next
+    assert a[speeding].abs().max() <= env.acceleration * 1.02 and a[runs].abs().max() <= env.brake * 1.01
+    twist = HandoverEnv(scores, "still", action="twist")
+    twist.reset()
+    up = torch.tensor([0.0, 0.0, 0.05, 0.0, 0.0, 0.0]).repeat(twist.num_envs, 1)
+    z = twist.T_world_ee[:, 2, 3]
+    for _ in range(20):
+        twist.step(up)
+    rose = (twist.T_world_ee[:, 2, 3] - z)[twist.ends == int(End.RUNNING)]
+    assert ((rose - 0.05).abs() < 0.02).all() and len(rose) > 5
+
+
+def test_contacts_say_who_moved(scores):
+    """A hand that walks into a robot that stands, and a robot that walks into a hand that stands."""
+    good = scores[scores.success]
+    env = HandoverEnv(good, "still", action="posture", config=LoopConfig(horizon_s=30))
+    env.reset()
+    goal = good.q_goal
+    hands = env.hands
+    # the hand stands where the gripper will be
+    T = ee_and_jacobian(env.scene.robot, goal)[0]
+    hands.way.T_world_hand = hands.way.T_world_hand.clone()
+    hands.way.T_world_hand[:, :3, 3] = T[:, :3, 3] - 0.02 * T[:, :3, 2]
+    env.T_world_hand = hands.pose(0.0)
+    env._poses = [env.T_world_hand]
+    policy, seen = Planned(env), env._observe()
+    while bool((env.ends == int(End.RUNNING)).any()):
+        seen, *_ = env.step(policy(seen))
+    e = env.episodes()
+    touched = e.end == int(End.CONTACT)
+    assert touched.sum() >= 5 and e.robot_touched[touched].all()
+    walker = HandoverEnv(good, ReceiverMotion("takes"), config=LoopConfig(horizon_s=8))
+    walker.reset()
+    at = walker.T_world_hand.clone()
+    at[:, :3, 3] = walker.T_world_ee[:, :3, 3].float()
+    every = torch.arange(walker.num_envs)
+    walker.hands.way.begin[0] = torch.inf
+    walker.hands.take(0.0, every, at)
+    walker.hands.taking[:] = False
+    while bool((walker.ends == int(End.RUNNING)).any()):
+        walker.step(torch.zeros(walker.num_envs, 6))
+    e = walker.episodes()
+    touched = e.end == int(End.CONTACT)
+    assert touched.sum() >= 5 and not e.robot_touched[touched].any() and (e.robot_idle[touched] == 1).all()
+
+
+def test_hands_take_what_is_held_still_and_ends_and_shares_add_up(scores):
+    env, e = played(scores, "planned", "takes")
+    ends = {End(i) for i in e.end.tolist()}
+    assert End.DROP in ends or (scores.passed[:, 0]).all()
+    won = e.end == int(End.SUCCESS)
+    assert (won & env.hands.taking).sum() == won.sum()
+    assert (e.time_s[won] >= env.hands.taken_s[won] - 0.051).all()
+    lived = e.time_s > 0
+    total = (1 - e.robot_idle) + (1 - e.human_idle) - e.concurrent + e.delay
+    assert (total[lived] - 1).abs().max() < 1e-4 and (e.delay[lived] > -1e-4).all()
+    assert (e.least_m[lived] - e.slack_m[lived] <= e.least_m[lived]).all()
+
+
+def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, scores):
+    one = HandoverEnv(scores[:1], "moves", config=LoopConfig(horizon_s=1))
+    check_env(single(one), skip_render_check=True)
+    seen, _ = one.reset(seed=5)
+    assert one.observation_space.contains({k: x.numpy() for k, x in seen.items()})
+    with pytest.raises(ValueError, match="has 16 handovers"):
+        single(HandoverEnv(scores))
+    with pytest.raises(ValueError, match="allowed are velocity, twist, pose, posture"):
+        HandoverEnv(scores, action="torque")
+    with pytest.raises(ValueError, match="rate_hz is 100; allowed is 10 to 50"):
+        LoopConfig(rate_hz=100)
+    with pytest.raises(ValueError, match="score again"):
+        HandoverEnv(torch.utils._pytree.tree_map(lambda x: x, type(scores)(**scores._tensors())))
+    off = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), execution_error=ExecutionError(camera_m=0.01)))
+    inputs = scores.inputs
+    with pytest.raises(ValueError, match="no execution_error"):
+        HandoverEnv(off.score(inputs.T_obj_ee[:1], inputs.T_world_ee[:1], inputs.trials[:1]))

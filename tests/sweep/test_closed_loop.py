@@ -1,0 +1,57 @@
+"""`sweep --receiver-motion --policy`: what is stored and printed beside the verdicts, which stay."""
+
+import pytest
+
+from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.command import main
+from r2h_batch.sweep.options import UsageError, parse
+
+BASE = ["--method", "random", "--trials", "6", "--sim", "none", "--quiet"]
+
+
+def sweep(folder, *more):
+    return main([*BASE, "--out", str(folder), *more])
+
+
+def test_a_sweep_plays_the_loop_beside_its_verdicts_and_a_users_policy_is_one(tmp_path, capsys, monkeypatch):
+    (tmp_path / "mine.py").write_text("import torch\n\ndef wait(seen):\n    return torch.zeros_like(seen['q'])\n")
+    assert sweep(tmp_path / "off") == 0
+    plain_out = capsys.readouterr().out
+    assert "Closed loop" not in plain_out
+    assert (
+        sweep(tmp_path / "on", "--receiver-motion", "moves:50mm,10deg", "--policy", f"{tmp_path / 'mine.py'}:wait") == 0
+    )
+    text = capsys.readouterr().out
+    assert plain_out.splitlines()[0] in text and "Closed loop: mine.py:wait" in text and "contact by robot" in text
+    off, on = load_run(tmp_path / "off"), load_run(tmp_path / "on")
+    on.verify()
+    name = on.methods[0]
+    assert on.digest(name) == off.digest(off.methods[0])  # the verdicts are today's
+    rows = on.episodes(name)
+    assert rows["trial_id"].to_pylist() == on.trials(name)["trial_id"].to_pylist()
+    ends = set(rows["end"].to_pylist())
+    assert ends <= {"timeout", "drop", "contact"} and "timeout" in ends
+    assert max(rows["robot_idle"].to_pylist()) == 1.0
+    assert "shift_m 0.05" in on.header["digests"]["closed_loop"] and "closed_loop" not in off.header["digests"]
+    # another policy is another run
+    assert sweep(tmp_path / "on", "--receiver-motion", "moves:50mm,10deg", "--policy", "servo") == 2
+    assert "closed_loop" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--policy", "servo"], "add --receiver-motion"),
+        (["--receiver-motion", "moves", "--execution-error", "5mm,1deg"], "leave --execution-error out"),
+    ],
+)
+def test_what_cannot_be_played_is_refused(flags, words):
+    with pytest.raises(UsageError, match=words):
+        parse([*BASE, *flags])
+
+
+def test_a_policy_or_motion_that_is_not_there_is_refused_in_a_line(tmp_path, capsys):
+    assert sweep(tmp_path / "a", "--receiver-motion", "flies") == 2
+    assert "it must be still, moves" in capsys.readouterr().err
+    assert sweep(tmp_path / "b", "--receiver-motion", "moves", "--policy", "magic") == 2
+    assert "built in are planned, stop, servo, replan" in capsys.readouterr().err
