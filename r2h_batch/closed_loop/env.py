@@ -8,7 +8,7 @@ device; a row does not depend on its batch. Definitions: docs/receivers.md, "Rec
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, Literal, get_args
 
 import gymnasium
 import numpy as np
@@ -162,10 +162,7 @@ class HandoverEnv(VectorEnv):
     Rows that have ended stand still until `reset`; nothing resets by itself.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": [],
-        "autoreset_mode": AutoresetMode.DISABLED,
-    }
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012
 
     def __init__(
         self,
