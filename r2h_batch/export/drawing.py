@@ -116,6 +116,9 @@ class Witness:
 class Drawing:
     """One trial as something to draw: its compiled model, its motion and its marks."""
 
+    ended: tuple[str, bool] | None = None
+    """what came of a motion of its own, and whether that is a success; None: the stored verdict"""
+
     def __init__(self, stored: StoredTrial) -> None:
         self.stored = stored
         self.model = spec_of(stored).compile()

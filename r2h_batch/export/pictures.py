@@ -145,8 +145,10 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
             foot.legend(handles=patches, loc="center", ncols=4, frameon=False, fontsize=7)
         heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
         for part, drawing in zip(rows, drawings, strict=True):
-            stored, words = drawing.stored, headline(drawing.stored.row)
-            color = PASSES if stored.row["outcome"] == "success" else FAILS
+            stored = drawing.stored
+            verdict = (headline(stored.row), stored.row["outcome"] == "success")
+            words, good = drawing.ended or verdict
+            color = PASSES if good else FAILS
             part.text(0.005, 0.995, stored.method, ha="left", va="top", fontsize=9, weight="bold")
             part.text(0.995, 0.995, words, ha="right", va="top", fontsize=9, color=color)
             axes = part.subplots(1, n, gridspec_kw={"wspace": 0.02}, squeeze=False)[0]

@@ -2,6 +2,7 @@
 knows what to do."""
 
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ def view(
     frames: int = 5,
     fps: int = 25,
     port: int = 8080,
+    receiver_motion: str = "",
+    policy: str = "planned",
     overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
@@ -45,10 +48,17 @@ def view(
         frames: strips: pictures of each method.
         fps: films: pictures a second.
         port: where the browser finds the viewer, on this machine alone; 0: any free one.
+        receiver_motion: films, strips: play the trial in closed loop, with a hand that moves; as of
+            `sweep`.
+        policy: who moves the arm then; as of `sweep`.
         overwrite: replace files that are there.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
     _check(method, trial, html, video, strips, size, frames, fps, port)
+    if receiver_motion and (html or not (video or strips)):
+        raise UsageError("--receiver-motion is played in --video and --strips; give one of them")
+    if receiver_motion and find_spec("gymnasium") is None:
+        raise UsageError("--receiver-motion needs gymnasium: pip install 'r2h_batch[env]'")
     outputs: Any = ((html, "--html", ()), (video, "--video", FILMS), (strips, "--strips", STRIPS))
     for file, flag, endings in outputs:
         if file is not None:
@@ -65,6 +75,18 @@ def view(
         from r2h_batch.view.server import serve
 
         serve(reader, list(method), trial, port)
+    elif receiver_motion:
+        from r2h_batch.export.episode import episode_of
+
+        try:
+            played = [
+                episode_of(reader, trial, m, receiver_motion, policy) for m in method or [None]
+            ]
+        except (ValueError, ImportError) as error:
+            raise UsageError(str(error)) from None
+        for drawing in played:
+            print(f"{drawing.stored.method}: {drawing.ended[0] if drawing.ended else ''}")
+        _draw(played, video, strips, size, frames, fps)
     else:
         shown = [reader.trial(trial, m) for m in method or [None]]
         _write(shown, html, video, strips, size, frames, fps)
@@ -106,14 +128,23 @@ def _write(
         return
     from r2h_batch.export.captions import headline
     from r2h_batch.export.drawing import Drawing
+
+    if strips is not None:
+        for s in shown:
+            print(f"{s.method}: {headline(s.row)}")
+    _draw([Drawing(s) for s in shown], video, strips, size, frames, fps)
+
+
+def _draw(
+    drawings: Sequence[Any], video: Path | None, strips: Path | None, size: tuple[int, int] | None,
+    frames: int, fps: int,
+) -> None:  # fmt: skip
+    """Writes films and strips and prints where."""
     from r2h_batch.export.pictures import write_film, write_strips
 
-    drawings = [Drawing(s) for s in shown]
     if video is not None:
         write_film(drawings, video, size=size or (960, 720), fps=fps)
         print(video)
     if strips is not None:
         write_strips(drawings, strips, n=frames, size=size or (480, 400))
-        for s in shown:
-            print(f"{s.method}: {headline(s.row)}")
         print(strips)

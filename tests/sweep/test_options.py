@@ -43,6 +43,8 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         plan_hand="true",
         execution_error="5mm,1deg",
         robustness=True,
+        receiver_motion="moves",
+        policy="servo",
         object_mesh=("mug.obj:S0",),
         benchmark="mine.yaml",
         hands="hands.npz",
@@ -82,6 +84,7 @@ def test_every_field_comes_back_from_a_file(tmp_path):
     assert load_config(write(tmp_path, json.dumps(dataclasses.asdict(options)))) == options
     # these contradict save_paths, execution_error and robustness
     stored = dataclasses.replace(options, no_poses=False, motions=(), trials_from="", robustness=False)
+    stored = dataclasses.replace(stored, receiver_motion="", policy="planned")
     assert check(stored) == stored
 
 

@@ -1,0 +1,236 @@
+"""Which methods keep their rank when the hand moves, and what a closed loop costs: docs/results/moving.md.
+
+`python bench/closed_loop.py` plays the shipped baselines of r2h-v1 in closed loop and measures the cost on the oracle's poses
+(process time on one thread, a second run of the same episodes). `--render` writes the page again from the JSON.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import torch
+from _report import ROOT, made_by
+
+PAGE = ROOT / "docs" / "results" / "moving.md"
+STORED = ROOT / "bench" / "results" / "closed_loop.json"
+CASES = (("still", "planned"), ("moves", "planned"), ("moves", "stop"), ("moves", "servo"))
+SIZES = (16, 80)
+PARTS = {
+    "receiver": ("r2h_batch.closed_loop.moving", "MovingHands", "pose"),
+    "distances": ("r2h_batch.closed_loop.relative", "RelativeDistance", "over_step"),
+    "observation": ("r2h_batch.closed_loop.env", "HandoverEnv", "_observe"),
+    "policy": ("r2h_batch.closed_loop.policies", "Servo", "__call__"),
+    "ends": ("r2h_batch.closed_loop.env", "HandoverEnv", "_receive"),
+}
+
+HEAD = """# Receivers that move
+
+The shipped poses of r2h-v1's baselines (default preset), the first {n} trials a split, played in closed loop
+([definitions](../receivers.md#receivers-that-move)). `python bench/closed_loop.py --trials {n}` (bench/results/closed_loop.json)
+measured it on commit {commit}. Your method:
+`r2h-batch sweep --method mine=my_rules.py:predict --receiver-motion moves --policy servo`.
+
+## Successes
+
+Percent of all trials. SR is the verdict of the plan. The hand `moves`: it leaves the pose that the method was shown, sd 10 cm per
+axis and 20 degrees rms, 2 to 6 s after the start. Brackets: 95 %, Wilson, of {all} trials.
+
+{table}
+
+{ranks}
+
+## How they end, and how they went
+
+Contacts: by the robot / by the hand. Least: median of the least distance. Time: median of successes.
+
+{ends}
+
+Kinematic: nothing pushes, and a contact ends an episode. Fingers do not move, the person's arm and torso are not looked at.
+Sizes, times and the 2 cm stop are [choice]; other sizes shift all rows.
+
+## Cost
+
+Process time on one thread, `moves` with `servo`, the oracle's poses; ms a trial and step (of the steps that ran). The parts are
+parts of the whole; the rest is kinematics, limits and counting.
+
+{cost}
+"""
+
+
+def answers(trials: int) -> tuple[Any, dict[str, Any]]:
+    """The judge of the shipped baselines, and each method's scores of its first trials of each split."""
+    from r2h_batch.results.reevaluation import Judge
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(ROOT / "r2h_batch" / "compare" / "baselines")
+    judge = Judge(run)
+    evaluator, found = judge.evaluator.kinematic, {}
+    for name in run.methods:
+        poses = run.poses(name)
+        keep = poses["trial_id"].to_numpy() < 2 * trials
+        poses = poses.filter(keep)
+        T_obj_ee, T_world_ee = [
+            torch.tensor(poses[k].to_pylist()).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")
+        ]
+        asked = judge.trials(poses["trial_id"].to_numpy())
+        found[name] = evaluator.score(T_obj_ee, T_world_ee, asked)
+    return run, found
+
+
+def played(scores: Any, motion: str, policy: str) -> Any:
+    """Episodes of all rows."""
+    from r2h_batch.closed_loop.env import LoopConfig
+    from r2h_batch.closed_loop.episodes import Loop
+    from r2h_batch.closed_loop.moving import ReceiverMotion
+
+    return Loop(ReceiverMotion.parse(motion), policy, LoopConfig())(scores)
+
+
+def summary(scores: Any, episodes: Any) -> dict[str, Any]:
+    """What the page says of a method and a case."""
+    from r2h_batch.closed_loop.env import End
+
+    e, n = episodes.end.numpy(), len(scores)
+    ends = {end.name.lower(): int((e == end).sum()) for end in End}
+    robot = int(episodes.robot_touched[episodes.end == int(End.CONTACT)].sum())
+    won, lived = e == End.SUCCESS, episodes.time_s.numpy() > 0
+    means = {
+        k: float(getattr(episodes, k).numpy()[lived].mean())
+        for k in ("robot_idle", "human_idle", "concurrent", "delay", "slack_m")
+    }
+    time_s = float(np.median(episodes.time_s.numpy()[won])) if won.any() else None
+    least = float(np.median(episodes.least_m.numpy()[lived]))
+    return {"n": n, "ends": ends, "by_robot": robot, "time_s": time_s, "least_m": least, "won": won.tolist(), **means}
+
+
+def cost(scores: Any) -> list[dict[str, float]]:
+    """Process milliseconds a trial and step, whole and by part."""
+    from importlib import import_module
+
+    from r2h_batch.closed_loop.env import HandoverEnv
+    from r2h_batch.closed_loop.episodes import play
+    from r2h_batch.closed_loop.policies import Servo
+
+    found = []
+    for n in SIZES:
+        clock = dict.fromkeys(PARTS, 0.0)
+
+        def timed(name: str, call: Any, clock: dict[str, float] = clock) -> Any:
+            def run(*args: Any) -> Any:
+                begin = time.process_time()
+                made = call(*args)
+                clock[name] += time.process_time() - begin
+                return made
+
+            return run
+
+        env = HandoverEnv(scores[:n], "moves", action="posture")
+        play(env, Servo)
+        owners = {name: getattr(import_module(module), owner) for name, (module, owner, _) in PARTS.items()}
+        before = {name: getattr(owners[name], function) for name, (_, _, function) in PARTS.items()}
+        for name, (_, _, function) in PARTS.items():
+            setattr(owners[name], function, timed(name, before[name]))
+        begin = time.process_time()
+        ended = play(env, Servo)
+        whole = time.process_time() - begin
+        for name, (_, _, function) in PARTS.items():
+            setattr(owners[name], function, before[name])
+        steps = float(ended.time_s.sum()) / env.step_s
+        found.append(
+            {"trials": n, "steps": steps, "s_a_trial": whole / n, "whole": 1e3 * whole / steps}
+            | {k: 1e3 * v / steps for k, v in clock.items()}
+        )
+    return found
+
+
+def measure(trials: int) -> dict[str, Any]:
+    """All figures of the page."""
+    run, found = answers(trials)
+    methods: dict[str, Any] = {}
+    for name in run.methods:
+        scores = found[name]
+        methods[name] = {"sr": scores.success.tolist(), "cases": {}}
+        for motion, policy in CASES:
+            methods[name]["cases"][f"{motion}, {policy}"] = summary(scores, played(scores, motion, policy))
+            print(name, motion, policy, methods[name]["cases"][f"{motion}, {policy}"]["ends"], flush=True)
+    torch.set_num_threads(1)
+    return {"trials": trials, "methods": methods, "cost": cost(found["oracle"]), **made_by()}
+
+
+def _rate(hits: Sequence[bool]) -> str:
+    from r2h_batch.statistics.aggregate import wilson_interval
+
+    low, high = wilson_interval(sum(hits), len(hits))
+    return f"{100 * sum(hits) / len(hits):.1f} [{100 * float(low):.0f}, {100 * float(high):.0f}]"
+
+
+def ranks(columns: dict[str, dict[str, list[bool]]]) -> str:
+    """Which pairs of methods change places between SR and a case, with McNemar's exact p of each order."""
+    from scipy.stats import binomtest
+
+    said = []
+    first = next(iter(columns))
+    for case in list(columns)[1:]:
+        for a, b in combinations(columns[first], 2):
+            signs, words = [], []
+            for column in (first, case):
+                x, y = (np.array(columns[column][m]) for m in (a, b))
+                up, down = int((x & ~y).sum()), int((~x & y).sum())
+                p = binomtest(up, up + down).pvalue if up + down else 1.0
+                signs.append(np.sign(up - down))
+                words.append(f"{100 * (up - down) / len(x):+.1f} points, p {p:.2g}")
+            if signs[0] * signs[1] < 0:
+                said.append(f"- {case}: {a} less {b} is {words[1]}; by SR {words[0]}.")
+    head = "Pairs of methods that change places (paired trials, McNemar's exact test, not corrected for the number of pairs):"
+    return "\n".join([head, "", *(said or ["- none"])])
+
+
+def markdown(data: dict[str, Any]) -> str:
+    """The page."""
+    from r2h_batch.report.text import aligned, short_names
+
+    methods, short = data["methods"], short_names(list(data["methods"]))
+    cases = [f"{m}, {p}" for m, p in CASES]
+    rows, ends = [], []
+    columns: dict[str, dict[str, list[bool]]] = {"SR": {short[n]: m["sr"] for n, m in methods.items()}}
+    columns |= {c: {short[n]: m["cases"][c]["won"] for n, m in methods.items()} for c in cases}
+    for name, m in methods.items():
+        rows.append([short[name], _rate(m["sr"]), *(_rate(m["cases"][c]["won"]) for c in cases)])
+        for c in cases:
+            s = m["cases"][c]
+            e, n = s["ends"], s["n"]
+            touched = f"{100 * s['by_robot'] / n:.1f} / {100 * (e['contact'] - s['by_robot']) / n:.1f}"
+            percents = [f"{100 * e[k] / n:.1f}" for k in ("collision", "drop", "not_received", "timeout")]
+            seconds = "-" if s["time_s"] is None else f"{s['time_s']:.1f}"
+            went = [f"{s[k]:.2f}" for k in ("robot_idle", "human_idle", "concurrent", "delay")]
+            ends.append([short[name], c, touched, *percents, seconds, f"{100 * s['least_m']:.1f}", *went])
+    head = ["Method", "hand, policy", "contact", "collision", "drop", "not received", "timeout", "time, s", "least, cm",
+            "robot idle", "human idle", "both move", "delay"]  # fmt: skip
+    lines = [
+        [str(int(r["trials"])), f"{r['s_a_trial']:.2f}", *(f"{r[k]:.2f}" for k in ("whole", *PARTS))]
+        for r in data["cost"]
+    ]
+    return HEAD.format(
+        n=data["trials"], commit=str(data["commit"])[:12], all=2 * data["trials"],
+        table=aligned(["Method", "SR", *cases], rows, 1), ranks=ranks(columns), ends=aligned(head, ends, 2),
+        cost=aligned(["Trials", "s a trial", "ms a step", *PARTS], lines, 0),
+    )  # fmt: skip
+
+
+def main() -> None:
+    """Measures and writes, or writes again."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trials", type=int, default=100, help="of each split")
+    parser.add_argument("--render", action="store_true")
+    options = parser.parse_args()
+    if not options.render:
+        STORED.write_text(json.dumps(measure(options.trials), indent=1) + "\n")
+    PAGE.write_text(markdown(json.loads(STORED.read_text())))
+
+
+if __name__ == "__main__":
+    main()
