@@ -24,6 +24,7 @@ Seen = dict[str, Tensor]
 SLOW_M, STOP_M = 0.10, 0.02
 """Nearer than the first to the hand that it sees, a robot slows down; nearer than the second it stands."""
 REPLAN_HZ = 2.0
+FOLLOW = 0.15
 
 
 class Planned:
@@ -96,23 +97,38 @@ class Servo(Planned):
     far it has come. Slows down from `slow_m` to the hand that it sees, stands from `stop_m` on."""
 
     action = "posture"
-    FOLLOW, GOAL_RAD = 0.15, 0.1
-    """Share of the way that the goal goes in a step, against noise, and the most that its joints turn then."""
+    GOAL_RAD = 0.1
+    """The most that the goal's joints turn in a step."""
 
-    def __init__(self, env: HandoverEnv, *, slow_m: float = SLOW_M, stop_m: float = STOP_M) -> None:
+    def __init__(
+        self,
+        env: HandoverEnv,
+        *,
+        slow_m: float | Float64[Tensor, " b"] = SLOW_M,
+        stop_m: float | Float64[Tensor, " b"] = STOP_M,
+        follow: float | Float64[Tensor, " b"] = FOLLOW,
+    ) -> None:
+        """`follow`: share of the way to where the hand is seen that the goal goes in a step, against noise. Numbers
+        may differ from row to row."""
         super().__init__(env)
-        self.robot, self.slow_m, self.stop_m = env.scene.robot, slow_m, stop_m
+        self.robot = env.scene.robot
+        self.slow_m, self.stop_m, self.follow = (
+            torch.as_tensor(x, dtype=torch.float64, device=self.clock.device).expand(
+                len(self.clock)
+            )
+            for x in (slow_m, stop_m, follow)
+        )
         self.goal = self.path[:, -1].double()
         self.end_s = self.begin[:, -1].clamp(min=self.step_s)
 
     def __call__(self, seen: Seen) -> Float32[Tensor, "b 6"]:
         asked = se3.matmul(seen["T_world_hand"].double(), seen["T_hand_ee"].double())
         T, jacobian = ee_and_jacobian(self.robot, self.goal)
-        turn = self.FOLLOW * joint_speeds(jacobian, twist_between(T, asked))
+        turn = self.follow[:, None] * joint_speeds(jacobian, twist_between(T, asked))
         self.goal = self.goal + turn / (turn.abs().amax(1, keepdim=True) / self.GOAL_RAD).clamp(
             min=1.0
         )
-        room = max(self.slow_m - self.stop_m, 1e-6)
+        room = (self.slow_m - self.stop_m).clamp(min=1e-6)
         pace = ((seen["gap"].double() - self.stop_m) / room).clamp(0.0, 1.0)
         self.clock = torch.minimum(self.clock + self.step_s * pace, self.end_s)
         bent = (self.clock / self.end_s)[:, None] * (self.goal - self.path[:, -1].double())
