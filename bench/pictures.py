@@ -55,6 +55,11 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         command("figures", run, "--method", "fc", "random", "handover-va", "--out", folder / "figures")
         for name in ("protocol", "failures"):
             shutil.copy(folder / "figures" / f"{name}.png", out / f"figure_{name}.png")
+        words = ("--method", "handover-va", "fc", "contact", "intent", "--out", folder / "theirs")
+        command("figures", release, *words)
+        for name in ("protocol", "methods"):
+            shutil.copy(folder / "theirs" / f"{name}.png", out / f"release_{name}.png")
+        overview(release, "handover-va", out / "release_scene.png")
         moved, stopped = trials_of(run)
         for name, methods, trial in (
             ("success", ["fc"], moved), ("failed_plan", ["fc"], stopped), ("two", ["fc", "contact"], moved),
@@ -65,18 +70,31 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         command("view", run, "--method", "fc", "handover-va", "contact", "intent", "--trial", 5, *strips)
         scene = ("--out", folder / "scene", "--render", out / "scene.png", "--overwrite")
         command("scene", "--run", run, "--method", "fc", "--trial", moved, *scene)
-        scene = ("--out", folder / "release", "--render", out / "release_scene.png", "--overwrite")
-        command("scene", "--run", release, "--method", "contact", "--trial", trials_of(release)[0], *scene)
     grasps(out / "baselines_grasps.png")
     drawn = [
         out / f"{name}.png"
         for name in ("report", "gallery", "figure_protocol", "figure_failures", "strips_5", "scene", "release_scene")
     ]
     drawn += [
+        *(out / f"release_{name}.png" for name in ("protocol", "methods")),
         out / "baselines_grasps.png",
         *(out / "pictures" / f"view_{n}.png" for n in ("success", "failed_plan", "two")),
     ]
     return {p.relative_to(out).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in drawn}
+
+
+def overview(run: Path, method: str, png: Path) -> None:
+    """The paper's Figure 1: arm, hand and the ball where the object must be, at the end of the method's first success."""
+    from r2h_batch.export.drawing import Drawing, view_of
+    from r2h_batch.export.pictures import painter, save_picture
+    from r2h_batch.export.stored import Reader
+    from r2h_batch.gallery.pictures import first_of_each_outcome
+
+    reader, size = Reader(run), (1200, 800)
+    name = reader.run.named(method)
+    drawing = Drawing(reader.trial(first_of_each_outcome(reader.run, name, 1)["success"][0], name))
+    with painter(drawing, size, view_of([drawing], size[0] / size[1])) as paint:
+        save_picture(png, paint(drawing.moments(2)[-1][1], "ball"))
 
 
 def trials_of(run: Path) -> tuple[int, int]:

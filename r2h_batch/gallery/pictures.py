@@ -35,6 +35,8 @@ __all__ = [
 
 SHOWN = OUTCOME_NAMES[:6]
 """Outcomes of which there is something to see: success and the five failures."""
+JUDGED = ("region", "ball", "palm")
+"""What a success is judged by: drawn where it ends."""
 CLOSE = ("stability", "affordance", "safe")
 """Failures between gripper, object and hand: the camera goes near."""
 LOOKED_AT = 200_000  # rows of a method that are searched for examples
@@ -149,9 +151,10 @@ def protocol(run: Run, reader: Reader, method: str, trial: int | None) -> tuple[
     with painter(drawing, SIZE, view_of([drawing], aspect)) as paint:
         panels: list[Panel] = [(paint(home), "start"), (paint(home, "target"), "target")]
         for (t, q, _), words in zip(moments, ("approach, ", "", "handover, "), strict=True):
-            panels.append((paint(q), f"{words}{t:.1f} s"))
+            groups = JUDGED if words.startswith("handover") else ()
+            panels.append((paint(q, *groups), f"{words}{t:.1f} s"))
     with painter(drawing, SIZE, view_of([drawing], aspect, close=True)) as paint:
-        panels.append((paint(moments[-1][1]), "what is judged"))
+        panels.append((paint(moments[-1][1], *JUDGED), "what is judged"))
     return _grid([panels], []), f"trial {trial} of {method}"
 
 
