@@ -167,13 +167,13 @@ GRAB_FRAMES, GRAB_SEQUENCES = 1_622_459, 1335
 
 
 def import_grab(sequences: int) -> dict[str, float]:
-    """Seconds and peak memory of `import hands` over so many sequences in GRAB's layout, of GRAB's mean length; their files
-    are a few, linked many times."""
+    """Seconds and peak memory of `import hands` over so many sequences in GRAB's layout, of GRAB's mean length, with MANO,
+    SMPL-X and the subject's meshes; all sequences are links to one file."""
     sys.path.insert(0, str(ROOT / "tests" / "support"))
-    hand_data: Any = import_module("hand_data")
+    hand_data, mano, smplx = (import_module(name) for name in ("hand_data", "mano_files", "smplx_files"))
     hand_data.FRAMES = GRAB_FRAMES // GRAB_SEQUENCES
     with tempfile.TemporaryDirectory() as temporary:
-        first = hand_data.write_grab(Path(temporary))
+        first = hand_data.write_grab(Path(temporary), subjects=True)
         for i in range(1, sequences):
             name = (
                 first.with_name(f"mug_pass_{i // 10 + 2}.npz").parents[1]
@@ -182,8 +182,12 @@ def import_grab(sequences: int) -> dict[str, float]:
             )
             name.parent.mkdir(exist_ok=True)
             name.hardlink_to(first)
-        out = ["--out", f"{temporary}/hands.npz"]
-        return command("import", "hands", temporary, "--from", "grab", *out)
+        line = ["--smplx", f"{temporary}/smplx", "--out", f"{temporary}/hands.npz"]
+        smplx.write_smplx(Path(temporary) / "smplx")
+        for side, word in enumerate(("right", "left")):
+            file = Path(temporary) / f"MANO_{word.upper()}.pkl"
+            line += [f"--mano-{word}", str(mano.write_mano(file, mano.mano_dictionary(side)))]
+        return command("import", "hands", temporary, "--from", "grab", *line)
 
 
 def main() -> None:
