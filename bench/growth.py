@@ -170,7 +170,8 @@ def import_grab(sequences: int) -> dict[str, float]:
     """Seconds and peak memory of `import hands` over so many sequences in GRAB's layout, of GRAB's mean length, with MANO,
     SMPL-X and the subject's meshes; all sequences are links to one file."""
     sys.path.insert(0, str(ROOT / "tests" / "support"))
-    hand_data, mano, smplx = (import_module(name) for name in ("hand_data", "mano_files", "smplx_files"))
+    support: list[Any] = [import_module(name) for name in ("hand_data", "mano_files", "smplx_files")]
+    hand_data, mano, smplx = support
     hand_data.FRAMES = GRAB_FRAMES // GRAB_SEQUENCES
     with tempfile.TemporaryDirectory() as temporary:
         first = hand_data.write_grab(Path(temporary), subjects=True)

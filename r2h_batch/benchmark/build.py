@@ -411,6 +411,24 @@ class BenchmarkOverrides(BenchmarkFlags):
             base = base.on(robot_of(self.robot) if self.robot else base.robot, persons)
         return base
 
+    def said_splits(self) -> set[str]:
+        """The splits of the objects that flags and files name, before any mesh is read; empty where they
+        name none, or list trials."""
+        path = Path(self.objects or self.benchmark)
+        if self.trials_file or not (self.objects or self.benchmark):
+            return set()
+        file = _file_in(path)
+        if file is None:
+            entries = [_entry(mesh) for mesh in _files(path, MESHES)] if path.is_dir() else []
+        else:
+            said = read_benchmark_file(file)
+            if "objects" not in said.model_fields_set or (said.trials and not self.objects):
+                return set()
+            entries = said.objects
+        own = {e: load_objects([e])[0].split for e in {e.built_in for e in entries} if e}
+        there = {e.split or own.get(e.built_in or "", "S0") for e in entries}
+        return there | {str(call_of(m)["split"]) for m in self.object_mesh} if there else there
+
     def _hand_set(self, base: HandSet) -> HandSet:
         """The hand set of --hands on the hand of --hand-model, each else as in `base`."""
         model = hand_of(Path(self.hand_model)) if self.hand_model else base.model
@@ -432,11 +450,10 @@ def _own_meshes(arguments: Sequence[str], pieces: bool) -> list[ObjectModel]:
 
 def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
     """Objects of a benchmark file, or of a folder: its benchmark.yaml, else every mesh in it."""
-    file = path / "benchmark.yaml" if path.is_dir() else path
-    if file.suffix.lower() in (".yaml", ".yml") and (file == path or file.exists()):
+    file, shown = _file_in(path), printable(path)
+    if file is not None:
         return read_benchmark(file, pieces=pieces).objects
-    shown = printable(path)
-    if file == path:
+    if not path.is_dir():
         how = "takes a folder of meshes or a benchmark.yaml; one mesh: --object-mesh FILE"
         raise FileError(f"{shown}: --objects {how}")
     meshes = _files(path, MESHES)
@@ -450,6 +467,13 @@ def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
             how = "is about no mesh of this folder; MESH.yaml goes with MESH.obj"
             raise FileError(f"{printable(path / name)}: {how}")
     return objects_of([_entry(mesh) for mesh in meshes], path, pieces)
+
+
+def _file_in(path: Path) -> Path | None:
+    """The benchmark file that a path names or has in it; None: a folder of meshes, or neither."""
+    file = path / "benchmark.yaml" if path.is_dir() else path
+    known = file.suffix.lower() in (".yaml", ".yml") and (file == path or file.exists())
+    return file if known else None
 
 
 def _entry(file: Path) -> ObjectEntry:

@@ -111,6 +111,8 @@ def prepare(options: Options) -> Setting:
             f"--device {options.device}: torch sees no CUDA device ({why_no_cuda()}); use --device cpu"
         )
     given = given_of(options)
+    if there := given.said_splits():
+        _check_splits(options, there)
     # a convex decomposition takes up to a minute: only where it is used
     benchmark = given.read(pieces=options.object_collision == "pieces")
     loop = loop_of(options)
@@ -183,15 +185,18 @@ def _said_of(model: "ObjectModel") -> dict[str, Any]:
     return said if model.repair is None else {**said, "repair": asdict(model.repair)}
 
 
-def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
-    """Split -> trials of it."""
-    splits = [str(s) for s in SPLITS if s in options.splits]
-    there = {o.split for o in benchmark.objects}
-    if benchmark.listed is None and (missing := [s for s in splits if s not in there]):
+def _check_splits(options: Options, there: set[str]) -> None:
+    if missing := [s for s in SPLITS if s in options.splits and s not in there]:
         raise UsageError(
             f"no object belongs to split {missing[0]}; give at least one, or --splits {' '.join(sorted(there))}"
         )
+
+
+def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
+    """Split -> trials of it."""
+    splits = [str(s) for s in SPLITS if s in options.splits]
     if benchmark.listed is None:
+        _check_splits(options, {o.split for o in benchmark.objects})
         return dict.fromkeys(splits, options.trials)
     if options.trials != Options.trials:
         raise UsageError(

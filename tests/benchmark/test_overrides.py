@@ -104,11 +104,16 @@ def test_trials_as_text_are_those_of_an_npz(tmp_path):
             assert torch.equal(getattr(found, name), getattr(wanted, name))
 
 
-def test_a_split_without_objects_is_refused(tmp_path, capsys):
-    trimesh.creation.box((0.05, 0.06, 0.07)).export(tmp_path / "mug.obj")
+def test_a_split_without_objects_is_refused_before_any_mesh_is_built(tmp_path, capsys):
+    for name in ("mug", "jar"):
+        trimesh.creation.box((0.05, 0.06, 0.07)).export(tmp_path / f"{name}.obj")
     line = ["sweep", "--objects", str(tmp_path), "--method", "random", "--trials", "2", "--out", str(tmp_path / "r")]
     assert main(line) == 2
-    assert "no object belongs to split S1; give at least one, or --splits S0" in capsys.readouterr().err
+    refused = "sweep: no object belongs to split S1; give at least one, or --splits S0\n"
+    assert capsys.readouterr().err == refused
+    (tmp_path / "benchmark.yaml").write_text("objects: [{file: mug.obj, split: S1}, {built_in: hammer}]")
+    assert main(line) == 2
+    assert capsys.readouterr().err == refused.replace("S0", "S2").replace("S1", "S0").replace("S2", "S1")
 
 
 def test_npz_and_parquet_with_rows_of_the_hand_set_or_postures_say_the_same(tmp_path):
