@@ -61,24 +61,26 @@ parts of the whole; the rest is kinematics, limits and counting.
 """
 
 
-def answers(trials: int) -> tuple[Any, dict[str, Any]]:
-    """The judge of the shipped baselines, and each method's scores of its first trials of each split."""
+def answers(trials: int) -> tuple[list[str], int, Any]:
+    """The shipped baselines, how many trials each has, and the scores of all: method by method."""
     from r2h_batch.results.reevaluation import Judge
     from r2h_batch.runs.store import load_run
 
     run = load_run(ROOT / "r2h_batch" / "compare" / "baselines")
     judge = Judge(run)
-    evaluator, found = judge.evaluator.kinematic, {}
+    grasps: list[torch.Tensor] = []
+    places: list[torch.Tensor] = []
     for name in run.methods:
         poses = run.poses(name)
-        keep = poses["trial_id"].to_numpy() < 2 * trials
-        poses = poses.filter(keep)
-        T_obj_ee, T_world_ee = [
-            torch.tensor(poses[k].to_pylist()).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")
-        ]
-        asked = judge.trials(poses["trial_id"].to_numpy())
-        found[name] = evaluator.score(T_obj_ee, T_world_ee, asked)
-    return run, found
+        poses = poses.filter(poses["trial_id"].to_numpy() < 2 * trials)
+        for into, k in ((grasps, "T_obj_ee"), (places, "T_world_ee")):
+            into.append(torch.tensor(poses[k].to_pylist(), dtype=torch.float32).reshape(-1, 4, 4))
+        ids = poses["trial_id"].to_numpy()
+    asked = judge.trials(ids)
+    asked = asked[torch.arange(len(asked)).repeat(len(run.methods))]
+    scores = judge.evaluator.kinematic.score(torch.cat(grasps), torch.cat(places), asked)
+    assert all(torch.equal(t, asked.trial_id[: len(ids)]) for t in asked.trial_id.split(len(ids)))
+    return list(run.methods), len(ids), scores
 
 
 def played(scores: Any, motion: str, policy: str) -> Any:
@@ -90,21 +92,24 @@ def played(scores: Any, motion: str, policy: str) -> Any:
     return Loop(ReceiverMotion.parse(motion), policy, LoopConfig())(scores)
 
 
-def summary(scores: Any, episodes: Any) -> dict[str, Any]:
+def summary(episodes: Any, rows: slice) -> dict[str, Any]:
     """What the page says of a method and a case."""
     from r2h_batch.closed_loop.env import End
 
-    e, n = episodes.end.numpy(), len(scores)
+    e, touched = episodes.end[rows].numpy(), episodes.robot_touched[rows].numpy()
     ends = {end.name.lower(): int((e == end).sum()) for end in End}
-    robot = int(episodes.robot_touched[episodes.end == int(End.CONTACT)].sum())
-    won, lived = e == End.SUCCESS, episodes.time_s.numpy() > 0
-    means = {
-        k: float(getattr(episodes, k).numpy()[lived].mean())
-        for k in ("robot_idle", "human_idle", "concurrent", "delay", "slack_m")
+    time_s = episodes.time_s[rows].numpy()
+    won, lived = e == End.SUCCESS, time_s > 0
+    shares = ("robot_idle", "human_idle", "concurrent", "delay", "slack_m")
+    return {
+        "n": len(e),
+        "ends": ends,
+        "by_robot": int(touched[e == End.CONTACT].sum()),
+        "time_s": float(np.median(time_s[won])) if won.any() else None,
+        "least_m": float(np.median(episodes.least_m[rows].numpy()[lived])),
+        "won": won.tolist(),
+        **{k: float(getattr(episodes, k)[rows].numpy()[lived].mean()) for k in shares},
     }
-    time_s = float(np.median(episodes.time_s.numpy()[won])) if won.any() else None
-    least = float(np.median(episodes.least_m.numpy()[lived]))
-    return {"n": n, "ends": ends, "by_robot": robot, "time_s": time_s, "least_m": least, "won": won.tolist(), **means}
 
 
 def cost(scores: Any) -> list[dict[str, float]]:
@@ -149,16 +154,16 @@ def cost(scores: Any) -> list[dict[str, float]]:
 
 def measure(trials: int) -> dict[str, Any]:
     """All figures of the page."""
-    run, found = answers(trials)
-    methods: dict[str, Any] = {}
-    for name in run.methods:
-        scores = found[name]
-        methods[name] = {"sr": scores.success.tolist(), "cases": {}}
-        for motion, policy in CASES:
-            methods[name]["cases"][f"{motion}, {policy}"] = summary(scores, played(scores, motion, policy))
+    names, n, scores = answers(trials)
+    rows = {name: slice(k * n, (k + 1) * n) for k, name in enumerate(names)}
+    methods: dict[str, Any] = {name: {"sr": scores.success[r].tolist(), "cases": {}} for name, r in rows.items()}
+    for motion, policy in CASES:
+        episodes = played(scores, motion, policy)
+        for name, r in rows.items():
+            methods[name]["cases"][f"{motion}, {policy}"] = summary(episodes, r)
             print(name, motion, policy, methods[name]["cases"][f"{motion}, {policy}"]["ends"], flush=True)
     torch.set_num_threads(1)
-    return {"trials": trials, "methods": methods, "cost": cost(found["oracle"]), **made_by()}
+    return {"trials": trials, "methods": methods, "cost": cost(scores[rows["oracle"]]), **made_by()}
 
 
 def _rate(hits: Sequence[bool]) -> str:

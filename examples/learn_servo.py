@@ -21,6 +21,8 @@ from r2h_batch.types import Scores
 
 NAMES = ("slow_m", "stop_m", "follow")
 LOW, HIGH = torch.tensor([0.03, 0.005, 0.02]), torch.tensor([0.25, 0.03, 0.6])
+CAUTIOUS = torch.tensor([0.22, 0.028, 0.04])
+"""Where it begins."""
 A_SECOND = 0.03
 """What a second costs of a success."""
 
@@ -62,7 +64,7 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     half = torch.arange(len(scores)) % 2 == 0
     known, unseen = scores[half], scores[~half]
 
-    first = 0.5 * (LOW + HIGH)
+    first = CAUTIOUS
     mean, sd = first.clone(), 0.3 * (HIGH - LOW)
     for generation in range(options.generations):
         drawn = mean + sd * torch.randn(options.population, 3, generator=random)

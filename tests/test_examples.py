@@ -42,3 +42,11 @@ def test_a_generator_is_trained_and_judged_in_three_ways(tmp_path):
     assert list(result["rates"]) == ["plain", "best of 2", "guided, 2 steps"]
     assert all(0 <= r["low"] <= r["rate"] <= r["high"] <= 1 and r["trials"] == 6 for r in result["rates"].values())
     assert (tmp_path / "training_loop.png").stat().st_size > 5000 and (tmp_path / "weights.pt").exists()
+
+
+def test_a_servo_learns_from_closed_loops_and_is_played_on_unseen_trials(capsys):
+    learn_servo = import_module("learn_servo")
+    found = learn_servo.main(["--trials", "6", "--population", "4", "--generations", "2"])
+    out = capsys.readouterr().out
+    assert "6 unseen trials" in out and out.count("generation") == 2
+    assert -1 <= found["return before"] <= 1 and found["success after"] >= found["success before"]

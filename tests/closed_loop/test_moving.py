@@ -145,7 +145,7 @@ def test_an_imported_motion_ends_at_the_trials_pose_and_goes_as_it_was_recorded(
     out = tmp_path / "hands.npz"
     write(out, found)
     small = Scene(hand_set=load_hand_set(out), objects=scene.objects[:2])
-    trials = make_trials(trials=4, objects=small.objects, hand_set=small.hands.set, protocol="r2h-v1")
+    trials = make_trials(["S0"], 4, objects=small.objects, hand_set=small.hands.set, protocol="r2h-v1")
     motion = ReceiverMotion.parse(f"replay:{motion_file(out)}")
     hands = MovingHands.of(small, trials, motion)
     assert (hands.pose(99.0) - trials.T_world_hand).abs().max() < 1e-5
