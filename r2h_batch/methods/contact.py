@@ -38,6 +38,7 @@ from r2h_batch.methods.placing import (
 )
 from r2h_batch.predictors import (
     ContactPredictor,
+    DepthView,
     Observations,
     PredictorNoise,
     predict_contacts,
@@ -101,15 +102,22 @@ def predict(
     gate: Literal["none", "ik"] = "none",
     at: Anchor = "object",
     contacts: Contacts = "left-out",
+    cameras: int = 0,
+    depth_noise: float = 1.0,
+    depth_lost: float = 0.0,
+    camera_m: float = 0.0,
+    camera_deg: float = 0.0,
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
     `predictor`: what gives the contact map (`r2h_batch.predictors.load_predictor`); None: the
     built-in VoxNet, of built-in objects with the weights that never saw the object
     (`contacts="all"`: trained on all of them). `gate="ik"`: only orientations that the arm reaches.
-    `at`: what stands `height_m` above the palm.
+    `at`: what stands `height_m` above the palm. `cameras` and what follows: depth cameras that show
+    the object to the network (`predictors.depth_view.DepthView`); 0: it sees the whole solid.
     """
     check_choice("contacts", contacts, Contacts)
+    view = DepthView(cameras, depth_noise, depth_lost, camera_m, camera_deg)
     threads = evaluator.threads if evaluator else None
     table = candidate_table(scene)
     clustered = in_clusters(scene, eps_m, min_samples)
@@ -119,7 +127,13 @@ def predict(
         taking = predict_receiving(part, scene, seed=seed, noise=noise, seen=seen)
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         contact = predict_contacts(
-            part, scene, predictor=predictor, seen=seen, left_out=contacts == "left-out"
+            part,
+            scene,
+            predictor=predictor,
+            seen=seen,
+            left_out=contacts == "left-out",
+            view=view,
+            seed=seed,
         )
         rows, exists = table.rows(part.object_index)
         clear = candidates_clear_of(

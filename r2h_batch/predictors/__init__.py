@@ -2,6 +2,7 @@
 the truth."""
 
 from r2h_batch.predictors.contacts import predict_contacts
+from r2h_batch.predictors.depth_view import DepthView
 from r2h_batch.predictors.external_predictions import Observations, read_observations
 from r2h_batch.predictors.files import load_predictor
 from r2h_batch.predictors.grid import ContactPredictor, PredictorError
@@ -17,6 +18,7 @@ from r2h_batch.predictors.parts import SeenParts, predict_parts
 
 __all__ = [
     "ContactPredictor",
+    "DepthView",
     "Observations",
     "PredictorError",
     "PredictorNoise",

@@ -6,15 +6,19 @@ What such a network takes and returns: `r2h_batch.predictors.grid`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from r2h_batch import rng
 from r2h_batch.bodies.objects import OBJECT_NAMES, VOXELS, ObjectModel, stored_key
+from r2h_batch.predictors.depth_view import DRAWS, DepthView, carved
 from r2h_batch.predictors.external_predictions import Observations
 from r2h_batch.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
+from r2h_batch.predictors.noise import trial_ids
 from r2h_batch.predictors.voxnet import load_voxnet
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
@@ -34,24 +38,36 @@ def predict_contacts(
     predictor: ContactPredictor | None = None,
     seen: Observations | None = None,
     left_out: bool = True,
+    view: DepthView | None = None,
+    seed: int = 0,
 ) -> Float32[Tensor, "n p"]:
     """Probability that a person touches each cloud point (`ObjectModel.points`); default: the
     built-in VoxNet.
 
     The network runs once for each object and predictor; trials only look up. `seen`: a network's
     answers instead. `left_out`: a built-in object is shown to the weights that never saw it; else,
-    as any other object, to those of all.
+    as any other object, to those of all. `view`: the network sees what these cameras leave of the
+    grid, one of `DRAWS` sets drawn by (seed, trial id); it is still asked for the whole cloud.
     """
     if seen is not None and seen.contacts is not None:
         return seen.contacts.of(trials)["probability"].to(trials.trial_id.device)
     device = trials.trial_id.device
-    return _of_objects(scene.objects, predictor, left_out).to(device)[trials.object_index.long()]
+    index = trials.object_index.long()
+    if view is None or not view.cameras:
+        return _of_objects(scene, predictor, left_out, None, 0).to(device)[index, 0]
+    (u,) = rng.uniforms(rng.key_of(f"depth views {seed}"), trial_ids(trials.trial_id), 1, purpose=0)
+    draw = torch.from_numpy(rng.choice(u, DRAWS)).to(device)
+    return _of_objects(scene, predictor, left_out, view, seed).to(device)[index, draw]
 
 
 def _of_objects(
-    objects: tuple[ObjectModel, ...], predictor: ContactPredictor | None, left_out: bool
-) -> Float32[Tensor, "o p"]:
-    key = (objects, predictor, left_out)
+    scene: Scene,
+    predictor: ContactPredictor | None,
+    left_out: bool,
+    view: DepthView | None,
+    seed: int,
+) -> Float32[Tensor, "o d p"]:
+    key = (scene.objects, predictor, left_out, view, seed)
     if key not in _cached:
         if len(_cached) >= 8:
             _cached.clear()
@@ -59,18 +75,39 @@ def _of_objects(
             load_voxnet(o.name if left_out and stored_key(o) and o.name in OBJECT_NAMES else "")
             if predictor is None
             else predictor
-            for o in objects
+            for o in scene.objects
         )
         _cached[key] = torch.stack(
-            [_of_object(o, n) for o, n in zip(objects, networks, strict=True)]
+            [
+                torch.stack(
+                    [
+                        _of_object(scene.objects[i], n, grid)
+                        for grid in grids_of(scene, i, view, seed)
+                    ]
+                )
+                for i, n in enumerate(networks)
+            ]
         )
     return _cached[key]
 
 
-def _of_object(model: ObjectModel, predictor: ContactPredictor) -> Float32[Tensor, " p"]:
+def grids_of(scene: Scene, row: int, view: DepthView | None, seed: int) -> Iterator[Tensor]:
+    """(1, 5, 64, 64, 64) grids of an object: of the solid, or of each set of cameras."""
+    grid = contact_grids([scene.objects[row]])
+    if view is None:
+        yield grid
+        return
+    for draw in range(DRAWS):
+        grid[0, 0] = torch.from_numpy(carved(scene, row, view, draw, seed))
+        yield grid
+
+
+def _of_object(
+    model: ObjectModel, predictor: ContactPredictor, grid: Tensor
+) -> Float32[Tensor, " p"]:
     """One object at a time: its result cannot depend on the others."""
     with torch.no_grad():
-        found = predictor(contact_grids([model]))
+        found = predictor(grid)
     name = getattr(predictor, "__name__", type(predictor).__name__)
     if not isinstance(found, Tensor) or found.shape != (1, VOXELS, VOXELS, VOXELS):
         what = (

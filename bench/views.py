@@ -1,0 +1,142 @@
+"""What Contact-Handover does when depth cameras show its network the object: docs/results/views.md.
+
+`python bench/views.py --out FOLDER` sweeps the method on r2h-v1, motion as planned, with the whole solid and with cameras (the
+same FOLDER goes on). `--render` writes the page again from the JSON.
+"""
+
+import argparse
+import json
+import time
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _report import ROOT, made_by
+
+PAGE = ROOT / "docs" / "results" / "views.md"
+STORED = ROOT / "bench" / "results" / "views.json"
+VIEWS = {
+    "the whole solid": "",
+    "4 cameras, no noise": "cameras=4,depth_noise=0",
+    "4 cameras": "cameras=4",
+    "2 cameras": "cameras=2",
+    "1 camera": "cameras=1",
+    "1 camera, 10 % of the pixels lost": "cameras=1,depth_lost=0.1",
+    "2 cameras, off by 5 mm and 1 deg": "cameras=2,camera_m=0.005,camera_deg=1",
+    "2 cameras, off by 20 mm and 3 deg": "cameras=2,camera_m=0.02,camera_deg=3",
+}
+COLUMNS = {"sr": "SR", "f_plan": "F_plan", "f_afford": "F_afford, S1", "presented": "Presented, S1"}
+
+HEAD = """# Depth views: what Contact-Handover's network is shown
+
+Contact-Handover's network sees a grid of 64^3 voxels. As shipped it is the whole solid. Here depth cameras carve it: a voxel
+is full unless some camera looks through it (`contact,cameras=2,...`, [definition](../baselines.md#options-of-a-method)). {trials} trials of each
+split of r2h-v1, motion as planned, commit {commit}: `python bench/views.py` (bench/results/views.json).
+
+{table}
+
+- SR, F_plan: percent of all trials, mean of the splits; F_afford, Presented: of S1's trials. 95 % of SR: +- {half:.0f} points.
+- IoU: of the cloud's points that count as touched (probability 0.4 and more), with those of the whole solid. touched: their share.
+- AUC: chance that a point that people touch in the receiving grasps has a higher probability than one that they do not.
+
+The network is a stand-in trained on whole solids, and it never saw the object: its AUC is low before any camera comes. A worse
+view changes which points it calls touched more than what the method makes of them. So this table shows how much the stand-in
+depends on the view, and cannot show what a network loses whose maps are right.
+"""
+
+
+def maps(spec: dict[str, float], scene: Any, trials: Any) -> np.ndarray:
+    """(N, P) probabilities that the network gives with these cameras."""
+    from r2h_batch.predictors import DepthView, predict_contacts
+
+    view = DepthView(
+        int(spec.get("cameras", 0)),
+        spec.get("depth_noise", 1.0),
+        spec.get("depth_lost", 0.0),
+        spec.get("camera_m", 0.0),
+        spec.get("camera_deg", 0.0),
+    )
+    return predict_contacts(trials, scene, view=view).cpu().numpy()
+
+
+def area_under_curve(probability: np.ndarray, touched: np.ndarray) -> float:
+    """Chance that a touched point ranks above another, ties half."""
+    from scipy.stats import rankdata
+
+    n = int(touched.sum())
+    ranks = rankdata(probability)[touched].sum()
+    return float((ranks - n * (n + 1) / 2) / (n * (len(touched) - n)))
+
+
+def measure(out: Path, trials: int) -> dict[str, Any]:
+    """Rates and maps of every view."""
+    from r2h_batch import Evaluator, make_trials
+    from r2h_batch.assets.receiving.contact_maps import contact_map
+    from r2h_batch.predictors.contacts import CONTACT_THRESHOLD
+    from r2h_batch.report.table import record, table_of
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.command import run
+    from r2h_batch.sweep.options import parse
+
+    evaluator = Evaluator()
+    made = make_trials(trials=2 * trials)
+    truth = [contact_map(o) >= CONTACT_THRESHOLD for o in evaluator.scene.objects]
+    rows, whole = {}, None
+    for number, (name, options) in enumerate(VIEWS.items()):
+        folder = out / str(number)
+        method = f"contact,{options}" if options else "contact"
+        words = ["--method", method, "--trials", str(trials), "--sim", "none", "--quiet", "--out", str(folder)]
+        with redirect_stdout(StringIO()):
+            if code := run(parse(words)):
+                raise SystemExit(code)
+        of = {row.split: record(row) for row in table_of(load_run(folder)).rows}
+        found = {k: of["S1" if "S1" in heading else "Avg"][k] for k, heading in COLUMNS.items()}
+        spec = {k: float(v) for k, _, v in (word.partition("=") for word in options.split(",") if word)}
+        start = time.process_time()
+        probability = maps(spec, evaluator.scene, made)
+        touched = probability >= CONTACT_THRESHOLD
+        whole = touched if whole is None else whole
+        objects = made.object_index.tolist()
+        areas = [area_under_curve(p, truth[o]) for p, o in zip(probability, objects, strict=True) if truth[o].any()]
+        rows[name] = found | {
+            "iou": float(((touched & whole).sum(1) / (touched | whole).sum(1)).mean()),
+            "touched": float(touched.mean()),
+            "auc": float(np.mean(areas)),
+            "map_cpu_s": time.process_time() - start,
+        }
+    return {"trials": trials, "views": rows, **made_by()}
+
+
+def markdown(data: dict[str, Any]) -> str:
+    """The page."""
+    from r2h_batch.report.text import aligned
+
+    lines = [
+        [name, *(f"{row[k]:.1f}" for k in COLUMNS), *(f"{row[k]:.2f}" for k in ("iou", "touched", "auc"))]
+        for name, row in data["views"].items()
+    ]
+    n = 2 * data["trials"]
+    p = np.mean([row["sr"] for row in data["views"].values()]) / 100
+    return HEAD.format(
+        trials=data["trials"],
+        commit=str(data["commit"])[:12],
+        table=aligned(["The network sees", *COLUMNS.values(), "IoU", "touched", "AUC"], lines, 1),
+        half=196 * np.sqrt(p * (1 - p) / n),
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "views")
+    parser.add_argument("--trials", type=int, default=200)
+    parser.add_argument("--render", action="store_true")
+    options = parser.parse_args()
+    if not options.render:
+        STORED.write_text(json.dumps(measure(options.out, options.trials), indent=1) + "\n")
+    PAGE.write_text(markdown(json.loads(STORED.read_text())))
+
+
+if __name__ == "__main__":
+    main()
