@@ -32,13 +32,15 @@ COLUMNS = {"sr": "SR", "f_plan": "F_plan", "f_afford": "F_afford, S1", "presente
 HEAD = """# Depth views: what Contact-Handover's network is shown
 
 Contact-Handover's network sees a grid of 64^3 voxels. As shipped it is the whole solid. Here depth cameras carve it: a voxel
-is full unless some camera looks through it (`contact,cameras=2,...`, [definition](../baselines.md#options-of-a-method)). {trials} trials of each
-split of r2h-v1, motion as planned, commit {commit}: `python bench/views.py` (bench/results/views.json).
+is full unless some camera looks through it (`contact,cameras=2,...`, [options](../baselines.md#options-of-a-method)).
+`python bench/views.py` (bench/results/views.json) measured it: {trials} trials of each split of r2h-v1, motion as planned,
+commit {commit}.
 
 {table}
 
 - SR, F_plan: percent of all trials, mean of the splits; F_afford, Presented: of S1's trials. 95 % of SR: +- {half:.0f} points.
-- IoU: of the cloud's points that count as touched (probability 0.4 and more), with those of the whole solid. touched: their share.
+- IoU: of the cloud's points that count as touched (probability 0.4 and more), with those of the whole solid; touched: their
+  share.
 - AUC: chance that a point that people touch in the receiving grasps has a higher probability than one that they do not.
 
 The network is a stand-in trained on whole solids, and it never saw the object: its AUC is low before any camera comes. A worse
