@@ -140,7 +140,10 @@ def reception(
         device: cpu, cuda or cuda:N.
     """
     from r2h_batch.results import reception as received
+    from r2h_batch.runs.store import RunError, in_the_way
 
+    if what := in_the_way(folder / "reception", folder=True):
+        raise RunError(what)
     run, tables = received.tables_of_run(folder, method, benchmark, device)
     for name, table in tables.items():
         received.write(folder / "reception" / f"{run.entry(name).slug}.parquet", table)

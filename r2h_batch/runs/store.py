@@ -40,6 +40,7 @@ from uuid import uuid4
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
@@ -246,7 +247,7 @@ def _locked(lock: BinaryIO) -> bool:
     return True
 
 
-def _in_the_way(path: Path, *, folder: bool = False) -> str:
+def in_the_way(path: Path, *, folder: bool = False) -> str:
     """What stands in the place of a file (or folder) of the run; empty if nothing is wrong."""
     try:
         mode = path.lstat().st_mode
@@ -270,7 +271,7 @@ def trouble_in(folder: Path, error: OSError) -> str:
         inside = place.relative_to(folder)
         for k in range(1, len(inside.parts) + 1):
             is_folder = k < len(inside.parts) or error.errno in (errno.EEXIST, errno.ENOTDIR)
-            if what := _in_the_way(folder.joinpath(*inside.parts[:k]), folder=is_folder):
+            if what := in_the_way(folder.joinpath(*inside.parts[:k]), folder=is_folder):
                 return f"run folder {printable(folder)}: {what}"
         why = error.strerror or error
         return f"run folder {printable(folder)}: {printable(inside)}: {why}; {GO_ON}"
@@ -434,7 +435,7 @@ def read_json(path: Path) -> dict[str, Any]:
     Raises:
         RunError: the file holds something else or is too large.
     """
-    if what := _in_the_way(path):
+    if what := in_the_way(path):
         raise RunError(what)
     try:
         data = read_any_json(path, most=MAX_JSON_BYTES)
@@ -651,7 +652,7 @@ class Entry:
             return []
         except OSError as error:
             words = f"{place}: cannot be read ({error.strerror or error})"
-            whats = (_in_the_way(p, folder=True) for p in (place.parent, place))
+            whats = (in_the_way(p, folder=True) for p in (place.parent, place))
             raise RunError(next(filter(None, whats), words)) from None
         found = (shard_at(self.header, int(n[:6])) for n in sorted(names))
         return [shard for shard in found if shard is not None]
@@ -726,6 +727,11 @@ def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
         return f"is of another type than format {FORMAT} says"
     if not field.nullable and column.null_count:
         return f"has {column.null_count} empty rows; it must have none"
+    inside = column
+    while pa.types.is_list(inside.type) or pa.types.is_fixed_size_list(inside.type):
+        inside = pc.list_flatten(inside)
+        if inside.null_count:
+            return f"has {inside.null_count} empty numbers in its rows; it must have none"
     if pa.types.is_dictionary(field.type):
         for chunk in column.chunks:
             words = chunk.dictionary.to_pylist()[: MAX_WORDS + 1]

@@ -1,5 +1,7 @@
 """The command `results reception`: a table in the run folder, a funnel on the screen."""
 
+import shutil
+
 import pyarrow.parquet as pq
 import pytest
 
@@ -38,6 +40,16 @@ def test_every_stored_pose_has_a_row_and_the_funnel_counts_them(run, capsys):
     best = [r for r in rows if r["success"]]
     assert len(best) == 8 and sum(r["received"] for r in best) >= 7  # the bound
     assert main(["results", "verify", str(run)]) == 0
+
+
+def test_a_link_in_place_of_the_tables_folder_is_refused_and_nothing_is_written_there(run, tmp_path, capsys):
+    copy, victim = tmp_path / "run", tmp_path / "victim"
+    shutil.copytree(run, copy, ignore=shutil.ignore_patterns("reception"))
+    victim.mkdir()
+    (copy / "reception").symlink_to(victim)
+    assert main(["results", "reception", str(copy)]) == 2
+    error = capsys.readouterr().err
+    assert "a symbolic link" in error and error.count("\n") == 1 and not list(victim.iterdir())
 
 
 def test_a_run_whose_receivers_have_no_body_is_refused_in_one_line(tmp_path, capsys):

@@ -233,6 +233,19 @@ def test_a_table_that_unpacks_to_more_than_its_rows_can_hold_is_refused_undecode
     assert not read
 
 
+def test_a_pose_without_its_numbers_is_refused_by_its_column(tmp_path):
+    run, n = tmp_path / "run", np.zeros(6, int)
+    write_run(run, {"m": n}, 3, 3, stored=["poses", "details"])
+
+    def without(table):
+        field = table.schema.field("T_obj_ee")
+        return table.set_column(1, field, pa.array([[None] * 16] * len(table), field.type))
+
+    forge(run, without, "poses")
+    with pytest.raises(RunError, match="column 'T_obj_ee' has 96 empty numbers"):
+        load_run(run).poses("m")
+
+
 def at(row, **values):
     """A change of a table: other values in one row."""
 
