@@ -6,6 +6,7 @@ the import is measured. Trials come from a sweep of ours, are exported, and read
 
 import argparse
 import contextlib
+import hashlib
 import importlib
 import io
 import json
@@ -19,22 +20,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+import trimesh
 from _report import Report
+from scipy.spatial.transform import Rotation
 
+from r2h_batch import se3
 from r2h_batch.__main__ import main as r2h_batch_main
+from r2h_batch.benchmark import built_in, read_benchmark
+from r2h_batch.export.release import TOOL_M
+from r2h_batch.importers.release import PADS_M, T_world_release, along_z
+from r2h_batch.judge.ik import solve_ik
+from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.verdicts import CRITERIA
 
+SAMPLES = 3
+"""Of an executed motion where flags are compared: theirs takes a sixth of a second for each."""
+
 
 def quietly(command: Any, *line: object) -> float:
-    """Seconds that a command takes; its error if it fails."""
-    said, start = io.StringIO(), time.perf_counter()
+    """Seconds of one core that a command takes; its error if it fails."""
+    said, start = io.StringIO(), time.process_time()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         code = command([str(x) for x in line])
     if code:
         raise RuntimeError(f"{line}: exit code {code}\n{said.getvalue()[-2000:]}")
-    return time.perf_counter() - start
+    return time.process_time() - start
 
 
 def rows_of(run: Path) -> dict[str, dict[str, Any]]:
@@ -48,14 +61,14 @@ def trial_files(folder: Path) -> list[Path]:
     return [f for f in sorted(folder.glob("*.json")) if f.name not in ("results.json", "paper_table.json")]
 
 
-def release_modules(path: Path) -> tuple[Any, Any]:
-    """Their modules `evaluation` and `planning`."""
+def release_modules(path: Path) -> list[Any]:
+    """Their modules `evaluation`, `planning` and `robot`."""
     inside = [p for p in (path, path / "src" / "r2handoversim") if (p / "evaluation.py").exists()]
     if not inside:
         raise SystemExit(f"{path}: has no evaluation.py; give a checkout of r2handoversim, or its src/r2handoversim")
     package = inside[0].resolve()
     sys.path.insert(0, str(package.parent))
-    return importlib.import_module(f"{package.name}.evaluation"), importlib.import_module(f"{package.name}.planning")
+    return [importlib.import_module(f"{package.name}.{name}") for name in ("evaluation", "planning", "robot")]
 
 
 def planned_by_them(planning: Any, trial: dict[str, Any]) -> dict[str, Any]:
@@ -68,45 +81,132 @@ def planned_by_them(planning: Any, trial: dict[str, Any]) -> dict[str, Any]:
     return found | {"target_T_world_gripper": target.tolist()}
 
 
-def beside(report: Report, path: Path, files: Path, folder: Path, judged: int, planned: int) -> None:
-    """Both on the same files: flags and trials a second."""
-    evaluation, planning = release_modules(path)
-    trials = [
-        json.loads(f.read_text())
-        for f in sorted(files.glob("*.json"))
-        if f.name not in ("results.json", "paper_table.json")
-    ]
-    moving = [t for t in trials if "planning" not in t][:judged]
-    mine = folder / "moving"
-    mine.mkdir()
-    for t in moving:
-        (mine / f"{t['id']}.json").write_text(json.dumps(t))
-    quietly(sweep, "--trials-from", mine, "--sim", "none", "--set", "width=whole", "--out", folder / "warm")
-    seconds = quietly(sweep, "--trials-from", mine, "--sim", "none", "--set", "width=whole", "--out", folder / "judged")
-    report.add("release.judge.trials", len(moving))
-    report.add("release.judge.ours_trials_per_s", len(moving) / seconds)
-    start = time.perf_counter()
-    theirs = {t["id"]: evaluation.evaluate(t) for t in moving}
-    report.add("release.judge.theirs_trials_per_s", len(moving) / (time.perf_counter() - start))
-    agreement(report, "judge", rows_of(folder / "judged"), theirs)
-    # planning, from the same home to the same target, with the same table
-    chosen = [t for t in trials if t["id"] in {*list(theirs)[:planned]}]
-    if not chosen:
-        return
-    mine = folder / "to_plan"
-    mine.mkdir()
-    for t in chosen:
-        (mine / f"{t['id']}.json").write_text(json.dumps(t))
-    line = ("--trials-from", mine, "--set", "replan=true", "width=whole", "--sim", "none", "--out")
-    quietly(sweep, *line, folder / "warm2")
-    seconds = quietly(sweep, *line, folder / "planned")
-    report.add("release.plan.ours_trials_per_s", len(chosen) / seconds)
-    start = time.perf_counter()
+def thinned(trial: dict[str, Any]) -> dict[str, Any]:
+    """The trial with `SAMPLES` of its executed samples, the first and the last among them."""
+    q = trial["executed_joints"]
+    return trial | {"executed_joints": [q[round(i)] for i in np.linspace(0, len(q) - 1, SAMPLES)]}
+
+
+def written(folder: Path, trials: list[dict[str, Any]]) -> Path:
+    """A new folder with these trials."""
+    folder.mkdir()
+    for t in trials:
+        (folder / f"{t['id']}.json").write_text(json.dumps(t))
+    return folder
+
+
+def beside(report: Report, path: Path, files: Path, folder: Path, args: argparse.Namespace) -> None:
+    """Both on the same files: flags, and trials in a second of one core."""
+    evaluation, planning, robot = release_modules(path)
+    trials = [json.loads(f.read_text()) for f in trial_files(files)]
+    flagged = trials[:: max(1, len(trials) // args.flags)]
+    line = ("--sim", "none", "--set", "width=whole")
+    quietly(sweep, "--trials-from", written(folder / "flagged", flagged), *line, "--out", folder / "flags")
+    theirs = {t["id"]: evaluation.evaluate(thinned(t)) for t in flagged}
+    agreement(report, "flags", rows_of(folder / "flags"), theirs)
+    # all of their samples
+    moving = [t for t in flagged if "planning" not in t]
+    mine = written(folder / "moving", moving)
+    seconds = quietly(sweep, "--trials-from", mine, *line, "--out", folder / "judged")
+    report.add("release.judge.ours_trials_per_core_s", len(moving) / seconds)
+    # as many samples as the median has: the costs grow with them
+    moving.sort(key=lambda t: len(t["executed_joints"]))
+    some = moving[len(moving) // 2 :][: args.judged]
+    start = time.process_time()
+    found = {t["id"]: evaluation.evaluate(t) for t in some}
+    report.add("release.judge.theirs_trials_per_core_s", len(found) / (time.process_time() - start))
+    agreement(report, "judge", rows_of(folder / "judged"), found)
+    # planning, from the same home to the same target, with the same table; a straight line is what theirs tries first
+    chosen = [t for t in moving if len(t["planned_joints"]) == 2][: args.planned]
+    out = ("--replan", "--out", folder / "planned")
+    seconds = quietly(sweep, "--trials-from", mine, *line, *out)
+    report.add("release.plan.ours_trials_per_core_s", len(moving) / seconds)
+    start = time.process_time()
     paths = {t["id"]: planned_by_them(planning, t) for t in chosen}
-    report.add("release.plan.theirs_trials_per_s", len(chosen) / (time.perf_counter() - start))
+    report.add("release.plan.theirs_trials_per_core_s", len(chosen) / (time.process_time() - start))
     own = rows_of(folder / "planned")
     same = sum((paths[i]["planning"]["status"] == "succeeded") == bool(own[i]["passed_plan"]) for i in paths)
     report.add("release.plan.agree", f"{same} of {len(chosen)}")
+    inverse_kinematics(report, planning, args.palms)
+    forward_pass(report, robot, [t | {"provenance": "somebody"} for t in moving], folder)
+
+
+def palms(seed: int, name: str, count: int) -> Any:
+    """(count, 4, 4) palms of an object by the release's rule for seeds, its world: its box, without the reference grasp."""
+    key = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "little")
+    rng = np.random.default_rng(np.random.SeedSequence([seed, key]))
+    T = np.tile(np.eye(4), (count, 1, 1))
+    for k in range(count):
+        T[k, :3, 3] = rng.uniform([-0.72, -0.45, 0.88], [-0.60, -0.30, 0.98])
+        turns = rng.uniform([-25, -25, -150], [25, 25, -50])
+        T[k, :3, :3] = Rotation.from_euler("xyz", turns, degrees=True).as_matrix()
+    return T
+
+
+def inverse_kinematics(report: Report, planning: Any, count: int) -> None:
+    """Whether either finds joints for the first grasp of each object of r2h-release, 15 cm above palms of theirs."""
+    objects = built_in("r2h-release").objects
+    targets = []
+    for model, known in zip(objects, candidates_of(objects)):
+        grasp = known.T_obj_ee[0].astype(float) @ along_z(PADS_M[""])
+        for P in palms(27, model.name, count):
+            z = -P[:3, 2]
+            tool = np.stack([P[:3, 0], np.cross(z, P[:3, 0]), z], 1)
+            T_world_object = np.eye(4)
+            T_world_object[:3, :3] = tool @ grasp[:3, :3].T
+            center = (model.vertices.min(0) + model.vertices.max(0)) / 2
+            T_world_object[:3, 3] = P[:3, 3] + 0.15 * P[:3, 2] - T_world_object[:3, :3] @ center
+            targets.append(T_world_object @ grasp)
+    ours = T_world_release @ np.stack(targets) @ along_z(-PADS_M[""])
+    found = solve_ik(se3.orthonormalise(torch.from_numpy(ours).float())).reachable.tolist()
+    theirs = [bool(planning.solve_pose(T @ along_z(-TOOL_M))) for T in targets]
+    report.add("release.ik.agree", f"{sum(a == b for a, b in zip(found, theirs))} of {len(targets)}")
+    report.add("release.ik.only_ours", sum(a and not b for a, b in zip(found, theirs)))
+    report.add("release.ik.only_theirs", sum(b and not a for a, b in zip(found, theirs)))
+
+
+def forward_pass(report: Report, robot: Any, trials: list[dict[str, Any]], folder: Path) -> None:
+    """Largest distances, in mm, between what the importer writes and the files' own numbers, moved by their kinematics."""
+    plain, out = written(folder / "plain", trials), folder / "plain_imported"
+    quietly(r2h_batch_main, "import", "trials", plain, "--from", "r2handoversim", "--out", out)
+    benchmark = read_benchmark(out / "benchmark.yaml")
+    poses, motions, listed = (np.load(out / f"{n}.npz") for n in ("predictions", "motions", "trials"))
+    by_id = {t["id"]: t for t in trials}
+    objects = {o.name: o for o in benchmark.objects}
+    S, tips = np.diag([-1.0, -1.0, 1.0, 1.0]), np.eye(4)
+    S[2, 3], tips[2, 3] = -0.75, 0.01875
+    errors: dict[str, list[float]] = {}
+
+    def compare(what: str, ours: Any, theirs: Any) -> None:
+        errors.setdefault(what, []).append(1e3 * float(np.abs(np.asarray(ours) - theirs).max()))
+
+    first = np.append(0, np.cumsum(motions["length"]))
+    for k, name in enumerate(listed["id"].tolist()):
+        t, q = by_id[name], motions["q"][first[k] : first[k + 1]]
+        T_world_tool, T_obj_tool = poses["T_world_ee"][k] @ tips, poses["T_obj_ee"][k] @ tips
+        T_release_tool = robot.tcp(t["executed_joints"][-1]) @ t["T_tcp_asset_tool"]
+        grasp = np.array(t["T_object_gripper"])
+        compare("tool", T_world_tool[:3, 3], (S @ T_release_tool)[:3, 3])
+        model = objects[str(listed["object"][k])]
+        mesh = np.array(t["object_mesh_object"]["vertices"])
+        compare("object", mesh, model.vertices)
+        placed = trimesh.transform_points(model.vertices, T_world_tool @ np.linalg.inv(T_obj_tool))
+        compare("object_placed", placed, trimesh.transform_points(mesh, S @ T_release_tool @ np.linalg.inv(grasp)))
+        skin = trimesh.transform_points(listed["skin"][listed["hand"][k]], listed["T_world_hand"][k])
+        compare("hand", skin, trimesh.transform_points(t["hand_mesh_world"]["vertices"], S))
+        compare("palm", listed["T_world_hand"][k][:3, 3], (S @ [*t["palm_position_world"], 1])[:3])
+        # largest part of an arm's joint error: 1 m away
+        compare("joints_at_1_m", q, t["executed_joints"])
+        (table,) = t["obstacle_boxes_world"]
+        place = benchmark.workplace
+        compare("table", place.table_center, (S @ [*table["center"], 1])[:3])
+        compare("table", place.table_half, table["half_extents"])
+        if t["split"] == "S1":
+            boxes = [[b["center"], b["half_extents"], *b["rotation"]] for b in t["usage_boxes"]]
+            compare("usage_boxes", model.receiver_boxes, boxes)
+    report.add("release.import.checked_trials", len(trials))
+    for what, found in errors.items():
+        report.add(f"release.import.error_mm.{what}", max(found))
 
 
 def agreement(report: Report, what: str, own: dict[str, dict[str, Any]], theirs: dict[str, dict[str, Any]]) -> None:
@@ -123,19 +223,26 @@ def agreement(report: Report, what: str, own: dict[str, dict[str, Any]], theirs:
     report.add(f"release.{what}.first_failure", f"{first} of {len(theirs)}")
 
 
+def child_seconds() -> float:
+    """Seconds of one core that commands of their own have taken."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def import_many(report: Report, files: Path, folder: Path, count: int) -> None:
     """The import of `count` trials: copies of the exported ones under other ids."""
     sources = trial_files(files)
     many = folder / "many"
     many.mkdir()
     for k in range(count):
-        trial = json.loads(sources[k % len(sources)].read_text())
-        (many / f"t{k}.json").write_text(json.dumps(trial | {"id": f"t{k}"}))
-    start = time.perf_counter()
+        source = sources[k % len(sources)]
+        text = source.read_text().replace(f'"id": "{source.stem}"', f'"id": "t{k}"', 1)
+        (many / f"t{k}.json").write_text(text)
+    start = child_seconds()
     line = ["trials", str(many), "--from", "r2handoversim", "--out", str(folder / "imported")]
     subprocess.run([sys.executable, "-m", "r2h_batch", "import", *line], check=True, stdout=subprocess.DEVNULL)
     report.add("release.import.trials", count)
-    report.add("release.import.seconds", time.perf_counter() - start)
+    report.add("release.import.core_s", child_seconds() - start)
     report.add("release.import.memory_mb", resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
     shutil.rmtree(many)
 
@@ -144,9 +251,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--release", type=Path, help="folder with evaluation.py and planning.py of the release")
     parser.add_argument("--method", default="contact")
-    parser.add_argument("--trials", type=int, default=50, help="of each split, in the loop")
-    parser.add_argument("--judged", type=int, default=25, help="motions that both judge")
-    parser.add_argument("--planned", type=int, default=3, help="trials that both plan (theirs takes a minute each)")
+    # its first arm box touches a table at the height of the base, as r2h-v1 has it: its planner then finds nothing
+    parser.add_argument("--protocol", default="r2h-release")
+    parser.add_argument("--trials", type=int, default=25, help="of each split, in the loop")
+    parser.add_argument("--flags", type=int, default=20, help="trials whose flags are compared, at few samples of Safe")
+    parser.add_argument(
+        "--judged", type=int, default=1, help="motions that theirs judges at all samples: half a minute each"
+    )
+    parser.add_argument("--planned", type=int, default=1, help="trials that theirs plans")
+    parser.add_argument("--palms", type=int, default=1, help="palms of each object, for inverse kinematics")
     parser.add_argument("--imported", type=int, default=1000)
     parser.add_argument("--json")
     args = parser.parse_args()
@@ -154,9 +267,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         own, files = folder / "own", folder / "files"
-        quietly(sweep, "--method", args.method, "--trials", args.trials, "--sim", "none", "--save-paths", "--out", own)
+        line = ("--method", args.method, "--protocol", args.protocol, "--trials", args.trials, "--sim", "none")
+        quietly(sweep, *line, "--save-paths", "--out", own)
         report.add(
-            "release.export.seconds",
+            "release.export.core_s",
             quietly(r2h_batch_main, "export", own, "--to", "r2handoversim", "--trials", args.trials, "--out", files),
         )
         for name, more in (("given", []), ("replanned", ["--set", "replan=true"])):
@@ -170,7 +284,8 @@ def main() -> None:
                 print(f"  {i}: {mine[i]} became {back[i]}")
         import_many(report, files, folder, args.imported)
         if args.release:
-            beside(report, args.release, files, folder, args.judged, args.planned)
+            beside(report, args.release, files, folder, args)
+    report.add("release.core_s", time.process_time() + child_seconds())
     report.write(args.json)
 
 
