@@ -962,6 +962,15 @@ class Run:
             raise RunError(f"{self.folder}: shard {index} of {method!r} has no {kind}")
         return entry.table(kind, receipt, SCHEMAS[kind].names)
 
+    def verify(self) -> None:
+        """Raise `RunError` unless every stored file is as it was written."""
+        for entry in (e for run in self.runs for e in run.entries):
+            for problem in itertools.chain(*(found for _, found in _problems(entry))):
+                if problem.shard is not None:
+                    command = f"`r2h-batch results verify {entry.folder}`"
+                    words = f"{command} marks it, the sweep redoes it"
+                    raise RunError(f"{problem.file}: {problem.what}; {words}")
+
     def digest(self, method: str) -> str:
         """sha256 (hex) over all rows of a method without `TIMING`: equal for any shards and
         workers. Later columns that an older run lacks are not part of its digest."""
@@ -1041,13 +1050,10 @@ def load_run(folder: str | Path, *, verify: bool = True) -> Run:
         replace(e, receipts={s.index: e.read_receipt(s) for s in e.stored_shards()})
         for e in read_methods(folder, header)
     )
-    for entry in entries if verify else ():
-        for _, problems in _problems(entry):
-            for problem in problems:
-                if problem.shard is not None:
-                    words = f"`r2h-batch results verify {folder}` marks it, the sweep redoes it"
-                    raise RunError(f"{problem.file}: {problem.what}; {words}")
-    return Run(folder, header, entries)
+    run = Run(folder, header, entries)
+    if verify:
+        run.verify()
+    return run
 
 
 # Verifying.
