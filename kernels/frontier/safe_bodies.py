@@ -5,7 +5,7 @@ import warp as wp
 from r2h_batch.kernels.frontier.safe_queues import BODIES, PIECES, Bodies, Moments, Nearest, Pieces
 from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
 from r2h_batch.kernels.geometry.body import from_ball
-from r2h_batch.kernels.geometry.closest import rounded
+from r2h_batch.kernels.geometry.closest import held, rounded
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND
@@ -114,10 +114,11 @@ def safe_first_points(
         hand = bodies.hand[trial]
         known = queue_bodies.known[i]
         body = moving_body_of(world, bodies, frames, s, trial, queue_bodies.body[i])
+        shape = held(body.shape)
         above = float(FAR)
         for piece in range(world.n_pieces):
             x = mesh.vertices[hand * mesh.n_vertices + mesh.faces[mesh.piece_face[piece], 0]]
-            above = wp.min(above, wp.length(from_ball(body.shape, wp.transpose(body.R) * (x - body.p))))
+            above = wp.min(above, wp.length(from_ball(shape, wp.transpose(body.R) * (x - body.p))))
         if above < known:
             wp.atomic_min(nearest.above, trial, above)
 

@@ -18,7 +18,7 @@ from r2h_batch.kernels.frontier.safe_queues import (
     Sets,
 )
 from r2h_batch.kernels.geometry.body import from_ball
-from r2h_batch.kernels.geometry.closest import TOUCH_M
+from r2h_batch.kernels.geometry.closest import TOUCH_M, held
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND
@@ -110,7 +110,7 @@ def safe_corners(
         m = sets.of[i]
         trial = queue.trial[queue_bodies.interval[m]]
         base = bodies.hand[trial] * mesh.n_vertices
-        shape = robot_body(world, queue_bodies.body[m])
+        shape = held(robot_body(world, queue_bodies.body[m]))
         back = wp.transpose(queue_bodies.R[m])
         above = float(FAR)
         for face in range(sets.first[i], sets.last[i]):

@@ -30,7 +30,10 @@ ROUNDING_M = wp.constant(1.0e-6)
 
 @wp.struct
 class Body:
-    """A convex body in its own frame: sizes as MuJoCo's (capsule and cylinder along z: radius, half length)."""
+    """A convex body in its own frame: sizes as MuJoCo's (capsule and cylinder along z: radius, half length).
+
+    A robot's BLOCKS body: radius and half length of a cylinder that holds it, radius of the ball about the origin in it.
+    """
 
     kind: int
     size: wp.vec3
@@ -90,12 +93,13 @@ def support(body: Body, points: wp.array(dtype=wp.vec3), d: wp.vec3):
 
 @wp.func(inline=False)
 def from_ball(body: Body, x: wp.vec3):
-    """The vector from point x to the nearest point of a primitive (not a hull), in its frame; zero inside it."""
+    """The vector from point x to the nearest point of a primitive, in its frame; zero inside it. Of a robot's hull: to the
+    cylinder that holds it, so no longer than to the hull."""
     y = wp.vec3(0.0, 0.0, 0.0)
     if body.kind == BOX:
         for k in range(3):
             y[k] = wp.clamp(x[k], -body.size[k], body.size[k])
-    elif body.kind == CYLINDER:
+    elif body.kind == CYLINDER or body.kind == BLOCKS:
         r = wp.sqrt(x[0] * x[0] + x[1] * x[1])
         f = wp.where(r > body.size[0], body.size[0] / r, 1.0)
         y = wp.vec3(f * x[0], f * x[1], wp.clamp(x[2], -body.size[1], body.size[1]))

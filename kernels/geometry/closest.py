@@ -5,7 +5,7 @@ Primitives have MuJoCo's sizes, each in its own frame: sphere (radius), capsule 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, ROUNDING_M, Body
+from r2h_batch.kernels.geometry.body import BLOCKS, BOX, CAPSULE, CYLINDER, ROUNDING_M, SPHERE, Body
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -129,7 +129,7 @@ TOUCH_M = wp.constant(1.0e-6)
 
 @wp.func
 def signed_distance(kind: int, size: wp.vec3, x: wp.vec3) -> float:
-    """Distance of point x to the primitive in its frame, minus the depth when inside."""
+    """Distance of point x to the primitive in its frame, minus the depth when inside. Of a robot's hull: no more than that."""
     d = wp.length(x) - size[0]
     if kind == BOX:
         # q: signed distances to the three pairs of faces. Outside, those above 0 are the legs of the way to the box;
@@ -137,7 +137,7 @@ def signed_distance(kind: int, size: wp.vec3, x: wp.vec3) -> float:
         q = wp.vec3(wp.abs(x[0]) - size[0], wp.abs(x[1]) - size[1], wp.abs(x[2]) - size[2])
         outside = wp.vec3(wp.max(q[0], 0.0), wp.max(q[1], 0.0), wp.max(q[2], 0.0))
         d = wp.length(outside) + wp.min(wp.max(q[0], wp.max(q[1], q[2])), 0.0)
-    elif kind == CYLINDER:  # the same in the plane of (distance from the axis, height)
+    elif kind == CYLINDER or kind == BLOCKS:  # noqa: SIM109 (Warp); the same in the plane of (distance from the axis, height)
         r = wp.sqrt(x[0] * x[0] + x[1] * x[1]) - size[0]
         z = wp.abs(x[2]) - size[1]
         u = wp.max(r, 0.0)
@@ -150,12 +150,14 @@ def signed_distance(kind: int, size: wp.vec3, x: wp.vec3) -> float:
 
 @wp.func
 def inner_radius(kind: int, size: wp.vec3) -> float:
-    """Radius of the ball about the primitive's middle that it holds: no point of it is deeper."""
+    """Radius of the ball about the middle that a shape holds: no point of it is deeper (in a hull: some may be)."""
     r = size[0]
     if kind == BOX:
         r = wp.min(size[0], wp.min(size[1], size[2]))
     elif kind == CYLINDER:
         r = wp.min(size[0], size[1])
+    elif kind == BLOCKS:
+        r = size[2]
     return r
 
 
@@ -169,6 +171,9 @@ def eroded(kind: int, size: wp.vec3, depth: float) -> Body:
         body.size = wp.vec3(wp.max(size[0] - depth, 0.0), wp.max(size[1] - depth, 0.0), wp.max(size[2] - depth, 0.0))
     elif kind == CYLINDER:
         body.size = wp.vec3(wp.max(size[0] - depth, 0.0), wp.max(size[1] - depth, 0.0), 0.0)
+    elif kind == BLOCKS:  # the ball in it stands for the hull
+        body.kind = SPHERE
+        body.radius = wp.max(size[2] - depth, 0.0)
     else:
         body.radius = wp.max(size[0] - depth, 0.0)
     return body
@@ -185,3 +190,12 @@ def rounded(kind: int, size: wp.vec3) -> Body:
     body = eroded(kind, size, t)
     body.radius = t
     return body
+
+
+@wp.func
+def held(shape: Body) -> Body:
+    """A primitive in a robot's body, no nearer to anything than that: itself, or the ball in a hull."""
+    out = shape
+    if shape.kind == BLOCKS:
+        out = rounded(shape.kind, shape.size)
+    return out

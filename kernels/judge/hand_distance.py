@@ -3,7 +3,7 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.balls import balls_beside, balls_in_reach, balls_near, lowest_bit
-from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, support
+from r2h_batch.kernels.geometry.body import BLOCKS, BOX, CYLINDER, HULL, Body, support
 from r2h_batch.kernels.geometry.closest import TOUCH_M, rounded
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
@@ -40,8 +40,8 @@ def triangle_body():
 
 @wp.func
 def is_edged(shape: Body):
-    """Whether a primitive has edges, which its `rounded` core has not: a capsule or a ball is its own core."""
-    return shape.kind == BOX or shape.kind == CYLINDER
+    """Whether a body has edges, which its `rounded` core has not: a capsule or a ball is its own core."""
+    return shape.kind == BOX or shape.kind == CYLINDER or shape.kind == BLOCKS
 
 
 @wp.func

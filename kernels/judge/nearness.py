@@ -4,7 +4,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.balls import nearest_ball, nearest_center
 from r2h_batch.kernels.geometry.body import from_ball
-from r2h_batch.kernels.geometry.closest import closest_on_triangle, from_point
+from r2h_batch.kernels.geometry.closest import closest_on_triangle, from_point, held
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
 from r2h_batch.kernels.options import OPTIONS
 
@@ -59,7 +59,7 @@ def guessed_distance(
                 piece = int(found[1])
     guess = cap + NEARER
     if body >= 0:
-        shape = robot_body(world, body)
+        shape = held(robot_body(world, body))
         Rb, pb = body_pose(world, bodies, trial, R, p, body)
         start = mesh.piece_face[piece]
         face = start + nearest_center(

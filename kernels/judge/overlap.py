@@ -6,7 +6,7 @@ a verdict. Here the deepest posture is looked for: every STEP_RAD along a path, 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import ROUNDING_M
+from r2h_batch.kernels.geometry.body import BLOCKS, ROUNDING_M
 from r2h_batch.kernels.geometry.closest import signed_distance
 from r2h_batch.kernels.geometry.depth import core_depth
 from r2h_batch.kernels.geometry.gjk import gjk
@@ -212,6 +212,8 @@ def hand_overlap(
             Rb, pb = body_pose(world, bodies, trial, R, p, b)
             back = wp.transpose(Rb)
             kind = world.kind[b]
+            if kind == BLOCKS:  # a hull's overlap stays what the first search says
+                continue
             size = world.size[b]
             for i in range(world.n_pieces):
                 piece = hand * world.n_pieces + i

@@ -567,9 +567,10 @@ R2H_FUNCTION bits64 balls_near(const wp::vec3 *centers, const float *radii, int 
 
 // The core of a primitive in its own frame, by its kind (geometry/body.py): a sphere is a point, a
 // capsule a segment of half length size[1], both grown by `radius`; a cylinder has radius size[0]
-// and half length size[1]; a box has half sides size.
+// and half length size[1], as has the cylinder that holds a robot's hull (kind 6); a box has half
+// sides size.
 R2H_FUNCTION bool is_box(int kind) { return kind == 3; }
-R2H_FUNCTION bool is_cylinder(int kind) { return kind == 2; }
+R2H_FUNCTION bool is_cylinder(int kind) { return kind == 2 || kind == 6; }
 R2H_FUNCTION float half_length(int kind, const wp::vec3 &size) { return kind == 0 ? 0.0f : size.c[1]; }
 
 // |x|, |y|, |z| of a point in the frame R, p.

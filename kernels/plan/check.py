@@ -269,6 +269,9 @@ def check_interval(
                     shape.kind = world.kind[other]
                     shape.size = world.size[other]
                     shape.radius = world.radius[other]
+                    if shape.kind == BLOCKS:
+                        shape.start = world.body_start[other]
+                        shape.count = world.body_blocks[other]
                     Ro, po = body_pose(world, bodies, trial, R, p, other)
                     pair_R = wp.transpose(Ro) * body.R
                     pair_p = wp.transpose(Ro) * (body.p - po)

@@ -30,6 +30,8 @@ class World:
     kind: wp.array(dtype=int)
     size: wp.array(dtype=wp.vec3)
     radius: wp.array(dtype=float)  # capsules and spheres: the core's growth
+    body_start: wp.array(dtype=int)  # hulls (BLOCKS): the first row of their points, and how many blocks
+    body_blocks: wp.array(dtype=int)
     cap_radius: wp.array(dtype=float)  # bounding capsule
     cap_axis: wp.array(dtype=wp.vec3)  # from its middle to one end, in the body frame
     body_R: wp.array(dtype=wp.mat33)  # (n_arm,) in the link frame
@@ -144,11 +146,14 @@ def body_pose(
 
 @wp.func
 def robot_body(world: World, body: int):
-    """The shape of a robot primitive."""
+    """The shape of a robot body."""
     b = Body()
     b.kind = world.kind[body]
     b.size = world.size[body]
     b.radius = world.radius[body]
+    if b.kind == BLOCKS:
+        b.start = world.body_start[body]
+        b.count = world.body_blocks[body]
     return b
 
 

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import CAPSULE
+from r2h_batch.kernels.geometry.body import BLOCKS, CAPSULE
 from r2h_batch.kernels.geometry.closest import rounded, signed_distance
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
 from r2h_batch.kernels.ik.jacobian import damped_gram, joint_rate, solve_spd
@@ -74,7 +74,7 @@ def hand_witness(
     trial = first + wp.tid()
     body = body_in[trial]
     found_out[trial] = False
-    if body < 0:
+    if body < 0 or world.kind[wp.max(body, 0)] == BLOCKS:  # no gradient of a hull's distance
         return
     R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
     p = wp.zeros(shape=FRAMES, dtype=wp.vec3)

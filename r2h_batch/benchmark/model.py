@@ -173,7 +173,7 @@ class BenchmarkFile(_Entry):
     thresholds: Limits = Thresholds()
     robot: FilePath = Field(
         default=DEFAULT_ROBOT,
-        description="ur5e_2f85, ur3e_2f85, or a folder of import robot beside this file",
+        description="a name of ls robots, or a folder of import robot beside this file",
     )
     persons: Literal["for-robot", "as-for-ur5e"] = Field(
         default="for-robot",

@@ -10,7 +10,9 @@ from scipy.spatial import ConvexHull
 
 from r2h_batch.bodies.robot import (
     Kind,
+    Primitives,
     Robot,
+    corners_of,
     gripper_primitives_at,
     lever_bound_for_sphere,
     lever_bounds,
@@ -33,6 +35,20 @@ def capsule_of_primitive(kind: int, size: Array) -> tuple[Array, float]:
     if kind in (Kind.CAPSULE, Kind.CYLINDER):
         return np.array([0.0, 0.0, size[1]]), float(size[0])
     return np.zeros(3), float(size[0])
+
+
+def capsule_of_shape(shapes: Primitives, i: int) -> tuple[Array, float]:
+    """The same of a robot's shape, whatever its kind."""
+    corners = corners_of(shapes)[i]
+    if len(corners) == 0:
+        return capsule_of_primitive(int(shapes.kind[i]), shapes.size[i])
+    found = []
+    for half in np.linspace(0.0, float(np.abs(corners[:, 2]).max()), 9):
+        over = np.maximum(np.abs(corners[:, 2]) - half, 0.0)
+        radius = float(np.hypot(np.hypot(corners[:, 0], corners[:, 1]), over).max()) + 1e-6
+        found.append((radius**2 * (2 * half + 4 / 3 * radius), half, radius))
+    _, half, radius = min(found)
+    return np.array([0.0, 0.0, half]), radius
 
 
 def capsule_of_balls(centers: Array, radii: Array) -> tuple[Array, Array, float]:

@@ -15,6 +15,7 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.optimize import minimize
+from scipy.spatial import ConvexHull, QhullError
 
 from r2h_batch.config import HOME_Q, OPEN_GAP_M, EvalConfig
 from r2h_batch.io.arrays import Spec, check_arrays, check_poses
@@ -24,7 +25,7 @@ from r2h_batch.io.write import write_npz
 Array = NDArray[np.float64]
 
 DEFAULT_ROBOT = "ur5e_2f85"
-ROBOTS = (DEFAULT_ROBOT, "ur3e_2f85")
+ROBOTS = (DEFAULT_ROBOT, "ur3e_2f85", "panda_hand")
 """What is built in."""
 JOINT_KEYS = ("T_parent_joint", "lower", "upper", "max_velocity", "max_torque")
 
@@ -75,13 +76,18 @@ class Kind(IntEnum):
 @dataclass(frozen=True)
 class Primitives:
     """N shapes in their carriers' frames: the arm's links, or the gripper frame with the fingers at
-    drive angle 0."""
+    drive angle 0.
+
+    A hull (arm only) has its corners in `corners`, and as size `hull_size` of them.
+    """
 
     names: tuple[str, ...]
     link: NDArray[np.int32]
     kind: NDArray[np.int32]
     T_link_prim: Array
     size: Array
+    corners: tuple[Array, ...] = ()
+    """of each shape (V, 3), in its frame; V is 0 but for hulls. Empty: no hulls"""
 
 
 @dataclass(frozen=True)
@@ -409,11 +415,26 @@ def lever_bounds(robot: Robot) -> Array:
     """Upper bounds (6, N) in m on the distance from joint axis j to any point of arm primitive n,
     at any q."""
     arm = robot.arm
+    shapes = zip(arm.link, arm.kind, arm.T_link_prim, arm.size, corners_of(arm), strict=True)
     columns = [
-        _lever_column(robot, int(link), *_sweep_of_primitive(Kind(kind), T, size))
-        for link, kind, T, size in zip(arm.link, arm.kind, arm.T_link_prim, arm.size, strict=True)
+        _lever_column(robot, int(link), *_sweep_of_primitive(Kind(kind), T, size, corners))
+        for link, kind, T, size, corners in shapes
     ]
     return np.stack(columns, axis=1)
+
+
+def corners_of(shapes: Primitives) -> tuple[Array, ...]:
+    """The corners (V, 3) of each shape in its frame; none but of hulls."""
+    return shapes.corners or (np.zeros((0, 3)),) * len(shapes.kind)
+
+
+def hull_size(corners: ArrayLike) -> Array:
+    """Radius and half length (m) of the cylinder about the frame's z that holds a hull, and radius
+    of the ball about the frame's origin in it (below 0: the origin is outside)."""
+    points = np.asarray(corners, np.float64)
+    inner = -float(ConvexHull(points).equations[:, 3].max())
+    radius, half = np.hypot(points[:, 0], points[:, 1]).max(), np.abs(points[:, 2]).max()
+    return np.array([radius + 1e-6, half + 1e-6, inner - 1e-6])
 
 
 def lever_bound_for_sphere(robot: Robot, link: int, center: ArrayLike, radius: float) -> Array:
@@ -447,7 +468,9 @@ def _lever_column(robot: Robot, link: int, radius: float, low: float, high: floa
     return rho
 
 
-def _sweep_of_primitive(kind: Kind, T: Array, size: Array) -> tuple[float, float, float]:
+def _sweep_of_primitive(
+    kind: Kind, T: Array, size: Array, corners: Array
+) -> tuple[float, float, float]:
     """The cylinder (radius, low, high) about z that holds the shape, whatever its turn about z."""
     center, axis = T[:3, 3], T[:3, 2]
     if kind == Kind.CYLINDER:
@@ -459,6 +482,8 @@ def _sweep_of_primitive(kind: Kind, T: Array, size: Array) -> tuple[float, float
         signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
         ends = center + (signs * size) @ T[:3, :3].T
         margin = 0.0
+    elif kind == Kind.HULL:
+        ends, margin = center + corners @ T[:3, :3].T, 1e-6
     else:
         raise ValueError(f"{kind.name} is not a shape of the arm")
     radius = float(np.hypot(ends[:, 0], ends[:, 1]).max())
@@ -528,11 +553,13 @@ def frozen(value: Any, dtype: Any = np.float64) -> Any:
 # name: its shapes and its linkage are those of the built-in robot that carries it.
 
 MAX_BYTES = 1 << 20
-"""Of robot.npz: 24 primitives of the arm have 5 kB."""
+"""Of robot.npz: 24 hulls of the arm have 60 kB."""
 SCENE_BODIES = ("world", "object", "hand", "table")
 """Names that the simulated scene gives to bodies that are not the robot's."""
 MAX_BODIES = 24
 """As kernels/plan/codes.py, MAX_ARM_BODIES."""
+MAX_CORNERS = 256
+"""Of a hull."""
 
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
@@ -598,6 +625,11 @@ SPECS: dict[str, Spec] = {
 }  # fmt: skip
 """robot.npz."""
 
+HULL_SPECS: dict[str, Spec] = {
+    "corner_count": ("iu", ("bodies",)), "corners": ("f", ("corners", 3)),
+}  # fmt: skip
+"""What it holds besides where a body is a hull: how many corners each has, and all of them, in the bodies' frames."""
+
 GRIPPER_SPECS: dict[str, Spec] = {
     "T_flange_ee": ("f", (4, 4)), "T_flange_gripper": ("f", (4, 4)), "gripper_kind": ("iu", ("parts",)),
     "gripper_side": ("iu", ("parts",)), "T_gripper_prim": ("f", ("parts", 4, 4)),
@@ -622,6 +654,7 @@ def read_robot(folder: str | Path) -> Robot:
         raise FileError(f"{printable(text)}: {where}: {first['msg'][:200]}") from None
     arrays, where = read_npz(packed, most=MAX_BYTES), printable(packed)
     specs = SPECS if file.gripper == "2f-85" else SPECS | GRIPPER_SPECS
+    specs = specs | HULL_SPECS if "corners" in arrays else specs
     lengths = check_arrays(arrays, specs, where, only=True)
     for name in specs:
         if name.startswith("T_"):
@@ -665,15 +698,23 @@ def check_robot(robot: Robot) -> None:
             raise ValueError(f"two links or joints are called {twice[0]!r}; rename one of them")
     if n > MAX_BODIES:
         raise ValueError(f"{n} collision bodies; the kernels hold {MAX_BODIES} of an arm")
-    kinds = np.concatenate([arm.kind, robot.gripper.kind])
-    if not np.isin(kinds, (Kind.CAPSULE, Kind.CYLINDER, Kind.BOX)).all():
-        raise ValueError("kind must be 1 (capsule), 2 (cylinder) or 3 (box)")
+    primitive = np.isin(arm.kind, (Kind.CAPSULE, Kind.CYLINDER, Kind.BOX))
+    hull = np.array([len(x) > 0 for x in corners_of(arm)])
+    known = np.isin(robot.gripper.kind, (Kind.CAPSULE, Kind.CYLINDER, Kind.BOX)).all()
+    if not known or (primitive == hull).any() or (arm.kind[hull] != Kind.HULL).any():
+        raise ValueError(
+            "kind must be 1 (capsule), 2 (cylinder), 3 (box) or, of an arm's body with corners, 4 (hull)"
+        )
     if set(arm.link.tolist()) != set(range(last + 1)):
         raise ValueError(f"every link, 0 to {last}, needs a collision body")
-    used = arm.size[arm.kind != Kind.BOX, :2].ravel().tolist()
-    used += arm.size[arm.kind == Kind.BOX].ravel().tolist()
+    if any(len(x) > MAX_CORNERS for x in corners_of(arm)):
+        raise ValueError(f"a hull may have {MAX_CORNERS} corners")
+    whole = (arm.kind == Kind.BOX) | hull  # sizes of three numbers
+    used = arm.size[~whole, :2].ravel().tolist() + arm.size[whole].ravel().tolist()
     if not all(1e-4 <= x <= 2 for x in used):
-        raise ValueError("sizes of collision bodies must lie between 0.1 mm and 2 m")
+        raise ValueError(
+            "sizes of collision bodies, and the ball about the middle of a hull, must lie between 0.1 mm and 2 m"
+        )
     pairs = robot.self_pairs.ravel().tolist() + robot.object_pairs.tolist()
     same = (robot.self_pairs[:, 0] == robot.self_pairs[:, 1]).any()
     if not all(0 <= k <= last + 1 for k in pairs) or same:
@@ -729,13 +770,30 @@ def _robot(file: RobotFile, a: dict[str, Array]) -> Robot:
             frozen(a["link"], np.int32),
             frozen(a["kind"], np.int32),
             frozen(a["T_link_prim"]),
-            frozen(a["size"]),
+            *_sizes_and_corners(a),
         ),
         self_pairs=frozen(a["self_pairs"], np.int32),
         object_pairs=frozen(a["object_pairs"], np.int32),
         digest=digest.hexdigest(),
         **(_jaws(file.gripper, a) if isinstance(file.gripper, Jaws) else {}),
     )
+
+
+def _sizes_and_corners(a: dict[str, Array]) -> tuple[Array, tuple[Array, ...]]:
+    """The arm's sizes, a hull's measured from its corners."""
+    size = np.array(a["size"])
+    if "corners" not in a:
+        return frozen(size), ()
+    count = a["corner_count"]
+    if (count < 0).any() or count.sum() != len(a["corners"]):
+        raise ValueError("corner_count must add up to the number of corners")
+    corners = np.split(a["corners"], np.cumsum(count)[:-1])
+    for i in np.flatnonzero(count):
+        try:
+            size[i] = hull_size(corners[i])
+        except (QhullError, ValueError):
+            raise ValueError(f"the corners of body {i} span no hull") from None
+    return frozen(size), tuple(frozen(x) for x in corners)
 
 
 def _jaws(gripper: Jaws, a: dict[str, Array]) -> dict[str, Any]:
@@ -786,7 +844,10 @@ def robot_arrays(robot: Robot) -> dict[str, Array]:
             "T_flange_ee": robot.T_flange_ee, "T_flange_gripper": robot.T_flange_gripper, "gripper_kind": shapes.kind,
             "gripper_side": robot.gripper_side, "T_gripper_prim": shapes.T_link_prim, "gripper_size": shapes.size,
         }  # fmt: skip
-    kinds, specs = {"f": "<f8", "iu": "<i4"}, SPECS | GRIPPER_SPECS
+    if arm.corners:
+        count = np.array([len(x) for x in arm.corners])
+        found |= {"corner_count": count, "corners": np.concatenate(arm.corners)}
+    kinds, specs = {"f": "<f8", "iu": "<i4"}, SPECS | GRIPPER_SPECS | HULL_SPECS
     return {k: np.ascontiguousarray(v, kinds[specs[k][0]]) for k, v in found.items()}
 
 

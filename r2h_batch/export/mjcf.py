@@ -269,7 +269,7 @@ def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
     gripper = add_gripper(links[-1], robot, GRIPPER_MASS_KG)
     poses = _gripper_from_ee(robot) @ gripper_primitives_at(robot, opening_m)
     for i, name in enumerate(robot.gripper.names):
-        add_primitive(gripper, robot.gripper, i, poses[i], 1, 1, f"gripper/{name}")
+        add_primitive(spec, gripper, robot.gripper, i, poses[i], 1, 1, f"gripper/{name}")
     _add_gripper_visuals(spec, gripper, robot, opening_m, "gripper/")
     _add_object(spec, links[-1], robot, stored)
     _add_hand(spec, hands, stored)
@@ -346,7 +346,7 @@ def _add_arm(spec: mujoco.MjSpec, robot: Robot, home_q: Sequence[float]) -> list
             body.joints[0].damping = [1.0, 0.0, 0.0]
         for i in np.flatnonzero(robot.arm.link == k):
             name = f"robot/{robot.arm.names[i]}"
-            add_primitive(body, robot.arm, int(i), robot.arm.T_link_prim[i], 1, 1, name)
+            add_primitive(spec, body, robot.arm, int(i), robot.arm.T_link_prim[i], 1, 1, name)
         link = robot.links[k]
         _add_part(spec, body, f"robot/{link}_visual", robot, link, np.eye(4), link)
     for servo, k in zip(spec.actuators, range(len(robot.joints)), strict=True):

@@ -25,6 +25,7 @@ from r2h_batch.bodies.robot import (
     check_robot,
     ee_pose,
     frozen,
+    hull_size,
     load_robot,
     robot_file,
 )
@@ -37,10 +38,10 @@ from r2h_batch.importers.robot_fit import (
     fit,
     mouths_for,
     recipe_for,
-    recipe_of,
     split_longest,
     target,
 )
+from r2h_batch.importers.robot_hulls import Hull, boxes_of, fit_hulls
 from r2h_batch.importers.robot_pairs import contact_rates, touching
 from r2h_batch.importers.urdf import Chain, Jaws, Link, read_chain, read_jaws
 from r2h_batch.io.read import FileError, printable
@@ -53,6 +54,10 @@ LEAST_JOINTS, MOST_JOINTS = 6, 7
 """Of an arm: the kernels take any number, these have been tried."""
 MOST_OVERSHOOT_MM = 3.0
 """Mean distance from a link's bodies to its mesh above which it gets one body more."""
+MOST_HULLS = 3
+"""Of a link: the kernels hold 24 bodies of an arm."""
+PALM_BOXES = 8
+"""Of a gripper that is imported: no hulls, as closing it asks how deep its bodies are met."""
 NEAR_M = 0.010
 """Links that never touch and never come this near are not checked against each other."""
 DENSE_JOINTS = 2
@@ -117,7 +122,8 @@ def import_robot(
         arm, links = _primitives(chain.links)
     else:
         bare = replace(bare, links=(*(part.name for part in chain.links), bare.links[-1]))
-        shapes, links = _fitted(chain.links)
+        shapes, figures = zip(*(_hulls(link) for link in chain.links), strict=True)
+        links = {link.name: row for link, row in zip(chain.links, figures, strict=True)}
         where = [k for k, own in enumerate(shapes) for _ in own]
         names = [f"{chain.links[k].name}_{where[:i].count(k)}" for i, k in enumerate(where)]
         arm = _primitives_of([s for own in shapes for s in own], where, names)
@@ -151,43 +157,51 @@ def _check(robot: Robot, shown: str) -> None:
 
 def _primitives(links: tuple[Link, ...]) -> tuple[Primitives, dict[str, Any]]:
     """The arm's bodies, and each link's figures."""
-    shapes: list[tuple[int, Shape]] = []
+    shapes: list[tuple[int, Shape | Hull]] = []
     report = {}
     for k, (link, like) in enumerate(zip(links, ARM_LINKS, strict=True)):
         own, other = box_of(visual_triangles(like)), box_of(link.triangles)
-        mesh = target(link.triangles, mouths_for(like, own, other))
+        mouths = mouths_for(like, own, other)
+        mesh = target(link.triangles, mouths)
         recipe = recipe_for(like, own, other)
-        found = fit(recipe, mesh, ARM_STEP_M)
+        found: list[Any] = fit(recipe, mesh, ARM_STEP_M)
         report[like] = mesh.report(found)
         if report[like]["mean_mm"] > MOST_OVERSHOOT_MM:
             found = fit(split_longest(recipe), mesh, ARM_STEP_M)
             report[like] = mesh.report(found)
+        if report[like]["mean_mm"] > MOST_OVERSHOOT_MM:
+            found, report[like] = _hulls(link, mouths)
         shapes += [(k, s) for s in found]
     where = [k for k, _ in shapes]
     names = [f"{ARM_LINKS[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
     return _primitives_of([s for _, s in shapes], where, names), report
 
 
-def _fitted(links: Sequence[Link]) -> tuple[list[list[Shape]], dict[str, Any]]:
-    """Primitives of links of any shape, and each link's figures."""
-    found, report = [], {}
-    for link in links:
-        mesh = target(link.triangles, [])
-        found.append(fit(recipe_of(mesh.coarse), mesh, ARM_STEP_M))
-        report[link.name] = mesh.report(found[-1])
-    return found, report
+def _hulls(link: Link, mouths: Sequence[Array] = ()) -> tuple[list[Hull], dict[str, Any]]:
+    """As few hulls of a link as overshoot it little enough, at most three, and its figures."""
+    mesh = target(link.triangles, list(mouths))
+    found = fit_hulls(mesh, lambda h: mesh.mean_overshoot_mm(h) < MOST_OVERSHOOT_MM, MOST_HULLS)
+    return found, mesh.report(found)
 
 
 def _primitives_of(
-    shapes: Sequence[Shape], link: Sequence[int], names: Sequence[str]
+    shapes: Sequence[Shape | Hull], link: Sequence[int], names: Sequence[str]
 ) -> Primitives:
     T, size = np.tile(np.eye(4), (len(shapes), 1, 1)), np.zeros((len(shapes), 3))
+    corners = [np.zeros((0, 3))] * len(shapes)
     for i, s in enumerate(shapes):
-        T[i, :3, :3], T[i, :3, 3], size[i, : len(s.size)] = s.R, s.pos, s.size
+        if isinstance(s, Hull):
+            T[i, :3, :3], T[i, :3, 3] = s.frame()
+            corners[i] = frozen((s.points - T[i, :3, 3]) @ T[i, :3, :3])
+            size[i] = hull_size(corners[i])
+        else:
+            T[i, :3, :3], T[i, :3, 3], size[i, : len(s.size)] = s.R, s.pos, s.size
     kind = [Kind[s.kind.upper()] for s in shapes]
+    any_hull = any(map(len, corners))
     return Primitives(
-        tuple(names), frozen(link, np.int32), frozen(kind, np.int32), frozen(T), frozen(size)
-    )
+        tuple(names), frozen(link, np.int32), frozen(kind, np.int32), frozen(T), frozen(size),
+        tuple(corners) if any_hull else (),
+    )  # fmt: skip
 
 
 def _jaws(jaws: Jaws, joints: int, shown: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -202,7 +216,8 @@ def _jaws(jaws: Jaws, joints: int, shown: str) -> tuple[dict[str, Any], dict[str
     T_flange_gripper = np.eye(4)
     T_flange_gripper[:3, :3] = np.stack([np.cross(y, z), y, z], 1)
     turned = replace(jaws.palm, triangles=jaws.palm.triangles @ T_flange_gripper[:3, :3])
-    (shapes,), report = _fitted([turned])
+    shapes = boxes_of(turned.triangles, PALM_BOXES)
+    report = {jaws.palm.name: target(turned.triangles, []).report(shapes)}
     part, side = ["body"] * len(shapes), [0] * len(shapes)
     faces, pads = [], []
     for sign, boxes in zip((1, -1), jaws.jaws, strict=True):

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.cluster.vq import kmeans2
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
-BOX, CYLINDER, CAPSULE = "box", "cylinder", "capsule"
+BOX, CYLINDER, CAPSULE, HULL = "box", "cylinder", "capsule", "hull"
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,12 @@ class Shape:
         return Shape(self.kind, self.pos, self.R, size)
 
 
-def union_distance(shapes: list[Shape], points: Array) -> Array:
+def union_distance(shapes: list[Any], points: Array) -> Array:
     """Signed distance of points to the nearest shape: at most 0 where the union covers them."""
     return np.min([s.signed_distance(points) for s in shapes], axis=0)
 
 
-def exposed_surface(shapes: list[Shape], spacing: float) -> tuple[Array, Array]:
+def exposed_surface(shapes: list[Any], spacing: float) -> tuple[Array, Array]:
     """Points and areas of the union's outer surface: those of each shape that lie inside no other shape."""
     points, areas = [], []
     for i, shape in enumerate(shapes):
@@ -137,14 +136,19 @@ class Target:
             self._grid, ((points - self._low) / self._cell).T, order=1, mode="nearest"
         )
 
-    def protrusion(self, shapes: list[Shape]) -> float:
+    def protrusion(self, shapes: list[Any]) -> float:
         """How far the mesh sticks out of the shapes (m): of all its corners and a finer lattice than the fit has seen."""
         parts = np.array_split(self.triangles, max(1, len(self.triangles) // 2000))
-        return max(
-            float(union_distance(shapes, lattice(p, PROTRUSION_SPACING_M)).max()) for p in parts
-        )
+        # hulls hold what their planes cut the triangles into
+        spacing = 2e-3 if all(s.kind == HULL for s in shapes) else PROTRUSION_SPACING_M
+        return max(float(union_distance(shapes, lattice(p, spacing)).max()) for p in parts)
 
-    def report(self, shapes: list[Shape]) -> dict[str, Any]:
+    def mean_overshoot_mm(self, shapes: list[Any]) -> float:
+        """The mean, on samples 3 mm apart."""
+        points, areas = exposed_surface(shapes, 3.0e-3)
+        return 1e3 * float((self.tree.query(points)[0] * areas).sum() / areas.sum())
+
+    def report(self, shapes: list[Any]) -> dict[str, Any]:
         """The committed figures, on dense samples."""
         points, areas = exposed_surface(shapes, 1.0e-3)
         overshoot, nearest = self.tree.query(points)
@@ -401,42 +405,6 @@ def recipe_for(name: str, box: Array, other: Array) -> Recipe:
         radius = size[0] * (across + scale["xyz".index(normal)]) / 2
         stretched.append((kind, (float(u), float(v)), angle, (radius, size[1] * along)))
     return normal, stretched
-
-
-def recipe_of(points: Array, parts: int = 3) -> Recipe:
-    """A start for a link of any shape: its mirror plane, and in it `parts` bodies about heaps of points (k-means).
-
-    Each is the smallest of a capsule, a cylinder and a box along its heap.
-    """
-    tree = cKDTree(points)
-    n = int(np.argmin([tree.query(points * (1 - 2 * e))[0].mean() for e in np.eye(3)]))
-    flat = np.delete(points, n, axis=1)
-    long = np.linalg.svd(flat - flat.mean(0), full_matrices=False)[2][0]
-    order = np.argsort(flat @ long)
-    first = flat[order[((np.arange(parts) + 0.5) / parts * len(flat)).astype(int)]]
-    centers, label = kmeans2(flat, first, minit="matrix")
-    rows: list[Row] = []
-    for k in range(len(centers)):
-        own, across = flat[label == k], points[label == k, n]
-        if len(own) < 4:
-            continue
-        along = np.linalg.svd(own - own.mean(0), full_matrices=False)[2][0]
-        off = np.array([-along[1], along[0]])
-        u, v = own @ along, own @ off
-        at = (u.max() + u.min()) / 2 * along + (v.max() + v.min()) / 2 * off
-        half, wide, thick = np.ptp(u) / 2, np.ptp(v) / 2, np.abs(across).max()
-        r = max(wide, thick)
-        volume = {
-            CAPSULE: np.pi * r * r * 2 * max(half - r, 1e-3) + 4 / 3 * np.pi * r**3,
-            CYLINDER: 2 * np.pi * r * r * half,
-            BOX: 8 * half * wide * thick,
-        }
-        kind = min(volume, key=lambda name: float(volume[name]))
-        size = {CAPSULE: (r, max(half - r, 1e-3)), CYLINDER: (r, half), BOX: (thick, wide, half)}[
-            kind
-        ]
-        rows.append((kind, tuple(at.tolist()), float(np.arctan2(along[1], along[0])), size))
-    return "xyz"[n], rows
 
 
 def split_longest(recipe: Recipe) -> Recipe:

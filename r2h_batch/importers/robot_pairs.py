@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.robot import Kind, Robot, gripper_primitives_at, load_robot
+from r2h_batch.bodies.robot import Kind, Robot, corners_of, gripper_primitives_at, load_robot
 
 FAR_M = 0.05
 
@@ -24,15 +24,13 @@ def mjcf(robot: Robot) -> str:
     """The primitives as a MuJoCo model; geom names are `link/primitive`, finger shapes carry their opening's number."""
     T_gripper_ee = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee
     geoms: dict[str, list[str]] = {link: [] for link in robot.links}
-    for name, link, kind, T, size in zip(
-        robot.arm.names,
-        robot.arm.link,
-        robot.arm.kind,
-        robot.arm.T_link_prim,
-        robot.arm.size,
-        strict=True,
-    ):
-        geoms[robot.links[link]].append(_geom(f"{robot.links[link]}/{name}", int(kind), T, size))
+    arm, meshes = robot.arm, ""
+    for i, corners in enumerate(corners_of(arm)):
+        link = robot.links[arm.link[i]]
+        name = f"{link}/{arm.names[i]}"
+        geoms[link].append(_geom(name, int(arm.kind[i]), arm.T_link_prim[i], arm.size[i]))
+        if len(corners):
+            meshes += f'<mesh name="{name}" inertia="convex" vertex="{_text(corners.ravel())}"/>'
     for i, opening in enumerate((robot.open_gap_m, 0.0)):
         for name, kind, T, size in zip(
             robot.gripper.names,
@@ -59,7 +57,7 @@ def mjcf(robot: Robot) -> str:
     return (
         '<mujoco><option><flag filterparent="disable"/></option><size memory="64M"/>'
         f'<default><geom mass="0.1" margin="{FAR_M}" gap="0"/></default>'
-        f"<worldbody>{xml}{tail}</worldbody></mujoco>"
+        f"<asset>{meshes}</asset><worldbody>{xml}{tail}</worldbody></mujoco>"
     )
 
 
@@ -107,9 +105,10 @@ def touching(robot: Robot, q: NDArray[np.float64]) -> list[str]:
 
 def _geom(name: str, kind: int, T: NDArray[np.float64], size: NDArray[np.float64]) -> str:
     numbers = size if kind == Kind.BOX else size[:2]
-    return (
-        f'<geom name="{name}" type="{Kind(kind).name.lower()}" size="{_text(numbers)}" {_pose(T)}/>'
-    )
+    shape = f'type="{Kind(kind).name.lower()}" size="{_text(numbers)}"'
+    if kind == Kind.HULL:
+        shape = f'type="mesh" mesh="{name}"'
+    return f'<geom name="{name}" {shape} {_pose(T)}/>'
 
 
 def _pose(T: NDArray[np.float64]) -> str:

@@ -325,6 +325,7 @@ def build_scene_model(
     for k, link in enumerate(links):
         for i in np.flatnonzero(robot.arm.link == k):
             add_primitive(
+                spec,
                 link,
                 robot.arm,
                 int(i),

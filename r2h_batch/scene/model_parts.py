@@ -200,7 +200,9 @@ def _add_finger_geoms(
         body, origin = carriers[robot.gripper_motion[i], side]
         T = robot.gripper.T_link_prim[i].copy()
         T[:3, 3] -= origin
-        add_primitive(body, robot.gripper, i, T, *contact, f"gripper/{robot.gripper.names[i]}")
+        add_primitive(
+            spec, body, robot.gripper, i, T, *contact, f"gripper/{robot.gripper.names[i]}"
+        )
         if side == 0 or (part, side) in seen:
             continue
         seen.add((part, side))
@@ -219,9 +221,13 @@ def _add_finger_geoms(
 
 
 def add_primitive(
-    body: mujoco.MjsBody, shapes: Primitives, i: int, T: Array, contype: int, conaffinity: int, name: str
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, shapes: Primitives, i: int, T: Array, contype: int, conaffinity: int, name: str
 ) -> None:  # fmt: skip
-    """One of the planner's primitives, at T in the body."""
+    """One of the planner's bodies, at T in the body."""
+    if shapes.kind[i] == Kind.HULL:
+        add_mesh(spec, name, shapes.corners[i], None, convex=True)
+        add_mesh_geom(body, name, name, "collision", contype, conaffinity, group=COLLISION, T=T)
+        return
     body.add_geom(
         name=name, type=_TYPES[Kind(int(shapes.kind[i]))], size=shapes.size[i], pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]),
         contype=contype, conaffinity=conaffinity, group=COLLISION, rgba=[*COLORS["collision"], 0.4],

@@ -18,8 +18,9 @@ from r2h_batch.bodies import bounds
 from r2h_batch.bodies.bounds import BLOCK_POINTS
 from r2h_batch.bodies.hand import HandModel, HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Kind, Robot
+from r2h_batch.bodies.robot import Kind, Robot, corners_of
 from r2h_batch.config import Workplace
+from r2h_batch.kernels.geometry.body import BLOCKS
 from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, MAX_OBSTACLES
 from r2h_batch.kernels.robot.world import World
 from r2h_batch.launch.instances import of_joints
@@ -119,7 +120,9 @@ class WorldTables:
                         value, dtype=np.int32 if dtype is wp.int32 else np.float32
                     )
                     setattr(w, name, wp.array(array, dtype=dtype, device=device))
-        points = np.concatenate([self._hand_blocks[0], self._object_points[0], *self._object_cells])
+        points = np.concatenate(
+            [self._hand_blocks[0], self._object_points[0], *self._object_cells, *self._arm_blocks]
+        )
         w.points = wp.array(points, dtype=wp.vec3, device=device)
         w.table_center = wp.vec3(*self.workplace.table_center)
         w.table_half = wp.vec3(*self.workplace.table_half)
@@ -138,9 +141,14 @@ class WorldTables:
             raise ValueError(
                 f"{n_robot} robot primitives, {n_arm} of them the arm's, {pieces} hand pieces: the kernels hold fewer"
             )
-        caps = [bounds.capsule_of_primitive(int(k), s) for k, s in zip(kind, size, strict=True)]
+        caps = [
+            *(bounds.capsule_of_shape(robot.arm, int(i)) for i in order),
+            *(bounds.capsule_of_shape(robot.gripper, i) for i in range(n_robot - n_arm)),
+        ]
         levers = bounds.robot_levers(robot)[np.concatenate([order, np.arange(n_arm, n_robot)])]
         ends, radii = bounds.gripper_balls(robot)
+        before = sum(map(len, [self._hand_blocks[0], self._object_points[0], *self._object_cells]))
+        rows = np.array([*map(len, self._arm_blocks), *[0] * (n_robot - n_arm)])
         link_caps, link_motion_radius = [], []
         for k in range(joints + 2):
             if k <= joints:
@@ -167,7 +175,9 @@ class WorldTables:
             "n_arm": (int(n_arm), wp.int32),
             "n_robot": (int(n_robot), wp.int32),
             "body_link": (link, wp.int32),
-            "kind": (kind, wp.int32),
+            "kind": (np.where(kind == Kind.HULL, BLOCKS, kind), wp.int32),
+            "body_start": (before + np.cumsum(rows) - rows, wp.int32),
+            "body_blocks": (rows // BLOCK_POINTS, wp.int32),
             "size": (size, wp.vec3),
             "radius": (np.where(kind <= Kind.CAPSULE, size[:, 0], 0.0), wp.float32),
             "cap_radius": ([c[1] for c in caps], wp.float32),
@@ -183,6 +193,15 @@ class WorldTables:
             "self_links": (partners, wp.int32),
             "table_from": (int(np.searchsorted(link, robot.table_from)), wp.int32),
         }
+
+    @cached_property
+    def _arm_blocks(self) -> list[NDArray[np.floating]]:
+        """Corners in blocks of the arm's bodies, in the kernels' order; none but of hulls."""
+        corners = corners_of(self.robot.arm)
+        return [
+            bounds.point_blocks(corners[i]) if len(corners[i]) else np.zeros((0, 3), np.float32)
+            for i in self.arm_order
+        ]
 
     @cached_property
     def _hand_points(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

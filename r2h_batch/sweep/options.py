@@ -90,7 +90,9 @@ class Options:
     grasps: tuple[str, ...] = _option(
         (), _TRIALS, "grasp candidates: NAME=FILE, a file, or a folder"
     )
-    robot: str = _option("", _TRIALS, "ur5e_2f85 (default), ur3e_2f85, or a folder of import robot")
+    robot: str = _option(
+        "", _TRIALS, "ur5e_2f85 (default), another of ls robots, or a folder of import robot"
+    )
     persons: Literal["", "for-robot", "as-for-ur5e"] = _option(
         "", _CONFIG, "persons stand as the robot's reach asks (for-robot, default) or the UR5e's"
     )

@@ -25,7 +25,7 @@ from torch import Tensor
 from r2h_batch import rng, se3
 from r2h_batch.benchmark import Benchmark, built_in, read_benchmark
 from r2h_batch.benchmark.trials_file import listed_with_ids
-from r2h_batch.bodies.bounds import capsule_of_primitive
+from r2h_batch.bodies.bounds import capsule_of_shape
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
@@ -513,9 +513,7 @@ def _home(robot: Robot, home_q: tuple[float, ...]) -> tuple[Array, Array, Array]
     Rounded to a nanometre, so that the last bits of a machine's sine cannot decide about a trial.
     """
     T = forward_kinematics(robot, home_q)[robot.arm.link] @ robot.arm.T_link_prim
-    capsules = [
-        capsule_of_primitive(int(k), s) for k, s in zip(robot.arm.kind, robot.arm.size, strict=True)
-    ]
+    capsules = [capsule_of_shape(robot.arm, i) for i in range(len(T))]
     axes = np.stack([t[:3, :3] @ c[0] for t, c in zip(T, capsules, strict=True)])
     ends = np.stack([T[:, :3, 3] - axes, T[:, :3, 3] + axes], 1)
     return (

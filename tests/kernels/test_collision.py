@@ -7,7 +7,7 @@ import oracle
 import pytest
 import torch
 from convex_twin import bodies, point_to_segment
-from seven import seven_joints
+from seven import seven_joints, with_hulls
 
 from r2h_batch.bodies.robot import (
     Kind,
@@ -88,7 +88,9 @@ def test_verdicts_on_100_000_postures_agree_with_mujoco_c(scene):
     test_verdicts_on_10_000_postures_agree_with_mujoco_c(scene, 400, 100, seed=2)
 
 
-@pytest.mark.parametrize("robot", [load_robot("ur3e_2f85"), seven_joints()], ids=lambda robot: robot.name)
+@pytest.mark.parametrize(
+    "robot", [load_robot("ur3e_2f85"), seven_joints(), with_hulls(load_robot())], ids=lambda r: r.name
+)
 def test_verdicts_on_postures_of_other_arms_agree_with_mujoco_c(robot):
     wrong, alone, _ = compare_postures(Scene(robot=robot), 12, 250, seed=4)
     assert not wrong, wrong[:3]

@@ -8,8 +8,9 @@ import oracle
 import pytest
 import torch
 import trimesh
+from seven import with_boxes, with_hulls
 
-from r2h_batch.bodies.robot import ee_pose, gripper_primitives_at
+from r2h_batch.bodies.robot import ee_pose, gripper_primitives_at, load_robot
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M
 from r2h_batch.judge.frontier.safe import SafeFrontier
 from r2h_batch.judge.plan import Planner
@@ -90,6 +91,21 @@ def test_distances_at_postures_agree_with_the_exact_mesh_and_never_fall_below_th
             assert abs(off[-1]) <= 1e-5 or truth >= CAP_M, (k, distance[k], truth)
     print(f"\n{len(off)} postures apart, off by at most {np.abs(off).max():.1e} m; {touching} touching")
     assert len(off) >= 15 and touching >= 8
+
+
+@FORMS
+def test_hulls_of_boxes_are_as_far_from_the_hand_along_paths_as_the_boxes(form):
+    boxed = with_boxes(load_robot())
+    scenes = Scene(robot=boxed), Scene(robot=with_hulls(boxed))
+    rng = np.random.default_rng(8)
+    stages, base = oracle.random_stages(scenes[0], rng, 400)
+    paths = [np.stack([q, q + rng.normal(size=6) * 0.2]) for q in base]
+    (boxes, body, *_), (hulls, *_) = (safe_of(scene, stages, paths, form=form) for scene in scenes)
+    apart = (boxes > 0) & (boxes < CAP_M)
+    arm = body < len(boxed.arm.kind)
+    assert (apart & arm).sum() >= 5 and ((boxes < 0) & arm).sum() >= 5
+    assert np.array_equal(boxes > 0, hulls > 0)
+    assert np.abs(boxes - hulls)[apart].max() <= 2 * SAFE_TOLERANCE_M + 2e-5
 
 
 @pytest.mark.parametrize("part", [2, pytest.param(1, marks=pytest.mark.slow)], ids=["half", "all"])

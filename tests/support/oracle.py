@@ -101,6 +101,11 @@ class MujocoScene:
                 body.add_joint(name=robot.joints[k - 1], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
             body.explicitinertial, body.mass, body.inertia = True, 1.0, [1, 1, 1]
             for i in np.flatnonzero(robot.arm.link == k):
+                if robot.arm.kind[i] == Kind.HULL:
+                    T = robot.arm.T_link_prim[i]
+                    corners = robot.arm.corners[i] @ T[:3, :3].T + T[:3, 3]
+                    self._add_hull(spec, body, link, robot.arm.names[i], corners)
+                    continue
                 self._add_primitive(
                     body, link, robot.arm.names[i], int(robot.arm.kind[i]), robot.arm.size[i], robot.arm.T_link_prim[i]
                 )
@@ -123,13 +128,13 @@ class MujocoScene:
     def _add_hulls(self, spec: mujoco.MjSpec, body: Any, group: str, hulls: list[Any]) -> None:
         body.explicitinertial, body.mass, body.inertia = True, 1.0, [1, 1, 1]
         for k, points in enumerate(hulls):
-            name = f"{group}_{k}"
-            mesh = spec.add_mesh(
-                name=name, uservert=np.asarray(points, np.float64)[ConvexHull(points).vertices].ravel()
-            )
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-            self.groups[group].append(name)
-            body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **_PASSIVE)
+            self._add_hull(spec, body, group, f"{group}_{k}", points)
+
+    def _add_hull(self, spec: mujoco.MjSpec, body: Any, group: str, name: str, points: Any) -> None:
+        mesh = spec.add_mesh(name=name, uservert=np.asarray(points, np.float64)[ConvexHull(points).vertices].ravel())
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        self.groups[group].append(name)
+        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **_PASSIVE)
 
     def _add_person(self, spec: Any, receiver: Array) -> list[str]:
         shoulder, elbow, wrist, middle, half = receiver[:, :3]

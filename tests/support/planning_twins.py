@@ -171,27 +171,29 @@ def ompl_solve(
     budget_s: float,
     resolution_rad: float = 1 / 64,
     range_rad: float = 1.5,
+    home: Sequence[float] = HOME_Q,
 ) -> OmplPath:
-    """RRTConnect from home to any of the goals (G, 6), straight joint-space steps checked every `resolution_rad`."""
+    """RRTConnect from home to any of the goals (G, N), straight joint-space steps checked every `resolution_rad`."""
     ou.setLogLevel(ou.LogLevel.LOG_NONE)
-    space = ob.RealVectorStateSpace(6)
-    bounds = ob.RealVectorBounds(6)
-    for j in range(6):
+    n = len(lower)
+    space = ob.RealVectorStateSpace(n)
+    bounds = ob.RealVectorBounds(n)
+    for j in range(n):
         bounds.setLow(j, float(lower[j]))
         bounds.setHigh(j, float(upper[j]))
     space.setBounds(bounds)
     space.setLongestValidSegmentFraction(resolution_rad / space.getMaximumExtent())
     setup = og.SimpleSetup(space)
-    setup.setStateValidityChecker(lambda s: checker.valid([s[j] for j in range(6)]))
+    setup.setStateValidityChecker(lambda s: checker.valid([s[j] for j in range(n)]))
     information = setup.getSpaceInformation()
 
     def state(q: Sequence[float] | np.ndarray) -> ob.State:
         s = space.allocState()
-        for j in range(6):
+        for j in range(n):
             s[j] = float(q[j])
         return s
 
-    setup.addStartState(state(HOME_Q))
+    setup.addStartState(state(home))
     goal = ob.GoalStates(information)
     for q in goals:
         goal.addState(state(q))
@@ -207,7 +209,7 @@ def ompl_solve(
     path = None
     if setup.haveExactSolutionPath():
         states = setup.getSolutionPath().getStates()
-        path = np.array([[s[j] for j in range(6)] for s in states])
+        path = np.array([[s[j] for j in range(n)] for s in states])
     return OmplPath(path, seconds, checker.checks - before)
 
 

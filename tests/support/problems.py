@@ -90,7 +90,7 @@ def solve(scene: Scene, batch: Batch, config: PlanConfig | None = None, *, threa
         t.object_index, t.hand_index, attached, T_world_hand, grasp.opening_m, threads=threads
     )
     active = torch.ones(len(t), dtype=torch.bool)
-    ik = solve_ik(T_world_ee, active=active, threads=threads)
+    ik = solve_ik(T_world_ee, active=active, robot=scene.robot, threads=threads)
     config = config or scene.config.plan
     branches = ik.valid if config.goals == "set" else one_branch(ik, T_world_ee, threads=threads)
     planned = plan_paths(scene, body_poses, ik.q, branches, active, random_key(t.trial_id), config, threads=threads)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from r2h_batch.bodies.robot import Kind, Linkage, Primitives, Robot, frozen, load_robot
+from r2h_batch.bodies.robot import Kind, Linkage, Primitives, Robot, frozen, hull_size, load_robot
 
 AXIS = np.array([[0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """Takes z to the forearm's axis, -x of its link."""
@@ -57,6 +57,30 @@ def seven_joints() -> Robot:
         visuals="",
         digest="seven joints",
     )  # fmt: skip
+
+
+def with_boxes(robot: Robot) -> Robot:
+    """The same arm with a box about each primitive."""
+    r, half = robot.arm.size[:, 0], robot.arm.size[:, 1] + robot.arm.size[:, 0] * (robot.arm.kind == Kind.CAPSULE)
+    size = np.where((robot.arm.kind == Kind.BOX)[:, None], robot.arm.size, np.stack([r, r, half], 1))
+    arm = replace(robot.arm, kind=frozen(np.full(len(size), Kind.BOX), np.int32), size=frozen(size))
+    return replace(robot, name=f"{robot.name}_boxes", arm=arm, digest=f"{robot.digest}, boxes", visuals="")
+
+
+def with_hulls(robot: Robot) -> Robot:
+    """The same arm with hulls in place of its primitives: a box's corners, twelve-sided prisms in cylinders and capsules."""
+    around = np.arange(12) * np.pi / 6
+    ring, corners = np.stack([np.cos(around), np.sin(around)], 1), []
+    for kind, size in zip(robot.arm.kind, robot.arm.size, strict=True):
+        if kind == Kind.BOX:
+            corners.append(np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), -1).reshape(-1, 3) * size)
+        else:
+            corners.append(np.concatenate([np.c_[size[0] * ring, np.full(12, s * size[1])] for s in (-1, 1)]))
+    arm = replace(
+        robot.arm, kind=frozen(np.full(len(corners), Kind.HULL), np.int32), corners=tuple(map(frozen, corners)),
+        size=frozen([hull_size(x) for x in corners]),
+    )  # fmt: skip
+    return replace(robot, name=f"{robot.name}_hulls", arm=arm, digest=f"{robot.digest}, hulls", visuals="")
 
 
 def with_jaws(robot: Robot) -> Robot:
