@@ -42,8 +42,8 @@ MUTATIONS = (
     Mutation(
         "reach: sign of the margin",
         METRICS,
-        "e.config.thresholds.reach_radius_m - made[\"distance\"]",
-        "made[\"distance\"] - e.config.thresholds.reach_radius_m",
+        "e.config.thresholds.reach_radius_m - distance",
+        "distance - e.config.thresholds.reach_radius_m",
         (f"{T_METRICS}::test_reach_passes_up_to_the_balls_radius",),
     ),
     Mutation(

@@ -558,14 +558,14 @@ class HandoverEnv(VectorEnv):
         s, w = self._sums, self._worst
         time_s = torch.where(self._ended_s.isinf(), self.time_s, self._ended_s)
         share = 1.0 / time_s.clamp(min=self.step_s)
-        robot, hand, both = (s[k] * share for k in ("robot", "hand", "both"))
+        robot, hand, both = ((s[k] * share).clamp(max=1.0) for k in ("robot", "hand", "both"))
         arm_kg = float(np.sum(self.scene.robot.dynamics.mass))
         reduced = 1.0 / (1.0 / HAND_KG + 2.0 / arm_kg)
         allowed = HAND_N / float(np.sqrt(HAND_N_M * reduced))
         return Episodes(
             self.ends.clone(), self._by_robot.clone(), time_s, self._least.clone(), w["slack"].clone(),
             w["near_speed"].clone(), s["ssm"].clone(), w["depth"].clone(), w["near_speed"] / allowed,
-            1.0 - robot, 1.0 - hand, both, 1.0 - robot - hand + both, s["path"].clone(),
+            1.0 - robot, 1.0 - hand, both, (1.0 - robot - hand + both).clamp(min=0.0), s["path"].clone(),
         )  # fmt: skip
 
     def trace(self) -> tuple[Float32[Tensor, "b s 6"], Float32[Tensor, "b s 4 4"]]:

@@ -17,6 +17,7 @@ from needs import CHROMIUM, needs
 from r2h_batch.__main__ import main
 from r2h_batch.export.captions import as_markdown, headline
 from r2h_batch.export.drawing import Drawing, Witness, coarse, view_of
+from r2h_batch.export.episode import episode_of
 from r2h_batch.export.stored import ExportError, Reader
 from r2h_batch.scene import offscreen
 from r2h_batch.view.server import ANY, Filter
@@ -356,6 +357,7 @@ def test_a_viser_that_serves_in_another_way_is_refused(monkeypatch):
         (["view", "RUN", "--trial", "0", "--video", "x.doc"], ".mp4"),
         (["view", "RUN", "--trial", "0", "--video", "x.mp4", "--size", "99999", "3"], "--size"),
         (["view", "RUN", "--trial", "-1", "--strips", "x.png"], "--trial is -1"),
+        (["view", "RUN", "--trial", "0", "--html", "x.html", "--receiver-motion", "moves"], "is played in --video"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_shown_is_refused_in_one_line(run, capsys, line, said):
@@ -394,6 +396,24 @@ def test_a_film_and_strips_show_the_motion(run, reader, tmp_path):
     (tall, wide), legend = red.shape, 48
     near, other = red[: tall // 2, 2 * wide // 5 : 3 * wide // 5], red[tall // 2 + tall // 8 : -legend]
     assert near.any() and not other.any() and red[-legend:].any()
+
+
+@needs("gl")
+def test_strips_of_a_closed_loop_move_the_hand_and_its_arm(run, tmp_path, capsys):
+    """Bodies at each step are where the episode has them, and the strips say how it ended."""
+    file = tmp_path / "loop.png"
+    line = ["view", str(run), "--method", "oracle", "--trial", "1", "--strips", str(file), "--frames", "2"]
+    assert main([*line, "--receiver-motion", "moves", "--policy", "servo"]) == 0
+    assert "servo, moves: " in capsys.readouterr().out and file.stat().st_size > 3000
+    drawing = episode_of(Reader(run), 1, "oracle", "moves", "servo")
+    _, steps = drawing.motion()
+    for k in (0, len(steps) - 1):
+        data = drawing.at(steps[k])
+        assert np.allclose(data.body("hand").xpos, drawing._hands[k][:3, 3]) and np.allclose(data.qpos, steps[k][:6])
+        if drawing._receivers is not None:
+            ends = drawing._receivers[k][1:3, :3]
+            assert np.allclose(data.geom("receiver/forearm_visual").xpos, ends.mean(0), atol=1e-6)
+    assert np.linalg.norm(drawing._hands[-1][:3, 3] - drawing._hands[0][:3, 3]) > 0.01
 
 
 @needs("gl")
