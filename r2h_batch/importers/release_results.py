@@ -91,7 +91,8 @@ def write_results(path: Path, out: Path) -> dict[str, int]:
         place = (r.variant, r.split, r.object_id)
         by_key.setdefault((r.split, r.object_id, seen[place]), {})[r.variant] = r
         seen[place] += 1
-    keys = sorted(by_key, key=lambda key: SPLITS.index(key[0]))
+    # as `sweep --trials-from` numbers the trials of these names: compare pairs them
+    keys = sorted(by_key, key=lambda key: (key[0], next(iter(by_key[key].values())).trial_id))
     trials = {s: n for s in SPLITS if (n := sum(key[0] == s for key in keys))}
     objects = sorted({key[:2] for key in keys})
     header = {

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from r2h_batch.config import EvalConfig
-from r2h_batch.runs.store import Run
+from r2h_batch.runs.store import FOREIGN, Run
 from r2h_batch.schedule import PROTOCOLS
 from r2h_batch.validate import boolean, check_arguments, sequence_of
 from r2h_batch.verdicts import SPLITS
@@ -77,12 +77,17 @@ def common_trials(
         notes.append(
             f"The runs hold different trials; compared are the first {shared}, which all of them hold."
         )
+    if len({run.header["protocol"] for run in runs}) > 1:
+        notes.append(
+            f"Trials are paired by their names: {FOREIGN} holds the release's own verdicts, by its definitions."
+        )
     if len(robots := list(dict.fromkeys(run.robot for run in runs))) > 1:
         notes.append(
             f"Robots {', '.join(robots)}: a trial is the same object, hand and draw; where person and table stand"
             " follows each robot's reach, unless the sweep said persons=as-for-ur5e."
         )
-    if len({run.header["digests"].get("code") for run in runs}) > 1:
+    judged = [run for run in runs if run.header["protocol"] != FOREIGN]
+    if len({run.header["digests"].get("code") for run in judged}) > 1:
         notes.append(
             "The shipped baselines were scored by an earlier version of the code; "
             "the project's tests check that this version gives the same verdicts."
@@ -97,7 +102,10 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
     if robots and not across_robots:
         return f"robot ({a.robot}, {b.robot})"
     if left["protocol"] != right["protocol"]:
-        return "protocol"
+        if FOREIGN not in (left["protocol"], right["protocol"]):
+            return "protocol"
+        names = [{i: name for i, (name, _) in run.labels.items()} for run in (a, b)]
+        return "" if names[0] == names[1] else "the names of their trials"
     same_plan = left["trials"] == right["trials"]
     follow = left["protocol"] in PROTOCOLS and {"objects", "hand_set"} <= left["digests"].keys()
     if not same_plan and not follow:

@@ -46,6 +46,22 @@ def test_trials_that_are_read_back_get_the_verdicts_that_they_had(run, written):
                     assert row[f"margin_{name}_m"] == pytest.approx(own[i][f"margin_{name}_m"], abs=atol)
 
 
+def test_compare_pairs_a_run_of_imported_trials_with_results_of_the_same_names(written, tmp_path, capsys):
+    """Of one trial's name less, it refuses."""
+    done = in_process("--trials-from", written / "files", "--sim", "none", "--out", tmp_path / "mine")
+    assert done.returncode == 0, done.stderr
+    results = json.loads((written / "files" / "results.json").read_text())
+    for name, rows in (("same", results[::-1]), ("other", [{**results[0], "trial_id": "another"}, *results[1:]])):
+        (tmp_path / f"{name}.json").write_text(json.dumps(rows))
+        line = ["results", str(tmp_path / f"{name}.json"), "--from", "r2handoversim", "--out", str(tmp_path / name)]
+        assert main(["import", *line]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(tmp_path / "mine"), str(tmp_path / "same")]) == 0
+    assert "paired by their names" in capsys.readouterr().out
+    assert main(["compare", str(tmp_path / "mine"), str(tmp_path / "other")]) == 2
+    assert "differ in the names of their trials" in capsys.readouterr().err
+
+
 def test_a_hands_mesh_decides_safe_where_its_posture_is_unknown(run, written):
     """The same skin without what our exporter writes for us alone: palm and skin are what they were."""
     (written / "plain").mkdir()
