@@ -31,17 +31,19 @@ def test_the_closed_form_reaches_every_posture_of_another_ur() -> None:
     assert np.abs(again - target[rows].double().numpy()).max() < 2e-6
 
 
-@pytest.mark.check
-def test_the_oracle_succeeds_on_another_ur_and_its_paths_are_that_arms() -> None:
-    benchmark = built_in().on(UR3E)
+@pytest.mark.parametrize(
+    "robot", [pytest.param(UR3E, marks=pytest.mark.check), load_robot("panda_hand")], ids=lambda r: r.name
+)
+def test_the_oracle_succeeds_on_another_arm_and_its_paths_are_that_arms(robot):
+    benchmark = built_in().on(robot)
     evaluator = Evaluator.from_benchmark(benchmark, KINEMATIC)
     trials = make_trials(trials=3, benchmark=benchmark)
     answer = predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
     assert scores.success.all()
     start, goal = scores.path[:, 0], scores.path[torch.arange(len(trials)), scores.path_len.long() - 1]
-    assert torch.equal(start, torch.tensor([UR3E.home_q]).expand_as(start))
-    assert np.abs(ee_pose(UR3E, goal.double().numpy())[:, :3, 3] - answer.T_world_ee[:, :3, 3].numpy()).max() < 1e-5
+    assert torch.equal(start, torch.tensor([robot.home_q]).expand_as(start))
+    assert np.abs(ee_pose(robot, goal.double().numpy())[:, :3, 3] - answer.T_world_ee[:, :3, 3].numpy()).max() < 1e-5
     usual = Evaluator(KINEMATIC).score(answer.T_obj_ee, answer.T_world_ee, trials)
     assert not torch.equal(usual.path[:, 0], start)
 
