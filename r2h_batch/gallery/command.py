@@ -86,10 +86,11 @@ def report(
         text = page(stored, pictures, common=_common(loaded))
     elif perceived:
         from r2h_batch.results.reception import tables_of_run
-        from r2h_batch.study.perceived import measured_trials
+        from r2h_batch.study.perceived import measured_trials, of_the_paper
         from r2h_batch.study.perceived import perceived as beside_people
 
-        text = beside_people(tables_of_run(runs[0], method, benchmark, "cpu", measured_trials)[1])
+        rated = of_the_paper(loaded[0])
+        text = beside_people(tables_of_run(rated, benchmark, "cpu", measured_trials))
     elif by_object:
         from r2h_batch.report.table import object_lines
 

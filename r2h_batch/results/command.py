@@ -140,11 +140,12 @@ def reception(
         device: cpu, cuda or cuda:N.
     """
     from r2h_batch.results import reception as received
-    from r2h_batch.runs.store import RunError, in_the_way
+    from r2h_batch.runs.store import RunError, in_the_way, load_run
 
     if what := in_the_way(folder / "reception", folder=True):
         raise RunError(what)
-    run, tables = received.tables_of_run(folder, method, benchmark, device)
+    run = load_run(folder).only(method)
+    tables = received.tables_of_run(run, benchmark, device)
     for name, table in tables.items():
         received.write(folder / "reception" / f"{run.entry(name).slug}.parquet", table)
     print(received.render(tables), end="")

@@ -18,7 +18,7 @@ from r2h_batch.io.write import atomic_path
 from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception
 from r2h_batch.report.text import aligned, notes_list, plain, short_names
 from r2h_batch.results.reevaluation import Judge, check_poses
-from r2h_batch.runs.store import Run, RunError, load_run
+from r2h_batch.runs.store import Run, RunError
 from r2h_batch.types import Scores
 
 __all__ = ["CURVE_K", "TURNS_DEG", "render", "rows_of", "table_of", "tables_of_run", "write"]
@@ -60,17 +60,12 @@ Table = Callable[[Run, str, Judge], pa.Table]
 
 
 def tables_of_run(
-    folder: Path,
-    method: Sequence[str],
-    benchmark: BenchmarkFlags,
-    device: str,
-    of: Table | None = None,
-) -> tuple[Run, dict[str, pa.Table]]:
-    """The run with these methods alone, and method -> its table.
+    run: Run, benchmark: BenchmarkFlags, device: str, of: Table | None = None
+) -> dict[str, pa.Table]:
+    """Method -> its table, of all methods with rows.
 
     Args:
-        folder: a run folder with poses.
-        method: words or names; none: all methods with rows.
+        run: with poses.
         benchmark: the flags that the sweep had.
         device: cpu, cuda or cuda:N.
         of: makes a table; `table_of` by default.
@@ -78,20 +73,19 @@ def tables_of_run(
     Raises:
         RunError: the run holds no rows, no poses, or trials without a receiver's body.
     """
-    run = load_run(folder).only(method)
     check_poses(run)
     names = [e.name for e in run.entries if e.receipts]
     if not names:
-        raise RunError(f"{folder}: no shard of any method is stored")
+        raise RunError(f"{run.folder}: no shard of any method is stored")
     judge = Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
     one = run.trials(names[0], ["trial_id"])["trial_id"][:1].to_numpy()
     if judge.trials(one).receiver is None:
-        raise RunError(f"{folder}: its trials have no receiver's body; sweep --protocol r2h-v1")
+        raise RunError(f"{run.folder}: its trials have no receiver's body; sweep --protocol r2h-v1")
     tables = {}
     for name in names:
         tell(f"{name}: 256 grasps for each trial, 4 ms a trial")
         tables[name] = (of or table_of)(run, name, judge)
-    return run, tables
+    return tables
 
 
 def table_of(run: Run, method: str, judge: Judge) -> pa.Table:

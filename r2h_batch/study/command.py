@@ -60,11 +60,12 @@ def trials(
         device: cpu, cuda or cuda:N.
     """
     from r2h_batch.results.reception import tables_of_run
+    from r2h_batch.runs.store import load_run
     from r2h_batch.study.perceived import measured_trials, trials_csv
 
     check_output_file(out, overwrite=overwrite)
-    _, tables = tables_of_run(run, method, benchmark, device, measured_trials)
-    write_text(out, trials_csv(tables))
+    stored = load_run(run).only(method)
+    write_text(out, trials_csv(tables_of_run(stored, benchmark, device, measured_trials)))
     print(out)
     return 0
 

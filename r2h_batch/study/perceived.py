@@ -26,7 +26,15 @@ from r2h_batch.study.stats import DRAWS, SCALE, StudyError
 from r2h_batch.study.table_file import LINE, Number, Text, read_table
 from r2h_batch.types import Trials
 
-__all__ = ["MEASURES", "Measure", "measured_trials", "perceived", "rated", "trials_csv"]
+__all__ = [
+    "MEASURES",
+    "Measure",
+    "measured_trials",
+    "of_the_paper",
+    "perceived",
+    "rated",
+    "trials_csv",
+]
 
 POSES = {"T_obj_ee": 16, "T_world_ee": 16, "T_world_hand": 16, "receiver": 20}
 """Columns of arrays in `study trials`, row by row: NAME_0 and so on, as in files of predictions."""
@@ -177,24 +185,31 @@ def paper_means() -> dict[str, dict[str, float]]:
     return found
 
 
-def perceived(tables: Mapping[str, pa.Table]) -> str:
-    """The table of measures beside the paper's ratings, as text that ends in a newline.
-
-    Args:
-        tables: method -> its `measured_trials`; what a name says in brackets is not read.
+def of_the_paper(run: Run) -> Run:
+    """The run with the methods that the paper's people rated; what a name says in brackets is not read.
 
     Raises:
-        StudyError: fewer than three methods are the paper's.
+        StudyError: fewer than three of them are complete.
     """
-    ratings = paper_means()
-    theirs = list(next(iter(ratings.values())))
-    tables = {name.partition(" (")[0]: table for name, table in tables.items()}
-    names = [name for name in theirs if name in tables]
+    theirs = next(iter(paper_means().values()))
+    names = [name for name in run.methods if name.partition(" (")[0] in theirs]
     if len(names) < 3:
         raise StudyError(
             f"{len(names)} of the methods that people rated are in the run ({', '.join(names) or 'none'}); an order"
             f" needs three of {', '.join(theirs)}"
         )
+    return run.only(names)
+
+
+def perceived(tables: Mapping[str, pa.Table]) -> str:
+    """The table of measures beside the paper's ratings, as text that ends in a newline.
+
+    Args:
+        tables: method of the paper -> its `measured_trials`.
+    """
+    ratings = paper_means()
+    tables = {name.partition(" (")[0]: table for name, table in tables.items()}
+    names = [name for name in next(iter(ratings.values())) if name in tables]
     lines = [
         [f"people: {dimension}", *(f"{of[name]:.2f}" for name in names), *[""] * len(ratings)]
         for dimension, of in ratings.items()
