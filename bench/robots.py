@@ -42,8 +42,12 @@ Percent of all trials, mean of the splits; brackets: 95 %, Wilson.
 
 {rates}
 
-Order of the four methods by SR: {orders}. The grasp candidates are the 2F-85's on every robot. The Panda's hand has a shorter
-stroke, {stroke:.0f} mm, and fails Stability where they are wider.
+Order of the four methods by SR:
+
+{orders}
+
+The grasp candidates are the 2F-85's on every robot. The Panda's hand has a shorter stroke, {stroke:.0f} mm, and fails Stability
+where they are wider.
 
 ## First failures
 
@@ -171,7 +175,7 @@ def markdown(data: dict[str, Any]) -> str:
         trials=data["trials"],
         commit=str(data["commit"])[:12],
         rates=aligned(["Method", *robots], rates, 1),
-        orders="; ".join(f"{name}: {_order(r['table'], methods)}" for name, r in robots.items()),
+        orders="\n".join(f"- {name}: {_order(r['table'], methods)}" for name, r in robots.items()),
         stroke=robots["panda_hand"]["stroke_mm"],
         failures=aligned(["Method", "Robot", *kinds], failures, 2),
         targets=data["targets"],
