@@ -137,7 +137,7 @@ def test_the_page_and_its_charts_say_the_names_and_gain_no_tag(run, tmp_path):
 def drawing(name):
     row = {"trial_id": 3, "object": "a_b", "side": "left", "split": "S0", "outcome": "plan", "plan_reason": name}
     stored = SimpleNamespace(row=row, method=name, note=name, moves=False)
-    return SimpleNamespace(stored=stored, witness=None, marks=())
+    return SimpleNamespace(stored=stored, witness=None, marks=(), ended=None)
 
 
 @pytest.mark.parametrize("name", ODD)

@@ -92,7 +92,7 @@ def finish(process, timeout=120):
     return process.returncode, out, error
 
 
-def wait_for(condition, what, timeout=90):
+def wait_for(condition, what, timeout=180):
     end = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < end, f"waited {timeout} s for {what}"
