@@ -108,17 +108,12 @@ def test_every_new_tensor_says_its_dtype_and_device() -> None:
     assert seen > 100 and silent == []
 
 
-def test_every_test_that_the_list_of_faults_names_is_there() -> None:
-    """`docs/faults.md`: `tests/FILE.py::test_...`; `::test_...` alone is one of the file named last."""
-    named, missing, file = 0, [], ""
-    for path, name in re.findall(
-        r"`(tests/[a-z_/]+\.py)?(?:::(test_\w+))?[^`]*`", (ROOT / "docs/faults.md").read_text()
-    ):
-        file = path or file
-        if path and not (ROOT / path).is_file():
-            missing.append(path)
-        elif name:
-            named += 1
-            if f"def {name}(" not in (ROOT / file).read_text(encoding="utf-8"):
-                missing.append(f"{file}::{name}")
-    assert not missing and named > 30
+def test_every_fault_of_the_page_has_a_test_that_is_there() -> None:
+    """`tests/faults.tsv`: the first cell of each row of `docs/faults.md`, and `FILE::test_...` or a bench."""
+    page = (ROOT / "docs/faults.md").read_text().partition("\n## What can still hurt")[0]
+    faults = [fault for fault in re.findall(r"^\| (.+?) \| ", page, re.MULTILINE) if fault != "fault"]
+    listed = [line.split("\t") for line in (ROOT / "tests/faults.tsv").read_text().splitlines()]
+    assert [fault for fault, _ in listed] == faults and len(faults) > 60
+    for _, place in listed:
+        path, _, name = place.split(" ")[0].partition("::")
+        assert f"def {name}(" in (ROOT / path).read_text(encoding="utf-8") if name else (ROOT / path).is_file(), place
