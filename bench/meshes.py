@@ -222,40 +222,30 @@ def markdown(head: list[str], rows: list[list[Any]]) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
 
-def tables(rows: list[dict[str, Any]], n: int) -> dict[str, str]:
+def tables(rows: list[dict[str, Any]]) -> dict[str, str]:
     """Both tables as Markdown, by the first words of their headings."""
     built = [r for r in rows if "refused" not in r]
     refused = [[r["object"], f"refused: {r['refused']}"] for r in rows if "refused" in r]
     made, repaired = [], []
     for r in built:
-        name = r["object"].removeprefix("sh3d_")
-        made.append([name, r["faces"], f"{r['build_cpu_s']} s", f"{r['pieces_cpu_s']} s"])
-        made[-1] += [f"{r[k]} in {r[f'{k}_cpu_s']} s" for k in ("grasps", "receiving")]
-        made[-1] += [f"{r['all_cpu_s']} s", *(f"{r.get(m, '-')}/{n}" for m in METHODS)]
-        change = r["volume_change"]
-        repaired.append([name, "; ".join(r["steps"]) or "as given"])
-        repaired[-1] += ["open as given" if change is None else f"{100 * change:+.2f} %"]
-        repaired[-1] += [
-            f"{r['within_99_mm']:.3f} mm ({r['within_99_kept_mm']:.3f} mm)",
-            f"{r['thinnest_wall_mm']:.2f} mm",
-        ]
-        repaired[-1] += [f"{r['moved_mm']:.3f} mm", f"{100 * r['differs_inside']:.2f} %"]
-        repaired[-1] += [f"{r['flips']} of {r['grasps_tried']} ({r['stable']} hold)"]
-    one = ["object", "faces", "build", "pieces", "grasps", "receiving", "in all", *METHODS]
-    two = [
-        "object",
-        "how it was made solid",
-        "volume",
-        "99 % within (without patches)",
-        "thinnest wall",
-        "surface moved",
-    ]
+        name, change = r["object"].removeprefix("sh3d_"), r["volume_change"]
+        spent = (r[f"{k}_cpu_s"] for k in ("build", "pieces", "grasps", "receiving", "all"))
+        made.append([name, r["faces"], *spent, *(r.get(m, "-") for m in METHODS)])
+        within, kept = (f"{r[k]:.3f}" for k in ("within_99_mm", "within_99_kept_mm"))
+        repaired.append(
+            [name, "; ".join(r["steps"]) or "as given", "open" if change is None else f"{100 * change:+.2f}"]
+        )
+        repaired[-1] += [within if within == kept else f"{within} ({kept})", f"{r['thinnest_wall_mm']:.2f}"]
+        repaired[-1] += [f"{r['moved_mm']:.3f}", f"{100 * r['differs_inside']:.2f}", f"{r['flips']} / {r['stable']}"]
+    one = ["object", "faces", "build", "pieces", "grasps", "receiving", "all", *METHODS]
+    two = ["object", "how it was made solid", "volume, %", "99 % within, mm", "thinnest wall, mm", "surface moved, mm"]
+    two += ["inside one alone, %", "flip / hold"]
     over = sorted((r for r in built if r["all_cpu_s"] > MOST_S), key=lambda r: -r["all_cpu_s"])
     others = ", ".join(f"{r['object'].removeprefix('sh3d_')} {r['all_cpu_s']} s" for r in over)
     said = f"{WITHIN} {len(built) - len(over)} of {len(built)} objects" + (f"; {others}." if others else ".")
     return {
         "| object | faces |": markdown(one, made + refused),
-        "| object | how ": markdown([*two, "inside of one alone", "grasps that flip"], repaired),
+        "| object | how ": markdown(two, repaired),
         WITHIN: said,
     }
 
@@ -295,7 +285,7 @@ def main() -> None:
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
         if out is not None:
             out.write_text(json.dumps({**stored, "trials": asked.trials, "objects": rows}, indent=1) + "\n")
-    found = tables(rows, asked.trials)
+    found = tables(rows)
     print(*found.values(), sep="\n\n")
     if asked.docs:
         write_docs(found)

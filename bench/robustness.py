@@ -21,37 +21,58 @@ from _report import ROOT, made_by
 METHODS = ("fc", "handover-va", "contact", "intent", "oracle", "random")
 PAGE = ROOT / "docs" / "results" / "robustness.md"
 WEIGHTS = (1, 2, 3)
+FAILURES = ("f_stab", "f_plan", "f_reach", "f_afford", "f_safe")
 TURNED_DEG = 10.0
 """An object that turns farther than this in the closed gripper has turned [choice]."""
 
 HEAD = """# Robustness: errors of execution, and weight
 
-Table I judges the poses that methods ask for. This page judges the poses that a robot would carry out whose camera is
-calibrated, and whose object lies in the gripper, with errors: both off by as much per axis, drawn by trial
-([definition](../choices.md#what-methods-and-planner-know)). `python bench/robustness.py` (bench/results/robustness.json)
-measured it: {trials} trials of each split of r2h-v1, motion as planned, commit {commit}. Your method: `r2h-batch sweep
---method mine.py:predict --set robustness=true --out runs/robust`.
+Compare methods under errors of execution. Table I judges the requested poses. Here the poses that a robot executes
+are off: calibration errors turn and shift camera and object by as much per axis, drawn by trial
+([definition](../choices.md#what-methods-and-planner-know)). `python bench/robustness.py`
+(bench/results/robustness.json) measured {trials} trials of each split of r2h-v1, motion as planned, commit {commit}.
+Your method: `r2h-batch sweep --method mine.py:predict --set robustness=true --out runs/robust`.
 
 ![SR over the execution error](robustness.png)
 
+## Success rates
+
+Percent of all trials, mean of the splits; brackets: 95 %, Wilson. Area: mean height of the line through the SRs over
+0 to the largest error in mm; +-: 95 % t interval over objects.
+
+{rates}
+
+## First failures
+
+Stability / Plan / Reach / Affordance / Safe, percent.
+
+{failures}
+
+## Pairs
+
+A less B, points of SR. ** decided for these objects and for new ones, * for these objects, without a mark: not
+decided (McNemar, Holm over the pairs of a level, bounds included).
+
+{pairs}
 """
 
 PAYLOAD = """
 ## Weight
 
-A grasp holds force and moment up to friction's limit: two pads, {grip:g} N each, friction {mu:g}, the whole pad in contact
-(`r2h_batch.judge.payload`). Shares of the grasps that pass Stability and turn or slip under 1, 2 and 3 times the object's
-weight; "any posture": in the worst direction of gravity.
+Two pads hold a grasp by friction: {grip:g} N each, friction {mu:g}, the whole pad in contact
+(`r2h_batch.judge.payload`). The table gives the shares of the grasps that pass Stability and turn or slip under 1, 2
+and 3 times the object's weight; "any posture": in the worst direction of gravity.
 
 {table}
 
-The same closed form against closing in MuJoCo C under 1 / 2 / 3 times the weight, {n} grasps. Failed: it turned by more than
-{turned:g} degrees or slipped by 2 cm.
+The next table compares the closed form with closing in MuJoCo C under 1 / 2 / 3 times the weight, for {n} grasps. In the
+simulator a grasp fails if it turns by more than {turned:g} degrees or slips by 2 cm.
 
 {physics}
 
-The closed form is an upper bound, for the whole pad is in contact in it: a grasp that fails there fails. The simulator fails
-more. Round and narrow objects touch less than the pad, and some are pushed out while the gripper closes, whatever they weigh.
+The closed form assumes that the whole pad is in contact, so it is an upper bound: a grasp that fails there fails. The
+simulator fails more. Round and narrow objects touch less than the pad, and closing pushes some out, whatever they
+weigh.
 """
 
 
@@ -160,7 +181,11 @@ def markdown(data: dict[str, Any]) -> str:
     """The page."""
     from r2h_batch.judge.grasp_physics import DROPPED_M, FRICTION
     from r2h_batch.judge.payload import GRIP_N
+    from r2h_batch.report.robustness import LEVELS
     from r2h_batch.report.text import aligned
+
+    def plain(head: list[str], rows: list[list[str]]) -> str:
+        return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
 
     def three(values: Sequence[float]) -> str:
         return " / ".join(f"{v:.1f}" for v in values)
@@ -188,7 +213,31 @@ def markdown(data: dict[str, Any]) -> str:
         ["only the closed form fails", *(closed & ~simulated).sum(0)],
         ["only the simulator's fails", *(~closed & simulated).sum(0)],
     ]
-    text = HEAD.format(trials=data["trials"], commit=str(data["commit"])[:12]) + data["tables"]
+    levels = [level.replace("mm,", " mm, ").replace("deg", " deg") for level in LEVELS]
+    curves = {c["method"].partition(" (")[0]: c for c in data["curves"]}
+    rates = [
+        [
+            m,
+            *(f"{r['percent']:.1f} [{r['low']:.0f}, {r['high']:.0f}]" for r in c["sr"]),
+            "{value:.1f} +-{half:.1f}".format(**c["area"]),
+        ]
+        for m, c in curves.items()
+    ]
+    failed = [
+        [m, *(" / ".join(f"{f[k]['percent']:.1f}" for k in FAILURES) for f in c["failures"])] for m, c in curves.items()
+    ]
+    pairs = [
+        [w.strip() for w in line.split("|")]
+        for line in data["tables"].partition("Pairs: A-B")[2].splitlines()
+        if "|" in line
+    ]
+    pairs = [line for line in pairs[2:] if {*line[:2]}.isdisjoint(("oracle", "random"))]
+    text = HEAD.format(
+        trials=data["trials"], commit=str(data["commit"])[:12],
+        rates=plain(["Method", *levels, "area"], rates),
+        failures=plain(["Method", *levels], failed),
+        pairs=plain(["A", "B", *levels], pairs),
+    )  # fmt: skip
     return text + PAYLOAD.format(
         grip=GRIP_N, mu=FRICTION, table=aligned(head, table, 1), n=len(every), turned=TURNED_DEG,
         physics=aligned(["Grasps", *(f"{w} x" for w in WEIGHTS)], [[str(c) for c in line] for line in counts], 1),

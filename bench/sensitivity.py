@@ -13,6 +13,7 @@ from pathlib import Path
 METHODS = ("fc", "handover-va", "contact", "intent")
 TITLES = {"fc": "FC-Handover", "handover-va": "Handover-VA", "contact": "Contact-Handover", "intent": "Intent-Handover"}
 COLUMNS = ("sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
+FAILURES = ("f_stab", "f_plan", "f_reach", "f_afford", "f_safe")
 BASE = ("--protocol", "r2h-v1")
 
 
@@ -110,33 +111,24 @@ def kept_pairs(order: Sequence[str], base: Sequence[str]) -> int:
 
 
 def markdown(data: dict) -> str:
-    """The page: a line a variant, changes of SR against the base, ranks, and pairs in the base."""
+    """The page: a line for each variant, changes of SR against the base, first failures, and pairs."""
     variants_, base = data["variants"], data["variants"][0]
     short = {"fc": "FC", "handover-va": "VA", "contact": "Contact", "intent": "Intent"}
     lines = [
-        "| changed | " + " | ".join(f"{short[m]} SR" for m in METHODS) + " | order | pairs as in the base |",
-        "|---|" + "--:|" * len(METHODS) + "---|--:|",
+        "| changed | " + " | ".join(f"{short[m]} SR" for m in METHODS) + " | pairs as in the base |",
+        "|---|" + "--:|" * len(METHODS) + "--:|",
     ]
+    failures = ["| changed | " + " | ".join(short[m] for m in METHODS) + " |", "|---|" + "--:|" * len(METHODS)]
     for v in variants_:
-        cells = []
+        cells, failed = [], []
         for m in METHODS:
-            sr = v["rates"][m]["Avg"]["sr"]
-            moved = "" if v is base or m not in v["own"] else f" ({sr - base['rates'][m]['Avg']['sr']:+.1f})"
-            cells.append(f"{sr:.1f}{moved}")
-        order = " > ".join(short[m] for m in v["order"])
-        lines.append(f"| {v['name']} | " + " | ".join(cells) + f" | {order} | {v['kept']} of 6 |")
-    failures = [
-        "| changed | method | " + " | ".join(c.upper()[0] + c[1:] for c in COLUMNS[1:]) + " | Presented |",
-        "|---|---|" + "--:|" * (len(COLUMNS) - 1) + "--:|",
-    ]
-    for v in variants_:
-        for m in v["own"]:
-            s0, s1 = v["rates"][m]["S0"], v["rates"][m]["S1"]
-            cells = [
-                f"{s1[c]:.1f}" if c == "f_afford" else f"{s0[c]:.1f} / {s1[c]:.1f}" for c in COLUMNS[1:]
-            ]  # S0 has no affordance
-            shown = "n/a" if s1["presented"] is None else f"{s1['presented']:.1f}"
-            failures.append(f"| {v['name']} | {short[m]} | " + " | ".join(cells) + f" | {shown} |")
+            rates = v["rates"][m]["Avg"]
+            moved = "" if v is base else f" ({rates['sr'] - base['rates'][m]['Avg']['sr']:+.1f})"
+            own = m in v["own"]
+            cells.append(f"{rates['sr']:.1f}{moved}" if own else "")
+            failed.append(" / ".join(f"{rates[c]:.1f}" for c in FAILURES) if own else "")
+        lines.append(f"| {v['name']} | " + " | ".join(cells) + f" | {v['kept']} of 6 |")
+        failures.append(f"| {v['name']} | " + " | ".join(failed) + " |")
     pairs = ["| changed | " + " | ".join(base["pairs"]) + " |", "|---|" + "---|" * len(base["pairs"])]
     for v in (v for v in variants_ if v["pairs"]):
         pairs.append(f"| {v['name']} | " + " | ".join(v["pairs"][pair] for pair in base["pairs"]) + " |")
@@ -145,16 +137,15 @@ def markdown(data: dict) -> str:
     best = sum(v["order"][0] == base["order"][0] for v in variants_[1:])
     parts = [
         "# What each choice is worth",
-        f"`make tables`: {data['trials']} trials of each split, motion as planned, base `{' '.join(BASE)}` with the default"
-        f" preset; one choice changed at a time. Commit {data['commit']}, code {data['code'][:16]}. Percent; in brackets the"
-        " change against the base, of the methods that the change touches.",
-        "Mean SR of both splits:",
+        f"`make tables` measured this: {data['trials']} trials of each split, motion as planned, base `{' '.join(BASE)}` with the"
+        f" default preset, one choice changed at a time. Commit {data['commit'][:12]}, code {data['code'][:16]}; single"
+        " splits and Presented in `sensitivity.json`. Cells of methods that a choice does not touch are empty.",
+        "## Success rates",
+        "Percent, mean of the splits; in brackets the change against the base.",
         "\n".join(lines),
-        f"The base's order holds in {len(stable)} of {len(variants_) - 1} variants"
-        + (f" ({', '.join(stable)})" if stable else "")
-        + f"; its first method stays first in {best}.",
+        f"The order of the base holds in {len(stable)} of {len(variants_) - 1} variants; its first method stays first in {best}.",
         "## First failures",
-        "S0 / S1 (Affordance and Presented: S1).",
+        "Stability / Plan / Reach / Affordance / Safe, percent, mean of the splits (Affordance: half of S1's rate).",
         "\n".join(failures),
         "## Apart or tied",
         "Exact McNemar on the same trials, both splits together, Holm over the six pairs: the better method of a pair, or tied"

@@ -7,7 +7,8 @@
 The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. Only when all are done do files change:
 
     r2h_batch/compare/baselines*, bench/rows/*    the rows of each table, with poses
-    docs/results/table1*.{md,csv,json}            the tables
+    docs/results/table1*.{csv,json}               the tables, with intervals, counts, versions and digests
+    docs/results/table1-{v1,others}.md            what a reader needs of them
     docs/results/sensitivity.{md,json}            what each choice is worth
     docs/results/findings.md, README.md, docs/choices.md    what follows from the tables
     docs/*.png, docs/pictures/*.png               pictures of runs
@@ -29,7 +30,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -89,11 +90,25 @@ PUBLISHED = (
 TABLES = tuple(p for p in PUBLISHED if p.title)
 
 FINGERS = {
-    "r2h-v0": "The protocol leaves a hand's roll free: fingers that point away from the robot ask FC- and Intent-Handover, which"
-    " oppose the gripper to them, for poses that no arm on this side takes.",
-    "r2h-v1": "The hand follows from a reaching arm (docs/receivers.md): few fingers point away from the robot.",
-    "r2h-release": "Palms point up and fingers away from the robot, within 50 degrees of sideways (docs/release.md).",
+    "r2h-v0": "The protocol leaves a hand's roll free. Where fingers point away from the robot, FC- and Intent-Handover oppose"
+    " the gripper to them and request poses that no arm on this side reaches.",
+    "r2h-v1": "The hand follows from a reaching arm ([receivers](../receivers.md#place-and-posture)): few fingers point away"
+    " from the robot.",
+    "r2h-release": "Palms point up and fingers away from the robot, within 50 degrees of sideways"
+    " ([release](../release.md#protocol-r2h-release)).",
 }
+RATES = {"SR": "sr", "F_plan": "f_plan", "F_reach": "f_reach", "F_safe": "f_safe", "F_stab": "f_stab"}
+RATES |= {"F_afford": "f_afford", "Presented": "presented"}
+TIMES = {
+    "T_plan, us": ("t_plan_s", 1e6, ".0f"),
+    "T_exec, s": ("t_exec_s", 1, ".2f"),
+    "T_method, us": ("t_method_s", 1e6, ".0f"),
+}
+NOTES = """- SR: percent of all trials of a split. F_*: percent whose first failure is that criterion, in the order Stability,
+  Plan, Reach, Affordance, Safe; SR and F_* add up to 100. F_afford and Presented (not in SR) are evaluated in S1 only.
+- T_plan: planning, amortised (batch wall time / B). T_exec: mean over the trials whose arm came to rest at its goal.
+  T_method: the method's own time.
+- `r2h-batch report ROWS` prints averages and the intervals of all rates."""
 
 
 def git(*words: str) -> str:
@@ -140,7 +155,9 @@ def plan_lines(run) -> list[str]:
     for (split, method), counts in sorted(found.items()):
         n = counts.total()
         lines.append(
-            f"| {split} | {method} | {n} | " + " | ".join(f"{100 * counts[k] / n:.0f} %" for k in kinds) + " |"
+            f"| {split} | {method.partition(' (')[0]} | {n} | "
+            + " | ".join(f"{100 * counts[k] / n:.0f} %" for k in kinds)
+            + " |"
         )
     return lines
 
@@ -173,7 +190,9 @@ def finger_lines(run) -> list[str]:
         failed = np.array(rows["outcome"].to_pylist()) == "plan"
         failed = failed[np.argsort(np.array(rows["trial_id"]))][np.argsort(np.argsort(ids))]
         lines.append(
-            f"| {method} | " + " | ".join(f"{100 * failed[m].mean():.1f}" if m.any() else "-" for m in inside) + " |"
+            f"| {method.partition(' (')[0]} | "
+            + " | ".join(f"{100 * failed[m].mean():.1f}" if m.any() else "-" for m in inside)
+            + " |"
         )
     return lines
 
@@ -216,8 +235,109 @@ def unsolved(run) -> dict[str, list[int]]:
     return {"oracle_unsolved": oracle, "solved_by_nobody": [t for t, who in sorted(solved.items()) if not who]}
 
 
+def line_of(head: str, cells: Sequence[str]) -> str:
+    """A line of a Markdown table."""
+    return f"| {head} | " + " | ".join(cells) + " |"
+
+
+def both_splits(data: dict, cell: Callable[[dict], str], column: str = "sr") -> dict[str, str]:
+    """Method -> `S0 / S1` of its cells; the split alone where the other one has no value."""
+    found: dict[str, list[str]] = {}
+    for row in data["rows"]:
+        if row["split"] != "Avg" and row[column] is not None:
+            found.setdefault(row["method"].partition(" (")[0], []).append(cell(row))
+    return {method: " / ".join(cells) for method, cells in found.items()}
+
+
+def columns_table(columns: dict[str, dict[str, str]]) -> str:
+    """A Markdown table: a line for each method."""
+    lines = [line_of("S0 / S1", list(columns)), "|---|" + "--:|" * len(columns)]
+    return "\n".join(
+        [*lines, *(line_of(m, [c.get(m, "-") for c in columns.values()]) for m in next(iter(columns.values())))]
+    )
+
+
+def rates_of(data: dict) -> dict[str, dict[str, str]]:
+    """Columns of SR, first failures and Presented."""
+    return {h: both_splits(data, f"{{{c}:.1f}}".format_map, c) for h, c in RATES.items()}
+
+
+def times_of(data: dict) -> dict[str, dict[str, str]]:
+    """Columns of mean times."""
+    found = {}
+    for head, (column, factor, digits) in TIMES.items():
+        rows = [r | {column: r[column] and factor * r[column]} for r in data["rows"]]
+        found[head] = both_splits({"rows": rows}, f"{{{column}:{digits}}}".format_map, column)
+    return found
+
+
+def intervals_table(data: dict) -> str:
+    """95 % intervals of SR, and the motions that meet the receiver's body."""
+
+    def ends(low: str, high: str) -> dict[str, str]:
+        return both_splits(data, lambda r: f"{r[low]:.1f}-{r[high]:.1f}", low)
+
+    columns = {
+        "SR, more trials": ends("sr_low", "sr_high"),
+        "SR, new objects": ends("sr_new_objects_low", "sr_new_objects_high"),
+    }
+    met = both_splits(data, lambda r: f"{r['body_met']:.1f} of {r['t_exec_s_n']}", "body_met")
+    return columns_table(columns | {"arm or torso met, % of motions": met})
+
+
+def v1_page(published: Published, data: dict) -> str:
+    """docs/results/table1-v1.md: the benchmark's table, and what is behind it."""
+    from r2h_batch.runs.store import load_run
+
+    run, made = load_run(ROOT / published.rows), data["provenance"]
+    parts = [
+        f"# {published.title}",
+        f"`{made['command']}`; rows in `{made['rows']}`, intervals, counts, versions and digests in"
+        f" `{published.name}.json`; commit {made['commit'][:12]}.",
+        columns_table(rates_of(data)),
+        columns_table(times_of(data)),
+        NOTES,
+        "## Intervals",
+        "95 %. More trials: Wilson, with these objects. New objects: t interval over objects of the same kind. Motions that meet"
+        " arm or torso count in Safe only with `--receiver body`.",
+        intervals_table(data),
+        "## Why Plan fails",
+        "Percent of a method's Plan failures: the pair of bodies that overlap in the posture of the last branch, or"
+        " `ik_unreachable`.",
+        "\n".join(plan_lines(run)),
+        "## Plan failures by where the receiver's fingers point",
+        "Angle between the true hand's direction (wrist to middle tip) and the horizontal direction to the robot. "
+        + FINGERS["r2h-v1"],
+        "\n".join(finger_lines(run)),
+        "## By object",
+        f"SR in percent; `r2h-batch report {published.rows.as_posix()} --by-object` prints the other rates, intervals and which"
+        " criteria fail together.",
+        "\n".join(object_matrix(run)),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def others_page(tables: dict[Published, dict]) -> str:
+    """docs/results/table1-others.md: the same table of the other protocols and presets."""
+    parts = [
+        "# Table I of other protocols and presets",
+        "The same methods and commit as in [Table I of r2h-v1](table1-v1.md), which explains the columns. The flags"
+        " of `sweep` differ. [Findings](findings.md) compares the tables with the paper's.",
+    ]
+    for published, data in tables.items():
+        rows, flags = published.rows.as_posix(), shlex.join(published.flags)
+        parts += [
+            f"## {published.title.removeprefix('Table I of ')}",
+            f"`{flags}`; rows in `{rows}`, all figures in `{published.name}.json`.",
+        ]
+        if (protocol := data["origin"]["protocol"]) != "r2h-v1":
+            parts.append(FINGERS[protocol])
+        parts.append(columns_table(rates_of(data) | {"T_exec, s": times_of(data)["T_exec, s"]}))
+    return "\n\n".join(parts) + "\n"
+
+
 def table_files(published: Published, rows: Path) -> dict[str, str]:
-    """Name -> text of the table's .md, .csv and .json, from stored rows alone."""
+    """Name -> text of the table's .csv and .json, from stored rows alone."""
     from r2h_batch.report.table import render, table_of
     from r2h_batch.runs.store import load_run
 
@@ -228,28 +348,8 @@ def table_files(published: Published, rows: Path) -> dict[str, str]:
     origin = {"command": command, "commit": header["git_commit"], "digests": header["digests"]}
     origin |= {"methods": {m: run.digest(m) for m in run.methods}, "predictors": header["predictors"]}
     origin |= {"versions": header["versions"], "device": header["device"]["name"], "rows": published.rows.as_posix()}
-    versions = ", ".join(f"{k} {v}" for k, v in header["versions"].items())
-    parts = [
-        f"# {published.title}",
-        f"`{command}`; the rows are in `{published.rows.as_posix()}`.",
-        f"Commit {header['git_commit']}; code {header['digests']['code'][:16]}; versions: {versions}.",
-        render(table, "md").rstrip(),
-        "## Why Plan fails",
-        "Percent of a method's Plan failures: the pair of bodies that overlap in the posture of the last branch, or"
-        " `ik_unreachable`.",
-        "\n".join(plan_lines(run)),
-        "## Plan failures by where the receiver's fingers point",
-        "Angle between the true hand's direction (wrist to middle tip) and the horizontal direction to the robot. "
-        + FINGERS[header["protocol"]],
-        "\n".join(finger_lines(run)),
-        "## By object",
-        f"SR in percent; `r2h-batch report {published.rows.as_posix()} --by-object` prints the other rates, intervals and which"
-        " criteria fail together.",
-        "\n".join(object_matrix(run)),
-    ]
     data = json.loads(render(table, "json")) | {"provenance": origin, "pairs": pairs_of(run)} | unsolved(run)
     return {
-        f"{published.name}.md": "\n\n".join(parts) + "\n",
         f"{published.name}.csv": render(table, "csv"),
         f"{published.name}.json": json.dumps(data, indent=1) + "\n",
     }
@@ -274,6 +374,9 @@ def render_all() -> dict[Path, str]:
     """Every published text (path from the checkout's root), from the stored rows and docs/results/sensitivity.json."""
     files = {RESULTS / name: text for p in TABLES for name, text in table_files(p, ROOT / p.rows).items()}
     data = {p.name: json.loads(files[RESULTS / f"{p.name}.json"]) for p in TABLES}
+    first, *others = TABLES
+    files[RESULTS / "table1-v1.md"] = v1_page(first, data[first.name])
+    files[RESULTS / "table1-others.md"] = others_page({p: data[p.name] for p in others})
     files[RESULTS / "sensitivity.md"] = sensitivity.markdown(
         json.loads((ROOT / RESULTS / "sensitivity.json").read_text())
     )
