@@ -41,7 +41,7 @@ from r2h_batch.importers.release_files import (
     validated,
 )
 from r2h_batch.importers.release_scenes import experiment_trials, paired_trials
-from r2h_batch.io.read import FileError, printable, read_file, read_json
+from r2h_batch.io.read import FileError, path_within, printable, read_file, read_json
 from r2h_batch.io.write import csv_cell, write_npz, write_text
 from r2h_batch.runs.store import IMPORTED
 from r2h_batch.verdicts import SIDES, SPLITS
@@ -74,6 +74,8 @@ LEAST_M = 1e-3
 END_M, END_ENTRY = 0.005, 0.01
 """How far a motion may end from the handover pose: the release's own test of Plan."""
 MOST_TRIALS = 100_000
+MOST_OBSTACLES = 20
+"""Beside the table: each is a convex piece of the hand's mesh, which has `MAX_SKIN_PIECES`."""
 
 TABLE_BOX = Boxes(
     np.array([[[1.0, 0, 0, -0.35], [0, 1, 0, 0], [0, 0, 1, 0.70], [0, 0, 0, 1]]]),
@@ -108,6 +110,7 @@ class ReleaseTrial:
         tuple[NDArray[np.float32], NDArray[np.int32]] | None
     )  # vertices in the palm's frame, and faces
     hand_boxes: Array  # (n, 8, 3) corners in the palm's frame
+    obstacles: Array  # (m, 8, 3) of the boxes beside the table, the same
     place: dict[str, Any]  # thresholds, table and home, as a benchmark file says them
     q: Array | None  # (K, 6) the executed motion; None: there is none for our gripper
     planned_q: Array  # (P, 6) the plan, where there is a motion
@@ -129,6 +132,7 @@ def read_trials(path: Path) -> tuple[list[ReleaseTrial], int]:
     experiments: list[tuple[Any, Path]] = []
 
     def take(file: TrialFile, where: str) -> None:
+        _check_source(file, path if path.is_dir() else path.parent, where)
         trial = _converted(file, where)
         # one copy in memory of an object that many trials have
         mesh = meshes.setdefault(_shape(trial.mesh), trial.mesh)
@@ -167,6 +171,25 @@ def read_trials(path: Path) -> tuple[list[ReleaseTrial], int]:
     return found, none
 
 
+def _check_source(file: TrialFile, folder: Path, where: str) -> None:
+    """The digest of the object's mesh file, where that file lies in the folder of the trials."""
+    mesh = file.object_mesh_object
+    if mesh is None or not mesh.source_sha256:
+        return
+    try:
+        source = path_within(folder, mesh.source_path)
+    except FileError:  # a path of the machine that wrote the trial
+        return
+    if not source.is_file():
+        return
+    found = hashlib.sha256(read_file(source, MAX_BYTES)).hexdigest()
+    if found != mesh.source_sha256:
+        raise FileError(
+            f"{where}: object_mesh_object.source_sha256 is {mesh.source_sha256[:12]}...; "
+            f"{printable(source)} has {found[:12]}..."
+        )
+
+
 def _converted(file: TrialFile, where: str) -> ReleaseTrial:
     if file.method_geometry_invalidated:
         raise FileError(
@@ -174,9 +197,15 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
         )
     try:
         mesh, region = _object(file, where)
-        place = _place(file, where)
+        place, others = _place(file)
+        if len(others) > MOST_OBSTACLES:
+            raise FileError(
+                f"{where}: obstacle_boxes_world has {len(others)} boxes beside the table; at most "
+                f"{MOST_OBSTACLES} are allowed"
+            )
         side, T_world_palm = _palm(file, where)
         surface = _hand_surface(file, T_world_palm, side, where)
+        obstacles = _corners(others, T_world_palm, side)
     except FileError as error:
         said = str(error)
         raise FileError(said if said.startswith(where) else f"{where}: {said}") from None
@@ -185,10 +214,12 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
     own = file.own
     if own is not None and np.abs(T_world_palm - own.T_world_palm).max() > RIGID:
         own = None
+    if len(others):  # they are pieces of a mesh, and a posture has none
+        own = None
     return ReleaseTrial(
         file.id, file.object_id, file.variant, file.split, mesh, region,
         file.T_object_gripper @ back, T_world_ee, T_world_release @ T_world_palm, side,
-        own, *surface, place,
+        own, *surface, obstacles, place,
         *_motion(file, T_world_ee), file.dt_s,
     )  # fmt: skip
 
@@ -241,32 +272,33 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[Any]]
     return mesh, volumes
 
 
-def _place(file: TrialFile, where: str) -> dict[str, Any]:
-    """Thresholds, table and home as a benchmark file says them."""
+def _place(file: TrialFile) -> tuple[dict[str, Any], Boxes]:
+    """Thresholds, table and home as a benchmark file says them; and the obstacles beside the table.
+
+    The table is the box along the world's axes that has the largest top.
+    """
     boxes = TABLE_BOX if file.obstacle_boxes_world is None else file.obstacle_boxes_world
-    boxes = boxes if len(boxes) else NO_TABLE
-    if len(boxes) > 1:
-        raise FileError(
-            f"{where}: obstacle_boxes_world has {len(boxes)} boxes; one, the table, can be judged"
-        )
-    turned = np.abs(boxes.T[0, :3, :3])
-    if np.abs(turned - np.round(turned)).max() > RIGID:
-        raise FileError(
-            f"{where}: obstacle_boxes_world.0 is turned; a table lies along the world's axes"
-        )
-    half = np.round(turned) @ boxes.half[0]
-    middle = (T_world_release @ boxes.T[0])[:3, 3]
+    turn = np.abs(boxes.T[:, :3, :3])
+    upright = np.abs(turn - np.round(turn)).max((1, 2), initial=0) <= RIGID
+    half = np.einsum("nij,nj->ni", np.round(turn), boxes.half)
+    table, half_of_table, others = NO_TABLE.T[0], NO_TABLE.half[0], np.ones(len(boxes), bool)
+    if upright.any():
+        largest = int(np.where(upright, half[:, 0] * half[:, 1], -1.0).argmax())
+        table, half_of_table = boxes.T[largest], half[largest]
+        others[largest] = False
+    middle = (T_world_release @ table)[:3, 3]
     home = file.planned_joints[0] if len(file.planned_joints) else HOME_Q
     limits = {
         "reach_offset_m": file.reach_offset_m,
         "reach_radius_m": file.reach_radius_m,
         "w_max_m": file.max_opening_m,
     }
-    return {
+    said = {
         "thresholds": limits,
-        "table": {"center": np.round(middle, 9).tolist(), "half": [float(x) for x in half]},
+        "table": {"center": np.round(middle, 9).tolist(), "half": half_of_table.tolist()},
         "home": [round(float(x), 6) for x in home],  # float32 and float64 say one home
     }
+    return said, Boxes(boxes.T[others], boxes.half[others])
 
 
 def _palm(file: TrialFile, where: str) -> tuple[int, Array]:
@@ -295,10 +327,7 @@ def _hand_surface(
     file: TrialFile, T_world_palm: Array, side: int, where: str
 ) -> tuple[tuple[NDArray[np.float32], NDArray[np.int32]] | None, Array]:
     """The hand's mesh, if there is one, and the corners of its boxes, in the palm's frame."""
-    to_palm = np.linalg.inv(T_world_palm)
-    boxes = file.hand_boxes_world.moved(to_palm).corners()
-    if side:  # faces of left hands count backwards: the sides at -x and +x change places
-        boxes = np.roll(boxes, 4, 1)
+    boxes = _corners(file.hand_boxes_world, T_world_palm, side)
     if file.hand_mesh_world is None:
         return None, boxes
     vertices, faces = file.hand_mesh_world.vertices, file.hand_mesh_world.faces
@@ -306,8 +335,15 @@ def _hand_surface(
         raise FileError(
             f"{where}: hand_mesh_world.faces names vertex {faces.max()}; there are {len(vertices)}"
         )
-    skin = transform_points(to_palm, vertices).astype(np.float32)
+    skin = transform_points(np.linalg.inv(T_world_palm), vertices).astype(np.float32)
     return (skin, (faces[:, ::-1] if side else faces).astype(np.int32)), boxes
+
+
+def _corners(boxes: Boxes, T_world_palm: Array, side: int) -> Array:
+    """(n, 8, 3) corners in the palm's frame, in the order in which `box_faces` is a hand's of this side."""
+    corners = boxes.moved(np.linalg.inv(T_world_palm)).corners()
+    # faces of left hands count backwards: the sides at -x and +x change places
+    return np.roll(corners, 4, 1) if side else corners
 
 
 def palm_in_hand(joints: torch.Tensor, side: int) -> Array:
@@ -426,16 +462,23 @@ def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
     shapes = {
         (len(v), np.sort(_from_least(f).view("i8,i8,i8"), axis=0).tobytes()) for v, f in meshes
     }
+    beside = max(len(t.obstacles) for t in trials)
+    most = MAX_SKIN_PIECES - beside
     if len(meshes) == len(trials) and len(shapes) == 1:
         form, skins, faces = "meshes", np.stack([v for v, _ in meshes]), meshes[0][1]
-        piece = _pieces(skins[0], faces)
+        piece = _pieces(skins[0], faces, most)
     else:
         form, n = "boxes", max(len(t.hand_boxes) for t in trials)
-        # a hand with fewer boxes has its last one several times
-        at = [np.minimum(np.arange(n), len(t.hand_boxes) - 1) for t in trials]
-        skins = np.stack([t.hand_boxes[k].reshape(-1, 3) for t, k in zip(trials, at)])
+        skins = np.stack([_repeated(t.hand_boxes, n) for t in trials])
         faces = box_faces(n)
-        piece = np.repeat(np.arange(n) * min(n, MAX_SKIN_PIECES) // n, len(faces) // n)
+        piece = np.repeat(np.arange(n) * min(n, most) // n, len(faces) // n)
+    if beside:
+        boxes = [t.obstacles if len(t.obstacles) else t.hand_boxes for t in trials]
+        own_faces = box_faces(beside)
+        own_piece = np.repeat(np.arange(beside), len(own_faces) // beside)
+        faces = np.concatenate([faces, own_faces + skins.shape[1]])
+        piece = np.concatenate([piece, own_piece + piece.max() + 1])
+        skins = np.concatenate([skins, np.stack([_repeated(b, beside) for b in boxes])], 1)
     rounded = np.concatenate([side[:, None], skins.reshape(len(skins), -1).round(6)], 1)
     _, first, hand = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     return form, {
@@ -455,8 +498,13 @@ def _from_least(faces: NDArray[Any]) -> NDArray[np.int64]:
     return np.ascontiguousarray(np.take_along_axis(faces, at, 1).astype(np.int64))
 
 
-def _pieces(vertices: NDArray[Any], faces: NDArray[Any]) -> NDArray[np.int64]:
-    """The piece of each face: cells of the finest grid that fills at most `MAX_SKIN_PIECES` of them. Flat
+def _repeated(boxes: Array, n: int) -> Array:
+    """(8 n, 3) corners of n boxes: of fewer the last one stands several times."""
+    return boxes[np.minimum(np.arange(n), len(boxes) - 1)].reshape(-1, 3)
+
+
+def _pieces(vertices: NDArray[Any], faces: NDArray[Any], most: int) -> NDArray[np.int64]:
+    """The piece of each face: cells of the finest grid that fills at most `most` of them. Flat
     cells join the nearest one that has a volume."""
     centre = vertices[faces].mean(1)
     low, size = centre.min(0), np.ptp(centre, axis=0).max() / 2
@@ -464,7 +512,7 @@ def _pieces(vertices: NDArray[Any], faces: NDArray[Any]) -> NDArray[np.int64]:
     while True:
         grid = ((centre - low) / size).astype(int)
         _, finer = np.unique(grid, axis=0, return_inverse=True)
-        if finer.max() >= MAX_SKIN_PIECES or size < LEAST_M:
+        if finer.max() >= most or size < LEAST_M:
             break
         cell, size = finer.reshape(-1), size * 0.95
     middle = np.stack([centre[cell == k].mean(0) for k in range(cell.max() + 1)])

@@ -174,6 +174,8 @@ class Mesh(Entry):
 
     vertices: Annotated[Array, _rows(3, -10, 10, least=4)]
     faces: Annotated[NDArray[np.int64], _rows(3, 0, 1 << 31, least=4, kinds="iu")]
+    source_path: str = ""
+    source_sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
 
 
 class Receiver(Entry):

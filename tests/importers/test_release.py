@@ -297,6 +297,31 @@ def test_a_sweep_judges_their_files_in_one_step_and_keeps_their_ids(tmp_path):
             assert run.labels[run.trial_id("bottle_missed_delivery")] == ("bottle_missed_delivery", "missed_delivery")
 
 
+def test_obstacles_beside_the_table_stand_in_the_way_of_given_and_new_motions(tmp_path):
+    """A turned box at the tool of a sample in the middle of the given motion; and one that is far from all of it."""
+    (tmp_path / "in").mkdir()
+    trial = fixture("bottle", "region_agnostic", tool=MATCHED)
+    ground = {"center": [-0.35, 0, 0.2], "half_extents": [0.65, 0.55, 0.035]}
+    turned = trimesh.transformations.rotation_matrix(0.4, (1, 2, 3))
+    middle = tcp(np.array(trial["executed_joints"])[14]) @ shift(MATCHED)
+    boxes = {"far": [1.5, 0, 2], "near": middle[:3, 3]}
+    for name, at in boxes.items():
+        turned[:3, 3] = at
+        obstacles = [box(turned, (0, 0, 0), (0.005, 0.005, 0.005)), ground]
+        (tmp_path / "in" / f"{name}.json").write_text(
+            json.dumps(trial | {"id": name, "obstacle_boxes_world": obstacles})
+        )
+    for more, near in (([], "plan"), (["--replan"], "success")):
+        out = tmp_path / f"run{len(more)}"
+        done = in_process(
+            "--trials-from", tmp_path / "in", "--sim", "none", "--set", "width=whole", *more, "--out", out
+        )
+        assert done.returncode == 0, done.stderr
+        run = load_run(out)
+        rows = {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}
+        assert {k: r["outcome"] for k, r in rows.items()} == {"far": "success", "near": near}
+
+
 def test_a_receivers_palm_frame_is_where_the_hand_stands(tmp_path):
     trial = fixture("bottle", "region_agnostic")
     P = np.eye(4)
@@ -410,12 +435,15 @@ def changed(**fields):
         ({"usage_boxes": [{"center": [0, 0, 0], "half_extents": [1, 1, 1], "rotation": [[1, 0, 0]] * 3}]},
          "rotation: row 0 is no rotation, 3 x 3"),
         ({"object_mesh_object": {"vertices": [[0, 0, 0]] * 4, "faces": [[0, 1, 2]] * 4}}, "smaller than 1 mm"),
+        ({"object_mesh_object": {"vertices": [[0, 0, 0]] * 4, "faces": [[0, 1, 2]] * 4, "source_path": "o.obj",
+                                 "source_sha256": "0" * 64}}, "source_sha256 is 000000000000...; "),
         ({"method_geometry_invalidated": True}, "method_geometry_invalidated is true"),
-        ({"obstacle_boxes_world": [{"center": [0, 0, 0], "half_extents": [1, 1, 1]}] * 2}, "has 2 boxes; one, the table"),
+        ({"obstacle_boxes_world": [{"center": [0, 0, 0], "half_extents": [1, 1, 1]}] * 22}, "has 21 boxes beside the table"),
     ],
 )  # fmt: skip
 def test_what_is_no_trial_is_refused_in_one_line_that_names_the_field(tmp_path, capsys, fields, line):
     (tmp_path / "t.json").write_text(json.dumps(changed(**fields)))
+    (tmp_path / "o.obj").write_text("v 0 0 0\n")
     code = main(
         ["import", "trials", str(tmp_path / "t.json"), "--from", "r2handoversim", "--out", str(tmp_path / "out")]
     )
