@@ -27,7 +27,8 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch import se3
 from r2h_batch.__main__ import main as r2h_batch_main
-from r2h_batch.benchmark import built_in, read_benchmark
+from r2h_batch.benchmark.benchmark import built_in
+from r2h_batch.benchmark.build import read_benchmark
 from r2h_batch.export.release import TOOL_M
 from r2h_batch.importers.release import PADS_M, T_world_release, along_z
 from r2h_batch.judge.ik import solve_ik

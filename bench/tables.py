@@ -167,7 +167,7 @@ def finger_lines(run) -> list[str]:
     import numpy as np
     import torch
 
-    from r2h_batch.benchmark import built_in
+    from r2h_batch.benchmark.benchmark import built_in
     from r2h_batch.scene.scene import Scene
     from r2h_batch.trials.protocol import trials_with_ids
 

@@ -16,7 +16,8 @@ import torch
 from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
-from r2h_batch.benchmark import Benchmark, read_benchmark
+from r2h_batch.benchmark.benchmark import Benchmark
+from r2h_batch.benchmark.build import read_benchmark
 from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Robot

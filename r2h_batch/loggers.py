@@ -10,8 +10,6 @@ from typing import Any, Literal, Self, get_args
 
 from r2h_batch.validate import one_of
 
-__all__ = ["LOGGERS", "Logger"]
-
 LoggerName = Literal["tensorboard", "wandb", "mlflow", "trackio"]
 LOGGERS: tuple[str, ...] = get_args(LoggerName)
 PROJECT = "r2h_batch"

@@ -14,8 +14,6 @@ from r2h_batch.types import Outcome, Scores
 from r2h_batch.validate import describe_value, instance_of, integer, number
 from r2h_batch.validate_tensors import check_tensor, check_tensor_arguments
 
-__all__ = ["best_of_k", "first_failure", "margin_vector", "quality", "rank_of_k", "success"]
-
 NOT_JUDGED = -2
 NO_FAILURE = -1
 

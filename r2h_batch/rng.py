@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["accepted", "choice", "key_of", "philox4x32", "rotation", "uniforms"]
-
 Array = NDArray[np.float64]
 
 MAX_ATTEMPTS = 100_000

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from r2h_batch import rng
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["PROTOCOL", "PROTOCOLS", "assign_hands", "assign_objects", "trial_ids"]
-
 PROTOCOL = "r2h-v1"
 """The default protocol."""
 RELEASE = "r2h-release"

@@ -18,8 +18,6 @@ from torch import Tensor
 from r2h_batch.validate import boolean, describe_value, number
 from r2h_batch.validate_tensors import check_tensor, check_tensor_arguments
 
-__all__ = ["soft_success", "with_gradient"]
-
 _LOG_2 = 0.6931471805599453
 
 LOWEST_M = -1e3

@@ -10,16 +10,6 @@ from numpy.typing import NDArray
 
 from r2h_batch.verdicts import CRITERIA, MarginKind, Outcome, PlanReason
 
-__all__ = [
-    "counted",
-    "frame_of",
-    "html_table",
-    "scalars_of",
-    "scores_line",
-    "scores_table",
-    "share",
-]
-
 Array = NDArray[Any]
 
 

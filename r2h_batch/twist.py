@@ -11,8 +11,6 @@ from torch import Tensor
 
 from r2h_batch import se3
 
-__all__ = ["exp", "log", "retract", "tangent"]
-
 SMALL = 1e-2
 """Squared angle below which series stand in for sin, cos: their error is below 1e-16 there."""
 

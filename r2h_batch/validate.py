@@ -24,11 +24,6 @@ from typing import Any, ParamSpec, SupportsIndex, TypeVar, get_type_hints
 
 from r2h_batch.io.read import FileError, printable
 
-__all__ = [
-    "Rule", "array", "boolean", "check_arguments", "describe_value", "expand_home", "instance_of", "integer", "number",
-    "one_of", "optional", "parse_number", "parse_whole_number", "path", "rule_of", "sequence_of", "text", "validate_fields",
-]  # fmt: skip
-
 Rule = Callable[[str, Any], Any]
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -14,10 +14,6 @@ from torch import Tensor
 
 from r2h_batch.validate import Rule, check_arguments, describe_value
 
-__all__ = [
-    "as_numbers", "check_indices", "check_range", "check_tensor", "check_tensor_arguments", "checked_device", "row_index",
-]  # fmt: skip
-
 _INTEGERS = (torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8)
 
 P = ParamSpec("P")

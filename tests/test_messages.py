@@ -10,7 +10,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.bodies.hand_file import read_hand_set
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.io.read import FileError
-from r2h_batch.trials import make_trials
+from r2h_batch.trials.protocol import make_trials
 
 POSE = [np.eye(4).tolist()]
 ONE = {"trial_id": [0], "T_obj_ee": POSE, "T_world_ee": POSE}

@@ -9,7 +9,7 @@ import torch
 
 from r2h_batch import Evaluator
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark import built_in
+from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge.ik import solve_ik

@@ -11,7 +11,7 @@ import yaml
 
 from r2h_batch import make_trials
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark import built_in
+from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.benchmark.model import BenchmarkFile, read_benchmark_file, read_object_file
 from r2h_batch.benchmark.trials_file import POSTURE, TEXTS, WIDTH, read_trials_file
 from r2h_batch.predictors import read_observations

@@ -21,8 +21,6 @@ from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE
 from r2h_batch.types import Trials
 from r2h_batch.validate import instance_of, optional
 
-__all__ = ["Benchmark", "built_in"]
-
 WITH_BODIES = PROTOCOLS[1]
 """The protocol whose trials have receivers with a body."""
 

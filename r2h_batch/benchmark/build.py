@@ -53,11 +53,6 @@ from r2h_batch.importers.mano import hand_from
 from r2h_batch.io.read import FileError, path_within, printable, read_file, read_npy
 from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE
 
-__all__ = [
-    "BenchmarkOverrides", "benchmark_of_run", "hand_of", "hand_set_of", "objects_of",
-    "read_benchmark",
-]  # fmt: skip
-
 MAX_FILE_BYTES = 1 << 30
 MAX_LABELS_BYTES = 64 << 20
 

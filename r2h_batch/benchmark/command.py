@@ -5,8 +5,6 @@ from pathlib import Path
 
 from r2h_batch.command_line import failed, refuse, tell
 
-__all__ = ["COMMANDS", "check", "show"]
-
 
 def show(*, builtin: bool = False) -> int:
     """Print the schema of a benchmark file (JSON Schema).

@@ -3,8 +3,6 @@
 from dataclasses import asdict, dataclass
 from typing import Literal
 
-__all__ = ["BUILT_IN", "BenchmarkFlags"]
-
 
 @dataclass(frozen=True)
 class BenchmarkFlags:

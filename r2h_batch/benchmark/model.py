@@ -19,11 +19,6 @@ from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.io.read import FileError, printable, read_yaml
 from r2h_batch.validate import rule_of
 
-__all__ = [
-    "BUILT_IN", "BenchmarkFile", "HandsEntry", "ObjectEntry", "WordsEntry", "built_in_text", "read_benchmark_file",
-    "read_object_file",
-]  # fmt: skip
-
 BUILT_IN = "built-in"
 DEEPEST = 6
 MAX_OBJECTS = 1000

@@ -38,8 +38,6 @@ from r2h_batch.io.tables import read_csv_arrays, read_json_arrays, read_parquet_
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["LISTED", "Labels", "listed_with_ids", "read_trials_file"]
-
 LISTED = "listed"
 """Protocol of a run whose trials a file lists."""
 

@@ -6,8 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["PART_WORDS", "S0_ROLES", "THINGS", "VERB_WORDS", "Thing"]
-
 
 @dataclass(frozen=True)
 class Thing:

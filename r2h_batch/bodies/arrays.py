@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["arrays_digest", "asset", "read_arrays", "stored_arrays"]
-
 
 def arrays_digest(arrays: Mapping[str, NDArray[Any]]) -> str:
     """sha256 over names, types, shapes and bytes, sorted by name; the container's time stamps do

@@ -5,8 +5,6 @@ from collections.abc import Iterable, Sequence
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.validate import describe_value
 
-__all__ = ["checked_objects"]
-
 
 def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel, ...]:
     """The given objects, the built-in ones for None; no two of one name: rows name their object,

@@ -15,8 +15,6 @@ from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.io.arrays import Spec, check_arrays, check_poses
 from r2h_batch.io.read import FileError, printable, read_npz
 
-__all__ = ["ANY_PART", "GraspSet", "read_grasps"]
-
 ANY_PART = -1
 MAX_GRASPS = 100_000
 WIDEST_M = 10.0

@@ -27,20 +27,6 @@ from r2h_batch.bodies.arrays import arrays_digest, asset, read_arrays
 from r2h_batch.bodies.hand_file import check_postures, read_hand, read_hand_set
 from r2h_batch.config import BALL_OFFSET_M
 
-__all__ = [
-    "MAX_SKIN_PIECES",
-    "HandGeometry",
-    "HandModel",
-    "HandSet",
-    "ball_center",
-    "load_hand",
-    "load_hand_set",
-    "make_hand_set",
-    "make_skin_set",
-    "neutral_hand_set",
-    "palm_frame",
-]
-
 JOINTS = 16
 POSE_SIZE = 48
 SHAPE_SIZE = 10

@@ -14,10 +14,6 @@ from numpy.typing import NDArray
 from r2h_batch.io.arrays import Spec, check_arrays, not_rigid
 from r2h_batch.io.read import FileError, printable, read_npz
 
-__all__ = [
-    "HELD_S", "HandChoice", "check_lengths", "check_postures", "in_body", "read_hand", "read_hand_set",
-]  # fmt: skip
-
 HAND: dict[str, Spec] = {
     "vertices": ("f", ("V", 3)),
     "faces": ("iu", ("F", 3)),

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-__all__ = ["NAMES", "close_holes", "convex_pieces", "hulls_of", "joint_axes", "tip_vertices"]
-
 F64 = NDArray[np.float64]
 Ids = NDArray[np.int32]
 

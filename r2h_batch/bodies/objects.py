@@ -37,26 +37,6 @@ from r2h_batch.io.read import printable
 if TYPE_CHECKING:
     from r2h_batch.benchmark.vocabulary import Thing
 
-__all__ = [
-    "BUILT_IN_NAMES",
-    "OBJECT_NAMES",
-    "S0_NAMES",
-    "S1_NAMES",
-    "ObjectMeshError",
-    "ObjectModel",
-    "build_object",
-    "call_of",
-    "is_built",
-    "is_built_in",
-    "load_objects",
-    "object_digest",
-    "object_from_argument",
-    "read_object",
-    "stored_key",
-    "stored_objects",
-    "without_region",
-]
-
 S0_NAMES = ("game_controller", "bowl", "headphones", "eyeglasses", "cup", "wineglass")
 S1_NAMES = (
     "hammer", "pliers", "knife", "toothbrush", "screwdriver",

@@ -9,15 +9,6 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-__all__ = [
-    "Surface",
-    "sample_surface",
-    "signed_distance",
-    "solid_occupancy",
-    "winding_number",
-    "winding_of_nodes",
-]
-
 Tick = Callable[[float], None] | None
 
 POINTS_AT_ONCE = 2048

@@ -10,8 +10,6 @@ from r2h_batch.export.drawing import MARKS, Drawing, body_name
 from r2h_batch.report.text import plain
 from r2h_batch.verdicts import CRITERIA
 
-__all__ = ["as_html", "as_markdown", "headline", "legend", "summary", "title"]
-
 MEANING = {
     "stability": "room left between the pads and at the ends of their stroke",
     "plan": "smallest distance to an obstacle along the path",

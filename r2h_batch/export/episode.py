@@ -16,8 +16,6 @@ from r2h_batch.export.drawing import Drawing
 from r2h_batch.export.stored import Reader
 from r2h_batch.trials.protocol import trials_of
 
-__all__ = ["EpisodeDrawing", "episode_of"]
-
 Array = NDArray[np.float64]
 
 

@@ -9,8 +9,6 @@ from scipy.spatial import cKDTree
 
 from r2h_batch.bodies.objects import ObjectModel
 
-__all__ = ["region_as_boxes"]
-
 Array = NDArray[np.float64]
 
 EDGE_M = 1e-3

@@ -24,8 +24,6 @@ from r2h_batch.importers.release import PADS_M, T_world_release, along_z, palm_i
 from r2h_batch.io.write import atomic_path, csv_cell, write_json, write_text
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS
 
-__all__ = ["release_name", "release_trial", "write_release_results", "write_release_trial"]
-
 Array = NDArray[np.float64]
 
 FRAME_S = 1 / 60

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from r2h_batch import se3
-from r2h_batch.benchmark import Benchmark
+from r2h_batch.benchmark.benchmark import Benchmark
 from r2h_batch.benchmark.build import BenchmarkOverrides, benchmark_of_run
 from r2h_batch.bodies.robot import Robot, load_robot
 from r2h_batch.command_line import UsageError
@@ -34,8 +34,6 @@ from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CRITERIA, MOST_SECONDS
-
-__all__ = ["ExportError", "Reader", "StoredTrial", "judged_again"]
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from r2h_batch import se3
-from r2h_batch.benchmark import Benchmark, built_in
+from r2h_batch.benchmark.benchmark import Benchmark, built_in
 from r2h_batch.bodies.hand import HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel, object_digest
 from r2h_batch.bodies.robot import ee_pose
@@ -26,8 +26,6 @@ from r2h_batch.methods.grasps.candidate_set import Candidates
 from r2h_batch.trials.protocol import TRIALS, make_trials, trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
-
-__all__ = ["write_open", "write_trials"]
 
 Array = NDArray[Any]
 Arrays = dict[str, tuple[Array, str]]

@@ -23,16 +23,6 @@ from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.view.page import write_page
 
-__all__ = [
-    "failures",
-    "first_of_each_outcome",
-    "gallery",
-    "methods_over_time",
-    "protocol",
-    "shared_trial",
-    "write",
-]
-
 SHOWN = OUTCOME_NAMES[:6]
 """Outcomes of which there is something to see: success and the five failures."""
 JUDGED = ("region", "ball", "palm")

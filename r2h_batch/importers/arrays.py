@@ -12,8 +12,6 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.command_line import tell
 from r2h_batch.io.read import FileError, printable
 
-__all__ = ["files_below", "numbers", "rigid"]
-
 F64 = NDArray[np.float64]
 MAX_FRAMES = MAX_FILES = 200_000
 

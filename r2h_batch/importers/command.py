@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from r2h_batch.bodies.grasp_set import GraspSet
     from r2h_batch.importers.mano import ManoHand
 
-__all__ = ["grasps", "hand", "hands", "objects", "results", "robot", "trials"]
-
 Frame = Literal["aperture", "first", "middle", "last"]
 Gripper = Literal[
     "acronym-panda", "panda-hand", "graspgen-franka", "graspgen-2f-140", "2f-85-base", "graspgen-2f-85", "ee"

@@ -35,8 +35,6 @@ from r2h_batch.io.read import (
     read_yaml,
 )
 
-__all__ = ["DATA_SETS", "DataSet", "HandMotion", "name_of", "oakink_objects", "oakink_receivers"]
-
 F64 = NDArray[np.float64]
 
 

@@ -43,10 +43,6 @@ from r2h_batch.importers.arrays import numbers, rigid
 from r2h_batch.importers.hdf5 import read_datasets
 from r2h_batch.io.read import FileError, printable, read_json, read_npy, read_npz, read_yaml
 
-__all__ = [
-    "GRASP_FILES", "GRIPPERS", "PAD_HALF_M", "SOURCES", "T_gripper_ee", "grasps_from", "read_file_of", "without_gripper",
-]  # fmt: skip
-
 F64 = NDArray[np.float64]
 PAD_HALF_M = 0.01875
 PADS_M = {

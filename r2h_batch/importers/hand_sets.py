@@ -42,8 +42,6 @@ from r2h_batch.importers.smplx import Bodies
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import write_npz
 
-__all__ = ["Collected", "built_in", "collect", "motion_file", "write"]
-
 F64 = NDArray[np.float64]
 
 MOVED_M, TURNED_RAD = 0.005, float(np.radians(5.0))

@@ -21,8 +21,6 @@ import numpy as np
 from r2h_batch.io.child import answer_parent, read_in_child
 from r2h_batch.io.read import FileError, open_file, printable
 
-__all__ = ["read_datasets"]
-
 MOST = 64 << 20
 MOST_CHUNK = 1 << 20
 MOST_SECONDS = 20.0

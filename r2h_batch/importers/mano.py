@@ -26,8 +26,6 @@ from r2h_batch.importers.arrays import numbers
 from r2h_batch.importers.safe_pickle import read_pickle_file
 from r2h_batch.io.read import FileError, read_npz
 
-__all__ = ["ManoHand", "hand_arrays", "hand_from", "load_mano"]
-
 F64 = NDArray[np.float64]
 
 PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)

@@ -34,8 +34,6 @@ from r2h_batch.importers.data_sets import name_of, oakink_objects
 from r2h_batch.io.read import FileError, printable, read_json
 from r2h_batch.io.write import write_npz
 
-__all__ = ["OakObject", "collect", "write"]
-
 MESHES = (".obj", ".ply")
 MAX_PART_BYTES = 64 << 10
 HELD, MOST_PARTS = "held_by_hand", 64

@@ -46,15 +46,6 @@ from r2h_batch.io.write import csv_cell, write_npz, write_text
 from r2h_batch.runs.store import IMPORTED
 from r2h_batch.verdicts import SIDES, SPLITS
 
-__all__ = [
-    "ReleaseTrial",
-    "along_z",
-    "imported",
-    "palm_in_hand",
-    "read_trials",
-    "write",
-]
-
 Array = NDArray[np.float64]
 
 T_world_release: Array = np.array(

@@ -21,11 +21,6 @@ from pydantic import (
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.validate import rule_of
 
-__all__ = [
-    "MAX_BYTES", "NO_BOXES", "RIGID", "BoxList", "Boxes", "Entry", "GraspContract", "Id", "Mesh",
-    "Name", "Opening", "Own", "Pose", "Receiver", "TrialFile", "Vector", "box_faces", "transform_points", "validated",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 
 MAX_BYTES = 256 << 20

@@ -20,8 +20,6 @@ from r2h_batch.runs.store import FOREIGN, open_run, write_labels
 from r2h_batch.schedule import trial_ids
 from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SPLITS
 
-__all__ = ["write_results"]
-
 
 def _printable(text: str) -> str:
     if not text.isprintable():

@@ -31,8 +31,6 @@ from r2h_batch.importers.release_files import (
 )
 from r2h_batch.io.read import FileError, path_within, printable, read_json
 
-__all__ = ["experiment_trials", "paired_trials"]
-
 PALM_NORMAL = [1.0, 0.0, 0.0]
 """Of a scene that names none, in the object's frame."""
 

@@ -31,8 +31,6 @@ from numpy.typing import NDArray
 from r2h_batch.io import read as files
 from r2h_batch.io.read import FileError, printable, read_file
 
-__all__ = ["read_npy", "read_pickle", "read_pickle_file"]
-
 MAX_BYTES = 256 << 20
 """MANO's own files have 3.8 MB, a sequence of ARCTIC 1 MB."""
 MAX_STEPS = 1 << 20

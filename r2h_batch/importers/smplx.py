@@ -22,8 +22,6 @@ from r2h_batch.command_line import tell
 from r2h_batch.importers.arrays import numbers
 from r2h_batch.io.read import FileError, path_within, printable, read_npz
 
-__all__ = ["Bodies"]
-
 F64 = NDArray[np.float64]
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
 """Of pelvis, hips, spine, legs, neck, collars, head and arms; face and fingers follow."""

@@ -19,8 +19,6 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
 from r2h_batch.io.read import FileError, path_within, printable, read_file
 
-__all__ = ["Box", "Chain", "Jaws", "Link", "read_chain", "read_jaws"]
-
 Array = NDArray[np.float64]
 Element = ElementTree.Element
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from r2h_batch.io.read import FileError, printable
 
-__all__ = ["Spec", "check_array", "check_arrays", "check_poses", "not_rigid"]
-
 Spec = tuple[str, tuple[int | str, ...]]
 """The allowed `dtype.kind`, and the shape. A word stands for any length, the same one everywhere."""
 

@@ -28,8 +28,6 @@ from r2h_batch.command_line import tell
 from r2h_batch.io.read import read_npz
 from r2h_batch.io.write import write_npz
 
-__all__ = ["ArraySpec", "cache_folder", "cached", "code_digest", "is_cached", "matches"]
-
 Arrays = dict[str, NDArray[Any]]
 SEAL = "made_of"
 """Name of the array that holds an entry's kind, key and sha256."""

@@ -21,8 +21,6 @@ import numpy as np
 from r2h_batch.command_line import tell
 from r2h_batch.io.read import FileError, printable
 
-__all__ = ["answer_parent", "read_in_child"]
-
 MOST_WAITS = 10
 """The child may wait this many times longer than it may work: for a busy machine, not for ever."""
 SILENT_SECONDS = 5.0

@@ -25,11 +25,6 @@ from io import BufferedReader, BytesIO
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO
 
-__all__ = [
-    "FileError", "archive_members", "kind_of", "open_archive", "open_file", "path_within", "printable", "read_file",
-    "read_json", "read_npy", "read_npz", "read_yaml",
-]  # fmt: skip
-
 MAX_ARRAY_BYTES = 256 << 20
 MAX_ARRAYS = 64
 MAX_HEADER_BYTES = 1 << 20

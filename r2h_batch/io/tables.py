@@ -11,8 +11,6 @@ from r2h_batch.io.read import FileError, open_file, printable, read_json
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
-__all__ = ["check_decoded_size", "read_csv_arrays", "read_json_arrays", "read_parquet_arrays"]
-
 MAX_WORD = 200
 MAX_CSV_BYTES = 512 << 20
 

@@ -20,11 +20,6 @@ from uuid import uuid4
 
 from r2h_batch.io.read import FileError, printable
 
-__all__ = [
-    "atomic_path", "check_output_file", "check_output_folder", "csv_cell", "packed_json", "run_folder_of", "write_json",
-    "write_npz", "write_text",
-]  # fmt: skip
-
 RUN_FOLDERS = ("trials", "details", "poses", "paths", "failures", "manifest", "methods", "quarantine")  # fmt: skip
 """Folders that a run folder may contain."""
 

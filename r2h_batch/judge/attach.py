@@ -19,9 +19,6 @@ from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import Trials
 
-__all__ = ["ROWS_CHUNK", "AttachedBatch", "attach_object"]
-
-
 ROWS_CHUNK = 4096
 """Rows a thread takes at a time where a row costs tens of nanoseconds."""
 

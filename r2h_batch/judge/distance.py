@@ -23,17 +23,6 @@ from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
 
-__all__ = [
-    "SAFE_TOLERANCE_M",
-    "NearestApproach",
-    "hand_distance",
-    "hand_distance_at",
-    "nearer_of",
-    "over_motion",
-    "person_distance",
-    "within_slack",
-]
-
 SAFE_TOLERANCE_M = 2e-5
 """How exactly the smallest distance over time is located."""
 

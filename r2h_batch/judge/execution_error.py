@@ -10,8 +10,6 @@ from r2h_batch.config import ExecutionError
 from r2h_batch.predictors.noise import perturbed, trial_ids
 from r2h_batch.types import Trials
 
-__all__ = ["executed_poses"]
-
 _CAMERA, _OBJECT = 0, 1  # purposes of the random counters
 
 

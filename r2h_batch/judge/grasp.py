@@ -16,20 +16,6 @@ from r2h_batch.kernels.robot import gripper as gripper_kernels
 from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.scene.grasp_tables import GraspTables, gripper_tables
 
-__all__ = [
-    "CUT_CAP_M",
-    "Grasp",
-    "attach",
-    "close_gripper",
-    "close_pads",
-    "closed_clearance",
-    "gripper_poses",
-    "open_clearance",
-    "open_is_clear",
-    "region_distance",
-    "squeezed",
-]
-
 CUT_CAP_M = 0.01
 """Clearances of the open gripper are exact below this and a lower bound above it: so are
 Stability's margins."""

@@ -14,8 +14,6 @@ from r2h_batch.kernels.methods import hand_clearance as kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.grasp_tables import gripper_tables
 
-__all__ = ["PosedHand", "gripper_clearance", "posed_hand"]
-
 
 @dataclass(frozen=True)
 class PosedHand:

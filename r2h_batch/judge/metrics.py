@@ -23,10 +23,6 @@ from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
 
-__all__ = [
-    "Criterion", "Evidence", "affordance", "judge", "plan", "reach", "reach_distance", "safe", "stability",
-]  # fmt: skip
-
 KINDS = (MarginKind.CAP, MarginKind.BOUND, MarginKind.DISTANCE, MarginKind.CAP)
 _TOUCHING_PASSES = {entry.name: entry.touching_passes for entry in REGISTRY}
 

@@ -20,8 +20,6 @@ from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.grasp_physics import FRICTION, G
 from r2h_batch.types import CRITERIA, Scores
 
-__all__ = ["GRIP_N", "Payload", "payload"]
-
 Array = NDArray[np.float64]
 
 GRIP_N = 27.0

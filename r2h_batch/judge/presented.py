@@ -12,8 +12,6 @@ from r2h_batch.kernels.judge import presented as kernels
 from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.scene.scene import Scene
 
-__all__ = ["FACING_DEG", "Presented", "presented"]
-
 FACING_DEG = 90.0
 """The region faces the palm up to this angle: its centre is on the palm's side of the grasp."""
 

@@ -33,8 +33,6 @@ from r2h_batch.scene.tables import MIDDLE_ROOT
 from r2h_batch.types import CRITERIA, ScoreInputs, Scores
 from r2h_batch.validate import array, check_arguments, instance_of
 
-__all__ = ["ANGLES", "STEPS", "Reception", "chance_of_one", "reception", "rula"]
-
 STEPS = ("arm", "free", "way", "clear", "release", "hold")
 """What a grasp must pass, in this order. arm: joint ranges allow it. free: the hand is clear of the closed
 gripper. way: it can come straight from 10 cm away. clear: arm and torso are clear of the robot. release: the

@@ -18,9 +18,6 @@ from r2h_batch.motion.execute import Executed, executed_time_at
 from r2h_batch.motion.time_law import Motion, time_at
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
 
-__all__ = ["motion_scores", "pose_scores", "verdict"]
-
-
 NONE_FAILED = 100
 """More than the code of any criterion."""
 

@@ -19,8 +19,6 @@ from r2h_batch.motion.time_law import limits, path_time
 if TYPE_CHECKING:
     from r2h_batch.judge.plan import Planner
 
-__all__ = ["Search", "straight_time"]
-
 _SCRATCH_NODES, _NODE_BYTES = 4_000_000, 32  # of all trees of one launch: 128 MB
 SHORTER = 0.9
 """What is left of a node's reach when a step from it is blocked, in all rounds but the last."""

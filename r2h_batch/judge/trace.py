@@ -23,10 +23,6 @@ from r2h_batch.validate import describe_value
 from r2h_batch.validate_tensors import as_numbers, check_tensor
 from r2h_batch.verdicts import MOST_SECONDS
 
-__all__ = [
-    "Trace", "checked_plan", "checked_trace", "executed_trace", "final_pose", "plan_of_trace", "worse_plan",
-]  # fmt: skip
-
 LIMIT_TOLERANCE_RAD = 1e-5
 """A joint may stand this far beyond its limit, or turn this much farther between two samples: what
 float32 makes of an angle at the limit."""

@@ -10,8 +10,6 @@ from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
-__all__ = ["answers"]
-
 PART = 512
 """Trials in memory together: each takes 20 kB for its posed hand, and as much for its
 orientations."""

@@ -22,8 +22,6 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.methods.part_roles import GRASP
 from r2h_batch.scene.scene import Scene
 
-__all__ = ["BoxGrasps", "box_grasps", "depth_steps", "three_boxes"]
-
 FINGER_PARTS = ("pad", "inner_finger")
 """What counts as a finger; the rest of the gripper is the third box."""
 

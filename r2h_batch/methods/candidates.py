@@ -24,16 +24,6 @@ from r2h_batch.methods.grasps.own import own_grasps, seat_grasps
 from r2h_batch.methods.grasps.sample import generate_grasps, sample_grasps
 from r2h_batch.scene.scene import Scene
 
-__all__ = [
-    "CandidateTable",
-    "Kind",
-    "candidate_table",
-    "candidates_in",
-    "candidates_of",
-    "check_candidates",
-    "without_candidates",
-]
-
 Kind = Literal["filtered", "as-generated", "narrow"]
 """As `EvalConfig.candidates` says it: what this evaluator's own gripper can hold; whatever is
 proposed; or of the first those across which the whole object fits between the pads (all where none

@@ -49,8 +49,6 @@ from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
-__all__ = ["predict"]
-
 TITLE, STAND_IN = "Contact-Handover", "VoxNet, built-in contacts"
 SEES = ("receiving", "target", "contacts")
 """What it is shown, of `predictors.Observations`."""

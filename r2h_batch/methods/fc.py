@@ -33,8 +33,6 @@ from r2h_batch.predictors import Observations, PredictorNoise, predict_receiving
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
-__all__ = ["predict"]
-
 TITLE, STAND_IN = "FC-Handover", "oracle hand"
 SEES = ("receiving", "target")
 """What it is shown, of `predictors.Observations`."""

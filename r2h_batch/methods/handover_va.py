@@ -44,8 +44,6 @@ from r2h_batch.predictors import (
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
-__all__ = ["predict"]
-
 TITLE, STAND_IN = "Handover-VA", "oracle labels"
 SEES = ("parts", "target")
 """What it is shown, of `predictors.Observations`."""

@@ -53,8 +53,6 @@ from r2h_batch.receiver.instructions import ANYWHERE, intents_of, understand
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
-__all__ = ["predict"]
-
 TITLE, STAND_IN = "Intent-Handover", "retrieval"
 SEES = ("receiving", "target")
 """What it is shown, of `predictors.Observations`."""

@@ -32,8 +32,6 @@ from r2h_batch.predictors import TargetHand
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene
 
-__all__ = ["approach_fan", "collision_cost", "gripper_capsule", "hand_sample", "least_cost_pose"]
-
 DIRECTIONS = 32
 """Approach directions that are tried, spread over the half sphere that faces the palm: neighbours
 25 degrees apart."""

@@ -24,8 +24,6 @@ from r2h_batch.methods.placing import check_choice
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CRITERIA, Outcome, Predictions, Scores, Trials
 
-__all__ = ["ROUNDS", "predict"]
-
 Aim = Literal["success", "reception"]
 """What a solution is. reception: the person can take the object too."""
 

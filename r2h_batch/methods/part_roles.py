@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from r2h_batch.benchmark.vocabulary import S0_ROLES
 from r2h_batch.bodies.objects import ObjectModel
 
-__all__ = ["FUNCTION", "GRASP", "WRAP", "roles_of"]
-
 FUNCTION, GRASP, WRAP = 0, 1, 2
 
 CODES = {"function": FUNCTION, "grasp": GRASP, "wrap": WRAP}

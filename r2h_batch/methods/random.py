@@ -10,8 +10,6 @@ from r2h_batch.methods.candidates import candidates_in, check_candidates, stacke
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
-__all__ = ["predict"]
-
 BALL_M = 0.20
 """Radius of the ball around c_h that holds the TCP."""
 

@@ -17,8 +17,6 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP
 from r2h_batch.scene.scene import Scene
 
-__all__ = ["Alignment", "align_templates", "handle_template", "wrap_template"]
-
 LABEL_M = 1.0
 """Distance between two labels: more than any object is long, so labels are matched first, as with
 colours to 255."""

@@ -23,8 +23,6 @@ from r2h_batch.predictors.voxnet import load_voxnet
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
-__all__ = ["CONTACT_THRESHOLD", "predict_contacts"]
-
 CONTACT_THRESHOLD = 0.4
 """Probability from which a point counts as touched (Contact-Handover)."""
 

@@ -22,8 +22,6 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.predictors.noise import normals
 from r2h_batch.scene.scene import Scene
 
-__all__ = ["DRAWS", "DepthView", "carved"]
-
 DISTANCE_M = 0.6
 """From a camera to the middle of the grid [choice]: depth cameras measure from 0.4 m."""
 ELEVATION_DEG = (30.0, 60.0)

@@ -44,8 +44,6 @@ from r2h_batch.io.arrays import Spec, check_arrays, check_poses
 from r2h_batch.io.read import FileError, printable, read_npz
 from r2h_batch.types import Trials
 
-__all__ = ["ExternalHands", "ExternalPoints", "Observations", "read_observations"]
-
 MANO_OF_OPENPOSE = (0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3)
 FARTHEST_M = 10.0
 HAND_M = (0.05, 0.5)

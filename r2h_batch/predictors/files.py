@@ -19,8 +19,6 @@ from r2h_batch.predictors.grid import ContactPredictor, PredictorError
 from r2h_batch.predictors.voxnet import read_voxnet
 from r2h_batch.user_code import HOW, load_function
 
-__all__ = ["load_predictor"]
-
 MAX_BYTES = 4 << 30
 MAX_MEMBERS = 20_000
 MOST_SECONDS = 600.0

@@ -18,8 +18,6 @@ from torch import Tensor
 
 from r2h_batch.bodies.objects import VOXELS, ObjectModel
 
-__all__ = ["CHANNELS", "ContactPredictor", "PredictorError", "contact_grids", "voxel_of_points"]
-
 ContactPredictor = Callable[[Tensor], Tensor]
 CHANNELS = 5
 

@@ -22,15 +22,6 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SIDES
 
-__all__ = [
-    "ReceivingHand",
-    "TargetHand",
-    "estimated_hand",
-    "predict_receiving",
-    "predict_target",
-    "retrieve_receiving",
-]
-
 MIDDLE_TIP = 1  # in HandModel.tip_vertices
 _GRASP, _RECEIVING, _TARGET, _FRAME = 0, 1, 2, 3  # purposes of the random counters
 

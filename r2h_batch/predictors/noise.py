@@ -16,8 +16,6 @@ from r2h_batch import rng, se3
 from r2h_batch.bodies.arrays import stored_arrays
 from r2h_batch.bodies.hand import rotation_from_axis_angle
 
-__all__ = ["Errors", "PredictorNoise", "as_in_a_frame", "normals", "perturbed"]
-
 Errors = Literal["normal", "frames", "tails"]
 """Of the target hand. normal: the deviations below. frames: what published estimators were off by
 in single frames, with their outliers and flipped hands (assets/receiving/build_hand_errors.py).

@@ -20,8 +20,6 @@ from r2h_batch.predictors.noise import PredictorNoise, normals, trial_ids
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
-__all__ = ["SeenParts", "predict_parts"]
-
 WAVES = 12
 WAVELENGTH_M = (0.03, 0.12)
 """Between a finger's width and a handle's length: a border is misplaced as a whole more than point

@@ -19,8 +19,6 @@ from torch import Tensor, nn
 from r2h_batch.io.read import printable, read_file
 from r2h_batch.predictors.grid import CHANNELS, PredictorError
 
-__all__ = ["LEFT_OUT_FILE", "STORED_FILE", "VoxNet", "halved", "load_voxnet", "read_voxnet"]
-
 WIDTHS = (8, 20, 40)
 MIDDLE_M, SPREAD_M = 0.1, 0.05
 """Scales of objects that fit a hand."""

@@ -17,17 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "COLORS",
-    "WORDS",
-    "failure_bars",
-    "failure_figure",
-    "needs_matplotlib",
-    "ridges",
-    "style",
-    "svg",
-]
-
 COLORS = {
     "success": "#009e73",
     **{entry.name: entry.color for entry in REGISTRY},

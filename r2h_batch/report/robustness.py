@@ -28,8 +28,6 @@ from r2h_batch.verdicts import SPLITS, Outcome
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "LEVELS", "Curve", "Estimate", "Robustness", "figure", "render", "robustness"]
-
 LEVELS = ("0mm,0deg", "3mm,0.5deg", "5mm,1deg", "10mm,2deg", "20mm,3deg")
 """Of `execution_error`; each is a run folder of this name. The first is the reference."""
 

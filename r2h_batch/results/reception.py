@@ -21,8 +21,6 @@ from r2h_batch.results.reevaluation import Judge, check_poses
 from r2h_batch.runs.store import Run, RunError
 from r2h_batch.types import Scores
 
-__all__ = ["CURVE_K", "TURNS_DEG", "render", "rows_of", "table_of", "tables_of_run", "write"]
-
 CURVE_K = (8, 32, 64, 128, 256)
 TURNS_DEG = (45, 60, 90, 180)
 ROWS = 1024

@@ -19,8 +19,6 @@ from r2h_batch.kernels.geometry.surface import Surfaces
 from r2h_batch.kernels.robot.gripper import Gripper
 from r2h_batch.launch import init_warp
 
-__all__ = ["GraspTables", "grasp_tables", "gripper_tables", "surface_tables"]
-
 _NODE_TRIANGLES, _LEAF_TRIANGLES = 64, 8
 
 

@@ -15,8 +15,6 @@ from typing import Any
 
 from r2h_batch.command_line import MachineError
 
-__all__ = ["RenderError", "ready", "renderer"]
-
 BACKENDS = ("egl", "osmesa", "glfw")
 INSTALL = "no OpenGL draws here; install one: Debian, Ubuntu: apt-get install libosmesa6 libegl1; conda: mesalib"
 _TRY = (

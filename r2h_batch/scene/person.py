@@ -20,8 +20,6 @@ from r2h_batch.kernels.robot.world import TrialBodies, World
 from r2h_batch.launch.arguments import struct_of
 from r2h_batch.scene.scene import PLACED, BodyPoses, Scene
 
-__all__ = ["PIECES", "piece_corners", "with_person"]
-
 PIECES = ("forearm", "upper_arm", "torso")
 """In this order they follow a hand's pieces."""
 _ROUNDING_M = 1e-6

@@ -12,8 +12,6 @@ from r2h_batch.schedule import PROTOCOLS
 from r2h_batch.validate import boolean, check_arguments, sequence_of
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["Common", "common_trials"]
-
 FINER = ("apart_from_objects", "each_object")
 """Digests of parts of what other digests cover; older runs lack them."""
 

@@ -26,16 +26,6 @@ from r2h_batch.study.stats import DRAWS, SCALE, StudyError
 from r2h_batch.study.table_file import LINE, Number, Text, read_table
 from r2h_batch.types import Trials
 
-__all__ = [
-    "MEASURES",
-    "Measure",
-    "measured_trials",
-    "of_the_paper",
-    "perceived",
-    "rated",
-    "trials_csv",
-]
-
 POSES = {"T_obj_ee": 16, "T_world_ee": 16, "T_world_hand": 16, "receiver": 20}
 """Columns of arrays in `study trials`, row by row: NAME_0 and so on, as in files of predictions."""
 HEAD_UP_M, HEAD_AHEAD_M = 0.17, 0.08

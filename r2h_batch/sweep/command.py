@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from r2h_batch.command_line import answer, counted, failed, note, refuse, tell, telling
-from r2h_batch.sweep.options import METHODS, Options, UsageError, parse
+from r2h_batch.sweep.options import Options, UsageError, parse
 
 # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
 if TYPE_CHECKING:
     from r2h_batch.loggers import LoggerName
     from r2h_batch.runs.store import Run, RunFolder
     from r2h_batch.sweep.jobs import Job, Setting
-
-__all__ = ["METHODS", "Options", "UsageError", "main", "parse", "run"]
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.sweep") -> int:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 
 import torch
 
-from r2h_batch.benchmark import Benchmark
+from r2h_batch.benchmark.benchmark import Benchmark
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.benchmark.trials_file import Labels
 from r2h_batch.command_line import counted, tell

@@ -4,8 +4,6 @@ are drawn."""
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["from_box", "from_segment", "from_segments"]
-
 Array = NDArray[np.float64]
 
 

@@ -18,8 +18,6 @@ from r2h_batch.bodies.objects import ObjectModel, stored_key
 from r2h_batch.bodies.robot import DEFAULT_ROBOT, load_robot
 from r2h_batch.trials.receivers import sine_cosine
 
-__all__ = ["HEIGHT_M", "draw_palms", "is_reachable", "reference_offset", "tool_rotation"]
-
 Array = NDArray[np.float64]
 
 LOW_M, HIGH_M = (0.60, 0.30, 0.13), (0.72, 0.45, 0.23)

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import rng, se3
-from r2h_batch.benchmark import Benchmark, built_in, read_benchmark
+from r2h_batch.benchmark.benchmark import Benchmark, built_in
+from r2h_batch.benchmark.build import read_benchmark
 from r2h_batch.benchmark.trials_file import listed_with_ids
 from r2h_batch.bodies.bounds import capsule_of_shape
 from r2h_batch.bodies.given_objects import checked_objects
@@ -38,16 +39,6 @@ from r2h_batch.types import Trials
 from r2h_batch.validate import instance_of, integer, one_of, optional, sequence_of
 from r2h_batch.validate_tensors import check_tensor
 from r2h_batch.verdicts import SPLITS
-
-__all__ = [
-    "PROTOCOL",
-    "PROTOCOLS",
-    "SPLITS",
-    "make_trials",
-    "trials_digest",
-    "trials_of",
-    "trials_with_ids",
-]
 
 TRIALS = 500
 """Trials of a split in the benchmark; more are the same generator run further."""

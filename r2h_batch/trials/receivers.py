@@ -18,17 +18,6 @@ from numpy.typing import NDArray
 
 from r2h_batch import rng, se3
 
-__all__ = [
-    "Person",
-    "arm_axes",
-    "clear_of_torso",
-    "draw_receivers",
-    "limbs",
-    "normal_quantile",
-    "propose",
-    "sine_cosine",
-]
-
 Array = NDArray[np.float64]
 
 # men: mean, sd, correlation with stature; women: the same (ANSUR II, n = 4,082 and 1,986)

@@ -21,8 +21,6 @@ from r2h_batch.trials.receivers import (
     sine_cosine,
 )
 
-__all__ = ["GIVEN_UP", "arm_can", "recorded_in_world", "with_arms"]
-
 GIVEN_UP = 4000
 """Proposals after which a hand's recorded arm is let go, and after as many its direction: hands that
 grasp from above show no palm to robot or sky."""

@@ -21,8 +21,6 @@ from r2h_batch.runs.rows import TrialNames, detail_rows, score_rows
 from r2h_batch.types import Predictions, Scores
 from r2h_batch.validate import instance_of, integer
 
-__all__ = ["Shown", "show", "write_page"]
-
 Array = NDArray[np.float64]
 
 FRAMES_PER_S = 12.0  # of a recorded motion; the player shows it in real time

@@ -18,8 +18,6 @@ from r2h_batch.runs.store import RunError
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.page import APART_M, Drawn, aim, light, new_server, stop_server
 
-__all__ = ["Viewer", "serve"]
-
 ANY = "any"
 NO_METHOD = "none"
 ORDERS = ("trial", *(f"margin of {name}" for name in CRITERIA))

@@ -12,7 +12,8 @@ from golden import GOLDEN, made_with, sweep_digests
 
 from r2h_batch import EvalConfig, Evaluator, make_trials
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark import built_in, read_benchmark
+from r2h_batch.benchmark.benchmark import built_in
+from r2h_batch.benchmark.build import read_benchmark
 from r2h_batch.benchmark.model import built_in_text
 from r2h_batch.bodies.hand import palm_frame
 from r2h_batch.bodies.objects import load_objects

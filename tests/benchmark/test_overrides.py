@@ -13,8 +13,8 @@ import trimesh
 
 from r2h_batch import Evaluator, make_trials
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark import built_in, read_benchmark
-from r2h_batch.benchmark.build import BenchmarkOverrides
+from r2h_batch.benchmark.benchmark import built_in
+from r2h_batch.benchmark.build import BenchmarkOverrides, read_benchmark
 from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.bodies.arrays import asset, read_arrays
 from r2h_batch.bodies.hand import load_hand_set

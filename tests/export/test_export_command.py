@@ -11,7 +11,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark import built_in
+from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.bodies import hand
 from r2h_batch.export.stored import ExportError, Reader
 from r2h_batch.sweep import command as sweep

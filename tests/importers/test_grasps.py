@@ -11,8 +11,7 @@ from needs import needs
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark import read_benchmark
-from r2h_batch.benchmark.build import BenchmarkOverrides
+from r2h_batch.benchmark.build import BenchmarkOverrides, read_benchmark
 from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.bodies.robot import load_robot

@@ -26,7 +26,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.bodies.hand import load_hand_set
 from r2h_batch.importers.hand_sets import motion_file
 from r2h_batch.importers.mano import load_mano
-from r2h_batch.trials import make_trials
+from r2h_batch.trials.protocol import make_trials
 
 
 @pytest.fixture(scope="module")

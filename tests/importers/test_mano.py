@@ -17,7 +17,7 @@ from r2h_batch.importers.mano import hand_arrays, load_mano
 from r2h_batch.io.read import FileError
 from r2h_batch.receiver import receiving
 from r2h_batch.receiver.sampler import NoHoldError
-from r2h_batch.trials import make_trials, trials_digest
+from r2h_batch.trials.protocol import make_trials, trials_digest
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from mano_files import mano_dictionary, write_mano
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark import read_benchmark
+from r2h_batch.benchmark.build import read_benchmark
 from r2h_batch.importers.mano import load_mano
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "howto" / "paper.md").read_text()

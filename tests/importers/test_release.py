@@ -17,7 +17,7 @@ from sweep_command import in_process
 
 from r2h_batch import EvalConfig, Evaluator
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark import read_benchmark
+from r2h_batch.benchmark.build import read_benchmark
 from r2h_batch.bodies.objects import object_digest
 from r2h_batch.bodies.robot import Kind, Primitives, load_robot
 from r2h_batch.export.region_boxes import region_as_boxes

@@ -9,7 +9,7 @@ from r2h_batch.methods.grasps.candidate_set import NoGraspError
 from r2h_batch.receiver import receiving
 from r2h_batch.receiver.sampler import NoHoldError
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep import main
+from r2h_batch.sweep.command import main
 
 
 @pytest.fixture

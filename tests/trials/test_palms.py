@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.benchmark import built_in
+from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.benchmark.build import BenchmarkOverrides, read_benchmark
 from r2h_batch.bodies.hand import load_hand, palm_frame
 from r2h_batch.bodies.objects import load_objects, stored_objects

@@ -21,8 +21,6 @@ from r2h_batch.bodies.objects import build_object, is_built
 from r2h_batch.command_line import tell
 from r2h_batch.io.cache import cache_folder
 
-__all__ = ["build_ahead"]
-
 
 def build_ahead(calls: Sequence[Mapping[str, Any]], *, cores: int | None = None) -> int:
     """Build what these arguments of `build_object` name and the cache does not hold.

@@ -16,8 +16,6 @@ from r2h_batch.bodies.mesh_import.limits import MOST_BYTES
 from r2h_batch.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.io.read import FileError, read_file
 
-__all__ = ["kept_with_warnings", "key_of"]
-
 CODE = (
     "r2h_batch.bodies",
     "r2h_batch.bodies.mesh_import",

@@ -37,8 +37,6 @@ from r2h_batch.bodies.mesh_import.manifold import (
 from r2h_batch.bodies.mesh_import.winding_solid import MOST_FACES, winding_solid
 from r2h_batch.bodies.solid import Surface, sample_surface, signed_distance, winding_number
 
-__all__ = ["Closed", "ObjectMeshError", "Repair", "check_mesh", "closed_mesh"]
-
 SMALLEST_M, LARGEST_M, FARTHEST_M = 0.01, 2.0, 10.0
 CHANGE_SAMPLES = 5000
 SLIVER_SHARE = 0.02

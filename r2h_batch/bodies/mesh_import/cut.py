@@ -11,8 +11,6 @@ from manifold3d import Manifold, Mesh64
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-__all__ = ["cut_apart", "inflate_to_cover", "merge_hulls"]
-
 MOST_PARTS = 64
 """Parts at most, before those that cost the least are joined again."""
 FULL = 0.02

@@ -23,8 +23,6 @@ from r2h_batch.bodies.mesh_import.limits import MOST_BYTES, MOST_SECONDS, Object
 from r2h_batch.io.child import answer_parent, read_in_child
 from r2h_batch.io.read import FileError, open_file, path_within, printable, read_file
 
-__all__ = ["labels_of", "load_mesh_file"]
-
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
 
 

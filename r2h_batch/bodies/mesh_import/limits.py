@@ -7,8 +7,6 @@ import time
 
 from r2h_batch.command_line import tell
 
-__all__ = ["Budget", "ObjectMeshError"]
-
 MOST_BYTES = 1 << 30
 """Of a mesh file, and of each file that it names."""
 MOST_GIVEN_FACES = 5_000_000

@@ -13,8 +13,6 @@ from scipy.sparse.csgraph import connected_components
 
 from r2h_batch.bodies.mesh_import.limits import Budget, ObjectMeshError
 
-__all__ = ["connected_bodies", "joined", "part_of", "simplified", "simplified_to", "united"]
-
 
 def connected_bodies(
     mesh: trimesh.Trimesh,

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from r2h_batch.bodies.mesh_import.manifold import simplified_to
 
-__all__ = ["convex_hull", "convex_pieces"]
-
 MAX_PIECES = 16
 FACES, DETAIL_M, COARSEST_M = 2500, 1e-4, 2.5e-4
 """A user's surface is cut with 0.1 to 0.25 mm less detail: as little less as leaves it that many

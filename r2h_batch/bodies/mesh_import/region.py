@@ -18,16 +18,6 @@ from r2h_batch.bodies.mesh_import.limits import ObjectMeshError
 from r2h_batch.bodies.solid import Surface
 from r2h_batch.io.read import FileError, printable, read_file
 
-__all__ = [
-    "PLANE",
-    "carried",
-    "faces_in_boxes",
-    "part_of_faces",
-    "read_region",
-    "receiver_region",
-    "region_boxes",
-]
-
 MAX_REGION_BYTES = 64 << 20
 """Of a file that says which faces the receiver's region has: eight bytes for each of millions."""
 RIGID, ON_SIDE_M = 1e-6, 1e-6

@@ -19,8 +19,6 @@ from r2h_batch.bodies.mesh_import.limits import Budget, ObjectMeshError
 from r2h_batch.bodies.mesh_import.manifold import connected_bodies, joined, part_of, simplified
 from r2h_batch.bodies.solid import Surface
 
-__all__ = ["winding_solid"]
-
 CELLS, CELLS_OF_THIN_WALLS = 80_000, 250_000
 """The area of all open bodies divided by the area of a cell's side. Open sheets need 250,000 for a
 surface within 0.3 mm, which costs about 1.6 times the CPU time of 120,000."""

@@ -13,8 +13,6 @@ from r2h_batch.kernels.methods import antipodal
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.grasps.candidate_set import OWN_ROBOT
 
-__all__ = ["FRICTION", "WIDEST_M", "pad_height", "proposals"]
-
 FRICTION = 0.5
 WIDEST_M = 0.082  # leaves the open pads 1.5 mm on each side
 SEEDS, APPROACHES = 3000, 6

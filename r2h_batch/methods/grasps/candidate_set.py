@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["OWN_GRIPPER", "OWN_ROBOT", "Candidates", "NoGraspError", "joined"]
-
 OWN_GRIPPER, OWN_ROBOT = "2f-85", "ur5e_2f85"
 """The gripper that stored and sampled candidates are for, and a robot that carries it."""
 

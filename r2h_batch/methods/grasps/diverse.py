@@ -10,8 +10,6 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.methods.grasps.antipodal import pad_height
 from r2h_batch.methods.grasps.candidate_set import Candidates
 
-__all__ = ["REGION_CLEARANCE_M", "diverse"]
-
 REGION_SHARE = 0.4
 """Share of an S1 object's candidates that keep the fingers off the receiver's region, where so many
 exist."""

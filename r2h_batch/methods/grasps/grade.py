@@ -29,8 +29,6 @@ from r2h_batch.methods.grasps.antipodal import FRICTION, WIDEST_M, pad_height
 from r2h_batch.methods.grasps.candidate_set import OWN_ROBOT, Candidates
 from r2h_batch.scene.grasp_tables import GraspTables
 
-__all__ = ["REACH_M", "device_mesh", "graded", "pad_contact", "scored", "zeros"]
-
 CLEARANCE_M = 0.001
 CENTERED_M = 0.0005
 REACH_M = 0.0015

@@ -21,8 +21,6 @@ from r2h_batch.methods.grasps.candidate_set import (
 from r2h_batch.methods.grasps.grade import device_mesh, graded, zeros
 from r2h_batch.scene.grasp_tables import grasp_tables
 
-__all__ = ["own_grasps", "seat_grasps"]
-
 SEATS_M = (0.0, 0.004, -0.004, 0.008, -0.008, 0.012, -0.012, 0.016, -0.016, 0.02, -0.02)
 
 

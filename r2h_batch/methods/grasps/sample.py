@@ -25,8 +25,6 @@ from r2h_batch.methods.grasps.diverse import REGION_CLEARANCE_M, diverse
 from r2h_batch.methods.grasps.grade import REACH_M, device_mesh, graded, pad_contact, scored
 from r2h_batch.scene.grasp_tables import grasp_tables
 
-__all__ = ["generate_grasps", "sample_grasps"]
-
 COUNT = 100
 ROUNDS = 8
 ENOUGH = 1200
