@@ -160,7 +160,7 @@ def auto(mix: Mix, report: Report) -> None:
     mix = copy.copy(mix)
     trials = trials_with_ids(torch.arange(mix.n), protocol="r2h-v0")
     mix.trials = trials[in_order(trials)].to(mix.device)
-    answers = contact.predict(mix.trials, evaluator.scene, seed=0, evaluator=evaluator)
+    answers = contact.predict(mix.trials, evaluator.scene, seed=0)
     mix.g, mix.h = answers.T_obj_ee.to(mix.device), answers.T_world_ee.to(mix.device)
     a, ea, sa = mix.score(ExecConfig(sim="mujoco", model="auto"))
     b, _, sb = mix.score(ExecConfig(sim="mujoco", model="scene"))

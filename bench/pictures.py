@@ -192,7 +192,7 @@ def grasps(png: Path) -> None:
     for i, name in enumerate(HOLDING):
         method = import_module(f"r2h_batch.methods.{name}")
         hand = (retrieve_receiving if name == "intent" else predict_receiving)(trials, scene, noise=exact)
-        answer = method.predict(trials, scene, evaluator=evaluator, noise=exact)
+        answer = method.predict(trials, scene, noise=exact)
         outcome = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials).outcome.tolist()
         opening = close_gripper(scene.grasp_tables, answer.T_obj_ee, trials.object_index).opening_m
         for j in range(len(trials)):

@@ -6,7 +6,8 @@ and memory.
 
 import copy
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -59,7 +60,7 @@ from r2h_batch.judge.trace import (
 )
 from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
-from r2h_batch.launch.threads import one_torch_thread
+from r2h_batch.launch.threads import on_threads, one_torch_thread
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.person import with_person
@@ -155,6 +156,12 @@ class Evaluator:
         self.__dict__.update(state)
         self.handle = torch_op.register(self)
 
+    @contextmanager
+    def working(self) -> Iterator[None]:
+        """Around what this evaluator computes: its kernels have its threads, torch has one."""
+        with one_torch_thread(self.scene.device), on_threads(self.threads):
+            yield
+
     @cached_property
     def kinematic(self) -> "Evaluator":
         """The same evaluator with the motion taken as planned (`sim="none"`) and no execution
@@ -214,7 +221,7 @@ class Evaluator:
         if not self.called and not T_obj_ee.is_cuda:  # looking at values would wait for a GPU
             self.called = True
             warn_of_doubts(T_obj_ee, T_world_ee, trials)
-        with one_torch_thread(self.scene.device):
+        with self.working():
             check_indices(self.scene, trials)
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
             # Copies: an optimizer's step in place must not change what a picture of these scores
@@ -290,7 +297,7 @@ class Evaluator:
                 trials[rows],
             )
 
-        with one_torch_thread(self.scene.device):
+        with self.working():
             check_indices(self.scene, trials)
             scores = Scores.concatenate(in_parts(len(trials), self.rows_at_once(), part))
             return scores.with_inputs(ScoreInputs(T_obj_ee.clone(), T_world_ee, trials, self))
@@ -334,7 +341,7 @@ class Evaluator:
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages
     ) -> Scores:
         """`score` of tensors whose shapes are known to fit."""
-        with one_torch_thread(self.scene.device):
+        with self.working():
             check_indices(self.scene, trials)
             check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
             return self._score(T_obj_ee, T_world_ee, trials, stages)
@@ -392,8 +399,8 @@ class Evaluator:
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool
     ) -> Scores:
         """Every stage: hold, IK, plan, move, judge."""
-        scene, config, threads = self.scene, self.config, self.threads
-        held = attach_object(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
+        scene, config = self.scene, self.config
+        held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
         active = held.active
 
         plan_start = time.perf_counter()
@@ -408,12 +415,10 @@ class Evaluator:
             key,
             config.plan,
             execute=config.execute,
-            threads=threads,
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         missed_m = failed_clearance(
-            scene, held.planner_poses, held.T_world_ee, ik.q, branches, planned.reason,
-            threads=threads,
+            scene, held.planner_poses, held.T_world_ee, ik.q, branches, planned.reason
         )  # fmt: skip
         planned = replace(planned, reason=weaken_singular_reason(planned.reason, ik))
         motion = time_path(planned.path, planned.length, config.execute)
@@ -431,13 +436,11 @@ class Evaluator:
             motion,
             config.execute,
             clearance_m=certified,
-            threads=threads,
         )
 
-        touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
+        touch = hand_distance(scene, held.body_poses, executed, active)
         body_m, part, _ = over_motion(
-            scene, held.body_poses, executed, partial(self._person_distance, trials),
-            threads=threads,
+            scene, held.body_poses, executed, partial(self._person_distance, trials)
         )  # fmt: skip
         found = (planned.length > 0) & executed.settled
         clearance_m = torch.where(found, planned.clearance_m, missed_m)
@@ -455,19 +458,19 @@ class Evaluator:
         self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: Trace, trace: Trace, trials: Trials
     ) -> Scores:
         """As `_score_motion`, with the plan and the motion given."""
-        scene, threads = self.scene, self.threads
-        held = attach_object(scene, T_obj_ee, T_world_ee, trials, self.config, threads=threads)
+        scene = self.scene
+        held = attach_object(scene, T_obj_ee, T_world_ee, trials, self.config)
         active, poses = held.active, held.body_poses
         if self.config.receiver == "body":
             assert trials.receiver is not None  # `check_receiver` has refused its absence
             poses = with_person(scene, poses, trials.receiver, hand=True)
-        planned = plan_of_trace(scene, poses, trace, active, threads=threads)
+        planned = plan_of_trace(scene, poses, trace, active)
         executed, motion = executed_trace(trace, planned)
         moves = active & (planned.length > 0)
-        touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
+        touch = hand_distance(scene, held.body_poses, executed, active)
         person = self._person_distance(trials, held.body_poses, executed.path, executed.length)
         if plan is not trace:
-            own = plan_of_trace(scene, poses, plan, active, threads=threads)
+            own = plan_of_trace(scene, poses, plan, active)
             planned = worse_plan(own, planned, touch.distance_m <= 0)
         free = planned.reason == int(PlanReason.OK)
         shared, touch = self._judge(
@@ -480,14 +483,12 @@ class Evaluator:
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         """As `_score_motion`, as far as it goes without a path."""
-        scene, config, threads = self.scene, self.config, self.threads
-        held = attach_object(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
+        scene, config = self.scene, self.config
+        held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
         active = held.active
         ik, branches = self._branches(config, held)
-        goal = judge_goals(
-            scene, held.planner_poses, held.T_world_ee, ik, branches, active, threads=threads
-        )
-        touch = hand_distance_at(scene, held.body_poses, goal.q, active, threads=threads)
+        goal = judge_goals(scene, held.planner_poses, held.T_world_ee, ik, branches, active)
+        touch = hand_distance_at(scene, held.body_poses, goal.q, active)
         body_m, part = self._person_distance(
             trials, held.body_poses, goal.q[:, None], active.to(torch.int32)
         )
@@ -497,7 +498,7 @@ class Evaluator:
         scores = pose_scores(trials.trial_id, shared, goal, touch, body_m=body_m)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             poses = T_obj_ee, T_world_ee
-            return differentiable(scene, config, threads, scores, poses, held, goal)
+            return differentiable(scene, config, self.threads, scores, poses, held, goal)
         return scores
 
     def _judge(
@@ -513,19 +514,17 @@ class Evaluator:
     ) -> tuple[dict[str, Tensor], NearestApproach]:
         """The fields of `Scores` that need no path, and where the robot is nearest to the
         receiver; arguments as in `Evidence` and `verdict`."""
-        scene, config, threads = self.scene, self.config, self.threads
+        scene, config = self.scene, self.config
         if config.receiver == "body":
             touch = nearer_of(touch, *body)
         slip_m = None
         if config.stability == "physics":
             rows = held.active & (held.grasp.margin_m >= 0)
-            slip_m = shake(
-                scene.objects, held.objects, held.attached, rows, scene.robot, threads=threads
-            )
+            slip_m = shake(scene.objects, held.objects, held.attached, rows, scene.robot)
         evidence = metrics.Evidence(
-            scene, config, held, free, moves, clearance_m, reason, touch, slip_m, threads
+            scene, config, held, free, moves, clearance_m, reason, touch, slip_m
         )
-        region = presented(scene, held, config.thresholds, threads=threads)
+        region = presented(scene, held, config.thresholds)
         return verdict(metrics.judge(evidence), held, slip_m, region, valid), touch
 
     def _person_distance(
@@ -540,16 +539,14 @@ class Evaluator:
         there is none. `rows`: the trials of the paths, where these are not all."""
         if trials.receiver is not None:
             receiver = trials.receiver if rows is None else trials.receiver[rows]
-            return person_distance(
-                self.scene, body_poses, receiver, path, length, threads=self.threads
-            )
+            return person_distance(self.scene, body_poses, receiver, path, length)
         return torch.full_like(path[:, 0, 0], torch.nan), torch.full_like(length, -1)
 
     def _branches(self, config: EvalConfig, held: AttachedBatch) -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""
         solve = ik_jacobian.solve_ik if config.ik.solver == "pytorch-kinematics" else solve_ik
-        robot, home, threads = self.scene.robot, config.workplace.home_q, self.threads
-        ik = solve(held.T_world_ee, active=held.active, robot=robot, home=home, threads=threads)
+        robot, home = self.scene.robot, config.workplace.home_q
+        ik = solve(held.T_world_ee, active=held.active, robot=robot, home=home)
         if config.plan.goals == "set":
             return ik, ik.valid
-        return ik, one_branch(ik, held.T_world_ee, robot=robot, home=home, threads=threads)
+        return ik, one_branch(ik, held.T_world_ee, robot=robot, home=home)

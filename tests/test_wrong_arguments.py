@@ -103,7 +103,7 @@ CALLS = {
         lambda tmp: {"run": _run(tmp), "reach_radius_m": [0.1], "w_max_m": [0.08], "safe_margin_m": [0.0]},
     ),
     "rank_stability": (rank_stability, lambda tmp: {"points": rethreshold(_run(tmp), reach_radius_m=[0.1]), "methods": ["a"]}),
-    "Judge": (Judge, lambda tmp: {"run": _run(tmp), "given": None, "threads": None}),
+    "Judge": (Judge, lambda tmp: {"run": _run(tmp), "given": None}),
     "reevaluate": (reevaluate, lambda tmp: {"run": _run(tmp), "method": "a", "n": 2, "judge": _Judge(), "seed": 0}),
     "EvalConfig.preset": (EvalConfig.preset, lambda _: {"name": "paper"}),
     **{c.__name__: (c, lambda _, c=c: {f: getattr(c(), f) for f in c.__dataclass_fields__})
@@ -168,7 +168,7 @@ def raw(call, name, values, arguments) -> list[str]:
             continue
         except (TypeError, ValueError, IndexError, KeyError) as error:
             said = str(error)
-            if isinstance(error, RunError) and name in ("given", "threads"):
+            if isinstance(error, RunError) and name == "given":
                 continue  # what was given is right, and the run of another protocol
             named = re.search(rf"\b{re.escape(name.removesuffix('s'))}s?\b", said) or said.startswith(
                 f"{value}: "

@@ -26,7 +26,6 @@ from r2h_batch.closed_loop.relative import CAP_M, RelativeDistance
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.metrics import reach_distance
 from r2h_batch.judge.reception import reception
-from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.motion.execute import nothing_pushes
 from r2h_batch.motion.time_law import limits
 from r2h_batch.predictors.noise import PredictorNoise, perturbed, trial_ids
@@ -240,9 +239,7 @@ class HandoverEnv(VectorEnv):
         self._opening = torch.where(shut, scores.opening_m, 0.0).contiguous()
         hand = self.trials.T_world_hand.double()
         self._T_hand_ee = se3.matmul(se3.inverse(hand), pose.double()).float()
-        self._distance = RelativeDistance(
-            self.scene, self.trials, self._attached, self._opening, threads=self.evaluator.threads
-        )
+        self._distance = RelativeDistance(self.scene, self.trials, self._attached, self._opening)
         affordance = CRITERIA.index("affordance")
         self._blocked = scores.evaluated[:, affordance] & ~scores.passed[:, affordance]
         self._index = self.trials.hand_index.long().to(self._device)
@@ -292,7 +289,7 @@ class HandoverEnv(VectorEnv):
         self, actions: Tensor | np.ndarray
     ) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Any]]:
         """One step of every episode that runs; the others stand. Actions as `action` says, (B, ...)."""
-        with one_torch_thread(self._device):
+        with self.evaluator.working():
             return self._step(actions)
 
     def _step(
@@ -432,7 +429,7 @@ class HandoverEnv(VectorEnv):
         center = self.scene.palm(self.trials.hand_index[rows], T)[2]
         ball = se3.apply(se3.inverse(T_world_obj), center.double()).float().contiguous()
         objects = self.trials.object_index[rows].to(torch.int32).contiguous()
-        far = reach_distance(self.scene, objects, ball, threads=self.evaluator.threads)
+        far = reach_distance(self.scene, objects, ball)
         return self.scene.config.thresholds.reach_radius_m - far
 
     def _offer(self, rows: Tensor) -> None:
@@ -481,7 +478,7 @@ class HandoverEnv(VectorEnv):
         bodies = self.bodies(self.T_world_hand[rows], rows)
         length = torch.full((len(rows),), q.shape[1], dtype=torch.int32, device=q.device)
         off = torch.zeros(len(rows), dtype=torch.float32, device=q.device)
-        free = nothing_pushes(self.scene, bodies, q, length, off, threads=self.evaluator.threads)
+        free = nothing_pushes(self.scene, bodies, q, length, off)
         self.ends[rows[~free]] = int(End.COLLISION)
 
     # --- what is seen --------------------------------------------------------------------------------------------
@@ -503,7 +500,7 @@ class HandoverEnv(VectorEnv):
         trials = self.trials
         return self.scene.body_poses(
             trials.object_index[rows], trials.hand_index[rows], self._attached[rows], T_world_hand.contiguous(),
-            self._opening[rows], threads=self.evaluator.threads,
+            self._opening[rows],
         )  # fmt: skip
 
     def _error(self, purpose: int, share: float) -> Tensor:

@@ -173,7 +173,6 @@ class Replan:
             T,
             robot=env.scene.robot,
             home=env.scene.config.workplace.home_q,
-            threads=env.evaluator.threads,
         )
         far = (ik.q.double() - q[:, None].double()).abs().amax(2)
         order = torch.where(ik.valid, far, torch.inf).argsort(dim=1, stable=True)
@@ -187,9 +186,7 @@ class Replan:
                 break
             line = torch.stack([q, torch.where(tried[:, None], ik.q[row, k], q)], 1).contiguous()
             length = torch.where(tried, 2, 0).to(torch.int32)
-            clearance, _, _ = path_clearances(
-                env.scene, bodies, line, length, threads=env.evaluator.threads
-            )
+            clearance, _, _ = path_clearances(env.scene, bodies, line, length)
             free = tried & (clearance > 0)
             self.goal = torch.where(free[:, None], line[:, 1], self.goal)
             left = left & ~free

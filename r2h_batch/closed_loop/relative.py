@@ -52,10 +52,8 @@ class RelativeDistance:
         trials: Trials,
         T_obj_ee: Float32[Tensor, "b 4 4"],
         opening_m: Float32[Tensor, " b"],
-        *,
-        threads: int | None = None,
     ) -> None:
-        self.scene, self.trials, self.threads = scene, trials, threads
+        self.scene, self.trials = scene, trials
         self._grasp, self._opening = T_obj_ee, opening_m
         self._levers = scene.motion_radii.to(T_obj_ee.device).float()
 
@@ -76,12 +74,10 @@ class RelativeDistance:
         trials = self.trials
         bodies = self.scene.body_poses(
             trials.object_index[rows], trials.hand_index[rows], self._grasp[rows], T_world_hand.contiguous(),
-            self._opening[rows], threads=self.threads,
+            self._opening[rows],
         )  # fmt: skip
         active = torch.ones(len(rows), dtype=torch.bool, device=q.device)
-        return hand_distance_at(
-            self.scene, bodies, q.contiguous(), active, cap_m=CAP_M, threads=self.threads
-        )
+        return hand_distance_at(self.scene, bodies, q.contiguous(), active, cap_m=CAP_M)
 
     def robot_travel(self, turned: Float32[Tensor, "r 6"]) -> Float32[Tensor, " r"]:
         """No point of the robot goes farther while each joint turns by so much, m."""

@@ -52,16 +52,14 @@ def attach_object(
     T_world_ee: Float32[Tensor, "b 4 4"],
     trials: Trials,
     config: EvalConfig,
-    *,
-    threads: int | None = None,
 ) -> AttachedBatch:
     """B trials with the gripper closed on the object; rows with a pose that is none, or an unknown
     body, are not active."""
     active, (T_obj_ee, T_world_ee, T_world_hand), objects, hands = _usable(
-        scene, (T_obj_ee, T_world_ee, trials.T_world_hand), trials, threads
+        scene, (T_obj_ee, T_world_ee, trials.T_world_hand), trials
     )
     limits = config.thresholds
-    on: dict[str, Any] = {"known": True, "threads": threads}
+    on: dict[str, Any] = {"known": True}
     width, opening, shift, empty = close_pads(
         scene.grasp_tables, T_obj_ee, objects, mode=config.width, **on
     )
@@ -90,16 +88,15 @@ def attach_object(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
         chunk=ROWS_CHUNK,
     )
     grasp = Grasp(width, opening, shift, empty, cut, made["margin"], cut_part)
     attached = made["attached"]
-    body_poses = scene.body_poses(objects, hands, attached, T_world_hand, opening, threads=threads)
+    body_poses = scene.body_poses(objects, hands, attached, T_world_hand, opening)
     planner_poses = body_poses
     if config.plan.hand == "estimated":
         T = _seen(scene, trials, hands, active, config)
-        planner_poses = scene.body_poses(objects, hands, attached, T, opening, threads=threads)
+        planner_poses = scene.body_poses(objects, hands, attached, T, opening)
     if config.receiver == "body":
         assert trials.receiver is not None  # `inputs.check_receiver` has asked
         planner_poses = with_person(scene, planner_poses, trials.receiver, hand=True)
@@ -133,7 +130,7 @@ def _seen(
 
 
 def _usable(
-    scene: Scene, poses: tuple[Tensor, Tensor, Tensor], trials: Trials, threads: int | None
+    scene: Scene, poses: tuple[Tensor, Tensor, Tensor], trials: Trials
 ) -> tuple[Tensor, tuple[Tensor, ...], Tensor, Tensor]:
     """Which rows are active; the poses orthonormal, the identity elsewhere; objects and hands, 0
     where there are none such.
@@ -158,7 +155,6 @@ def _usable(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
         chunk=ROWS_CHUNK,
     )
     clean = tuple(made[k] for k in ("T_obj_ee", "T_world_ee", "T_world_hand"))

@@ -50,8 +50,6 @@ def person_distance(
     receiver: Float32[Tensor, "b 5 4"],
     path: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Smallest distance of the robot (without the object) from forearm, upper arm and torso along
     each path; the robot's body.
@@ -63,7 +61,7 @@ def person_distance(
     alone = with_person(scene, body_poses, receiver, hand=False)
     tables = {"world": alone.tables(scene), "bodies": alone.bodies}
     motion = {"path": path.contiguous(), "length": length.contiguous()}
-    on: dict[str, Any] = {"device": scene.device, "threads": threads}
+    on: dict[str, Any] = {"device": scene.device}
     found, meets = _nearest(scene, tables, motion, on)
     launch_trials(
         scene.sized(path_overlap),
@@ -124,8 +122,6 @@ def hand_distance(
     body_poses: BodyPoses,
     executed: Executed,
     active: Bool[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> NearestApproach:
     """The smallest distance of the robot from the hand over each motion.
 
@@ -134,7 +130,7 @@ def hand_distance(
     a primitive, which no translation that parts them can be shorter than. Between two samples the
     arm may be off their line (`over_motion`).
     """
-    on: dict[str, Any] = {"device": scene.device, "threads": threads}
+    on: dict[str, Any] = {"device": scene.device}
 
     def measure(
         bodies: BodyPoses, path: Tensor, length: Tensor, rows: Tensor | None
@@ -167,7 +163,7 @@ def hand_distance(
         return torch.where(moves, distance, torch.nan), *more
 
     distance, body, segment, fraction, point, begins = over_motion(
-        scene, body_poses, executed, measure, threads=threads
+        scene, body_poses, executed, measure
     )
     moves = (executed.length > 0) & active
     return NearestApproach(
@@ -180,8 +176,6 @@ def over_motion(
     body_poses: BodyPoses,
     executed: Executed,
     measure: Measure,
-    *,
-    threads: int | None = None,
 ) -> tuple[Tensor, ...]:
     """A bound of a signed distance over each motion (`within_slack`), what else `measure` says of
     it, and the first segment of the part of the motion on which it was measured.
@@ -218,7 +212,7 @@ def over_motion(
     path = executed.path[row[:, None], sample.clamp(max=executed.path.shape[1] - 1)]
     parts: list[tuple[Tensor, ...]] = []
     for some in torch.arange(len(row), dtype=torch.int64, device=device).split(PARTS_AT_ONCE):
-        moved = scene.reopened(body_poses, row[some], opening[row, k][some], threads=threads)
+        moved = scene.reopened(body_poses, row[some], opening[row, k][some])
         parts.append(measure(moved, path[some], left[some], row[some]))
     distance, *more = (torch.cat(x) for x in zip(*parts, strict=True))
     found = [within_slack(distance, slack[row, k]), *more, (k * width).to(torch.int32)]
@@ -249,7 +243,6 @@ def hand_distance_at(
     active: Bool[Tensor, " b"],
     *,
     cap_m: float = CLEARANCE_CAP_M,
-    threads: int | None = None,
 ) -> NearestApproach:
     """The distance of the robot from the hand at the postures `q` (rad), measured as in
     `hand_distance`; exact below `cap_m`."""
@@ -267,7 +260,6 @@ def hand_distance_at(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
     )
     distance, body = made["distance"], made["body"]
     return NearestApproach(

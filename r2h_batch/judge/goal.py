@@ -69,8 +69,6 @@ def judge_goals(
     ik: IkResult,
     branches: Bool[Tensor, "b 8"],
     active: Bool[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> Goal:
     """The goals of B handover poses whose IK is solved; `branches` are those that may be used
     (`goals="one"`: one)."""
@@ -78,7 +76,7 @@ def judge_goals(
     active = active.contiguous()
     goal = _unjudged(b, ik.q.shape[2], device)
     postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
-    on: dict[str, Any] = {"device": scene.device, "threads": threads}
+    on: dict[str, Any] = {"device": scene.device}
 
     launch_trials(
         scene.sized(goal_kernels.choose_goal),
@@ -109,8 +107,6 @@ def failed_clearance(
     q: Float32[Tensor, "b 8 6"],
     branches: Bool[Tensor, "b 8"],
     reason: Int32[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> Float32[Tensor, " b"]:
     """How far B trials without a path are from a start and a goal that are free, as a margin below
     0 (m): `Goal.clearance_m` of the same `reason` (PlanReason), bit for bit.
@@ -124,7 +120,7 @@ def failed_clearance(
     goal.reason.copy_(torch.where(measured, reason, int(PlanReason.NOT_EVALUATED)))
     goal.slot.fill_(-1)
     postures = {"valid": branches.contiguous(), "q": q.flatten(0, 1)}
-    on = {"device": scene.device, "threads": threads}
+    on = {"device": scene.device}
     _measure(goal, scene, body_poses, T_world_ee, postures, measured, on)
     return torch.where(measured, goal.clearance_m.clamp(min=-FARTHEST_M), -torch.inf)
 
@@ -194,9 +190,7 @@ def _measure(
         )
     else:
         missed = active & ~postures["valid"].any(1)
-        q, residual = nearest_found(
-            scene.robot, T_world_ee, missed, ROTATION_LEVER_M, threads=on["threads"]
-        )
+        q, residual = nearest_found(scene.robot, T_world_ee, missed, ROTATION_LEVER_M)
         goal.q.copy_(q)
     # ... and how near its bodies are to others
     launch_trials(

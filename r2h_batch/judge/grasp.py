@@ -50,7 +50,6 @@ def close_gripper(
     mode: Literal["pads", "whole"] = "pads",
     cut_cap_m: float = CUT_CAP_M,
     known: bool = False,
-    threads: int | None = None,
 ) -> Grasp:
     """Width, opening, shift and cut of each grasp `T_obj_ee` (ee in the object's frame) of object
     `object_index`.
@@ -67,13 +66,11 @@ def close_gripper(
     w_max = tables.open_gap_m if w_max is None else w_max
     w_min = tables.closed_gap_m if w_min is None else w_min
     width, opening, shift, empty = close_pads(
-        tables, T_obj_ee, object_index, mode=mode, known=known, threads=threads
+        tables, T_obj_ee, object_index, mode=mode, known=known
     )
     # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above
     # it. Lengths of different things are not added: the worst one decides, on the passing side too.
-    cut, cut_part = open_clearance(
-        tables, T_obj_ee, object_index, cap_m=cut_cap_m, known=True, threads=threads
-    )
+    cut, cut_part = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, known=True)
     material = torch.where(empty, -w_max, torch.minimum(w_max - width, width - w_min))
     margin = torch.minimum(material, cut)
     return Grasp(width, opening, shift, empty, cut, margin, cut_part)
@@ -86,7 +83,6 @@ def close_pads(
     *,
     mode: Literal["pads", "whole"] = "pads",
     known: bool = False,
-    threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Float32[Tensor, " b"], Float32[Tensor, " b"], Bool[Tensor, " b"]]:
     """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open
     gripper cuts."""
@@ -105,7 +101,6 @@ def close_pads(
         },
         outputs=made,
         device=tables.device,
-        threads=threads,
     )
     return made["width"], made["opening"], made["shift"], made["empty"]
 
@@ -127,7 +122,6 @@ def open_clearance(
     *,
     cap_m: float,
     known: bool = False,
-    threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Clearance of the open gripper to the object's solid (m, at most `cap_m`; negative: depth) and
     the primitive."""
@@ -135,7 +129,7 @@ def open_clearance(
         (len(T_obj_ee),), tables.open_gap_m, dtype=torch.float32, device=tables.device
     )
     return _clearance(
-        tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, threads, known=known
+        tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, known=known
     )
 
 
@@ -145,7 +139,6 @@ def open_is_clear(
     object_index: Int32[Tensor, " b"],
     *,
     clearance_m: float,
-    threads: int | None = None,
 ) -> Bool[Tensor, " b"]:
     """Whether `open_clearance` is `clearance_m` or more, without measuring how deep it cuts where
     it is not."""
@@ -153,9 +146,7 @@ def open_is_clear(
         (len(T_obj_ee),), tables.open_gap_m, dtype=torch.float32, device=tables.device
     )
     cap, used = 1.5 * clearance_m, tables.every
-    found = _clearance(
-        tables, T_obj_ee, object_index, opening, 0, used, True, cap, threads, clearance_m
-    )[0]
+    found = _clearance(tables, T_obj_ee, object_index, opening, 0, used, True, cap, clearance_m)[0]
     return found >= clearance_m
 
 
@@ -166,12 +157,9 @@ def closed_clearance(
     opening_m: Float32[Tensor, " b"],
     *,
     cap_m: float,
-    threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """As `open_clearance`, of what is behind the pads of a gripper that stands at `opening_m`."""
-    return _clearance(
-        tables, T_obj_ee, object_index, opening_m, 0, tables.behind_pads, True, cap_m, threads
-    )
+    return _clearance(tables, T_obj_ee, object_index, opening_m, 0, tables.behind_pads, True, cap_m)
 
 
 def region_distance(
@@ -182,7 +170,6 @@ def region_distance(
     *,
     cap_m: float = 0.05,
     known: bool = False,
-    threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Distance (m) of the fingers at `opening_m` to the receiver's region, and the primitive (as in
     `Robot.gripper`).
@@ -203,7 +190,6 @@ def region_distance(
         tables.moving,
         tables.volumes,
         cap_m,
-        threads,
         known=known,
     )
 
@@ -217,7 +203,6 @@ def _clearance(
     used: int,
     solid: bool,
     cap_m: float,
-    threads: int | None,
     enough_m: float = -1e30,
     known: bool = False,
 ) -> tuple[Tensor, Tensor]:
@@ -241,13 +226,12 @@ def _clearance(
         },
         outputs=made,
         device=tables.device,
-        threads=threads,
     )
     return made["clearance"], made["witness"]
 
 
 def gripper_poses(
-    robot: Robot, opening_m: Float32[Tensor, " b"], *, threads: int | None = None
+    robot: Robot, opening_m: Float32[Tensor, " b"]
 ) -> tuple[Float32[Tensor, "b g 3 3"], Float32[Tensor, "b g 3"]]:
     """R, p of the G gripper primitives (order of `Robot.gripper`) in the ee frame at each opening
     (m)."""
@@ -261,7 +245,6 @@ def gripper_poses(
         inputs={"gripper": g, "opening": opening_m},
         outputs=made,
         device=device,
-        threads=threads,
     )
     return made["R"], made["p"]
 

@@ -61,7 +61,6 @@ def close_in_physics(
     shake: bool = False,
     shake_m_s2: float = SHAKE_M_S2,
     down_ee: Float[Array, "*b 3"] | None = None,
-    threads: int | None = None,
 ) -> Closed:
     """Closes the gripper on each object, standing as `T_obj_ee` says and free to move, until the
     fingers rest.
@@ -83,7 +82,7 @@ def close_in_physics(
         )
 
     with warnings_unwritten():
-        rows = list(thread_pool(cpu_threads(threads)).map(one, range(len(object_index))))
+        rows = list(thread_pool(cpu_threads()).map(one, range(len(object_index))))
     opening, moved, slip, turned = np.array(rows, np.float64).reshape(-1, 4).T
     return Closed(opening, moved, slip, turned, np.isfinite(slip) & (slip < DROPPED_M))
 
@@ -94,8 +93,6 @@ def shake(
     T_obj_ee: Float32[Tensor, "b 4 4"],
     rows: Bool[Tensor, " b"],
     robot: Robot,
-    *,
-    threads: int | None = None,
 ) -> Float64[Tensor, " b"]:
     """How far each object slips in the shake (m), simulated on the CPU; NaN outside `rows`.
 
@@ -108,7 +105,6 @@ def shake(
         T_obj_ee[rows].double().cpu().numpy(),
         robot,
         shake=True,
-        threads=threads,
     )
     slip[rows] = torch.from_numpy(closed.slip_m).to(slip)
     return slip

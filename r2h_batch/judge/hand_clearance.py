@@ -28,7 +28,9 @@ class PosedHand:
 
 
 def posed_hand(
-    model: HandModel, vertices: Float32[Tensor, "b v 3"], device: str, *, threads: int | None = None
+    model: HandModel,
+    vertices: Float32[Tensor, "b v 3"],
+    device: str,
 ) -> PosedHand:
     """Hands as convex pieces.
 
@@ -36,7 +38,6 @@ def posed_hand(
         model: whose order the vertices have.
         vertices: (b, V, 3) in metres, each row in a frame of its own.
         device: of the result.
-        threads: of the CPU.
     """
     ids = model.piece_vertices.to(vertices.device).long()
     points = vertices[:, ids].float().to(device).contiguous()
@@ -53,7 +54,6 @@ def posed_hand(
         inputs={"hands": struct},
         outputs={"ball": struct.ball},
         device=device,
-        threads=threads,
         chunk=64,
     )
     return PosedHand(struct, (points, ball, start), device)
@@ -69,7 +69,6 @@ def gripper_clearance(
     width: int,
     *,
     cap_m: float,
-    threads: int | None = None,
 ) -> Float32[Tensor, "b k"]:
     """Distance of several grippers from each hand.
 
@@ -82,7 +81,6 @@ def gripper_clearance(
         count: (b,) how many a hand has.
         width: columns of the result.
         cap_m: distances are computed up to this.
-        threads: of the CPU.
 
     Returns:
         (b, width) metres, at most `cap_m`; 0 where they meet, and from `count` on.
@@ -105,7 +103,6 @@ def gripper_clearance(
         },
         outputs={"clearance": out},
         device=hand.device,
-        threads=threads,
         chunk=8,
         width=width,
     )

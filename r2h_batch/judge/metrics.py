@@ -87,7 +87,6 @@ class Evidence:
     reason: Int32[Tensor, " b"]  # PlanReason
     touch: NearestApproach  # of the robot to the receiver
     slip_m: Float64[Tensor, " b"] | None  # in the shake, NaN where it failed; None: not shaken
-    threads: int | None = None
 
 
 def judge(evidence: Evidence) -> list[Criterion]:
@@ -148,7 +147,7 @@ def reach(e: Evidence) -> Criterion:
     The mesh's tree stands in the object's frame: the ball is moved there, not the object.
     """
     held = e.held
-    distance = reach_distance(e.scene, held.objects, held.ball, threads=e.threads)
+    distance = reach_distance(e.scene, held.objects, held.ball)
     return Criterion.of("reach", e.config.thresholds.reach_radius_m - distance, held.active)
 
 
@@ -156,8 +155,6 @@ def reach_distance(
     scene: Scene,
     objects: Int32[Tensor, " b"],
     point: Float32[Tensor, "b 3"],
-    *,
-    threads: int | None = None,
 ) -> Float32[Tensor, " b"]:
     """Distance of points (object frame, m) from what Reach measures of these objects, 0 inside."""
     made = new_outputs(reach_kernels.point_to_object, len(point), scene.device)
@@ -175,7 +172,6 @@ def reach_distance(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
         chunk=64,
     )
     return made["distance"]
@@ -196,7 +192,6 @@ def affordance(e: Evidence) -> Criterion:
         held.squeezed_m,
         cap_m=CLEARANCE_CAP_M,
         known=True,
-        threads=e.threads,
     )
     kind = kind_of(distance, CLEARANCE_CAP_M)
     return Criterion.of("affordance", distance, held.active & ~torch.isnan(distance), kind)

@@ -71,7 +71,6 @@ def plan_paths(
     config: PlanConfig,
     *,
     execute: ExecConfig | None = None,
-    threads: int | None = None,
 ) -> Plan:
     """Paths from home to the free branches `q` (rad), and why there is none where there is none.
 
@@ -79,9 +78,7 @@ def plan_paths(
     (Kuffner and LaValle 2000) with certified edges. Rows that are not `active` get NOT_EVALUATED.
     """
     with one_torch_thread(q.device):
-        return _paths(
-            scene, body_poses, q, valid, active, key, config, execute or ExecConfig(), threads
-        )
+        return _paths(scene, body_poses, q, valid, active, key, config, execute or ExecConfig())
 
 
 def load_searches(device: str, joints: int = JOINTS) -> None:
@@ -101,11 +98,10 @@ def _paths(
     key: Int32[Tensor, " b"],
     config: PlanConfig,
     execute: ExecConfig,
-    threads: int | None,
 ) -> Plan:
     """`plan_paths`, stage by stage."""
     b, device = len(active), q.device
-    run = Planner(scene, body_poses, threads)
+    run = Planner(scene, body_poses)
     home = home_posture(str(device), scene.config.workplace.home_q)
     moveit = int(config.edge_check == "moveit")
 
@@ -175,8 +171,6 @@ def path_clearances(
     body_poses: BodyPoses,
     path: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Smallest clearance (m) along paths that were planned elsewhere, its pair and the robot's
     body, as in `Plan`; minus the overlap where bodies meet.
@@ -184,7 +178,7 @@ def path_clearances(
     A row takes part of the frontier's queues in proportion to its waypoints.
     """
     rooms = -(-path.shape[1] // WAYPOINTS) * len(path)
-    run = Planner(scene, body_poses, threads, rows=rooms)
+    run = Planner(scene, body_poses, rows=rooms)
     found = _least_clearance(run, path, length)
     _measure_overlaps(run, scene, path, length, *found)
     if run.frontier is not None:
@@ -238,13 +232,10 @@ class Planner:
     """Runs planning kernels, which all take the scene's world and the trials' bodies; on a GPU what
     can goes in `frontier`."""
 
-    def __init__(
-        self, scene: Scene, body_poses: BodyPoses, threads: int | None, rows: int | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, body_poses: BodyPoses, rows: int | None = None) -> None:
         """`rows`: for how many paths of at most WAYPOINTS the frontier has room; None: one a trial."""
         self._tables = {"world": body_poses.tables(scene), "bodies": body_poses.bodies}
         self._device, self._sized = scene.device, scene.sized
-        self._threads = threads
         self.frontier = (
             Frontier(**self._tables, device=scene.device, rows=rows or len(body_poses.object_index))
             if uses_frontier(scene.device)
@@ -261,7 +252,6 @@ class Planner:
             inputs=inputs,
             outputs=outputs,
             device=self._device,
-            threads=self._threads,
             chunk=chunk,
             uneven=True,
         )

@@ -28,7 +28,9 @@ class Presented:
 
 
 def presented(
-    scene: Scene, held: AttachedBatch, thresholds: Thresholds, *, threads: int | None = None
+    scene: Scene,
+    held: AttachedBatch,
+    thresholds: Thresholds,
 ) -> Presented:
     """Where each trial's receiver's region is when the object is handed over: facing, and within
     the ball's radius of c_h."""
@@ -55,7 +57,6 @@ def presented(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
         chunk=64,
     )
     return Presented(made["angle"], made["distance"], made["presented"])

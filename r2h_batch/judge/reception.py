@@ -117,7 +117,8 @@ def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Re
     if not len(leans_deg):
         raise ValueError("leans_deg is empty; give (0.0,) for a person who does not lean")
     rows = range(0, max(len(scores), 1), TRIALS_AT_ONCE)
-    parts = [_reception(scores[i : i + TRIALS_AT_ONCE], leans_deg) for i in rows]
+    with inputs.evaluator.working():
+        parts = [_reception(scores[i : i + TRIALS_AT_ONCE], leans_deg) for i in rows]
     return Reception(
         **{k: torch.cat([getattr(p, k) for p in parts]) for k in Reception.__dataclass_fields__}
     )
@@ -178,7 +179,7 @@ class _Batch:
     sized: Callable[[Any], Any]
     """a kernel for the arm's number of joints (`Scene.sized`)"""
     on: dict[str, Any]
-    """device and threads of a launch"""
+    """where a launch runs"""
     tables: dict[str, Any]
     """gripper, hands and grasps, for the kernels that look at both"""
     robot: dict[str, Any]
@@ -232,7 +233,7 @@ def _batch_of(scores: Scores) -> _Batch:
     inputs = scores.inputs
     assert isinstance(inputs, ScoreInputs)
     evaluator, trials = inputs.evaluator, inputs.trials
-    scene, threads, receiver = evaluator.scene, evaluator.threads, trials.receiver
+    scene, receiver = evaluator.scene, trials.receiver
     assert receiver is not None  # `reception` has asked
     grasps, device = _grasps(scene), scene.device
     error = evaluator.config.execution_error
@@ -249,17 +250,12 @@ def _batch_of(scores: Scores) -> _Batch:
     objects = trials.object_index.long()
     side = scene.hands.set.side.to(device)[trials.hand_index.long()].long()
     poses = scene.body_poses(
-        trials.object_index,
-        trials.hand_index,
-        attached,
-        trials.T_world_hand,
-        opening,
-        threads=threads,
+        trials.object_index, trials.hand_index, attached, trials.T_world_hand, opening
     )
     return _Batch(
         grasps,
         scene.sized,
-        {"device": device, "threads": threads},
+        {"device": device},
         {
             "gripper": gripper_tables(scene.robot, device),
             "hands": grasps.hands.struct,

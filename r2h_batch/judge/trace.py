@@ -141,8 +141,6 @@ def plan_of_trace(
     body_poses: BodyPoses,
     trace: Trace,
     active: Bool[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> Plan:
     """What Plan says of the motions: free of collisions from the first to the last sample, and
     within the robot's limits of angles and speeds.
@@ -157,7 +155,7 @@ def plan_of_trace(
     takes = (trace.time_s[:, 1:] - trace.time_s[:, :-1])[..., None]
     turns = (q[:, 1:] - q[:, :-1]).abs()
     slow = ~active | (turns <= most * takes + LIMIT_TOLERANCE_RAD).flatten(1).all(1)
-    clearance, pair, body = path_clearances(scene, body_poses, q, length, threads=threads)
+    clearance, pair, body = path_clearances(scene, body_poses, q, length)
     clearance = torch.where(within & slow, clearance, -torch.inf)
     reason = torch.where(clearance > 0, int(PlanReason.OK), int(PlanReason.MOTION_IN_COLLISION))
     reason = torch.where(slow, reason, int(PlanReason.BEYOND_SPEED_LIMITS))

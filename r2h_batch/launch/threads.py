@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache, lru_cache
 from itertools import chain, pairwise
 from pathlib import Path
@@ -22,9 +23,24 @@ import torch
 
 from r2h_batch.validate import integer
 
+_asked: ContextVar[int | None] = ContextVar("threads", default=None)
+
+
+@contextmanager
+def on_threads(threads: int | None) -> Iterator[None]:
+    """Kernels that this thread of the program launches inside have so many workers; None: one per
+    core."""
+    before = _asked.set(threads)
+    try:
+        yield
+    finally:
+        _asked.reset(before)
+
 
 def cpu_threads(threads: int | None = None) -> int:
-    """The number of worker threads: as asked, or one per core this process may use."""
+    """The number of worker threads: as given, as `on_threads` says, or one per core this process may
+    use."""
+    threads = _asked.get() if threads is None else threads
     if threads is not None:
         return integer(1)("threads", threads)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

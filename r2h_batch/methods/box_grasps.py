@@ -80,7 +80,6 @@ def box_grasps(
     azimuth_step: float,
     depths_m: Sequence[float] | Array,
     crop_m: float,
-    threads: int | None = None,
 ) -> BoxGrasps:
     """Grasps seeded at the voxel means of the points whose role is not GRASP; every point of the
     cloud is an obstacle.
@@ -89,7 +88,7 @@ def box_grasps(
     """
     cloud, device, index = _clouds(scene, voxel_m), scene.device, object_index.contiguous()
     turns, depth = _turns(azimuth_step), np.asarray(depths_m, np.float32)
-    seed, used = _seeds(cloud, index, role, device, threads)
+    seed, used = _seeds(cloud, index, role, device)
     score = torch.full(used.shape, -1.0, dtype=torch.float32, device=device)
     turn, step = (torch.zeros(used.shape, dtype=torch.int32, device=device) for _ in range(2))
     if len(index):
@@ -108,7 +107,6 @@ def box_grasps(
             },
             outputs={"score": score, "turn": turn, "depth": step},
             device=device,
-            threads=threads,
             chunk=1,
             width=used.shape[1],
         )
@@ -137,11 +135,7 @@ def _extents(scene: Scene, turns: NDArray[np.float32]) -> Array:
 
 
 def _seeds(
-    cloud: "_Clouds",
-    object_index: Int32[Tensor, " b"],
-    role: UInt8[Tensor, "b p"],
-    device: str,
-    threads: int | None,
+    cloud: "_Clouds", object_index: Int32[Tensor, " b"], role: UInt8[Tensor, "b p"], device: str
 ) -> tuple[Float32[Tensor, "b s 3"], UInt8[Tensor, "b s"]]:
     """Mean of the points in each voxel whose role is not GRASP, and whether the voxel has any."""
     shape = (len(object_index), cloud.voxel_start.shape[1] - 1)
@@ -161,7 +155,6 @@ def _seeds(
             },
             outputs={"seed": seed, "used": used},
             device=device,
-            threads=threads,
             chunk=16,
             width=shape[1],
         )

@@ -16,7 +16,6 @@ from jaxtyping import Bool, Float32, Int32, UInt8
 from sklearn.cluster import DBSCAN
 from torch import Tensor
 
-from r2h_batch.evaluate import Evaluator
 from r2h_batch.kernels.methods import blocked as blocked_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
@@ -83,7 +82,6 @@ def predict(
     scene: Scene,
     *,
     seed: int = 0,
-    evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
     predictor: ContactPredictor | None = None,
@@ -116,7 +114,6 @@ def predict(
     """
     check_choice("contacts", contacts, Contacts)
     view = DepthView(cameras, depth_noise, depth_lost, camera_m, camera_deg)
-    threads = evaluator.threads if evaluator else None
     table = candidate_table(scene)
     clustered = in_clusters(scene, eps_m, min_samples)
     near = points_near_gripper(scene, blocked_m)
@@ -134,17 +131,15 @@ def predict(
             seed=seed,
         )
         rows, exists = table.rows(part.object_index)
-        clear = candidates_clear_of(
-            scene, table, part.object_index, taking.vertices, clearance_m, threads=threads
-        )
+        clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m)
         blocked = blocked_contact(
             near, contact, table.first[part.object_index.long()], table.count[part.object_index.long()], table.most,
-            threshold=threshold, threads=threads,
+            threshold=threshold
         )  # fmt: skip
         row = taken(rows, least_blocked(blocked, table.score[rows], clear, clustered[rows], exists))
         T_world_ee = least_cost_pose(
             scene, part.object_index, table.T_obj_ee[row], table.opening_m[row], target, height_m,
-            directions=directions, rolls=rolls, zone_m=zone_m, hand_points=hand_points, gate=gate, at=at, threads=threads,
+            directions=directions, rolls=rolls, zone_m=zone_m, hand_points=hand_points, gate=gate, at=at
         )  # fmt: skip
         return table.T_obj_ee[row], T_world_ee
 
@@ -220,7 +215,6 @@ def blocked_contact(
     width: int,
     *,
     threshold: float,
-    threads: int | None = None,
 ) -> Float32[Tensor, "b k"]:
     """Sum of the contact probabilities (those of `threshold` and more) that candidate k of each
     trial blocks."""
@@ -238,7 +232,6 @@ def blocked_contact(
         },
         outputs={"blocked": out},
         device=device,
-        threads=threads,
         chunk=8,
         width=width,
     )

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.placing import (
@@ -50,7 +49,6 @@ def predict(
     scene: Scene,
     *,
     seed: int = 0,
-    evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
     rolls: int = ROLLS,
@@ -64,7 +62,6 @@ def predict(
     `gate`: what a roll about the approach axis must pass (`placing.Gate`). `at`: what stands
     `height_m` above the palm.
     """
-    threads = evaluator.threads if evaluator else None
     table = candidate_table(scene)
 
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
@@ -72,22 +69,14 @@ def predict(
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         rows, exists = table.rows(part.object_index)
         score = opposition(table.T_obj_ee[rows][..., :3, 2], taking.wrist_to_middle)
-        clear = candidates_clear_of(
-            scene, table, part.object_index, taking.vertices, clearance_m, threads=threads
-        )
+        clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m)
         row = taken(rows, least(score, clear, exists))
         T_obj_ee = table.T_obj_ee[row]
         frames = approach_frames(-target.wrist_to_middle, home_x(scene))
         R = rolled(frames, roll_angles(rolls))
         T_world_ee = placed_above_palm(scene, R, T_obj_ee, part.object_index, target, height_m, at)
         return T_obj_ee, first_fit(
-            scene,
-            T_world_ee,
-            table.opening_m[row],
-            target.vertices,
-            clearance_m,
-            gate=gate,
-            threads=threads,
+            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, gate=gate
         )
 
     return answers(trials, scene, "fc", choose)

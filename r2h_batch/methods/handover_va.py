@@ -18,7 +18,6 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.bodies.robot import Robot
-from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.box_grasps import BoxGrasps, box_grasps, depth_steps
 from r2h_batch.methods.candidates import candidate_table
@@ -80,7 +79,6 @@ def predict(
     scene: Scene,
     *,
     seed: int = 0,
-    evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
     loops: Loops = "original",
@@ -99,7 +97,6 @@ def predict(
     """
     check_choice("loops", loops, Loops)
     check_choice("at", at, BodyPoses)
-    threads = evaluator.threads if evaluator else None
     depths = depth_steps(DEPTH_LOW_M, DEPTH_HIGH_M, DEPTH_STEP_M)
     table = candidate_table(scene)
 
@@ -109,14 +106,14 @@ def predict(
         role = point_roles(scene, part.object_index, parts)
         own = box_grasps(
             scene, part.object_index, role,
-            voxel_m=voxel_m, azimuth_step=azimuth_step, depths_m=depths, crop_m=crop_m, threads=threads,
+            voxel_m=voxel_m, azimuth_step=azimuth_step, depths_m=depths, crop_m=crop_m
         )  # fmt: skip
         rows, exists = table.rows(part.object_index)
         spare = table.T_obj_ee[taken(rows, least(-table.score[rows], exists, exists))]
         grasps, feasible = by_score(own, spare)
         axis = align_templates(
             scene, part.object_index, role,
-            iterations=ICP_STEPS, tolerance_m=ICP_TOLERANCE_M, label_m=label_m, threads=threads,
+            iterations=ICP_STEPS, tolerance_m=ICP_TOLERANCE_M, label_m=label_m
         )  # fmt: skip
         if loops == "one":
             about_z = torch.zeros(len(part), dtype=torch.bool, device=role.device)
@@ -126,9 +123,7 @@ def predict(
             about_z = (role == WRAP).any(1)
             angles, places = added_turns(rotations), in_front_of(target, distances)
         R_world_obj = presented(axis.R_obj_template, target.palm_normal, angles, about_z)
-        return first_reached(
-            scene.robot, R_world_obj, places, axis, at, grasps, feasible, threads=threads
-        )
+        return first_reached(scene.robot, R_world_obj, places, axis, at, grasps, feasible)
 
     return answers(trials, scene, "handover-va", choose)
 
@@ -179,8 +174,6 @@ def first_reached(
     at: BodyPoses,
     grasps: Float32[Tensor, "b s 4 4"],
     feasible: Bool[Tensor, "b s"],
-    *,
-    threads: int | None = None,
 ) -> tuple[Float32[Tensor, "b 4 4"], Float32[Tensor, "b 4 4"]]:
     """Grasp and pose: the first that the arm reaches, grasps outermost, then places, then turns;
     none: the first of all."""
@@ -194,7 +187,7 @@ def first_reached(
             break
         grasp = grasps[todo, k]
         T = carried(R[todo], _point(axis, at, grasp, todo), place[todo], grasp)
-        reached = reachable(robot, T, threads=threads)
+        reached = reachable(robot, T)
         found = reached.any(1)
         rows = todo if k == 0 else todo[found]
         here = torch.ones_like(found) if k == 0 else found

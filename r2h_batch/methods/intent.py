@@ -20,7 +20,6 @@ from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.evaluate import Evaluator
 from r2h_batch.kernels.methods import approach_hit
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
@@ -94,7 +93,6 @@ def predict(
     scene: Scene,
     *,
     seed: int = 0,
-    evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
     instructions: Sequence[str] | None = None,
@@ -121,7 +119,6 @@ def predict(
     check_choice("at", at, Place)
     if at == "ergonomic" and trials.receiver is None:
         raise ValueError("at is 'ergonomic': these trials have no bodies; take protocol r2h-v1")
-    threads = evaluator.threads if evaluator else None
     table, w_max = candidate_table(scene), scene.config.thresholds.w_max_m
     if instructions is not None and len(instructions) != len(trials):
         raise ValueError(
@@ -168,13 +165,7 @@ def predict(
         if orientation == "transform":
             return T_obj_ee, T_world_ee[:, 0].contiguous()
         return T_obj_ee, first_fit(
-            scene,
-            T_world_ee,
-            table.opening_m[row],
-            target.vertices,
-            clearance_m,
-            gate=gate,
-            threads=threads,
+            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, gate=gate
         )
 
     return answers(trials, scene, "intent", choose)

@@ -61,7 +61,6 @@ def least_cost_pose(
     hand_points: int = HAND_POINTS,
     gate: Literal["none", "ik"] = "ik",
     at: Anchor = "gripper",
-    threads: int | None = None,
 ) -> Float32[Tensor, "b 4 4"]:
     """T_world_ee with `at` `height_m` above each palm and the least cost; `gate="ik"`: of those
     that the arm reaches (of all, if it reaches none).
@@ -73,12 +72,10 @@ def least_cost_pose(
     T_world_ee = placed_above_palm(scene, R, T_obj_ee, object_index, target, height_m, at)
     points = target.vertices[:, hand_sample(scene, hand_points)].contiguous()
     cost = collision_cost(
-        scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m, threads=threads
+        scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m
     )
     every = torch.ones_like(cost, dtype=torch.bool)
-    best = least(
-        cost, reachable(scene.robot, T_world_ee, threads=threads) if gate == "ik" else every, every
-    )
+    best = least(cost, reachable(scene.robot, T_world_ee) if gate == "ik" else every, every)
     return T_world_ee[torch.arange(len(best), dtype=torch.int64, device=best.device), best]
 
 
@@ -113,7 +110,6 @@ def collision_cost(
     hand_points: Float32[Tensor, "b h 3"],
     *,
     zone_m: float = ZONE_M,
-    threads: int | None = None,
 ) -> Float32[Tensor, "b r"]:
     """Mean over the hand's points (world) of max(0, zone - signed distance to gripper and held
     object), m."""
@@ -147,7 +143,6 @@ def collision_cost(
         },
         outputs={"cost": out},
         device=scene.device,
-        threads=threads,
         chunk=2,
         width=r,
     )

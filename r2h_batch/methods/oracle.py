@@ -186,11 +186,11 @@ def _usable_grasps(
     )
     held = close_gripper(
         scene.grasp_tables, T, index,
-        w_max=thresholds.w_max_m, w_min=thresholds.w_min_m, mode=evaluator.config.width, threads=evaluator.threads,
+        w_max=thresholds.w_max_m, w_min=thresholds.w_min_m, mode=evaluator.config.width
     )  # fmt: skip
     region_m, _ = region_distance(
         scene.grasp_tables, attach(T, held.shift_m), index, squeezed(held, thresholds),
-        cap_m=CLEARANCE_CAP_M, threads=evaluator.threads,
+        cap_m=CLEARANCE_CAP_M
     )  # fmt: skip
     region_m = torch.where(region_m.isnan(), torch.inf, region_m)  # no region: nothing to spare
     passes = ((held.margin_m >= 0) & (region_m > 0)).cpu().numpy()

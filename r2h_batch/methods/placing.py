@@ -126,11 +126,12 @@ def poses_at(R: Float[Tensor, "b r 3 3"], p: Float[Tensor, "*#b 3"]) -> Float[Te
 
 
 def reachable(
-    robot: Robot, T_world_ee: Float[Tensor, "b r 4 4"], *, threads: int | None = None
+    robot: Robot,
+    T_world_ee: Float[Tensor, "b r 4 4"],
 ) -> Bool[Tensor, "b r"]:
     """Whether IK has a solution for each pose (world frame). Collisions are not checked."""
     flat = T_world_ee.reshape(-1, 4, 4).contiguous()
-    return solve_ik(flat, robot=robot, threads=threads).reachable.reshape(T_world_ee.shape[:2])
+    return solve_ik(flat, robot=robot).reachable.reshape(T_world_ee.shape[:2])
 
 
 def first_true(passes: Bool[Tensor, "b r"]) -> Int[Tensor, " b"]:
@@ -163,16 +164,14 @@ def candidates_clear_of(
     object_index: Tensor,
     hand_vertices: Float32[Tensor, "b v 3"],
     clearance_m: float,
-    *,
-    threads: int | None = None,
 ) -> Tensor:
     """(b, k) whether a candidate's closed gripper keeps more than `clearance_m` from a hand (b, V, 3)
     on the object, frame obj."""
-    hand = posed_hand(scene.hands.model, hand_vertices, scene.device, threads=threads)
+    hand = posed_hand(scene.hands.model, hand_vertices, scene.device)
     o = object_index.long()
     distance = gripper_clearance(
         scene.robot, hand, table.T_obj_ee, table.opening_m, table.first[o], table.count[o], table.most,
-        cap_m=clearance_m + 1e-3, threads=threads,
+        cap_m=clearance_m + 1e-3
     )  # fmt: skip
     return distance > clearance_m
 
@@ -185,7 +184,6 @@ def first_fit(
     clearance_m: float = 0.0,
     *,
     gate: Gate = "hand",
-    threads: int | None = None,
 ) -> Float32[Tensor, "b 4 4"]:
     """Choose each row's first pose that passes the gate.
 
@@ -198,7 +196,6 @@ def first_fit(
         hand_vertices: (b, V, 3) world frame, metres; None: no hand is in the way.
         clearance_m: distance that gate "hand" demands.
         gate: what a pose must pass.
-        threads: of the CPU.
 
     Returns:
         (b, 4, 4) T_world_ee.
@@ -207,14 +204,14 @@ def first_fit(
     b, r = T_world_ee.shape[:2]
     if gate == "none":
         return T_world_ee[:, 0].contiguous()
-    reached = reachable(scene.robot, T_world_ee, threads=threads)
+    reached = reachable(scene.robot, T_world_ee)
     passes = reached
     if hand_vertices is not None and gate == "hand":
-        hand = posed_hand(scene.hands.model, hand_vertices, scene.device, threads=threads)
+        hand = posed_hand(scene.hands.model, hand_vertices, scene.device)
         row = torch.arange(b, dtype=torch.int64, device=T_world_ee.device) * r
         distance = gripper_clearance(
             scene.robot, hand, T_world_ee.reshape(-1, 4, 4), opening_m.repeat_interleave(r), row, torch.full_like(row, r), r,
-            cap_m=clearance_m + 1e-3, threads=threads,
+            cap_m=clearance_m + 1e-3
         )  # fmt: skip
         passes = reached & (distance > clearance_m)
     at = torch.where(passes.any(1), first_true(passes), first_true(reached))

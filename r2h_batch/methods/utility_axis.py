@@ -65,7 +65,6 @@ def align_templates(
     iterations: int,
     tolerance_m: float,
     label_m: float = LABEL_M,
-    threads: int | None = None,
 ) -> Alignment:
     """ICP of the template onto each trial's labelled cloud; a cloud with any WRAP point gets the
     rings.
@@ -108,7 +107,6 @@ def align_templates(
         },
         outputs={"R": R, "p": p, "error": error, "steps": steps},
         device=device,
-        threads=threads,
         chunk=1,
     )
     launch_trials(
@@ -117,7 +115,6 @@ def align_templates(
         inputs={"points": points, "wanted": GRASP, "object": o, "role": role},
         outputs={"mean": handle},
         device=device,
-        threads=threads,
         chunk=64,
     )
     return result

@@ -22,7 +22,6 @@ from r2h_batch.benchmark.trials_file import LISTED
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.levels import Form, planning_form
-from r2h_batch.launch import cpu_threads
 from r2h_batch.predictions import Motions
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import DETAIL_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
@@ -108,20 +107,11 @@ class Judge:
         run: what `load_run(FOLDER)` gives.
         given: the flags that the sweep had.
         device: cpu, cuda or cuda:N.
-        threads: CPU threads; None: all cores.
     """
 
-    def __init__(
-        self,
-        run: Run,
-        *,
-        given: BenchmarkOverrides | None = None,
-        device: str = "cpu",
-        threads: int | None = None,
-    ):
+    def __init__(self, run: Run, *, given: BenchmarkOverrides | None = None, device: str = "cpu"):
         instance_of(Run, "what load_run(FOLDER) gives")("run", run)
         optional(instance_of(BenchmarkOverrides, "flags of the benchmark"))("given", given)
-        cpu_threads(threads)
         header, where = run.header, run.folder
         if header["protocol"] not in (*PROTOCOLS, LISTED):
             known = ", ".join(PROTOCOLS)
@@ -130,9 +120,7 @@ class Judge:
             )
         config = configuration(header["configuration"], str(where))
         self.benchmark = benchmark_of_run(header, given or BenchmarkOverrides(), str(where))
-        self.evaluator = Evaluator.from_benchmark(
-            self.benchmark, config, device=device, threads=threads
-        )
+        self.evaluator = Evaluator.from_benchmark(self.benchmark, config, device=device)
         self.other = _other(header, device)
         # searched paths, and what depends on them, are the form's own (docs/gpu.md)
         self.form: Form = "one_thread" if header["device"]["kind"] == "cpu" else "frontier"

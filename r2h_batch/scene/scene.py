@@ -377,8 +377,6 @@ class Scene:
         T_obj_ee: Float32[Tensor, "b 4 4"],
         T_world_hand: Float32[Tensor, "b 4 4"],
         opening_m: Float32[Tensor, " b"],
-        *,
-        threads: int | None = None,
     ) -> "BodyPoses":
         """Bodies of B trials: hand in the world, fingers at their opening, object attached (after
         closing moved it)."""
@@ -415,7 +413,6 @@ class Scene:
             },
             outputs=out,
             device=self.device,
-            threads=threads,
             chunk=256,
         )
         return self._of_owners((objects, hands, *out.values(), T_world_hand, opening_m))
@@ -425,14 +422,12 @@ class Scene:
         body_poses: "BodyPoses",
         rows: Tensor,
         opening_m: Float32[Tensor, " r"],
-        *,
-        threads: int | None = None,
     ) -> "BodyPoses":
         """Some rows of bodies that index the scene's tables, with the fingers at another opening;
         the object stays in the wrist's frame."""
         own = tuple(x[rows] for x in body_poses.owners)
         T = torch.eye(4, dtype=torch.float32, device=opening_m.device).repeat(len(opening_m), 1, 1)
-        moved = self.body_poses(own[0], own[1], T, own[9], opening_m, threads=threads).owners
+        moved = self.body_poses(own[0], own[1], T, own[9], opening_m).owners
         return self._of_owners((*own[:4], *moved[4:6], *own[6:10], moved[10]))
 
     def _of_owners(self, owners: tuple[Tensor, ...]) -> "BodyPoses":

@@ -19,6 +19,7 @@ from r2h_batch.benchmark.benchmark import Benchmark
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.benchmark.trials_file import Labels
 from r2h_batch.command_line import counted, tell
+from r2h_batch.launch.threads import on_threads
 from r2h_batch.predictions import Answers, Motions, PredictionsError, align, doubts, load_answers
 from r2h_batch.runs import provenance
 from r2h_batch.schedule import trial_ids
@@ -509,11 +510,14 @@ def _method_job(
 
     def answer(trials: Trials) -> Predictions:
         before = set(sys.modules)
-        answer = answer_of(
-            title,
-            trials,
-            lambda mine: method.found.function(mine, evaluator.scene, seed=options.seed, **extra),
-        )
+        with on_threads(evaluator.threads):
+            answer = answer_of(
+                title,
+                trials,
+                lambda mine: method.found.function(
+                    mine, evaluator.scene, seed=options.seed, **extra
+                ),
+            )
         late = user_files(sys.modules.keys() - before)
         for k in late.keys() - files.keys() if not built_in else ():
             tell(f"{title}: imported {k} when it was called; a resume does not notice its changes")

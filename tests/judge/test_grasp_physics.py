@@ -16,6 +16,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.launch import init_warp
+from r2h_batch.launch.threads import on_threads
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.trials.protocol import trials_with_ids
 
@@ -84,10 +85,9 @@ def test_a_light_part_is_held_through_the_shake_and_a_heavy_one_drops():
 def test_rows_do_not_depend_on_their_batch_and_an_empty_one_is_empty():
     index = np.arange(3)
     T = np.stack([frame(Z, Y, np.zeros(3))] * 3)
-    whole, alone = (
-        close_in_physics(parts(), index, T, load_robot()),
-        close_in_physics(parts(), index[1:2], T[1:2], load_robot(), threads=1),
-    )
+    whole = close_in_physics(parts(), index, T, load_robot())
+    with on_threads(1):
+        alone = close_in_physics(parts(), index[1:2], T[1:2], load_robot())
     assert whole.opening_m[1] == alone.opening_m[0]
     assert close_in_physics(parts(), index[:0], T[:0], load_robot()).opening_m.shape == (0,)
 

@@ -50,7 +50,7 @@ def evidence(active: torch.Tensor, safe_margin_m: float = 0.0, **found: Any) -> 
     held = SimpleNamespace(active=active, **{k: v for k, v in found.items() if k not in STAGES})
     stages = {k: v for k, v in found.items() if k in STAGES}
     scene = default_evaluator().scene
-    return SimpleNamespace(scene=scene, config=config, held=held, slip_m=None, threads=None, **stages)
+    return SimpleNamespace(scene=scene, config=config, held=held, slip_m=None, **stages)
 
 
 def of_object(scores_row: int) -> trimesh.Trimesh:

@@ -246,7 +246,7 @@ def hardly(T: torch.Tensor) -> torch.Tensor:
 
 @pytest.mark.parametrize("reached", [arm, hardly])
 def test_va_goes_through_grasps_distances_and_turns_as_the_original_program_does(reached, monkeypatch):
-    monkeypatch.setattr(handover_va, "reachable", lambda robot, T, threads=None: reached(T))
+    monkeypatch.setattr(handover_va, "reachable", lambda robot, T: reached(T))
     found = predict(handover_va, trials())
     target = predict_target(trials(), evaluator().scene, noise=NOISE)
     role, own, axis = va_inputs()

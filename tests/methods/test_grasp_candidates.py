@@ -14,6 +14,7 @@ import trimesh
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
 from r2h_batch.bodies.robot import Kind, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
+from r2h_batch.launch.threads import on_threads
 from r2h_batch.methods.grasps.antipodal import FRICTION
 from r2h_batch.methods.grasps.sample import sample_grasps
 
@@ -181,7 +182,8 @@ def test_grasps_are_spread_over_the_object_and_no_two_are_alike(name: str) -> No
 
 
 def test_the_same_object_gives_the_stored_grasps_again_with_one_thread() -> None:
-    again = sample_grasps(_model("hammer"), threads=1)
+    with on_threads(1):
+        again = sample_grasps(_model("hammer"))
     for key in ("T_obj_ee", "width", "score", "part"):  # made before products were kept apart from sums: nanometres
         np.testing.assert_allclose(getattr(again, key), _stored()[f"hammer/{key}"], rtol=0, atol=1e-8)
 

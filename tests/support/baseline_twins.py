@@ -52,7 +52,7 @@ METHODS = {"fc": fc, "handover_va": handover_va, "contact": contact, "intent": i
 def predict(method: ModuleType, some: Trials, **options) -> Predictions:
     if method is contact:
         options = {"predictor": ends} | options
-    return method.predict(some, evaluator().scene, evaluator=evaluator(), **options)
+    return method.predict(some, evaluator().scene, **options)
 
 
 @cache

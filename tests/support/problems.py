@@ -17,6 +17,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
 from r2h_batch.judge.plan import Plan, plan_paths, random_key
+from r2h_batch.launch.threads import on_threads
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.trials.protocol import trials_with_ids
@@ -84,16 +85,15 @@ def solve(scene: Scene, batch: Batch, config: PlanConfig | None = None, *, threa
     T_obj_ee, T_world_ee, T_world_hand = (
         se3.orthonormalise(T) for T in (batch.T_obj_ee, batch.T_world_ee, t.T_world_hand)
     )
-    grasp = close_gripper(scene.grasp_tables, T_obj_ee, t.object_index, threads=threads)
-    attached = attach(T_obj_ee, grasp.shift_m)
-    body_poses = scene.body_poses(
-        t.object_index, t.hand_index, attached, T_world_hand, grasp.opening_m, threads=threads
-    )
-    active = torch.ones(len(t), dtype=torch.bool)
-    ik = solve_ik(T_world_ee, active=active, robot=scene.robot, threads=threads)
-    config = config or scene.config.plan
-    branches = ik.valid if config.goals == "set" else one_branch(ik, T_world_ee, threads=threads)
-    planned = plan_paths(scene, body_poses, ik.q, branches, active, random_key(t.trial_id), config, threads=threads)
+    with on_threads(threads):
+        grasp = close_gripper(scene.grasp_tables, T_obj_ee, t.object_index)
+        attached = attach(T_obj_ee, grasp.shift_m)
+        body_poses = scene.body_poses(t.object_index, t.hand_index, attached, T_world_hand, grasp.opening_m)
+        active = torch.ones(len(t), dtype=torch.bool)
+        ik = solve_ik(T_world_ee, active=active, robot=scene.robot)
+        config = config or scene.config.plan
+        branches = ik.valid if config.goals == "set" else one_branch(ik, T_world_ee)
+        planned = plan_paths(scene, body_poses, ik.q, branches, active, random_key(t.trial_id), config)
     return Problems(batch, body_poses, attached, grasp.opening_m, ik, planned)
 
 

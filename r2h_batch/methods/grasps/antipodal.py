@@ -21,9 +21,7 @@ DEPTH_M = 0.012  # how far the contact may lie from the pads' centre along the a
 F32 = NDArray[np.float32]
 
 
-def proposals(
-    model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threads: int | None
-) -> tuple[F32, F32]:
+def proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator) -> tuple[F32, F32]:
     """(M, 4, 4) T_obj_ee, pads on opposite surface points, several approaches about each closing
     axis; (M,) how far these points are from each other."""
     corner = model.vertices[model.faces].astype(np.float64)
@@ -58,7 +56,6 @@ def proposals(
         },
         outputs={"center": center, "axis": axis, "thickness": thickness},
         device="cpu",
-        threads=threads,
     )
     angle = 2 * np.pi * (np.arange(APPROACHES) + rng.random((SEEDS, 1))) / APPROACHES
     sign = np.where(rng.random((SEEDS, APPROACHES)) < 0.5, -1.0, 1.0)

@@ -42,39 +42,35 @@ F32 = NDArray[np.float32]
 
 
 def graded(
-    model: ObjectModel, tables: GraspTables, mesh: wp.Mesh, proposals: F32, threads: int | None
+    model: ObjectModel, tables: GraspTables, mesh: wp.Mesh, proposals: F32
 ) -> tuple[Candidates, NDArray[np.int64]]:
     """The proposals that keep every promise of `sample_grasps`, with their scores, and which of the
     proposals they are."""
     T = torch.from_numpy(proposals)
-    row = torch.nonzero(_clear(tables, T, threads))[:, 0]
+    row = torch.nonzero(_clear(tables, T))[:, 0]
     T = T[row].contiguous()
     edge = 1 / np.hypot(1, FRICTION)
-    pads = _Pads(tables, threads, len(proposals))
+    pads = _Pads(tables, len(proposals))
     for turn in range(3):  # the pads centre the object; what then lies between them may differ
         width, opening, shift, empty = pads.close(T, row)
         held = ~empty & (width <= WIDEST_M)
         T, row = attach(T[held], shift[held]).contiguous(), row[held]
         if turn == 0:  # for most there is no hope: they hold by an edge, or at a slant
             share, cosine, _ = pad_contact(
-                model, mesh, T.numpy(), width[held].numpy(), opening[held].numpy(), threads
+                model, mesh, T.numpy(), width[held].numpy(), opening[held].numpy()
             )
             hopeful = torch.from_numpy((share > 0) & (cosine >= edge - HOPELESS))
             T, row = T[hopeful].contiguous(), row[hopeful]
-    clear = _clear(tables, T, threads)
+    clear = _clear(tables, T)
     T, row = T[clear].contiguous(), row[clear]
     width, opening, shift, empty = pads.close(T, row)
     held = ~empty & (width <= WIDEST_M) & (shift.abs() <= CENTERED_M)
-    behind, _ = closed_clearance(tables, T, zeros(T), opening, cap_m=CLEARANCE_M, threads=threads)
+    behind, _ = closed_clearance(tables, T, zeros(T), opening, cap_m=CLEARANCE_M)
     held &= behind >= BEHIND_PADS_M
     T, width, opening, shift, row = (x[held].contiguous() for x in (T, width, opening, shift, row))
     squeezed = (width - Thresholds().pad_squeeze_m).clamp(min=0)
-    region = region_distance(tables, attach(T, shift), zeros(T), squeezed, threads=threads)[
-        0
-    ].numpy()
-    contact, alignment, part = pad_contact(
-        model, mesh, T.numpy(), width.numpy(), opening.numpy(), threads
-    )
+    region = region_distance(tables, attach(T, shift), zeros(T), squeezed)[0].numpy()
+    contact, alignment, part = pad_contact(model, mesh, T.numpy(), width.numpy(), opening.numpy())
     score, square = scored(model, T.numpy(), opening.numpy(), contact, alignment)
     every = Candidates(T.numpy(), width.numpy(), score, part.astype(np.uint8), region)
     good = square & (contact >= LEAST_CONTACT)
@@ -85,8 +81,8 @@ class _Pads:
     """`close_pads` of proposals by their number: those that stand as they did when it was asked
     before are not asked again."""
 
-    def __init__(self, tables: GraspTables, threads: int | None, count: int) -> None:
-        self.tables, self.threads = tables, threads
+    def __init__(self, tables: GraspTables, count: int) -> None:
+        self.tables = tables
         self.T = torch.full((count, 4, 4), torch.nan, dtype=torch.float32, device="cpu")
         self.found = [torch.empty(count, dtype=torch.float32, device="cpu") for _ in range(3)]
         self.empty = torch.empty(count, dtype=torch.bool, device="cpu")
@@ -96,9 +92,7 @@ class _Pads:
         moved = (self.T[row] != T).flatten(1).any(1)
         asked, number = T[moved].contiguous(), row[moved]
         every = [*self.found, self.empty]
-        for known, new in zip(
-            every, close_pads(self.tables, asked, zeros(asked), threads=self.threads), strict=True
-        ):
+        for known, new in zip(every, close_pads(self.tables, asked, zeros(asked)), strict=True):
             known[number] = new
         self.T[number] = asked
         return [known[row] for known in every]
@@ -124,7 +118,7 @@ def scored(
 
 
 def pad_contact(
-    model: ObjectModel, mesh: wp.Mesh, T: F32, width: F32, opening: F32, threads: int | None
+    model: ObjectModel, mesh: wp.Mesh, T: F32, width: F32, opening: F32
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     """What `antipodal.pad_contact` says: share of the lesser pad, mean cosine, part."""
     link = load_robot(OWN_ROBOT).linkage
@@ -149,14 +143,13 @@ def pad_contact(
         },
         outputs={"contact": share, "alignment": cosine, "part": part},
         device="cpu",
-        threads=threads,
     )
     return share.astype(np.float64), cosine.astype(np.float64), part
 
 
-def _clear(tables: GraspTables, T: torch.Tensor, threads: int | None) -> torch.Tensor:
+def _clear(tables: GraspTables, T: torch.Tensor) -> torch.Tensor:
     """Whether the open gripper keeps its clearance to the object."""
-    return open_is_clear(tables, T, zeros(T), clearance_m=CLEARANCE_M, threads=threads)
+    return open_is_clear(tables, T, zeros(T), clearance_m=CLEARANCE_M)
 
 
 def device_mesh(model: ObjectModel) -> wp.Mesh:

@@ -24,7 +24,10 @@ from r2h_batch.scene.grasp_tables import grasp_tables
 SEATS_M = (0.0, 0.004, -0.004, 0.008, -0.008, 0.012, -0.012, 0.016, -0.016, 0.02, -0.02)
 
 
-def own_grasps(model: ObjectModel, grasps: GraspSet, *, threads: int | None = None) -> Candidates:
+def own_grasps(
+    model: ObjectModel,
+    grasps: GraspSet,
+) -> Candidates:
     """The user's grasps as they are, best score first, without any check. `width`: of what
     lies between the pads."""
     init_warp()
@@ -34,7 +37,6 @@ def own_grasps(model: ObjectModel, grasps: GraspSet, *, threads: int | None = No
         grasp_tables([model], load_robot(OWN_ROBOT)),
         torch.from_numpy(T),
         zeros(torch.from_numpy(T)),
-        threads=threads,
     )[0]
     part, nan = (
         np.maximum(grasps.part[order], 0).astype(np.uint8),
@@ -43,9 +45,7 @@ def own_grasps(model: ObjectModel, grasps: GraspSet, *, threads: int | None = No
     return Candidates(T, width.numpy(), grasps.score[order], part, nan)
 
 
-def seat_grasps(
-    model: ObjectModel, grasps: GraspSet, *, count: int | None = None, threads: int | None = None
-) -> Candidates:
+def seat_grasps(model: ObjectModel, grasps: GraspSet, *, count: int | None = None) -> Candidates:
     """The user's grasps that keep every promise of `sample_grasps`, best score of the user's first,
     at most `count`.
 
@@ -64,7 +64,7 @@ def seat_grasps(
             break
         T = grasps.T_obj_ee[left].copy()
         T[:, :3, 3] += np.float32(depth) * T[:, :3, 2]
-        found, rows = graded(model, tables, mesh, T, threads)
+        found, rows = graded(model, tables, mesh, T)
         seated |= {int(left[r]): (found.rows([k]), depth) for k, r in enumerate(rows)}
     if not seated:
         raise NoGraspError(

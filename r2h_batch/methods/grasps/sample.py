@@ -33,9 +33,7 @@ GENERATED_CONTACT = 0.1
 F32 = NDArray[np.float32]
 
 
-def sample_grasps(
-    model: ObjectModel, *, count: int = COUNT, enough: int = ENOUGH, threads: int | None = None
-) -> Candidates:
+def sample_grasps(model: ObjectModel, *, count: int = COUNT, enough: int = ENOUGH) -> Candidates:
     """Up to `count` grasps of an object: the same object and name, the same grasps. Raises if it
     has none.
 
@@ -54,9 +52,7 @@ def sample_grasps(
     with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
         for turn in range(ROUNDS):
             rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-            pool.append(
-                graded(model, tables, mesh, proposals(model, mesh, rng, threads)[0], threads)[0]
-            )
+            pool.append(graded(model, tables, mesh, proposals(model, mesh, rng)[0])[0])
             found, off_region = (
                 sum(map(len, pool)),
                 sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool),
@@ -82,9 +78,7 @@ def sample_grasps(
     return chosen
 
 
-def generate_grasps(
-    model: ObjectModel, *, count: int = COUNT, threads: int | None = None
-) -> Candidates:
+def generate_grasps(model: ObjectModel, *, count: int = COUNT) -> Candidates:
     """Up to `count` grasps as a generator proposes them, not tried on this evaluator's gripper;
     reproducible. Raises if none.
 
@@ -102,8 +96,8 @@ def generate_grasps(
     with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
         for turn in range(ROUNDS):
             rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-            T, width = proposals(model, mesh, rng, threads)
-            contact, alignment, part = pad_contact(model, mesh, T, width, width, threads)
+            T, width = proposals(model, mesh, rng)
+            contact, alignment, part = pad_contact(model, mesh, T, width, width)
             score, square = scored(model, T, width, contact, alignment)
             rows = np.flatnonzero(square & (contact >= GENERATED_CONTACT))
             rows = rows[_boxes_clear(model, T[rows])]
