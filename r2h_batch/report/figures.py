@@ -110,9 +110,8 @@ def svg(figure: "Figure", title: str) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> list[str]:
-    """Draw a stacked bar of 100 % for each (label, counts by outcome); return the outcomes that
-    occur."""
+def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> None:
+    """Draw a stacked bar of 100 % for each (label, counts by outcome)."""
     used = [o for o in OUTCOME_NAMES if any(counts[o] for _, counts in bars)]
     totals = np.array([max(sum(counts.values()), 1) for _, counts in bars], float)
     left = np.zeros(len(bars))
@@ -144,7 +143,6 @@ def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> list[s
     axes.tick_params(length=0)
     axes.set_xticks([0, 50, 100], ["0", "50", "100 %"])
     axes.spines["left"].set_visible(False)
-    return used
 
 
 def failure_bars(title: str, bars: Sequence[tuple[str, Mapping[str, int]]]) -> str:
@@ -159,30 +157,6 @@ def failure_bars(title: str, bars: Sequence[tuple[str, Mapping[str, int]]]) -> s
             for label, counts in bars
         )
         return svg(figure, f"{title}. {words}")
-
-
-def failure_figure(methods: Mapping[str, Sequence[tuple[str, Mapping[str, int]]]]) -> "Figure":
-    """The bars of all methods with one legend, for print."""
-    columns = min(3, len(methods))
-    rows = -(-len(methods) // columns)
-    figure = make_figure(
-        2.35 * columns, 0.5 + rows * (0.6 + 0.22 * max(len(b) for b in methods.values()))
-    )
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    used: list[str] = []
-    for place, (name, bars) in zip(axes, methods.items(), strict=False):
-        used += _bars(place, bars)
-        place.set_title(name)
-    for place in axes[len(methods) :]:
-        place.set_visible(False)
-    shown = [o for o in OUTCOME_NAMES if o in used]
-    from matplotlib.patches import Patch
-
-    patches = [Patch(color=COLORS[o], label=WORDS[o]) for o in shown]
-    figure.legend(
-        handles=patches, loc="outside lower center", ncols=min(len(shown), 6), frameon=False
-    )
-    return figure
 
 
 def ridges(

@@ -290,7 +290,6 @@ def build_scene_model(
     step_s: float,
     payload_known: bool = True,
     object_collision: str = "hull",
-    skins: bool = False,
     workplace: Workplace | None = None,
 ) -> SceneModel:
     """Arm, gripper with its linkage, object, hand and table, for any of the objects and the listed
@@ -299,7 +298,7 @@ def build_scene_model(
     Contacts push between the pairs that planning checks, without the hand: links with each other
     and with the table, the object with the arm. The hand's first touch decides a trial, and the
     motion after it must not depend on it; object and gripper, object and table do not push while
-    the object is attached. `skins`: with the hands' surfaces, else one sees their convex pieces.
+    the object is attached.
     """
     spec = new_spec(step_s)
     # pairs are named by a bit per body
@@ -307,20 +306,15 @@ def build_scene_model(
     look(spec)
     partners = _partners(robot)
     hand_indices = sorted(set(hand_indices))
-    meshes, object_rows, hand_rows = _trial_meshes(
-        objects, hands, hand_indices, object_collision, skins
-    )
+    meshes, object_rows, hand_rows = _trial_meshes(objects, hands, hand_indices, object_collision)
     for name, vertices, faces, convex in meshes:
         add_mesh(spec, name, vertices, faces, convex=convex)
 
     _add_table(spec, partners, workplace or Workplace())
     hand = spec.worldbody.add_body(name="hand", mocap=True)
     for k, mesh in enumerate(hand_rows[hand_indices[0]]):
-        seen = not skins or k == len(hands.model.piece_names)
-        name = hands.model.piece_names[k] if k < len(hands.model.piece_names) else "skin"
-        add_mesh_geom(
-            hand, f"hand/{name}", meshes[mesh][0], "hand", group=VISUAL if seen else COLLISION
-        )
+        name = f"hand/{hands.model.piece_names[k]}"
+        add_mesh_geom(hand, name, meshes[mesh][0], "hand", group=VISUAL)
     links = add_arm(spec, robot, spec.worldbody)
     for k, link in enumerate(links):
         for i in np.flatnonzero(robot.arm.link == k):
@@ -366,7 +360,6 @@ def _trial_meshes(
     hands: Any,
     hand_indices: list[int],
     object_collision: str,
-    skins: bool,
 ) -> tuple[list[Mesh], list[list[int]], dict[int, NDArray[np.int64]]]:
     """Meshes of objects and hands; which of them each object's and hand's geoms show.
 
@@ -391,9 +384,6 @@ def _trial_meshes(
     for h in hand_indices:
         pieces = range(len(hands.model.piece_names))
         row = [add(f"hand_{h}_{k}", hands.piece_points(h, k), None, convex=True) for k in pieces]
-        if skins:
-            faces = hands.model.faces_by_side[int(hands.set.side[h])].numpy()
-            row.append(add(f"hand_{h}_skin", hands.vertices[h].numpy(), faces, convex=False))
         hand_rows[h] = np.array(row)
     return meshes, object_rows, hand_rows
 
