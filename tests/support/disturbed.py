@@ -72,17 +72,17 @@ class Fork:
         return [file.read() for file in self.said]
 
 
-def start(tmp_path, out, method=SLOW, *flags, before=lambda: None, **more):
-    """A sweep of the fake bench; `before` is called in its process first. With Ray in a process of its own."""
+def start(tmp_path, out, method=SLOW, *flags, before=lambda: None, fork=False, **more):
+    """A sweep of the fake bench; `before` is called in its process first. What starts Ray needs a process of its own."""
     methods = [method] if isinstance(method, str) else method
     line = [*SWEEP, "--method", *methods, "--out", str(out), "--format", "csv", *flags]
     env = environment(tmp_path, **more)
-    if "--engine" not in flags:
+    if fork or "--engine" not in flags:
         return Fork(line[1:], env, before)
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)
 
 
-def finish(process, timeout=120):
+def finish(process, timeout=300):
     """Exit code, stdout and stderr; kills what hangs."""
     try:
         out, error = process.communicate(timeout=timeout)

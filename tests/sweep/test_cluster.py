@@ -19,19 +19,12 @@ from r2h_batch.sweep import cluster
 pytestmark = needs("ray")
 
 RAY = ("--engine", "ray", "--workers", "2")
+ONE = ("--engine", "ray", "--workers", "1")
 
 
-def test_two_workers_give_the_digest_of_one_process_and_a_finished_run_starts_none(tmp_path, undisturbed):
-    out = tmp_path / "run"
-    code, table, error = finish(start(tmp_path, out, SLOW, *RAY, FAKE_WORKERS="2"))
-    assert code == 0 and table.startswith("split,"), error
-    assert len(workers(tmp_path / "log")) == 2
-    same_rows(out, undisturbed)
-    code, again, error = finish(start(tmp_path, out, SLOW, *RAY))
-    assert code == 0 and again == table, error
-
-
-def test_kill_9_of_an_actor_costs_its_shard_only(tmp_path, undisturbed):
+def test_two_workers_of_which_one_is_killed_give_the_digest_of_one_process_and_a_finished_run_starts_none(
+    tmp_path, undisturbed
+):
     out, log = tmp_path / "run", tmp_path / "log"
     sweep = start(tmp_path, out, SLOW, *RAY, FAKE_WORKERS="3")
     wait_for(lambda: len(receipts(out)) >= 2, "two shards")
@@ -40,6 +33,9 @@ def test_kill_9_of_an_actor_costs_its_shard_only(tmp_path, undisturbed):
     assert code == 0 and table.startswith("split,"), error
     assert len(workers(log)) == 3
     same_rows(out, undisturbed)
+    code, again, error = finish(start(tmp_path, out, SLOW, *RAY, fork=True))
+    assert code == 0 and again == table, error
+    assert len(workers(log)) == 3
 
 
 def test_a_worker_whose_method_has_other_files_is_refused():
@@ -83,7 +79,7 @@ def test_kill_9_of_the_driver_leaves_a_folder_that_goes_on(tmp_path, undisturbed
 
 def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_again_on_resume(tmp_path, undisturbed):
     out, log = tmp_path / "run", tmp_path / "log"
-    code, table, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="47"))
+    code, table, error = finish(start(tmp_path, out, DEADLY, *ONE, FAKE_DEADLY="47"))
     assert code == 1 and table == "", error
     assert f"{DEADLY}: quarantined after three tries: shards 4" in error
     assert log.read_text() == "x" * 3 and len(receipts(out)) == 11
@@ -91,7 +87,7 @@ def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_ag
     assert [s.index for s in run.missing(DEADLY)] == [s.index for s in run.quarantined(DEADLY)] == [4]
     noted = store.read_json(out / "quarantine" / "fake_bench_deadly" / "000004.json")
     assert (noted["first"], noted["last"], len(noted["errors"])) == (40, 50, 3)
-    code, table, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="-1"))
+    code, table, error = finish(start(tmp_path, out, DEADLY, FAKE_DEADLY="-1"))
     assert code == 0 and table.startswith("split,"), error
     assert not list((out / "quarantine").rglob("*.json"))
     same_rows(out, undisturbed, DEADLY)

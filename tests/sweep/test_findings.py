@@ -20,28 +20,6 @@ def test_the_papers_own_table_shows_all_eight_findings():
     assert said == [("appears", "")] * 8 and len(findings.CAUSES) == 8
 
 
-def test_a_finding_may_appear_in_part_or_not_at_all():
-    import findings
-
-    first, *_, last = findings.findings()
-    tied = {"f_safe": 0.0}
-    assert findings.said(first, lambda s, m, c: tied.get(c, 9.0 if m == "Contact" else 1.0)) == (
-        "in part",
-        "lowest F_safe",
-    )
-    assert findings.said(last, lambda s, m, c: 1.0)[0] == "no"
-
-
-def test_ranks_count_the_pairs_that_stand_as_in_the_base():
-    import sensitivity
-
-    base = ["contact", "intent", "handover-va", "fc"]
-    assert sensitivity.kept_pairs(base, base) == 6 and sensitivity.kept_pairs(base[::-1], base) == 0
-    assert sensitivity.kept_pairs(["intent", "contact", "handover-va", "fc"], base) == 5
-    names = [v.name for v in sensitivity.variants()]
-    assert names[0] == "base" and len(set(names)) == len(names)
-
-
 def test_a_variants_flags_and_options_are_a_sweeps():
     import sensitivity
 

@@ -90,12 +90,9 @@ def test_a_methods_options_reach_it_and_stand_in_its_name(bench):
     ("method", "said"),
     [
         ("contact,gat=ik", "unknown option 'gat', did you mean gate?"),
-        ("contact,contacts=al", "contacts is 'al', did you mean all?; allowed are left-out, all"),
         ("contact,gate", "option gate has no value; say gate=VALUE"),
         ("contact,rolls=1.5", "rolls is '1.5'; it must be a whole number"),
-        ("contact,height_m=nan", "height_m is 'nan'; it must be a number"),
         ("contact,gate=ik,gate=ik", "option gate is given twice"),
-        ("random,x=1", "unknown option 'x'; it takes none"),
         ("contact,predictor=x", "unknown option 'predictor'"),
     ],
 )

@@ -13,7 +13,7 @@ from r2h_batch.types import Predictions
 
 def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
     line = ["--method", "random", "oracle", "--trials", 6, "--out", tmp_path / "run", "--save-paths"]
-    done = command(*line, env=WITH_HOME)
+    done = in_process(*line)
     assert done.returncode == 0, done.stderr
     assert done.stdout.isascii() and done.stdout.startswith("preset: default")
     assert done.stderr.splitlines()[-1] == f"run folder: {tmp_path / 'run'}"

@@ -1,11 +1,11 @@
 """How a user's method is found: beside the command, as a file, under a name of its own; also by workers of Ray."""
 
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from disturbed import finish, start
 from fake_bench import prepare as prepare_fake
+from needs import needs
 
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
@@ -63,23 +63,10 @@ def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refus
     assert "uc_rules.py imports uc_helper, and " in error and "rename one of them" in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("engine", ["local", "ray"])
-def test_the_console_script_finds_a_module_in_the_current_folder(place, engine):
+@needs("ray")
+def test_a_worker_of_ray_finds_a_module_in_the_current_folder(place):
     """A process of its own: nothing but the script's folder stands in its path of modules."""
-    if engine == "ray":
-        pytest.importorskip("ray")
-    program = str(Path(sys.executable).with_name("r2h-batch"))
-    line = [
-        "sweep",
-        "--method",
-        "uc_rules:predict",
-        "mine=../there/uc_rules.py:predict",
-        "--trials",
-        "3",
-        "--sim",
-        "none",
-    ]
-    more = ["--engine", "ray", "--set", "workers=1"] if engine == "ray" else []
-    done = subprocess.run([program, *line, *more, "--out", "run"], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+    both = ("uc_rules:predict", "mine=../there/uc_rules.py:predict")
+    code, _, error = finish(start(place, "run", both, "--engine", "ray", "--workers", "1"))
+    assert code == 0, error
     assert set(load_run("run").methods) == {"mine", "uc_rules:predict"}
