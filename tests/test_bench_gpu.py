@@ -22,15 +22,15 @@ def gpu(monkeypatch):
 def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path, monkeypatch, capsys):
     apart = ("worlds", "marked_tests")  # processes of their own, and minutes of MuJoCo-Warp on a CPU
     monkeypatch.setattr(gpu, "PARTS", tuple(p for p in gpu.PARTS if p.__name__ not in apart))
-    assert gpu.main(["--device", "cpu", "--trials", "6", "--out", str(tmp_path)]) == 0
+    assert gpu.main(["--device", "cpu", "--trials", "2", "--out", str(tmp_path)]) == 0
     values = json.loads((tmp_path / "gpu.json").read_text())["values"]
     ends = {k.removeprefix("gpu.part."): v for k, v in values.items() if k.startswith("gpu.part.")}
     assert set(ends) == {p.__name__ for p in gpu.PARTS} and all(v.startswith("done") for v in ends.values())
-    assert values["gpu.mix.outcomes_that_differ"] == 0 and values["gpu.mix.trials"] == 6
+    assert values["gpu.mix.outcomes_that_differ"] == 0 and values["gpu.mix.trials"] == 2
     assert values["gpu.same_bits.permuted"] is True and values["gpu.trials_per_s"] > 0
     rates = {form: values[f"gpu.forms.{form}.trials_per_s"] for form in ("frontier", "one_thread")}
     assert values["gpu.forms.loser"] == min(rates, key=rates.get) and values["gpu.forms.winner_is_faster_by"] >= 1
-    assert values["gpu.forms.rows"] == 6 and values["gpu.forms.outcomes_that_differ"] == 0
+    assert values["gpu.forms.rows"] == 2 and values["gpu.forms.outcomes_that_differ"] == 0
     assert f"| gpu.forms.loser | {values['gpu.forms.loser']} |" in (tmp_path / "gpu.md").read_text()
     assert "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
 

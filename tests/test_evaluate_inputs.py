@@ -151,11 +151,8 @@ def wrong_inputs() -> dict:
         "3 x 4": ((grasp, handover[:, :3], trials), ValueError, "T_world_ee"),
         "too many rows": ((grasp, torch.cat([handover, handover]), trials), ValueError, "T_world_ee"),
         "float16": ((grasp.half(), handover, trials), TypeError, "T_obj_ee"),
-        "float16 of NumPy": ((grasp.half().numpy(), handover, trials), TypeError, "T_obj_ee"),
         "masked": ((np.ma.masked_greater(grasp.numpy(), 0.9), handover, trials), TypeError, r"T_obj_ee.*\.filled\("),
         "a list of masked": ((grasp, [*np.ma.masked_less(handover.numpy(), 0.1)], trials), TypeError, "T_world_ee"),
-        "words": (([["a"]], handover, trials), TypeError, "T_obj_ee"),
-        "none": ((grasp, None, trials), TypeError, "T_world_ee"),
         "meta device": ((grasp.to("meta"), handover, trials), TypeError, "T_obj_ee"),
         "hand pose dtype": (but(T_world_hand=trials.T_world_hand.double()), TypeError, "T_world_hand"),
         "trial id dtype": (
@@ -165,9 +162,7 @@ def wrong_inputs() -> dict:
         ),
         "object dtype": (but(object_index=trials.object_index.long()), (TypeError, ValueError), "object_index"),
         "object 99": (but(object_index=trials.object_index + 99), ValueError, "object_index"),
-        "object -5": (but(object_index=trials.object_index - 5), ValueError, "object_index"),
         "hand 9999": (but(hand_index=trials.hand_index + 9999), ValueError, "hand_index"),
-        "no trials": ((grasp, handover, None), TypeError, "trials"),
         "candidates for one pose only": ((grasp[:, None], handover, trials), ValueError, "T_world_ee"),
         "other numbers of candidates": (
             (grasp[:, None].expand(2, 3, 4, 4), handover[:, None].expand(2, 2, 4, 4), trials),
@@ -177,12 +172,11 @@ def wrong_inputs() -> dict:
     }
 
 
-@every_stage
 @pytest.mark.parametrize("case", wrong_inputs())
-def test_wrong_inputs_are_refused_by_name_before_any_work(case, stages, no_work):
+def test_wrong_inputs_are_refused_by_name_before_any_work(case, no_work):
     arguments, error, name = wrong_inputs()[case]
     with pytest.raises(error, match=name):
-        staged_evaluator().score(*arguments, stages)
+        staged_evaluator().score(*arguments)
 
 
 @every_stage

@@ -5,7 +5,6 @@ import html.parser
 import io
 import json
 import re
-import subprocess
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -19,7 +18,7 @@ from r2h_batch.compare.text import render as render_comparison
 from r2h_batch.export import captions, pictures
 from r2h_batch.report import page
 from r2h_batch.report.table import object_lines, render, table_of
-from r2h_batch.report.text import plain, short_names, tex
+from r2h_batch.report.text import short_names, tex
 from r2h_batch.statistics.paired import compare, pair_up
 
 ODD = (
@@ -155,19 +154,3 @@ def test_strips_and_films_caption_the_names(tmp_path, monkeypatch):
     pictures.write_strips([drawing(name) for name in ODD], file, n=1, size=(40, 40))
     texts = {"".join(e.itertext()) for e in ElementTree.parse(file).iter("{http://www.w3.org/2000/svg}text")}
     assert {*ODD} <= texts
-
-
-@needs("latex")
-def test_a_table_of_odd_names_compiles(run, tmp_path):
-    ascii_run = run.only([name for name in (*ODD, FULL) if name.isascii()])
-    text = render(table_of(ascii_run), "latex")
-    head = "\\documentclass{article}\\usepackage{booktabs,siunitx}\\begin{document}\n"
-    (tmp_path / "doc.tex").write_text(f"{head}{text}\\end{{document}}\n", encoding="utf-8")
-    line = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape", "doc.tex"]
-    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, errors="replace", check=False)
-    assert done.returncode == 0, done.stdout[-2000:]
-
-
-def test_an_ordinary_name_stays_as_it_is():
-    for name in ("Contact-Handover (built-in contacts + noise)", "my_method v1.2", "FC-Handover"):
-        assert plain(name) == name and tex(name.replace("_", "")) == name.replace("_", "")

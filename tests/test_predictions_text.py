@@ -48,10 +48,8 @@ def test_csv_gives_the_same_bits_as_a_binary_file(tmp_path):
     [
         (("trial_id", "trial"), "column 'trial' is unknown; allowed are trial_id, T_obj_ee"),
         (("T_obj_ee_3", "T_obj_ee_2"), "column 'T_obj_ee_2' is given twice"),
-        ((",T_world_ee_15", ""), "no readable CSV"),
         (("\n0,", "\nx,"), "no readable CSV (In CSV column #0"),
         (("\n0,", "\n,"), "trial_id is empty in 1 rows"),
-        ((",", ";"), "column 'trial_id;T_obj_ee_0"),
     ],
 )
 def test_csv_that_cannot_be_scored_is_refused_by_its_column(change, words, tmp_path):
@@ -69,9 +67,7 @@ def test_a_csv_of_many_columns_of_one_name_is_refused_at_once(tmp_path):
 BAD = {
     "must hold an object of lists": [GOOD],
     "unknown array 'methods'": GOOD | {"methods": "x"},
-    "'method' is int64": GOOD | {"method": 3},
     "method '' must be": GOOD | {"method": ""},
-    "trial_id is (3,) bool": GOOD | {"trial_id": [True] * 3},
     "'trial_id' is no list of numbers": GOOD | {"trial_id": [1 << 70, 0, 1]},
     "'T_obj_ee' is no list of numbers or texts of one shape": GOOD | {"T_obj_ee": [[1.0], [2.0, 3.0], []]},
     "T_world_ee is (3, 4, 4) ": GOOD | {"T_world_ee": [[["1"] * 4] * 4] * 3},

@@ -17,7 +17,7 @@ from r2h_batch.sweep.command import main as sweep
 def bundle(tmp_path_factory):
     place = tmp_path_factory.mktemp("submission")
     run = place / "mine"
-    line = ["--method", "random", "--trials", "6", "--sim", "none", "--shard-trials", "5", "--out", str(run)]
+    line = ["--method", "random", "--trials", "3", "--sim", "none", "--shard-trials", "2", "--out", str(run)]
     assert sweep(line) == 0
     assert main(["submit", str(run), "--rows", "4"]) == 0
     return place / "mine.zip"
@@ -72,7 +72,7 @@ def test_a_submission_that_does_not_fit_the_others_is_left_out_and_ends_nothing(
 def test_a_built_in_name_is_only_a_built_in_methods_and_the_first_file_decides_nothing(bundle, tmp_path, monkeypatch):
     (tmp_path / "mine_too.py").write_text("from r2h_batch.methods.random import predict as mine\n")
     monkeypatch.syspath_prepend(tmp_path)
-    line = ["--trials", "6", "--sim", "none", "--shard-trials", "5"]
+    line = ["--trials", "3", "--sim", "none", "--shard-trials", "2"]
     assert sweep(["--method", "oracle=mine_too:mine", *line, "--out", str(tmp_path / "theirs")]) == 0
     assert sweep(["--method", "random", *line, "--preset", "paper", "--out", str(tmp_path / "paper")]) == 0
     assert main(["submit", str(tmp_path / "theirs"), "--rows", "2"]) == 0
@@ -106,7 +106,7 @@ def test_a_forged_row_is_found_by_judging_it_again(bundle, tmp_path, capsys):
 
     other = tmp_path / "forged"
     assert forged(bundle.with_suffix(""), other, reaches_further)
-    assert main(["leaderboard", str(bundle), str(other), "--rows", "12", "--out", str(tmp_path / "board.html")]) == 1
+    assert main(["leaderboard", str(bundle), str(other), "--rows", "6", "--out", str(tmp_path / "board.html")]) == 1
     assert "forged is left out: random" in capsys.readouterr().err and (tmp_path / "board.html").exists()
-    assert main(["submit", str(other), "--rows", "12"]) == 2
+    assert main(["submit", str(other), "--rows", "6"]) == 2
     assert "cannot be submitted" in capsys.readouterr().err

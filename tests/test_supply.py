@@ -81,9 +81,9 @@ def test_an_audit_that_looked_nothing_up_is_not_a_clean_one(
 
 @needs("unshare")
 def test_a_sweep_fetches_nothing_it_runs_with_the_network_cut_off(tmp_path: Path) -> None:
-    line = ["unshare", "-rn", sys.executable, "-m", "r2h_batch.sweep", "--method", "random", "--trials", "4"]
+    line = ["unshare", "-rn", sys.executable, "-m", "r2h_batch.sweep", "--method", "random", "--trials", "1"]
     environment = {**os.environ, "TERM": "dumb"}
     line += ["--sim", "none", "--out", str(tmp_path / "run")]
     done = subprocess.run(line, capture_output=True, text=True, env=environment, timeout=900, check=False)
     assert done.returncode == 0, done.stderr
-    assert load_run(tmp_path / "run").trials("random").num_rows == 8
+    assert load_run(tmp_path / "run").trials("random").num_rows == 2

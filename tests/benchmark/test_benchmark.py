@@ -164,23 +164,17 @@ REFUSED = {
     "objects: [{built_in: mug}]": "objects.0.built_in is 'mug'",
     "objects: [{built_in: cup}, {built_in: cup}]": "two objects are called 'cup'",
     "objects: [{file: /etc/passwd}]": "points outside the folder",
-    "objects: [{file: ../brick.stl}]": "points outside the folder",
-    "objects: [{file: brick.stl, grasps: ../g.npz}]": "points outside the folder",
     "objects: [{file: outside.stl}]": "a link that leads outside",
     "objects: [{file: brick.stl, name: ../x}]": "objects.0.name is '../x'",
-    "objects: [{file: brick.stl, mass: .nan}]": "no plain number",
     "objects: [{built_in: cup, roles: {nose: grasp}}]": "roles name 'nose'; it has wall",
     "objects: [{built_in: cup, words: {names: [x], parts: {a: [b]}}}]": "words.parts name 'b'",
     "objects: [{built_in: cup, split: S1}]": "no receiver's region",
-    "hand_set: ../hands.npz": "points outside the folder",
     "hand_model: MANO_RIGHT.pkl": "MANO_RIGHT.pkl: ",
     "home: [0, 0, 4, 0, 0, 0]": "the robot's joint goes from",
     "table: {half: [1, 1, 0]}": "table.half.2 is 0",
     "thresholds: {reach_radius: 0.1}": "did you mean reach_radius_m",
     "thresholds: {safe_margin_m: 0.06}": "safe_margin_m is 0.06; it must be below 0.05",
     "protocol: mine": "protocol is 'mine'",
-    "a: &x [1]\nb: *x": "anchors and aliases",
-    "objects: !!python/object/apply:os.system ['true']": "tag",
 }
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark.build import BenchmarkOverrides, read_benchmark
 from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
-from r2h_batch.bodies.objects import load_objects, object_digest
+from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.importers.grasp_files import PAD_HALF_M, T_gripper_ee, read_file_of
 from r2h_batch.io.read import FileError
@@ -181,14 +181,6 @@ def test_grasps_of_another_gripper_are_seated_anew_or_dropped_and_counted():
     T[:] = T[0]
     with pytest.raises(ValueError, match="hammer: none of 100 grasps can be held"):
         seat_grasps(hammer, as_set(own, T=T))
-
-
-def test_an_object_with_a_users_grasps_has_another_digest():
-    (hammer,) = load_objects(["hammer"])
-    own = as_set(candidates_of((hammer,))[0])
-    with_grasps = object_digest(replace(hammer, grasps=own))
-    assert with_grasps != object_digest(hammer)
-    assert with_grasps != object_digest(replace(hammer, grasps=own.rows(slice(0, 50))))
 
 
 @needs("h5py")

@@ -96,8 +96,6 @@ ISAAC = "format: isaac_grasp\nformat_version: 1.0\n"
 
 
 @pytest.mark.parametrize("text, message", [
-    (ISAAC + "grasps: &a\n  g: {position: [0, 0, 0]}\nmore: *a\n", "anchors and aliases"),
-    (ISAAC + "grasps: !!python/object/apply:os.system [ls]\n", "tag"),
     ("format: other\n", "no isaac_grasp"),
     (ISAAC + "grasps: {}\n", "needs 1 to"),
     (ISAAC + "grasps:\n  g:\n    position: [0, 0, 0]\n", "no orientation"),
@@ -105,7 +103,6 @@ ISAAC = "format: isaac_grasp\nformat_version: 1.0\n"
      "position is"),
     (ISAAC + "grasps:\n  g:\n    position: [0, 0, 0]\n    orientation: {w: 3, xyz: [0, 0, 0]}\n",
      "no rotation"),
-    ("a: " + "[" * 50 + "]" * 50, "nested too deeply"),
 ])  # fmt: skip
 def test_yaml_that_is_no_grasp_file_is_refused_in_one_line(tmp_path, text, message):
     path = tmp_path / "g.yaml"
@@ -161,11 +158,9 @@ def test_graspnet_rows_that_can_be_no_grasp_are_named(tmp_path):
     ("name", "write", "why"),
     [
         ("a.json", lambda p: p.write_text('{"grasps": 3}'), "has no grasps with transforms"),
-        ("b.json", lambda p: p.write_text('{"grasps": {"transforms": [[1, 2], [3]]}}'), "transforms is"),
         ("c.json", lambda p: p.write_text(json.dumps({"grasps": {"transforms": poses(2).tolist(), "object_in_gripper": [0, 0]}})),
          "none of 2 grasps held"),
         ("d.npy", lambda p: np.save(p, np.zeros((3, 3, 3))), "is (3, 3, 3) of float64; need any x 4 x 4"),
-        ("e_labels.npz", lambda p: np.savez(p, points=np.zeros((1, 3))), "has no offsets"),
         ("f_labels.npz", lambda p: np.savez(p, points=np.zeros((1, 3)), offsets=np.zeros((1, 3)), scores=np.zeros((1, 300))),
          "scores are (1, 300); need 1 x 300 x 12 x 4"),
     ],

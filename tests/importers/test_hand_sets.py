@@ -103,9 +103,7 @@ def test_grab(tmp_path, capsys):
     )
 
 
-@pytest.mark.parametrize(
-    "rule, frame", [("first", 0), ("middle", FRAMES // 2), ("last", FRAMES - 1), ("7", 7), ("-2", FRAMES - 2)]
-)
+@pytest.mark.parametrize("rule, frame", [("middle", FRAMES // 2), ("-2", FRAMES - 2)])
 def test_the_frame_can_be_chosen(tmp_path, capsys, rule, frame):
     write_grab(tmp_path)
     code, _, _ = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz", "--frame", rule)
@@ -203,7 +201,6 @@ def test_oakink_takes_the_receivers_of_handovers(tmp_path, capsys):
     ("change", "words"),
     [
         ({"shape": np.full(10, 1e5)}, "shape"),
-        ({"pose": [[[0.0] * 4] * 4] * 4096}, "pose is"),
         ({"pose": [np.zeros(1 << 20)] * 5000}, "pose is missing or no numbers"),
     ],
 )
@@ -241,23 +238,6 @@ def test_hands_that_never_carry_the_object_are_left_out_and_counted(tmp_path, ca
     code, out, _ = imported(capsys, tmp_path, "grab", tmp_path / "all.npz", "--idle")
     hands, _ = loaded(tmp_path / "all.npz")
     assert code == 0 and "4 hands" in out and (hands["held_s"] == 0).tolist() == [False, False, False, True]
-
-
-def test_one_bad_camera_pose_costs_one_frame(tmp_path, capsys):
-    poses = write_h2o(tmp_path, moving_camera())
-    (poses.parent / "cam_pose" / "000030.txt").write_text("nan " * 16)
-    code, _, err = imported(capsys, tmp_path, "h2o", tmp_path / "hands.npz")
-    assert code == 0 and "1 of 80 frames left out; the first: " in err and "000030.txt has " in err
-    hands, motions = loaded(tmp_path / "hands.npz")
-    assert hands["frames"].tolist() == [FRAMES - 1] * 2 and len(motions["fingers"]) == 2 * (FRAMES - 1)
-
-
-def test_a_subjects_folder_is_a_data_set_and_vertex_files_beside_its_sequences_are_none(tmp_path, capsys):
-    path = write_grab(tmp_path)
-    for part in ("body", "lhand", "object"):
-        np.savez(path.with_name(f"{path.stem}_verts_{part}.npz"), verts=np.zeros((2, 3)))
-    code, out, _ = imported(capsys, path.parent, "grab", tmp_path / "hands.npz")
-    assert code == 0 and "2 hands" in out and "0 files skipped" in out
 
 
 class Runs:

@@ -218,19 +218,15 @@ def test_a_stored_hand_or_set_that_is_none_is_refused_in_one_line(files, tmp_pat
     }
     cases = [
         (load_hand, {**arrays, "faces": arrays["faces"] + 5}, "faces names other vertices"),
-        (load_hand, {**arrays, "piece_offsets": arrays["piece_offsets"][::-1]}, "do not divide"),
         (load_hand, {**arrays, "weights": arrays["weights"] / 2}, "sum to 1"),
         (
             load_hand,
             {**arrays, "vertices": arrays["vertices"] * 1000},
             "Lengths are in metres: from millimetres multiply",
         ),
-        (load_hand, {**arrays, "shape_basis": arrays["shape_basis"] * 1000}, "shape_basis moves a vertex"),
         (load_hand, {k: v for k, v in arrays.items() if k != "joint_axes"}, "has no joint_axes"),
         (load_hand, {**arrays, "parents": arrays["parents"][::-1]}, "not MANO's"),
-        (load_hand, {**arrays, "vertices": np.array([{}], object)}, "Python objects"),
         (load_hand_set, {**hands, "pose": hands["pose"][:, :45]}, "pose is"),
-        (load_hand_set, {**hands, "side": hands["side"] + 1}, "side must be"),
         (load_hand_set, {**hands, "shape": hands["shape"][:7]}, "shape is"),
     ]
     for k, (load, given, message) in enumerate(cases):

@@ -117,8 +117,7 @@ def test_margin_histograms_count_every_finite_margin_once(paper):
         assert found[method].counts.sum() == np.isfinite(values).sum()
 
 
-@pytest.mark.parametrize("code", [0, 2, 6, 8])
-@pytest.mark.parametrize(("n_s0", "n_s1"), [(1, 0), (0, 2), (33, 33)])
+@pytest.mark.parametrize(("n_s0", "n_s1", "code"), [(1, 0, 0), (0, 2, 2), (33, 33, 8)])
 def test_edges_have_no_nan(tmp_path, code, n_s0, n_s1):
     text = page.page(write_run(tmp_path / "run", {"m": np.full(n_s0 + n_s1, code)}, n_s0, n_s1))
     assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
