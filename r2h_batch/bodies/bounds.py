@@ -1,6 +1,7 @@
 """Bounding capsules and lever arms for the collision kernels (float64 NumPy, on loading a
 scene)."""
 
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -180,6 +181,7 @@ def gripper_balls(robot: Robot) -> tuple[Array, Array]:
     return np.stack(ends), np.array(radii)
 
 
+@lru_cache(maxsize=4)
 def robot_levers(robot: Robot) -> Array:
     """(N, 6) bounds for arm and gripper primitives: largest distance of any point from each joint's
     axis, any posture."""

@@ -41,21 +41,15 @@ class GraspTables:
 def grasp_tables(objects: Sequence[ObjectModel], robot: Robot, device: str = "cpu") -> GraspTables:
     """The tables that every function here reads: built once per scene."""
     init_warp()
-    triangles = [o.vertices[o.faces] for o in objects]
-    volumes = [o.receiver_boxes is not None for o in objects]
-    regions = [
-        t[o.receiver_face] if o.receiver_boxes is None else _sides(o.receiver_boxes)
-        for t, o in zip(triangles, objects, strict=True)
-    ]
     if len(robot.gripper_part) > 31:
         raise ValueError(
             f"the gripper has {len(robot.gripper_part)} primitives; the kernels' bit masks hold 31"
         )
     return GraspTables(
-        surfaces=surface_tables(triangles + regions, device, [True] * len(objects) + volumes),
+        surfaces=_on_device(_surfaces_of(tuple(objects)), device),
         gripper=gripper_tables(robot, device),
         objects=len(objects),
-        volumes=any(volumes),
+        volumes=any(o.receiver_boxes is not None for o in objects),
         every=(1 << len(robot.gripper_part)) - 1,
         moving=sum(1 << i for i, motion in enumerate(robot.gripper_motion) if motion != "fixed"),
         behind_pads=sum(1 << i for i, part in enumerate(robot.gripper_part) if part != "pad"),
@@ -102,10 +96,32 @@ def _sides(boxes: NDArray[np.float64]) -> NDArray[np.float32]:
     return corners.astype(np.float32).reshape(-1, 3, 3)
 
 
+@lru_cache(maxsize=2)
+def _surfaces_of(objects: tuple[ObjectModel, ...]) -> dict[str, tuple[Any, Any]]:
+    """Surfaces of objects and of their receivers' regions: the same in every scene."""
+    triangles = [o.vertices[o.faces] for o in objects]
+    regions = [
+        t[o.receiver_face] if o.receiver_boxes is None else _sides(o.receiver_boxes)
+        for t, o in zip(triangles, objects, strict=True)
+    ]
+    volumes = [o.receiver_boxes is not None for o in objects]
+    return surface_tables(triangles + regions, [True] * len(objects) + volumes)
+
+
+def _on_device(tables: dict[str, tuple[Any, Any]], device: str) -> Surfaces:
+    """The kernels' struct of `surface_tables`."""
+    out = Surfaces()
+    for name, (value, dtype) in tables.items():
+        setattr(out, name, wp.array(value, dtype=dtype, device=device))
+    return out
+
+
 def surface_tables(
-    surfaces: Sequence[NDArray[np.float32]], device: str, closed: Sequence[bool]
-) -> Surfaces:
-    """Surfaces, each a (T, 3, 3) array of triangles, sorted into nodes of 64 and leaves of 8 with
+    surfaces: Sequence[NDArray[np.float32]], closed: Sequence[bool]
+) -> dict[str, tuple[Any, Any]]:
+    """Values and types of the fields of `Surfaces`.
+
+    Surfaces, each a (T, 3, 3) array of triangles, are sorted into nodes of 64 and leaves of 8 with
     bounding spheres. Those that are not `closed` get an empty bounding box: nothing lies inside."""
     points: list[NDArray[np.float32]] = []
     leaf_first, node_first, surface_first = [0], [0], [0]
@@ -132,25 +148,21 @@ def surface_tables(
     of_leaf = np.concatenate([leaf_sphere[:, :3], leaf_half, leaf_sphere[:, 3:]], 1)
     group_first, group_nodes = _groups(surface_first)
     assert of_node.shape[1] == int(NODE_ROWS) and of_leaf.shape[1] == int(LEAF_ROWS)
-    out = Surfaces()
-    for name, value, dtype in (
-        ("surface_first", surface_first, wp.int32),
-        ("node_first", node_first, wp.int32),
-        ("leaf_first", leaf_first, wp.int32),
-        ("node_sphere", node_sphere, wp.vec4),
-        ("leaf_sphere", leaf_sphere, wp.vec4),
-        ("leaf_half", leaf_half, wp.vec3),
-        ("points", flat, wp.vec3),
-        ("group_first", group_first, wp.int32),
-        ("node_lanes", _lanes(of_node, group_nodes), wp.float32),
-        ("leaf_lanes", _lanes(of_leaf, node_first), wp.float32),
-        ("triangle_lanes", _lanes(flat.reshape(-1, int(TRIANGLE_ROWS)), leaf_first), wp.float32),
-        ("low", np.array([c.min(axis=0) for c in corners], np.float32), wp.vec3),
-        ("high", np.array([c.max(axis=0) for c in corners], np.float32), wp.vec3),
-    ):
-        array: Any = wp.array(value, dtype=dtype, device=device)
-        setattr(out, name, array)
-    return out
+    return {
+        "surface_first": (surface_first, wp.int32),
+        "node_first": (node_first, wp.int32),
+        "leaf_first": (leaf_first, wp.int32),
+        "node_sphere": (node_sphere, wp.vec4),
+        "leaf_sphere": (leaf_sphere, wp.vec4),
+        "leaf_half": (leaf_half, wp.vec3),
+        "points": (flat, wp.vec3),
+        "group_first": (group_first, wp.int32),
+        "node_lanes": (_lanes(of_node, group_nodes), wp.float32),
+        "leaf_lanes": (_lanes(of_leaf, node_first), wp.float32),
+        "triangle_lanes": (_lanes(flat.reshape(-1, int(TRIANGLE_ROWS)), leaf_first), wp.float32),
+        "low": (np.array([c.min(axis=0) for c in corners], np.float32), wp.vec3),
+        "high": (np.array([c.max(axis=0) for c in corners], np.float32), wp.vec3),
+    }
 
 
 def _groups(first: list[int]) -> tuple[list[int], list[int]]:

@@ -311,30 +311,14 @@ class Scene:
     def hand_mesh(self) -> Any:
         """The exact hand surfaces (r2h_batch.kernels.geometry.hand_mesh), faces grouped by the
         piece that encloses them."""
-        model, v = self.hands.model, self.hands.vertices.numpy()
-        faces = model.faces.numpy()
-        owner = np.full(len(faces), -1)
-        for k, piece in reversed(list(enumerate(model.pieces))):
-            owner[np.isin(faces, piece.numpy()).all(1)] = k
-        if (owner < 0).any():
-            raise ValueError(
-                f"{(owner < 0).sum()} faces of the hand lie in no convex piece: make the hand model again"
-            )
-        order = np.argsort(owner, kind="stable")
-        corners = v[:, faces[order]]  # (H, F, 3, 3)
-        center = (corners.min(2) + corners.max(2)) / 2
-        radius = np.linalg.norm(corners - center[:, :, None], axis=3).max(2) + 1e-6
+        faces, first, ball = self.hands.faces
+        vertices = self.hands.vertices.numpy()
         mesh = HandMesh()
-        mesh.n_vertices, mesh.n_faces = v.shape[1], len(faces)
-        mesh.vertices = wp.array(v.reshape(-1, 3), dtype=wp.vec3, device=self.device)
-        mesh.faces = wp.array(faces[order].astype(np.int32), dtype=wp.int32, device=self.device)
-        mesh.piece_face = wp.array(
-            np.searchsorted(owner[order], np.arange(len(model.pieces) + 1)).astype(np.int32),
-            dtype=wp.int32,
-            device=self.device,
-        )
-        ball = np.concatenate([center, radius[..., None]], 2).reshape(-1, 4).astype(np.float32)
-        mesh.face_ball = wp.array(ball, dtype=wp.vec4, device=self.device)
+        mesh.n_vertices, mesh.n_faces = vertices.shape[1], len(faces)
+        mesh.vertices = wp.array(vertices.reshape(-1, 3), dtype=wp.vec3, device=self.device)
+        mesh.faces = wp.array(faces, dtype=wp.int32, device=self.device)
+        mesh.piece_face = wp.array(first, dtype=wp.int32, device=self.device)
+        mesh.face_ball = wp.array(ball.reshape(-1, 4), dtype=wp.vec4, device=self.device)
         return mesh
 
     @cached_property

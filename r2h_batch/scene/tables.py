@@ -1,8 +1,8 @@
 """Shapes and bounds of robot, hands, objects and table: what the collision kernels read."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -42,8 +42,9 @@ class Hands:
     palm_normal: Float32[Tensor, "h 3"]
 
     @staticmethod
+    @lru_cache(maxsize=2)
     def posed(hand_set: HandSet) -> "Hands":
-        """All hands of a set, posed once."""
+        """All hands of a set, posed once for every scene that has them."""
         geometry = hand_set.geometry
         return Hands(
             hand_set.model,
@@ -69,6 +70,42 @@ class Hands:
         side = 1.0 - 2.0 * self.set.side.double()  # right 1, left -1
         return torch.stack([along, out, side[:, None] * se3.cross(along, out)], 2)
 
+    @cached_property
+    def points(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Hull points of all pieces of all hands, and where each piece starts."""
+        v = self.vertices.numpy()
+        offsets = self.set.hull_offsets.numpy()
+        hand = np.repeat(np.arange(len(v)), np.diff(offsets[:: len(self.model.piece_names)]))
+        return v[hand, self.set.hull_vertex_ids.numpy()], offsets.astype(np.int32)
+
+    @cached_property
+    def blocks(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """The same points in blocks (kernels/geometry/body.py, BLOCKS), and where each piece
+        starts."""
+        points, start = self.points
+        blocks = [bounds.point_blocks(points[a:b]) for a, b in pairwise(start)]
+        return np.concatenate(blocks), np.cumsum([0] + [len(b) for b in blocks]).astype(np.int32)
+
+    @cached_property
+    def faces(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
+        """The skin's faces (F, 3) grouped by the piece that encloses them, where each piece starts,
+        and a ball (centre, radius) around each face of each hand (H, F, 4)."""
+        faces, v = self.model.faces.numpy(), self.vertices.numpy()
+        owner = np.full(len(faces), -1)
+        for k, piece in reversed(list(enumerate(self.model.pieces))):
+            owner[np.isin(faces, piece.numpy()).all(1)] = k
+        if (owner < 0).any():
+            raise ValueError(
+                f"{(owner < 0).sum()} faces of the hand lie in no convex piece: make the hand model again"
+            )
+        order = np.argsort(owner, kind="stable")
+        corners = v[:, faces[order]]  # (H, F, 3, 3)
+        center = (corners.min(2) + corners.max(2)) / 2
+        radius = np.linalg.norm(corners - center[:, :, None], axis=3).max(2) + 1e-6
+        first = np.searchsorted(owner[order], np.arange(len(self.model.pieces) + 1))
+        ball = np.concatenate([center, radius[..., None]], 2).astype(np.float32)
+        return faces[order].astype(np.int32), first.astype(np.int32), ball
+
     def piece_points(self, hand: int, piece: int) -> NDArray[np.float32]:
         """Hull points of one convex piece of one hand, hand frame."""
         offsets = self.set.hull_offsets
@@ -76,6 +113,12 @@ class Hands:
         return self.vertices[
             hand, self.set.hull_vertex_ids[int(offsets[at]) : int(offsets[at + 1])].long()
         ].numpy()
+
+
+@lru_cache(maxsize=128)
+def _of_hull(what: Callable[[NDArray[np.float64]], Any], points: bytes) -> Any:
+    """A table of a hull (its float32 points): objects are the same in every scene."""
+    return what(np.frombuffer(points, np.float32).reshape(-1, 3).astype(np.float64))
 
 
 class WorldTables:
@@ -121,7 +164,7 @@ class WorldTables:
                     )
                     setattr(w, name, wp.array(array, dtype=dtype, device=device))
         points = np.concatenate(
-            [self._hand_blocks[0], self._object_points[0], *self._object_cells, *self._arm_blocks]
+            [self.hands.blocks[0], self._object_points[0], *self._object_cells, *self._arm_blocks]
         )
         w.points = wp.array(points, dtype=wp.vec3, device=device)
         w.table_center = wp.vec3(*self.workplace.table_center)
@@ -147,7 +190,7 @@ class WorldTables:
         ]
         levers = bounds.robot_levers(robot)[np.concatenate([order, np.arange(n_arm, n_robot)])]
         ends, radii = bounds.gripper_balls(robot)
-        before = sum(map(len, [self._hand_blocks[0], self._object_points[0], *self._object_cells]))
+        before = sum(map(len, [self.hands.blocks[0], self._object_points[0], *self._object_cells]))
         rows = np.array([*map(len, self._arm_blocks), *[0] * (n_robot - n_arm)])
         link_caps, link_motion_radius = [], []
         for k in range(joints + 2):
@@ -203,25 +246,8 @@ class WorldTables:
             for i in self.arm_order
         ]
 
-    @cached_property
-    def _hand_points(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """Hull points of all pieces of all hands, and where each piece starts."""
-        v = self.hands.vertices.numpy()
-        offsets = self.hands.set.hull_offsets.numpy()
-        n_pieces = len(self.hands.model.piece_names)
-        hand = np.repeat(np.arange(len(v)), np.diff(offsets[::n_pieces]))
-        return v[hand, self.hands.set.hull_vertex_ids.numpy()], offsets.astype(np.int32)
-
-    @cached_property
-    def _hand_blocks(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """The same points in blocks (kernels/geometry/body.py, BLOCKS), and where each piece
-        starts."""
-        points, start = self._hand_points
-        blocks = [bounds.point_blocks(points[a:b]) for a, b in pairwise(start)]
-        return np.concatenate(blocks), np.cumsum([0] + [len(b) for b in blocks]).astype(np.int32)
-
     def _fill_hands(self) -> dict:
-        points, start = self._hand_points
+        points, start = self.hands.points
         low, high = (f.reduceat(points, start[:-1], axis=0) for f in (np.minimum, np.maximum))
         center = (low + high) / 2
         piece = np.repeat(np.arange(len(center)), np.diff(start))
@@ -231,8 +257,8 @@ class WorldTables:
         hand_radius = np.linalg.norm(v - hand_center[:, None], axis=2).max(1)
         return {
             "n_pieces": (len(self.hands.model.piece_names), wp.int32),
-            "piece_start": (self._hand_blocks[1][:-1], wp.int32),
-            "piece_blocks": (np.diff(self._hand_blocks[1]) // BLOCK_POINTS, wp.int32),
+            "piece_start": (self.hands.blocks[1][:-1], wp.int32),
+            "piece_blocks": (np.diff(self.hands.blocks[1]) // BLOCK_POINTS, wp.int32),
             "piece_round": (np.zeros(len(center)), wp.float32),
             "piece_center": (center, wp.vec3),
             "piece_radius": (radius + 1e-6, wp.float32),
@@ -262,16 +288,16 @@ class WorldTables:
         CELLS)."""
         points, _, start = self._object_points
         return [
-            bounds.support_cells(points[a:b].astype(np.float64)).astype(np.float32)
+            _of_hull(bounds.support_cells, points[a:b].tobytes()).astype(np.float32)
             for a, b in pairwise(start)
         ]
 
     def _fill_objects(self) -> dict:
         points, first, start = self._object_points
         caps = [
-            bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)
+            _of_hull(bounds.capsule_of_points, points[a:b].tobytes()) for a, b in pairwise(start)
         ]
-        shift = len(self._hand_blocks[0])
+        shift = len(self.hands.blocks[0])
         return {
             "hull_first": (first, wp.int32),
             "hull_start": (np.array(start) + shift, wp.int32),
@@ -289,5 +315,5 @@ class WorldTables:
         """For each object hull the centre (object frame) and the radius of the largest ball inside
         it."""
         points, _, start = self._object_points
-        balls = [bounds.inner_ball(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
+        balls = [_of_hull(bounds.inner_ball, points[a:b].tobytes()) for a, b in pairwise(start)]
         return np.stack(balls).astype(np.float32)

@@ -1,13 +1,13 @@
 """Repairs do no harm: what is closed stays as it is, to the micrometre, whatever is wrong beside it."""
 
 import warnings
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 import trimesh
 from convex_twin import winding_number
+from grasp_cases import Body
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.mesh_import.closed import closed_mesh
@@ -153,7 +153,7 @@ def test_a_gripper_beside_an_opening_is_clear_once_it_is_closed_though_a_ray_thr
     clear, shell = [], []
     for mesh in (repaired.mesh, repaired.given):
         faces = np.asarray(mesh.faces, np.int32)
-        model = SimpleNamespace(
+        model = Body(
             vertices=np.float32(mesh.vertices),
             faces=faces,
             receiver_face=np.ones(len(faces), bool),

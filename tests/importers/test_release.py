@@ -4,14 +4,13 @@ import copy
 import csv
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import fcl
 import numpy as np
 import pytest
 import torch
 import trimesh
-from grasp_cases import model_of
+from grasp_cases import Body, model_of
 from scipy.optimize import least_squares
 from sweep_command import in_process
 
@@ -214,7 +213,7 @@ def as_rows(boxes):
 def region_distances(regions, T_object_gripper, opening):
     """Of region i to the release's fingers at grasp i, m."""
     cube = trimesh.creation.box((0.01, 0.01, 0.01))
-    objects = [SimpleNamespace(**vars(model_of(cube)) | {"receiver_boxes": r}) for r in regions]
+    objects = [Body(**vars(model_of(cube)) | {"receiver_boxes": r}) for r in regions]
     index = torch.arange(len(regions), dtype=torch.int32)
     T = torch.tensor(np.array(T_object_gripper) @ shift(-TIPS), dtype=torch.float32)
     return region_distance(

@@ -12,6 +12,13 @@ import trimesh
 from r2h_batch.bodies.robot import Robot, drive_from_gap, load_robot, pad_center_z
 from r2h_batch.scene.grasp_tables import grasp_tables
 
+
+class Body(SimpleNamespace):
+    """What of an `ObjectModel` grasp tables read; as there, each is itself alone."""
+
+    __eq__, __hash__ = object.__eq__, object.__hash__
+
+
 BAND = 1e-4
 PAD_X, PAD_Z = 0.011, 0.01875
 
@@ -90,7 +97,7 @@ def shapes() -> dict[str, trimesh.Trimesh]:
 def model_of(mesh: trimesh.Trimesh, region=None) -> Any:
     faces = np.asarray(mesh.faces, np.int32)
     receiver = np.zeros(len(faces), bool) if region is None else region(mesh)
-    return SimpleNamespace(
+    return Body(
         vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=receiver, receiver_boxes=None
     )
 
