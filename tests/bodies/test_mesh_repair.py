@@ -153,13 +153,7 @@ def test_a_gripper_beside_an_opening_is_clear_once_it_is_closed_though_a_ray_thr
     clear, shell = [], []
     for mesh in (repaired.mesh, repaired.given):
         faces = np.asarray(mesh.faces, np.int32)
-        model = Body(
-            vertices=np.float32(mesh.vertices),
-            faces=faces,
-            receiver_face=np.ones(len(faces), bool),
-            receiver_boxes=None,
-        )
-        tables = grasp_tables([model], load_robot())
+        tables = grasp_tables([Body(np.float32(mesh.vertices), faces, np.ones(len(faces), bool))], load_robot())
         clear.append(open_is_clear(tables, poses, none, clearance_m=0.001).numpy())
         shell.append(region_distance(tables, poses, none, torch.full((len(T),), OPEN_GAP_M))[0].numpy())
     only_after = clear[0] & ~clear[1]

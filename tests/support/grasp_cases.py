@@ -1,7 +1,7 @@
 """Shapes of known width, their tables, and random grasps of them."""
 
+from dataclasses import dataclass
 from functools import cache
-from types import SimpleNamespace
 from typing import Any
 
 import manifold3d
@@ -13,10 +13,14 @@ from r2h_batch.bodies.robot import Robot, drive_from_gap, load_robot, pad_center
 from r2h_batch.scene.grasp_tables import grasp_tables
 
 
-class Body(SimpleNamespace):
-    """What of an `ObjectModel` grasp tables read; as there, each is itself alone."""
+@dataclass(eq=False)
+class Body:
+    """What of an `ObjectModel` grasp tables read."""
 
-    __eq__, __hash__ = object.__eq__, object.__hash__
+    vertices: np.ndarray
+    faces: np.ndarray
+    receiver_face: np.ndarray
+    receiver_boxes: np.ndarray | None = None
 
 
 BAND = 1e-4
@@ -97,9 +101,7 @@ def shapes() -> dict[str, trimesh.Trimesh]:
 def model_of(mesh: trimesh.Trimesh, region=None) -> Any:
     faces = np.asarray(mesh.faces, np.int32)
     receiver = np.zeros(len(faces), bool) if region is None else region(mesh)
-    return Body(
-        vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=receiver, receiver_boxes=None
-    )
+    return Body(np.asarray(mesh.vertices, np.float32), faces, receiver)
 
 
 def upper(mesh: trimesh.Trimesh) -> np.ndarray:
