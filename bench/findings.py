@@ -307,14 +307,12 @@ def page(tables: Mapping[str, Mapping]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def readme_lines(default: Mapping, paper: Mapping) -> list[str]:
-    """The table of README.md: r2h-v1, default preset, then the published methods of preset paper."""
+def readme_lines(default: Mapping) -> list[str]:
+    """The table of README.md: r2h-v1, default preset."""
     return [
         "| | SR S0 | SR S1 | F_plan S0 / S1 | F_reach | F_safe | F_stab S1 | F_afford S1 | Presented S1 |",
         "|---|--:|--:|--:|--:|--:|--:|--:|--:|",
         *_readme_rows(default),
-        "| *planned as the paper does:* | | | | | | | | |",
-        *_readme_rows({"rows": [r for r in paper["rows"] if "Handover" in r["method"]]}),
     ]
 
 
@@ -325,7 +323,7 @@ def _readme_rows(data: Mapping) -> list[str]:
         both = [f"{cell('S0', who, c):.1f} / {cell('S1', who, c):.1f}" for c in ("f_plan", "f_reach", "f_safe")]
         ends = [f"{cell('S1', who, c):.1f}" for c in ("f_stab", "f_afford", "presented")]
         rates = [f"{cell(s, who, 'sr'):.1f}" for s in ("S0", "S1")]
-        lines.append(f"| {title} | " + " | ".join([*rates, *both, *ends]) + " |")
+        lines.append(f"| {title.partition(' (')[0]} | " + " | ".join([*rates, *both, *ends]) + " |")
     return lines
 
 

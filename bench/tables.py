@@ -382,9 +382,7 @@ def render_all() -> dict[Path, str]:
     )
     files[RESULTS / "findings.md"] = findings.page(data)
     readme = (ROOT / "README.md").read_text()
-    files[Path("README.md")] = findings.with_table(
-        readme, findings.readme_lines(data["table1-v1"], data["table1-v1-paper-preset"])
-    )
+    files[Path("README.md")] = findings.with_table(readme, findings.readme_lines(data["table1-v1"]))
     choices = (ROOT / "docs" / "choices.md").read_text()
     words = re.compile(r"ours is [^.]*?\d\.\d to[^;]*?with preset\s+`paper`", re.DOTALL)
     files[Path("docs/choices.md")] = words.sub(lambda _: times_text(data), choices, count=1)
