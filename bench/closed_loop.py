@@ -1,14 +1,17 @@
 """Which methods keep their rank when the hand moves, and what a closed loop costs: docs/results/moving.md.
 
 `python bench/closed_loop.py` plays the shipped baselines of r2h-v1 in closed loop and measures the cost on the oracle's poses
-(process time on one thread, a second run of the same episodes). `--render` writes the page again from the JSON.
+(process time on one thread, a second run of the same episodes). `--growth N` plays N episodes in one process, for memory.
+`--render` writes the page again from the JSON.
 """
 
 import argparse
 import json
+import os
 import time
 from collections.abc import Sequence
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +20,8 @@ from _report import ROOT, made_by
 
 PAGE = ROOT / "docs" / "results" / "moving.md"
 STORED = ROOT / "bench" / "results" / "closed_loop.json"
-CASES = (("still", "planned"), ("moves", "planned"), ("moves", "stop"), ("moves", "servo"))
+CASES = (("still", "planned"), ("moves", "planned"), ("moves", "stop"), ("moves", "servo"), ("moves", "replan"))
+GROWN = STORED.with_name("closed_loop_growth.json")
 SIZES = (16, 80)
 PARTS = {
     "receiver": ("r2h_batch.closed_loop.moving", "MovingHands", "pose"),
@@ -50,9 +54,10 @@ Contacts: by the robot / by the hand. Least: median of the least distance. Time:
 {ends}
 
 Short motions have it easier: some end before the hand leaves. With `still` and `planned` the same trials succeed as by SR, row by
-row: {same}. Servo does not look at table and links: its collisions are with them, most of all where the plan had failed.
+row: {same}. Servo and replan look at table, robot and object before each step and stand where it is not free. Replan stands
+too where the pose beside the hand has no free solution; servo comes as near as it can.
 
-Kinematic: nothing pushes, and a contact ends an episode. Fingers do not move, the person's arm and torso are not looked at.
+Kinematic: nothing pushes, and a contact ends an episode. Fingers do not move. `receiver="hand"`: arm and torso are not looked at.
 Sizes, times and the 2 cm stop are [choice]; other sizes shift all rows.
 
 ## Cost
@@ -61,6 +66,12 @@ Process time on one thread, `moves` with `servo`, the oracle's poses; ms a trial
 parts of the whole; the rest is kinematics, limits and counting.
 
 {cost}
+"""
+
+GROWTH = """
+`python bench/closed_loop.py --growth {n}` (bench/results/closed_loop_growth.json, commit {commit}): {n} episodes in one process,
+other hands in each pass over the oracle's poses, {ms:.0f} ms of process time each. Resident memory after each tenth, MiB:
+{mib}.
 """
 
 
@@ -155,6 +166,28 @@ def cost(scores: Any) -> list[dict[str, float]]:
     return found
 
 
+def growth(trials: int) -> dict[str, Any]:
+    """Resident memory after each tenth of `trials` episodes, played by `Loop` as a sweep plays its shards."""
+    from r2h_batch.closed_loop.env import LoopConfig
+    from r2h_batch.closed_loop.episodes import AT_ONCE, Loop
+    from r2h_batch.closed_loop.moving import ReceiverMotion
+
+    torch.set_num_threads(1)
+    names, n, scores = answers(AT_ONCE // 2)
+    k = names.index("oracle")
+    scores = scores[k * n : (k + 1) * n]
+    done, mib, begin = 0, [], time.process_time()
+    while done < trials:
+        seed = done // n
+        Loop(ReceiverMotion("moves", seed=seed), "servo", LoopConfig(seed=seed))(scores)
+        done += n
+        if done * 10 >= trials * (len(mib) + 1):
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            mib.append(round(pages * os.sysconf("SC_PAGE_SIZE") / 2**20))
+            print(done, mib[-1], flush=True)
+    return {"trials": done, "mib": mib, "s": time.process_time() - begin, **made_by()}
+
+
 def measure(trials: int) -> dict[str, Any]:
     """All figures of the page."""
     names, n, scores = answers(trials)
@@ -223,21 +256,29 @@ def markdown(data: dict[str, Any]) -> str:
         for r in data["cost"]
     ]
     same = all(m["sr"] == m["cases"]["still, planned"]["won"] for m in methods.values())
+    grown = json.loads(GROWN.read_text()) if GROWN.exists() else None
+    said = "" if grown is None else GROWTH.format(
+        n=grown["trials"], commit=str(grown["commit"])[:12], ms=1e3 * grown["s"] / grown["trials"],
+        mib=", ".join(map(str, grown["mib"])),
+    )  # fmt: skip
     return HEAD.format(
         same="yes" if same else "no",
         n=data["trials"], commit=str(data["commit"])[:12], all=2 * data["trials"],
         table=aligned(["Method", "SR", *cases], rows, 1), ranks=ranks(columns), ends=aligned(head, ends, 2),
         cost=aligned(["Trials", "s a trial", "ms a step", *PARTS], lines, 0),
-    )  # fmt: skip
+    ) + said  # fmt: skip
 
 
 def main() -> None:
     """Measures and writes, or writes again."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=100, help="of each split")
+    parser.add_argument("--growth", type=int, metavar="N", help="measure memory over N episodes, and nothing else")
     parser.add_argument("--render", action="store_true")
     options = parser.parse_args()
-    if not options.render:
+    if options.growth:
+        GROWN.write_text(json.dumps(growth(options.growth), indent=1) + "\n")
+    elif not options.render:
         STORED.write_text(json.dumps(measure(options.trials), indent=1) + "\n")
     PAGE.write_text(markdown(json.loads(STORED.read_text())))
 

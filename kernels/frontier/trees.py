@@ -81,7 +81,7 @@ def plant_trees(
     edges: Edges,
     trees: Trees,
     growers: Growers,
-    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
+    start_in: wp.array2d(dtype=float),  # (B, JOINTS)
     goals_in: wp.array2d(dtype=float),  # (B * 8, JOINTS)
     n_goals_in: wp.array(dtype=int),  # (B,)
     margin_in: wp.array(dtype=float),  # (B,)
@@ -92,7 +92,7 @@ def plant_trees(
     trial = trees.trial[problem]
     base = problem * 2 * capacity
     n = n_goals_in[trial]
-    add_node(trees.nodes, trees.parents, base, load(home_in, 0), -1, range_rad)
+    add_node(trees.nodes, trees.parents, base, load(start_in, trial), -1, range_rad)
     for g in range(n):
         add_node(trees.nodes, trees.parents, base + capacity + g, load(goals_in, trial * BRANCHES + g), -1, range_rad)
     trees.size[problem, 0] = 1
@@ -200,7 +200,7 @@ def draw_targets(
     counts: Counts,
     trees: Trees,
     growers: Growers,
-    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
+    start_in: wp.array2d(dtype=float),  # (B, JOINTS)
     key_in: wp.array(dtype=int),  # (B,)
 ):
     """The random posture of each lane that asks for one, of a problem that is not over."""
@@ -211,7 +211,7 @@ def draw_targets(
         if growers.phase[e] == EXTEND and trees.state[problem] != OVER:
             number = growers.number[e]
             rng = wp.rand_init(wp.int32(wp.rand_init(seed, key_in[trees.trial[problem]])), number)
-            q, _rng = random_posture(world, home_in, number, rng)
+            q, _rng = random_posture(world, start_in, trees.trial[problem], number, rng)
             for j in range(JOINTS):
                 growers.target[e, j] = q[j]
 

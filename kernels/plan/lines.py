@@ -50,21 +50,21 @@ def straight_lines(
     # tables
     world: World,
     bodies: TrialBodies,
-    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
     # trials
+    start_in: wp.array2d(dtype=float),  # (B, JOINTS)
     goals_in: wp.array2d(dtype=float),  # (B * 8, JOINTS) nearest first
     n_goals_in: wp.array(dtype=int),  # (B,)
     goal_margin_in: wp.array(dtype=float),  # (B * 8,) hand clearance that a path to this goal keeps
     # out
     chosen_out: wp.array(dtype=int),
 ):
-    """The first goal whose straight line from home is free, or -1."""
+    """The first goal whose straight line from the start is free, or -1."""
     trial = first + wp.tid()
-    home = load(home_in, 0)
+    start = load(start_in, trial)
     chosen_out[trial] = -1
     for g in range(n_goals_in[trial]):
         row = trial * BRANCHES + g
-        found = edge(world, bodies, trial, home, load(goals_in, row), goal_margin_in[row], 0.0, 0.0, 0.0, moveit)
+        found = edge(world, bodies, trial, start, load(goals_in, row), goal_margin_in[row], 0.0, 0.0, 0.0, moveit)
         if found.status == FREE:
             chosen_out[trial] = g
             break

@@ -1,6 +1,6 @@
 """RRT-Connect to the set of goals. One thread per problem.
 
-RRT-Connect after Kuffner and LaValle (2000): one tree grows from home, the other one from the goals, all of which are its
+RRT-Connect after Kuffner and LaValle (2000): one tree grows from the start, the other one from the goals, all of which are its
 roots: any free branch of the pose will do, and the search finds out which one can be reached. In each iteration the
 smaller tree takes one step (EXTEND) towards a random posture, then the other one takes steps towards what was added
 (CONNECT) until it gets there, and a path is found, or is blocked.
@@ -96,17 +96,17 @@ def write_branch(
 
 
 @wp.func
-def random_posture(world: World, home: wp.array2d(dtype=float), number: int, state: wp.uint32):
+def random_posture(world: World, start: wp.array2d(dtype=float), trial: int, number: int, state: wp.uint32):
     """Random posture `number` of a search (rad), and the generator's next state.
 
-    It lies within half a turn of home, where paths are short; every fourth lies anywhere within the limits.
+    It lies within half a turn of the start, where paths are short; every fourth lies anywhere within the limits.
     """
     rng = wp.uint32(state)
     q = vecq()
     around = wp.where(number % 4 == 0, FULL_TURN, HALF_TURN)
     for j in range(JOINTS):
-        lo = wp.max(world.lower[j], home[0, j] - around)
-        hi = wp.min(world.upper[j], home[0, j] + around)
+        lo = wp.max(world.lower[j], start[trial, j] - around)
+        hi = wp.min(world.upper[j], start[trial, j] + around)
         q[j] = lo + (hi - lo) * wp.randf(rng)
     return q, rng
 
@@ -138,7 +138,7 @@ def write_path(
     nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), base0: int, base1: int, met0: int, met1: int,
     path: wp.array3d(dtype=float), length: wp.array(dtype=int), trial: int,
 ):  # fmt: skip
-    """Writes home .. meeting posture .. goal; both trees hold the meeting posture. A path that is too long is not written."""
+    """Writes start .. meeting posture .. goal; both trees hold the meeting posture. A path that is too long is not written."""
     n_back = depth_of(parents, base0, met0)
     after = parents[base1 + met1]
     n_forth = depth_of(parents, base1, after)
@@ -148,7 +148,7 @@ def write_path(
         length[trial] = n_back + n_forth
 
 
-# RRT-Connect (Kuffner and LaValle 2000). Tree 0 grows from home, tree 1 from all goals; edges are certified (edge.py). As
+# RRT-Connect (Kuffner and LaValle 2000). Tree 0 grows from the start, tree 1 from all goals; edges are certified (edge.py). As
 # one loop, each turn of which adds at most one node, in one of three phases:
 #
 #     EXTEND      the smaller tree takes one step of at most the node's reach towards a random posture. Blocked: the node's
@@ -176,8 +176,8 @@ def rrt_connect(
     # tables
     world: World,
     bodies: TrialBodies,
-    home_in: wp.array2d(dtype=float),  # (1, JOINTS)
     # trials
+    start_in: wp.array2d(dtype=float),  # (B, JOINTS)
     trial_in: wp.array(dtype=int),  # (P,) rows of the problems
     key_in: wp.array(dtype=int),  # (B,) random key of each trial
     goals_in: wp.array2d(dtype=float),  # (B * 8, JOINTS)
@@ -192,9 +192,9 @@ def rrt_connect(
     path_out: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_inout: wp.array(dtype=int),  # (B,) waypoints, 0: not found; a trial that has some is passed over
 ):
-    """A collision-free polyline from home to one of the goals, within a number of iterations.
+    """A collision-free polyline from the start to one of the goals, within a number of iterations.
 
-    Tree 0 (rows base0 ..) has home as its root, tree 1 (rows base1 ..) all goals. A node's edge to its parent is free. The
+    Tree 0 (rows base0 ..) has the start as its root, tree 1 (rows base1 ..) all goals. A node's edge to its parent is free. The
     steps of an iteration go through one call of `edge`, which holds the whole collision check: two of them would double
     the code of this kernel.
     """
@@ -205,7 +205,7 @@ def rrt_connect(
     base0 = problem * 2 * capacity
     base1 = base0 + capacity
     n0 = int(1)
-    add_node(nodes_scratch, parents_scratch, base0, load(home_in, 0), -1, range_rad)
+    add_node(nodes_scratch, parents_scratch, base0, load(start_in, trial), -1, range_rad)
     n1 = int(n_goals_in[trial])
     for g in range(n1):
         add_node(nodes_scratch, parents_scratch, base1 + g, load(goals_in, trial * BRANCHES + g), -1, range_rad)
@@ -224,7 +224,7 @@ def rrt_connect(
         if phase == EXTEND:
             count += 1
             grow = wp.where(n0 <= n1, 0, 1)
-            target, rng = random_posture(world, home_in, count, rng)
+            target, rng = random_posture(world, start_in, trial, count, rng)
         base = wp.where(grow == 0, base0, base1)
         n = wp.where(grow == 0, n0, n1)
         if phase != CONNECT_ON:

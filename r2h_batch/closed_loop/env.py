@@ -22,13 +22,15 @@ from torch import Tensor
 from r2h_batch import rng, se3
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
 from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion
-from r2h_batch.closed_loop.relative import CAP_M, RelativeDistance
+from r2h_batch.closed_loop.relative import CAP_M, Passed, RelativeDistance
+from r2h_batch.judge.distance import person_distance
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.metrics import reach_distance
 from r2h_batch.judge.reception import reception
 from r2h_batch.motion.execute import nothing_pushes
 from r2h_batch.motion.time_law import limits
 from r2h_batch.predictors.noise import PredictorNoise, perturbed, trial_ids
+from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses
 from r2h_batch.types import CRITERIA, Scores
 from r2h_batch.validate import validate_fields
@@ -65,7 +67,7 @@ class End(IntEnum):
     RUNNING = 0
     SUCCESS = 1
     CONTACT = 2
-    """robot and hand touched before the hand took the object"""
+    """robot and receiver touched before the hand took the object"""
     COLLISION = 3
     """the robot or the object came to the table, or the robot to itself or to the object"""
     DROP = 4
@@ -120,8 +122,9 @@ class Episodes:
         end: `End`.
         robot_touched: of contacts, whether the robot brought them about; else the hand.
         time_s: when it ended; of a success the handover time.
-        least_m: least distance of robot and hand at the steps, at most `CAP_M`.
-        slack_m: between steps it is at most so much less, certified.
+        least_m: least distance of robot and hand at the steps, at most `CAP_M`; with `receiver="body"` of arm and
+            torso too.
+        slack_m: between steps that of the hand is at most so much less, certified.
         near_speed_m_s: largest speed of the robot, a bound for its fastest point, within `CAP_M` of the hand.
         ssm_s: how long robot and hand were nearer than ISO/TS 15066's protective distance.
         ssm_depth_m: by how much, at most.
@@ -154,9 +157,10 @@ class HandoverEnv(VectorEnv):
 
     Observations (a dict of float32 tensors, B rows): `time` s; `q`, `qd` joint angles and speeds; `T_world_ee`;
     `T_world_hand` and `hand_joints` (16, 3) as the camera has them, `age` s of that frame; `gap` m, distance of the
-    robot from that hand, `CAP_M` at most; `T_hand_ee`, the handover pose that the method asked for, in the frame of
-    the hand that it was asked for. With `privileged`: `true_T_world_hand`, `true_gap`. Reward: 1 for a success, -1
-    for a contact, a collision or a drop, less a tenth of the horizon's share that a step takes.
+    robot from that hand (`receiver="body"`: and its arm), `CAP_M` at most; `T_hand_ee`, the handover pose that the
+    method asked for, in the frame of the hand that it was asked for. With `privileged`: `true_T_world_hand`,
+    `true_gap`. Reward: 1 for a success, -1 for a contact, a collision or a drop, less a tenth of the horizon's share
+    that a step takes.
 
     Rows that have ended stand still until `reset`; nothing resets by itself.
     """
@@ -196,6 +200,7 @@ class HandoverEnv(VectorEnv):
         self.scores, self.config, self.action = scores, config or LoopConfig(), action
         self.motion = ReceiverMotion.parse(motion) if isinstance(motion, str) else motion
         self.privileged, self.scene = privileged, self.evaluator.scene
+        self._body = self.evaluator.config.receiver == "body"
         self.num_envs, self.step_s = len(scores), 1.0 / self.config.rate_hz
         self._device = torch.device(self.scene.device)
         joints, law = len(self.scene.robot.joints), self.scene.config.execute
@@ -276,7 +281,7 @@ class HandoverEnv(VectorEnv):
         self.T_world_ee, _ = ee_and_jacobian(self.scene.robot, self.q)
         T = self.hands.pose(0.0)
         every = torch.arange(b, dtype=torch.int64, device=device)
-        self.gap = self._distance.at(every, self.q, T)
+        self.gap = self._apart(every, self.q, T)
         self._least = self.gap.clone()
         self._finish(every[self._held & (self.gap <= 0)], End.CONTACT)
         self.T_world_hand = T
@@ -299,12 +304,16 @@ class HandoverEnv(VectorEnv):
         running = self.ends == int(End.RUNNING)
         rows = torch.nonzero(running).flatten()
         first, last = self.time_s, (self.k + 1) * self.step_s
-        q, qd = self._moved(actions, rows)
+        q, qd = self.moved(actions, rows)
         T = self.hands.pose(last)
         moved = self.hands.moving(first, last - first)
         passed = self._distance.over_step(
             rows, (self.q[rows], q), self.hands, (first, last), self.gap[rows]
         )
+        if self._body and len(rows):
+            near = self._from_person(rows, torch.stack([self.q[rows], q], 1), T[rows])
+            gap, least = (torch.minimum(x, near) for x in (passed.gap_m, passed.least_m))
+            passed = Passed(gap, least, passed.touch | (near <= 0))
         self._count(rows, q, T, moved, passed)
         before, self.T_world_hand = self.T_world_hand, T
         old, place = self.q, self.T_world_ee[:, :3, 3]
@@ -318,8 +327,9 @@ class HandoverEnv(VectorEnv):
 
         touched = rows[passed.touch & ~self.hands.taking[rows]]
         if len(touched):
-            postures, hands = (old[touched], self.q[touched]), (before[touched], T[touched])
-            self._by_robot[touched] = self._distance.who_moved(touched, postures, hands)
+            # with the other left where it was, the one that ends nearer brought them together
+            robot = self._apart(touched, self.q[touched], before[touched])
+            self._by_robot[touched] = robot < self._apart(touched, old[touched], T[touched])
             self._finish(touched, End.CONTACT)
         self._receive(rows, se3.dot(gone, gone).sqrt())
         if last >= self.config.horizon_s - 1e-9:
@@ -337,9 +347,10 @@ class HandoverEnv(VectorEnv):
 
     # --- the robot -----------------------------------------------------------------------------------------------
 
-    def _moved(self, actions: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Postures at the end of the step, as near to what is asked as limits of speed, acceleration and joints
-        allow, and the joint speeds; an asked posture that they allow is reached bit for bit."""
+    def moved(self, actions: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """What actions (B rows) come to: postures (rad) of `rows` at the end of the step, as near to what is asked as
+        limits of speed, acceleration and joints allow, and the joint speeds (rad/s). An asked posture that they allow
+        is reached bit for bit."""
         dt, q, old, asked = self.step_s, self.q[rows], self.qd[rows].double(), actions[rows]
         if self.action == "velocity":
             v = asked.double()
@@ -367,6 +378,26 @@ class HandoverEnv(VectorEnv):
             to = torch.where(exact, asked.float(), to)
         to = torch.minimum(torch.maximum(to, self._lower), self._upper)
         return to, (to.double() - q.double()) / dt
+
+    def keeps_off(self, actions: Tensor) -> Bool[Tensor, " b"]:
+        """Whether the step that actions come to, and the way to a stop after it, are free of table, robot and object:
+        a robot knows these. The receiver is not looked at. An arm that stands where it is False meets nothing."""
+        rows = torch.nonzero(self.ends == int(End.RUNNING)).flatten()
+        q, v = self.moved(torch.as_tensor(actions, device=self._device), rows)
+        stop = q + (v * v.abs().amax(1, keepdim=True) / (2.0 * self.brake)).float()
+        stop = torch.minimum(torch.maximum(stop, self._lower), self._upper)
+        way = torch.stack([self.q[rows], q, stop], 1)
+        free = torch.ones(self.num_envs, dtype=torch.bool, device=self._device)
+        with self.evaluator.working():
+            free[rows] = self._meets_nothing(rows, way)
+        return free
+
+    def _meets_nothing(self, rows: Tensor, motion: Float32[Tensor, "r s 6"]) -> Tensor:
+        """Whether motions are certified free of table, robot and object."""
+        length = torch.full((len(rows),), motion.shape[1], dtype=torch.int32, device=self._device)
+        off = torch.zeros(len(rows), dtype=torch.float32, device=self._device)
+        bodies = self.bodies(self.T_world_hand[rows], rows)
+        return nothing_pushes(self.scene, bodies, motion, length, off)
 
     # --- what happens --------------------------------------------------------------------------------------------
 
@@ -474,11 +505,7 @@ class HandoverEnv(VectorEnv):
         self.ends[rows], self._ended_s[rows] = int(end), self.time_s
         if end == End.CONTACT or self.k == 0:
             return
-        q = torch.stack(self._postures, 1)[rows]
-        bodies = self.bodies(self.T_world_hand[rows], rows)
-        length = torch.full((len(rows),), q.shape[1], dtype=torch.int32, device=q.device)
-        off = torch.zeros(len(rows), dtype=torch.float32, device=q.device)
-        free = nothing_pushes(self.scene, bodies, q, length, off)
+        free = self._meets_nothing(rows, torch.stack(self._postures, 1)[rows])
         self.ends[rows[~free]] = int(End.COLLISION)
 
     # --- what is seen --------------------------------------------------------------------------------------------
@@ -488,20 +515,39 @@ class HandoverEnv(VectorEnv):
         """The receivers' bodies now, arms with their hands (`Trials.receiver`)."""
         return self.hands.body(self.T_world_hand)
 
-    def bodies(
-        self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor | None = None
-    ) -> BodyPoses:
-        """Bodies of trials with their hands there, for the scene's functions; `rows` None: of all."""
-        rows = (
-            torch.arange(self.num_envs, dtype=torch.int64, device=self._device)
-            if rows is None
-            else rows
-        )
+    def bodies(self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor) -> BodyPoses:
+        """Bodies of some trials with their hands there, for the scene's functions."""
         trials = self.trials
         return self.scene.body_poses(
             trials.object_index[rows], trials.hand_index[rows], self._attached[rows], T_world_hand.contiguous(),
             self._opening[rows],
         )  # fmt: skip
+
+    def obstacles(self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor) -> BodyPoses:
+        """The same for a planner: with arm and torso where `receiver="body"`."""
+        bodies = self.bodies(T_world_hand, rows)
+        if not self._body:
+            return bodies
+        receiver = self.hands.body(T_world_hand, rows)
+        assert receiver is not None  # such an evaluator refuses trials without
+        return with_person(self.scene, bodies, receiver, hand=True)
+
+    def _apart(self, rows: Tensor, q: Tensor, T_world_hand: Tensor) -> Tensor:
+        """Distances of robot and receiver, with the hands of these rows there, m."""
+        hand = self._distance.at(rows, q, T_world_hand)
+        if not self._body or not len(rows):
+            return hand
+        return torch.minimum(hand, self._from_person(rows, q[:, None], T_world_hand))
+
+    def _from_person(self, rows: Tensor, path: Tensor, T_world_hand: Tensor) -> Tensor:
+        """Least distance of the robot on its way from arm and torso as they are with the hands there, m; inf: farther
+        than 5 cm."""
+        receiver = self.hands.body(T_world_hand, rows)
+        assert receiver is not None
+        length = torch.full((len(rows),), path.shape[1], dtype=torch.int32, device=self._device)
+        bodies = self.bodies(T_world_hand, rows)
+        found, part = person_distance(self.scene, bodies, receiver, path, length)
+        return torch.where(part < 0, torch.inf, found)
 
     def _error(self, purpose: int, share: float) -> Tensor:
         """Errors of the seen hands in their own frames, (b, 4, 4)."""
@@ -531,7 +577,7 @@ class HandoverEnv(VectorEnv):
             self._last_seen = torch.where(lost, self._last_seen, frame)
         running = torch.nonzero(self.ends == int(End.RUNNING)).flatten()
         gap = torch.full_like(self.gap, CAP_M)
-        gap[running] = self._distance.at(running, self.q[running], self._seen[running])
+        gap[running] = self._apart(running, self.q[running], self._seen[running])
         b = self.num_envs
         found = {
             "time": torch.full((b,), self.time_s, dtype=torch.float32, device=self._device),

@@ -351,14 +351,17 @@ class MovingHands:
         self.way.add(1, rows, begin, lasts, T_world_hand.double())
         self.taking[rows], self.taken_s[rows] = True, begin + lasts
 
-    def body(self, T_world_hand: Float32[Tensor, "b 4 4"]) -> Float32[Tensor, "b 5 4"] | None:
-        """Receivers (`Trials.receiver`) whose arms follow their hands; torso and shoulder stay."""
+    def body(
+        self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor | None = None
+    ) -> Float32[Tensor, "r 5 4"] | None:
+        """Receivers (`Trials.receiver`) of some trials (None: of all) whose arms follow their hands; torso and
+        shoulder stay."""
         if self.receiver is None:
             return None
-        old = self.receiver.double()
-        wrist = se3.apply(T_world_hand.double(), self._wrist)
-        out = self.receiver.clone()
-        out[:, 1, :3] = elbow_of(old, wrist, self._out).float()
+        which: Tensor | slice = slice(None) if rows is None else rows
+        out = self.receiver[which].clone()
+        wrist = se3.apply(T_world_hand.double(), self._wrist[which])
+        out[:, 1, :3] = elbow_of(out.double(), wrist, self._out[which]).float()
         out[:, 2, :3] = wrist.float()
         return out
 

@@ -5,6 +5,7 @@ environment, `Policy(env)`, before each episode; its `action` says which kind of
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -13,9 +14,10 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
-from r2h_batch.closed_loop.env import HandoverEnv
+from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.judge.ik import solve_ik
-from r2h_batch.judge.plan import path_clearances
+from r2h_batch.judge.plan import plan_paths, random_key
+from r2h_batch.kernels.plan.codes import WAYPOINTS
 
 __all__ = ["POLICIES", "Planned", "Replan", "Servo", "StopAndWait", "kind_of_action"]
 
@@ -94,7 +96,8 @@ class StopAndWait(Planned):
 class Servo(Planned):
     """The planned motion with a goal that follows the hand: the posture of the handover pose beside the hand that
     it sees, found by damped least squares from the planned goal on. The path bends with it, in proportion to how
-    far it has come. Slows down from `slow_m` to the hand that it sees, stands from `stop_m` on."""
+    far it has come. Slows down from `slow_m` to the hand that it sees, stands from `stop_m` on, and where it
+    would not keep off table, robot and object."""
 
     action = "posture"
     GOAL_RAD = 0.1
@@ -111,7 +114,7 @@ class Servo(Planned):
         """`follow`: share of the way to where the hand is seen that the goal goes in a step, against noise. Numbers
         may differ from row to row."""
         super().__init__(env)
-        self.robot = env.scene.robot
+        self.env, self.robot = env, env.scene.robot
         self.slow_m, self.stop_m, self.follow = (
             torch.as_tensor(x, dtype=torch.float64, device=self.clock.device).expand(
                 len(self.clock)
@@ -134,62 +137,76 @@ class Servo(Planned):
         bent = (self.clock / self.end_s)[:, None] * (self.goal - self.path[:, -1].double())
         to, q = self.posture(self.clock).double() + bent, seen["q"].double()
         most = self.speed * self.step_s * pace
-        return (
-            q + (to - q) * (most / (to - q).abs().amax(1).clamp(min=1e-9)).clamp(max=1.0)[:, None]
-        ).float()
+        share = (most / (to - q).abs().amax(1).clamp(min=1e-9)).clamp(max=1.0)
+        to = (q + (to - q) * share[:, None]).float()
+        return torch.where(self.env.keeps_off(to)[:, None], to, seen["q"])
 
 
 class Replan:
-    """Twice a second: the free straight joint line from where the arm is to a posture of the handover pose
-    beside the hand that it sees, the shortest; between, along that line. Without one it stands. Stops as
-    `Servo` does. (The judge's search begins at home, so a line that is blocked is not searched around.)"""
+    """Plans twice a second, with the judge's planner from where the arm is to the handover pose beside the hand that it
+    sees, while that hand has moved since the last plan or there is none; goes from waypoint to waypoint. Without a
+    path it stands. Slows down as `Servo` does."""
 
     action = "velocity"
+    MOVED_M, MOVED_RAD = 0.01, 0.07
+    """A hand seen elsewhere by so much is planned to anew: more than the noise of frames [choice]."""
+    ROUNDS = (50,)
+    """Of a search: what most need (`PlanConfig.rounds`)."""
+    THERE_RAD = 1e-3
 
     def __init__(self, env: HandoverEnv) -> None:
-        self.env, self.every = env, max(1, round(env.config.rate_hz / REPLAN_HZ))
-        self.k, self.goal = 0, env.q.clone()
+        self.env, self.every, self.k = env, max(1, round(env.config.rate_hz / REPLAN_HZ)), 0
+        b, device = env.num_envs, env.q.device
+        self.path = env.q[:, None].repeat(1, WAYPOINTS, 1)
+        self.length = torch.ones(b, dtype=torch.int64, device=device)
+        self.next = torch.zeros(b, dtype=torch.int64, device=device)
+        self.planned = torch.zeros(b, dtype=torch.bool, device=device)
+        self.asked = torch.eye(4, dtype=torch.float64, device=device).repeat(b, 1, 1)
+        self.key = random_key(env.trials.trial_id)
 
     def __call__(self, seen: Seen) -> Float32[Tensor, "b 6"]:
         if self.k % self.every == 0:
-            self._plan(seen)
+            with self.env.evaluator.working():
+                self._plan(seen)
         self.k += 1
-        env = self.env
-        left = self.goal.double() - seen["q"].double()
+        env, rows = (
+            self.env,
+            torch.arange(len(self.path), dtype=torch.int64, device=self.path.device),
+        )
+        q = seen["q"].double()
+        there = (self.path[rows, self.next] - q).abs().amax(1) < self.THERE_RAD
+        self.next = torch.where(there, self.next + 1, self.next).minimum(self.length - 1)
+        left = self.path[rows, self.next].double() - q
         far = left.abs().amax(1)
         # as fast as it may be to come to rest there
         speed = torch.minimum((2 * env.acceleration * far).sqrt(), far / env.step_s).clamp(
             max=env.speed
         )
         pace = ((seen["gap"].double() - STOP_M) / (SLOW_M - STOP_M)).clamp(0.0, 1.0)
-        return (left * (pace * speed / far.clamp(min=1e-9))[:, None]).float()
+        v = left * (pace * speed / far.clamp(min=1e-9))[:, None]
+        return torch.where(env.keeps_off(v)[:, None], v, 0.0).float()
 
     def _plan(self, seen: Seen) -> None:
-        env, q = self.env, seen["q"]
-        T = se3.orthonormalise(
-            se3.matmul(seen["T_world_hand"].double(), seen["T_hand_ee"].double())
-        ).float()
-        ik = solve_ik(
-            T,
-            robot=env.scene.robot,
-            home=env.scene.config.workplace.home_q,
-        )
-        far = (ik.q.double() - q[:, None].double()).abs().amax(2)
-        order = torch.where(ik.valid, far, torch.inf).argsort(dim=1, stable=True)
-        bodies = env.bodies(seen["T_world_hand"])
-        row = torch.arange(len(q), dtype=torch.int64, device=q.device)
-        self.goal, left = q.clone(), torch.ones(len(q), dtype=torch.bool, device=q.device)
-        for turn in range(order.shape[1]):
-            k = order[:, turn]
-            tried = left & ik.valid[row, k]
-            if not bool(tried.any()):
-                break
-            line = torch.stack([q, torch.where(tried[:, None], ik.q[row, k], q)], 1).contiguous()
-            length = torch.where(tried, 2, 0).to(torch.int32)
-            clearance, _, _ = path_clearances(env.scene, bodies, line, length)
-            free = tried & (clearance > 0)
-            self.goal = torch.where(free[:, None], line[:, 1], self.goal)
-            left = left & ~free
+        env = self.env
+        asked = se3.matmul(seen["T_world_hand"].double(), seen["T_hand_ee"].double())
+        off = twist_between(self.asked, asked)
+        way, turn = (se3.dot(x, x).sqrt() for x in (off[:, :3], off[:, 3:]))
+        moved = (way > self.MOVED_M) | (turn > self.MOVED_RAD)
+        rows = torch.nonzero((env.ends == int(End.RUNNING)) & (moved | ~self.planned)).flatten()
+        if not len(rows):
+            return
+        T = se3.orthonormalise(asked[rows]).float()
+        ik = solve_ik(T, robot=env.scene.robot, home=env.scene.config.workplace.home_q)
+        config = replace(env.scene.config.plan, rounds=self.ROUNDS, seed=self.k)
+        found = plan_paths(
+            env.scene, env.obstacles(seen["T_world_hand"][rows], rows), ik.q, ik.valid, ik.reachable, self.key[rows],
+            config, execute=env.scene.config.execute, start=seen["q"][rows],
+        )  # fmt: skip
+        some = (found.length > 0)[:, None, None]
+        self.path[rows] = torch.where(some, found.path, seen["q"][rows][:, None])
+        self.length[rows] = found.length.long().clamp(min=1)
+        self.next[rows], self.planned[rows] = 0, found.length > 0
+        self.asked[rows] = asked[rows]
 
 
 POLICIES: dict[str, Any] = {

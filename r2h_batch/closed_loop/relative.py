@@ -138,14 +138,3 @@ class RelativeDistance:
             d_a, d_b = torch.cat([d_a, d_m]), torch.cat([d_m, d_b])
         least = torch.where(touch, least.clamp(max=0.0), least)
         return Passed(after, least, touch)
-
-    def who_moved(
-        self,
-        rows: Tensor,
-        q: tuple[Float32[Tensor, "r 6"], Float32[Tensor, "r 6"]],
-        T_world_hand: tuple[Float32[Tensor, "r 4 4"], Float32[Tensor, "r 4 4"]],
-    ) -> Bool[Tensor, " r"]:
-        """Whether the robot, and not the hand, brought them together in a step: with the other left where it
-        was, the robot alone ends nearer than the hand alone."""
-        robot = self.at(rows, q[1], T_world_hand[0])
-        return robot < self.at(rows, q[0], T_world_hand[1])

@@ -71,14 +71,18 @@ def plan_paths(
     config: PlanConfig,
     *,
     execute: ExecConfig | None = None,
+    start: Float32[Tensor, "b 6"] | None = None,
 ) -> Plan:
-    """Paths from home to the free branches `q` (rad), and why there is none where there is none.
+    """Paths from `start` (rad; None: home) to the free branches `q` (rad), and why there is none
+    where there is none.
 
     `key` seeds a trial's random numbers. Reasons: `PlanReason`; margins: docs/choices.md; RRT-Connect
     (Kuffner and LaValle 2000) with certified edges. Rows that are not `active` get NOT_EVALUATED.
     """
     with one_torch_thread(q.device):
-        return _paths(scene, body_poses, q, valid, active, key, config, execute or ExecConfig())
+        return _paths(
+            scene, body_poses, q, valid, active, key, config, execute or ExecConfig(), start
+        )
 
 
 def load_searches(device: str, joints: int = JOINTS) -> None:
@@ -98,14 +102,17 @@ def _paths(
     key: Int32[Tensor, " b"],
     config: PlanConfig,
     execute: ExecConfig,
+    start: Float32[Tensor, "b 6"] | None,
 ) -> Plan:
     """`plan_paths`, stage by stage."""
     b, device = len(active), q.device
     run = Planner(scene, body_poses)
-    home = home_posture(str(device), scene.config.workplace.home_q)
+    if start is None:
+        start = home_posture(str(device), scene.config.workplace.home_q).expand(b, -1)
+    start = start.contiguous()
     moveit = int(config.edge_check == "moveit")
 
-    start_clear, start_pair, _ = run.check(home.expand(b, -1).contiguous(), active, 1)
+    start_clear, start_pair, _ = run.check(start, active, 1)
     goal_clear, goal_pair, clearance = run.check(
         q.flatten(0, 1), (valid & active[:, None] & start_clear[:, None]).reshape(-1), BRANCHES
     )
@@ -113,19 +120,19 @@ def _paths(
         x.view(b, BRANCHES) for x in (goal_clear, goal_pair, clearance)
     )
 
-    # (b * 8, 6) free branches first, nearest to home first; what lies beyond n_goals of a trial is
+    # (b * 8, 6) free branches first, nearest to the start first; what lies beyond n_goals of a trial is
     # never looked at
-    goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, home, config)
-    chosen = run.straight(home, goals, n_goals, margin, moveit)
+    goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, start, config)
+    chosen = run.straight(start, goals, n_goals, margin, moveit)
     path = torch.zeros((b, WAYPOINTS, q.shape[2]), dtype=torch.float32, device=device)
     length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
-    path[:, 0] = home
+    path[:, 0] = start
     nearest = goals.view(q.shape)[
         torch.arange(b, dtype=torch.int64, device=device), chosen.clamp(min=0).long()
     ]
     path[:, 1] = torch.where((chosen >= 0)[:, None], nearest, 0.0)
 
-    Search(run, home, goals, n_goals, margin, key, config, execute)(path, length)
+    Search(run, start, goals, n_goals, margin, key, config, execute)(path, length)
 
     least, pair, body = _least_clearance(run, path, length)
     if moveit:  # sampled edges may pass through things
@@ -273,18 +280,18 @@ class Planner:
         return made["clear"], made["pair"], made["hand_clearance"]
 
     def straight(
-        self, home: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, moveit: int
+        self, start: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, moveit: int
     ) -> Tensor:
-        """Each row's first goal whose straight line from home is free, or -1."""
+        """Each row's first goal whose straight line from the start is free, or -1."""
         if self.frontier is not None:
-            return self.frontier.straight(home, goals, n_goals, margin, moveit)
+            return self.frontier.straight(start, goals, n_goals, margin, moveit)
         chosen = torch.full_like(n_goals, -1)
         self(
             straight_lines,
             len(n_goals),
             inputs={
                 "moveit": moveit,
-                "home": home,
+                "start": start,
                 "goals": goals,
                 "n_goals": n_goals,
                 "goal_margin": margin.view(-1),
@@ -296,14 +303,14 @@ class Planner:
 
 
 def _sort_goals(
-    q: Tensor, clear: Tensor, clearance: Tensor, home: Tensor, config: PlanConfig
+    q: Tensor, clear: Tensor, clearance: Tensor, start: Tensor, config: PlanConfig
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Free goals, nearest to home first: (b * 8, 6), their number (b,), the hand clearance a path
+    """Free goals, nearest to the start first: (b * 8, 6), their number (b,), the hand clearance a path
     to each must keep (b, 8)."""
     b = len(q)
     distance = torch.zeros(q.shape[:2], dtype=torch.float64, device=q.device)
     for j in range(q.shape[2]):  # summed in a fixed order: the same bits at any batch size
-        distance = distance + (q[..., j] - home[0, j]).double().square()
+        distance = distance + (q[..., j] - start[:, None, j]).double().square()
     order = torch.where(clear, distance, torch.inf).argsort(dim=1, stable=True)
     rows = torch.arange(b, dtype=torch.int64, device=q.device)[:, None]
     goals = q[rows, order].flatten(0, 1)

@@ -40,7 +40,7 @@ class Search:
     free, and their margins."""
 
     run: "Planner"
-    home: Float32[Tensor, "1 6"]
+    start: Float32[Tensor, "b 6"]
     goals: Float32[Tensor, "g 6"]
     n_goals: Int32[Tensor, " b"]
     margin: Float32[Tensor, "b 8"]
@@ -138,7 +138,7 @@ class Search:
         # (`rrt_connect`)
         capacity = 4 * iterations + 16
         if self.run.frontier is not None and self.config.edge_check != "moveit":
-            problem = Problem(self.home, kept, n_kept, margin, self.key)
+            problem = Problem(self.start, kept, n_kept, margin, self.key)
             room = _scratch_nodes(device)
             connect_by_frontier(
                 self.run.frontier,
@@ -168,7 +168,7 @@ class Search:
                     "shorter": shorter,
                     "seed": seed,
                     "moveit": int(self.config.edge_check == "moveit"),
-                    "home": self.home,
+                    "start": self.start,
                     "trial": part,
                     "key": self.key,
                     "goals": kept.flatten(0, 1),
@@ -224,21 +224,21 @@ class Search:
         return path_time(path, length, self.execute)
 
     def _straight_time(self) -> Tensor:
-        return straight_time(self.home, self.goals, self.n_goals, self.execute)
+        return straight_time(self.start, self.goals, self.n_goals, self.execute)
 
 
 def straight_time(
-    home: Float32[Tensor, "1 6"],
+    start: Float32[Tensor, "b 6"],
     goals: Float32[Tensor, "g 6"],
     n_goals: Int32[Tensor, " b"],
     execute: ExecConfig,
 ) -> Tensor:
-    """Time of the straight line from home to that free goal which it reaches soonest, s; infinite
+    """Time of the straight line from the start to that free goal which it reaches soonest, s; infinite
     without one."""
-    lines = torch.stack([home.expand_as(goals), goals], 1)
-    two = torch.full((len(lines),), 2, dtype=torch.int32, device=home.device)
+    lines = torch.stack([start.repeat_interleave(BRANCHES, 0), goals], 1)
+    two = torch.full((len(lines),), 2, dtype=torch.int32, device=start.device)
     time = path_time(lines, two, execute).view(-1, BRANCHES)
-    slot = torch.arange(BRANCHES, dtype=torch.int64, device=home.device)[None]
+    slot = torch.arange(BRANCHES, dtype=torch.int64, device=start.device)[None]
     return torch.where(slot < n_goals[:, None], time, torch.inf).amin(1)
 
 

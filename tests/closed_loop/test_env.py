@@ -1,5 +1,7 @@
 """The closed loop: today's verdicts beside a still hand, distances against MuJoCo C and the exact mesh, any batch."""
 
+from dataclasses import replace
+
 import numpy as np
 import oracle
 import pytest
@@ -11,7 +13,7 @@ from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
 from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig, single
 from r2h_batch.closed_loop.moving import ReceiverMotion
-from r2h_batch.closed_loop.policies import POLICIES, Planned
+from r2h_batch.closed_loop.policies import POLICIES, Planned, Replan
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle as oracle_method
@@ -258,6 +260,45 @@ def test_contacts_say_who_moved(scores):
     e = walker.episodes()
     touched = e.end == int(End.CONTACT)
     assert touched.sum() >= 5 and not e.robot_touched[touched].any() and (e.robot_idle[touched] == 1).all()
+
+
+def test_policies_that_follow_the_hand_keep_off_table_robot_and_object(scores, monkeypatch):
+    """Hands that go far away and low: without the look at its next step the servo drives on."""
+    far = [ReceiverMotion("moves", 0.25, 40.0, seed=seed) for seed in range(3)]
+
+    def collisions(name):
+        return sum(int((played(scores, name, motion)[1].end == int(End.COLLISION)).sum()) for motion in far)
+
+    assert collisions("servo") == 0 and collisions("replan") == 0
+    monkeypatch.setattr(HandoverEnv, "keeps_off", lambda env, actions: torch.ones(env.num_envs, dtype=torch.bool))
+    assert collisions("servo") >= 2
+
+
+def test_replanning_searches_around_what_blocks_the_straight_line(scores):
+    env = HandoverEnv(scores, "still", action="velocity", config=LoopConfig(noise=0, dropout=0, horizon_s=25))
+    policy = Replan(env)
+    seen, _ = env.reset()
+    policy(seen)
+    around = policy.length > 2
+    e = run(env, Replan)
+    assert (around & scores.success).any()
+    assert (e.end == int(End.SUCCESS))[around & scores.success].all()
+
+
+def test_arm_and_torso_are_touched_where_the_judge_says_so_and_only_with_receiver_body(evaluator, scores):
+    body = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), receiver="body"))
+    trials = make_trials(trials=24, protocol="r2h-v1")
+    poses = oracle_method.predict(trials, evaluator.scene, evaluator=evaluator)
+    blind = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+    _, beside_hand = played(blind, "planned", "still")
+    assert blind.inputs is not None
+    _, e = played(blind.with_inputs(replace(blind.inputs, evaluator=body)), "planned", "still")
+    # how near the judge says the planned motion comes to arm and torso
+    inside, clear = blind.body_m < -1e-3, (blind.body_m > 1e-3) & blind.success
+    assert inside.sum() >= 3 and clear.sum() >= 20
+    assert (e.end[inside] == int(End.CONTACT)).all() and e.robot_touched[inside].all()
+    assert not (beside_hand.end[inside] == int(End.CONTACT)).any()
+    assert torch.equal(e.end[clear], beside_hand.end[clear]) and (e.end[clear] == int(End.SUCCESS)).all()
 
 
 def test_hands_take_what_is_held_still_and_ends_and_shares_add_up(scores):

@@ -82,7 +82,7 @@ def all_certified(asked: Asked, path: torch.Tensor, length: torch.Tensor, less: 
     for row in asked.rows.tolist():
         for k in range(int(length[row]) - 1):
             goals = path[:, k + 1].repeat_interleave(BRANCHES, 0)
-            inputs = {"home": path[row, k : k + 1], "goals": goals, "n_goals": torch.ones_like(length)}
+            inputs = {"start": path[:, k].contiguous(), "goals": goals, "n_goals": torch.ones_like(length)}
             inputs |= {"moveit": CERTIFY, "goal_margin": margin} | asked.search.run._tables
             launch_trials(straight_lines, 1, inputs=inputs, outputs={"chosen": chosen}, device="cpu", first=row)
             if chosen[row] != 0:

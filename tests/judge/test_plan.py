@@ -1,5 +1,6 @@
 """Paths judged by MuJoCo C on dense samples of the timed motion; completeness against OMPL; options and reasons."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -20,6 +21,7 @@ from problems import Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, PlanConfig
+from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.judge.ik import one_branch
 from r2h_batch.judge.plan import GOAL_ROOM_M, WAYPOINTS, plan_paths, random_key
 from r2h_batch.motion.time_law import time_path
@@ -50,8 +52,9 @@ def motion_of(p: Problems, row: int) -> np.ndarray:
     return motion_samples(path, times[: len(path)].double().numpy(), config)
 
 
-def judge_paths(p: Problems, *, every: int = 1) -> int:
+def judge_paths(p: Problems, *, every: int = 1, start: torch.Tensor | None = None) -> int:
     """The number of paths looked at, each `every`-th of those returned, after asserting everything that a path promises."""
+    begin = np.tile(np.float32(HOME), (len(p.batch), 1)) if start is None else start.numpy()
     scene = default_evaluator().scene
     robot = scene.robot
     rows = np.flatnonzero(p.plan.length.numpy() > 0)[::every]
@@ -59,7 +62,7 @@ def judge_paths(p: Problems, *, every: int = 1) -> int:
     for row in rows:
         path = waypoints(p, row)
         assert 2 <= len(path) <= WAYPOINTS
-        assert np.array_equal(path[0], np.float32(HOME).astype(np.float64))
+        assert np.array_equal(path[0], begin[row].astype(np.float64))
         assert ((path >= robot.lower) & (path <= robot.upper)).all()
         target = p.batch.T_world_ee[row].double().numpy()
         reached = ee_pose(robot, path[-1])
@@ -86,6 +89,25 @@ def judge_paths(p: Problems, *, every: int = 1) -> int:
 @pytest.mark.parametrize(("n", "every", "least"), [(512, 4, 60), pytest.param(4096, 1, 2000, marks=pytest.mark.slow)])
 def test_every_timed_path_is_free_in_mujoco_keeps_its_distance_and_leads_from_home_to_the_target(n, every, least):
     assert judge_paths(problems(n), every=every) >= least
+
+
+@pytest.mark.parametrize("form", ["one_thread", "frontier"])
+def test_paths_lead_from_any_start_as_they_do_from_home(form):
+    scene, p = default_evaluator().scene, problems(512 if form == "one_thread" else 64)
+    last = (p.plan.length.long() - 1).clamp(min=0)
+    goal = p.plan.path[torch.arange(len(last)), last]
+    start = torch.where((p.plan.length > 0)[:, None], goal, torch.tensor(HOME_Q)).roll(1, 0)
+    with planning_form(form):
+        plan = plan_paths(
+            scene, p.body_poses, p.ik.q, p.ik.valid, p.ik.reachable, random_key(p.batch.trials.trial_id),
+            PlanConfig(rounds=(50,)), start=start,
+        )  # fmt: skip
+    assert judge_paths(replace(p, plan=plan), every=8, start=start) >= (25 if form == "one_thread" else 3)
+    assert (plan.length > 2).sum() >= 3
+    blocked = np.flatnonzero(plan.reason.numpy() == int(PlanReason.START_IN_COLLISION))
+    assert (len(blocked) or form == "frontier") and all(
+        checker_of(scene, p, r).classes(start[r].double().numpy()) for r in blocked[:20]
+    )
 
 
 def test_the_checker_agrees_with_distance_queries_in_colliding_and_free_postures():

@@ -125,7 +125,7 @@ def free_edges(scene, rng, trials, hand_margin):
         if len(good) < 9:
             continue
         ends = q[k, good[1:9]]
-        home = torch.tensor(q[k, good[:1]], dtype=torch.float32)
+        start = torch.tensor(q[k, good[:1]], dtype=torch.float32).repeat(8 * trials, 1)
         goals = torch.zeros((8 * trials, 8, 6), dtype=torch.float32)
         goals[8 * k : 8 * k + 8, 0] = torch.tensor(ends, dtype=torch.float32)
         count = torch.ones(8 * trials, dtype=torch.int32)
@@ -138,7 +138,7 @@ def free_edges(scene, rng, trials, hand_margin):
                 "moveit": 0,
                 "world": scene.world,
                 "bodies": placed8.bodies,
-                "home": home,
+                "start": start,
                 "goals": goals.view(-1, 6),
                 "n_goals": count,
                 "goal_margin": margin,

@@ -210,10 +210,10 @@ class Frontier(Levels):
         return clear, pair, torch.where(clear, least, 0.0)
 
     def straight(
-        self, home: Float32[Tensor, "1 6"], goals: Float32[Tensor, "g 6"], n_goals: Int32[Tensor, " b"],
+        self, start: Float32[Tensor, "b 6"], goals: Float32[Tensor, "g 6"], n_goals: Int32[Tensor, " b"],
         margin: Float32[Tensor, "b 8"], mode: int,
     ) -> Int32[Tensor, " b"]:  # fmt: skip
-        """As plan/lines.py `straight_lines`: the first goal whose straight line from home is free,
+        """As plan/lines.py `straight_lines`: the first goal whose straight line from the start is free,
         or -1.
 
         The nearest goals first, then all others of those trials whose nearest one is no straight
@@ -224,7 +224,7 @@ class Frontier(Levels):
         lines = Lines(
             rows // BRANCHES,
             rows,
-            home.expand(b * BRANCHES, -1).contiguous(),
+            start.repeat_interleave(BRANCHES, 0),
             goals,
             margin.reshape(-1),
         )

@@ -37,7 +37,7 @@ class Problem:
     """What a search of B trials starts from: the goals that it may end at, how many, the hand
     clearance that it keeps."""
 
-    home: Float32[Tensor, "1 6"]
+    start: Float32[Tensor, "b 6"]
     goals: Float32[Tensor, "b 8 6"]
     n_goals: Int32[Tensor, " b"]
     margin: Float32[Tensor, " b"]
@@ -105,7 +105,7 @@ class _Search:
             "capacity": self._capacity, "lanes_each": self._lanes, "range_rad": self._config.range_rad,
         }  # fmt: skip
         ends = {
-            "home": p.home,
+            "start": p.start,
             "goals": p.goals.flatten(0, 1),
             "n_goals": p.n_goals,
             "margin": p.margin,
@@ -119,7 +119,7 @@ class _Search:
             "growers": self._tables["growers"],
             "lanes_each": self._lanes,
         }
-        draw = grown | {"seed": seed, "home": p.home, "key": p.key}
+        draw = grown | {"seed": seed, "start": p.start, "key": p.key}
         for level in range(LEVELS_A_TURN * -(-self._iterations // self._lanes) + LEVELS_MORE):
             parity = level & 1
             frontier.launch(enter_edges, n, enter, {"path": path, "length": length})
