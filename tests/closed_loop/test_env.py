@@ -276,8 +276,8 @@ def test_policies_that_follow_the_hand_keep_off_table_robot_and_object(scores, m
 
 def test_replanning_searches_around_what_blocks_the_straight_line(scores):
     env = HandoverEnv(scores, "still", action="velocity", config=LoopConfig(noise=0, dropout=0, horizon_s=25))
-    policy = Replan(env)
     seen, _ = env.reset()
+    policy = Replan(env)
     policy(seen)
     around = policy.length > 2
     e = run(env, Replan)
