@@ -176,7 +176,8 @@ def growth(trials: int) -> dict[str, Any]:
     names, n, scores = answers(AT_ONCE // 2)
     k = names.index("oracle")
     scores = scores[k * n : (k + 1) * n]
-    done, mib, begin = 0, [], time.process_time()
+    mib: list[int] = []
+    done, begin = 0, time.process_time()
     while done < trials:
         seed = done // n
         Loop(ReceiverMotion("moves", seed=seed), "servo", LoopConfig(seed=seed))(scores)
