@@ -80,11 +80,10 @@ def shown(site, tmp_path):
 
 
 @needs("mkdocs", "viser", "pandas", "chromium")
-@pytest.mark.parametrize("name", ["findings", "sensitivity", "table1-v1"])
-def test_no_table_of_a_results_page_is_cut(shown, name):
+def test_no_table_of_a_results_page_is_cut(shown):
     wide = "[...document.querySelectorAll('.md-typeset__scrollwrap')].map(t => t.scrollWidth - t.clientWidth)"
     script = f"addEventListener('load', () => {{ document.title = 'beyond ' + Math.max(...{wide}) }})"
-    assert "<title>beyond 0</title>" in shown(f"results/{name}.html", script)
+    assert "<title>beyond 0</title>" in shown("results/table1-v1.html", script)
 
 
 @needs("mkdocs", "viser", "pandas", "chromium")

@@ -189,15 +189,15 @@ def test_gjk_an_iteration_at_a_time_has_the_bits_of_gjk(scene: Scene) -> None:
 def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(
     scene: Scene, what: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=96))
-    trials = trials_with_ids(torch.arange(96), objects=scene.objects, protocol="r2h-v0")
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=48))
+    trials = trials_with_ids(torch.arange(48), objects=scene.objects, protocol="r2h-v0")
     poses = oracle.predict(trials, scene, seed=0)
     with levels.planning_form("frontier"), ExitStack() as patched:
         whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
         for (module, name), value in SHORT[what].items():
             patched.enter_context(mock.patch.object(module, name, value))
         assert_same(evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials), whole)
-    assert "out of memory with 96 rows" in caplog.text
+    assert "out of memory with 48 rows" in caplog.text
 
 
 def test_a_single_row_has_room_for_its_whole_path() -> None:

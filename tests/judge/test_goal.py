@@ -88,7 +88,7 @@ def test_the_pose_stage_agrees_with_the_whole_evaluation():
 @pytest.mark.parametrize("plan", [PlanConfig(goals="one"), PlanConfig(object_collision="pieces")])
 def test_other_ways_to_plan_agree_as_well(plan):
     evaluator = Evaluator(EvalConfig(plan=plan, execute=ExecConfig(sim="none")))
-    compare(make_batch(evaluator.scene, 64, random_share=0.5), evaluator)
+    compare(make_batch(evaluator.scene, 32, random_share=0.5), evaluator)
 
 
 def test_collisions_at_a_singular_wrist_prove_nothing():

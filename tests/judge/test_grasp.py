@@ -13,7 +13,7 @@ from r2h_batch.scene.grasp_tables import grasp_tables, gripper_tables
 
 
 def test_opening_is_the_largest_gap_that_the_material_fills() -> None:
-    T, index = random_grasps(189, seed=3)
+    T, index = random_grasps(126, seed=3)
     grasp = close_gripper(tables_of_shapes(), T, index)
     meshes = list(shapes().values())
     checked = {"held": 0, "empty": 0, "wide": 0}
@@ -43,7 +43,7 @@ def test_opening_is_the_largest_gap_that_the_material_fills() -> None:
                 assert float(grasp.shift_m[i]) == pytest.approx((low + high) / 2, abs=2 * BAND)
         for gap in np.linspace(stop + 2 * BAND, OPEN_GAP_M, 8)[:-1] if stop < OPEN_GAP_M - 1e-3 else []:
             assert width64(mesh, T_i, gap, -BAND) < gap + BAND, (i, gap, opening, width)
-    assert min(checked.values()) >= 5, checked
+    assert min(checked.values()) >= 3, checked
 
 
 def _one(name: str, T: np.ndarray, **options):

@@ -169,7 +169,7 @@ def test_affordance_is_the_closed_fingers_distance_to_the_region_and_only_asked_
     for row in range(N):
         model = scene.objects[int(batch.trials.object_index[row])]
         assert bool(s.evaluated[row, AFFORDANCE]) is (model.split == "S1")
-        if model.split == "S0" or row % 4 > 1:
+        if model.split == "S0" or row % 4 != 1:
             continue
         region = model.vertices.astype(np.float64)[model.faces[model.receiver_face]]
         opening = max(float(problems.opening_m[row]) - 0.001, 0.0)
@@ -185,7 +185,7 @@ def test_affordance_is_the_closed_fingers_distance_to_the_region_and_only_asked_
             assert float(s.margin[row, AFFORDANCE]) <= 1e-6
         else:
             assert float(s.margin[row, AFFORDANCE]) == pytest.approx(least, abs=2e-5), row
-    assert compared >= 50 and met >= 5
+    assert compared >= 25 and met >= 3
 
 
 def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
@@ -225,7 +225,7 @@ def test_safe_is_the_smallest_distance_of_the_timed_motion_and_the_witness_says_
     evaluator = default_evaluator()
     near = torch.nonzero((s.path_len > 0) & (s.margin[:, SAFE] < CLEARANCE_CAP_M)).flatten().tolist()
     assert len(near) >= 20
-    for row in near[:10]:
+    for row in near[:6]:
         twin = oracle.mujoco_scene(evaluator.scene, staged(problems, row))
         triangles = oracle.hand_triangles(evaluator.scene, twin.staged)
         k = int(s.path_len[row])

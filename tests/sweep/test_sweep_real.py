@@ -67,7 +67,7 @@ def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
     found = {}
     for sim in ("auto", "none", "mjwarp"):
         flags = ["--sim", sim, "--sim-model", "arm" if sim == "mjwarp" else "scene", "--out", tmp_path / sim]
-        done = in_process("--method", "random", "--trials", 6, *flags)
+        done = in_process("--method", "random", "--trials", 3, *flags)
         assert done.returncode == 0, done.stderr
         run = load_run(tmp_path / sim)
         header = json.loads((tmp_path / sim / "run.json").read_text())
@@ -77,6 +77,6 @@ def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
     assert found["mjwarp"][0]["model"] == "arm"
     assert found["mjwarp"][0]["engine"] == found["mjwarp"][1] == "mjwarp"
     times = {k: [t for t in v[2]["t_exec_s"].to_pylist() if t is not None] for k, v in found.items()}
-    assert len(times["auto"]) >= 4 and times["auto"] == pytest.approx(times["mjwarp"], abs=0.009)
+    assert len(times["auto"]) >= 2 and times["auto"] == pytest.approx(times["mjwarp"], abs=0.009)
     assert all(0.02 < a - b < 0.3 for a, b in zip(times["none"], times["auto"], strict=True))  # 1 mm before the end
     assert found["auto"][2]["outcome"].equals(found["none"][2]["outcome"])

@@ -64,6 +64,7 @@ def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refus
 
 
 @needs("ray")
+@pytest.mark.slow
 def test_a_worker_of_ray_finds_a_module_in_the_current_folder(place):
     """A process of its own: nothing but the script's folder stands in its path of modules."""
     both = ("uc_rules:predict", "mine=../there/uc_rules.py:predict")
