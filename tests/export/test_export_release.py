@@ -18,11 +18,10 @@ from r2h_batch.verdicts import CRITERIA
 
 @pytest.fixture(scope="module")
 def written(run, tmp_path_factory):
-    """Two trials of each split in the release's form."""
+    """A trial of each split in the release's form."""
     folder = tmp_path_factory.mktemp("release")
-    assert (
-        main(["export", str(run), "--to", "r2handoversim", "--method", "oracle", "--out", str(folder / "files")]) == 0
-    )
+    line = ["--to", "r2handoversim", "--method", "oracle", "--trials", "1", "--out", str(folder / "files")]
+    assert main(["export", str(run), *line]) == 0
     return folder
 
 
@@ -37,7 +36,7 @@ def test_trials_that_are_read_back_get_the_verdicts_that_they_had(run, written):
         rows = {
             int(back.labels[r["trial_id"]][0].rsplit("_", 1)[1]): r for r in back.trials("r2handoversim").to_pylist()
         }
-        assert rows.keys() == own.keys() and len(rows) == 4
+        assert rows.keys() < own.keys() and len(rows) == 2
         for i, row in rows.items():
             assert row["outcome"] == own[i]["outcome"]
             for name in CRITERIA:
@@ -51,6 +50,7 @@ def test_compare_pairs_a_run_of_imported_trials_with_results_of_the_same_names(w
     done = in_process("--trials-from", written / "files", "--sim", "none", "--out", tmp_path / "mine")
     assert done.returncode == 0, done.stderr
     results = json.loads((written / "files" / "results.json").read_text())
+    results = [r for r in results if (written / "files" / f"{r['trial_id']}.json").is_file()]
     for name, rows in (("same", results[::-1]), ("other", [{**results[0], "trial_id": "another"}, *results[1:]])):
         (tmp_path / f"{name}.json").write_text(json.dumps(rows))
         line = ["results", str(tmp_path / f"{name}.json"), "--from", "r2handoversim", "--out", str(tmp_path / name)]
@@ -186,13 +186,8 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
 
 def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verdicts(run, written, tmp_path, capsys):
     for method in ("oracle", "random"):
-        files = tmp_path / method
-        assert (
-            main(
-                ["export", str(run), "--to", "r2handoversim", "--method", method, "--trials", "1", "--out", str(files)]
-            )
-            == 0
-        )
+        line = ["--to", "r2handoversim", "--method", method, "--trials", "1", "--out", str(tmp_path / method)]
+        assert main(["export", str(run), *line]) == 0
     both = [r for m in ("oracle", "random") for r in json.loads((tmp_path / m / "results.json").read_text())]
     assert len(both) == 8 and len({r["trial_id"] for r in both}) == 8
     for m in ("oracle", "random"):
@@ -232,23 +227,10 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
     assert main(["compare", str(back)]) == 0 and "oracle" in capsys.readouterr().out
     wrong = [{**both[0], "success": not both[0]["success"]}]
     (tmp_path / "wrong.json").write_text(json.dumps(wrong))
-    assert (
-        main(
-            [
-                "import",
-                "results",
-                str(tmp_path / "wrong.json"),
-                "--from",
-                "r2handoversim",
-                "--out",
-                str(tmp_path / "no"),
-            ]
-        )
-        == 2
-    )
+    line = ["results", str(tmp_path / "wrong.json"), "--from", "r2handoversim", "--out", str(tmp_path / "no")]
+    assert main(["import", *line]) == 2
     assert "wrong.json[0]: first_failure or success is not what its metrics say" in capsys.readouterr().err
     (tmp_path / "wrong.json").write_text(json.dumps([{**both[0], "variant": "a\nb"}]))
-    wrong = ["results", str(tmp_path / "wrong.json"), "--from", "r2handoversim", "--out", str(tmp_path / "no")]
-    assert main(["import", *wrong]) == 2
+    assert main(["import", *line]) == 2
     error = capsys.readouterr().err
     assert "wrong.json[0]: variant" in error and error.count("\n") == 1

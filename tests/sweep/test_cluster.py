@@ -137,7 +137,9 @@ def test_a_cluster_that_does_not_answer_is_one_line_after_the_time_limit(tmp_pat
     out = tmp_path / "run"
     with socket.create_server(("127.0.0.1", 0)) as deaf:  # takes connections and says nothing
         address = f"127.0.0.1:{deaf.getsockname()[1]}"
-        code, table, error = finish(start(tmp_path, out, SLOW, *RAY, "--address", address, "--ray-timeout", "6", fork=True))
+        code, table, error = finish(
+            start(tmp_path, out, SLOW, *RAY, "--address", address, "--ray-timeout", "6", fork=True)
+        )
     assert code == 2 and table == "" and error.count("\n") == 1, error
     assert error.startswith("sweep: no Ray cluster") and address in error and "writing the run folder" not in error
     assert not out.exists()
