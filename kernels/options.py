@@ -4,7 +4,12 @@ from pathlib import Path
 
 import warp as wp
 
-_NATIVE = (Path(__file__).parent / "native" / "lanes.h").read_text(encoding="utf-8")
+
+def _header(name: str) -> str:
+    return (Path(__file__).parent / "native" / name).read_text(encoding="utf-8")
+
+
+_NATIVE = _header("lanes.h")
 
 OPTIONS = {
     "enable_backward": False,
@@ -18,6 +23,12 @@ checkout into the key.)
 `fuse_fp` off: every product is rounded before it is added, on a CPU as on CUDA, and angles go through geometry/angles.py. So
 what decides verdicts has the same float32 bits on both (docs/gpu.md has the evidence). It costs nothing on a CPU. `methods/`
 and `receiver/` leave it on: the evaluator judges what they find like any other input."""
+
+
+def with_header(name: str) -> dict:
+    """OPTIONS for a file that also calls the C++ functions of native/NAME."""
+    both = _NATIVE + _header(name)
+    return OPTIONS | {"extra_build_options": wp.ModuleBuildOptions(extra_cpu_preamble=both, extra_cuda_preamble=both)}
 
 
 @wp.func_native("return r2h::opaque(i);")

@@ -31,6 +31,26 @@ def test_the_closed_form_reaches_every_posture_of_another_ur() -> None:
     assert np.abs(again - target[rows].double().numpy()).max() < 2e-6
 
 
+def test_a_redundant_arm_gets_eight_postures_a_target_for_few_steps() -> None:
+    """Postures along the self-motion of those that seeds lead to: solved from seeds alone, eight take 295 steps."""
+    panda = load_robot("panda_hand")
+    q = np.random.default_rng(5).uniform(panda.lower, panda.upper, (3000, 7))
+    target = torch.from_numpy(ee_pose(panda, q).astype(np.float32))
+    found = solve_ik(target, robot=panda)
+    assert int((~found.reachable).sum()) <= 1 and found.valid.sum(1).double().mean() > 7.7
+    assert found.steps[:, 0].double().mean() < 100.0 and found.unproven.all()
+    rows, slots = found.valid.nonzero(as_tuple=True)
+    postures = found.q[rows, slots].double().numpy()
+    T = ee_pose(panda, postures)
+    assert np.abs(T[:, :3, 3] - target[rows, :3, 3].double().numpy()).max() < 1e-5
+    assert ((panda.lower <= postures) & (postures <= panda.upper)).all()
+    apart = (found.q[:, :, None] - found.q[:, None]).abs().amax(3)[:, *np.triu_indices(8, 1)]
+    assert float(apart[apart.isfinite()].min()) > 0.24
+    from_home = torch.where(found.valid, (found.q - torch.tensor(panda.home_q)).norm(dim=2), torch.inf).min(1).values
+    by_chance = np.linalg.norm(q - panda.home_q, axis=1)
+    assert float(from_home[found.reachable].mean()) < 0.8 * by_chance.mean()
+
+
 @pytest.mark.parametrize(
     "robot", [pytest.param(UR3E, marks=pytest.mark.check), load_robot("panda_hand")], ids=lambda r: r.name
 )

@@ -1,149 +1,132 @@
 """Inverse kinematics of any chain of turning joints: damped least squares from stored seeds, distinct postures kept.
 
-A thread takes one target. It tries the seeds whose ee is nearest to it, nearest first, until it has K postures or no
-seed is left. A step is dq = J^T y with (J J^T + lambda 1) y = e and lambda = 0.1 |e|^2 + 1e-6 (Sugihara 2011): the task has
-six rows whatever the number of joints. A joint that a step takes beyond its limit stays there, and leaves the Jacobian while
-it is pushed on. That no seed converges proves nothing; a target farther than the arm is long is proven unreachable.
+A thread takes one target. It tries the seeds whose ee is nearest to it, nearest first, until it has K postures. A step
+is dq = J^T y with (J J^T + lambda 1) y = e and lambda = 0.1 |e|^2 + 1e-6 (Sugihara 2011): the task has six rows whatever
+the number of joints. A joint that a step takes beyond its limit stays there, and leaves the Jacobian while it is pushed on.
+These steps are float32's; the last one closes an error that is known in float64.
+
+More than six joints: from each posture that a seed leads to, further ones are found along its self-motion, towards home and
+then away from it. A stride is the part of home - q that leaves the ee where it is, and a few steps close what it misses:
+a quarter of what a seed costs.
+
+That no seed converges proves nothing; a target farther than the arm is long is proven unreachable.
 """
 
 import warp as wp
 
-from r2h_batch.kernels.ik.jacobian import mat67d, rotation_vector, solve_spd
+from r2h_batch.kernels.ik.jacobian import rotation_vector
 from r2h_batch.kernels.ik.step import STATUS_INACTIVE, STATUS_UNREACHABLE, read_target
-from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.fk import vec6d
+from r2h_batch.kernels.options import with_header
 
-from ..robot.joints import JOINTS, vecqd
+from .. import JOINTS as _JOINTS
+from ..robot.joints import JOINTS, vecq
 
-wp.set_module_options(OPTIONS | {"max_unroll": 0})
+wp.set_module_options(with_header("arm.h"))
 
 STATUS_NOT_FOUND = wp.constant(6)  # no seed converged; the list of ik/step.py goes on here
 STATUS_SOME = wp.constant(7)  # there may be more postures than were found
 MOST_SEEDS = wp.constant(64)
 """Seeds of a target that are tried, at most."""
+ENOUGH_SEEDS = wp.constant(16)
+"""Seeds that are tried where a posture was found."""
+NEAR = wp.constant(3e-5)
+"""Metres and radians from which float64 knows the error; one more step is enough but near singular postures and limits."""
+LAST_STEPS = wp.constant(9)
+SPREAD = wp.constant(37)
+"""Where all near seeds failed, every so many-th of the list is tried."""
+WALK_STEPS = wp.constant(8)
+"""Steps that close what a stride misses, at most."""
+STRIDE = wp.constant(0.4)
+"""Radians that a joint moves, at most, from a posture to the next one along the self-motion."""
+SHARE = wp.constant(4)
+"""Postures of one self-motion: others are of another elbow or wrist."""
+TURN_M = wp.constant(0.3)
+"""Metres that half a turn's chord counts for when seeds are sorted."""
 
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
-HALF = wp.constant(wp.float64(0.5))
-TWO_PI = wp.constant(wp.float64(6.283185307179586))
-CONVERGED = wp.constant(wp.float64(1e-7))  # metres and radians at which the iteration stops
-DAMPING = wp.constant(wp.float64(0.1))
-DAMPING_MIN = wp.constant(wp.float64(1e-6))
-RELEASE = wp.constant(4)
-"""Every so many steps a joint that was held at its limit is asked again."""
-TURN_M = wp.constant(0.3)
-"""Metres that half a turn's chord counts for when seeds are sorted."""
+ENTRIES = wp.constant(6 * _JOINTS)
+"""Of a Jacobian."""
+TWO_PI = wp.constant(6.283185307179586)
+
+vec6 = wp.types.vector(6, float)
 
 
 @wp.struct
 class Chain:
-    """A chain of joints about z: frames from the link before (the last: ee in the last link), limits (rad)."""
+    """A chain of joints about z: frames from the link before (the last: ee in the last link), limits and home (rad)."""
 
     R: wp.array(dtype=wp.mat33d)  # (JOINTS + 1,)
     p: wp.array(dtype=wp.vec3d)
-    lower: wp.array(dtype=wp.float64)  # (JOINTS,)
-    upper: wp.array(dtype=wp.float64)
+    frames: wp.array(dtype=float)  # (12 (JOINTS + 1),) rows of [R | p]
+    lower: vecq
+    upper: vecq
+    home: vecq
     center: wp.vec3d  # the ee is never farther from here than
     reach: wp.float64  # this (m)
 
 
 @wp.struct
 class Seeds:
-    """S postures (rad) and where they have the ee."""
+    """S postures (rad), where they have the ee, and what their distance from home counts for when they are sorted (m^2)."""
 
-    q: wp.array2d(dtype=wp.float64)  # (S, JOINTS)
+    q: wp.array2d(dtype=float)  # (S, JOINTS)
     p: wp.array(dtype=wp.vec3)
     turn: wp.array(dtype=wp.quat)
+    away: wp.array(dtype=float)
 
 
 @wp.func
-def ee_of(
-    chain: Chain,
-    q: vecqd,
-    axes: wp.array(dtype=wp.vec3d),  # (JOINTS,) out: the joints' axes and points on them, world frame
-    origins: wp.array(dtype=wp.vec3d),
-):
-    """R, p of the ee in the world; writes the joints' axes."""
+def ee_of(chain: Chain, q: wp.array(dtype=float)):
+    """R, p of the ee in the world."""
     R = wp.identity(n=3, dtype=wp.float64)
     p = wp.vec3d()
     for j in range(JOINTS):
         p = R * chain.p[j] + p
-        c = wp.cos(q[j])
-        s = wp.sin(q[j])
+        c = wp.cos(wp.float64(q[j]))
+        s = wp.sin(wp.float64(q[j]))
         R = R * chain.R[j] * wp.mat33d(c, -s, ZERO, s, c, ZERO, ZERO, ZERO, ONE)
-        axes[j] = wp.vec3d(R[0, 2], R[1, 2], R[2, 2])
-        origins[j] = p
     return R * chain.R[JOINTS], R * chain.p[JOINTS] + p
 
 
-@wp.func
-def damped_step(
-    axes: wp.array(dtype=wp.vec3d), linear: wp.array(dtype=wp.vec3d), free: vecqd, damping: wp.float64, e: vec6d
-):
-    """J^T (J J^T + damping 1)^-1 e over the joints that are free (1, else 0)."""
-    A = mat67d()
-    for j in range(JOINTS):
-        a = free[j] * axes[j]
-        v = free[j] * linear[j]
-        column = vec6d(v[0], v[1], v[2], a[0], a[1], a[2])
-        for r in range(6):
-            for m in range(r, 6):
-                A[r, m] = A[r, m] + column[r] * column[m]
-    for r in range(6):
-        for m in range(r):
-            A[r, m] = A[m, r]
-        A[r, r] = A[r, r] + damping
-        A[r, 6] = e[r]
-    y = solve_spd(A)
-    d = vecqd()
-    for j in range(JOINTS):
-        moved = wp.dot(linear[j], wp.vec3d(y[0], y[1], y[2])) + wp.dot(axes[j], wp.vec3d(y[3], y[4], y[5]))
-        d[j] = free[j] * moved
-    return d
-
-
-@wp.func
+@wp.func_native("return r2h::descend(frames.data, lower.c, upper.c, goal.data, most, near, q.data, J.data);")
 def descend(
-    iterations: int, chain: Chain, start: vecqd, goal_R: wp.mat33d, goal_p: wp.vec3d,
-    axes: wp.array(dtype=wp.vec3d), linear: wp.array(dtype=wp.vec3d),  # (JOINTS,) scratch
-):  # fmt: skip
-    """Joint angles from a seed, and the steps taken (iterations + 1: not converged)."""
-    q = start
-    free = vecqd()
+    frames: wp.array(dtype=float), lower: vecq, upper: vecq, goal: wp.array(dtype=float), most: int, near: float,
+    q: wp.array(dtype=float), J: wp.array(dtype=float),
+) -> int:  # fmt: skip
+    """Steps from a posture (rad), which moves, until it misses the goal's frame by less than `near` (most + 1: in vain).
+
+    Writes the Jacobian (6 rows) at the posture that is left.
+    """
+    ...
+
+
+@wp.func_native("return r2h::move(lower.c, upper.c, J.data, e.c, pull.c, shortest, longest, q.data);")
+def move(
+    lower: vecq, upper: vecq, J: wp.array(dtype=float), e: vec6, pull: vecq, shortest: float, longest: float,
+    q: wp.array(dtype=float),
+) -> float:  # fmt: skip
+    """Moves a posture once: the ee by e (m, rad), the joints by as much of `pull` as leaves the ee where it is.
+
+    The joint that moves farthest moves by `shortest` to `longest` (rad); returns by how much.
+    """
+    ...
+
+
+@wp.func
+def pull_home(chain: Chain, q: wp.array(dtype=float), way: float) -> vecq:
+    """Towards home (way 1) or away from it (-1), rad."""
+    pull = vecq()
     for j in range(JOINTS):
-        free[j] = ONE
-    step = int(0)
-    done = bool(False)
-    while not done:
-        R, p = ee_of(chain, q, axes, linear)
-        for j in range(JOINTS):
-            linear[j] = wp.cross(axes[j], p - linear[j])
-        e_p = goal_p - p
-        e_r = rotation_vector(goal_R * wp.transpose(R))
-        size = wp.dot(e_p, e_p) + wp.dot(e_r, e_r)
-        if wp.length(e_p) < CONVERGED and wp.length(e_r) < CONVERGED:
-            done = bool(True)
-        else:
-            step += 1
-            if step > iterations:
-                done = bool(True)
-            else:
-                e = vec6d(e_p[0], e_p[1], e_p[2], e_r[0], e_r[1], e_r[2])
-                d = damped_step(axes, linear, free, DAMPING * size + DAMPING_MIN, e)
-                for j in range(JOINTS):
-                    # at most half a turn, and the step itself where it is small
-                    x = q[j] + wp.float64(2.0) * wp.atan(HALF * d[j])
-                    if x >= chain.upper[j]:
-                        free[j] = wp.where(q[j] >= chain.upper[j], ZERO, free[j])
-                        x = chain.upper[j]
-                    if x <= chain.lower[j]:
-                        free[j] = wp.where(q[j] <= chain.lower[j], ZERO, free[j])
-                        x = chain.lower[j]
-                    q[j] = x
-                if step % RELEASE == 0:
-                    for j in range(JOINTS):
-                        free[j] = ONE
-    return q, step
+        pull[j] = way * (chain.home[j] - q[j])
+    return pull
+
+
+@wp.func
+def missed(chain: Chain, q: wp.array(dtype=float), goal_R: wp.mat33d, goal_p: wp.vec3d):
+    """What lies between a posture's ee and the goal: m, and axis times angle of the rotation."""
+    R, p = ee_of(chain, q)
+    return goal_p - p, rotation_vector(goal_R * wp.transpose(R))
 
 
 @wp.func
@@ -155,7 +138,8 @@ def nearest_seeds(
     for s in range(seeds.q.shape[0]):
         away = seeds.p[s] - p
         # 1 - |cos(angle / 2)|: 0 for equal rotations, 1 for half a turn
-        d = wp.dot(away, away) + TURN_M * TURN_M * 2.0 * (1.0 - wp.abs(wp.dot(seeds.turn[s], turn)))
+        turned = 2.0 * (1.0 - wp.abs(wp.dot(seeds.turn[s], turn)))
+        d = seeds.away[s] + wp.dot(away, away) + TURN_M * TURN_M * turned
         if kept < most or d < far[kept - 1]:
             k = int(wp.min(kept, most - 1))
             while k > 0 and far[wp.max(k - 1, 0)] > d:
@@ -169,23 +153,14 @@ def nearest_seeds(
 
 
 @wp.func
-def rounded(q: vecqd) -> vecqd:
-    """The angles as they are returned, in float32."""
-    out = vecqd()
-    for j in range(JOINTS):
-        out[j] = wp.float64(wp.float32(q[j]))
-    return out
-
-
-@wp.func
-def is_new(q: vecqd, q_out: wp.array3d(dtype=float), trial: int, found: int, apart: wp.float64):
+def is_new(q: wp.array(dtype=float), q_out: wp.array3d(dtype=float), trial: int, found: int, apart: float):
     """Whether a posture is `apart` (rad) in some joint from each that was found, whole turns not counted."""
     new = bool(True)
     for k in range(found):
-        far = ZERO
+        far = float(0.0)
         for j in range(JOINTS):
-            d = q[j] - wp.float64(q_out[trial, k, j])
-            far = wp.max(far, wp.abs(d - TWO_PI * wp.floor(d / TWO_PI + HALF)))
+            d = q[j] - q_out[trial, k, j]
+            far = wp.max(far, wp.abs(d - TWO_PI * wp.floor(d / TWO_PI + 0.5)))
         new = new and far >= apart
     return new
 
@@ -197,8 +172,8 @@ def solve_any(
     chain: Chain,
     seeds: Seeds,
     most: int,  # seeds that are tried, at most MOST_SEEDS
-    iterations: int,
-    apart: wp.float64,  # rad
+    iterations: int,  # of a seed; four times as many where all seeds failed
+    apart: float,  # rad
     position_tolerance_m: wp.float64,
     rotation_tolerance_rad: wp.float64,
     rotation_lever_m: wp.float64,
@@ -215,7 +190,7 @@ def solve_any(
     nearest_out: wp.array2d(dtype=float),  # (B, JOINTS) where nothing was found: the posture that came nearest
     residual_out: wp.array(dtype=float),  # and by how much it misses: metres + rotation_lever_m radians
 ):
-    """Up to K postures of each target, `apart` from each other, in the order in which seeds found them."""
+    """Up to K postures of each target, `apart` from each other, in the order in which they were found."""
     trial = first + wp.tid()
     for k in range(q_out.shape[1]):
         valid_out[trial, k] = False
@@ -232,8 +207,11 @@ def solve_any(
     goal_R, goal_p, rigid = read_target(T_world_ee_in, trial)
     if not active_in[trial] or not rigid:
         return
-    axes = wp.zeros(shape=JOINTS, dtype=wp.vec3d)
-    linear = wp.zeros(shape=JOINTS, dtype=wp.vec3d)
+    goal = wp.zeros(shape=12, dtype=float)
+    for i in range(3):
+        for k in range(3):
+            goal[4 * i + k] = float(goal_R[i, k])
+        goal[4 * i + 3] = float(goal_p[i])
     row = wp.zeros(shape=MOST_SEEDS, dtype=int)
     far = wp.zeros(shape=MOST_SEEDS, dtype=float)
     n = nearest_seeds(seeds, wp.vec3(goal_p), wp.quat_from_matrix(wp.mat33(goal_R)), wp.min(most, MOST_SEEDS), row, far)
@@ -241,38 +219,82 @@ def solve_any(
     if wp.length(goal_p - chain.center) > chain.reach + position_tolerance_m:
         status = STATUS_UNREACHABLE
         n = wp.min(n, 8)  # for the nearest posture alone
+    q = wp.zeros(shape=JOINTS, dtype=float)
+    J = wp.zeros(shape=ENTRIES, dtype=float)
     found = int(0)
     tried = int(0)
     total = int(0)
+    share = int(0)  # postures of this self-motion
+    root = int(0)  # the first of them
+    way = float(0.0)  # 0: from the next seed; 1: along the self-motion, towards home; -1: away from it
     least = wp.float64(wp.inf)
-    while tried < n and found < q_out.shape[1]:
-        start = vecqd()
+    more = bool(n > 0)
+    while more:
+        go = bool(True)
+        if way == 0.0:
+            # where the nearest failed: as many of the others, spread over the list
+            seed = wp.where(tried < n, row[tried % n], (tried * SPREAD) % seeds.q.shape[0])
+            for j in range(JOINTS):
+                q[j] = seeds.q[seed, j]
+            tried += 1
+            share = 0
+        else:
+            shortest = wp.where(way < 0.0, STRIDE, 0.0)
+            go = move(chain.lower, chain.upper, J, vec6(), pull_home(chain, q, way), shortest, STRIDE, q) >= apart
+        new = bool(False)
+        if go:
+            limit = wp.where(tried <= n, iterations, 4 * iterations)
+            limit = wp.where(way == 0.0, limit, WALK_STEPS)
+            steps = descend(chain.frames, chain.lower, chain.upper, goal, limit, NEAR, q, J)
+            total += wp.min(steps, limit)
+            e = vec6()
+            if found == 0 or (steps <= limit and is_new(q, q_out, trial, found, apart)):
+                off_m = wp.float64(wp.inf)
+                off_rad = wp.float64(wp.inf)
+                last = int(0)
+                while last < LAST_STEPS and not new:
+                    if last > 0:
+                        move(chain.lower, chain.upper, J, e, vecq(), 0.0, 1.0, q)
+                    e_p, e_r = missed(chain, q, goal_R, goal_p)
+                    off_m = wp.length(e_p)
+                    off_rad = wp.length(e_r)
+                    new = last > 0 and off_m <= position_tolerance_m and off_rad <= rotation_tolerance_rad
+                    e = vec6(float(e_p[0]), float(e_p[1]), float(e_p[2]), float(e_r[0]), float(e_r[1]), float(e_r[2]))
+                    last += 1
+                if new:
+                    for j in range(JOINTS):
+                        q_out[trial, found, j] = q[j]
+                    valid_out[trial, found] = True
+                    position_error_out[trial, found] = wp.float32(off_m)
+                    rotation_error_out[trial, found] = wp.float32(off_rad)
+                    status = STATUS_SOME
+                elif off_m + rotation_lever_m * off_rad < least:
+                    least = off_m + rotation_lever_m * off_rad
+                    residual_out[trial] = wp.float32(least)
+                    for j in range(JOINTS):
+                        nearest_out[trial, j] = q[j]
+        if new:
+            if way == 0.0:
+                root = found
+                way = wp.where(JOINTS > 6, 1.0, 0.0)
+            found += 1
+            share += 1
+            if share == SHARE:
+                way = 0.0
+        elif way > 0.0:
+            # back to where this self-motion was entered, for the other way
+            way = -1.0
+            for j in range(JOINTS):
+                q[j] = q_out[trial, root, j]
+            descend(chain.frames, chain.lower, chain.upper, goal, 0, NEAR, q, J)
+        else:
+            way = 0.0
+        seeds_left = tried < wp.where(found > 0, wp.min(n, ENOUGH_SEEDS), 2 * n)
+        more = found < q_out.shape[1] and (way != 0.0 or seeds_left)
+    if found > 0:
+        residual_out[trial] = wp.float32(wp.inf)
         for j in range(JOINTS):
-            start[j] = seeds.q[row[tried], j]
-        tried += 1
-        q, steps = descend(iterations, chain, start, goal_R, goal_p, axes, linear)
-        total += wp.min(steps, iterations)
-        q = rounded(q)
-        for j in range(JOINTS):  # rounding may not lead beyond a limit
-            if q[j] > chain.upper[j] or q[j] < chain.lower[j]:
-                q[j] = wp.float64(wp.float32(q[j] * wp.float64(0.9999999)))
-        if found == 0 or (steps <= iterations and is_new(q, q_out, trial, found, apart)):
-            R, p = ee_of(chain, q, axes, linear)
-            e_p = wp.length(goal_p - p)
-            e_r = wp.length(rotation_vector(goal_R * wp.transpose(R)))
-            if e_p <= position_tolerance_m and e_r <= rotation_tolerance_rad:
-                for j in range(JOINTS):
-                    q_out[trial, found, j] = wp.float32(q[j])
-                valid_out[trial, found] = True
-                position_error_out[trial, found] = wp.float32(e_p)
-                rotation_error_out[trial, found] = wp.float32(e_r)
-                status = STATUS_SOME
-                found += 1
-            elif found == 0 and e_p + rotation_lever_m * e_r < least:
-                least = e_p + rotation_lever_m * e_r
-                residual_out[trial] = wp.float32(least)
-                for j in range(JOINTS):
-                    nearest_out[trial, j] = wp.float32(q[j])
+            nearest_out[trial, j] = wp.float32(wp.nan)
     for k in range(4):
         status_out[trial, k] = wp.uint8(status)
     steps_out[trial, 0] = total
