@@ -2,7 +2,7 @@
 
 `python bench/reception.py` asks it of the shipped baselines of r2h-v1 and of `oracle,for=reception`, measures the cost on the
 frozen poses of the oracle (median of three calls on one thread; process time), and draws one trial with all hands that were
-tried. `--render` writes the page again from the JSON.
+tried. `--again cost` and `--again picture` renew these alone; `--render` writes the page again from the JSON.
 """
 
 import argparse
@@ -30,6 +30,7 @@ TAKEN, BLOCKED, BEYOND, SKIN = (
     (0.95, 0.8, 0.2, 0.35),
     (0.87, 0.66, 0.54, 1),
 )
+OBJECT = (0.13, 0.35, 0.72, 1)
 
 HEAD = """# Reception: can the person take it?
 
@@ -46,7 +47,7 @@ The shipped rows of r2h-v1, default preset, and the upper bound `oracle,for=rece
 COST = """
 ## Cost
 
-One core, 256 grasps a trial, the oracle's poses; process time, median of three calls.
+One core, 256 grasps a trial, the oracle's poses; process time, median of three calls; commit {commit}.
 
 {table}
 """
@@ -54,7 +55,6 @@ One core, 256 grasps a trial, the oracle's poses; process time, median of three 
 
 def judged(folder: Path, trials: int) -> tuple[Any, dict[str, Any]]:
     """The judge of the baselines, and the table of each method; of the first `trials` of each split."""
-    from r2h_batch.methods import oracle
     from r2h_batch.results import reception as stored
     from r2h_batch.results.reevaluation import Judge
     from r2h_batch.runs.store import load_run
@@ -63,14 +63,19 @@ def judged(folder: Path, trials: int) -> tuple[Any, dict[str, Any]]:
     judge = Judge(run)
     tables = {name: stored.table_of(run, name, judge) for name in run.methods}
     ids = tables["oracle"]["trial_id"].to_numpy()
-    asked = judge.trials(ids)
-    evaluator = judge.evaluator.kinematic
-    answer = oracle.predict(asked, evaluator.scene, evaluator=evaluator, for_="reception")
-    scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
+    bound = answered(judge, ids)
+    scores = bound[3]
     tables[BOUND] = stored.rows_of(ids, scores, dict(zip(ids.tolist(), scores.success.tolist(), strict=True)))
-    return (judge, asked, answer, scores), {
-        name: table.filter(table["trial_id"].to_numpy() < 2 * trials) for name, table in tables.items()
-    }
+    return bound, {name: table.filter(table["trial_id"].to_numpy() < 2 * trials) for name, table in tables.items()}
+
+
+def answered(judge: Any, ids: Any) -> tuple[Any, Any, Any, Any]:
+    """The judge, and trials with the bound's answers and their scores."""
+    from r2h_batch.methods import oracle
+
+    asked, evaluator = judge.trials(ids), judge.evaluator.kinematic
+    answer = oracle.predict(asked, evaluator.scene, evaluator=evaluator, for_="reception")
+    return judge, asked, answer, evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
 
 
 def cost(scores: Any) -> list[dict[str, float]]:
@@ -174,28 +179,48 @@ def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
         posed[1, :3] += 0.5 * t * (found.elbow[i].double().numpy() - receiver[1, :3])
         posed[2, :3] = at
         images.append(frame(stored, [(moved, SKIN)], posed, size, view))
+    images.append(frame(stored, [(moved, SKIN)], posed, size, view, released=True))
     save_picture(PAGE.with_suffix(".png"), np.concatenate(images, axis=1))
     counts = ", ".join(f"{int(mask.sum())} {name}" for name, (mask, _) in groups.items())
     return (
         f"Trial {int(asked.trial_id[i])} ({stored.object_model.name}): {counts} of {int(found.known[i])} hands, one in"
-        f" {SHOWN_OF} drawn (green, red, yellow); then the easiest one: waiting, 10 cm before the grasp, there."
+        f" {SHOWN_OF} drawn (green, red, yellow); then the easiest one: waiting, 10 cm before the grasp, there, and"
+        " with the object, the gripper open and 10 cm back."
         f" The hand turns by {float(found.turn_deg[i]):.0f} degrees."
     )
 
 
 def frame(
-    stored: Any, hands: list[tuple[np.ndarray, Any]], receiver: Any, size: tuple[int, int], view: Any
-) -> np.ndarray:
-    """A picture of the trial at its goal, with these hands (skins in the world, colours) in place of the waiting one."""
+    stored: Any, hands: list[tuple[np.ndarray, Any]], receiver: Any, size: tuple[int, int], view: Any, *,
+    released: bool = False,
+) -> np.ndarray:  # fmt: skip
+    """A picture of the trial at its goal, with these hands (skins in the world, colours) in place of the waiting one;
+    `released`: the object stays, the gripper is open and 10 cm back along its axis."""
     import mujoco
 
     from r2h_batch.export.mjcf import spec_of
+    from r2h_batch.judge.ik import solve_ik
     from r2h_batch.scene.offscreen import renderer
 
-    spec = spec_of(replace(stored, receiver=receiver))
+    q, robot = stored.target_q, stored.robot
+    row = {**stored.row, "opening_m": robot.open_gap_m} if released else stored.row
+    spec = spec_of(replace(stored, receiver=receiver, row=row))
     for geom in spec.geoms:
-        if geom.name.startswith("hand/"):
+        if geom.name.startswith(("hand/", "object/") if released else "hand/"):
             geom.rgba[3] = 0.0
+    if released:
+        back = np.eye(4)
+        back[2, 3] = -0.1
+        target = torch.tensor(stored.T_world_ee @ back, dtype=torch.float32)[None]
+        ik = solve_ik(target, robot=robot, home=tuple(np.asarray(q, float)))
+        branches = ik.q[0][ik.valid[0]].double().numpy()
+        q = branches[np.abs(branches - q).max(1).argmin()]
+        T = stored.T_world_ee @ np.linalg.inv(stored.T_obj_ee_attached)
+        left = stored.object_model.mesh.copy().apply_transform(T)
+        mesh = spec.add_mesh(name="left", uservert=left.vertices.ravel(), userface=left.faces.ravel())
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        how = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name, "rgba": OBJECT}
+        spec.worldbody.add_geom(contype=0, conaffinity=0, **how)
     faces = stored.hand_set.model.faces_by_side[int(stored.hand_set.side[stored.row["hand_index"]])].numpy()
     for k, (skin, color) in enumerate(hands):
         mesh = spec.add_mesh(name=f"taking{k}", uservert=skin.ravel(), userface=faces.ravel())
@@ -205,7 +230,7 @@ def frame(
     model = spec.compile()
     model.vis.global_.offwidth, model.vis.global_.offheight = size
     data, camera, option = mujoco.MjData(model), mujoco.MjvCamera(), mujoco.MjvOption()
-    data.qpos[:] = stored.target_q
+    data.qpos[:] = q
     mujoco.mj_forward(model, data)
     option.sitegroup[:], option.geomgroup[:] = 0, [1, 1, 1, 0, 0, 0]
     camera.lookat[:], camera.distance = view.look_at, view.distance_m
@@ -222,7 +247,8 @@ def markdown(data: dict[str, Any]) -> str:
     lines = [[str(row["trials"]), *(f"{row[k]:.2f}" for k in PARTS)] for row in data["cost"]]
     head = ["Trials", "ms a trial", "arm", "free, way", "clear", "release", "whole way"]
     text = HEAD.format(commit=str(data["commit"])[:12], caption=data["caption"]) + data["tables"]
-    return text + COST.format(table=aligned(head, lines, 0))
+    commit = str(data.get("cost_commit", data["commit"]))[:12]
+    return text + COST.format(table=aligned(head, lines, 0), commit=commit)
 
 
 def main() -> None:
@@ -230,8 +256,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--render", action="store_true")
+    parser.add_argument("--again", choices=["cost", "picture"], help="measure or draw this alone")
     options = parser.parse_args()
-    if not options.render:
+    if options.again:
+        from r2h_batch.results.reevaluation import Judge
+        from r2h_batch.runs.store import load_run
+
+        judge = Judge(load_run(ROOT / "r2h_batch" / "compare" / "baselines"))
+        torch.set_num_threads(1)
+        bound = answered(judge, np.arange(2 * options.trials))
+        data = json.loads(STORED.read_text())
+        if options.again == "cost":
+            data |= {"cost": cost(bound[3]), "cost_commit": made_by()["commit"]}
+        else:
+            data["caption"] = draw(*bound)
+        STORED.write_text(json.dumps(data, indent=1) + "\n")
+    elif not options.render:
         from r2h_batch.results.reception import render
 
         asked, tables = judged(ROOT / "r2h_batch" / "compare" / "baselines", options.trials)

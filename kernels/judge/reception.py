@@ -40,6 +40,9 @@ SHOULDER_EXTENSION_DEG = wp.constant(60.0)
 SHOULDER_ABDUCTION_DEG = wp.constant(180.0)
 SHOULDER_ADDUCTION_DEG = wp.constant(75.0)
 """Ranges of the arm's joints (AAOS; docs/receivers.md); those of the shoulder scale its effort and exclude no posture."""
+ROUNDING = wp.constant(1.0e-4)
+TAN_ULNAR, TAN_RADIAL = wp.constant(0.57736), wp.constant(0.36398)
+"""Just beyond tan 30 and tan 20 degrees."""
 MOST_FLEXED, MOST_EXTENDED = wp.constant(-0.98482), wp.constant(0.93971)
 LEAST_INWARDS = wp.constant(0.030150)
 """Just beyond -sin 80, sin 70 and cos^2 80 degrees."""
@@ -179,6 +182,68 @@ def forearm_may_turn(upper: wp.vec3, forearm: wp.vec3, outwards: float, normal: 
     )
 
 
+@wp.struct
+class Swivels:
+    """Palm and hand against upper arm u and forearm f while the elbow swivels about the line from shoulder to wrist: few
+    products of numbers say of most swivels that a joint is out of its range.
+
+    With t along that line, h hanging and a outwards, both at right angles to it, and p = c h + s a:
+    u = (m / U) t + (b / U) p, f = ((r - m) / L) t - (b / L) p, u x f = -(b r / (U L)) t x p.
+    """
+
+    f_t: float  # (r - m) / L
+    f_p: float  # b / L
+    u_t: float  # m / U
+    u_p: float  # b / U
+    u_f: float  # u . f
+    across: float  # b r / (U L)
+    normal: wp.vec3  # along t, h, a
+    along: wp.vec3
+    beside: wp.vec3  # along x normal, times `outwards`
+    slant: float  # along . normal
+
+
+@wp.func
+def swivels_of(
+    to: wp.vec3, hanging: wp.vec3, aside: wp.vec3, normal: wp.vec3, along: wp.vec3, outwards: float, r: float,
+    middle: float, beside: float, upper: float, lower: float,
+) -> Swivels:  # fmt: skip
+    w = Swivels()
+    w.f_t = (r - middle) / lower
+    w.f_p = beside / lower
+    w.u_t = middle / upper
+    w.u_p = beside / upper
+    w.u_f = (r * r - upper * upper - lower * lower) / (2.0 * upper * lower)
+    w.across = beside * r / (upper * lower)
+    frame = wp.matrix_from_rows(to, hanging, aside)
+    w.normal = frame * normal
+    w.along = frame * along
+    w.beside = outwards * (frame * wp.cross(along, normal))
+    w.slant = wp.dot(along, normal)
+    return w
+
+
+@wp.func
+def swivel_may_turn(w: Swivels, s: float, c: float):
+    """Whether forearm and wrist may be within their ranges: False only where `forearm_may_turn` or `within_ranges` is."""
+    n_p = c * w.normal[1] + s * w.normal[2]
+    n_f = w.f_t * w.normal[0] - w.f_p * n_p
+    ahead = w.u_f * n_f - (w.u_t * w.normal[0] + w.u_p * n_p)
+    inwards = w.across * (s * w.normal[1] - c * w.normal[2])
+    # the wrist's deviation has the tangent y / x: `arm_angles`' axis aside is outwards * normal x f, but for its length
+    y = w.f_p * (c * w.beside[1] + s * w.beside[2]) - w.f_t * w.beside[0]
+    x = w.f_t * w.along[0] - w.f_p * (c * w.along[1] + s * w.along[2]) - n_f * w.slant
+    return (
+        n_f >= MOST_FLEXED - ROUNDING
+        and n_f <= MOST_EXTENDED + ROUNDING
+        and inwards >= -ROUNDING
+        and square(inwards) + ROUNDING >= LEAST_INWARDS * (square(ahead) + square(inwards))
+        and x >= -ROUNDING
+        and y <= TAN_ULNAR * x + ROUNDING
+        and y >= -TAN_RADIAL * x - ROUNDING
+    )
+
+
 @wp.func
 def effort_of(a: vec7):
     """Mean square of the angles over their ranges, and of the lean over 60 degrees."""
@@ -255,6 +320,10 @@ def reach_with_arm(
     upper = wp.length(waiting.elbow - waiting.shoulder)
     lower = wp.length(waiting.wrist - waiting.elbow)
     best = float(1.0e30)
+    turns = wp.zeros(shape=SWIVELS, dtype=wp.vec2)
+    for swivel in range(SWIVELS):
+        sine, cosine = sin_cos(wp.radians(float(SWIVEL_LOW + SWIVEL_STEP * swivel)))
+        turns[swivel] = wp.vec2(sine, cosine)
     for j in range(lean_in.shape[0]):
         arm = leaned(receiver_in, trial, lean_in[j])
         arm.wrist = wrist
@@ -267,37 +336,43 @@ def reach_with_arm(
             down = wp.vec3(0.0, 0.0, -1.0)
             hanging = unit(down - wp.dot(down, to) * to)
             aside = outwards * wp.cross(to, hanging)
+            all_of = swivels_of(to, hanging, aside, normal, along, outwards, r, middle, beside, upper, lower)
             for swivel in range(SWIVELS):
-                s, c = sin_cos(wp.radians(float(SWIVEL_LOW + SWIVEL_STEP * swivel)))
-                out = middle * to + beside * (c * hanging + s * aside)
-                arm.elbow = arm.shoulder + out
-                if forearm_may_turn(out / upper, (wrist - arm.elbow) / lower, outwards, normal):
-                    a = arm_angles(arm, outwards, along, normal)
-                    a[6] = lean_in[j]
-                    effort = effort_of(a)
-                    if effort < best and within_ranges(a) and not crosses_torso(arm):
-                        best = effort
-                        effort_out[trial, k] = effort
-                        angles_out[trial, k] = a
-                        elbow_out[trial, k] = arm.elbow
+                s = turns[swivel][0]
+                c = turns[swivel][1]
+                if swivel_may_turn(all_of, s, c):
+                    out = middle * to + beside * (c * hanging + s * aside)
+                    arm.elbow = arm.shoulder + out
+                    if forearm_may_turn(out / upper, (wrist - arm.elbow) / lower, outwards, normal):
+                        a = arm_angles(arm, outwards, along, normal)
+                        a[6] = lean_in[j]
+                        effort = effort_of(a)
+                        if effort < best and within_ranges(a) and not crosses_torso(arm):
+                            best = effort
+                            effort_out[trial, k] = effort
+                            angles_out[trial, k] = a
+                            elbow_out[trial, k] = arm.elbow
 
 
 @wp.func
 def straight_is_free(
-    gripper: Gripper, hands: PosedHands, row: int, R: wp.mat33, p: wp.vec3, drive: float, step: wp.vec3, eps: float
+    gripper: Gripper, hands: PosedHands, row: int, R: wp.mat33, p: wp.vec3, drive: float, step: wp.vec3, eps: float,
+    begin: float,
 ):  # fmt: skip
-    """Whether gripper and hand keep more than `eps` while the hand goes by `step` per metre, ee frame, over WAY_M.
+    """Whether gripper and hand keep more than `eps` while the hand goes by `step` per metre, ee frame, over WAY_M; `begin`:
+    their distance before, up to NEAR_M.
 
     Certified: no point moves farther than the parameter, so nothing meets within a distance that was measured.
     """
     s = float(0.0)
+    d = float(begin)
     for _ in range(MOST_STEPS):
-        d = gripper_distance(gripper, hands, row, R, p + s * step, drive, NEAR_M)
         if d <= eps:
             return False
         s += d
         if s >= WAY_M:
             return True
+        d = gripper_distance(gripper, hands, row, R, p + s * step, drive, NEAR_M)
     return False
 
 
@@ -335,10 +410,11 @@ def come_to_object(
     way = int(-1)
     free = gripper_distance(gripper, hands, row, R, p, drive, eps + 1.0e-4) > eps
     if free:
+        begin = gripper_distance(gripper, hands, row, R, p, drive, NEAR_M)
         for which in range(WAYS):
             if way < 0:
                 step = -(R * way_direction(grasps, row, which))
-                if straight_is_free(gripper, hands, row, R, p, drive, step, eps):
+                if straight_is_free(gripper, hands, row, R, p, drive, step, eps, begin):
                     way = which
     free_out[pair] = free
     way_out[pair] = way
@@ -365,14 +441,15 @@ def let_go(
     R, p = in_turned_object(grasps, object_in[pair], turn_in[pair], attached_in[pair])
     gap = opening_in[pair]
     release = bool(True)
-    for k in range(3):
+    for k in range(2):  # the third is where the gripper begins to back off
         wider = drive_from_gap(gripper, gap + (open_gap - gap) * float(k + 1) / 3.0)
         if release and gripper_distance(gripper, hands, row, R, p, wider, eps + 1.0e-4) <= eps:
             release = bool(False)
     if release:
         # the gripper backs off along its -z: seen from it, the hand goes along z
         opened = drive_from_gap(gripper, open_gap)
-        release = straight_is_free(gripper, hands, row, R, p, opened, wp.vec3(0.0, 0.0, 1.0), eps)
+        begin = gripper_distance(gripper, hands, row, R, p, opened, NEAR_M)
+        release = straight_is_free(gripper, hands, row, R, p, opened, wp.vec3(0.0, 0.0, 1.0), eps, begin)
     release_out[pair] = release
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
-from r2h_batch.closed_loop.moving import ReceiverMotion
+from r2h_batch.closed_loop.moving import KINDS, ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
 from r2h_batch.runs import provenance
 from r2h_batch.types import Scores
@@ -69,6 +69,33 @@ class Loop:
             m["file"] = provenance.file_digest([self.motion.path])[:16]
         said = [f"{k} {v}" for k, v in {**m, **c}.items() if v != ""]
         return f"{policy_of(self.policy)[1]}; {', '.join(said)}"
+
+    @staticmethod
+    def of(identity: str) -> "Loop":
+        """The loop with that identity.
+
+        Raises:
+            ValueError: it cannot be made from the text alone: the policy is not built in, the motion was imported,
+                or no loop says so of itself.
+        """
+        policy, _, rest = identity.partition("; ")
+        said = dict(part.partition(" ")[::2] for part in rest.split(", "))
+        if policy not in POLICIES:
+            raise ValueError(f"policy {policy.split(' ')[0]} is not built in")
+        if said.get("kind") == "replay":
+            raise ValueError("the imported motion is not in the folder")
+        try:
+            seed, rate_hz = int(said.pop("seed")), int(said.pop("rate_hz"))
+            motion = ReceiverMotion(
+                said.pop("kind"), float(said.pop("shift_m")), float(said.pop("turn_deg")), seed=seed
+            )
+            config = LoopConfig(rate_hz, seed=seed, **{k: float(v) for k, v in said.items()})
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"no closed loop is {identity[:200]!r} ({error})") from None
+        loop = Loop(motion, policy, config)
+        if motion.kind not in KINDS or loop.identity != identity:
+            raise ValueError(f"no closed loop is {identity[:200]!r}")
+        return loop
 
     def __call__(self, scores: Scores) -> Episodes:
         policy, _ = policy_of(self.policy)

@@ -67,8 +67,9 @@ def reevaluate(
     """Verify a run folder, then judge a random sample of its rows again from their stored poses.
 
     A forged row gets another verdict, even if receipt and sha256 agree with it. Built-in methods
-    answer the same trials again, so the poses of another method are found; your own methods do not
-    run. Exit code 0: no row differs. Exit code 1: a row differs, or a shard must be scored again.
+    answer the same trials again, so the poses of another method are found, and built-in policies
+    play the episodes of closed loops again; your own methods and policies do not run. Exit code 0:
+    no row differs. Exit code 1: a row differs, or a shard must be scored again.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.

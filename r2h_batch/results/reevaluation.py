@@ -9,7 +9,8 @@ answers the sampled trials again. A user's method is not run: a folder may come 
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -24,7 +25,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.levels import Form, planning_form
 from r2h_batch.predictions import Motions
 from r2h_batch.runs import provenance
-from r2h_batch.runs.rows import DETAIL_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
+from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
 from r2h_batch.runs.store import TIMING, Entry, Run, RunError
 from r2h_batch.sweep.engine import judged_tables
 from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
@@ -33,10 +34,14 @@ from r2h_batch.trials.protocol import PROTOCOLS, trials_of
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.validate import check_arguments, instance_of, integer, optional, text
 
+if TYPE_CHECKING:
+    from r2h_batch.closed_loop.episodes import Loop
+
 COMPARED = {
     "trials": tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING),
     "details": tuple(DETAIL_SCHEMA.names),
     "paths": tuple(PATH_SCHEMA.names),
+    "episodes": tuple(EPISODE_SCHEMA.names),
 }
 """Columns that are judged again; poses are what they are judged from."""
 
@@ -46,6 +51,9 @@ LATER_OPTIONS = ("receiver", "estimate", "candidates", "execution_error")
 TOLERANCES = {"_m": BORDERLINE_M, "_deg": 0.05, "_s": 0.02, "q": 1e-3, "q_goal": 1e-3}
 """What stored numbers may differ by on another kind of machine or with other versions, by the end of
 the column's name: m, degrees, s (two samples of a motion and rounding), rad. On the same, nothing."""
+
+EPISODE_TOLERANCE = 0.05
+"""The same of all numbers of an episode, in s, m, m/s and shares: a step."""
 
 MOST_OTHER_CHOICES = 0.1
 """Share of rows in which choices may differ there: between two grasps of nearly the same cost, or
@@ -122,6 +130,7 @@ class Judge:
         self.benchmark = benchmark_of_run(header, given or BenchmarkOverrides(), str(where))
         self.evaluator = Evaluator.from_benchmark(self.benchmark, config, device=device)
         self.other = _other(header, device)
+        self.loop, self.played = _loop_of(header["digests"].get("closed_loop"), run)
         # searched paths, and what depends on them, are the form's own (docs/gpu.md)
         self.form: Form = "one_thread" if header["device"]["kind"] == "cpu" else "frontier"
 
@@ -150,8 +159,24 @@ class Judge:
         given = None if motions is None else motions.padded(every, scene.device)
         with planning_form(self.form):
             return judged_tables(
-                self.evaluator, trials, answers, given, stored, TrialNames.of(scene)
+                self.evaluator, trials, answers, given, stored, TrialNames.of(scene), self.loop
             )
+
+
+def _loop_of(identity: Any, run: Run) -> tuple["Loop | None", str]:
+    """What plays the run's episodes again, or why nothing does."""
+    if "episodes" not in run.header["stored"]:
+        return None, ""
+    if not isinstance(identity, str):
+        raise RunError(f"{run.folder}: run.json does not say how its episodes were played")
+    if find_spec("gymnasium") is None:
+        return None, "; episodes not played again: pip install 'r2h_batch[env]'"
+    from r2h_batch.closed_loop.episodes import Loop
+
+    try:
+        return Loop.of(identity), "; episodes played again"
+    except ValueError as error:
+        return None, f"; episodes not played again: {error}"
 
 
 def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
@@ -236,6 +261,7 @@ def reevaluate(
             continue
         files = entry.receipts[index]["files"]
         kinds = [k for k in ("trials", "poses", "details", "paths") if k in files]
+        kinds += ["episodes"] if judge.loop is not None and "episodes" in files else []
         stored = {kind: run.shard(kind, method, index) for kind in kinds}
         ids = stored["trials"]["trial_id"].take(pa.array(rows))
         stored = {k: table.filter(pc.is_in(table["trial_id"], ids)) for k, table in stored.items()}
@@ -251,7 +277,7 @@ def reevaluate(
             differences = [d for d in differences if d not in loose]
     equal = len(chosen) - len(unequal)
     return Reevaluation(
-        method, total, len(chosen), equal, tuple(differences), job is not None, asked
+        method, total, len(chosen), equal, tuple(differences), job is not None, asked + judge.played
     )
 
 
@@ -366,6 +392,8 @@ def _close(difference: Difference) -> bool:
     a, b, column = difference.stored, difference.again, difference.column
     if a is None or b is None:
         return False
+    if column.startswith("episodes ") and isinstance(a, float) and isinstance(b, float):
+        return abs(a - b) <= EPISODE_TOLERANCE
     if column.startswith("margin_kind_"):  # it follows from the margin, which is compared
         return True
     ends = [most for end, most in TOLERANCES.items() if column.endswith(end)]

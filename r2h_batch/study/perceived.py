@@ -17,6 +17,9 @@ from scipy import stats
 
 from r2h_batch import se3
 from r2h_batch.bodies.hand import palm_frame
+from r2h_batch.judge.distance import hand_distance_at
+from r2h_batch.judge.grasp import attach
+from r2h_batch.motion.time_law import time_at, time_path
 from r2h_batch.report.text import aligned, csv_text, notes_list, plain, short_names
 from r2h_batch.results.reception import table_of as reception_table
 from r2h_batch.results.reevaluation import Judge
@@ -31,6 +34,10 @@ POSES = {"T_obj_ee": 16, "T_world_ee": 16, "T_world_hand": 16, "receiver": 20}
 HEAD_UP_M, HEAD_AHEAD_M = 0.17, 0.08
 """The head's middle above the shoulders and in front of them [choice]. It is no body that collides."""
 AT_PALM_DEG = 45.0
+NEAR_M = 0.25
+"""Of the closing speed: farther away than this nobody looks [choice]."""
+PARTS = 64
+"""Of a straight segment of the motion, between which the closing speed is taken."""
 LEAST_RATED = 3
 """Trials of one participant for a rank correlation."""
 
@@ -62,6 +69,7 @@ MEASURES = {
     "rula": Measure("RULA at least effort", -1, digits=2),
     "body_met": Measure("motion meets arm or torso, %", -1, 100),
     "gap_m": Measure("least gap robot to hand, cm", 1, 100),
+    "closing_m_s": Measure(f"closing speed within {100 * NEAR_M:.0f} cm, cm/s", -1, 100),
     "finger_palm": Measure(f"fingers within {AT_PALM_DEG:.0f} deg of the palm, %", -1, 100),
     "head_m": Measure("object to head, m", 1, digits=2),
     "t_exec_s": Measure("duration of the motion, s", -1),
@@ -108,6 +116,7 @@ def measured_trials(run: Run, method: str, judge: Judge) -> pa.Table:
         "rula": _floats(own["rula"]),
         "body_met": np.where(np.isnan(body := _floats(column["body_m"])), np.nan, body <= 0),
         "gap_m": np.where(distance, _floats(column["margin_safe_m"]), np.nan),
+        "closing_m_s": _closing_speed(trials, poses, judge),
         **_seen_by_the_person(trials, poses, judge),
         "t_exec_s": _floats(column["t_exec_s"]),
     }
@@ -165,6 +174,41 @@ def _seen_by_the_person(trials: Trials, poses: pa.Table, judge: Judge) -> dict[s
         "finger_palm": at_palm.numpy().astype(float),
         "head_m": se3.dot(gap, gap).sqrt().numpy(),
     }
+
+
+def _closing_speed(trials: Trials, poses: pa.Table, judge: Judge) -> NDArray[np.float64]:
+    """The largest speed (m/s) at which the planned motion brings robot and hand nearer while they are within `NEAR_M`;
+    NaN where there is no motion or none so near."""
+    evaluator = judge.evaluator.kinematic
+    scene, execute = evaluator.scene, evaluator.config.execute
+    grasp, ee = (
+        torch.tensor(poses[k].to_pylist(), dtype=torch.float32, device=scene.device).reshape(
+            -1, 4, 4
+        )
+        for k in ("T_obj_ee", "T_world_ee")
+    )
+    scores = evaluator.score(grasp, ee, trials)
+    length, motion = scores.path_len, time_path(scores.path, scores.path_len, execute)
+    fastest = torch.full_like(motion.t_exec_s, -torch.inf)
+    nearer, earlier = torch.full_like(fastest, torch.inf), torch.zeros_like(fastest)
+    with evaluator.working():
+        attached = attach(grasp, scores.grasp_shift_m.nan_to_num()).contiguous()
+        bodies = scene.body_poses(
+            trials.object_index, trials.hand_index, attached, trials.T_world_hand, scores.opening_m.nan_to_num()
+        )  # fmt: skip
+        for k in range(int(length.max()) - 1 if len(length) else 0):
+            moves, segment = length > k + 1, torch.full_like(length, k)
+            for part in range(PARTS + 1):
+                s = torch.full_like(fastest, part / PARTS)
+                q = scores.path[:, k] + s[:, None] * (scores.path[:, k + 1] - scores.path[:, k])
+                near = hand_distance_at(scene, bodies, q.contiguous(), moves, cap_m=NEAR_M)
+                at, gap = time_at(scores.path, length, motion, segment, s, execute), near.distance_m
+                speed = (nearer - gap) / (at - earlier)
+                known = moves & (at > earlier) & (nearer < NEAR_M)
+                fastest = torch.where(known, torch.maximum(fastest, speed), fastest)
+                nearer = torch.where(moves, gap, nearer)
+                earlier = torch.where(moves, at, earlier)
+    return torch.where(fastest.isfinite(), fastest, torch.nan).cpu().double().numpy()
 
 
 def paper_means() -> dict[str, dict[str, float]]:

@@ -9,6 +9,9 @@ import pytest
 from made_runs import forged, write_run
 
 from r2h_batch.__main__ import main
+from r2h_batch.closed_loop.env import LoopConfig
+from r2h_batch.closed_loop.episodes import Loop
+from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.methods import random
 from r2h_batch.results import reevaluation as again
@@ -85,6 +88,42 @@ def test_one_made_up_success_is_found_though_every_checksum_agrees(folder, tmp_p
     assert f"trial {done[0]}: outcome is stored as success, scored again it is" in out
     told = {line.split(":")[0] for line in out.splitlines() if line.startswith("  trial")}
     assert told == {f"  trial {done[0]}"}
+
+
+def test_episodes_are_played_again_and_a_made_up_one_is_found(tmp_path, capsys):
+    run = tmp_path / "run"
+    line = ["--method", "random", "--trials", "6", "--sim", "none", "--quiet", "--receiver-motion", "moves:50mm,10deg"]
+    assert sweep([*line, "--policy", "servo", "--seed", "3", "--out", str(run)]) == 0
+    assert main(["results", "reevaluate", str(run)]) == 0
+    out = capsys.readouterr().out
+    assert "12 of 12 rows judged again" in out and "12 are equal bit for bit" in out and "episodes played again" in out
+    done = []
+
+    def won(row):
+        if done or row["end"] != "timeout":
+            return False
+        done.append(row["trial_id"])
+        row["end"] = "success"
+        return True
+
+    assert len(forged(run, tmp_path / "forged", won, "episodes")) == 1
+    assert main(["results", "reevaluate", str(tmp_path / "forged")]) == 1
+    out = capsys.readouterr().out
+    assert f"trial {done[0]}: episodes end is stored as success, scored again it is timeout" in out
+
+
+def test_a_loop_comes_back_from_its_words_and_users_policies_do_not():
+    loop = Loop(ReceiverMotion.parse("takes:50mm,10deg", 4), "replan", LoopConfig(seed=4, latency_s=0.2))
+    assert Loop.of(loop.identity) == loop
+    for words, why in (
+        (loop.identity.replace("replan", "mine.py:wait 12ab"), "mine.py:wait is not built in"),
+        (loop.identity.replace("kind takes", "kind replay"), "imported motion is not in the folder"),
+        (loop.identity.replace("rate_hz 20", "rate_hz 5000"), "no closed loop is"),
+        (loop.identity.replace("kind takes", "kind flies"), "no closed loop is"),
+        (loop.identity + ", gravity 3", "no closed loop is"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            Loop.of(words)
 
 
 def test_a_margin_moved_by_a_micrometre_is_found_here_and_by_a_millimetre_anywhere(folder, tmp_path, judge):

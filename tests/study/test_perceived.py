@@ -4,6 +4,7 @@ import csv
 from itertools import combinations
 
 import numpy as np
+import oracle
 import pytest
 
 from r2h_batch.__main__ import main
@@ -83,6 +84,41 @@ def test_a_trial_is_written_with_its_poses_and_what_its_person_sees(run, trials,
         across = sideways * (sideways @ (torso - shoulder)[:3])  # from the shoulder to the median plane
         head = shoulder[:3] + across + [0, 0, 0.17] + 0.08 * facing
         assert float(row["head_m"]) == pytest.approx(np.linalg.norm(middle[:3] - head), abs=1e-4)
+
+
+def test_the_closing_speed_is_that_of_the_distance_to_the_hand_in_mujoco_c(run, trials, scene):
+    """Along the stored plan at the times of a trapezoid of its own; the twin's hand is made of convex pieces."""
+    stored, names, looked_at = load_run(run), [o.name for o in scene.objects], 0
+    tables = {
+        kind: {(e.name, r["trial_id"]): r for e in stored.entries for r in getattr(stored, kind)(e.name).to_pylist()}
+        for kind in ("trials", "details", "paths")
+    }
+    for row in trials[1]:
+        key = row["method"], int(row["trial_id"])
+        path = np.array(tables["paths"].get(key, {"q": []})["q"], float)
+        if len(path) != 2 or row["closing_m_s"] == "n/a" or looked_at == 5:
+            continue
+        detail = tables["details"][key]
+        shift = np.eye(4)
+        shift[1, 3] = detail["grasp_shift_m"]
+        held = array(row, "T_obj_ee", 4, 4) @ shift
+        hand = array(row, "T_world_hand", 4, 4)
+        twin = oracle.mujoco_scene(
+            scene,
+            oracle.Staged(names.index(row["object"]), detail["hand_index"], held, hand, detail["opening_m"]),
+        )
+        far = np.abs(path[1] - path[0]).max()
+        v, a = 0.1 * np.pi, 0.1 * 5.0
+        whole = far / v + v / a if far >= v * v / a else 2 * np.sqrt(far / a)
+        t = np.linspace(0, whole, 100)
+        ramp = min(v / a, whole / 2)
+        speed = np.interp(np.linspace(0, whole, 4000), [0, ramp, whole - ramp, whole], [0, a * ramp, a * ramp, 0])
+        gone = np.interp(t, np.linspace(0, whole, 4000), np.cumsum(speed) / speed.sum())
+        gap = np.array([twin.clearances(path[0] + s * (path[1] - path[0]), cap=0.25).distance["hand"] for s in gone])
+        near = gap[:-1] < 0.25
+        assert float(row["closing_m_s"]) == pytest.approx((-np.diff(gap) / np.diff(t))[near].max(), rel=0.05, abs=0.003)
+        looked_at += 1
+    assert looked_at >= 3
 
 
 def ratings(tmp_path, rows, rate):
