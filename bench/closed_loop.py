@@ -75,12 +75,12 @@ other hands in each pass over the oracle's poses, {ms:.0f} ms of process time ea
 """
 
 
-def answers(trials: int) -> tuple[list[str], int, Any]:
-    """The shipped baselines, how many trials each has, and the scores of all: method by method."""
+def answers(trials: int, *only: str) -> tuple[list[str], int, Any]:
+    """The shipped baselines, or some of them, how many trials each has, and the scores of all: method by method."""
     from r2h_batch.results.reevaluation import Judge
     from r2h_batch.runs.store import load_run
 
-    run = load_run(ROOT / "r2h_batch" / "compare" / "baselines")
+    run = load_run(ROOT / "r2h_batch" / "compare" / "baselines").only(only)
     judge = Judge(run)
     grasps: list[torch.Tensor] = []
     places: list[torch.Tensor] = []
@@ -173,9 +173,7 @@ def growth(trials: int) -> dict[str, Any]:
     from r2h_batch.closed_loop.moving import ReceiverMotion
 
     torch.set_num_threads(1)
-    names, n, scores = answers(AT_ONCE // 2)
-    k = names.index("oracle")
-    scores = scores[k * n : (k + 1) * n]
+    _, n, scores = answers(AT_ONCE // 2, "oracle")
     mib: list[int] = []
     done, begin = 0, time.process_time()
     while done < trials:

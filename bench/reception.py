@@ -83,7 +83,7 @@ def cost(scores: Any) -> list[dict[str, float]]:
     from r2h_batch.judge import reception as judge
 
     found = []
-    for n in SIZES:
+    for n in sorted({min(n, len(scores)) for n in SIZES}):
         some = scores[:n]
         spent: dict[str, list[float]] = {name: [] for name in PARTS}
         parts = {
