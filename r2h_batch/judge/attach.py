@@ -2,7 +2,6 @@
 body then sits."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float32, Int32
@@ -59,11 +58,12 @@ def attach_object(
         scene, (T_obj_ee, T_world_ee, trials.T_world_hand), trials
     )
     limits = config.thresholds
-    on: dict[str, Any] = {"known": True}
     width, opening, shift, empty = close_pads(
-        scene.grasp_tables, T_obj_ee, objects, mode=config.width, **on
+        scene.grasp_tables, T_obj_ee, objects, mode=config.width, known=True
     )
-    cut, cut_part = open_clearance(scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M, **on)
+    cut, cut_part = open_clearance(
+        scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M, known=True
+    )
     made = new_outputs(row_kernels.close_rows, len(active), scene.device)
     point, normal = scene.palms
     launch_trials(

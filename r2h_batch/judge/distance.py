@@ -61,29 +61,28 @@ def person_distance(
     alone = with_person(scene, body_poses, receiver, hand=False)
     tables = {"world": alone.tables(scene), "bodies": alone.bodies}
     motion = {"path": path.contiguous(), "length": length.contiguous()}
-    on: dict[str, Any] = {"device": scene.device}
-    found, meets = _nearest(scene, tables, motion, on)
+    found, meets = _nearest(scene, tables, motion)
     launch_trials(
         scene.sized(path_overlap),
         len(meets),
         inputs={"hull_ball": scene.hull_balls, **tables, "row": meets, **motion},
         outputs=found,
         chunk=1,
-        **on,
+        device=scene.device,
     )
     return found["clearance"], found["body"]
 
 
 def _nearest(
-    scene: Scene, tables: dict[str, Any], motion: dict[str, Tensor], on: dict[str, Any]
+    scene: Scene, tables: dict[str, Any], motion: dict[str, Tensor]
 ) -> tuple[dict[str, Tensor], Int32[Tensor, " m"]]:
     """Clearance, pair and body of each path, as far as bodies are apart, and the rows where they
     meet (-1: none)."""
     path, length = motion["path"], motion["length"]
     b, device = len(length), path.device
-    if uses_frontier(on["device"]):
+    if uses_frontier(scene.device):
         frontier = Frontier(
-            **tables, device=on["device"], rows=b if path.shape[1] <= WAYPOINTS else MOVED * b
+            **tables, device=scene.device, rows=b if path.shape[1] <= WAYPOINTS else MOVED * b
         )
         distance, pair, body = frontier.clearance(path, length, SAFE_TOLERANCE_M)
         deep = (length > 0) & (distance < 0)
@@ -102,7 +101,9 @@ def _nearest(
     found["clearance"].fill_(torch.nan)
     found["body"].fill_(-1)
     asked = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
-    launch_trials(scene.sized(path_clearance), b, inputs=asked, outputs=found, chunk=8, **on)
+    launch_trials(
+        scene.sized(path_clearance), b, inputs=asked, outputs=found, chunk=8, device=scene.device
+    )
     return found, torch.nonzero((length > 0) & (found["clearance"] < 0)).flatten().to(torch.int32)
 
 
@@ -130,7 +131,6 @@ def hand_distance(
     a primitive, which no translation that parts them can be shorter than. Between two samples the
     arm may be off their line (`over_motion`).
     """
-    on: dict[str, Any] = {"device": scene.device}
 
     def measure(
         bodies: BodyPoses, path: Tensor, length: Tensor, rows: Tensor | None
@@ -150,14 +150,19 @@ def hand_distance(
             inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
             launch_trials(
                 scene.sized(safe_kernels.safe_distance), b, inputs=inputs, outputs=found, chunk=16, uneven=True,
-                **on,
+                device=scene.device,
             )  # fmt: skip
             meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
         # the search for the smallest distance ends where bodies meet: how deep is a search of its
         # own
         inputs = {**tables, "row": meets, **motion}
         launch_trials(
-            scene.sized(hand_overlap), len(meets), inputs=inputs, outputs=found, chunk=1, **on
+            scene.sized(hand_overlap),
+            len(meets),
+            inputs=inputs,
+            outputs=found,
+            chunk=1,
+            device=scene.device,
         )
         more = (found[k] for k in ("body", "segment", "fraction", "point"))
         return torch.where(moves, distance, torch.nan), *more

@@ -2,7 +2,6 @@
 its clearance, Safe there."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float32, Int32
@@ -76,7 +75,6 @@ def judge_goals(
     active = active.contiguous()
     goal = _unjudged(b, ik.q.shape[2], device)
     postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
-    on: dict[str, Any] = {"device": scene.device}
 
     launch_trials(
         scene.sized(goal_kernels.choose_goal),
@@ -92,9 +90,9 @@ def judge_goals(
             **postures,
         },
         outputs={"reason": goal.reason, "pair": goal.pair, "slot": goal.slot},
-        **on,
+        device=scene.device,
     )
-    _measure(goal, scene, body_poses, T_world_ee, postures, active, on)
+    _measure(goal, scene, body_poses, T_world_ee, postures, active)
     if scene.robot.family != "ur":  # of a UR the kernel knows what is proven
         goal.reason.copy_(weaken_singular_reason(goal.reason, ik))
     return goal
@@ -120,8 +118,7 @@ def failed_clearance(
     goal.reason.copy_(torch.where(measured, reason, int(PlanReason.NOT_EVALUATED)))
     goal.slot.fill_(-1)
     postures = {"valid": branches.contiguous(), "q": q.flatten(0, 1)}
-    on = {"device": scene.device}
-    _measure(goal, scene, body_poses, T_world_ee, postures, measured, on)
+    _measure(goal, scene, body_poses, T_world_ee, postures, measured)
     return torch.where(measured, goal.clearance_m.clamp(min=-FARTHEST_M), -torch.inf)
 
 
@@ -163,7 +160,6 @@ def _measure(
     T_world_ee: Float32[Tensor, "b 4 4"],
     postures: dict[str, Tensor],
     active: Bool[Tensor, " b"],
-    on: dict[str, Any],
 ) -> None:
     """Writes the clearance of each `active` goal, whose `reason` and `slot` are known, and what it
     is attained by; where no branch is free also the posture itself.
@@ -186,7 +182,7 @@ def _measure(
             },
             outputs={"q": goal.q, "residual": residual},
             chunk=256,
-            **on,
+            device=scene.device,
         )
     else:
         missed = active & ~postures["valid"].any(1)
@@ -217,5 +213,5 @@ def _measure(
             "push": goal.push,
             "point": goal.point,
         },
-        **on,
+        device=scene.device,
     )

@@ -224,22 +224,13 @@ class Search:
         return path_time(path, length, self.execute)
 
     def _straight_time(self) -> Tensor:
-        return straight_time(self.start, self.goals, self.n_goals, self.execute)
-
-
-def straight_time(
-    start: Float32[Tensor, "b 6"],
-    goals: Float32[Tensor, "g 6"],
-    n_goals: Int32[Tensor, " b"],
-    execute: ExecConfig,
-) -> Tensor:
-    """Time of the straight line from the start to that free goal which it reaches soonest, s; infinite
-    without one."""
-    lines = torch.stack([start.repeat_interleave(BRANCHES, 0), goals], 1)
-    two = torch.full((len(lines),), 2, dtype=torch.int32, device=start.device)
-    time = path_time(lines, two, execute).view(-1, BRANCHES)
-    slot = torch.arange(BRANCHES, dtype=torch.int64, device=start.device)[None]
-    return torch.where(slot < n_goals[:, None], time, torch.inf).amin(1)
+        """Time of the straight line from the start to that free goal which it reaches soonest, s;
+        infinite without one."""
+        lines = torch.stack([self.start.repeat_interleave(BRANCHES, 0), self.goals], 1)
+        two = torch.full((len(lines),), 2, dtype=torch.int32, device=lines.device)
+        time = path_time(lines, two, self.execute).view(-1, BRANCHES)
+        slot = torch.arange(BRANCHES, dtype=torch.int64, device=lines.device)[None]
+        return torch.where(slot < self.n_goals[:, None], time, torch.inf).amin(1)
 
 
 def _scratch_nodes(device: torch.device) -> int:

@@ -11,7 +11,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32, Int, Int64
-from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import se3
@@ -239,29 +238,12 @@ def placed_above_palm(
     point = target.palm_point.double() + height_m * target.palm_normal.double()
     if at == "gripper":
         return poses_at(R_world_ee, point)
-    center = torch.from_numpy(object_centers(scene)).to(scene.device)[object_index.long()]
-    return centers_at(R_world_ee, T_obj_ee, center, point)
-
-
-def object_centers(scene: Scene) -> NDArray[np.float64]:
-    """(O, 3) centre of each object's bounding box, frame obj, metres."""
     corners = [(o.vertices.min(0), o.vertices.max(0)) for o in scene.objects]
-    return np.stack([(low.astype(np.float64) + high) / 2 for low, high in corners])
-
-
-def centers_at(
-    R_world_ee: Float[Tensor, "b r 3 3"],
-    T_obj_ee: Float32[Tensor, "b 4 4"],
-    center_obj: Float[Tensor, "b 3"],
-    target: Float[Tensor, "b 3"],
-) -> Float32[Tensor, "b r 4 4"]:
-    """(b, r, 4, 4) T_world_ee with these rotations that put the object's point `center_obj` (frame
-    obj) at `target` (world)."""
+    boxes = np.stack([(low.astype(np.float64) + high) / 2 for low, high in corners])
+    center_obj = torch.from_numpy(boxes).to(scene.device)[object_index.long()]
     R_ee_obj = T_obj_ee[:, :3, :3].double().transpose(1, 2)
-    center_ee = se3.rotate(R_ee_obj, center_obj.double() - T_obj_ee[:, :3, 3].double())
-    return poses_at(
-        R_world_ee, target.double()[:, None] - se3.rotate(R_world_ee, center_ee[:, None])
-    )
+    center_ee = se3.rotate(R_ee_obj, center_obj - T_obj_ee[:, :3, 3].double())
+    return poses_at(R_world_ee, point[:, None] - se3.rotate(R_world_ee, center_ee[:, None]))
 
 
 def taken(rows: Int64[Tensor, "b k"], chosen: Int64[Tensor, " b"]) -> Int64[Tensor, " b"]:
