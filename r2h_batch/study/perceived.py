@@ -26,7 +26,7 @@ from r2h_batch.results.reevaluation import Judge
 from r2h_batch.runs.store import Run
 from r2h_batch.study.report import RATING_COLUMNS, paper_table, read_counts
 from r2h_batch.study.stats import DRAWS, SCALE, StudyError
-from r2h_batch.study.table_file import LINE, Number, Text, read_table
+from r2h_batch.study.table_file import LINE, NAME, number, read_table
 from r2h_batch.types import Trials
 
 POSES = {"T_obj_ee": 16, "T_world_ee": 16, "T_world_hand": 16, "receiver": 20}
@@ -298,13 +298,13 @@ def rated(ratings: Path, trials: Path) -> tuple[str, str]:
     Raises:
         StudyError: a file that cannot be used, or a rating of a trial that is not in the other file.
     """
-    number = Number(0, 2**62, whole=True)
-    columns: dict[str, Number | Text] = {"trial_id": number, **RATING_COLUMNS}
-    names: dict[str, Number | Text] = {"trial_id": number, "method": Text(), "object": Text()}
+    trial_id = number(0, 2**62, whole=True)
+    columns = {"trial_id": trial_id, **RATING_COLUMNS}
+    names = {"trial_id": trial_id, "method": NAME, "object": NAME}
     # n/a is text: a measure that a trial does not have
     measured = {
         (r["method"], r["trial_id"]): r
-        for r in read_table(trials, names | dict.fromkeys(MEASURES, Text()))
+        for r in read_table(trials, names | dict.fromkeys(MEASURES, NAME))
     }
     rows, seen = [], set()
     for r in read_table(ratings, columns):

@@ -6,21 +6,17 @@ from pathlib import Path
 import numpy as np
 
 from r2h_batch.report.text import aligned
-from r2h_batch.study.stats import SCALE, StudyError, Summary, rating_tests, spearman
-from r2h_batch.study.table_file import LINE, Number, Text, read_table
+from r2h_batch.study.stats import SCALE, StudyError, rating_tests, spearman
+from r2h_batch.study.table_file import LINE, NAME, PERCENT, number, read_table
 
-REAL_COLUMNS: dict[str, Number | Text] = {
-    "method": Text(),
-    "real_sr": Number(0, 100, percent=True),
-    "real_t_tot_s": Number(0, 1e5),
+REAL_COLUMNS = {"method": NAME, "real_sr": PERCENT, "real_t_tot_s": number(0, 1e5)}
+RATING_COLUMNS = {
+    **dict.fromkeys(("participant", "method", "dimension"), NAME),
+    "rating": number(1, 5, whole=True),
 }
-RATING_COLUMNS: dict[str, Number | Text] = {
-    **dict.fromkeys(("participant", "method", "dimension"), Text()),
-    "rating": Number(1, 5, whole=True),
-}
-COUNT_COLUMNS: dict[str, Number | Text] = {
-    **dict.fromkeys(("method", "dimension"), Text()),
-    **{f"n{k}": Number(0, 1e6, whole=True) for k in SCALE},
+COUNT_COLUMNS = {
+    **dict.fromkeys(("method", "dimension"), NAME),
+    **{f"n{k}": number(0, 1e6, whole=True) for k in SCALE},
 }
 
 Ratings = tuple[np.ndarray, list[str], int]
@@ -112,12 +108,13 @@ def read_ratings(path: Path) -> dict[str, Ratings]:
 def rating_report(ratings: Mapping[str, Ratings]) -> str:
     """Summaries and tests of every dimension."""
     keys, parts = ("mean", "median", "q1", "q3", "min", "max"), []
+    order = [0.5, 0.25, 0.75, 0, 1]  # of the quantiles, after the mean
     for dimension, (table, methods, left_out) in ratings.items():
         test, lines = rating_tests(table, methods), []
         for method, column in zip(methods, table.T, strict=True):
-            s = Summary.of(column)
-            numbers = [f"{getattr(s, k):.2f}".rstrip("0").rstrip(".") for k in keys]
-            lines.append([method, str(s.n), *numbers])
+            figures = [column.mean(), *np.quantile(column, order)]
+            numbers = [f"{value:.2f}".rstrip("0").rstrip(".") for value in figures]
+            lines.append([method, str(len(column)), *numbers])
         friedman = "Friedman's test needs three methods; with two, Wilcoxon's stands alone."
         if len(methods) > 2:
             friedman = f"Friedman: chi2({len(methods) - 1}) = {test.chi2:.2f}, p = {test.p:.2g}"

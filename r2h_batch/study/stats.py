@@ -1,9 +1,8 @@
-"""Statistics of a user study: summaries of ratings, rank correlations with intervals, Friedman and
-Wilcoxon."""
+"""Statistics of a user study: rank correlations with intervals, Friedman and Wilcoxon."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations, permutations
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -16,42 +15,15 @@ class StudyError(ValueError):
     """A file that cannot be used: the message names it, the line and what is allowed."""
 
 
-@dataclass(frozen=True)
-class Summary:
-    """A box of a box plot: quartiles by linear interpolation, whiskers at the extremes."""
-
-    n: int
-    mean: float
-    median: float
-    q1: float
-    q3: float
-    min: float
-    max: float
-
-    @staticmethod
-    def of(values: np.ndarray) -> "Summary":
-        """Of (N,) ratings."""
-        low, q1, median, q3, high = np.quantile(values, [0, 0.25, 0.5, 0.75, 1]).tolist()
-        return Summary(len(values), float(np.mean(values)), median, q1, q3, low, high)
-
-
-@dataclass(frozen=True)
-class Correlation:
-    """A rank correlation over methods.
-
-    Attributes:
-        rho: Spearman's.
-        measured: 95 % interval if the same methods were measured again.
-        p: over all permutations, or a sample of them.
-    """
+class Correlation(NamedTuple):
+    """Spearman's rank correlation over methods."""
 
     rho: float
-    measured: tuple[float, float]
-    p: float
+    measured: tuple[float, float]  # 95 % interval if the same methods were measured again
+    p: float  # over all permutations, or a sample of them
 
 
-@dataclass(frozen=True)
-class Test:
+class Test(NamedTuple):
     """Friedman's test over all methods, and Wilcoxon's signed-rank test of every pair, adjusted by
     Bonferroni."""
 

@@ -1,10 +1,9 @@
 """Tables that people fill in, as CSV. An error names the line and the column."""
 
 import csv
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from r2h_batch.io.read import printable, read_file
 from r2h_batch.study.stats import StudyError
@@ -17,50 +16,49 @@ LINE = "line"
 """Key of a row's line in the file, for errors that come later."""
 
 
-@dataclass(frozen=True)
-class Number:
-    """A column of numbers from `low` to `high`.
+class Column(NamedTuple):
+    """What the cells of a column hold: `read` gives it, or raises ValueError."""
 
-    A percentage may have its sign, as spreadsheets write it. Up to 1 it must have it: without the
-    sign, 0.85 can mean 85 % or 0.85 %.
-    """
+    allowed: str
+    read: Callable[[str], Any]
 
-    low: float
-    high: float
-    whole: bool = False
-    percent: bool = False
 
-    @property
-    def allowed(self) -> str:
-        if self.percent:
-            return f"percent from {self.low:g} to {self.high:g}, 85 or 85% and not 0.85; what is 1 % or less has its sign"
-        return f"{'whole ' if self.whole else ''}numbers from {self.low:g} to {self.high:g}"
+def _name(cell: str) -> str:
+    if not cell or not cell.isprintable():
+        raise ValueError
+    return cell
 
-    def read(self, cell: str) -> float | int:
-        """The number, or a ValueError."""
-        signed = self.percent and cell.endswith("%")
-        cell = cell.removesuffix("%").rstrip() if signed else cell
-        value = parse_whole_number(cell) if self.whole else parse_number(cell)
-        unclear = self.percent and not signed and 0 < value <= 1
-        if unclear or not self.low <= value <= self.high:
+
+NAME = Column(f"1 to {MAX_CELL} visible characters", _name)
+
+
+def number(low: float, high: float, *, whole: bool = False) -> Column:
+    """Numbers from `low` to `high`."""
+
+    def read(cell: str) -> float:
+        value = parse_whole_number(cell) if whole else parse_number(cell)
+        if not low <= value <= high:
             raise ValueError
         return value
 
-
-@dataclass(frozen=True)
-class Text:
-    """A column of names."""
-
-    allowed = f"1 to {MAX_CELL} visible characters"
-
-    def read(self, cell: str) -> str:
-        """The name, or a ValueError."""
-        if not cell or not cell.isprintable():
-            raise ValueError
-        return cell
+    return Column(f"{'whole ' if whole else ''}numbers from {low:g} to {high:g}", read)
 
 
-def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[str, Any]]:
+def _percent(cell: str) -> float:
+    value = parse_number(cell.removesuffix("%").rstrip())
+    if not 0 <= value <= 100 or (0 < value <= 1 and not cell.endswith("%")):
+        raise ValueError
+    return value
+
+
+PERCENT = Column(
+    "percent from 0 to 100, 85 or 85% and not 0.85; what is 1 % or less has its sign", _percent
+)
+"""A percentage may have its sign, as spreadsheets write it. Up to 1 it must have it: without the sign,
+0.85 can mean 85 % or 0.85 %."""
+
+
+def read_table(path: Path, columns: Mapping[str, Column]) -> list[dict[str, Any]]:
     """Read a CSV file in UTF-8: commas between the cells, points in numbers, comments after #.
 
     Args:
