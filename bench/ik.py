@@ -26,6 +26,7 @@ from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import IkResult, reference_chain, solve_ik
 from r2h_batch.kernels.ik.step import STATUS_CONVERGED, STATUS_EDGE, STATUS_SINGULAR
 from r2h_batch.launch import cpu_threads
+from r2h_batch.launch.threads import on_threads
 
 REPEATS = 5
 NO_SEEDS = np.zeros((0, 6))
@@ -149,7 +150,8 @@ def main() -> None:
 
     def solve(threads: int | None, seeds: np.ndarray | None = None) -> Callable[[], IkResult]:
         def run() -> IkResult:
-            result = solve_ik(targets, threads=threads, seeds=seeds)
+            with on_threads(threads):
+                result = solve_ik(targets, seeds=seeds)
             if not on_cpu:
                 torch.cuda.synchronize()
             return result

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from r2h_batch.config import HOME_Q, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import solve_ik
+from r2h_batch.launch.threads import on_threads
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.scene import Scene
 
@@ -58,7 +59,8 @@ def planned(scene: Scene, batch: Batch, threads: int | None, clock) -> tuple[Pro
         start = clock()
         problems = solve(scene, batch, threads=threads)
         middle = clock()
-        solve_ik(batch.T_world_ee, threads=threads)
+        with on_threads(threads):
+            solve_ik(batch.T_world_ee)
         best = min(best, (middle - start) - (clock() - middle))
     return problems, best
 

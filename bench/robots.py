@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
 from r2h_batch.judge.ik import solve_ik
+from r2h_batch.launch.threads import on_threads
 
 ROBOTS = ("ur5e_2f85", "ur3e_2f85", "panda_hand")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
@@ -87,10 +88,11 @@ def inverse_kinematics(robot: Robot, count: int, some: int) -> dict[str, float]:
     """Times, misses and errors on targets that the robot can reach."""
     q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (count, len(robot.joints)))
     targets = torch.from_numpy(ee_pose(robot, q).astype(np.float32))
-    solve_ik(targets[:256], robot=robot, threads=1)
-    start = time.process_time()
-    found = solve_ik(targets, robot=robot, threads=1)
-    seconds = time.process_time() - start
+    with on_threads(1):
+        solve_ik(targets[:256], robot=robot)
+        start = time.process_time()
+        found = solve_ik(targets, robot=robot)
+        seconds = time.process_time() - start
     chain = chain_of(robot)
     few = targets[:some].contiguous()
     ours = chain.forward_kinematics(torch.from_numpy(q[:some]).float()).get_matrix()

@@ -498,7 +498,7 @@ class Evaluator:
         scores = pose_scores(trials.trial_id, shared, goal, touch, body_m=body_m)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             poses = T_obj_ee, T_world_ee
-            return differentiable(scene, config, self.threads, scores, poses, held, goal)
+            return differentiable(scene, config, scores, poses, held, goal)
         return scores
 
     def _judge(

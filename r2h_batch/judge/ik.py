@@ -95,7 +95,6 @@ def solve_ik(
     home: Sequence[float] | None = None,
     seeds: Float[np.ndarray, "s 6"] | None = None,
     iterations: int = ITERATIONS,
-    threads: int | None = None,
 ) -> IkResult:
     """All branches for every target, on the device of `T_world_ee`; a row depends on nothing but
     its own target.
@@ -113,7 +112,7 @@ def solve_ik(
     init_warp()
     if robot.family != "ur":
         found = _unsolved(len(T_world_ee), device, len(robot.joints))
-        _solve_any(robot, T_world_ee, active, found, threads=threads)
+        _solve_any(robot, T_world_ee, active, found)
         return found
     start = ik_seeds() if seeds is None else np.asarray(seeds, dtype=np.float64)
     _check(T_world_ee, active, robot, home, start, iterations)
@@ -138,7 +137,6 @@ def solve_ik(
         },
         outputs=_written(result),
         device=place,
-        threads=threads,
         chunk=CHUNK,
         width=4,
     )
@@ -150,15 +148,11 @@ def nearest_found(
     T_world_ee: Float[Tensor, "b 4 4"],
     active: Bool[Tensor, "b"],
     rotation_lever_m: float,
-    *,
-    threads: int | None = None,
 ) -> tuple[Float[Tensor, "b j"], Float[Tensor, "b"]]:
     """Of targets that a robot without a closed form was not found to reach: the posture (rad) that
     came nearest, and by how much it misses (m, a radian counts `rotation_lever_m`)."""
     found = _unsolved(len(T_world_ee), T_world_ee.device, len(robot.joints))
-    return _solve_any(
-        robot, T_world_ee, active, found, rotation_lever_m=rotation_lever_m, threads=threads
-    )
+    return _solve_any(robot, T_world_ee, active, found, rotation_lever_m=rotation_lever_m)
 
 
 def _solve_any(
@@ -240,7 +234,6 @@ def one_branch(
     *,
     robot: Robot | None = None,
     home: Sequence[float] | None = None,
-    threads: int | None = None,
 ) -> Bool[Tensor, "b 8"]:
     """`ik.valid` with one branch left for each target: the one that a numerical Jacobian solver
     started at home reaches.
@@ -268,7 +261,6 @@ def one_branch(
         ),
         outputs=made,
         device=place,
-        threads=threads,
         chunk=64,
     )
     # argmax of 0 and 1 is the first 1: the first valid branch (slot 0 where there is none; `&

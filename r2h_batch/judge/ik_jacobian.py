@@ -45,7 +45,6 @@ def solve_ik(
     home: Sequence[float] | None = None,
     seeds: Float[np.ndarray, "s 6"] | None = None,
     iterations: int = ITERATIONS,
-    threads: int | None = None,
 ) -> fused.IkResult:
     """What `judge.ik.solve_ik` gives, with joint angles from pytorch-kinematics on the device of
     `T_world_ee`.
@@ -63,13 +62,7 @@ def solve_ik(
         )
     start = fused.ik_seeds() if seeds is None else np.asarray(seeds, np.float64)
     exact = fused.solve_ik(
-        T_world_ee,
-        active=active,
-        robot=robot,
-        home=home,
-        seeds=start[:0],
-        iterations=iterations,
-        threads=threads,
+        T_world_ee, active=active, robot=robot, home=home, seeds=start[:0], iterations=iterations
     )
     if start.ndim != 2 or start.shape[1] != 6 or not np.isfinite(start).all():
         raise ValueError(

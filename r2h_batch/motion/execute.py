@@ -54,8 +54,6 @@ def nothing_pushes(
     motion: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
     off_m: Float32[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> Bool[Tensor, " b"]:
     """Whether no pair whose contacts push can have touched in B recorded motions (rows of length 0:
     False).
@@ -81,7 +79,6 @@ def nothing_pushes(
         },
         outputs={"clearance": clearance, "pair": pair, "body": body},
         device=scene.device,
-        threads=threads,
         chunk=1,
         uneven=True,
     )
@@ -128,7 +125,6 @@ def execute(
     config: ExecConfig,
     *,
     clearance_m: Float32[Tensor, " b"] | None = None,
-    threads: int | None = None,
 ) -> Executed:
     """Moves the arm along B paths in the engine of `config`; rows without a path are left out.
 
@@ -160,9 +156,7 @@ def execute(
         )
 
     def move(model: Literal["scene", "arm"], rows: Bool[Tensor, " b"]) -> Executed:
-        run = _Runner(
-            scene, body_poses, path, length, motion, replace(config, model=model), engine, threads
-        )
+        run = _Runner(scene, body_poses, path, length, motion, replace(config, model=model), engine)
         return _until_at_rest(run, rows)
 
     sticks_out = body_poses.object_motion_radius - scene.motion_radii.amax(0).to(path.device)
@@ -179,7 +173,7 @@ def execute(
     if bool(asked.any()):
         recorded = torch.where(asked, alone.length, 0)
         free = free | nothing_pushes(
-            scene, body_poses, alone.path, recorded, alone.slack_with_object_m, threads=threads
+            scene, body_poses, alone.path, recorded, alone.slack_with_object_m
         )
     if bool((free | ~found).all()):
         return alone
@@ -237,9 +231,9 @@ class _Runner:
 
     def __init__(
         self, scene: Scene, body_poses: BodyPoses, path: Tensor, length: Tensor, motion: Motion, config: ExecConfig,
-        engine: str, threads: int | None,
+        engine: str
     ) -> None:  # fmt: skip
-        self.scene, self.config, self.threads = scene, config, threads
+        self.scene, self.config = scene, config
         self.path, self.length = path.contiguous(), length
         self.reference_s = motion.t_exec_s.double().cpu().numpy()
         module = import_module(f"r2h_batch.motion.sim_{engine}")
@@ -278,7 +272,7 @@ class _Runner:
             self.path[torch.from_numpy(rows), 0].double().cpu().numpy(),
             samples, self.config.record_steps, self.device, self.scene.motion_radii.cpu().numpy(),
         )  # fmt: skip
-        return self._judged(job, self.simulate(job, threads=self.threads), sample_s)
+        return self._judged(job, self.simulate(job), sample_s)
 
     def _judged(self, job: Job, answer: Samples, sample_s: float) -> Executed:
         """When each motion came to rest, and how far it may have been off its samples."""
@@ -379,7 +373,6 @@ class _Runner:
             },
             outputs={"sample": first},
             device=self.scene.device,
-            threads=self.threads,
             chunk=64,
         )
         return first
@@ -407,7 +400,6 @@ class _Runner:
             },
             outputs={"deviation": deviation},
             device=self.scene.device,
-            threads=self.threads,
             chunk=16,
         )
         reach = torch.maximum(lever.double().sum(1).amax(), held.double().sum(1))

@@ -26,11 +26,13 @@ Simulator = tuple[mujoco.MjModel, mujoco.MjData]
 """A copy of the model, which trials are put into one after the other, and its state."""
 
 
-def simulate(job: Job, *, threads: int | None = None) -> Samples:
+def simulate(
+    job: Job,
+) -> Samples:
     """Recorded motion of the job's trials; each stops at its own end, so that no trial waits for the
     slowest."""
     out = Samples.empty(job)
-    workers = min(cpu_threads(threads), max(len(job.rows), 1))
+    workers = min(cpu_threads(), max(len(job.rows), 1))
     simulators: SimpleQueue[Simulator] = SimpleQueue()
     for _ in range(workers):
         model = copy.copy(job.scene.model)
@@ -58,7 +60,6 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
                 },
                 outputs={"command": command},
                 device="cpu",
-                threads=threads,
                 chunk=1,
                 width=command.shape[1],
             )

@@ -17,8 +17,6 @@ from r2h_batch.config import ExecConfig
 from r2h_batch.kernels.motion.time_law import Law
 from r2h_batch.launch.instances import of_joints
 
-__all__ = ["Motion", "limits", "path_time", "servo_law", "time_at", "time_path"]
-
 
 @dataclass(frozen=True)
 class Motion:

@@ -237,7 +237,7 @@ def _ball(points: F32) -> F64:
     return np.concatenate([center, radius + 1e-6], axis=1).astype(np.float64)
 
 
-def distance_field(surface: ObjectSurface, threads: int | None = None) -> Any:
+def distance_field(surface: ObjectSurface) -> Any:
     """The object's signed distance at grid nodes: exact to `EXACT_M` from the surface, farther off
     a lower bound that is 1.5 mm short or less.
 
@@ -256,9 +256,9 @@ def distance_field(surface: ObjectSurface, threads: int | None = None) -> Any:
     coarse = np.stack(
         np.meshgrid(*(np.arange((n - 2) // STRIDE + 2) for n in nodes), indexing="ij"), -1
     )
-    value = surface.distance(low + cell * coarse.reshape(-1, 3), 1.0, threads, quick=True)[
-        0
-    ].reshape(coarse.shape[:3])
+    value = surface.distance(low + cell * coarse.reshape(-1, 3), 1.0, quick=True)[0].reshape(
+        coarse.shape[:3]
+    )
     corners = surface.vertices[surface.faces].astype(np.float64)
     inside = winding_of_nodes(corners, low.astype(np.float64), cell, coarse.shape[:3]) > 0
     value = np.where(inside, -np.abs(value), np.abs(value))
@@ -272,13 +272,13 @@ def distance_field(surface: ObjectSurface, threads: int | None = None) -> Any:
         )
         value = np.take(value, first, axis) * (1 - weight) + above * weight
     near = np.argwhere(np.abs(value) <= EXACT_M + cell * 3**0.5 / 2)
-    exact, _, face = surface.distance(low + PITCH_M * near, EXACT_M, threads, quick=True)
+    exact, _, face = surface.distance(low + PITCH_M * near, EXACT_M, quick=True)
     short = value - np.float32(3 * cell**2 / (8 * EXACT_M))
     value = np.where(
         value > 0, np.maximum(short, np.float32(EXACT_M)), np.minimum(value, -np.float32(EXACT_M))
     )
     asked = tuple(near[face >= 0].T)
-    thinner = np.maximum(SEEN_M - surface.thickness(SEEN_M, threads), 0.0) / 2
+    thinner = np.maximum(SEEN_M - surface.thickness(SEEN_M), 0.0) / 2
     value[asked] = exact[face >= 0] - thinner[face[face >= 0]]
     return _field(value.reshape(-1), low, nodes)
 
@@ -313,7 +313,6 @@ def come_down(
     direction: F32,
     *,
     farthest: float,
-    threads: int | None,
 ) -> F32:
     """How far each open hand moves from `start` along `direction` until it touches; `farthest` if
     it never does."""
@@ -332,13 +331,12 @@ def come_down(
         },
         outputs={"travel": travel},
         device="cpu",
-        threads=threads,
     )
     return travel
 
 
 def close(
-    field: Any, families: Families, family: Any, R: F32, p: F32, reach: float, threads: int | None
+    field: Any, families: Families, family: Any, R: F32, p: F32, reach: float
 ) -> tuple[NDArray[np.int64], F32, F32]:
     """The rows whose thumb comes nearer than `reach`; of these flexion (n, 5, 3) in rad, and each
     digit's distance (n, 5)."""
@@ -361,7 +359,6 @@ def close(
             },
             outputs={"flexion": bent, "gap": left},
             device="cpu",
-            threads=threads,
             width=len(REGIONS) - 1,
         )
         flexion[rows], gap[rows] = bent, left
@@ -369,7 +366,7 @@ def close(
     return rows, flexion[rows], gap[rows]
 
 
-def field_distance(field: Any, points: F32, threads: int | None) -> F32:
+def field_distance(field: Any, points: F32) -> F32:
     """(n,) distances of points (n, 3) in the field: trilinear between its nodes."""
     distance = np.empty(len(points), np.float32)
     inputs = {"field": field, "point": np.ascontiguousarray(points, np.float32)}
@@ -380,7 +377,6 @@ def field_distance(field: Any, points: F32, threads: int | None) -> F32:
         inputs=inputs,
         outputs=outputs,
         device="cpu",
-        threads=threads,
         chunk=4096,
     )
     return distance

@@ -20,16 +20,6 @@ from r2h_batch.kernels.receiver.point_mesh import (
 )
 from r2h_batch.launch import launch_trials
 
-__all__ = [
-    "REACH_M",
-    "REGIONS",
-    "Contact",
-    "ObjectSurface",
-    "hand_depth",
-    "measure_contact",
-    "palmar_region",
-]
-
 REGIONS = ("index", "middle", "pinky", "ring", "thumb", "palm")
 """Where a hand touches: five digits (joints 1-3, 4-6, 7-9, 10-12, 13-15) and the palm."""
 THUMB, PALM = 4, 5
@@ -78,7 +68,7 @@ class ObjectSurface:
         )
 
     def distance(
-        self, points: NDArray[Any], reach: float, threads: int | None = None, *, quick: bool = False
+        self, points: NDArray[Any], reach: float, *, quick: bool = False
     ) -> tuple[F32, F32, NDArray[np.int32]]:
         """Signed distance (n,), outward normal (n, 3) and nearest face (n,) of points (n, 3); see
         `point_mesh_distance`.
@@ -99,12 +89,11 @@ class ObjectSurface:
             },
             outputs={"distance": distance, "normal": normal, "face": face},
             device="cpu",
-            threads=threads,
             chunk=2048,
         )
         return distance, normal, face
 
-    def thickness(self, most: float, threads: int | None = None) -> F32:
+    def thickness(self, most: float) -> F32:
         """(F,) how thick (m) the solid is behind each face, or a face that shares a corner with it;
         `most` where it is more."""
         behind = np.empty(len(self.faces), np.float32)
@@ -114,7 +103,6 @@ class ObjectSurface:
             inputs={"mesh": self.mesh.id, "most": most},
             outputs={"thickness": behind},
             device="cpu",
-            threads=threads,
             chunk=2048,
         )
         corner = np.full(len(self.vertices), most, np.float32)
@@ -149,7 +137,6 @@ def measure_contact(
     vertices: F32,
     *,
     hand: HandModel | None = None,
-    threads: int | None = None,
     about: F32 | None = None,
     asked: NDArray[np.bool_] | None = None,
 ) -> Contact:
@@ -178,9 +165,7 @@ def measure_contact(
             (asked & ~around, False),
             (asked & around, True),
         ):
-            d, normal[mine], face[mine] = surface.distance(
-                vertices[mine], REACH_M, threads, quick=outside
-            )
+            d, normal[mine], face[mine] = surface.distance(vertices[mine], REACH_M, quick=outside)
             distance[mine] = np.abs(d) if outside else d
     else:
         distance = np.minimum(about, REACH_M)
@@ -194,7 +179,7 @@ def measure_contact(
     if about is None:
         gap, normal, face = distance[rows, nearest], normal[rows, nearest], face[rows, nearest]
     else:
-        gap, normal, face = surface.distance(vertices[rows, nearest], REACH_M, threads, quick=True)
+        gap, normal, face = surface.distance(vertices[rows, nearest], REACH_M, quick=True)
         gap, normal, face = gap.reshape(n, -1), normal.reshape(n, -1, 3), face.reshape(n, -1)
     inside = np.maximum(-distance, 0.0)
     return Contact(
@@ -214,7 +199,6 @@ def hand_depth(
     side: int | torch.Tensor,
     *,
     hand: HandModel | None = None,
-    threads: int | None = None,
     least: float = 0.0,
 ) -> NDArray[np.float32]:
     """(B,) how deep the deepest of the object's surface points (n, 3) is in each hand: what thin
@@ -227,15 +211,15 @@ def hand_depth(
     pieces = [p.numpy() for p in model.pieces]
     depth = np.zeros(len(vertices), np.float32)
     for i, skin in enumerate(vertices):
-        near = points[_may_be_inside(points, skin, pieces, least, threads)]
+        near = points[_may_be_inside(points, skin, pieces, least)]
         if len(near):
-            distance, _, _ = ObjectSurface(skin, faces).distance(near, 0.05, threads)
+            distance, _, _ = ObjectSurface(skin, faces).distance(near, 0.05)
             depth[i] = max(0.0, -float(distance.min()))
     return depth
 
 
 def _may_be_inside(
-    points: F32, skin: F32, pieces: list[NDArray[np.int64]], least: float, threads: int | None
+    points: F32, skin: F32, pieces: list[NDArray[np.int64]], least: float
 ) -> NDArray[np.bool_]:
     """(n,) whether points may be in the hand and `least` deep: these convex pieces hold the skin,
     so no other is inside."""
@@ -258,7 +242,6 @@ def _may_be_inside(
         },
         outputs={"inside": found},
         device="cpu",
-        threads=threads,
         chunk=4096,
     )
     return found

@@ -28,8 +28,6 @@ from r2h_batch.receiver.hand_contact import PALM, ObjectSurface, palmar_region
 from r2h_batch.receiver.receiving import CODE, FIELDS, FORM, VERSIONS, ReceivingGrasps
 from r2h_batch.receiver.sampler import NoHoldError, sample_receiving
 
-__all__ = ["GRAVITY", "HeldOut", "load_held_out", "revolution_axis", "sample_held_out"]
-
 PER_SIDE = 256
 SERIES = "held out "
 
@@ -108,14 +106,12 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
 
 
 def sample_held_out(
-    model: ObjectModel, *, hand: HandModel | None = None, threads: int | None = None
+    model: ObjectModel, *, hand: HandModel | None = None
 ) -> dict[str, NDArray[Any]]:
     """Arrays as in `receiving.FIELDS`, and `grip_n` as in `HeldOut`."""
     hand = load_hand() if hand is None else hand
     try:
-        found = sample_receiving(
-            model, hand=hand, per_side=PER_SIDE, series=SERIES, threads=threads
-        )
+        found = sample_receiving(model, hand=hand, per_side=PER_SIDE, series=SERIES)
     except NoHoldError:
         some = stored_arrays("receiving", "receiving.npz")
         found = {k: some[f"{load_objects()[0].name}/{k}"][:0] for k in FIELDS}
@@ -123,11 +119,11 @@ def sample_held_out(
     skin = ReceivingGrasps(
         none, **{k: torch.from_numpy(found[k]) for k in FIELDS}, instruction=none, hand=hand
     ).vertices.numpy()
-    return {**found, "grip_n": grip_forces(model, skin, hand, threads)}
+    return {**found, "grip_n": grip_forces(model, skin, hand)}
 
 
 def grip_forces(
-    model: ObjectModel, skin: NDArray[np.float32], hand: HandModel, threads: int | None = None
+    model: ObjectModel, skin: NDArray[np.float32], hand: HandModel
 ) -> NDArray[np.float32]:
     """(M, 6) `HeldOut.grip_n` of hands with these skins (M, V, 3), frame obj.
 
@@ -142,7 +138,7 @@ def grip_forces(
     com, weight = np.asarray(model.com, np.float64), float(model.mass) * G
     out = np.full((len(skin), len(GRAVITY)), np.inf, np.float32)
     for i, points in enumerate(skin[:, palmar]):
-        distance, normal, _ = surface.distance(points, CONTACT_M, threads)
+        distance, normal, _ = surface.distance(points, CONTACT_M)
         touches = distance < CONTACT_M
         if not touches.any():
             continue

@@ -17,15 +17,6 @@ from functools import lru_cache
 from r2h_batch.benchmark.vocabulary import PART_WORDS, THINGS, VERB_WORDS, Thing
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 
-__all__ = [
-    "InstructionError",
-    "Intent",
-    "Understood",
-    "instructions_of",
-    "intents_of",
-    "understand",
-]
-
 TAKE = "take"
 ANYWHERE = "object"
 

@@ -25,15 +25,6 @@ from r2h_batch.receiver.instructions import intents_of
 from r2h_batch.receiver.sampler import PER_SIDE, NoHoldError, sample_receiving
 from r2h_batch.verdicts import SIDES
 
-__all__ = [
-    "CONTACT_M",
-    "PENETRATION_M",
-    "ReceivingGrasps",
-    "load_receiving",
-    "receiving_digest",
-    "without_receiving",
-]
-
 CONTACT_M = 0.005
 """A digit or the palm is in contact when a point of its palmar skin is this near to the surface."""
 PENETRATION_M = 0.005

@@ -40,8 +40,6 @@ from r2h_batch.receiver.hand_contact import (
 )
 from r2h_batch.receiver.instructions import intents_of
 
-__all__ = ["PER_SIDE", "NoHoldError", "sample_receiving"]
-
 PER_SIDE = 32
 PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 600, 20, 160, 16
 """Of a round, rounds, and holds of a pool that the choice begins with: the last two for `PER_SIDE`, more
@@ -77,12 +75,7 @@ class NoHoldError(ValueError):
 @threadpool_limits.wrap(1, user_api="blas")
 @one_torch_thread("cpu")
 def sample_receiving(
-    model: ObjectModel,
-    *,
-    hand: HandModel | None = None,
-    per_side: int = PER_SIDE,
-    series: str = "",
-    threads: int | None = None,
+    model: ObjectModel, *, hand: HandModel | None = None, per_side: int = PER_SIDE, series: str = ""
 ) -> dict[str, NDArray[Any]]:
     """Arrays as in `receiving.FIELDS`: up to `per_side` right-hand and left-hand holds; the same
     object and `series`, the same holds.
@@ -92,10 +85,8 @@ def sample_receiving(
     """
     init_warp()
     hand = load_hand() if hand is None else hand
-    field = distance_field(ObjectSurface(model.vertices, model.faces), threads)
-    right, left = (
-        _holds(model, hand, mirror, field, per_side, series, threads) for mirror in (False, True)
-    )
+    field = distance_field(ObjectSurface(model.vertices, model.faces))
+    right, left = (_holds(model, hand, mirror, field, per_side, series) for mirror in (False, True))
     if not len(right["side"]) + len(left["side"]):
         raise NoHoldError(
             f"{model.name}: 0 right receiving grasps found, {per_side} wanted, 0 left; "
@@ -105,16 +96,10 @@ def sample_receiving(
 
 
 def _holds(
-    model: ObjectModel,
-    hand: HandModel,
-    mirror: bool,
-    field: Any,
-    count: int,
-    series: str,
-    threads: int | None,
+    model: ObjectModel, hand: HandModel, mirror: bool, field: Any, count: int, series: str
 ) -> dict[str, NDArray[Any]]:
     flip = np.array([-1.0 if mirror else 1.0, 1.0, 1.0], np.float32)
-    side = _Side(model, hand, flip, mirrored(field) if mirror else field, threads)
+    side = _Side(model, hand, flip, mirrored(field) if mirror else field)
     pool: list[dict[str, NDArray[Any]]] = []
     known: dict[int, bool] = {}
     digest = hashlib.sha256(
@@ -148,7 +133,6 @@ class _Side:
     hand: HandModel
     flip: F32
     field: Any
-    threads: int | None
 
     @cached_property
     def surface(self) -> ObjectSurface:
@@ -169,30 +153,25 @@ class _Side:
             self.surface,
             skin[None],
             hand=self.hand,
-            threads=self.threads,
             asked=about[None] < LOOKED_AT_M,
         )
         if not _holds_well(self.model, contact)[0]:
             return False
-        deep = hand_depth(
-            self.points, skin[None], 0, hand=self.hand, threads=self.threads, least=THIN_DEPTH_M
-        )
+        deep = hand_depth(self.points, skin[None], 0, hand=self.hand, least=THIN_DEPTH_M)
         return bool(deep[0] <= THIN_DEPTH_M)
 
 
 def _try(side: _Side, rng: Any) -> dict[str, NDArray[Any]]:
     """One round of proposals, those kept: hand pose, posture, what they seem to touch, score."""
-    hand, threads = side.hand, side.threads
+    hand = side.hand
     families = load_families(hand)
     family, R, start, direction, retreat = _proposals(side.model, side.flip, rng)
-    travel = come_down(
-        side.field, families, family, R, start, direction, farthest=2 * STANDOFF_M, threads=threads
-    )
+    travel = come_down(side.field, families, family, R, start, direction, farthest=2 * STANDOFF_M)
     near = travel < 2 * STANDOFF_M - 0.01
     family, R, start, direction = family[near], R[near], start[near], direction[near]
     travel, retreat = travel[near], retreat[near]
     p = start + (travel - retreat)[:, None] * direction
-    rows, flexion, gap = close(side.field, families, family, R, p, CONTACT_M, threads)
+    rows, flexion, gap = close(side.field, families, family, R, p, CONTACT_M)
     held = ((gap[:, :THUMB] < CONTACT_M).sum(1) >= 1) & (gap.min(1) > -2 * DEEPEST_M)
     rows, flexion = rows[held], flexion[held]
     family, R, p = family[rows], R[rows], p[rows]
@@ -200,8 +179,8 @@ def _try(side: _Side, rng: Any) -> dict[str, NDArray[Any]]:
     own, own_joints = families.skins.posed(family, turn)
     skin = own @ R.transpose(0, 2, 1) + p[:, None]
     joints = own_joints @ R.transpose(0, 2, 1) + p[:, None]
-    about = field_distance(side.field, skin.reshape(-1, 3), threads).reshape(skin.shape[:2])
-    contact = measure_contact(side.surface, skin, hand=hand, threads=threads, about=about)
+    about = field_distance(side.field, skin.reshape(-1, 3)).reshape(skin.shape[:2])
+    contact = measure_contact(side.surface, skin, hand=hand, about=about)
     rows = np.flatnonzero(_holds_well(side.model, contact))
     rows = rows[_crossing(hand, joints[rows], skin[rows]) < CROSSING_M]
     touching = contact.gap[rows] <= CONTACT_M

@@ -16,11 +16,6 @@ from r2h_batch import se3
 from r2h_batch.bodies.robot import UrLengths
 from r2h_batch.kernels.witness.closing import EMPTY, MATERIAL, STEP_HIGH, STEP_LOW
 
-__all__ = [
-    "Arm", "Closed", "Closing", "Contact", "Poses0",
-    "attached", "carried", "closed", "missed", "receded", "separation",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Closing:

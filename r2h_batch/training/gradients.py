@@ -23,13 +23,10 @@ from r2h_batch.soft import with_gradient
 from r2h_batch.training import first_order, witnesses
 from r2h_batch.types import CRITERIA, CollidingPair, PlanReason, Scores
 
-__all__ = ["HELD_M", "MarginChanges", "differentiable"]
-
 
 def differentiable(
     scene: Scene,
     config: EvalConfig,
-    threads: int | None,
     scores: Scores,
     poses: tuple[Float[Tensor, "b 4 4"], Float[Tensor, "b 4 4"]],
     held: AttachedBatch,
@@ -46,7 +43,7 @@ def differentiable(
             f"a gradient is asked for with {scene.robot.name}; margins have one for arms of a UR's structure:"
             " detach the poses"
         )
-    changes = MarginChanges(scene, config.thresholds, threads, scores, held, goal)
+    changes = MarginChanges(scene, config.thresholds, scores, held, goal)
     first_order_only = [FirstOrderOnly.apply(T) for T in poses]
     return replace(scores, margin=with_gradient(scores.margin, changes(*first_order_only)))
 
@@ -96,7 +93,6 @@ class MarginChanges:
         self,
         scene: Scene,
         thresholds: Thresholds,
-        threads: int | None,
         scores: Scores,
         held: AttachedBatch,
         goal: Goal,
@@ -105,19 +101,18 @@ class MarginChanges:
         margin = scores.margin.detach()
         by_name = dict(zip(CRITERIA, margin.unbind(1), strict=True))
         self.robot = scene.robot
-        self._find_on_object(scene, thresholds, by_name, threads)
+        self._find_on_object(scene, thresholds, by_name)
         safe_m = by_name["safe"] + thresholds.safe_margin_m
-        self._find_between_bodies(scene, scores, safe_m, threads)
+        self._find_between_bodies(scene, scores, safe_m)
 
     def _find_on_object(
-        self, scene: Scene, thresholds: Thresholds, margin: dict[str, Tensor], threads: int | None
+        self, scene: Scene, thresholds: Thresholds, margin: dict[str, Tensor]
     ) -> None:
         """Stability, Reach, Affordance: which points of the object decide them."""
         held, grasp = self.held, self.held.grasp
-        launch = {"threads": threads}
         stability, affordance = margin["stability"], margin["affordance"]
         self.closing = witnesses.closing(
-            scene, held.T_obj_ee, held.objects, grasp.width_m, grasp.opening_m, **launch
+            scene, held.T_obj_ee, held.objects, grasp.width_m, grasp.opening_m
         )
 
         # Stability: the open gripper's clearance, or the material, too wide or too thin: whichever
@@ -129,14 +124,7 @@ class MarginChanges:
         self.material = torch.where(holds & (stability == thinner), 1.0, self.material)
         opened = torch.full_like(grasp.opening_m, scene.robot.open_gap_m)
         self.cut = witnesses.fingers(
-            scene,
-            held.T_obj_ee,
-            held.objects,
-            opened,
-            grasp.cut_m,
-            self.cuts,
-            region=False,
-            **launch,
+            scene, held.T_obj_ee, held.objects, opened, grasp.cut_m, self.cuts, region=False
         )
 
         # nothing between the pads: the number says no more, the way to the nearest material does
@@ -147,47 +135,36 @@ class MarginChanges:
             torch.zeros_like(held.T_obj_ee[:, :3, 3]),
             held.objects,
             scene.object_mesh_ids,
-            **launch,
         )
 
         T_world_obj = se3.matmul(held.T_world_ee, se3.inverse(held.attached))
         _, _, ball = scene.palm(held.hands, held.T_world_hand)
         self.to_palm = witnesses.nearest_to_point(
-            scene, T_world_obj, ball, held.objects, scene.reach_mesh_ids, **launch
+            scene, T_world_obj, ball, held.objects, scene.reach_mesh_ids
         )
 
         evaluated = self.evaluated[:, CRITERIA.index("affordance")]
         near = evaluated & (affordance < CLEARANCE_CAP_M)
         self.region = witnesses.fingers(
-            scene,
-            held.attached,
-            held.objects,
-            held.squeezed_m,
-            affordance,
-            near,
-            region=True,
-            **launch,
+            scene, held.attached, held.objects, held.squeezed_m, affordance, near, region=True
         )
 
         # fingers that hold the region overlap it by their squeeze, wherever they go along it: the
         # way to what is not region
         squeeze = 0.5 * thresholds.pad_squeeze_m
         holds = near & (affordance < 0) & ((affordance + squeeze).abs() < HELD_M)
-        self.free = witnesses.off_region(scene, held.T_obj_ee, held.objects, holds, **launch)
+        self.free = witnesses.off_region(scene, held.T_obj_ee, held.objects, holds)
 
-    def _find_between_bodies(
-        self, scene: Scene, scores: Scores, safe_m: Tensor, threads: int | None
-    ) -> None:
+    def _find_between_bodies(self, scene: Scene, scores: Scores, safe_m: Tensor) -> None:
         """Safe and Plan: which bodies, what carries them, how fingers move there. `safe_m`: from
         hand to robot."""
         held, goal, opening_m = self.held, self.goal, self.held.grasp.opening_m
-        launch = {"threads": threads}
         self.unreachable = goal.reason == int(PlanReason.IK_UNREACHABLE)
         self.start = goal.reason == int(PlanReason.START_IN_COLLISION)
         n_arm, n_robot = scene.world.n_arm, scene.world.n_robot
         body = torch.where(held.active & ~self.unreachable, scores.witness_part[:, 1], -1)
         found, self.hand_point, normal = witnesses.hand_contact(
-            scene, held.body_poses, goal.q, body, safe_m, **launch
+            scene, held.body_poses, goal.q, body, safe_m
         )
         self.hand_normal = torch.where(found[:, None], normal, 0.0)
         links, q_home, T_home = _tables(scene, str(body.device))
@@ -201,17 +178,13 @@ class MarginChanges:
         self.safe_body = _carrier(body, links, n_robot)
         self.T_world_ee_0 = torch.where(self.start[:, None, None], T_home, held.T_world_ee)
         self.arm = witnesses.arm_at(
-            scene,
-            torch.where(self.start[:, None] | ~held.active[:, None], q_home, goal.q),
-            **launch,
+            scene, torch.where(self.start[:, None] | ~held.active[:, None], q_home, goal.q)
         )
-        self.safe_arm = witnesses.arm_at(
-            scene, torch.where(held.active[:, None], goal.q, q_home), **launch
-        )
+        self.safe_arm = witnesses.arm_at(scene, torch.where(held.active[:, None], goal.q, q_home))
         self.fingers, self.safe_fingers = (
             witnesses.finger_motion(
                 scene, torch.where(x < n_robot, x - n_arm, -1).clamp(min=-1), opening_m,
-                se3.apply(se3.inverse(T), point), **launch,
+                se3.apply(se3.inverse(T), point)
             )
             for x, T, point in (
                 (goal.body, self.T_world_ee_0, goal.point), (body, held.T_world_ee, self.hand_point)

@@ -21,16 +21,6 @@ from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training.first_order import Arm, Closing, Contact
 
-__all__ = [
-    "arm_at",
-    "closing",
-    "finger_motion",
-    "fingers",
-    "hand_contact",
-    "nearest_to_point",
-    "off_region",
-]
-
 DAMPING = 1e-3
 """Of the arm's inverse Jacobian (metres and radians alike): postures with smaller singular values
 count as stuck there."""
@@ -46,8 +36,6 @@ def closing(
     object_index: Int32[Tensor, " b"],
     width_m: Float32[Tensor, " b"],
     opening_m: Float32[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> Closing:
     """What the pads met, where the evaluator found these (width NaN: nothing); `T_obj_ee` before
     the object moved."""
@@ -69,7 +57,6 @@ def closing(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
     )
     return Closing(
         T_obj_ee=T_obj_ee,
@@ -88,7 +75,6 @@ def fingers(
     wanted: Bool[Tensor, " b"],
     *,
     region: bool,
-    threads: int | None = None,
 ) -> Contact:
     """The point of the object (or of its receiver's region) nearest to or deepest in the gripper,
     where `wanted`.
@@ -113,7 +99,6 @@ def fingers(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
     )
     return Contact(made["point"], made["normal"], made["finger"], made["part"] >= 0)
 
@@ -124,8 +109,6 @@ def nearest_to_point(
     point: Float32[Tensor, "b 3"],
     object_index: Int32[Tensor, " b"],
     meshes: wp.array,
-    *,
-    threads: int | None = None,
 ) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
     """The point of the object's mesh nearest to `point` of some frame (object frame), and the way there (that
     frame; zero inside)."""
@@ -144,7 +127,6 @@ def nearest_to_point(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
         chunk=256,
     )
     distance, nearest = made["distance"], made["nearest"]
@@ -160,8 +142,6 @@ def off_region(
     T_obj_ee: Float32[Tensor, "b 4 4"],
     object_index: Int32[Tensor, " b"],
     wanted: Bool[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
     """The object's surface point nearest to the ee origin that is not in the receiver's region, and
     the way there (ee frame).
@@ -184,7 +164,6 @@ def off_region(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
         chunk=256,
     )
     nearest, found = made["nearest"], made["found"]
@@ -210,8 +189,6 @@ def hand_contact(
     q: Float32[Tensor, "b 6"],
     body: Int32[Tensor, " b"],
     distance_m: Float32[Tensor, " b"],
-    *,
-    threads: int | None = None,
 ) -> tuple[Bool[Tensor, " b"], Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
     """Where robot `body` (-1: none) is nearest to the hand's mesh at posture `q`: found, the hand's
     point, normal (world).
@@ -233,7 +210,6 @@ def hand_contact(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
         chunk=64,
     )
     return made["found"], made["point"], made["normal"]
@@ -244,8 +220,6 @@ def finger_motion(
     part: Int32[Tensor, " b"],
     opening_m: Float32[Tensor, " b"],
     point_ee: Float32[Tensor, "b 3"],
-    *,
-    threads: int | None = None,
 ) -> Float32[Tensor, "b 3"]:
     """How points of gripper primitives (-1: none) move per metre of opening, ee frame."""
     made = new_outputs(posture_kernels.finger_velocities, len(part), scene.device)
@@ -260,13 +234,15 @@ def finger_motion(
         },
         outputs=made,
         device=scene.device,
-        threads=threads,
         chunk=256,
     )
     return made["velocity"]
 
 
-def arm_at(scene: Scene, q: Float32[Tensor, "b 6"], *, threads: int | None = None) -> Arm:
+def arm_at(
+    scene: Scene,
+    q: Float32[Tensor, "b 6"],
+) -> Arm:
     """The arm's joint axes at a posture, and its damped inverse Jacobian."""
     b, device = len(q), q.device
     axis, origin = (
@@ -281,7 +257,6 @@ def arm_at(scene: Scene, q: Float32[Tensor, "b 6"], *, threads: int | None = Non
         inputs={"damping": DAMPING, "joint_R": joint_R, "joint_p": joint_p, "q": q.contiguous()},
         outputs={"axis": axis, "origin": origin, "inverse": inverse},
         device=scene.device,
-        threads=threads,
         chunk=256,
     )
     return Arm(axis, origin, inverse)

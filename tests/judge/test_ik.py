@@ -8,6 +8,7 @@ from needs import needs
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.ik import solve_ik, ur_parameters
+from r2h_batch.launch.threads import on_threads
 
 PI = np.pi
 HOME = np.array(HOME_Q)
@@ -202,7 +203,8 @@ def test_where_arm_and_wrist_are_straight_together_rounding_the_target_does_not_
 def test_rows_do_not_depend_on_batch_order_or_threads(n, targets, result):
     order = np.random.default_rng(n).permutation(len(targets))[:n]
     for threads in (1, 3):
-        part = solve_ik(torch.from_numpy(targets[order]), threads=threads)
+        with on_threads(threads):
+            part = solve_ik(torch.from_numpy(targets[order]))
         for field in dataclasses.fields(part):
             whole = getattr(result, field.name)[torch.from_numpy(order)]
             assert getattr(part, field.name).numpy().tobytes() == whole.numpy().tobytes(), field.name

@@ -32,6 +32,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import hand_distance
 from r2h_batch.kernels.robot.posture import duration
 from r2h_batch.launch import init_warp, launch
+from r2h_batch.launch.threads import on_threads
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import Motion, time_at, time_path
 from r2h_batch.scene.model import SceneModel
@@ -251,7 +252,8 @@ def test_rows_do_not_depend_on_their_batch(config):
     for rows in (torch.arange(1), torch.arange(7), torch.randperm(N, generator=torch.Generator().manual_seed(0))):
         path, length = p.plan.path[rows], p.plan.length[rows]
         motion = time_path(path, length, config)
-        e = execute(default_evaluator().scene, placed(rows), path, length, motion, config, threads=1)
+        with on_threads(1):
+            e = execute(default_evaluator().scene, placed(rows), path, length, motion, config)
         for i, row in enumerate(rows.tolist()):
             n = int(whole.length[row])
             assert int(e.length[i]) == n and torch.equal(e.path[i, :n], whole.path[row, :n])

@@ -44,8 +44,8 @@ def test_what_the_simulator_failed_on_is_invalid_sim_and_not_scored(config, monk
     good = evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
     honest, hit = engine.simulate, []
 
-    def failing(job: Job, *, threads=None) -> Samples:
-        answer = honest(job, threads=threads)
+    def failing(job: Job) -> Samples:
+        answer = honest(job)
         hit.append(int(job.rows[2]))
         answer.valid[2] = False
         answer.q[2, 5:] = np.nan

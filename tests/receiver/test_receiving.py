@@ -178,7 +178,7 @@ def test_walls_thinner_than_the_fields_nodes_are_apart_stop_fingers() -> None:
     middle = np.stack(
         [0.03375 * np.cos(np.arange(100)), 0.03375 * np.sin(np.arange(100)), np.linspace(-0.045, 0.045, 100)]
     )
-    seen = field_distance(distance_field(surface), middle.T.astype(np.float32), None)
+    seen = field_distance(distance_field(surface), middle.T.astype(np.float32))
     assert seen.max() < -DEEPEST_M
     assert len(sample_receiving(model, per_side=6)["side"]) == 12
 

@@ -18,8 +18,8 @@ def test_what_the_simulator_failed_on_is_invalid_in_the_table_and_stored_with_it
     """Rows 7 and 9: whatever fails in an engine (room for contacts, NaN) comes out of `simulate` as not valid."""
     honest, failed = sim_mujoco.simulate, []
 
-    def failing(job, *, threads=None):
-        answer = honest(job, threads=threads)
+    def failing(job):
+        answer = honest(job)
         answer.valid[0] = False
         answer.q[0, 3:] = np.nan
         failed.append(int(job.rows[0]))

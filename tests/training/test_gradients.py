@@ -95,7 +95,7 @@ def changes_in_float64(rows: Any) -> tuple[MarginChanges, torch.Tensor, torch.Te
     # no public way to the IK branches that a verdict was made from
     ik, branches = evaluator._branches(evaluator.config, held)
     goal = judge_goals(evaluator.scene, held.body_poses, held.T_world_ee, ik, branches, held.active)
-    changes = MarginChanges(evaluator.scene, evaluator.config.thresholds, None, scores, held, goal)
+    changes = MarginChanges(evaluator.scene, evaluator.config.thresholds, scores, held, goal)
     for name, value in vars(changes).items():
         setattr(changes, name, doubled(value))
     return changes, changes.held.T_obj_ee, changes.held.T_world_ee
