@@ -436,23 +436,12 @@ def _flags(command: Command) -> list[str]:
 
 
 def _names(parameter: inspect.Parameter) -> list[str]:
-    """A parameter's flag and its other names; of a dataclass of flags those of its fields."""
+    """A parameter's flag: its name, or what `tyro.conf.arg(name=...)` says (--from cannot be a
+    parameter); of a dataclass of flags those of its fields."""
     if is_dataclass(parameter.annotation):
         return [f.name for f in fields(parameter.annotation)]
-    return [_name(parameter), *_aliases(parameter)]
-
-
-def _name(parameter: inspect.Parameter) -> str:
-    """A flag's name: the parameter's, or what `tyro.conf.arg(name=...)` says (--from cannot be a
-    parameter)."""
     said = (getattr(m, "name", None) for m in getattr(parameter.annotation, "__metadata__", ()))
-    return next((name for name in said if isinstance(name, str)), parameter.name)
-
-
-def _aliases(parameter: inspect.Parameter) -> list[str]:
-    """A flag's other names, as `tyro.conf.arg(aliases=...)` says them (--methods for --method)."""
-    metadata = getattr(parameter.annotation, "__metadata__", ())
-    return [name for m in metadata for name in getattr(m, "aliases", None) or ()]
+    return [next((name for name in said if isinstance(name, str)), parameter.name)]
 
 
 _NUMBERS = {"INT": "a whole number in decimal digits", "FLOAT": "a number in decimal digits"}

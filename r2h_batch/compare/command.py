@@ -5,9 +5,7 @@ import contextlib
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Any, Literal
 
 from r2h_batch.command_line import check_seed, nearest, tell
 from r2h_batch.io.read import printable
@@ -49,7 +47,7 @@ def compare(
     *,
     seed: int = 0,
     format: Literal["md", "latex", "csv", "json"] = "md",
-    method: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--methods"])] = (),
+    method: tuple[str, ...] = (),
     all_pairs: bool = False,
     across_robots: bool = False,
 ) -> int:

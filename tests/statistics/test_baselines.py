@@ -43,7 +43,7 @@ def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_
     capsys.readouterr()
     monkeypatch.chdir(tmp_path)
     assert (
-        main(["compare", str(tmp_path / "mine"), "baselines", "--methods", "random", "oracle", "--format", "csv"]) == 0
+        main(["compare", str(tmp_path / "mine"), "baselines", "--method", "random", "oracle", "--format", "csv"]) == 0
     )
     rows = {(r["group"], r["a"], r["b"]): r for r in csv.DictReader(io.StringIO(capsys.readouterr().out))}
     assert {(a, b) for _, a, b in rows} == {
