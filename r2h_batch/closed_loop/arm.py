@@ -10,8 +10,6 @@ from r2h_batch import se3
 from r2h_batch.bodies.hand import rotation_from_axis_angle
 from r2h_batch.bodies.robot import Robot
 
-__all__ = ["ee_and_jacobian", "joint_speeds", "twist_between"]
-
 DAMPING = 0.03
 """Of damped least squares: where the arm is singular its joints stay slow [choice]."""
 

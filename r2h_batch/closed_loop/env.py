@@ -35,8 +35,6 @@ from r2h_batch.scene.scene import BodyPoses
 from r2h_batch.types import CRITERIA, Scores
 from r2h_batch.validate import validate_fields
 
-__all__ = ["Action", "End", "Episodes", "HandoverEnv", "LoopConfig", "single"]
-
 Action = Literal["velocity", "twist", "pose", "posture"]
 """What a policy says: joint speeds (rad/s); speed and turn of the ee (m/s, rad/s, world axes); where the ee
 shall be (T_world_ee); the posture at the step's end (rad). The arm goes as far towards it as its limits let it."""

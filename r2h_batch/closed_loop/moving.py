@@ -25,16 +25,6 @@ from r2h_batch.predictors.noise import normals
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
-__all__ = [
-    "KINDS",
-    "MovingHands",
-    "ReceiverMotion",
-    "Replayed",
-    "Strokes",
-    "elbow_of",
-    "minimum_jerk",
-]
-
 KINDS = ("still", "moves", "reaches", "hesitates", "withdraws", "takes", "replay")
 """still: stands at the trial's pose. moves: leaves it for another. reaches: comes to that other pose from
 before the body. hesitates: reaches, and pauses at `PAUSE_AT` of the way. withdraws: moves, draws back from a

@@ -19,8 +19,6 @@ from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.plan import plan_paths, random_key
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 
-__all__ = ["POLICIES", "Planned", "Replan", "Servo", "StopAndWait", "kind_of_action"]
-
 Seen = dict[str, Tensor]
 
 SLOW_M, STOP_M = 0.10, 0.02

@@ -16,8 +16,6 @@ from r2h_batch.judge.distance import NearestApproach, hand_distance_at
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
-__all__ = ["CAP_M", "RESOLUTION_M", "Passed", "RelativeDistance"]
-
 CAP_M = 0.25
 """Distances are exact up to here, lower bounds beyond."""
 ROUNDING_M = 2e-6
