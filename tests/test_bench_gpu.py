@@ -19,6 +19,7 @@ def gpu(monkeypatch):
     return gpu
 
 
+@pytest.mark.slow
 def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path, monkeypatch, capsys):
     apart = ("worlds", "marked_tests")  # processes of their own, and minutes of MuJoCo-Warp on a CPU
     monkeypatch.setattr(gpu, "PARTS", tuple(p for p in gpu.PARTS if p.__name__ not in apart))

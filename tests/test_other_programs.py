@@ -30,7 +30,7 @@ from r2h_batch.launch import thread_pool
 from r2h_batch.training.torch_op import score_op
 from r2h_batch.trials.protocol import trials_with_ids
 
-ROWS = 24
+ROWS = 64
 WAIT_S = 300
 DEFAULTS = Path(__file__).parent / "support" / "other_defaults.py"
 

@@ -46,7 +46,7 @@ def rejudged(rows, n):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_sample_of_each_tables_rows_is_judged_the_same_by_this_code(tables, name):
     (published,) = [p for p in tables.TABLES if p.name == name]
-    assert list(map(str, rejudged(ROOT / published.rows, 4))) == []
+    assert list(map(str, rejudged(ROOT / published.rows, 2))) == []
 
 
 @pytest.mark.slow

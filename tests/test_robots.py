@@ -57,7 +57,7 @@ def test_a_redundant_arm_gets_eight_postures_a_target_for_few_steps() -> None:
 def test_the_oracle_succeeds_on_another_arm_and_its_paths_are_that_arms(robot):
     benchmark = built_in().on(robot)
     evaluator = Evaluator.from_benchmark(benchmark, KINEMATIC)
-    trials = make_trials(trials=3, benchmark=benchmark)
+    trials = make_trials(trials=2, benchmark=benchmark)
     answer = predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
     assert scores.success.all()

@@ -32,8 +32,9 @@ def imported(files):
 
 
 def test_a_flag_takes_a_file_of_mano_as_it_is(files):
-    for file, own in ((files[0], load_mano(files[0])), (files[1], load_mano(left=files[1]))):
-        assert BenchmarkOverrides(hand_model=str(file)).read().hand_set.model.digest == own.model.digest
+    """The left one is not told by a flag of its own."""
+    own = load_mano(left=files[1])
+    assert BenchmarkOverrides(hand_model=str(files[1])).read().hand_set.model.digest == own.model.digest
 
 
 def random_hands(rows, seed):
@@ -68,7 +69,7 @@ METHODS = ("random", "oracle", "handover_va", "fc", "contact", "intent")
 
 
 @pytest.mark.parametrize("method, trials", [
-    *((m, 24) for m in METHODS), *(pytest.param(m, 500, marks=pytest.mark.slow) for m in METHODS)
+    *((m, 8) for m in METHODS), *(pytest.param(m, 500, marks=pytest.mark.slow) for m in METHODS)
 ])  # fmt: skip
 def test_our_hand_in_manos_layout_gets_the_same_verdicts(benches, method, trials):
     found = []

@@ -19,7 +19,7 @@ from r2h_batch.methods.grasps.antipodal import FRICTION
 from r2h_batch.methods.grasps.sample import sample_grasps
 
 BAND = 1e-4
-OPEN_GAP_M, STEP = 0.085, 12
+OPEN_GAP_M, STEP = 0.085, 25
 FOLDER = resources.files("r2h_batch.assets.objects")
 
 

@@ -20,7 +20,7 @@ def everything() -> dict[str, np.ndarray]:
     from r2h_batch.sweep.options import METHODS
     from r2h_batch.twist import exp, log
 
-    trials = make_trials(("S0", "S1"), 3)
+    trials = make_trials(("S0", "S1"), 1)
     evaluator = Evaluator(device="cpu", threads=1)
     out = dict(vars(trials))
     answers = {}
@@ -40,7 +40,7 @@ def everything() -> dict[str, np.ndarray]:
     }.items():
         out |= {f"{name} {f.name}": getattr(scores, f.name) for f in fields(scores) if f.name != "t_plan_s"}
         out |= {f"{name} {k}": getattr(reward, k)(scores) for k in ("quality", "success", "margin_vector")}
-        out |= {f"{name} rank": reward.rank_of_k(reward.quality(scores), 3)}
+        out |= {f"{name} rank": reward.rank_of_k(reward.quality(scores), 2)}
         if name == "pose":
             scores.soft(temperature_m=0.01).sum().backward()
     out |= {f"gradient {i}": T.grad for i, T in enumerate(moving)}
