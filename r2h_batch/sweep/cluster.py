@@ -23,7 +23,7 @@ from r2h_batch.io.read import printable
 from r2h_batch.runs.store import TRIES, RunFolder, Shard, ShardWriter, differing
 from r2h_batch.sweep import jobs as sweep_jobs
 from r2h_batch.sweep.answers import AnswerError
-from r2h_batch.sweep.engine import Log, Stopped, chunk_of, progress, score_shard, warm_up
+from r2h_batch.sweep.engine import Log, Stopped, progress, score_shard, warm_up
 from r2h_batch.sweep.jobs import Job, Setting
 from r2h_batch.sweep.options import Options
 
@@ -164,7 +164,7 @@ class Worker:
     """Lives in an actor: an evaluator, its kernels warm, that scores the shards it is sent."""
 
     def __init__(self, make_setting: Callable[[Options], Setting], options: Options) -> None:
-        self.options, self.setting = options, make_setting(options)
+        self.setting = make_setting(options)
         files = sweep_jobs.load_files(options)
         self.jobs = {j.name: j for j in sweep_jobs.make_jobs(options, files, self.setting)}
         for job in self.jobs.values():
@@ -179,9 +179,7 @@ class Worker:
         """A shard's rows and the seconds that they took."""
         start = time.perf_counter()
         writer = ShardWriter()
-        score_shard(
-            self.jobs[name], shard, writer, self.setting, chunk_of(self.options, self.setting)
-        )
+        score_shard(self.jobs[name], shard, writer, self.setting)
         return writer, time.perf_counter() - start
 
 
@@ -239,7 +237,7 @@ def score_on_ray(
 
     for job in jobs:  # compiles the kernels once, before several processes would at the same time
         warm_up(job, setting)
-    todo = deque((j.name, s) for j in jobs for s in folder.todo(j.name, options.part))
+    todo = deque((j.name, s) for j in jobs for s in folder.todo(j.name, setting.part))
     if not todo:
         return []
     for name, shard in todo:

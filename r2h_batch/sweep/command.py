@@ -137,7 +137,7 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
         )
         jobs = sweep_jobs.make_jobs(options, files, setting)
         folder = _open(options, setting, jobs)
-        log_to(folder.folder / _of_part("log.txt", options))
+        log_to(folder.folder / setting.own_file("log.txt"))
         if setting.labels:
             write_labels(folder.folder, setting.labels)
         for job in jobs:
@@ -182,22 +182,15 @@ def _score(
 
     for line in mark_for_rerun(folder.folder, folder.header):
         tell(line)
-    log = Log(folder.folder / _of_part("progress.json", options))
+    log = Log(folder.folder / setting.own_file("progress.json"))
     if options.engine == "ray":
         from r2h_batch.sweep.cluster import score_on_ray
 
         refused = score_on_ray(setting, jobs, folder, options, stopping, log)
     else:
-        refused = score_local(setting, jobs, folder, options, stopping, log)
+        refused = score_local(setting, jobs, folder, stopping, log)
     code = _finish(options, [j.name for j in jobs if j.name not in refused])
     return 2 if refused else code
-
-
-def _of_part(name: str, options: Options) -> str:
-    """The file that this part of a sweep has for itself: progress.json, or progress-3.json of part
-    3."""
-    stem, _, ending = name.partition(".")
-    return name if options.part[1] == 1 else f"{stem}-{options.part[0]}.{ending}"
 
 
 def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "RunFolder":

@@ -30,15 +30,11 @@ from r2h_batch.runs.rows import (
 )
 from r2h_batch.runs.store import SHARD_TRIALS, TRIES, RunFolder, Shard, ShardWriter, replace_json
 from r2h_batch.sweep.answers import AnswerError
-from r2h_batch.sweep.jobs import Job, Setting
-from r2h_batch.sweep.options import Options
+from r2h_batch.sweep.jobs import CPU_CHUNK, Job, Setting
 from r2h_batch.types import Outcome, Predictions, Scores, Trials
 
 if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
-
-CPU_CHUNK = 256
-"""Trials between two looks at the clock on a CPU; on a GPU it is the evaluator's own chunk."""
 
 WARM_TRIALS = 32
 """Scored once before the clock starts, so that compiling kernels is in nobody's T_plan."""
@@ -53,13 +49,6 @@ LOG_EVERY_S = WAIT_S = 5.0
 
 class Stopped(Exception):
     """A stop signal was heard and the current chunk is done."""
-
-
-def chunk_of(options: Options, setting: Setting) -> int:
-    """Trials scored at once."""
-    return options.chunk or (
-        CPU_CHUNK if options.device == "cpu" else setting.evaluator.rows_at_once()
-    )
 
 
 class Log:
@@ -147,7 +136,6 @@ def score_local(
     setting: Setting,
     jobs: list[Job],
     folder: RunFolder,
-    options: Options,
     stopping: Callable[[], bool],
     log: Log,
 ) -> list[str]:
@@ -159,7 +147,7 @@ def score_local(
     """
     refused = []
     for job in jobs:
-        todo = folder.todo(job.name, options.part)
+        todo = folder.todo(job.name, setting.part)
         if not todo:
             tell(f"{job.name}: already in the run folder, reused")
             continue
@@ -172,7 +160,7 @@ def score_local(
         try:
             warm_up(job, setting)
             with progress(job.name, sum(s.last - s.first for s in todo), log=log) as advance:
-                _score_job(job, todo, setting, folder, options, stopping, advance)
+                _score_job(job, todo, setting, folder, stopping, advance)
         except AnswerError as error:
             refuse("sweep", error)
             refused.append(job.name)
@@ -184,7 +172,6 @@ def _score_job(
     todo: list[Shard],
     setting: Setting,
     folder: RunFolder,
-    options: Options,
     stopping: Callable[[], bool],
     advance: Callable[[int], None],
 ) -> None:
@@ -202,15 +189,7 @@ def _score_job(
                 elif mine:
                     start = time.perf_counter()
                     with folder.attempt(job.name, shard), folder.write(job.name, shard) as writer:
-                        score_shard(
-                            job,
-                            shard,
-                            writer,
-                            setting,
-                            chunk_of(options, setting),
-                            stopping,
-                            advance,
-                        )
+                        score_shard(job, shard, writer, setting, stopping, advance)
                     note(
                         f"{job.name}: shard {shard.index} stored after {time.perf_counter() - start:.1f} s"
                     )
@@ -236,16 +215,15 @@ def score_shard(
     shard: Shard,
     writer: ShardWriter,
     setting: Setting,
-    chunk: int,
     stopping: Callable[[], bool] = lambda: False,
     advance: Callable[[int], None] = lambda n: None,
 ) -> None:
     """All trials of a shard through the evaluator into a writer; `Stopped` between chunks where
     that is asked."""
-    for first in range(shard.first, shard.last, chunk):
+    for first in range(shard.first, shard.last, setting.chunk):
         if stopping():
             raise Stopped
-        last = min(first + chunk, shard.last)
+        last = min(first + setting.chunk, shard.last)
         rows = None if job.rows is None else job.rows[first:last]
         writer.append(**_score_chunk(job, setting.trials(setting.ids(first, last)), rows, setting))
         advance(last - first)

@@ -53,9 +53,13 @@ DIGEST_TRIALS = 10_000
 stand for all."""
 
 
+CPU_CHUNK = 256
+"""Trials between two looks at the clock on a CPU; on a GPU it is the evaluator's own chunk."""
+
+
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """The evaluator, the plan as positions 0..N-1 (split by split), and run.json's header.
+    """The evaluator, the planned trials as positions 0..N-1 (split by split), and run.json's header.
 
     `ids(first, last)`: trial ids of a range of positions. `trials(ids)`: those trials. Nothing
     grows with N.
@@ -67,6 +71,13 @@ class Setting:
     trials: Callable[[torch.Tensor], Trials]
     loop: "Loop | None" = None  # how handovers are played in closed loop
     labels: Labels | None = None  # what the owner of listed trials calls them
+    chunk: int = CPU_CHUNK  # trials scored at once
+    part: tuple[int, int] = (1, 1)  # which of how many parts this process scores
+
+    def own_file(self, name: str) -> str:
+        """The file that this part has for itself: progress.json, or progress-3.json of part 3."""
+        stem, _, ending = name.partition(".")
+        return name if self.part[1] == 1 else f"{stem}-{self.part[0]}.{ending}"
 
     @property
     def names(self) -> dict[str, int] | None:
@@ -170,7 +181,11 @@ def prepare(options: Options) -> Setting:
     def ids(first: int, last: int) -> torch.Tensor:
         return torch.from_numpy(trial_ids(plan, first, last))
 
-    return Setting(evaluator, header, ids, partial(trials_of, benchmark), loop, benchmark.labels)
+    own_chunk = CPU_CHUNK if options.device == "cpu" else evaluator.rows_at_once()
+    return Setting(
+        evaluator, header, ids, partial(trials_of, benchmark), loop, benchmark.labels,
+        chunk=options.chunk or own_chunk, part=options.part,
+    )  # fmt: skip
 
 
 def _said_of(model: "ObjectModel") -> dict[str, Any]:

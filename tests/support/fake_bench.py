@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from made_runs import NAMES, make_header, make_scores, make_trials
 
-from r2h_batch.sweep.jobs import Setting
+from r2h_batch.sweep.jobs import CPU_CHUNK, Setting
 from r2h_batch.sweep.options import execution_error
 from r2h_batch.types import Outcome, Predictions
 
@@ -24,7 +24,7 @@ class FakeEvaluator:
     """Success where the trial id is even, else a Plan failure; a pose that is not finite is INVALID_INPUT."""
 
     def __init__(self):
-        self.config = SimpleNamespace(chunk=2048)
+        self.config, self.threads = SimpleNamespace(chunk=2048), None
         self.sizes = []
         objects = [SimpleNamespace(name=n, split=s) for n, s in zip(NAMES.objects, NAMES.object_splits)]
         sides = torch.tensor([("right", "left").index(s) for s in NAMES.hand_sides])
@@ -60,7 +60,10 @@ def prepare(options) -> Setting:
     more = {"seed": options.seed, "stored": options.stored, "versions": versions, "configuration": config}
     header = make_header(0, 0, trials=planned, **more)
     trials = make_trials(n["S0"], n["S1"])
-    return Setting(FakeEvaluator(), header, lambda first, last: torch.arange(first, last), lambda ids: trials[ids])
+    return Setting(
+        FakeEvaluator(), header, lambda first, last: torch.arange(first, last), lambda ids: trials[ids],
+        chunk=options.chunk or CPU_CHUNK, part=options.part,
+    )  # fmt: skip
 
 
 def best(trials, scene, *, seed):

@@ -43,12 +43,12 @@ class Failing(fake_bench.FakeEvaluator):
 
 
 def test_trials_that_the_simulator_failed_on_are_dumped_into_the_run_folder_and_others_are_not(tmp_path):
-    bench = replace(fake_bench.prepare(Options(method=("x",), trials=12)), evaluator=Failing())
+    bench = replace(fake_bench.prepare(Options(method=("x",), trials=12, chunk=5)), evaluator=Failing())
     run = open_run(tmp_path / "run", {**bench.header, "shard_trials": 8})
     run.register("m", {"kind": "test"})
     for shard in run.todo("m"):
         with run.write("m", shard) as writer:
-            engine.score_shard(jobs.Job("m", {}, predict), shard, writer, bench, 5)
+            engine.score_shard(jobs.Job("m", {}, predict), shard, writer, bench)
     stored = load_run(tmp_path / "run")
     assert stored.failures("m")["trial_id"].to_pylist() == [0, 5, 10, 15, 20]
     assert stored.trials("m")["outcome"].to_pylist().count("invalid_sim") == 5
@@ -75,9 +75,9 @@ def bench(trials, evaluator):
 def test_a_shard_is_what_is_done_in_a_minute_and_at_most_100000_trials(monkeypatch):
     monkeypatch.setattr(engine, "SHARD_SECONDS", 1.0)
     size = engine.shard_size(bench(600, Slow()), [JOB])
-    assert size % engine.CPU_CHUNK == 0 and 256 <= size <= 1024
+    assert size % jobs.CPU_CHUNK == 0 and 256 <= size <= 1024
     monkeypatch.setattr(engine, "SHARD_SECONDS", 0.01)
-    assert engine.shard_size(bench(600, Slow()), [JOB]) == engine.CPU_CHUNK
+    assert engine.shard_size(bench(600, Slow()), [JOB]) == jobs.CPU_CHUNK
     monkeypatch.setattr(engine, "SHARD_SECONDS", 1e9)
     assert engine.shard_size(bench(600, fake_bench.FakeEvaluator()), [JOB]) == SHARD_TRIALS
 
@@ -111,7 +111,7 @@ def test_a_sweep_that_waits_for_another_one_says_for_whom(tmp_path, monkeypatch,
 
     assert other.__enter__()
     monkeypatch.setattr(engine.time, "sleep", nap)
-    assert engine.score_local(made, [job], folder, Options(method=("m",)), lambda: False, log) == []
+    assert engine.score_local(made, [job], folder, lambda: False, log) == []
     said = [line for line in capsys.readouterr().err.splitlines() if "waiting" in line]
     assert said == [f"m: waiting for shard 1, which process {os.getpid()} on {socket.gethostname()} scores"]
     assert len(naps) == 3 and load_run(tmp_path / "run").methods == ("m",)
