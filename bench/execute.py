@@ -219,7 +219,7 @@ def tracking(mix: Mix, report: Report) -> None:
     scores, executed, seen = mix.score(config)
     rows = torch.nonzero(executed.length > 0).flatten()
     assert executed.sample_s is not None, "engines record samples; only `none` does not"
-    law = servo_law(config, 6, lead_s=0.0, step_s=executed.sample_s)
+    law = servo_law(config, np.ones(6), lead_s=0.0, step_s=executed.sample_s)
     reference = torch.zeros((len(rows), executed.path.shape[1], 6), dtype=torch.float64)
     launch_trials(
         servo_commands,

@@ -421,7 +421,8 @@ class Evaluator:
             scene, held.planner_poses, held.T_world_ee, ik.q, branches, planned.reason
         )  # fmt: skip
         planned = replace(planned, reason=weaken_singular_reason(planned.reason, ik))
-        motion = time_path(planned.path, planned.length, config.execute)
+        weight = self.scene.robot.joint_weight
+        motion = time_path(planned.path, planned.length, config.execute, weight)
         # sampled edges certify nothing, and paths against an estimated hand nothing of the true one
         certified = (
             planned.clearance_m

@@ -7,7 +7,7 @@ from r2h_batch.kernels.plan.codes import CERTIFY, WAYPOINTS
 
 from ..plan.shortcut import FIRST_SHARE, LEAST_SAVED_S, segment_time
 from ..robot.joints import JOINTS, vecq
-from ..robot.posture import load, load_waypoint
+from ..robot.posture import Pace, load, load_waypoint
 from ..robot.world import World
 from .intervals import add_edge
 from .queues import ASKED, NOTHING, Counts, Edges, Intervals
@@ -73,7 +73,7 @@ def _write_edge(world: World, edges: Edges, queue: Intervals, counts: Counts, pa
 @wp.func
 def _draw(
     arcs: Arcs, lane: int, way: int, share: float, path: wp.array3d(dtype=float), trial: int, n: int, rng: wp.uint32,
-    speed: float, acceleration: float,
+    pace: Pace,
 ):  # fmt: skip
     """One change as `arcs` has it: what it saves (s; nothing: 0 or less), and the random number's state after it."""
     saved = float(0.0)
@@ -97,12 +97,10 @@ def _draw(
             c = load_waypoint(path, trial, hi + 1)
             x0 = a + s * (load_waypoint(path, trial, lo + 1) - a)
             x1 = b + t * (c - b)
-            now = segment_time(a, x0, speed, acceleration) + segment_time(x0, x1, speed, acceleration)
-            now += segment_time(x1, c, speed, acceleration)
+            now = segment_time(a, x0, pace) + segment_time(x0, x1, pace)
+            now += segment_time(x1, c, pace)
             for m in range(lo, hi + 1):
-                saved += segment_time(
-                    load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), speed, acceleration
-                )
+                saved += segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), pace)
             saved -= now
             hi += 1
     else:
@@ -111,14 +109,14 @@ def _draw(
         a = load_waypoint(path, trial, lo)
         x0 = load_waypoint(path, trial, lo + 1)
         b = load_waypoint(path, trial, hi)
-        t0 = segment_time(a, x0, speed, acceleration)
-        t1 = segment_time(x0, b, speed, acceleration)
+        t0 = segment_time(a, x0, pace)
+        t1 = segment_time(x0, b, pace)
         by = wp.where(way == PULL_SOME, wp.randf(rng), share)
         for m in range(JOINTS):
             on_line = a[m] + (t0 / (t0 + t1)) * (b[m] - a[m])
             if way == PULL or wp.randf(rng) < 0.5:
                 x0[m] = x0[m] + by * (on_line - x0[m])
-        now = segment_time(a, x0, speed, acceleration) + segment_time(x0, b, speed, acceleration)
+        now = segment_time(a, x0, pace) + segment_time(x0, b, pace)
         saved = t0 + t1 - now
     arcs.lo[lane] = lo
     arcs.hi[lane] = hi
@@ -142,8 +140,7 @@ def draw_arcs(
     first: int,
     lanes: int,
     parity: int,
-    speed: float,
-    acceleration: float,
+    pace: Pace,
     seed: int,
     world: World,
     edges: Edges,
@@ -172,7 +169,7 @@ def draw_arcs(
             arcs.kind[lane] = IDLE
             for _draw_again in range(DRAWS):
                 if arcs.kind[lane] == IDLE:
-                    saved, rng = _draw(arcs, lane, turn % 3, share, path_in, trial, n, rng, speed, acceleration)
+                    saved, rng = _draw(arcs, lane, turn % 3, share, path_in, trial, n, rng, pace)
                     if saved > LEAST_SAVED_S:
                         arcs.kind[lane] = CHANGED
         if arcs.kind[lane] == IDLE:

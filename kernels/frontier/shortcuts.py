@@ -14,7 +14,7 @@ from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 
 from ..plan.shortcut import LEAST_SAVED_S, segment_time, time_of
-from ..robot.posture import load, load_waypoint, store_waypoint
+from ..robot.posture import Pace, load, load_waypoint, store_waypoint
 from .arcs import CHANGE, IDLE, LANES, LINE, OVER, RUNNING, Arcs, Paths
 from .queues import ASKED, NOTHING, Counts, Edges, take
 
@@ -65,14 +65,14 @@ def begin_shortcuts(
 @wp.func
 def _find_quickest(
     edges: Edges, paths: Paths, arcs: Arcs, problem: int, path: wp.array3d(dtype=float), n: int,
-    speed: float, acceleration: float, by: wp.array(dtype=int),
+    pace: Pace, by: wp.array(dtype=int),
 ):  # fmt: skip
     """Writes which arc the quickest way to each waypoint ends with (-1: its segment); what the way to the last one saves, s."""
     trial = paths.trial[problem]
     cost = wp.zeros(shape=WAYPOINTS, dtype=float)
     total = float(0.0)
     for h in range(1, n):
-        t = segment_time(load_waypoint(path, trial, h - 1), load_waypoint(path, trial, h), speed, acceleration)
+        t = segment_time(load_waypoint(path, trial, h - 1), load_waypoint(path, trial, h), pace)
         total += t
         cost[h] = cost[h - 1] + t
         by[h] = -1
@@ -97,14 +97,14 @@ def _find_quickest(
 @wp.func
 def _take_quickest(
     edges: Edges, paths: Paths, arcs: Arcs, problem: int, path: wp.array3d(dtype=float), n: int,
-    speed: float, acceleration: float,
+    pace: Pace,
 ):  # fmt: skip
     """The path becomes the quickest way through its segments and the arcs that are free; its number of waypoints."""
     trial = paths.trial[problem]
     by = wp.zeros(shape=WAYPOINTS, dtype=int)
     after = wp.zeros(shape=WAYPOINTS, dtype=int)
     was = wp.zeros(shape=WAYPOINTS, dtype=int)  # -1: it is new
-    if _find_quickest(edges, paths, arcs, problem, path, n, speed, acceleration, by) < LEAST_SAVED_S:
+    if _find_quickest(edges, paths, arcs, problem, path, n, pace, by) < LEAST_SAVED_S:
         return n
     h = int(n - 1)
     while h > 0:
@@ -138,9 +138,7 @@ def _take_quickest(
 
 
 @wp.func
-def _propose_lines(
-    paths: Paths, arcs: Arcs, problem: int, path: wp.array3d(dtype=float), n: int, speed: float, acceleration: float
-):
+def _propose_lines(paths: Paths, arcs: Arcs, problem: int, path: wp.array3d(dtype=float), n: int, pace: Pace):
     """Gives the first lanes unchecked lines, those of the quickest ways first; returns how many lanes have one.
 
     A way through a line is as quick as the quickest ways to it and on from it if all unchecked lines are free.
@@ -154,7 +152,7 @@ def _propose_lines(
         here = load_waypoint(path, trial, h)
         for i in range(h):
             if h == i + 1 or not _is_known(paths, problem, i, h):
-                t = segment_time(load_waypoint(path, trial, i), here, speed, acceleration)
+                t = segment_time(load_waypoint(path, trial, i), here, pace)
                 to[h] = wp.min(to[h], to[i] + t)
     for back in range(1, n):
         i = n - 1 - back
@@ -162,15 +160,15 @@ def _propose_lines(
         here = load_waypoint(path, trial, i)
         for h in range(i + 1, n):
             if h == i + 1 or not _is_known(paths, problem, i, h):
-                t = segment_time(here, load_waypoint(path, trial, h), speed, acceleration)
+                t = segment_time(here, load_waypoint(path, trial, h), pace)
                 on[i] = wp.min(on[i], on[h] + t)
-    least = time_of(path, trial, n, speed, acceleration) - LEAST_SAVED_S
+    least = time_of(path, trial, n, pace) - LEAST_SAVED_S
     found = int(0)
     for i in range(n - 2):
         here = load_waypoint(path, trial, i)
         for h in range(i + 2, n):
             if not _is_known(paths, problem, i, h):
-                t = segment_time(here, load_waypoint(path, trial, h), speed, acceleration)
+                t = segment_time(here, load_waypoint(path, trial, h), pace)
                 way = to[i] + t + on[h]
                 if way < least and (found < LANES or way < rank[LANES - 1]):
                     k = wp.min(found, LANES - 1)
@@ -212,8 +210,7 @@ def take_arcs(
     rounds: int,
     changes: int,  # 0: lines alone
     enough: float,  # a path that takes at most this times the straight line between its ends is left as it is
-    speed: float,  # of the time law, rad/s and rad/s^2
-    acceleration: float,
+    pace: Pace,
     edges: Edges,
     paths: Paths,
     arcs: Arcs,
@@ -231,17 +228,15 @@ def take_arcs(
     trial = paths.trial[problem]
     n = int(length_inout[trial])
     if paths.rounds[problem] > 0:
-        n = _take_quickest(edges, paths, arcs, problem, path_inout, n, speed, acceleration)
+        n = _take_quickest(edges, paths, arcs, problem, path_inout, n, pace)
         length_inout[trial] = n
-        straight = segment_time(
-            load_waypoint(path_inout, trial, 0), load_waypoint(path_inout, trial, n - 1), speed, acceleration
-        )
-        if n == 2 or time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
+        straight = segment_time(load_waypoint(path_inout, trial, 0), load_waypoint(path_inout, trial, n - 1), pace)
+        if n == 2 or time_of(path_inout, trial, n, pace) <= enough * straight:
             paths.state[problem] = OVER
             return
     lines = int(0)
     if paths.rounds[problem] < rounds:
-        lines = _propose_lines(paths, arcs, problem, path_inout, n, speed, acceleration)
+        lines = _propose_lines(paths, arcs, problem, path_inout, n, pace)
     if paths.rounds[problem] == rounds or (lines == 0 and changes == 0):
         paths.state[problem] = OVER
         return

@@ -14,10 +14,11 @@ f64 = wp.float64
 
 @wp.struct
 class Law:
-    """The time law: speed (rad/s) and acceleration (rad/s^2) of the joint that sets the pace; the servos' kv / kp (s)."""
+    """The time law: speed (rad/s) and acceleration (rad/s^2) of the slowest joint, what a radian of each counts for; the servos' kv / kp (s)."""
 
     speed: wp.float64
     acceleration: wp.float64
+    weight: vecqd
     lead: wp.float64
     step: wp.float64
 
@@ -41,7 +42,8 @@ def servo_command(
     # all joints run the same share f of the segment, paced by the one with the farthest to go
     whole = f64(0.0)
     for j in range(JOINTS):
-        whole = wp.max(whole, wp.abs(f64(path[trial, k + 1, j]) - f64(path[trial, k, j])))
+        d = wp.abs(f64(path[trial, k + 1, j]) - f64(path[trial, k, j]))
+        whole = wp.max(whole, d * law.weight[j])
     a = law.acceleration
     v = peak_speed(whole, law.speed, a)
     zero = f64(0.0)

@@ -16,7 +16,7 @@ from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import FREE
 
 from ..robot.joints import JOINTS, vecq
-from ..robot.posture import duration, load_waypoint, store_waypoint
+from ..robot.posture import Pace, duration, load_waypoint, store_waypoint
 from ..robot.world import TrialBodies, World
 from .edge import edge
 
@@ -43,25 +43,23 @@ MOVED = wp.constant(2)  # the waypoint that is pulled, where it would be then
 
 
 @wp.func(inline=False)
-def segment_time(a: vecq, b: vecq, speed: float, acceleration: float):
-    """Time of a segment, stopping at both ends: the joint with the farthest to go sets the pace."""
+def segment_time(a: vecq, b: vecq, pace: Pace):
+    """Time of a segment, stopping at both ends: the joint with the farthest to go, by its weight, sets the pace."""
     d = float(0.0)
     for j in range(JOINTS):
-        d = wp.max(d, wp.abs(b[j] - a[j]))
-    return duration(d, speed, acceleration)
+        d = wp.max(d, wp.abs(b[j] - a[j]) * pace.weight[j])
+    return duration(d, pace.speed, pace.acceleration)
 
 
 @wp.func(inline=False)
-def _saved(
-    path: wp.array3d(dtype=float), trial: int, i: int, j: int, a: vecq, b: vecq, speed: float, acceleration: float
-):
+def _saved(path: wp.array3d(dtype=float), trial: int, i: int, j: int, a: vecq, b: vecq, pace: Pace):
     """Time saved when a on segment i and b on segment j > i are joined by a straight line."""
     saved = float(0.0)
     for m in range(i, j + 1):
-        saved += segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), speed, acceleration)
+        saved += segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), pace)
     a0 = load_waypoint(path, trial, i)
-    saved -= segment_time(a0, a, speed, acceleration) + segment_time(a, b, speed, acceleration)
-    saved -= segment_time(b, load_waypoint(path, trial, j + 1), speed, acceleration)
+    saved -= segment_time(a0, a, pace) + segment_time(a, b, pace)
+    saved -= segment_time(b, load_waypoint(path, trial, j + 1), pace)
     return saved
 
 
@@ -85,17 +83,17 @@ def _splice(path: wp.array3d(dtype=float), trial: int, n: int, i: int, j: int, a
 
 
 @wp.func(inline=False)
-def time_of(path: wp.array3d(dtype=float), trial: int, n: int, speed: float, acceleration: float):
+def time_of(path: wp.array3d(dtype=float), trial: int, n: int, pace: Pace):
     """Time of a whole path."""
     time = float(0.0)
     for m in range(n - 1):
-        time += segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), speed, acceleration)
+        time += segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), pace)
     return time
 
 
 @wp.func(inline=False)
 def _quickest(
-    path: wp.array3d(dtype=float), trial: int, n: int, speed: float, acceleration: float,
+    path: wp.array3d(dtype=float), trial: int, n: int, pace: Pace,
     blocked: wp.array(dtype=wp.uint32), cost: wp.array(dtype=float), before: wp.array(dtype=int),
 ):  # fmt: skip
     """Writes which waypoint comes before each on the quickest way there that uses no line known to be blocked."""
@@ -105,7 +103,7 @@ def _quickest(
         here = load_waypoint(path, trial, k)
         for i in range(k):
             if (blocked[i] >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(0):
-                t = cost[i] + segment_time(load_waypoint(path, trial, i), here, speed, acceleration)
+                t = cost[i] + segment_time(load_waypoint(path, trial, i), here, pace)
                 if t < cost[k]:
                     cost[k] = t
                     before[k] = i
@@ -151,8 +149,7 @@ def shortcut(
     # search
     tries: int,
     enough: float,  # a path that takes at most this times the straight line between its ends is left as it is
-    speed: float,  # of the time law, rad/s and rad/s^2
-    acceleration: float,
+    pace: Pace,
     seed: int,
     moveit: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
@@ -185,9 +182,7 @@ def shortcut(
     share = wp.zeros(shape=32, dtype=float)  # by how much a waypoint is pulled next
     for i in range(n - 1):
         known[i] = wp.uint32(1) << wp.uint32(i + 1)
-    straight = segment_time(
-        load_waypoint(path_inout, trial, 0), load_waypoint(path_inout, trial, n - 1), speed, acceleration
-    )
+    straight = segment_time(load_waypoint(path_inout, trial, 0), load_waypoint(path_inout, trial, n - 1), pace)
     # the line from end to end is blocked, or there would have been no search
     known[0] = known[0] | (wp.uint32(1) << wp.uint32(n - 1))
     blocked[0] = wp.uint32(1) << wp.uint32(n - 1)
@@ -204,13 +199,13 @@ def shortcut(
     running = bool(True)
     while running:
         if phase == SUBSET:
-            _quickest(path_inout, trial, n, speed, acceleration, blocked, cost, before)
+            _quickest(path_inout, trial, n, pace, blocked, cost, before)
             j = _unknown(known, before, n)
             i = before[j]
             if looked >= MOST_LINES:  # the rest counts as blocked
                 for m in range(n - 1):
                     blocked[m] = blocked[m] | ~known[m]
-                _quickest(path_inout, trial, n, speed, acceleration, blocked, cost, before)
+                _quickest(path_inout, trial, n, pace, blocked, cost, before)
                 j = 0
             if j > 0:
                 line[FROM] = load_waypoint(path_inout, trial, i)
@@ -222,7 +217,7 @@ def shortcut(
                 phase = JOIN
                 for m in range(n):
                     share[m] = FIRST_SHARE
-                if passes == 2 or n == 2 or time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
+                if passes == 2 or n == 2 or time_of(path_inout, trial, n, pace) <= enough * straight:
                     running = False
                 continue
         elif phase != PULL_ON:
@@ -254,7 +249,7 @@ def shortcut(
                 b0 = load_waypoint(path_inout, trial, j)
                 a = a0 + s * (load_waypoint(path_inout, trial, i + 1) - a0)
                 b = b0 + t * (load_waypoint(path_inout, trial, j + 1) - b0)
-                if _saved(path_inout, trial, i, j, a, b, speed, acceleration) <= LEAST_SAVED_S:
+                if _saved(path_inout, trial, i, j, a, b, pace) <= LEAST_SAVED_S:
                     continue
                 line[FROM] = a
                 line[TO] = b
@@ -263,15 +258,15 @@ def shortcut(
                 a = load_waypoint(path_inout, trial, i - 1)
                 moved = load_waypoint(path_inout, trial, i)
                 b = load_waypoint(path_inout, trial, i + 1)
-                t0 = segment_time(a, moved, speed, acceleration)
-                t1 = segment_time(moved, b, speed, acceleration)
+                t0 = segment_time(a, moved, pace)
+                t1 = segment_time(moved, b, pace)
                 some = kind == 2
                 by = wp.where(some, wp.randf(rng), share[i])
                 for m in range(JOINTS):
                     on_line = a[m] + (t0 / (t0 + t1)) * (b[m] - a[m])
                     if not some or wp.randf(rng) < 0.5:
                         moved[m] = moved[m] + by * (on_line - moved[m])
-                now = segment_time(a, moved, speed, acceleration) + segment_time(moved, b, speed, acceleration)
+                now = segment_time(a, moved, pace) + segment_time(moved, b, pace)
                 if now >= t0 + t1 - LEAST_SAVED_S:
                     continue
                 line[FROM] = a
@@ -299,7 +294,7 @@ def shortcut(
             if free:
                 store_waypoint(path_inout, trial, i, line[MOVED])
                 changed = 1
-                if time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
+                if time_of(path_inout, trial, n, pace) <= enough * straight:
                     tried = tries
             elif kind != 2:
                 share[i] = 0.5 * share[i]

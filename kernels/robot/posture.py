@@ -9,6 +9,15 @@ from .joints import JOINTS, vecq
 wp.set_module_options(OPTIONS)
 
 
+@wp.struct
+class Pace:
+    """Speed (rad/s) and acceleration (rad/s^2) of the slowest joint; what a radian of each joint counts for: 1 of the slowest."""
+
+    speed: float
+    acceleration: float
+    weight: vecq
+
+
 @wp.func
 def load(q: wp.array2d(dtype=float), row: int):
     """A posture of a list, (n, JOINTS)."""

@@ -184,6 +184,12 @@ class Robot:
             found = replace(found, execute=replace(found.execute, sim="none"))
         return found
 
+    @cached_property
+    def joint_weight(self) -> Array:
+        """What a radian of each joint counts for when a motion is timed: the slowest joint's limit of
+        speed over its own, 1 at most (J,)."""
+        return frozen(self.max_velocity.min() / self.max_velocity)
+
     @property
     def closed_gap_m(self) -> float:
         """Gap between the pads of the closed gripper, whose linkage is at its stop."""

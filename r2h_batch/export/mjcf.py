@@ -152,7 +152,11 @@ def posture_at(stored: StoredTrial, t: Array) -> Array:
     speed, gain = _limits(stored)
     ends, d = _waypoint_times(stored), np.diff(stored.q, axis=0)
     k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(d) - 1)
-    whole, total, passed = np.abs(d).max(1)[k], np.diff(ends)[k], t - ends[k]
+    whole, total, passed = (
+        (np.abs(d) * stored.robot.joint_weight).max(1)[k],
+        np.diff(ends)[k],
+        t - ends[k],
+    )
     # a trapezoid of speed is symmetric: count from the nearer end
     near = np.minimum(passed, total - passed).clip(0)
     ramp = np.minimum(speed / gain, total / 2)
@@ -167,13 +171,13 @@ def posture_at(stored: StoredTrial, t: Array) -> Array:
 def _waypoint_times(stored: StoredTrial) -> Array:
     """When the planned motion reaches each waypoint, s, in float64."""
     speed, gain = _limits(stored)
-    d = np.abs(np.diff(stored.q, axis=0)).max(1)
+    d = (np.abs(np.diff(stored.q, axis=0)) * stored.robot.joint_weight).max(1)
     duration = np.where(d >= speed**2 / gain, d / speed + speed / gain, 2 * np.sqrt(d / gain))
     return np.concatenate([[0.0], np.cumsum(duration)])
 
 
 def _limits(stored: StoredTrial) -> tuple[float, float]:
-    """Speed (rad/s) and acceleration (rad/s^2) of the time law."""
+    """Speed (rad/s) and acceleration (rad/s^2) of the time law, of the slowest joint."""
     own = stored.header["configuration"]["execute"]
     return own["scale"] * own["max_velocity_rad_s"], own["scale"] * own["max_acceleration_rad_s2"]
 

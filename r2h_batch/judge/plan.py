@@ -243,6 +243,7 @@ class Planner:
         """`rows`: for how many paths of at most WAYPOINTS the frontier has room; None: one a trial."""
         self._tables = {"world": body_poses.tables(scene), "bodies": body_poses.bodies}
         self._device, self._sized = scene.device, scene.sized
+        self.joint_weight = scene.robot.joint_weight
         self.frontier = (
             Frontier(**self._tables, device=scene.device, rows=rows or len(body_poses.object_index))
             if uses_frontier(scene.device)

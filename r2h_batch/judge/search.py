@@ -14,7 +14,7 @@ from r2h_batch.judge.frontier.shortcuts import Law, shorten_by_frontier
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
-from r2h_batch.motion.time_law import limits, path_time
+from r2h_batch.motion.time_law import pace, path_time
 
 if TYPE_CHECKING:
     from r2h_batch.judge.plan import Planner
@@ -186,13 +186,12 @@ class Search:
     ) -> None:  # fmt: skip
         """Shortcuts on the paths that `rows` have, as long as they save time under the arm's
         limits; in place."""
-        speed, acceleration = limits(self.execute)
+        law = pace(self.execute, self.run.joint_weight)
         if self.run.frontier is not None and self.config.edge_check != "moveit":
-            law = Law(ENOUGH, speed, acceleration)
             shorten_by_frontier(
                 self.run.frontier,
                 rows,
-                law,
+                Law(ENOUGH, law),
                 self.config.shortcuts,
                 seed,
                 self.key,
@@ -207,8 +206,7 @@ class Search:
             inputs={
                 "tries": self.config.shortcuts,
                 "enough": ENOUGH,
-                "speed": speed,
-                "acceleration": acceleration,
+                "pace": law,
                 "seed": seed,
                 "moveit": int(self.config.edge_check == "moveit"),
                 "trial": rows,
@@ -221,14 +219,14 @@ class Search:
 
     def _time(self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]) -> Tensor:
         """Seconds of each path."""
-        return path_time(path, length, self.execute)
+        return path_time(path, length, self.execute, self.run.joint_weight)
 
     def _straight_time(self) -> Tensor:
         """Time of the straight line from the start to that free goal which it reaches soonest, s;
         infinite without one."""
         lines = torch.stack([self.start.repeat_interleave(BRANCHES, 0), self.goals], 1)
         two = torch.full((len(lines),), 2, dtype=torch.int32, device=lines.device)
-        time = path_time(lines, two, self.execute).view(-1, BRANCHES)
+        time = self._time(lines, two).view(-1, BRANCHES)
         slot = torch.arange(BRANCHES, dtype=torch.int64, device=lines.device)[None]
         return torch.where(slot < self.n_goals[:, None], time, torch.inf).amin(1)
 

@@ -240,7 +240,7 @@ class _Runner:
         self.simulate = module.simulate
         self.law = servo_law(
             config,
-            path.shape[2],
+            scene.robot.joint_weight,
             lead_s=1.0 / scene.robot.dynamics.servo_rate,
             step_s=config.step_s,
         )
@@ -380,7 +380,7 @@ class _Runner:
     def _deviation(self, motion: Tensor, length: Tensor, sample_s: float) -> Tensor:
         """Of the lines between samples from the planned path: at the samples, and what the path
         curves between two in time."""
-        law = servo_law(self.config, self.path.shape[2], lead_s=0.0, step_s=sample_s)
+        law = servo_law(self.config, self.scene.robot.joint_weight, lead_s=0.0, step_s=sample_s)
         lever = self.scene.motion_radii.float().to(motion.device).contiguous()
         held = self.body_poses.object_motion_radius
         deviation = torch.zeros(len(length), dtype=torch.float32, device=motion.device)
@@ -402,9 +402,12 @@ class _Runner:
             device=self.scene.device,
             chunk=16,
         )
-        reach = torch.maximum(lever.double().sum(1).amax(), held.double().sum(1))
-        # between two samples dt apart a joint curves off its chord by at most a dt^2 / 8, and a
-        # point by that times its lever
+        # between two samples dt apart a joint curves off its chord by at most a dt^2 / 8 over its
+        # weight, and a point by that times its lever
+        weight = torch.tensor(self.scene.robot.joint_weight, device=motion.device)
+        reach = torch.maximum(
+            (lever.double() / weight).sum(1).amax(), (held.double() / weight).sum(1)
+        )
         return deviation.double() + limits(self.config)[1] * sample_s**2 / 8 * reach
 
 

@@ -188,7 +188,7 @@ def test_worlds_of_mujoco_warp_each_have_the_body_of_their_own_trial():
     trials = TrialScenes(scene().objects, grasps, which, np.array(HANDS)[which % 3], hands, 0.02 + 0.004 * which)
     order = rng.permutation(16)  # which world runs which trial
     path = [wp.zeros(shape, dtype=kind) for shape, kind in (((16, 2, 6), float), ((16, 2), float), (16, int))]
-    law = servo_law(ExecConfig(), 6, lead_s=0.0, step_s=STEP_S)
+    law = servo_law(ExecConfig(), np.ones(6), lead_s=0.0, step_s=STEP_S)
     job = Job(
         model,
         law,

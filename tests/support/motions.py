@@ -8,10 +8,10 @@ from problems import default_evaluator, make_batch, solve
 
 from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.config import ExecConfig
-from r2h_batch.kernels.motion.time_law import Law, servo_commands
+from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.motion.execute import Executed, execute
-from r2h_batch.motion.time_law import time_path
+from r2h_batch.motion.time_law import servo_law, time_path
 from r2h_batch.scene.scene import BodyPoses
 
 MUJOCO, PLANNED = ExecConfig(sim="mujoco", model="scene"), ExecConfig(sim="none")
@@ -66,9 +66,7 @@ def reference_run(config: ExecConfig) -> Executed:
 
 def commands(path, length, motion, steps: int, *, lead: float, step_s: float) -> np.ndarray:
     init_warp()
-    law = Law()
-    law.speed, law.acceleration = 0.1 * np.pi, 0.5
-    law.lead, law.step = lead, step_s
+    law = servo_law(PLANNED, np.ones(6), lead_s=lead, step_s=step_s)
     out = torch.zeros((len(path), steps, 6), dtype=torch.float64)
     index = torch.arange(len(path), dtype=torch.int32)
     launch_trials(

@@ -27,12 +27,10 @@ ROOM = 12
 
 @dataclass(frozen=True)
 class Law:
-    """Up to how many times the time between its ends a path is left as it is; the speed and
-    acceleration that time it."""
+    """Up to how many times the time between its ends a path is left as it is; the pace that times it."""
 
     enough: float
-    speed: float
-    acceleration: float
+    pace: Any
 
 
 def shorten_by_frontier(
@@ -82,13 +80,13 @@ class _Shortcuts:
             begin_shortcuts, n, self._tables | {"margin": margin, "length": inout["length"]}
         )
         rounds = ROUNDS_OF_LINES + -(-tries // TRIES_A_ROUND)
-        limits = {"speed": law.speed, "acceleration": law.acceleration}
+        pace = {"pace": law.pace}
         take = (
             self._tables
-            | limits
+            | pace
             | {"rounds": rounds, "changes": int(tries > 0), "enough": law.enough}
         )
-        draw = self._tables | limits | drawn | inout
+        draw = self._tables | pace | drawn | inout
         for level in range(LEVELS_A_ROUND * rounds + LEVELS_MORE):
             parity = level & 1
             frontier.launch(take_arcs, n, take, inout)
