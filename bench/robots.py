@@ -1,13 +1,23 @@
 """The same methods on the built-in robots, and their inverse kinematics: docs/results/robots.md.
 
-`python bench/robots.py --out FOLDER` sweeps all methods on r2h-v1 with each robot, motion as planned, persons placed for the
-robot (the same FOLDER goes on). IK: postures drawn uniformly within the joint ranges, so every target can be reached; process
-time of one thread; pytorch-kinematics' PseudoInverseIK, by restarts, on the first of them. `--render` writes the page again
-from the JSON.
+`python bench/robots.py --sections ik trials collision plan table --out FOLDER` measures these and leaves the others as they are
+in the JSON; each says on which commit it was measured.
+
+table: sweeps all methods on r2h-v1 with each robot, motion as planned, persons placed for the robot (the same FOLDER goes on).
+ik: postures drawn uniformly within the joint ranges, so every target can be reached; process time of one thread;
+pytorch-kinematics' PseudoInverseIK, by restarts, on the first of them.
+trials: whole trials, half the oracle's answers and half random's, motion as planned; process time of one thread, robots by turns.
+collision: postures near hands and anywhere (tests/kernels/test_collision.py), against distances of MuJoCo C on the robot's own
+bodies; one within 0.1 mm of contact is borderline.
+plan: the same answers; RRT-Connect of OMPL on MuJoCo C's contacts has the same start, goals and checked pairs. Paths of both are
+checked again every 1/320 rad.
+
+`--render` writes the page again from the JSON.
 """
 
 import argparse
 import json
+import statistics
 import time
 from collections.abc import Sequence
 from contextlib import redirect_stdout
@@ -19,22 +29,38 @@ import numpy as np
 import pytorch_kinematics
 import torch
 from _report import ROOT, made_by
+from _twins import Batch, checker_of, dense, ompl_solve, oracle, recheck, solve
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import solve_ik
+from r2h_batch.judge.plan import Planner
 from r2h_batch.launch.threads import on_threads
+from r2h_batch.methods import oracle as oracle_method
+from r2h_batch.methods import random as random_method
+from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.protocol import make_trials
 
 ROBOTS = ("ur5e_2f85", "ur3e_2f85", "panda_hand")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
 PAGE = ROOT / "docs" / "results" / "robots.md"
 STORED = ROOT / "bench" / "results" / "robots.json"
 RESTARTS = 20
+SECTIONS = ("ik", "trials", "collision", "plan", "table")
+REPEATS = 3
+BAND_M = 1e-4
+"""Within it float32 may decide either way."""
+BUDGET_S = 5.0
+KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 
 HEAD = """# The same methods on three robots
 
 {trials} trials of each split of r2h-v1 on every built-in robot, motion as planned, persons placed for the robot
-([robots](../robots.md#persons-and-table)). `python bench/robots.py` (bench/results/robots.json) measured it on commit {commit}.
+([robots](../robots.md#persons-and-table)). `python bench/robots.py` (bench/results/robots.json) measured it; on commit
+{commits}.
 Your robot: `r2h-batch sweep --robot DIR --method fc handover-va contact intent oracle`.
 
 ## Success rates
@@ -55,6 +81,19 @@ where they are wider.
 Percent of all trials, mean of the splits.
 
 {failures}
+
+## Whole trials
+
+{trial_rows} trials a robot, half answered by the oracle and half by random: microseconds of one core, median of {repeats}.
+
+{whole}
+
+## Collision checks and paths
+
+Postures: own verdict against the distances of MuJoCo C. Paths: problems with a free start and a free goal, {budget_s:g} s for
+OMPL.
+
+{checked}
 
 ## Inverse kinematics
 
@@ -132,19 +171,119 @@ def table(robot: str, trials: int, folder: Path) -> dict[str, dict[str, Any]]:
     return {row.method.partition(" (")[0]: record(row) for row in rows if row.split == "Avg"}
 
 
-def measure(out: Path, trials: int, targets: int, some: int) -> dict[str, Any]:
-    """All robots."""
+class Answered:
+    """A robot's evaluator, and trials that it can judge: half with the oracle's answers, half with random's."""
+
+    def __init__(self, robot: Robot, count: int) -> None:
+        benchmark = built_in().on(robot)
+        self.evaluator = Evaluator.from_benchmark(benchmark, KINEMATIC)
+        trials = make_trials(trials=count // 2, benchmark=benchmark)
+        scene = self.evaluator.scene
+        best = oracle_method.predict(trials, scene, seed=0, evaluator=self.evaluator)
+        any_ = random_method.predict(trials, scene, seed=0)
+        by_oracle = (torch.arange(len(trials)) % 4 < 2)[:, None, None]  # splits are by turns
+        T_obj_ee = torch.where(by_oracle, best.T_obj_ee, any_.T_obj_ee)
+        T_world_ee = torch.where(by_oracle, best.T_world_ee, any_.T_world_ee)
+        self.batch = Batch(trials, T_obj_ee, T_world_ee)
+
+    def score(self) -> float:
+        """Process seconds of one call on one thread."""
+        start = time.process_time()
+        with on_threads(1):
+            self.evaluator.score(self.batch.T_obj_ee, self.batch.T_world_ee, self.batch.trials)
+        return time.process_time() - start
+
+
+def whole_trials(answered: dict[str, Answered]) -> dict[str, dict[str, float]]:
+    """Microseconds a trial, robots by turns."""
+    times: dict[str, list[float]] = {name: [] for name in answered}
+    for turn in range(REPEATS + 1):
+        for name, own in answered.items():
+            seconds = own.score()
+            if turn:  # the first call reads kernels
+                times[name].append(1e6 * seconds / len(own.batch))
+    return {name: {"us": statistics.median(t), "trials": len(answered[name].batch)} for name, t in times.items()}
+
+
+def collisions(robot: Robot, count: int, per_trial: int = 250) -> dict[str, int]:
+    """Own verdicts on postures, half near a hand and half anywhere, against MuJoCo C's distances."""
+    rng, scene = np.random.default_rng(11), Scene(robot=robot)
+    found = {"postures": 0, "borderline": 0, "disagreements": 0, "colliding": 0}
+    for _ in range(count // (40 * per_trial)):
+        stages, base = oracle.random_stages(scene, rng, 40)
+        n = len(robot.joints)
+        q = base[:, None] + rng.normal(size=(40, per_trial, n)) * rng.choice([0.03, 0.15, 0.5], (40, per_trial, 1))
+        q[:, ::2] = rng.uniform(
+            np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi), (40, per_trial // 2, n)
+        )
+        flat = torch.from_numpy(q.reshape(-1, n)).float()
+        every = torch.ones(len(flat), dtype=torch.bool)
+        clear = Planner(scene, oracle.place(scene, stages), None).check(flat, every, per_trial)[0].view(40, per_trial)
+        exact = flat.double().numpy().reshape(q.shape)
+        for k, staged in enumerate(stages):
+            twin = oracle.mujoco_scene(scene, staged)
+            least = np.array([twin.least(x, cap=2e-3)[0] for x in exact[k]])
+            sure = np.abs(least) >= BAND_M
+            found["postures"] += per_trial
+            found["borderline"] += int((~sure).sum())
+            found["colliding"] += int((least < 0).sum())
+            found["disagreements"] += int((sure & (clear[k].numpy() != (least > 0))).sum())
+    return found
+
+
+def paths(answered: Answered, wanted: int) -> dict[str, int]:
+    """Ours and OMPL's on the first problems whose start and at least one goal are free in MuJoCo C."""
+    scene = answered.evaluator.scene
+    robot, problems = scene.robot, solve(scene, answered.batch, threads=1)
+    found = dict.fromkeys(("problems", "solved", "penetrating", "ompl_solved", "ompl_penetrating"), 0)
+    for row in range(len(answered.batch)):
+        if found["problems"] == wanted:
+            break
+        checker = checker_of(scene, problems, row)
+        goals = [q for q in problems.ik.q[row][problems.ik.valid[row]].double().numpy() if checker.valid(q)]
+        if not goals or not checker.valid(robot.home_q):
+            continue
+        found["problems"] += 1
+        if n := int(problems.plan.length[row]):
+            found["solved"] += 1
+            own = problems.plan.path[row, :n].double().numpy()
+            found["penetrating"] += recheck(checker, dense(own)).penetrating > 0
+        theirs = ompl_solve(
+            checker, np.array(goals), robot.lower, robot.upper, budget_s=BUDGET_S, home=robot.home_q
+        ).path
+        if theirs is not None:
+            wrong = recheck(checker, dense(theirs)).penetrating > 0
+            found["ompl_penetrating" if wrong else "ompl_solved"] += 1
+    return found
+
+
+def measure(options: argparse.Namespace, data: dict[str, Any]) -> None:
+    """The sections asked for, of all robots, into `data`."""
     torch.set_num_threads(1)
-    found: dict[str, Any] = {}
-    for name in ROBOTS:
-        robot = load_robot(name)
-        found[name] = {
-            "stroke_mm": 1e3 * robot.open_gap_m,
-            "ik": inverse_kinematics(robot, targets, some),
-            "table": table(name, trials, out / name),
-        }
-        print(name, json.dumps(found[name]["ik"]), flush=True)
-    return {"trials": trials, "targets": targets, "some": some, "robots": found, **made_by()}
+    asked, robots = options.sections, {name: load_robot(name) for name in ROBOTS}
+    record = data.setdefault("robots", {})
+    for name, robot in robots.items():
+        record.setdefault(name, {})["stroke_mm"] = 1e3 * robot.open_gap_m
+    answered = {name: Answered(r, options.rows) for name, r in robots.items()} if {"trials", "plan"} & {*asked} else {}
+    if "trials" in asked:
+        for name, times in whole_trials(answered).items():
+            record[name]["trials"] = times
+    for name, robot in robots.items():
+        own = record[name]
+        if "ik" in asked:
+            own["ik"] = inverse_kinematics(robot, options.targets, options.reference_targets)
+        if "plan" in asked:
+            own["plan"] = paths(answered[name], options.problems)
+        if "collision" in asked:
+            own["collision"] = collisions(robot, options.postures)
+        if "table" in asked:
+            own["table"] = table(name, options.trials, options.out / name)
+        print(name, json.dumps({k: own[k] for k in asked if k != "table"}), flush=True)
+    if "ik" in asked:
+        data |= {"targets": options.targets, "some": options.reference_targets}
+    if "table" in asked:
+        data["trials"] = options.trials
+    data.setdefault("measured", {}).update(dict.fromkeys(asked, made_by()))
 
 
 def markdown(data: dict[str, Any]) -> str:
@@ -173,9 +312,20 @@ def markdown(data: dict[str, Any]) -> str:
         for name, r in robots.items()
     ]
     head = ["Robot", "us", "missed", "postures", "largest error, um", "pytorch-kinematics, us", "its misses"]
+    whole = [[name, f"{r['trials']['us']:.0f}"] for name, r in robots.items()]
+    checked = [[name, *(f"{part[k]:,}" for part, keys in _checked(r) for k in keys)] for name, r in robots.items()]
+    heads = "Robot,postures,borderline,disagreements,problems,solved,penetrating,OMPL's solved,OMPL's penetrating"
+    commits: dict[str, list[str]] = {str(x["commit"])[:12]: [] for x in data["measured"].values()}
+    for section, made in data["measured"].items():
+        commits[str(made["commit"])[:12]].append(section)
     return HEAD.format(
         trials=data["trials"],
-        commit=str(data["commit"])[:12],
+        commits=", ".join(f"{commit} ({', '.join(names)})" for commit, names in commits.items()),
+        trial_rows=next(iter(robots.values()))["trials"]["trials"],
+        repeats=REPEATS,
+        whole=aligned(["Robot", "us"], whole, 1),
+        budget_s=BUDGET_S,
+        checked=aligned(heads.split(","), checked, 1),
         rates=aligned(["Method", *robots], rates, 1),
         orders="\n".join(f"- {name}: {_order(r['table'], methods)}" for name, r in robots.items()),
         stroke=robots["panda_hand"]["stroke_mm"],
@@ -187,6 +337,13 @@ def markdown(data: dict[str, Any]) -> str:
     )
 
 
+def _checked(robot: dict[str, Any]) -> list[tuple[dict[str, Any], tuple[str, ...]]]:
+    return [
+        (robot["collision"], ("postures", "borderline", "disagreements")),
+        (robot["plan"], ("problems", "solved", "penetrating", "ompl_solved", "ompl_penetrating")),
+    ]
+
+
 def _order(rows: dict[str, Any], methods: Sequence[str]) -> str:
     own = [m for m in methods if m not in ("random", "oracle")]
     return ", ".join(sorted(own, key=lambda m: -rows[m]["sr"]))
@@ -195,13 +352,18 @@ def _order(rows: dict[str, Any], methods: Sequence[str]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "robots")
-    parser.add_argument("--trials", type=int, default=200)
+    parser.add_argument("--sections", nargs="+", choices=SECTIONS, default=list(SECTIONS))
+    parser.add_argument("--trials", type=int, default=100, help="of each split, in the table")
+    parser.add_argument("--rows", type=int, default=400, help="whole trials, and those from which problems are taken")
+    parser.add_argument("--problems", type=int, default=60, help="of planning")
+    parser.add_argument("--postures", type=int, default=100_000)
     parser.add_argument("--targets", type=int, default=100_000)
     parser.add_argument("--reference-targets", type=int, default=500)
     parser.add_argument("--render", action="store_true")
     options = parser.parse_args()
     if not options.render:
-        data = measure(options.out, options.trials, options.targets, options.reference_targets)
+        data = json.loads(STORED.read_text())
+        measure(options, data)
         STORED.write_text(json.dumps(data, indent=1) + "\n")
     PAGE.write_text(markdown(json.loads(STORED.read_text())))
 

@@ -14,7 +14,10 @@ f64 = wp.float64
 
 @wp.struct
 class Law:
-    """The time law: speed (rad/s) and acceleration (rad/s^2) of the slowest joint, what a radian of each counts for; the servos' kv / kp (s)."""
+    """The time law: speed (rad/s) and acceleration (rad/s^2) of the slowest joint; the servos' kv / kp (s).
+
+    `weight`: what a radian of each joint counts for.
+    """
 
     speed: wp.float64
     acceleration: wp.float64

@@ -2,9 +2,9 @@
 
 Each joint-space segment is timed by the joint that has farthest to go, d rad, by its weight: a radian
 of a joint that is k times as fast as the slowest counts 1 / k. It speeds up at a, holds v, slows down at
-a: the limits of the slowest joint; those of the others are 1 / weight times as high. It reaches v only if d >= v^2 / a, and takes d / v + v / a then; a shorter
-one is a triangle and takes 2 sqrt(d / a) (Biagiotti and Melchiorri, Trajectory Planning for
-Automatic Machines and Robots, 2008, Sec. 3.2).
+a. These are the limits of the slowest joint; another one's are 1 / weight times as high. It reaches v
+only if d >= v^2 / a, and takes d / v + v / a then; a shorter one is a triangle and takes 2 sqrt(d / a)
+(Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008, Sec. 3.2).
 """
 
 from dataclasses import dataclass
@@ -44,8 +44,8 @@ def time_path(
     """A trapezoid of speed per segment, all joints together, stopping at every waypoint.
 
     The joint with the farthest to go sets the pace at `scale` times the limits; the path itself is
-    not left. `weight`: `Robot.joint_weight` (None: all joints alike). For two waypoints this is the time of the paper's T_exec: 8.4-9.0 s at MoveIt 2's
-    default scale of 0.1.
+    not left. For two waypoints this is the time of the paper's T_exec: 8.4-9.0 s at MoveIt 2's
+    default scale of 0.1. `weight`: `Robot.joint_weight` (None: all joints alike).
     """
     duration = _duration(_segment_lengths(path, length, weight), config)
     time = torch.zeros(path.shape[:2], dtype=torch.float64, device=path.device)

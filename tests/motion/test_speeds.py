@@ -72,7 +72,15 @@ def test_servos_are_told_no_more_than_each_joint_can():
 
 def panda_with_2f85() -> Robot:
     ur = load_robot()
-    names = "open_gap_m T_flange_ee T_flange_gripper gripper_part gripper_motion gripper_side linkage".split()
+    names = [
+        "open_gap_m",
+        "T_flange_ee",
+        "T_flange_gripper",
+        "gripper_part",
+        "gripper_motion",
+        "gripper_side",
+        "linkage",
+    ]
     last = np.full(len(ur.gripper.link), 8, np.int32)
     given = {name: getattr(ur, name) for name in names} | {"gripper": replace(ur.gripper, link=last)}
     return replace(PANDA, name="panda_2f85", digest="panda, 2f85", **given)
