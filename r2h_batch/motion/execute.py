@@ -404,7 +404,9 @@ class _Runner:
         )
         # between two samples dt apart a joint curves off its chord by at most a dt^2 / 8 over its
         # weight, and a point by that times its lever
-        weight = torch.tensor(self.scene.robot.joint_weight, device=motion.device)
+        weight = torch.tensor(
+            self.scene.robot.joint_weight, dtype=torch.float64, device=motion.device
+        )
         reach = torch.maximum(
             (lever.double() / weight).sum(1).amax(), (held.double() / weight).sum(1)
         )

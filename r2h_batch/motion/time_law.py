@@ -124,7 +124,7 @@ def _segment_lengths(path: Tensor, length: Tensor, weight: Weights) -> Float64[T
     """Largest joint motion of each segment by its weight (rad); 0 beyond the path's end."""
     d = (path[:, 1:].double() - path[:, :-1].double()).abs()
     if weight is not None:
-        d = d * torch.tensor(weight, device=d.device)
+        d = d * torch.tensor(weight, dtype=torch.float64, device=d.device)
     d = d.amax(-1)
     slot = torch.arange(path.shape[1] - 1, dtype=torch.int64, device=path.device)
     return torch.where(slot < length[:, None] - 1, d, 0.0)
