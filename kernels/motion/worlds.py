@@ -247,15 +247,24 @@ def fastest_change(motion_radius: wp.array2d(dtype=float), worlds: Worlds, field
 
 
 @wp.func
+def finger_joints(fields: Fields, w: int, side: int):
+    """Driver, inner knuckle and how far the inner finger is turned, of one side; a jaw on a slide has one joint."""
+    per_side = (fields.qpos.shape[1] - JOINTS) / 2
+    j = JOINTS + per_side * side
+    driver = fields.qpos[w, j]
+    if per_side == 1:
+        return driver, driver, 0.0
+    return driver, fields.qpos[w, j + 2], driver + fields.qpos[w, j + 1]
+
+
+@wp.func
 def note_fingers(record: Record, window: int, fields: Fields, w: int):
     """Widens what a window knows of the finger joints (as SceneModel.fingers)."""
     for side in range(2):
-        j = JOINTS + 3 * side
-        driver = fields.qpos[w, j]
-        knuckle = fields.qpos[w, j + 2]
+        driver, knuckle, turned = finger_joints(fields, w, side)
         record.drive_low[window] = wp.min(record.drive_low[window], wp.min(driver, knuckle))
         record.drive_high[window] = wp.max(record.drive_high[window], wp.max(driver, knuckle))
-        record.pin[window] = wp.max(record.pin[window], wp.abs(driver + fields.qpos[w, j + 1]))
+        record.pin[window] = wp.max(record.pin[window], wp.abs(turned))
 
 
 @wp.func
@@ -263,12 +272,11 @@ def finger_sway(fingers: Fingers, fields: Fields, drive: float, w: int):
     """How far any point of the fingers is from where drive angle `drive` has it, at most (as SceneModel.sway)."""
     worst = float(0.0)
     for side in range(2):
-        j = JOINTS + 3 * side
-        driver = wp.abs(fields.qpos[w, j] - drive)
-        pin = wp.abs(fields.qpos[w, j] + fields.qpos[w, j + 1])
-        knuckle = wp.abs(fields.qpos[w, j + 2] - drive)
+        at, knuckle, turned = finger_joints(fields, w, side)
+        driver = wp.abs(at - drive)
+        pin = wp.abs(turned)
         worst = wp.max(worst, driver * wp.max(fingers.driver, fingers.pin_arm) + pin * fingers.pin)
-        worst = wp.max(worst, knuckle * fingers.inner_knuckle)
+        worst = wp.max(worst, wp.abs(knuckle - drive) * fingers.inner_knuckle)
     return worst
 
 

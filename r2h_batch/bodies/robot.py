@@ -3,6 +3,7 @@ bounds (float64 NumPy)."""
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache, cached_property
@@ -25,7 +26,7 @@ from r2h_batch.io.write import write_npz
 Array = NDArray[np.float64]
 
 DEFAULT_ROBOT = "ur5e_2f85"
-ROBOTS = (DEFAULT_ROBOT, "ur3e_2f85", "panda_hand")
+ROBOTS = (DEFAULT_ROBOT, "ur3e_2f85", "ur10e_2f85", "panda_hand")
 """What is built in."""
 JOINT_KEYS = ("T_parent_joint", "lower", "upper", "max_velocity", "max_torque")
 
@@ -57,6 +58,8 @@ SERVO_RATE = 100.0 / 3.0
 """Stiffness N m/rad and kp / kv in 1/s [choice]: 10 kN m/rad on the large joints is what keeps an
 industrial arm within 0.1 mm while it moves."""
 
+GRIPPER_MASS_KG = 1.05
+"""2F-85 with its coupling."""
 
 MOTIONS = ("fixed", "driver", "pin", "inner_knuckle", "slide")
 """How a part of the gripper moves: the kernels' codes count these (tests/kernels/test_codes.py)."""
@@ -107,6 +110,10 @@ class Linkage:
     drive_lower: float
     drive_upper: float
     slide: bool = False
+    mass_kg: float = GRIPPER_MASS_KG
+    """of the whole gripper"""
+    jaw_mass_kg: float = 0.0
+    """of each jaw on a slide"""
 
     @property
     def gap_offset_m(self) -> float:
@@ -176,13 +183,8 @@ class Robot:
         return hash(self.digest)
 
     def fitted(self, config: EvalConfig) -> EvalConfig:
-        """The configuration with this robot's home and speed where it has the UR5e's. A gripper
-        with jaws on slides has no simulator: motions are as planned unless the configuration names
-        one."""
-        found = config.for_robot(self.home_q, float(self.max_velocity.min()))
-        if self.linkage.slide and found.execute.sim == "auto":
-            found = replace(found, execute=replace(found.execute, sim="none"))
-        return found
+        """The configuration with this robot's home and speed where it has the UR5e's."""
+        return config.for_robot(self.home_q, float(self.max_velocity.min()))
 
     @cached_property
     def joint_weight(self) -> Array:
@@ -609,6 +611,8 @@ class Jaws(_Part):
     law: Literal["slide"]
     open_gap_m: Annotated[float, Field(gt=0, le=0.5)]
     closed_gap_m: Annotated[float, Field(ge=0, le=0.5)]
+    mass_kg: Annotated[float, Field(gt=0, le=50)] = GRIPPER_MASS_KG
+    jaw_mass_kg: Annotated[float, Field(gt=0, le=10)] = 0.05
     pad_half_size_m: Annotated[list[Length], Field(min_length=3, max_length=3)]
     parts: Annotated[list[Literal["body", "finger", "pad"]], Field(min_length=3, max_length=31)]
 
@@ -691,6 +695,8 @@ def _check_lengths(file: RobotFile, lengths: dict[str, int]) -> None:
             raise ValueError(f"gripper.parts must name {lengths['parts']} parts, two of them pads")
         if file.gripper.closed_gap_m >= file.gripper.open_gap_m:
             raise ValueError("gripper.closed_gap_m must be below open_gap_m")
+        if 2 * file.gripper.jaw_mass_kg >= file.gripper.mass_kg:
+            raise ValueError("gripper.mass_kg must be above the mass of both jaws")
 
 
 def check_robot(robot: Robot) -> None:
@@ -802,10 +808,19 @@ def _sizes_and_corners(a: dict[str, Array]) -> tuple[Array, tuple[Array, ...]]:
     return frozen(size), tuple(frozen(x) for x in corners)
 
 
+def part_names(parts: Sequence[str], side: ArrayLike) -> list[str]:
+    """What the bodies of a gripper with jaws are called: left_pad, right_pad, the others by number."""
+    sides = {-1: "left", 1: "right"}
+    return [
+        f"{sides[int(s)]}_pad" if part == "pad" and int(s) in sides else f"{part}_{i}"
+        for i, (part, s) in enumerate(zip(parts, np.asarray(side), strict=True))
+    ]
+
+
 def _jaws(gripper: Jaws, a: dict[str, Array]) -> dict[str, Any]:
     """The fields of a `Robot` that its gripper fills."""
     side = frozen(a["gripper_side"], np.int32)
-    names = [f"{part}_{i}" for i, part in enumerate(gripper.parts)]
+    names = part_names(gripper.parts, side)
     pad_z = float((np.linalg.inv(a["T_flange_gripper"]) @ a["T_flange_ee"])[2, 3])
     none = frozen(np.zeros(2))
     return {
@@ -831,6 +846,8 @@ def _jaws(gripper: Jaws, a: dict[str, Array]) -> dict[str, Any]:
             -gripper.open_gap_m / 2,
             -gripper.closed_gap_m / 2,
             slide=True,
+            mass_kg=gripper.mass_kg,
+            jaw_mass_kg=gripper.jaw_mass_kg,
         ),
     }
 
@@ -886,6 +903,8 @@ def robot_file(robot: Robot) -> RobotFile:
             law="slide",
             open_gap_m=robot.open_gap_m,
             closed_gap_m=robot.closed_gap_m,
+            mass_kg=robot.linkage.mass_kg,
+            jaw_mass_kg=robot.linkage.jaw_mass_kg,
             pad_half_size_m=robot.linkage.pad_half_size.tolist(),
             parts=[cast(Any, part) for part in robot.gripper_part],
         ),

@@ -39,11 +39,10 @@ from r2h_batch.bodies.robot import (
     finger_motion,
     gripper_primitives_at,
 )
-from r2h_batch.bodies.robot_visuals import ARM_LINKS, part_origin
+from r2h_batch.bodies.robot_visuals import part_origin
 from r2h_batch.config import ExecConfig, Thresholds
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.scene.dynamics import (
-    GRIPPER_MASS_KG,
     add_arm,
     add_body,
     add_gripper,
@@ -56,6 +55,8 @@ from r2h_batch.scene.model_parts import (
     SEEN_CENTER,
     VISUAL,
     add_primitive,
+    add_shown,
+    link_color,
     look,
     visual_mesh,
 )
@@ -270,7 +271,7 @@ def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
     look(spec)
     _add_table(spec, stored)
     links = _add_arm(spec, robot, stored.workplace.home_q)
-    gripper = add_gripper(links[-1], robot, GRIPPER_MASS_KG)
+    gripper = add_gripper(links[-1], robot, robot.linkage.mass_kg)
     poses = _gripper_from_ee(robot) @ gripper_primitives_at(robot, opening_m)
     for i, name in enumerate(robot.gripper.names):
         add_primitive(spec, gripper, robot.gripper, i, poses[i], 1, 1, f"gripper/{name}")
@@ -350,9 +351,14 @@ def _add_arm(spec: mujoco.MjSpec, robot: Robot, home_q: Sequence[float]) -> list
             body.joints[0].damping = [1.0, 0.0, 0.0]
         for i in np.flatnonzero(robot.arm.link == k):
             name = f"robot/{robot.arm.names[i]}"
-            add_primitive(spec, body, robot.arm, int(i), robot.arm.T_link_prim[i], 1, 1, name)
+            T = robot.arm.T_link_prim[i]
+            add_primitive(spec, body, robot.arm, int(i), T, 1, 1, name)
+            if not robot.visuals:
+                color = link_color(robot.links[k])
+                add_shown(body, robot.arm, int(i), T, f"{name}_visual", color)
         link = robot.links[k]
-        _add_part(spec, body, f"robot/{link}_visual", robot, link, np.eye(4), link)
+        if robot.visuals:
+            _add_part(spec, body, f"robot/{link}_visual", robot, link, np.eye(4), link)
     for servo, k in zip(spec.actuators, range(len(robot.joints)), strict=True):
         servo.group, servo.ctrlrange = SERVO_GROUP, [robot.lower[k], robot.upper[k]]
     return links
@@ -485,8 +491,17 @@ def _add_receiver(spec: mujoco.MjSpec, receiver: Array, *, collides: bool) -> No
 def _add_gripper_visuals(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, robot: Robot, gap_m: float, prefix: str, **ghost: Any
 ) -> None:
-    """The gripper's meshes with the pads `gap_m` apart, in the gripper's body."""
+    """The gripper's meshes, or the bodies of one with jaws, with the pads `gap_m` apart, in the
+    gripper's body."""
     color = "target" if ghost else "gripper"
+    if robot.linkage.slide:
+        poses = _gripper_from_ee(robot) @ gripper_primitives_at(robot, gap_m)
+        for i, part in enumerate(robot.gripper_part):
+            rgb = COLORS["pad" if part == "pad" else "gripper"]
+            name = f"{prefix}{robot.gripper.names[i]}_visual"
+            rgb = MARK_COLORS["target"][:3] if ghost else rgb
+            add_shown(body, robot.gripper, i, poses[i], name, rgb, **ghost)
+        return
     _add_part(spec, body, f"{prefix}body_visual", robot, "body", np.eye(4), color, **ghost)
     moving = zip(robot.gripper_part, robot.gripper_motion, robot.gripper_side, strict=True)
     for part, motion, side in dict.fromkeys((p, m, int(s)) for p, m, s in moving if s):
@@ -515,9 +530,7 @@ def _add_part(
     color: str,
     **how: Any,
 ) -> None:
-    """A part of the robot as airo-models shows it; of an arm that it does not have, nothing."""
-    if part in ARM_LINKS and not robot.visuals:
-        return
+    """A part of the robot as airo-models shows it."""
     shape = trimesh.Trimesh(*visual_mesh(robot.visuals, part), process=False)
     arm = robot.visuals
     _add_surface(spec, body, name, f"robot_{part}", shape, color, T=T, arm=arm, **how)

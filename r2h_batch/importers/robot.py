@@ -1,9 +1,7 @@
 """A robot out of a URDF: the arm's chain and masses, collision bodies fitted to its visual meshes,
 the pairs of links that are checked, a posture to start from.
 
-Each link of a UR has the shape of the UR5e's at another length, so the search for its primitives
-starts from the UR5e's, stretched to the box of the mesh; for a link of another arm from parts of its
-mesh. The gripper is the 2F-85, or two jaws on slides of the same URDF.
+The gripper is the 2F-85, or two jaws on slides of the same URDF.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +16,7 @@ from scipy.stats import qmc
 
 from r2h_batch.bodies.robot import (
     DEFAULT_ROBOT,
+    MAX_BODIES,
     Kind,
     Linkage,
     Primitives,
@@ -27,18 +26,15 @@ from r2h_batch.bodies.robot import (
     frozen,
     hull_size,
     load_robot,
+    part_names,
     robot_file,
 )
 from r2h_batch.bodies.robot_visuals import ARM_LINKS, visual_triangles
 from r2h_batch.importers.robot_fit import (
-    ARM_STEP_M,
     BOX,
     Shape,
     box_of,
-    fit,
     mouths_for,
-    recipe_for,
-    split_longest,
     target,
 )
 from r2h_batch.importers.robot_hulls import Hull, boxes_of, fit_hulls
@@ -54,8 +50,8 @@ LEAST_JOINTS, MOST_JOINTS = 6, 7
 """Of an arm: the kernels take any number, these have been tried."""
 MOST_OVERSHOOT_MM = 3.0
 """Mean distance from a link's bodies to its mesh above which it gets one body more."""
-MOST_HULLS = 3
-"""Of a link: the kernels hold 24 bodies of an arm."""
+MOST_HULLS = 6
+"""Of a link, as long as each link after it can have one of the bodies that the kernels hold."""
 PALM_BOXES = 8
 """Of a gripper that is imported: no hulls, as closing it asks how deep its bodies are met."""
 NEAR_M = 0.010
@@ -115,19 +111,28 @@ def import_robot(
     if fingers is not None:
         gripper, palm = _jaws(read_jaws(path, flange, fingers, packages), n, shown)
         bare = replace(bare, **gripper)
+    names: tuple[str, ...] = tuple(part.name for part in chain.links)
+    mouths: list[list[Array]] = [[]] * (n + 1)
     if bare.family == "ur":
         home = np.array(bare.home_q)  # before the minutes that fitting takes
         limits = {"lower": np.minimum(bare.lower, home), "upper": np.maximum(bare.upper, home)}
         _check(replace(bare, **limits), shown)
-        arm, links = _primitives(chain.links)
+        names = ARM_LINKS
+        mouths = [_mouths(*pair) for pair in zip(chain.links, names, strict=True)]
     else:
-        bare = replace(bare, links=(*(part.name for part in chain.links), bare.links[-1]))
-        shapes, figures = zip(*(_hulls(link) for link in chain.links), strict=True)
-        links = {link.name: row for link, row in zip(chain.links, figures, strict=True)}
-        where = [k for k, own in enumerate(shapes) for _ in own]
-        names = [f"{chain.links[k].name}_{where[:i].count(k)}" for i, k in enumerate(where)]
-        arm = _primitives_of([s for own in shapes for s in own], where, names)
-        bare = replace(bare, object_pairs=frozen(np.arange(n + 1), np.int32))
+        bare = replace(
+            bare,
+            links=(*names, bare.links[-1]),
+            object_pairs=frozen(np.arange(n + 1), np.int32),
+        )
+    hulls: list[Hull] = []
+    where: list[int] = []
+    links: dict[str, Any] = {}
+    for k, link in enumerate(chain.links):
+        found, links[names[k]] = _hulls(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
+        hulls, where = [*hulls, *found], [*where, *[k] * len(found)]
+    numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
+    arm = _primitives_of(hulls, where, numbered)
     bare = replace(bare, arm=arm, dynamics=_dynamics(chain, bare, shown))
     robot = replace(bare, home_q=_home(bare))
     pairs = _checked_pairs(robot)
@@ -155,32 +160,17 @@ def _check(robot: Robot, shown: str) -> None:
         raise FileError(f"{shown}: {' '.join(str(error).split())[:200]}") from None
 
 
-def _primitives(links: tuple[Link, ...]) -> tuple[Primitives, dict[str, Any]]:
-    """The arm's bodies, and each link's figures."""
-    shapes: list[tuple[int, Shape | Hull]] = []
-    report = {}
-    for k, (link, like) in enumerate(zip(links, ARM_LINKS, strict=True)):
-        own, other = box_of(visual_triangles(like)), box_of(link.triangles)
-        mouths = mouths_for(like, own, other)
-        mesh = target(link.triangles, mouths)
-        recipe = recipe_for(like, own, other)
-        found: list[Any] = fit(recipe, mesh, ARM_STEP_M)
-        report[like] = mesh.report(found)
-        if report[like]["mean_mm"] > MOST_OVERSHOOT_MM:
-            found = fit(split_longest(recipe), mesh, ARM_STEP_M)
-            report[like] = mesh.report(found)
-        if report[like]["mean_mm"] > MOST_OVERSHOOT_MM:
-            found, report[like] = _hulls(link, mouths)
-        shapes += [(k, s) for s in found]
-    where = [k for k, _ in shapes]
-    names = [f"{ARM_LINKS[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
-    return _primitives_of([s for _, s in shapes], where, names), report
+def _mouths(link: Link, like: str) -> list[Array]:
+    """What the next links close in the sleeves of a UR's link, which are the UR5e's at other lengths."""
+    return mouths_for(like, box_of(visual_triangles(like)), box_of(link.triangles))
 
 
-def _hulls(link: Link, mouths: Sequence[Array] = ()) -> tuple[list[Hull], dict[str, Any]]:
-    """As few hulls of a link as overshoot it little enough, at most three, and its figures."""
-    mesh = target(link.triangles, list(mouths))
-    found = fit_hulls(mesh, lambda h: mesh.mean_overshoot_mm(h) < MOST_OVERSHOOT_MM, MOST_HULLS)
+def _hulls(link: Link, mouths: list[Array], most: int) -> tuple[list[Hull], dict[str, Any]]:
+    """As few hulls of a link as overshoot it little enough, and its figures."""
+    mesh = target(link.triangles, mouths)
+    found = fit_hulls(
+        mesh, lambda h: mesh.mean_overshoot_mm(h) < MOST_OVERSHOOT_MM, min(most, MOST_HULLS)
+    )
     return found, mesh.report(found)
 
 
@@ -240,7 +230,7 @@ def _jaws(jaws: Jaws, joints: int, shown: str) -> tuple[dict[str, Any], dict[str
     T_flange_ee = T_flange_gripper.copy()
     T_flange_ee[2, 3] = pad_z
     none = frozen(np.zeros(2))
-    names = [f"{p}_{i}" for i, p in enumerate(part)]
+    names = part_names(part, side)
     return {
         "open_gap_m": opened,
         "T_flange_ee": frozen(T_flange_ee),
@@ -251,7 +241,7 @@ def _jaws(jaws: Jaws, joints: int, shown: str) -> tuple[dict[str, Any], dict[str
         "gripper_side": frozen(side, np.int32),
         "linkage": Linkage(
             none, none, none, frozen([half[1], pad_z]), frozen(half), -opened / 2, -closed / 2,
-            slide=True,
+            slide=True, mass_kg=jaws.palm.mass + 2 * jaws.mass, jaw_mass_kg=jaws.mass,
         ),
     }, report  # fmt: skip
 

@@ -91,7 +91,9 @@ def lattice(triangles: Array, spacing: float) -> Array:
 
 def thinned(points: Array, cell: float) -> Array:
     """One of the points per cubic cell, in a fixed order."""
-    _, first = np.unique(np.round(points / cell).astype(np.int64), axis=0, return_index=True)
+    cells = np.round(points / cell).astype(np.int64)
+    cells -= cells.min(0)
+    _, first = np.unique(np.ravel_multi_index(tuple(cells.T), cells.max(0) + 1), return_index=True)
     return points[np.sort(first)]
 
 
@@ -388,44 +390,8 @@ def read(row: dict[str, Any]) -> Shape:
     return Shape(row["kind"], np.array(row["pos"]), R, np.array(row["size"]))
 
 
-def recipe_for(name: str, box: Array, other: Array) -> Recipe:
-    """The UR5e's recipe of a link, stretched from the box (2, 3) of its mesh to another arm's.
-
-    Links of the UR family are the same shapes at other lengths.
-    """
-    normal, rows = RECIPES[name]
-    planar = [k for k in range(3) if k != "xyz".index(normal)]
-    scale = (other[1] - other[0]) / (box[1] - box[0])
-    low, to, s = box[0][planar], other[0][planar], scale[planar]
-    stretched = []
-    for kind, center, angle, size in rows:
-        c, d = np.cos(angle) ** 2, np.sin(angle) ** 2
-        along, across = float(c * s[0] + d * s[1]), float(d * s[0] + c * s[1])
-        u, v = to + (np.array(center) - low) * s
-        radius = size[0] * (across + scale["xyz".index(normal)]) / 2
-        stretched.append((kind, (float(u), float(v)), angle, (radius, size[1] * along)))
-    return normal, stretched
-
-
-def split_longest(recipe: Recipe) -> Recipe:
-    """The recipe with its longest round shape as two, end to end."""
-    normal, rows = recipe
-    longest = max(range(len(rows)), key=lambda i: rows[i][3][1])
-    kind, (u, v), angle, (radius, half) = rows[longest]
-    parts = [
-        (
-            kind,
-            (u + d * half / 2 * np.cos(angle), v + d * half / 2 * np.sin(angle)),
-            angle,
-            (radius, half / 2),
-        )
-        for d in (-1, 1)
-    ]
-    return normal, [*rows[:longest], *parts, *rows[longest + 1 :]]
-
-
 def mouths_for(name: str, box: Array, other: Array) -> list[Array]:
-    """Discs in the sleeves of a link that the next link closes, stretched as in `recipe_for`."""
+    """Discs in the sleeves of a link that the next link closes, stretched to the box of another mesh."""
     scale, found = (other[1] - other[0]) / (box[1] - box[0]), []
     for center, normal, radius in MOUTHS.get(name, []):
         at = other[0] + (np.array(center) - box[0]) * scale

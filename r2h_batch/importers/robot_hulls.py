@@ -158,7 +158,7 @@ def _hull_volume(points: Array) -> float:
 
 
 def _hull(points: Array) -> Hull:
-    """A hull of at most CORNERS corners that holds the points: of their corners those that matter, grown from its middle."""
+    """A hull of at most CORNERS corners that holds the points: of their corners those that matter, grown from inside."""
     corners = np.asarray(points)[ConvexHull(points).vertices]
     ends = {int(i) for d in np.vstack([np.eye(3), -np.eye(3)]) for i in [np.argmax(corners @ d)]}
     chosen = sorted(ends)
@@ -176,7 +176,7 @@ def _hull(points: Array) -> Hull:
         over = float((corners @ planes[:, :3].T + planes[:, 3]).max())
         if over <= 0:
             break
-        middle = (kept.min(0) + kept.max(0)) / 2
+        middle = inner_ball(kept)[:3]  # that of the box may lie outside a thin hull
         inner = float(-(planes[:, :3] @ middle + planes[:, 3]).max())
         kept = middle + (kept - middle) * (1 + (over + 1e-6) / inner)
     kept = np.round(kept, 7)

@@ -53,6 +53,7 @@ class Jaws:
     jaws: tuple[tuple[Box, ...], tuple[Box, ...]]
     opens: tuple[Array, Array]  # (3,) the direction in which each jaw opens
     travel: tuple[float, float]  # smallest and largest position of each, m
+    mass: float  # of each, kg
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ def read_jaws(
             if _end(joint, "parent", shown) == at and child not in frames:
                 frames[child] = frames[at] @ _origin(joint, shown)
                 todo += [child] if joint.get("type") == "fixed" else []
-    jaws, opens, travel = [], [], []
+    jaws, opens, travel, mass = [], [], [], []
     for finger in fingers:
         into = [j for j in joints if _end(j, "child", shown) == finger]
         if not into or into[0].get("type") != "prismatic" or finger not in frames:
@@ -160,10 +161,17 @@ def read_jaws(
         opens.append(frames[finger][:3, :3] @ _to_axis(into[0], shown)[:3, 2])
         jaws.append(_boxes(links[finger], frames[finger], shown))
         travel.append(_limits(into[0], shown)[:2])
+        inertial = links[finger].find("inertial")
+        mass.append(0.0 if inertial is None else _body(inertial, np.eye(4), shown)[0])
     if travel[0] != travel[1] or np.abs(opens[0] + opens[1]).max() > 1e-6:
         raise FileError(f"{shown}: the two fingers must open apart, by as much each")
     palm = _rigid(flange, np.eye(4), links, joints, set(), path, packages)
-    return Jaws(palm, (jaws[0], jaws[1]), (opens[0], opens[1]), travel[0])
+    if min(palm.mass, *mass) <= 0 or mass[0] != mass[1]:
+        what = f"{palm.mass:g} kg, its fingers {mass[0]:g} and {mass[1]:g} kg"
+        raise FileError(
+            f"{shown}: the gripper's palm has {what}; it needs masses, the fingers equal ones"
+        )
+    return Jaws(palm, (jaws[0], jaws[1]), (opens[0], opens[1]), travel[0], mass[0])
 
 
 def _boxes(link: Element, T: Array, shown: str) -> tuple[Box, ...]:

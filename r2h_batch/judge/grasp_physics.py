@@ -1,5 +1,5 @@
-"""Closing and shaking in physics: the 2F-85's linkage closes on the object until it stops; then the
-grasp is tried.
+"""Closing and shaking in physics: the 2F-85's linkage, or two jaws, close on the object until they
+stop; then the grasp is tried.
 
 A check of the geometric width (grasp.py), and a friction grasp on request. Everything
 stands in the gripper frame: weight and shaking are accelerations of that frame.
@@ -19,7 +19,7 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Robot, drive_from_gap
 from r2h_batch.launch import cpu_threads, thread_pool
 from r2h_batch.motion.simulation import warnings_unwritten
-from r2h_batch.scene.dynamics import quat_wxyz
+from r2h_batch.scene.dynamics import add_servo, quat_wxyz
 from r2h_batch.scene.model_parts import FingerFrames, add_mesh, tie
 
 Array = NDArray[np.float64]
@@ -30,13 +30,15 @@ CLOSING_M_S = 0.15
 TORQUE_NM = 1.5
 """At the drivers: about 30 N between the pads, a light grasp of a hand that may squeeze with 235
 N."""
+FORCE_N, JAW_ARMATURE_KG, JAW_GAINS = 25.0, 0.3, (30_000.0, 600.0)
+"""Of jaws on slides, N, kg, N/m and N s/m: what the linkage has at its pads."""
 SETTLE_S = 0.35
 FRICTION = 0.8
 """Rubber pads on plastic or metal [choice]."""
 SHAKE_M_S2, SHAKE_HZ, SHAKE_S = 5.0, 4.0, 0.5
 """Per axis: a sine of half the weight's size, two periods [choice]."""
 G = 9.81
-HINGE = mujoco.mjtJoint.mjJNT_HINGE
+HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 DROPPED_M = 0.02
 
 
@@ -111,8 +113,14 @@ def shake(
 
 
 def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.MjSpec:
-    """The fingers as parallelograms of their four-bars, pads as boxes, and the object's convex
-    pieces as a free body."""
+    """The fingers as parallelograms of their four-bars, or as jaws; pads as boxes, and the object's
+    convex pieces as a free body."""
+    link, jaws = robot.linkage, robot.linkage.slide
+    most, armature, (kp, kv) = (
+        (FORCE_N, JAW_ARMATURE_KG, JAW_GAINS) if jaws else (TORQUE_NM, 1e-3, (100.0, 2.0))
+    )
+    low, high = (link.drive_lower, link.drive_upper) if jaws else (0.0, link.drive_upper)
+    room = 0.002 if jaws else 0.05
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.timestep, spec.option.gravity = STEP_S, [0, 0, 0]
@@ -127,23 +135,22 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
             name=name, pos=frames.driver, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
         )
         body.add_joint(
-            name=name, type=HINGE, axis=frames.axis, armature=1e-3, range=[-0.05, robot.linkage.drive_upper + 0.05],
-            limited=True, actfrcrange=[-TORQUE_NM, TORQUE_NM], actfrclimited=True,
+            name=name, type=SLIDE if jaws else HINGE, axis=frames.axis, armature=armature,
+            range=[low - room, high + room], limited=True, actfrcrange=[-most, most], actfrclimited=True,
         )  # fmt: skip
-        finger = body.add_body(
-            name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
-        )
-        finger.add_joint(name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=1e-4)
+        finger = body
+        if not jaws:
+            finger = body.add_body(
+                name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
+            )  # fmt: skip
+            finger.add_joint(name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=1e-4)
+            # the four-bar is a parallelogram: the pad keeps upright
+            tie(spec, f"{name}_pad", name, -1.0, solref=stiff)
         finger.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=robot.linkage.pad_half_size, pos=frames.pad,
             contype=1, conaffinity=2, friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
         )  # fmt: skip
-        # the four-bar is a parallelogram: the pad keeps upright
-        tie(spec, f"{name}_pad", name, -1.0, solref=stiff)
-        spec.add_actuator(
-            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE, gainprm=[100, *[0] * 9], biasprm=[0, -100, -2, *[0] * 7],
-        )  # fmt: skip
+        add_servo(spec, name, kp, kv)
     tie(spec, "left", "right", 1.0, solref=stiff)
     T = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee @ np.linalg.inv(T_obj_ee)
     xx, yy, zz, xy, xz, yz = model.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -168,8 +175,10 @@ def _close(
     # nothing drifts off at a touch
     m.dof_damping[-6:] = [model.mass * 50] * 3 + [float(np.trace(model.inertia)) * 50] * 3
     data = mujoco.MjData(m)
-    data.qpos[:4] = np.array([1, -1, 1, -1]) * float(drive_from_gap(robot, robot.open_gap_m))
-    start = data.qpos[4:7].copy()
+    fingers = np.array([1, 1] if robot.linkage.slide else [1, -1, 1, -1])
+    n = len(fingers)
+    data.qpos[:n] = fingers * float(drive_from_gap(robot, robot.open_gap_m))
+    start = data.qpos[n : n + 3].copy()
     every = 10
     for k in range(round((robot.open_gap_m / CLOSING_M_S + SETTLE_S) / STEP_S / every)):
         data.ctrl[:] = drive_from_gap(
@@ -179,12 +188,12 @@ def _close(
     pads = data.geom("right").xpos - data.geom("left").xpos
     opening, moved = (
         float(pads[1] - 2 * robot.linkage.pad_half_size[1]),
-        float(np.linalg.norm(data.qpos[4:7] - start)),
+        float(np.linalg.norm(data.qpos[n : n + 3] - start)),
     )
     if down is None or not np.isfinite(data.qpos).all():
         return opening, moved, float("nan"), float("nan")
     m.dof_damping[-6:] = 0.0
-    at, turn = np.split(data.qpos[4:].copy(), [3])
+    at, turn = np.split(data.qpos[n:].copy(), [3])
     # weight alone first, then along x, y, z
     for t in np.arange(0.0, 0.3 + 3 * SHAKE_S, every * STEP_S):
         shake = np.zeros(3)
@@ -193,5 +202,10 @@ def _close(
             shake[axis] = shake_m_s2 * np.sin(2 * np.pi * SHAKE_HZ * (t - 0.3))
         m.opt.gravity[:] = G * down + shake
         mujoco.mj_step(m, data, every)
-    cosine = min(abs(float(turn @ data.qpos[7:])), 1.0)
-    return opening, moved, float(np.linalg.norm(data.qpos[4:7] - at)), 2 * float(np.arccos(cosine))
+    cosine = min(abs(float(turn @ data.qpos[n + 3 :])), 1.0)
+    return (
+        opening,
+        moved,
+        float(np.linalg.norm(data.qpos[n : n + 3] - at)),
+        2 * float(np.arccos(cosine)),
+    )

@@ -155,7 +155,6 @@ class PayloadTables:
         return j
 
 
-GRIPPER_MASS_KG = 1.05  # 2F-85 with its coupling
 GRIPPER_COM_M = (0.0, 0.0, 0.055)  # [choice] a box of the gripper's size, gripper frame
 GRIPPER_BOX_M = (0.075, 0.15, 0.14)
 
@@ -198,7 +197,7 @@ def arm_model(robot: Robot, *, step_s: float, payload_known: bool = True) -> muj
     """
     spec = new_spec(step_s)
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    gripper = add_gripper(add_arm(spec, robot, spec.worldbody)[-1], robot, GRIPPER_MASS_KG)
+    gripper = add_gripper(add_arm(spec, robot, spec.worldbody)[-1], robot, robot.linkage.mass_kg)
     add_object(gripper, payload_known=payload_known)
     return spec.compile()
 

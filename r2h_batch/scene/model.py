@@ -37,7 +37,9 @@ from r2h_batch.scene.model_parts import (
     add_mesh,
     add_mesh_geom,
     add_primitive,
+    add_shown,
     add_visual,
+    link_color,
     look,
 )
 
@@ -174,11 +176,12 @@ class SceneModel:
         n = len(self.robot.joints)
         qpos[..., :n] = q
         if self.full:
-            qpos[..., n:] = np.array([1, -1, 1] * 2) * self._drive(trial)[..., None]
+            signs = np.array([1] if self.robot.linkage.slide else [1, -1, 1])
+            qpos[..., n:] = np.tile(signs, 2) * self._drive(trial)[..., None]
         return qpos
 
     def _drive(self, trial: TrialScene | TrialScenes) -> Array:
-        """Drive angles of the fingers, rad: () of a trial, (n,) of many."""
+        """Drives of the fingers, rad or m: () of a trial, (n,) of many."""
         return drive_from_gap(self.robot, trial.opening_m)
 
     def sway(self, trial: TrialScene, qpos: Array) -> float:
@@ -186,9 +189,8 @@ class SceneModel:
         states (n, nq); m."""
         if not self.full:
             return 0.0
-        angle = qpos[:, len(self.robot.joints) :].reshape(-1, 2, 3)
-        off = np.abs(angle * [1, -1, 1] - self._drive(trial))
-        driver, pin, knuckle = off[..., 0], np.abs(angle[..., 0] + angle[..., 1]), off[..., 2]
+        driver, knuckle, pin = self._finger_joints(qpos)
+        driver, knuckle = (np.abs(x - self._drive(trial)) for x in (driver, knuckle))
         at = self.levers
         worst = np.maximum(
             driver * max(at.driver, at.pin_arm) + pin * at.pin, knuckle * at.inner_knuckle
@@ -196,11 +198,19 @@ class SceneModel:
         return float(worst.max())
 
     def fingers(self, qpos: Array) -> Array:
-        """The smallest and largest drive angle of drivers and inner knuckles, and how far an inner
-        finger is turned against the gripper, rad: (n, 3) of the states (n, nq)."""
-        angle = qpos[:, len(self.robot.joints) :].reshape(-1, 2, 3)
-        drive, pin = angle[..., [0, 2]], np.abs(angle[..., 0] + angle[..., 1])
-        return np.stack([drive.min((1, 2)), drive.max((1, 2)), pin.max(1)], 1)
+        """The smallest and largest drive of drivers and inner knuckles, and how far an inner
+        finger is turned against the gripper, rad: (n, 3) of the states (n, nq). Of jaws on slides
+        their place, m, and 0."""
+        driver, knuckle, pin = self._finger_joints(qpos)
+        drive = np.concatenate([driver, knuckle], 1)
+        return np.stack([drive.min(1), drive.max(1), pin.max(1)], 1)
+
+    def _finger_joints(self, qpos: Array) -> tuple[Array, Array, Array]:
+        """Drivers, inner knuckles, turn of the inner fingers: (n, 2) each of states (n, nq)."""
+        at = qpos[:, len(self.robot.joints) :].reshape(len(qpos), 2, -1)
+        if self.robot.linkage.slide:
+            return at[..., 0], at[..., 0], np.zeros(at.shape[:2])
+        return at[..., 0], at[..., 2], np.abs(at[..., 0] + at[..., 1])
 
     def hold(self, trial: TrialScene | TrialScenes) -> Array:
         """What the actuators beyond the arm's are told, all the time: (nu - 6,) or (n, nu - 6)."""
@@ -327,8 +337,13 @@ def build_scene_model(
                 *partners[k],
                 f"robot/{robot.arm.names[i]}",
             )
+            if not robot.visuals:
+                name = f"robot/{robot.arm.names[i]}_visual"
+                T = robot.arm.T_link_prim[i]
+                add_shown(link, robot.arm, int(i), T, name, link_color(robot.links[k]))
         name = robot.links[k]
-        add_visual(spec, link, f"robot/{name}_visual", robot, name, np.eye(4), name)
+        if robot.visuals:
+            add_visual(spec, link, f"robot/{name}_visual", robot, name, np.eye(4), name)
     gripper = add_fingers(spec, links[-1], robot, partners[-3])
     body = add_object(gripper, payload_known=payload_known)
     for k, mesh in enumerate(object_rows[0]):

@@ -1,6 +1,7 @@
 """Parts of the scene's MuJoCo model: the gripper with its linkage, shapes and meshes, what things
 look like."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -10,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.robot import Kind, Primitives, Robot
-from r2h_batch.bodies.robot_visuals import ARM_LINKS, part_origin, visual_triangles
+from r2h_batch.bodies.robot_visuals import part_origin, visual_triangles
 from r2h_batch.scene.dynamics import (
     FINGER_MASS_KG,
-    GRIPPER_MASS_KG,
     add_body,
     add_gripper,
     add_servo,
@@ -26,6 +26,10 @@ FINGER_ARMATURE = 0.005
 FINGER_KP, FINGER_KV = 200.0, 2.0
 """The gripper's motor, at a driver (kg m^2, N m/rad, N m s/rad) [choice]: the 2F-85's gear is
 self-locking, so it holds its opening stiffly whatever moves it."""
+
+JAW_ARMATURE_KG, JAW_KP, JAW_KV = 1.5, 60_000.0, 600.0
+"""A motor that slides a jaw (kg, N/m, N s/m) [choice]: what the 2F-85's is at its pads, 57 mm from the
+driver's axis."""
 
 LOOP_IMPEDANCE = (0.99, 0.999, 1e-4, 0.5, 2.0)
 """MuJoCo's solimp (d0, d_width, width, midpoint, power) of the constraints that close the linkage's
@@ -57,6 +61,11 @@ _CONVEX, _SHELL = (
 )
 
 
+def link_color(link: str) -> tuple[float, float, float]:
+    """What a link of an arm looks like."""
+    return COLORS.get(link, COLORS["upper_arm"])
+
+
 @dataclass(frozen=True)
 class FingerLevers:
     """How far points of the gripper's moving parts are from the pivots of their bodies, at most,
@@ -69,7 +78,9 @@ class FingerLevers:
 
     @staticmethod
     def of(robot: Robot) -> "FingerLevers":
-        """Bounds from the primitives, as if each were a ball."""
+        """Bounds from the primitives, as if each were a ball; a jaw on a slide moves as its joint."""
+        if robot.linkage.slide:
+            return FingerLevers(1.0, 0.0, 0.0, 1.0)
         link, far = robot.linkage, {"driver": 0.0, "pin": 0.0, "inner_knuckle": 0.0}
         pivots = {
             "driver": link.driver_pivot_yz, "pin": link.driver_pivot_yz + link.pin_from_driver_yz,
@@ -106,7 +117,7 @@ class FingerFrames:
     mirrored in y.
 
     All joints turn about x: the driver and the inner knuckle about pivots of the palm, the inner
-    finger about its pin.
+    finger about its pin. Jaws slide along y, and their pivots are the gripper's origin.
     """
 
     axis: Array  # (3,) of all joints: positive closes
@@ -125,9 +136,8 @@ class FingerFrames:
             link.inner_knuckle_pivot_yz,
             link.pad_from_pin_yz,
         )
-        return FingerFrames(
-            np.array([side, 0.0, 0.0]), *(np.array([0.0, side * yz[0], yz[1]]) for yz in at)
-        )
+        axis = [0.0, -side, 0.0] if link.slide else [side, 0.0, 0.0]
+        return FingerFrames(np.array(axis), *(np.array([0.0, side * yz[0], yz[1]]) for yz in at))
 
 
 def tie(spec: mujoco.MjSpec, one: str, other: str, factor: float, **solver: Any) -> None:
@@ -142,11 +152,10 @@ def add_fingers(
     spec: mujoco.MjSpec, wrist: mujoco.MjsBody, robot: Robot, contact: tuple[int, int]
 ) -> mujoco.MjsBody:  # fmt: skip
     """The 2F-85: per side a driver, an inner finger at its pin and an inner knuckle, closed to a
-    loop; one motor."""
-    if robot.linkage.slide:
-        raise ValueError(f"{robot.name} has jaws on slides; pictures and simulators know the 2F-85")
-    gripper = add_gripper(wrist, robot, GRIPPER_MASS_KG - 2 * sum(FINGER_MASS_KG.values()))
-    add_visual(spec, gripper, "gripper/body_visual", robot, "body", np.eye(4), "gripper")
+    loop; one motor. Or two jaws on slides."""
+    link = robot.linkage
+    one = link.jaw_mass_kg if link.slide else sum(FINGER_MASS_KG.values())
+    gripper = add_gripper(wrist, robot, link.mass_kg - 2 * one)
     stiff = [2.5 * spec.option.timestep, 1.0]
     carriers: dict[tuple[str, int], tuple[mujoco.MjsBody, Array]] = {
         ("fixed", 0): (gripper, np.zeros(3))
@@ -154,6 +163,15 @@ def add_fingers(
     for side in (-1, 1):
         name = "left" if side < 0 else "right"
         frames = FingerFrames.of(robot, side)
+        if link.slide:
+            inertia = np.eye(3) * link.jaw_mass_kg * FINGER_GYRATION_M**2
+            jaw = add_body(gripper, f"{name}_jaw", np.eye(4), link.jaw_mass_kg, frames.pad, inertia)
+            jaw.add_joint(
+                name=f"{name}_driver", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=frames.axis,
+                armature=JAW_ARMATURE_KG,
+            )  # fmt: skip
+            carriers["slide", side] = (jaw, np.zeros(3))
+            continue
         for motion, parent_name, at, masses in (
             ("driver", None, frames.driver, ("outer_knuckle", "outer_finger")),
             ("pin", "driver", frames.pin, ("inner_finger",)),
@@ -179,7 +197,7 @@ def add_fingers(
             name2=f"{name}_pin", data=[*frames.pin, *[0] * (mujoco.mjNEQDATA - 3)], solref=stiff, solimp=LOOP_IMPEDANCE,
         )  # fmt: skip
     tie(spec, "left_driver", "right_driver", 1.0, solref=stiff, solimp=LOOP_IMPEDANCE)
-    add_servo(spec, "right_driver", FINGER_KP, FINGER_KV)
+    add_servo(spec, "right_driver", *((JAW_KP, JAW_KV) if link.slide else (FINGER_KP, FINGER_KV)))
     _add_finger_geoms(spec, robot, carriers, contact)
     return gripper
 
@@ -195,6 +213,9 @@ def _add_finger_geoms(
     # the left finger is the right one turned about the approach axis
     turned = np.diag([-1.0, -1.0, 1.0, 1.0])
     seen = set()
+    if not robot.linkage.slide:
+        body = carriers["fixed", 0][0]
+        add_visual(spec, body, "gripper/body_visual", robot, "body", np.eye(4), "gripper")
     for i, part in enumerate(robot.gripper_part):
         side = int(robot.gripper_side[i])
         body, origin = carriers[robot.gripper_motion[i], side]
@@ -203,7 +224,12 @@ def _add_finger_geoms(
         add_primitive(
             spec, body, robot.gripper, i, T, *contact, f"gripper/{robot.gripper.names[i]}"
         )
-        if side == 0 or (part, side) in seen:
+        if robot.linkage.slide:
+            name = f"gripper/{robot.gripper.names[i]}_visual"
+            add_shown(
+                body, robot.gripper, i, T, name, COLORS["pad" if part == "pad" else "gripper"]
+            )
+        if robot.linkage.slide or side == 0 or (part, side) in seen:
             continue
         seen.add((part, side))
         T = np.eye(4)
@@ -234,6 +260,23 @@ def add_primitive(
     )  # fmt: skip
 
 
+def add_shown(
+    body: mujoco.MjsBody, shapes: Primitives, i: int, T: Array, name: str, rgb: Sequence[float],
+    group: int = VISUAL, alpha: float = 1.0,
+) -> None:  # fmt: skip
+    """One of the planner's bodies as what is seen, where there is no mesh to show; a hull shares the
+    mesh of the body that collides, `name` without `_visual`."""
+    kind = Kind(int(shapes.kind[i]))
+    shape: dict[str, Any] = {"type": _TYPES.get(kind), "size": shapes.size[i]}
+    if kind == Kind.HULL:
+        mesh = name.removesuffix("_visual")
+        shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh}
+    body.add_geom(
+        name=name, pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]), contype=0, conaffinity=0, group=group,
+        rgba=[*rgb, alpha], **shape,
+    )  # fmt: skip
+
+
 def add_visual(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
@@ -243,9 +286,7 @@ def add_visual(
     T: Array,
     color: str,
 ) -> None:
-    """A part of the robot as airo-models shows it; of an arm that it does not have, nothing."""
-    if mesh in ARM_LINKS and not robot.visuals:
-        return
+    """A part of the robot as airo-models shows it."""
     if spec.mesh(f"robot_{mesh}") is None:
         add_mesh(spec, f"robot_{mesh}", *visual_mesh(robot.visuals, mesh), convex=False)
     add_mesh_geom(body, name, f"robot_{mesh}", color, T=T)

@@ -73,15 +73,6 @@ class Scene:
             raise ValueError(
                 f"workplace.home_q is {home}; {self.robot.name} needs {joints} joint angles in rad"
             )
-        if self.robot.linkage.slide:
-            for name, value, allowed in (
-                ("execute.sim", self.config.execute.sim, "none"),
-                ("stability", self.config.stability, "geometric"),
-            ):
-                if value != allowed:
-                    raise ValueError(
-                        f"{name} is {value!r}; {self.robot.name} has jaws on slides, for which it must be {allowed!r}"
-                    )
         self.objects = checked_objects(objects)
         if not self.objects:
             raise ValueError("a scene needs at least one object; objects is empty")

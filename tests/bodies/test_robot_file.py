@@ -195,8 +195,8 @@ def test_a_bad_urdf_is_refused_in_one_line(text, words, tmp_path):
     assert "\n" not in str(refused.value)
 
 
-JAWS = """<robot name="jaws"><link name="flange"><visual><geometry><mesh filename="palm.stl"/></geometry></visual></link>
-<link name="l">{box}</link><link name="r">{box}</link>
+JAWS = """<robot name="jaws"><link name="flange"><visual><geometry><mesh filename="palm.stl"/></geometry></visual>{mass}</link>
+<link name="l">{box}{mass}</link><link name="r">{box}{mass}</link>
 <joint name="one" type="{kind}"><parent link="flange"/><child link="l"/><origin xyz="0 0 0.1"/><axis xyz="{axis}"/>{limit}</joint>
 <joint name="two" type="prismatic"><parent link="flange"/><child link="r"/><origin xyz="0 0 0.1"/><axis xyz="0 -1 0"/>
 {limit}</joint>
@@ -204,6 +204,7 @@ JAWS = """<robot name="jaws"><link name="flange"><visual><geometry><mesh filenam
 USUAL = {
     "box": '<collision><geometry><box size="0.02 0.01 0.03"/></geometry></collision>',
     "kind": "prismatic",
+    "mass": '<inertial><mass value="0.2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>',
     "axis": "0 1 0",
     "limit": '<limit lower="0" upper="0.04" velocity="1" effort="1"/>',
 }
@@ -220,7 +221,11 @@ def jaws_of(folder: Path, **changes: str):
 
 def test_jaws_of_a_urdf_stand_and_open_as_it_says(tmp_path):
     jaws = jaws_of(tmp_path)
-    assert jaws.travel == (0.0, 0.04) and np.allclose(jaws.opens, [[0, 1, 0], [0, -1, 0]])
+    assert (
+        jaws.travel == (0.0, 0.04)
+        and jaws.mass == jaws.palm.mass == 0.2
+        and np.allclose(jaws.opens, [[0, 1, 0], [0, -1, 0]])
+    )
     ((T, half),) = jaws.jaws[0]
     assert np.array_equal(T[:3, 3], [0, 0, 0.1]) and np.allclose(half, [0.01, 0.005, 0.015])
     assert np.allclose(np.ptp(jaws.palm.triangles.reshape(-1, 3), axis=0), [0.1, 0.1, 0.05])
@@ -233,6 +238,7 @@ def test_jaws_of_a_urdf_stand_and_open_as_it_says(tmp_path):
         ({"axis": "0 -1 0"}, "must open apart"),
         ({"box": USUAL["box"].replace('box size="0.02 0.01 0.03"', 'sphere radius="1"')}, "made of boxes"),
         ({"limit": ""}, "no <limit>"),
+        ({"mass": ""}, "needs masses"),
     ],
 )
 def test_jaws_that_are_none_are_refused_in_one_line(changes, words, tmp_path):

@@ -1,15 +1,17 @@
 """A gripper with parallel jaws on slides: where its parts stand and where it closes, against NumPy and manifold3d."""
 
 import numpy as np
-import pytest
 import torch
 from grasp_cases import BAND, material64, model_of, random_grasps, shapes
-from seven import seven_joints, with_jaws
+from motions import ARM, BRIEF, BRIEF_WARP, MUJOCO
+from problems import make_batch, solve
+from seven import with_jaws
 
 from r2h_batch import Evaluator
 from r2h_batch.bodies.robot import gap_from_drive, gripper_primitives_at, load_robot
-from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge.grasp import close_gripper, gripper_poses
+from r2h_batch.motion.execute import FINGER_GIVE_M, execute
+from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.grasp_tables import grasp_tables
 
 JAWS = with_jaws(load_robot())
@@ -41,9 +43,18 @@ def test_jaws_close_to_the_extent_of_what_is_between_them():
     assert seen > 30
 
 
-def test_what_knows_the_linkage_alone_is_refused_in_one_line():
-    robot = with_jaws(seven_joints())
-    assert Evaluator(robot=robot).config.execute.sim == "none"
-    for config in (EvalConfig(execute=ExecConfig(sim="mujoco")), EvalConfig(stability="physics")):
-        with pytest.raises(ValueError, match="jaws on slides, for which it must be"):
-            Evaluator(config, robot=robot)
+def test_the_whole_scene_with_jaws_moves_as_the_arm_alone_and_the_engines_agree():
+    """Jaws that give way by micrometres are all that is new, as of the 2F-85."""
+    scene = Evaluator(robot=JAWS).scene
+    p = solve(scene, make_batch(scene, 6, seed=3))
+    whole, alone, brief, warp = (
+        execute(scene, p.body_poses, p.plan.path, p.plan.length, time_path(p.plan.path, p.plan.length, config), config)
+        for config in (MUJOCO, ARM, BRIEF, BRIEF_WARP)
+    )
+    rows = whole.length > 0
+    assert rows.sum() >= 3 and torch.equal(whole.length, alone.length) and bool(whole.valid.all())
+    assert 0 < float((whole.path - alone.path).abs().max()) < 5e-6
+    sway = (whole.slack_m - alone.slack_m)[rows]
+    assert float(sway.min()) > 0 and float(sway.max()) < FINGER_GIVE_M
+    assert float((brief.path - warp.path).abs().max()) < 1e-4 and bool(warp.valid.all())
+    assert float((brief.window_opening_m - warp.window_opening_m).abs().max()) < 1e-6

@@ -90,7 +90,13 @@ def test_verdicts_on_100_000_postures_agree_with_mujoco_c(scene):
 
 @pytest.mark.parametrize(
     "robot",
-    [load_robot("ur3e_2f85"), seven_joints(), with_hulls(load_robot()), load_robot("panda_hand")],
+    [
+        load_robot("ur3e_2f85"),
+        load_robot("ur10e_2f85"),
+        seven_joints(),
+        with_hulls(load_robot()),
+        load_robot("panda_hand"),
+    ],
     ids=lambda r: r.name,
 )
 def test_verdicts_on_postures_of_other_arms_agree_with_mujoco_c(robot):

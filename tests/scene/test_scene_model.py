@@ -18,7 +18,7 @@ from r2h_batch.launch import init_warp
 from r2h_batch.motion.sim_mjwarp import StandingWorlds
 from r2h_batch.motion.simulation import Job
 from r2h_batch.motion.time_law import servo_law
-from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, Payload
+from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.model import SceneModel, TrialScene, TrialScenes, build_scene_model
 from r2h_batch.scene.scene import Scene
 
@@ -129,7 +129,7 @@ def test_masses_are_those_of_the_arm_with_a_rigid_gripper():
     M = np.zeros((m.nv, m.nv))
     mujoco.mj_fullM(m, data, M)
     assert m.body_subtreemass[m.body("shoulder").id] == pytest.approx(
-        load_robot().dynamics.mass.sum() + GRIPPER_MASS_KG + payload.mass
+        load_robot().dynamics.mass.sum() + load_robot().linkage.mass_kg + payload.mass
     )
     np.testing.assert_allclose(M[:6, :6], mass_matrix(q, payload), atol=0.012)  # the fingers' 0.14 kg are elsewhere
     np.testing.assert_allclose(data.qfrc_gravcomp, data.qfrc_bias, atol=1e-9)  # all weight is carried, the fingers' too

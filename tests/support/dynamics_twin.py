@@ -11,7 +11,7 @@ from r2h_batch.bodies.robot import (
     forward_kinematics,
     load_robot,
 )
-from r2h_batch.scene.dynamics import GRIPPER_BOX_M, GRIPPER_COM_M, GRIPPER_MASS_KG, Payload
+from r2h_batch.scene.dynamics import GRIPPER_BOX_M, GRIPPER_COM_M, Payload
 
 ROBOT = load_robot()
 
@@ -34,8 +34,8 @@ def bodies(payload: Payload) -> list[tuple[int, np.ndarray, float, np.ndarray]]:
         R = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
         tensor = R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
         out.append((i + 1, np.array(LINK_COM_M[i]), LINK_MASS_KG[i], tensor))
-    x, y, z = np.square(GRIPPER_BOX_M) * GRIPPER_MASS_KG / 12
-    out.append((7, np.array(GRIPPER_COM_M), GRIPPER_MASS_KG, np.diag([y + z, x + z, x + y])))
+    x, y, z = np.square(GRIPPER_BOX_M) * ROBOT.linkage.mass_kg / 12
+    out.append((7, np.array(GRIPPER_COM_M), ROBOT.linkage.mass_kg, np.diag([y + z, x + z, x + y])))
     R, p = payload.T_gripper_obj[:3, :3], payload.T_gripper_obj[:3, 3]
     out.append((7, R @ payload.com + p, payload.mass, R @ payload.inertia @ R.T))
     return out

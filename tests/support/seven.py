@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from r2h_batch.bodies.robot import Kind, Linkage, Primitives, Robot, frozen, hull_size, load_robot
+from r2h_batch.bodies.robot import Kind, Linkage, Primitives, Robot, frozen, hull_size, load_robot, part_names
 
 AXIS = np.array([[0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """Takes z to the forearm's axis, -x of its link."""
@@ -97,7 +97,7 @@ def with_jaws(robot: Robot) -> Robot:
     place[:, :3, 3] = [at for *_, at, _ in rows]
     side = np.array([s for _, s, *_ in rows], np.int32)
     none = frozen(np.zeros(2))
-    names = tuple(f"{part}_{i}" for i, (part, *_) in enumerate(rows))
+    names = tuple(part_names([part for part, *_ in rows], side))
     return replace(
         robot, name=f"{robot.name}_jaws", digest=f"{robot.digest}, jaws", open_gap_m=0.08, T_flange_ee=frozen(T_ee),
         T_flange_gripper=frozen(T), gripper_part=tuple(part for part, *_ in rows),
@@ -106,5 +106,7 @@ def with_jaws(robot: Robot) -> Robot:
             names, frozen(np.full(len(rows), len(robot.joints) + 1), np.int32), frozen([Kind.BOX] * len(rows), np.int32),
             frozen(place), frozen([half for *_, half in rows]),
         ),
-        linkage=Linkage(none, none, none, frozen([0.007, 0.1]), frozen([0.009, 0.007, 0.01]), -0.04, 0.0, slide=True),
+        linkage=Linkage(
+            none, none, none, frozen([0.007, 0.1]), frozen([0.009, 0.007, 0.01]), -0.04, 0.0, slide=True, jaw_mass_kg=0.1
+        ),
     )  # fmt: skip
