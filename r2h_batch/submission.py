@@ -147,8 +147,9 @@ def leaderboard(
 ) -> int:
     """Write a static page of submissions: each is verified, and a sample of its rows judged again.
 
-    Methods that did not answer again carry `(submitted)`. A submission that does not hold is named
-    and left out, and one that was not judged as the shipped rows or, without them, as most others.
+    `(submitted)` marks methods that the command cannot ask again. The command names and leaves out
+    submissions that fail, and those of another configuration than the shipped rows (or, without
+    them, than most others).
     Exit code 0: all are listed. Exit code 1: some are left out.
 
     Args:

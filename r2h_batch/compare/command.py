@@ -60,7 +60,7 @@ def compare(
             enough. The word baselines stands for the built-in methods' rows of r2h-v1, which ship
             with the package; in a checkout for those of the run's protocol and preset. Runs of
             different size are compared on the trials that they share.
-        seed: of the bootstrap that gives the ranks.
+        seed: seed of the bootstrap that gives the ranks.
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
         all_pairs: also compare the baselines with each other.

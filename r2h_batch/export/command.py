@@ -31,7 +31,7 @@ def scene(
         trial: trial id, or the text that its owner gave it (ids.csv of the run).
         out: folder to write, new or empty.
         method: the sweep's word (fc) or the table's name; needed where the run has several.
-        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
+        benchmark: the flags that the sweep had; none for the built-in benchmark.
         render: also a picture (.png, .jpg): start, middle and goal; of a failed Plan home and the
             target with what collides.
         overwrite: write into a folder that has something in it, and replace the picture.
@@ -112,7 +112,7 @@ def export(
         out: a new or empty folder.
         method: the sweep's word (fc) or the table's name; needed where the run has several.
         trials: of each split, from the first on.
-        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
+        benchmark: the flags that the sweep had; none for the built-in benchmark.
     """
     check_range("--trials", trials, 1, MOST_TRIALS, "")
     check_output_folder(out, overwrite=None)

@@ -54,7 +54,7 @@ def report(
             Table I; md. Each pose is tried with 256 receiving grasps, 8 ms a trial.
         out: the file to write instead of printing.
         overwrite: replace what is there under these names.
-        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
+        benchmark: the flags that the sweep had; none for the built-in benchmark.
     """
     if not 0 <= gallery <= MOST:
         raise UsageError(f"--gallery is {gallery}; it must be 0 to {MOST}")
@@ -166,7 +166,7 @@ def figures(
         trial: trial id of the protocol and of the methods over time; the command chooses one by
             default.
         overwrite: replace figures that are there.
-        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
+        benchmark: the flags that the sweep had; none for the built-in benchmark.
     """
     from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.export.stored import Reader

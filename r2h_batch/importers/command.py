@@ -30,7 +30,7 @@ def hand(
     negate_left_shape: bool = False,
     overwrite: bool = False,
 ) -> int:
-    """MANO's own files as one hand model.
+    """Write MANO's own files as one hand model.
 
     Args:
         out: The hand model to write, .npz. It holds MANO's data: its licence forbids to pass it on.
@@ -72,23 +72,24 @@ def hands(
     strict: bool = False,
     overwrite: bool = False,
 ) -> int:
-    """Receiving hands out of a data set's folder, one of every sequence and hand, and their motions
-    beside them.
+    """Write one receiving hand of each sequence and side of a data set, and their motions beside
+    them.
 
     Args:
         folder: The data set as its owners give it; several become one hand set.
-        source: Whose it is, one for each folder; built-in: this project's own postures in the same form.
+        source: Name of each folder's data set; built-in: this project's own postures.
         out: The hand set to write, .npz; the motions go beside it as NAME_motion.npz.
         frame: Which frame of a sequence: aperture (the widest grip of the last second before the
-            object moves), first, middle, last, or a number (-1: the last). Of oakink, aperture
-            takes the receivers' hands, others take all.
+            object moves), first, middle, last, or a number (-1: the last). For
+            oakink, aperture takes the receivers' hands, the others take all.
         mano_right: MANO_RIGHT.pkl, for data relative to MANO's mean hand or in its components
             (arctic, dexycb), for shapes of subjects (grab) and for the wrist's exact place.
         mano_left: MANO_LEFT.pkl.
-        negate_left_shape: As for `hand`.
+        negate_left_shape: The same as in `import hand`.
         smplx: A folder with SMPLX_MALE.npz, SMPLX_FEMALE.npz, SMPLX_NEUTRAL.npz, for the arms of
-            bodies (grab, arctic), which r2h-v1's receivers then keep.
-        idle: Take hands too that never carry the object; they are left out and counted otherwise.
+            bodies (grab, arctic). Receivers of r2h-v1 keep these arms.
+        idle: Keep hands that never carry the object. By default the command leaves them out and counts
+            them.
         strict: Refuse a data set with a file that cannot be read, instead of skipping it.
         overwrite: Replace files that are there.
     """
@@ -141,19 +142,18 @@ def grasps(
     pose: Path | None = None,
     overwrite: bool = False,
 ) -> int:
-    """Grasps of one object as the file that a benchmark names: T_obj_ee, width, score, part in our
+    """Write the grasps of one object as a file for a benchmark: T_obj_ee, width, score, part in our
     own ee frame.
 
-    Grasps of another gripper are seated anew on the object, or dropped, where they are used; both
-    are counted there.
+    A sweep seats grasps of another gripper anew on the object, or drops them, and counts both.
 
     Args:
         file: ACRONYM's .h5, graspnetAPI's .npy (N x 17) or GraspNet's _labels.npz, an isaac_grasp
             .yaml, GraspGen's .json, poses as .npy (N x 4 x 4), or our own .npz to check.
-        source: Whose it is: acronym, graspnet, graspgen, isaac (also GraspGen's predictions), poses, own.
+        source: Format: acronym, graspnet, graspgen, isaac (also GraspGen's predictions), poses, own.
         out: The grasps to write, .npz.
-        gripper: Whose frame the grasps are in; graspgen, isaac and poses need it.
-        object_id: Which object's grasps of a graspnet file.
+        gripper: Gripper in whose frame the grasps are; graspgen, isaac and poses need it.
+        object_id: Object of a graspnet file whose grasps you want.
         pose: T_obj_source, .npy of 4 x 4, for a graspnet file: the frame that the network saw in
             the object's frame.
         overwrite: Replace a file that is there.
@@ -192,20 +192,20 @@ def objects(
     hands: int | None = None,
     strict: bool = False,
 ) -> int:
-    """A data set's objects as a folder for --objects: meshes in the frame of its hands, part
+    """Write a data set's objects as a folder for --objects: meshes in the frame of its hands, part
     labels, grasps, benchmark.yaml.
 
     Args:
         folder: The data set as its owners give it: OakInk's with shape/metaV2 or image/obj;
             OakBase's parts anywhere below it.
-        source: Whose it is: oakink.
+        source: Data set: oakink.
         out: A new or empty folder. It holds the data set's meshes: its licence says who may have
             them.
         only: Names or IDs of the objects to take; else all.
         grasps: A folder of grasps in files called after the objects, in formats of `import grasps`.
-        gripper: Whose frame they are in where the files do not say it.
-        hands: Also name hand.npz and so many hands of each side of hands.npz as the benchmark's, which
-            `import hand` and `import hands` put beside them.
+        gripper: Gripper in whose frame the grasps are, if the files do not say it.
+        hands: Also enter hand.npz and this many hands of each side of hands.npz into benchmark.yaml;
+            write both files there with `import hand` and `import hands`.
         strict: Refuse a data set with an object that cannot be read, instead of skipping it.
     """
 
@@ -238,12 +238,12 @@ def trials(
     source: Annotated[Literal["r2handoversim"], tyro.conf.arg(name="from", metavar="SOURCE")],
     out: Path,
 ) -> int:
-    """Trials of the authors' release as a benchmark with predictions and motions.
+    """Write trials of the authors' release as a benchmark with predictions and motions.
 
     Args:
         path: A file of handover.trial.v1, or of handover.experiment.v1, or a folder of trials, or
             of selections with their scenes.
-        source: Whose they are: r2handoversim.
+        source: Format: r2handoversim.
         out: A new or empty folder for benchmark.yaml, predictions.npz, motions.npz and trials.csv.
     """
 
@@ -270,11 +270,11 @@ def results(
     source: Annotated[Literal["r2handoversim"], tyro.conf.arg(name="from", metavar="SOURCE")],
     out: Path,
 ) -> int:
-    """Verdicts of the authors' release as a run folder for report and compare.
+    """Write verdicts of the authors' release as a run folder for report and compare.
 
     Args:
         path: A results.json, or a folder that has one.
-        source: Whose they are: r2handoversim.
+        source: Format: r2handoversim.
         out: A new or empty folder.
     """
 
@@ -301,7 +301,7 @@ def robot(
     name: str = "",
     package: tuple[str, ...] = (),
 ) -> int:
-    """An arm with a gripper as a folder for --robot: robot.yaml, robot.npz, report.json.
+    """Write an arm with a gripper as a folder for --robot: robot.yaml, robot.npz, report.json.
 
     Args:
         urdf: The arm. Its meshes are .obj, .stl, .ply or .glb, beside it or in a --package.
@@ -309,9 +309,9 @@ def robot(
         flange: The link that carries the gripper.
         out: A new or empty folder.
         gripper: The gripper at the flange.
-        fingers: LINK,LINK of the URDF's own gripper, which slide apart; in place of --gripper.
-        name: Of the robot, in rows and tables; default: the folder's and the gripper's.
-        package: NAME=FOLDER, where package://NAME/ leads to.
+        fingers: LINK,LINK: the sliding fingers of the URDF's own gripper, in place of --gripper.
+        name: Name of the robot in tables; by default the folder's and the gripper's.
+        package: NAME=FOLDER: the folder that package://NAME/ means.
     """
     from r2h_batch.bodies.robot import write_robot
     from r2h_batch.importers.robot import import_robot

@@ -11,11 +11,11 @@ MOST_TRIALS = 10**9
 
 
 def ratings(file: Path, /) -> int:
-    """Your own ratings: a CSV with columns participant, method, dimension, rating (1 to 5).
+    """Test people's ratings: a CSV with columns participant, method, dimension, rating (1 to 5).
 
     Args:
-        file: one row for each rating. Participants who did not rate every method are left out and
-            counted.
+        file: one row for each rating. The command leaves out and counts participants who did not
+            rate every method.
     """
     from r2h_batch.study.report import rating_report, read_ratings
 
@@ -24,7 +24,7 @@ def ratings(file: Path, /) -> int:
 
 
 def real(run: Path, file: Path, /, *, trials: int) -> int:
-    """Your own robot against a run: a CSV with columns method, real_sr (percent: 85 or 85%),
+    """Compare your own robot with a run: a CSV with columns method, real_sr (percent: 85 or 85%),
     real_t_tot_s.
 
     Args:
@@ -73,7 +73,7 @@ def trials(
 def rated(
     ratings: Path, /, *, trials: Path, out: Path | None = None, overwrite: bool = False
 ) -> int:
-    """People's ratings of single trials beside what was measured of them.
+    """Print people's ratings of single trials beside the measures of these trials.
 
     Args:
         ratings: a CSV with columns participant, method, trial_id, dimension, rating (1 to 5); methods

@@ -107,7 +107,7 @@ class Options:
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = _option(
         "auto",
         _VERDICT,
-        "who moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset release",
+        "engine that moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset release",
     )
     out: str = _option("", _OUTPUT, "run folder; the same command goes on with it")
     format: Literal["md", "latex", "csv", "json"] = _option("md", _OUTPUT, "format of the table")
@@ -229,7 +229,7 @@ class Options:
     policy: str = _option(
         "planned",
         _CONFIG,
-        "who moves the arm in closed loop: planned, stop, servo, replan, or package.module:function of an"
+        "policy that moves the arm in closed loop: planned, stop, servo, replan, or package.module:function of an"
         " observation of HandoverEnv",
     )
     log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = _option(

@@ -47,12 +47,12 @@ def view(
         size: width and height of one picture in pixels; 960 720 in films, 480 400 in strips.
         frames: strips: pictures of each method.
         fps: films: pictures a second.
-        port: where the browser finds the viewer, on this machine alone; 0: any free one.
-        receiver_motion: films, strips: play the trial in closed loop, with a hand that moves; as of
+        port: port of the viewer, on this machine alone; 0: any free one.
+        receiver_motion: films, strips: play the trial in closed loop, with a hand that moves as in
             `sweep`.
-        policy: who moves the arm then; as of `sweep`.
+        policy: closed loop: the policy that moves the arm, as in `sweep`.
         overwrite: replace files that are there.
-        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
+        benchmark: the flags that the sweep had; none for the built-in benchmark.
     """
     _check(method, trial, html, video, strips, size, frames, fps, port)
     if receiver_motion and (html or not (video or strips)):
