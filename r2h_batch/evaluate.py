@@ -87,7 +87,16 @@ faster, and another five where candidates share trials."""
 
 class Evaluator:
     """Judges predicted handovers on one device. Build it once: it holds the scene's tables and
-    compiled kernels."""
+    compiled kernels.
+
+    Args:
+        config: thresholds, planning and motion; None: the default preset.
+        device: `cpu`, `cuda` or `cuda:N`.
+        objects: what `Trials.object_index` counts; None: the 16 built-in ones.
+        hand_set: what `Trials.hand_index` counts; None: the built-in hands.
+        robot: arm and gripper; None: the UR5e with a 2F-85.
+        threads: CPU threads of a call; None: all cores.
+    """
 
     called = False  # whether a call has looked for poses that look wrong
 
@@ -126,11 +135,16 @@ class Evaluator:
         device: str | torch.device = "cpu",
         threads: int | None = None,
     ) -> Self:
-        """The evaluator of a benchmark, a file or one that was read: its objects, hands, limits,
-        table and home.
+        """The evaluator of a benchmark: its objects, hands, robot, limits, table and home.
 
-        `config` says the rest (planning, motion); limits of its own are refused. Raises ValueError
-        (`FileError`), one line.
+        Args:
+            benchmark: path of a benchmark file, or what `read_benchmark` returned.
+            config: planning and motion; it may not have other limits than the benchmark.
+            device: `cpu`, `cuda` or `cuda:N`.
+            threads: CPU threads of a call; None: all cores.
+
+        Raises:
+            ValueError: `config` has other limits, or (`FileError`, one line) the file is wrong.
         """
         if isinstance(benchmark, (str, Path)):
             pieces = config is not None and config.plan.object_collision == "pieces"
@@ -183,28 +197,29 @@ class Evaluator:
         """Verdicts of B handovers: outcome, five criteria with margins (m), reasons, times, joint
         path.
 
-        `T_obj_ee`: grasp, ee in the object's frame. `T_world_ee`: handover, ee in the world.
-        Tensors of float32 or float64 on the evaluator's device, NumPy arrays or nested lists;
-        judged in float32. The first call of an evaluator on a CPU warns of poses that look as if in
-        millimetres, transposed or exchanged. Metres; rotations off by at most 1e-3 are
-        re-orthonormalised, rows that are no pose come back as INVALID_INPUT and leave the others
-        untouched. Rows do not depend on their batch: same bits for any batch size, order, chunk and
-        thread count on one device. `keep_motion`:
-        also return the executed joint angles (24 kB for 8 s of motion). Raises ValueError,
-        TypeError before any work when shape, dtype or device do not fit.
+        A row has the same bits for any batch size, order, chunk and thread count on one device. The
+        first call on a CPU warns of poses that look transposed, exchanged or in millimetres.
 
-        `stages="pose"` judges what needs no path, with the same kernels: Stability, Reach,
-        Affordance (same bits), Plan and Safe at the goal posture. A pose that fails here fails
-        there. `passed[:, PLAN]`: home and some branch are free; `plan_reason` differs from the full
-        one only where that is NO_PATH_IN_BUDGET or NOT_SETTLED. `q_goal`, `margin[:, PLAN]`:
-        posture and clearance of `judge.goal.Goal`, always finite. `margin[:, SAFE]`: the hand's
-        exact mesh at `q_goal`, evaluated for every pose. No path: `path_len` 0, `path` of width 0,
-        times NaN.
+        Args:
+            T_obj_ee: grasps, (B, 4, 4): ee to the object's frame, m. (N, K, 4, 4) for K candidates
+                of each of N trials. Tensors on the evaluator's device, NumPy arrays or nested
+                lists of float32 or float64; judged in float32.
+            T_world_ee: handover poses, ee to the world, m, of the same shape. Rotations off by at
+                most 1e-3 are orthonormalised.
+            trials: B (or N) trials.
+            stages: `all`: the benchmark. `pose`: what needs no path, with the same kernels
+                (Stability, Reach, Affordance; Plan and Safe at the goal posture). A pose that fails
+                there fails the benchmark too (docs/training_loop.md). Its margins have gradients
+                where poses require them (docs/gradients.md).
+            keep_motion: also return the executed joint angles (24 kB for 8 s of motion).
 
-        With stages="pose", margins lead back to poses that require a gradient (docs/gradients.md).
+        Returns:
+            Scores of B (or N K) rows, trial by trial (`Scores.by_trial`). Rows that are no pose are
+            INVALID_INPUT and leave the others untouched. `pose`: `path` has width 0, times are NaN,
+            `q_goal` and Plan's margin are those of `judge.goal.Goal`.
 
-        K candidates for each of N trials: poses (N, K, 4, 4), rows of the result in that order
-        (`Scores.by_trial`).
+        Raises:
+            TypeError, ValueError: shape, dtype or device do not fit; before any work.
         """
         T_obj_ee, T_world_ee, trials = checked_inputs(
             self.scene, T_obj_ee, T_world_ee, trials, stages
@@ -314,7 +329,15 @@ class Evaluator:
 
     def capture(self, b: int, *, stages: Stages = "pose") -> Captured:
         """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on
-        CUDA one graph."""
+        CUDA one graph.
+
+        Args:
+            b: rows of each call.
+            stages: `pose`, or `all` on a CPU.
+
+        Raises:
+            ValueError: CUDA cannot capture this configuration; the message says what to change.
+        """
         check_stages(stages)
         device, stability = torch.device(self.scene.device), self.config.stability
         if device.type == "cuda" and self.config.execution_error.any:

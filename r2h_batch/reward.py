@@ -31,7 +31,11 @@ def _value(name: str, value: object) -> object:
 
 @check_tensor_arguments(scores=_scores)
 def success(scores: Scores) -> Float32[Tensor, " b"]:
-    """1 where the handover succeeds as far as it was judged, else 0."""
+    """1 where the handover succeeds as far as it was judged, else 0.
+
+    Args:
+        scores: B rows.
+    """
     return scores.success.float()
 
 
@@ -41,6 +45,10 @@ def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float3
 
     A criterion that was not evaluated cannot be what fails: it counts as `limit_m` (Affordance in
     S0), except in rows that were not judged at all, where all count as `-limit_m`.
+
+    Args:
+        scores: B rows.
+        limit_m: largest absolute value, m, above 0.
     """
     margin = torch.where(scores.evaluated, scores.margin.nan_to_num(nan=0.0), limit_m).clamp(
         -limit_m, limit_m
@@ -51,7 +59,11 @@ def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float3
 @check_tensor_arguments(scores=_scores)
 def first_failure(scores: Scores) -> Int64[Tensor, " b"]:
     """Column of the first criterion that fails (index into CRITERIA), -1 for a success, -2 for rows
-    that were not judged."""
+    that were not judged.
+
+    Args:
+        scores: B rows.
+    """
     outcome = scores.outcome.long()
     return torch.where(_judged(scores), outcome - 1, NOT_JUDGED)
 
@@ -62,6 +74,10 @@ def quality(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tens
 
     Any success ranks above any failure; among equals the one farther from its nearest threshold is
     better.
+
+    Args:
+        scores: B rows.
+        limit_m: margins are clipped to +- this, m, above 0.
     """
     margin = margin_vector(scores, limit_m=limit_m).amin(1)
     return margin + 2.0 * limit_m * scores.success.to(margin.dtype)
@@ -70,7 +86,15 @@ def quality(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tens
 @check_tensor_arguments(value=_value, k=integer(1))
 def rank_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, "n k"]:
     """Rank of each candidate among the k of its trial, 0 for the largest value; ties by candidate
-    number, NaN last."""
+    number, NaN last.
+
+    Args:
+        value: (N k,) floats, trial by trial.
+        k: candidates of each trial.
+
+    Raises:
+        ValueError: k does not divide the number of rows.
+    """
     order = _best_first(value, k)
     places = torch.arange(k, dtype=torch.int64, device=value.device).expand_as(order)
     return torch.empty_like(order).scatter_(1, order, places)
@@ -79,7 +103,15 @@ def rank_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, "n k"]:
 @check_tensor_arguments(value=_value, k=integer(1))
 def best_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, " n"]:
     """Number (0 to k - 1) of each trial's best candidate: the largest value, the first of equals;
-    NaN never if avoidable."""
+    NaN never if avoidable.
+
+    Args:
+        value: (N k,) floats, trial by trial.
+        k: candidates of each trial.
+
+    Raises:
+        ValueError: k does not divide the number of rows.
+    """
     return _best_first(value, k)[:, 0]
 
 

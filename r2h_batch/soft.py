@@ -54,12 +54,19 @@ def soft_success(
     temperature_m: float,
     log: bool = False,
 ) -> Float[Tensor, "*b"]:
-    """Smooth success of margins in metres; `success` is the verdict (criteria differ in whether
-    touching passes).
+    """Smooth success of margins, in (0, 1).
 
-    `log`: its logarithm, which far from success stays linear in the margins where the number itself
-    underflows. Rows that were not evaluated get the smallest positive number; they and NaN margins
-    have gradient 0.
+    Args:
+        margin: (..., C), m.
+        evaluated: (..., C): which margins count. Rows without any get the smallest positive number;
+            they and NaN margins have gradient 0.
+        success: (...): the verdict, because criteria differ in whether touching passes.
+        temperature_m: margins of this size, m, move it noticeably.
+        log: return its logarithm, which stays linear in the margins where the number itself
+            underflows.
+
+    Raises:
+        ValueError: shapes do not fit.
     """
     for name, value, shape in (
         ("evaluated", evaluated, margin.shape),

@@ -16,7 +16,11 @@ SMALL = 1e-2
 
 
 def exp(twist: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
-    """The rigid motion of a twist (m, rad)."""
+    """The rigid motion (..., 4, 4) of a twist.
+
+    Args:
+        twist: (..., 6): v in m, w in rad.
+    """
     v, w = twist[..., :3], twist[..., 3:]
     a, b, c = _coefficients((w * w).sum(-1))
     W, eye = _hat(w), _eye(twist)
@@ -31,8 +35,11 @@ def exp(twist: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
 
 
 def log(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 6"]:
-    """The twist of a rigid motion, angle below pi; within 1e-3 rad of a half turn the axis is
-    ill-conditioned."""
+    """The twist (..., 6) of a rigid motion, in m and rad.
+
+    Args:
+        T: (..., 4, 4), angle below pi; within 1e-3 rad of a half turn the axis is ill-conditioned.
+    """
     w = _rotation_vector(T[..., :3, :3])
     v = T[..., :3, 3]
     square = (w * w).sum(-1)
@@ -47,13 +54,22 @@ def log(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 6"]:
 
 
 def retract(T: Float[Tensor, "*b 4 4"], twist: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
-    """`T exp(twist)`: the pose moved along its own axes."""
+    """`T exp(twist)`: the pose moved along its own axes.
+
+    Args:
+        T: (..., 4, 4) poses, m.
+        twist: (..., 6): v in m, w in rad.
+    """
     return se3.matmul(T, exp(twist))
 
 
 def tangent(T: Float[Tensor, "*b 4 4"], gradient: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 6"]:
-    """Gradient with respect to a twist at 0 in `retract(T, twist)`, from the gradient with respect
-    to T's entries."""
+    """Gradient (..., 6) with respect to a twist at 0 in `retract(T, twist)`.
+
+    Args:
+        T: (..., 4, 4) poses, m.
+        gradient: (..., 4, 4), with respect to T's entries.
+    """
     R, G = T[..., :3, :3], gradient[..., :3, :3]
     v = (R * gradient[..., :3, 3, None]).sum(-2)
     A = _matmul3(R.transpose(-1, -2), G)

@@ -313,12 +313,25 @@ class Scores(_Rows):
     body_m: Float32[Tensor, " b"]
 
     def failed(self, criterion: str) -> Bool[Tensor, " b"]:
-        """Rows whose first failure is this criterion, a name of `CRITERIA`: `scores.failed("plan")`."""
+        """Rows (B,) whose first failure is a criterion.
+
+        Args:
+            criterion: a name of `CRITERIA`, such as `plan`.
+
+        Raises:
+            ValueError: no criterion has this name.
+        """
         return self.outcome == CRITERIA.index(one_of(*CRITERIA)("criterion", criterion)) + 1
 
     def by_trial(self, k: int) -> Self:
-        """The same rows as views (N, k, ...): k candidates for each of N trials, as they were
-        scored."""
+        """The same rows as views (N, k, ...).
+
+        Args:
+            k: candidates of each trial, as they were scored.
+
+        Raises:
+            ValueError: k does not divide the number of rows.
+        """
         k = k if torch.compiler.is_compiling() else integer(1)("k", k)
         if len(self) % k:
             raise ValueError(
@@ -330,11 +343,14 @@ class Scores(_Rows):
         )
 
     def soft(self, *, temperature_m: float, log: bool = False) -> Float32[Tensor, " b"]:
-        """Smooth success in (0, 1), above 0.5 exactly where `success`; its logarithm with `log`
-        (r2h_batch.soft).
+        """Smooth success (B,) in (0, 1), above 0.5 exactly where `success` (r2h_batch.soft).
 
         Differentiable where `margin` is: scored with stages="pose" from poses that require a
         gradient.
+
+        Args:
+            temperature_m: margins of this size, m, move it noticeably.
+            log: return its logarithm, which stays linear far from success.
         """
         return soft_success(
             self.margin, self.evaluated, self.success, temperature_m=temperature_m, log=log
@@ -420,7 +436,11 @@ class Scores(_Rows):
 
     @staticmethod
     def concatenate(parts: list["Scores"]) -> "Scores":
-        """One `Scores` with the rows of all parts, in order."""
+        """One `Scores` with the rows of all parts, in order.
+
+        Args:
+            parts: one or more, of one device.
+        """
         sequence_of(Scores, "what Evaluator.score returns")("parts", parts)
         longest = max(p.motion.shape[1] for p in parts)
         states = max(p.failed_state.shape[1] for p in parts)

@@ -320,11 +320,19 @@ class Scene:
     def palm(
         self, hand_index: Tensor, T_world_hand: Float32[Tensor, "n 4 4"]
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Palm point p_h, palm normal n_h and ball centre c_h (n, 3) in the world (paper: c_h = p_h
-        + d_h n_h).
+        """Palm point p_h, palm normal n_h and ball centre c_h in the world (paper: c_h = p_h + d_h
+        n_h).
 
-        TypeError or ValueError for indices that are no hands of the scene (their values are looked
-        at on a CPU only).
+        Args:
+            hand_index: (n,) rows of the hand set.
+            T_world_hand: (n, 4, 4) float32, hand to world, m.
+
+        Returns:
+            Three tensors (n, 3); points in m.
+
+        Raises:
+            TypeError, ValueError: shape or dtype do not fit, or (on a CPU) an index is no hand of
+                the scene.
         """
         words = "a torch tensor (n, 4, 4) of torch.float32"
         T_world_hand = check_tensor("T_world_hand", T_world_hand, words)

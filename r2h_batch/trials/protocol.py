@@ -73,13 +73,21 @@ def make_trials(
     benchmark: Benchmark | str | Path | None = None,
     protocol: str | None = None,
 ) -> Trials:
-    """The first `trials` trials of each split, split by split, on the CPU.
+    """The first trials of each split, split by split, on the CPU.
 
-    `objects` (default: the 16 built-in ones) is what `object_index` counts; those of a split take
-    turns in it. Hands stand where `config` puts ball, table and home. `benchmark`, a file or one
-    that was read, says all three instead. `protocol`: r2h-v1 (with `Trials.receiver`) or r2h-v0
-    (hands alone), or r2h-release (with its own objects, hands and place by default); by default the
-    benchmark's, which is r2h-v1 unless it says otherwise.
+    Args:
+        splits: `S0` (free), `S1` (functional), or both.
+        trials: number of trials of each split.
+        objects: what `object_index` counts; those of a split take turns. None: the 16 built-in ones.
+        hand_set: what `hand_index` counts; None: the built-in hands.
+        robot: hands stand within its reach; None: the UR5e.
+        config: ball, table and home, which the hands must suit; None: the default.
+        benchmark: a file, or what `read_benchmark` returned, in place of the four above.
+        protocol: `r2h-v1` (with `Trials.receiver`), `r2h-v0` (hands alone) or `r2h-release` (its own
+            objects, hands and place); None: the benchmark's, else r2h-v1.
+
+    Raises:
+        TypeError, ValueError: an argument is none of these, or no hand fits table and home.
     """
     splits = sequence_of(str, f"of {', '.join(SPLITS)}")(
         "splits", [splits] if isinstance(splits, str) else splits
@@ -159,7 +167,19 @@ def trials_with_ids(
     config: EvalConfig | None = None,
     protocol: str = PROTOCOL,
 ) -> Trials:
-    """The trials of these ids (0 or more), in this order."""
+    """The trials of these ids, in this order, on the CPU.
+
+    Args:
+        trial_id: (N,) int64: 2 i is trial i of S0, 2 i + 1 of S1.
+        objects: as in `make_trials`, like the next three.
+        hand_set: what `hand_index` counts.
+        robot: hands stand within its reach.
+        config: ball, table and home.
+        protocol: `r2h-v1`, `r2h-v0` or `r2h-release`.
+
+    Raises:
+        TypeError, ValueError: an argument is none of these, or an id is negative.
+    """
     trial_id = check_tensor("trial_id", trial_id, "a torch tensor (N,) of torch.int64")
     if trial_id.ndim != 1 or trial_id.dtype != torch.int64:
         raise TypeError(
