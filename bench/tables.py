@@ -11,6 +11,7 @@ The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. 
     docs/results/table1-{v1,others}.md            what a reader needs of them
     docs/results/sensitivity.{md,json}            what each choice is worth
     docs/results/findings.md, README.md, docs/choices.md    what follows from the tables
+    docs/results/{moving,reception,ranks}.md      from the JSON of their benches, which run by themselves
     docs/*.png, docs/pictures/*.png               pictures of runs
     docs/results/made_from.json                   commit, golden's digest, digests of the pictures
 
@@ -34,8 +35,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import closed_loop
 import findings
 import pictures
+import ranks
+import reception
 import sensitivity
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -381,6 +385,9 @@ def render_all() -> dict[Path, str]:
         json.loads((ROOT / RESULTS / "sensitivity.json").read_text())
     )
     files[RESULTS / "findings.md"] = findings.page(data)
+    files[RESULTS / "moving.md"] = closed_loop.markdown(ranks.read("closed_loop"))
+    files[RESULTS / "reception.md"] = reception.markdown(ranks.read("reception"))
+    files[RESULTS / "ranks.md"] = ranks.page()
     readme = (ROOT / "README.md").read_text()
     files[Path("README.md")] = findings.with_table(readme, findings.readme_lines(data["table1-v1"]))
     choices = (ROOT / "docs" / "choices.md").read_text()

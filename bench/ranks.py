@@ -1,0 +1,97 @@
+"""Which methods change places when SR is not what counts: docs/results/ranks.md, from the JSON of other pages.
+
+`bench/tables.py --render` writes it; robustness, reception and moving receivers each have a bench of their own.
+"""
+
+import json
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from _report import ROOT
+
+STORED = ROOT / "bench" / "results"
+LEVELS = {2: "5 mm, 1 deg", 3: "10 mm, 2 deg"}
+CASES = ("moves, planned", "moves, stop", "moves, servo", "moves, replan")
+
+PAGE = """# Which methods change places
+
+Percent of trials (place). SR is the verdict of the plan: the hand stands and the robot does what it is asked. The other columns
+ask for more: the robot's [errors](robustness.md), a person who can [take](reception.md) the object, and a
+[hand that moves](moving.md). `python bench/tables.py --render` makes this page from the JSON of those pages (commits {commits}).
+
+{table}
+
+SR and errors: {robust} trials a split of r2h-v1. Received: {received} a split. Moving: {moving} a split.
+
+Pairs that change places, with the difference in points by SR and there. Errors: ** decided for these objects and for new ones,
+* for these objects (Holm over the pairs of a level). Moving: p of McNemar's exact test, not corrected. Reception: no test.
+
+{pairs}
+"""
+
+
+def read(name: str) -> Any:
+    """A bench's JSON."""
+    return json.loads((STORED / f"{name}.json").read_text())
+
+
+def lines_of(text: str, head: str) -> list[list[str]]:
+    """Cells of the rows of the table that follows a line."""
+    body = text.split(f"{head}\n\n", 1)[1].split("\n\n", 1)[0].splitlines()
+    return [[c.strip() for c in line.strip("|").split("|")] for line in body]
+
+
+def columns() -> dict[str, dict[str, float]]:
+    """Column -> method -> percent; SR first."""
+    robust, moving = read("robustness"), read("closed_loop")
+    curves = {c["method"].partition(" (")[0]: [x["percent"] for x in c["sr"]] for c in robust["curves"]}
+    found = {"SR": {m: x[0] for m, x in curves.items()}}
+    found |= {level: {m: x[k] for m, x in curves.items()} for k, level in LEVELS.items()}
+    head, _, *rows = lines_of(read("reception")["tables"], "Received, by step")
+    for name in ("of all", "and success"):
+        found[f"received {name}".replace("of all", "").strip()] = {
+            r[0]: float(r[head.index(name)]) for r in rows if r[0] in curves
+        }
+    methods = {m.partition(" (")[0]: x["cases"] for m, x in moving["methods"].items()}
+    found |= {case: {m: 100 * float(np.mean(x[case]["won"])) for m, x in methods.items()} for case in CASES}
+    return found
+
+
+def tested(case: str, a: str, b: str) -> str:
+    """What the page of a column says of a pair's difference there: marks, or p."""
+    from scipy.stats import binomtest
+
+    if case in LEVELS.values():
+        head, _, *rows = lines_of(read("robustness")["tables"], "Pairs: A-B")
+        (cell,) = [r[head.index(case)] for r in rows if {r[0], r[1]} == {a, b}]
+        return "*" * cell.count("*")
+    if case not in CASES:
+        return ""
+    methods = {m.partition(" (")[0]: x["cases"][case]["won"] for m, x in read("closed_loop")["methods"].items()}
+    x, y = np.array(methods[a]), np.array(methods[b])
+    up, down = int((x & ~y).sum()), int((~x & y).sum())
+    return f" (p {binomtest(up, up + down).pvalue:.2g})" if up + down else ""
+
+
+def page() -> str:
+    """docs/results/ranks.md."""
+    from r2h_batch.report.text import aligned
+
+    found = columns()
+    methods = list(found["SR"])
+    places = {c: {m: 1 + sum(x[o] > x[m] for o in methods) for m in methods} for c, x in found.items()}
+    rows = [[m, *(f"{x[m]:.1f} ({places[c][m]})" for c, x in found.items())] for m in methods]
+    said = []
+    for c, x in list(found.items())[1:]:
+        for a, b in combinations(methods, 2):
+            before, after = found["SR"][a] - found["SR"][b], x[a] - x[b]
+            if before * after < 0:
+                said.append(f"- {c}: {a} less {b} {before:+.1f}, there {after:+.1f}{tested(c, a, b)}")
+    sources = {name: read(name) for name in ("robustness", "reception", "closed_loop")}
+    return PAGE.format(
+        commits=", ".join(f"{s['commit'][:12]}" for s in sources.values()),
+        table=aligned(["Method", *found], rows, 1),
+        robust=sources["robustness"]["trials"], received=sources["reception"]["trials"],
+        moving=sources["closed_loop"]["trials"], pairs="\n".join(said or ["- none"]),
+    )  # fmt: skip
