@@ -188,7 +188,8 @@ def _closing_speed(trials: Trials, poses: pa.Table, judge: Judge) -> NDArray[np.
         for k in ("T_obj_ee", "T_world_ee")
     )
     scores = evaluator.score(grasp, ee, trials)
-    length, motion = scores.path_len, time_path(scores.path, scores.path_len, execute)
+    length, weight = scores.path_len, scene.robot.joint_weight
+    motion = time_path(scores.path, length, execute, weight)
     fastest = torch.full_like(motion.t_exec_s, -torch.inf)
     nearer, earlier = torch.full_like(fastest, torch.inf), torch.zeros_like(fastest)
     with evaluator.working():
