@@ -145,7 +145,7 @@ CAUSES = [
     " edges against the true hand. In preset paper it samples paths around the estimated hand, and motions then fail Safe."
     " In the default preset Intent-Handover is ahead in S0 (cause 4).",
     "Contact-Handover's pose search sees hand and object but not the object's function. F_afford rises: the network never saw"
-    " the object in whose place it is asked ([receivers](../receivers.md#contact-network)). Stability fails only with candidates"
+    " the object whose contacts it predicts ([receivers](../receivers.md#contact-network)). Stability fails only with candidates"
     " as generated (`candidates as generated` in [sensitivity](sensitivity.md)).",
     "Intent-Handover's rule knows the region. Contact-Handover's network never saw the object. With filtered candidates that"
     " still gives the second place; with candidates as generated (preset paper) it does not.",
