@@ -4,7 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
-from golden import ENGINES, GOLDEN, compute, made_with
+from golden import ENGINES, GOLDEN, compute, made_with, sweep_digests
+
+from r2h_batch.bodies.robot import load_robot, write_robot
 
 QUICK = ("pose", "none")
 CASES = [pytest.param(case, marks=pytest.mark.check if case in QUICK else ()) for case in (*ENGINES, "pose")]
@@ -19,3 +21,11 @@ def test_nothing_has_changed(case: str, tmp_path: Path) -> None:
     for name, part in found.items():
         kind = "digest" if same_machine else "outcomes"
         assert part[kind] == stored["cases"][name][kind], f"{name}: {kind} changed; see CONTRIBUTING.md, golden"
+
+
+def test_a_robot_file_equal_to_the_built_in_one_gives_goldens_digests(tmp_path: Path) -> None:
+    stored, folder = json.loads(GOLDEN.read_text()), tmp_path / "mine"
+    write_robot(folder, load_robot())
+    (name, part), *_ = sweep_digests("none", tmp_path, ["intent"], ["--robot", str(folder)]).items()
+    kind = "digest" if stored["made_with"] == made_with() else "outcomes"
+    assert part[kind] == stored["cases"][name][kind]
