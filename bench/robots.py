@@ -82,26 +82,31 @@ Percent of all trials, mean of the splits.
 
 {failures}
 
-## Whole trials
-
-{trial_rows} trials a robot, half answered by the oracle and half by random: microseconds of one core, median of {repeats}.
-
-{whole}
-
-## Collision checks and paths
-
-Postures: own verdict against the distances of MuJoCo C. Paths: problems with a free start and a free goal, {budget_s:g} s for
-OMPL.
-
-{checked}
-
-## Inverse kinematics
+{more}## Inverse kinematics
 
 {targets:,} postures drawn uniformly within the joint ranges; microseconds of one core for a target, with all branches or eight
 postures. Missed: targets without any posture. pytorch-kinematics: one posture within 1 mm and 0.01 rad, {restarts} restarts,
 {some:,} targets.
 
 {ik}
+"""
+
+
+WHOLE = """## Whole trials
+
+{trial_rows} trials a robot, half answered by the oracle and half by random: microseconds of one core, median of {repeats}.
+
+{whole}
+
+"""
+
+CHECKED = """## Collision checks and paths
+
+Postures: own verdict against the distances of MuJoCo C. Paths: problems with a free start and a free goal, {budget_s:g} s for
+OMPL.
+
+{checked}
+
 """
 
 
@@ -260,6 +265,7 @@ def paths(answered: Answered, wanted: int) -> dict[str, int]:
 def measure(options: argparse.Namespace, data: dict[str, Any]) -> None:
     """The sections asked for, of all robots, into `data`."""
     torch.set_num_threads(1)
+    data.setdefault("measured", {"table": {"commit": data.get("commit")}})
     asked, robots = options.sections, {name: load_robot(name) for name in ROBOTS}
     record = data.setdefault("robots", {})
     for name, robot in robots.items():
@@ -312,20 +318,22 @@ def markdown(data: dict[str, Any]) -> str:
         for name, r in robots.items()
     ]
     head = ["Robot", "us", "missed", "postures", "largest error, um", "pytorch-kinematics, us", "its misses"]
-    whole = [[name, f"{r['trials']['us']:.0f}"] for name, r in robots.items()]
-    checked = [[name, *(f"{part[k]:,}" for part, keys in _checked(r) for k in keys)] for name, r in robots.items()]
-    heads = "Robot,postures,borderline,disagreements,problems,solved,penetrating,OMPL's solved,OMPL's penetrating"
+    more = ""
+    if all("trials" in r for r in robots.values()):
+        whole = [[name, f"{r['trials']['us']:.0f}"] for name, r in robots.items()]
+        rows = next(iter(robots.values()))["trials"]["trials"]
+        more += WHOLE.format(trial_rows=rows, repeats=REPEATS, whole=aligned(["Robot", "us"], whole, 1))
+    if all("collision" in r and "plan" in r for r in robots.values()):
+        checked = [[name, *(f"{part[k]:,}" for part, keys in _checked(r) for k in keys)] for name, r in robots.items()]
+        heads = "Robot,postures,borderline,disagreements,problems,solved,penetrating,OMPL's solved,OMPL's penetrating"
+        more += CHECKED.format(budget_s=BUDGET_S, checked=aligned(heads.split(","), checked, 1))
     commits: dict[str, list[str]] = {str(x["commit"])[:12]: [] for x in data["measured"].values()}
-    for section, made in data["measured"].items():
+    for section, made in sorted(data["measured"].items()):
         commits[str(made["commit"])[:12]].append(section)
     return HEAD.format(
         trials=data["trials"],
         commits=", ".join(f"{commit} ({', '.join(names)})" for commit, names in commits.items()),
-        trial_rows=next(iter(robots.values()))["trials"]["trials"],
-        repeats=REPEATS,
-        whole=aligned(["Robot", "us"], whole, 1),
-        budget_s=BUDGET_S,
-        checked=aligned(heads.split(","), checked, 1),
+        more=more,
         rates=aligned(["Method", *robots], rates, 1),
         orders="\n".join(f"- {name}: {_order(r['table'], methods)}" for name, r in robots.items()),
         stroke=robots["panda_hand"]["stroke_mm"],
@@ -363,7 +371,8 @@ def main() -> None:
     options = parser.parse_args()
     if not options.render:
         data = json.loads(STORED.read_text())
-        measure(options, data)
+        with on_threads(1):
+            measure(options, data)
         STORED.write_text(json.dumps(data, indent=1) + "\n")
     PAGE.write_text(markdown(json.loads(STORED.read_text())))
 

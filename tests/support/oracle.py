@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 CLASSES = ("hand", "table", "self", "object_hand", "object_table", "object_robot")
 """Names of r2h_batch.types.CollidingPair 1..6, lower case, in that order."""
 
-TABLE_POS, TABLE_HALF = (-0.025, 0.0, -0.025), (0.475, 0.6, 0.025)  # benchmark.md, 5 cm thick
 FAR_M = 10.0
 
 
@@ -85,8 +84,9 @@ class MujocoScene:
         self.person = [] if receiver is None else self._add_person(spec, receiver)
         self.groups["hand"] += self.person
         self.groups["table"].append("table")
+        place = scene.config.workplace
         spec.worldbody.add_geom(
-            name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=TABLE_HALF, pos=TABLE_POS, **_PASSIVE
+            name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=place.table_half, pos=place.table_center, **_PASSIVE
         )
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
