@@ -73,7 +73,7 @@ parts of the whole; the rest is kinematics, limits and counting.
 
 GROWTH = """
 `python bench/closed_loop.py --growth {n}` (bench/results/closed_loop_growth.json, commit {commit}): {n} episodes in one process,
-other hands in each pass over the oracle's poses, {ms:.0f} ms of process time each. Resident memory after each tenth, MiB:
+other hands in each pass over the oracle's poses, {ms:.0f} ms of process time each. Resident memory from pass to pass, MiB:
 {mib}.
 """
 
