@@ -266,7 +266,8 @@ def detail_rows(trials: "Trials", scores: "Scores", names: TrialNames) -> pa.Tab
         "witness_safe_part": _named(part[:, 1], names.parts),
         "witness_point_m": _vectors(scores.witness_point),
     }
-    return pa.table([columns[f.name] for f in DETAIL_SCHEMA], schema=DETAIL_SCHEMA)
+    schema = _of_joints(DETAIL_SCHEMA, scores.q_goal.shape[1])
+    return pa.table([columns[f.name] for f in DETAIL_SCHEMA], schema=schema)
 
 
 def missing_rows(trials: "Trials", names: TrialNames) -> pa.Table:
@@ -308,11 +309,22 @@ def path_rows(scores: "Scores", planned: tuple[Any, Any] | None = None) -> pa.Ta
         pa.array(_array(scores.trial_id)[rows], pa.int64()),
         _vectors(_array(scores.q_goal)[rows]),
     ]
-    last = pa.nulls(len(rows), PATH_SCHEMA.field("planned_q").type)
+    schema = _of_joints(PATH_SCHEMA, scores.q_goal.shape[1])
+    last = pa.nulls(len(rows), schema.field("planned_q").type)
     if planned is not None:
         q, length = (_array(x)[rows] for x in planned)
         last = _postures(q, length.astype(np.int64))
-    return pa.table([*first, *_motion_columns(scores, rows), last], schema=PATH_SCHEMA)
+    return pa.table([*first, *_motion_columns(scores, rows), last], schema=schema)
+
+
+def _of_joints(schema: pa.Schema, joints: int) -> pa.Schema:
+    """The schema with postures of so many joints in place of a UR's six."""
+    goal = pa.list_(pa.float32(), joints)
+    for name in set(schema.names) & {"q_goal", "q", "executed_q", "planned_q"}:
+        at = schema.get_field_index(name)
+        kind = goal if name == "q_goal" else pa.list_(goal)
+        schema = schema.set(at, schema.field(at).with_type(kind))
+    return schema
 
 
 def failure_rows(
@@ -355,11 +367,11 @@ def _poses(T: Any) -> pa.Array:
 
 
 def _postures(q: np.ndarray, length: np.ndarray, mask: pa.Array | None = None) -> pa.ListArray:
-    """Column of lists of joint angles: of each row (W, 6) the first `length`; masked rows are
+    """Column of lists of joint angles: of each row (W, N) the first `length`; masked rows are
     null."""
     kept = np.arange(q.shape[1]) < length[:, None]
     offsets = pa.array(np.concatenate([[0], np.cumsum(length)]), pa.int32())
     flat = pa.FixedSizeListArray.from_arrays(
-        pa.array(q[kept].astype(np.float32).reshape(-1), pa.float32()), 6
+        pa.array(q[kept].astype(np.float32).reshape(-1), pa.float32()), q.shape[-1]
     )
     return pa.ListArray.from_arrays(offsets, flat, mask=mask)
