@@ -251,7 +251,7 @@ class Scores(_Rows):
             margin is minus a lower bound of their penetration depth, the shortest translation that
             parts them. CAP: the clearance is this or more (5 cm; Stability 1 cm), or there is
             nothing to measure (-inf; nothing between the pads).
-        borderline: an evaluated margin is smaller than 0.1 mm, where float32 does not decide it.
+        borderline: an evaluated margin is nearer to 0 than 0.1 mm, where float32 does not decide it.
         plan_reason: `PlanReason`: why there is no path.
         plan_pair: `CollidingPair`: what collides at start or goal.
         witness_part: robot part (`Scene.part_names`) of Plan's and of Safe's smallest clearance.

@@ -1,7 +1,6 @@
 """What somebody who had not written the commands broke: outputs over runs, links, pipes, stray files, Ctrl-C."""
 
 import re
-import sys
 import warnings
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from made_runs import write
 
 from r2h_batch.__main__ import main
-from r2h_batch.command_line import answer, telling
+from r2h_batch.command_line import answer
 from r2h_batch.predictions import load_predictions
 
 
@@ -74,28 +73,6 @@ def test_ctrl_c_is_one_line_and_130(capsys):
 
     assert answer("figures", work) == 130
     assert capsys.readouterr().err == "figures: interrupted\n"
-
-
-@pytest.mark.parametrize(
-    ("flags", "said"),
-    [((), "figures: mug: repaired \\x1b[2J\n"), (("quiet",), ""), (("verbose",), "overflow encountered")],
-)
-def test_a_warning_is_one_line_without_the_source_that_warns(flags, said, capsys, monkeypatch):
-    def shown(message, category, filename, lineno, file=None, line=None):  # as outside pytest, which records them
-        sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))
-
-    monkeypatch.setattr(warnings, "showwarning", shown)
-
-    def work():
-        warnings.warn("mug:\n repaired \x1b[2J", stacklevel=1)
-        return int(np.isfinite(np.float64(1e300).astype(np.float32)))
-
-    with telling(**dict.fromkeys(flags, True)), warnings.catch_warnings():
-        warnings.simplefilter("always")
-        assert answer("figures", work) == 0
-    error = capsys.readouterr().err
-    assert said in error and "test_attacked.py" not in error and error.count("\n") <= 1 + ("verbose" in flags)
-    assert ("overflow" in error) == ("verbose" in flags)
 
 
 def test_numbers_that_float32_does_not_hold_are_no_pose_and_no_threshold(run, tmp_path, capsys):

@@ -19,7 +19,6 @@ from other_defaults import everything
 from problems import assert_same, default_evaluator, make_batch
 from staging import Staged, batch_of, staged_evaluator
 from torch._subclasses.fake_tensor import FakeTensorMode
-from torch.utils.data import DataLoader, Dataset
 
 import r2h_batch
 from r2h_batch import Evaluator, make_trials
@@ -113,26 +112,6 @@ def test_a_handler_that_interrupts_a_call_at_its_pool_and_scores_gets_the_same_r
             signal.signal(number, old)
     assert inside and all(x.tobytes() == here.tobytes() for x in [rows, *inside])
     outcomes(evaluator, batch, "pose")  # the pool takes part again
-
-
-class Judged(Dataset):
-    """Items are margins that a loader's worker computes, all rows at once."""
-
-    def __init__(self, evaluator, batch):
-        self.evaluator, self.batch = evaluator, batch
-
-    def __len__(self) -> int:
-        return 2
-
-    def __getitem__(self, i):
-        return outcomes(self.evaluator, self.batch.rows(torch.arange(ROWS).roll(i)), "pose")
-
-
-def test_loader_workers_score_rows_of_their_own(evaluator, batch):
-    here = outcomes(evaluator, batch, "pose")
-    loader = DataLoader(Judged(evaluator, batch), batch_size=None, num_workers=2, timeout=WAIT_S)
-    for i, margin in enumerate(loader):
-        assert margin.numpy().tobytes() == np.roll(here, i, axis=0).tobytes()
 
 
 # --- copies --------------------------------------------------------------------------------------------------------

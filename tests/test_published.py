@@ -97,11 +97,3 @@ def test_a_checkout_with_changes_is_refused(tables, monkeypatch, tmp_path):
     (tmp_path / "new.py").write_text("")
     with pytest.raises(SystemExit, match="1 files differ from the commit"):
         tables.clean_commit()
-
-
-def test_the_range_of_t_exec_in_choices_is_exchanged_and_nothing_else(tables):
-    rows = [
-        {"split": s, "method": f"{m}-Handover", "t_exec_s": t} for s, m, t in (("S0", "A", 5.04), ("S1", "B", 8.96))
-    ]
-    data = {name: {"rows": [*rows, {"split": "S0", "method": "random", "t_exec_s": 99.0}]} for name in NAMES}
-    assert tables.times_text(data).startswith("ours is 5.0 to 9.0 s in r2h-v1, 5.0 to 9.0 s in r2h-v0, 5.0 to 9.0")

@@ -32,16 +32,6 @@ from warp.types import types_equal
 
 _WRITTEN = ("_inout", "_out", "_scratch")
 
-_NUMPY: dict[Any, np.dtype[Any]] = {
-    wp.bool: np.dtype(np.bool_),
-    wp.int8: np.dtype(np.int8),
-    wp.uint8: np.dtype(np.uint8),
-    wp.int32: np.dtype(np.int32),
-    wp.int64: np.dtype(np.int64),
-    wp.uint64: np.dtype(np.uint64),
-    wp.float32: np.dtype(np.float32),
-    wp.float64: np.dtype(np.float64),
-}
 _FLOATS = (wp.float32, wp.float64)
 
 
@@ -284,23 +274,28 @@ def _parameter(kernel: str, label: str, declared: Any) -> Parameter:
         return Parameter(kernel, label, declared, _pack_array, _layout(declared))
     if hasattr(declared, "vars"):  # of wp.struct
         return Parameter(kernel, label, declared, _pack_struct)
-    if hasattr(declared, "_wp_scalar_type_"):
+    if _elements(declared)[1]:  # a vector or a matrix
         return Parameter(kernel, label, declared, _pack_value)
     return Parameter(kernel, label, declared, _pack_float if declared in _FLOATS else _pack_integer)
 
 
 def _layout(declared: Any) -> Layout:
-    scalar = getattr(declared.dtype, "_wp_scalar_type_", declared.dtype)
-    number = _NUMPY[scalar]
-    item = getattr(declared.dtype, "_shape_", ())
+    number, item = _elements(declared.dtype)
     return Layout(
         declared.ndim,
-        tuple(item),
+        item,
         number,
         getattr(torch, number.name),
         number.itemsize * prod(item),
         _descriptor(),
     )
+
+
+@cache
+def _elements(kind: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    """The numbers that an array's element consists of, and their shape: (3,) of a vec3."""
+    empty = wp.empty(0, dtype=kind, device="cpu").numpy()
+    return empty.dtype, empty.shape[1:]
 
 
 @cache
@@ -358,7 +353,7 @@ def _strides(shape: tuple[int, ...], step: int) -> tuple[int, ...]:
 
 
 def _pack_struct(p: Parameter, value: Any, place: Any, rows: int) -> Any:
-    if getattr(value, "_cls", None) is not p.type:
+    if type(value) is not p.type.instance_type:
         raise _wrong_kind(p, value, place)
     return value
 
@@ -402,8 +397,8 @@ def _given(value: Any) -> str:
     if hasattr(value, "data_ptr"):
         whole = "" if value.is_contiguous() else "non-contiguous "
         return f"a {whole}tensor of {str(value.dtype).removeprefix('torch.')} with shape {tuple(value.shape)} on {value.device}"
-    if hasattr(value, "_cls"):
-        return f"a struct {_type_name(value._cls)}"
+    if hasattr(value, "numpy_value"):  # of wp.struct
+        return f"a struct {repr(value).partition('(')[0]}"
     return f"{value!r} ({type(value).__name__})"
 
 

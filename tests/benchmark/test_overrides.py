@@ -237,11 +237,7 @@ def test_what_the_flags_cannot_mean_is_refused_in_one_line(tmp_path, capsys):
     for flags, words in (
         (("--objects", tmp_path / "empty"), "no mesh"),
         (("--hands", pipe), "not a regular file"),
-        (("--hand-model", pipe), "not a regular file"),
-        (("--grasps", f"cup={pipe}"), "not a regular file"),
         (("--trials-file", pipe), "not a regular file"),
-        (("--benchmark", tmp_path / "pipe.yaml"), "not a regular file"),
-        (("--predicted-hands", pipe), "not a regular file"),
         (("--hand-model", tmp_path / "none.npz"), "none.npz"),
         (("--trials-file", tmp_path / "none.txt"), ".npz, .parquet, .csv, .json file"),
     ):

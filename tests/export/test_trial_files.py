@@ -7,7 +7,6 @@ import pytest
 import torch
 from hand_twins import hand_vertices, palms
 
-from r2h_batch.__main__ import main
 from r2h_batch.bodies.hand import load_hand
 from r2h_batch.bodies.objects import S0_NAMES, S1_NAMES, load_objects
 from r2h_batch.export.trial_files import write_trials
@@ -60,27 +59,3 @@ def test_written_trials_agree_with_the_library(written):
         assert np.array_equal(data["vertices"], o.vertices) and data["occupancy"].sum() == o.occupancy.sum()
         assert data["grasp_T_obj_ee"].shape == (100, 4, 4) and data["grasp_part"].max() < len(data["part_names"])
         assert data["point_receiver"].any() == (o.split == "S1")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["--out", "x", "--trails", "3"], "did you mean --trials?"),
-        (["--out", "x", "--trials", "0"], "1 to 1000000: all are held in memory"),
-        (["--out", "{full}"], "is not empty; give a new or empty folder"),
-        (["--out", "x", "--object-mesh", "missing.obj"], "missing.obj"),
-    ],
-)
-def test_a_wrong_command_line_gets_one_clear_line_and_code_2(arguments, told, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "mine.txt").write_text("keep me")
-    arguments = [a.format(full=tmp_path / "full") for a in arguments]
-    try:
-        code = main(["trials", *arguments])
-    except SystemExit as stop:
-        code = stop.code
-    captured = capsys.readouterr()
-    assert code == 2 and captured.out == ""
-    assert len(captured.err.strip().splitlines()) == 1 and told in captured.err
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "mine.txt"]

@@ -10,7 +10,7 @@ from needs import needs
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.gallery import pictures
-from r2h_batch.gallery.pictures import first_of_each_outcome, shared_trial
+from r2h_batch.gallery.pictures import first_of_each_outcome
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 
@@ -36,13 +36,6 @@ def test_each_outcome_is_represented_by_its_first_trials_of_different_objects(ru
     found = first_of_each_outcome(run, "m", 3)
     assert found["success"] == [0, 1, 2]  # bowl, cup, eyeglasses; trial 3 is a bowl again
     assert found["plan"] == [4, 5] and "missing" not in found
-
-
-def test_the_shared_trial_is_one_in_which_all_move_and_not_all_come_to_the_same_end(run):
-    trial = shared_trial(run, run.methods)
-    words = {m: run.trials(m).filter(np.array(run.trials(m)["trial_id"]) == trial).to_pylist()[0] for m in run.methods}
-    assert all(w["t_exec_s"] is not None for w in words.values())
-    assert len({w["outcome"] for w in words.values()}) == 2
 
 
 def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, capsys, monkeypatch):

@@ -6,10 +6,10 @@ from importlib import import_module
 import numpy as np
 import pytest
 import torch
-from mano_files import MIRROR, mano_dictionary, mano_twin, write_mano
+from mano_files import mano_dictionary, mano_twin, write_mano
 
 from r2h_batch.benchmark.build import BenchmarkOverrides
-from r2h_batch.bodies.hand import HandModel, load_hand, load_hand_set, make_hand_set
+from r2h_batch.bodies.hand import load_hand, load_hand_set, make_hand_set
 from r2h_batch.bodies.hand_pieces import close_holes
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.evaluate import Evaluator
@@ -17,7 +17,7 @@ from r2h_batch.importers.mano import hand_arrays, load_mano
 from r2h_batch.io.read import FileError
 from r2h_batch.receiver import receiving
 from r2h_batch.receiver.sampler import NoHoldError
-from r2h_batch.trials.protocol import make_trials, trials_digest
+from r2h_batch.trials.protocol import make_trials
 
 
 @pytest.fixture(scope="module")
@@ -239,9 +239,3 @@ def test_a_stored_hand_or_set_that_is_none_is_refused_in_one_line(files, tmp_pat
     assert len(ten) == 10 and ten.side.tolist() == [0] * 5 + [1] * 5 and ten.model is load_hand()
     first = slice(int(own.hull_offsets[195 * 20]), int(own.hull_offsets[205 * 20]))
     assert torch.equal(ten.hull_vertex_ids, own.hull_vertex_ids[first])
-
-
-def test_the_built_in_hand_is_a_model_without_blend_shapes_of_pose():
-    assert isinstance(load_hand(), HandModel) and load_hand().pose_basis is None and load_hand().left is None
-    assert load_hand_set().model is load_hand()
-    assert len(trials_digest(make_trials(trials=2))) == 64 and MIRROR[0] == -1

@@ -9,11 +9,9 @@ import yaml
 from made_runs import write_run
 from needs import needs
 
-from r2h_batch.__main__ import main
 from r2h_batch.report.card import write_summary
 from r2h_batch.report.table import render, table_of
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.options import METHODS
 
 
 @pytest.fixture
@@ -49,20 +47,3 @@ def test_a_run_folder_is_a_data_set_of_the_hugging_face_library(run, tmp_path, m
     assert alone["outcome"][:] == run.trials("a")["outcome"].to_pylist()
     rows = datasets.load_dataset(str(run.folder), slug, cache_dir=str(tmp_path / "cache"))["trials"]
     assert rows["trial_id"] == run.trials("a")["trial_id"].to_pylist() and rows["outcome"][0] == "success"
-
-
-def test_ls_names_what_command_lines_take(run, tmp_path, monkeypatch, capsys):
-    def listed(*words):
-        assert main(["ls", *words]) == 0
-        return capsys.readouterr().out.splitlines()
-
-    assert [line.split()[0] for line in listed("methods")] == list(METHODS)
-    assert len(listed("objects")) >= 16 and any(" hammer " in line and " mm " in line for line in listed("objects"))
-    assert all(len(line.split()) > 3 for line in listed("protocols"))
-    assert any(line.startswith("r2h-v1 ") and line.endswith("default") for line in listed("protocols"))
-    assert listed("robots")
-    monkeypatch.chdir(tmp_path)
-    (line,) = listed("runs")
-    assert line.startswith("runs/mine") and "4 S0, 4 S1" in line
-    assert main(["ls", "run"]) == 2
-    assert "did you mean runs?" in capsys.readouterr().err

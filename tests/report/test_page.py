@@ -10,9 +10,8 @@ import pytest
 from made_runs import paper_run, table_1, write_run
 from needs import CHROMIUM, needs
 
-from r2h_batch.report import figures, page
+from r2h_batch.report import page
 from r2h_batch.report.text import NA
-from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.paired import compare, pair_up
 from r2h_batch.types import CRITERIA
@@ -90,15 +89,6 @@ def test_a_large_run_is_represented_by_the_first_of_each_outcome_and_says_so(tmp
     words = columns[trials_of(text)["columns"].index("outcome")]
     assert words.count("safe") == 1 and words.count("success") == 5
     assert "m: 6 of 300 trials" in text
-
-
-def test_bars_are_as_long_as_the_shares_and_name_them():
-    counts = dict.fromkeys(OUTCOME_NAMES, 0) | {"success": 3, "plan": 1}
-    text = figures.failure_bars("a <method> $x$", [("S0", counts), ("S1", counts | {"success": 0})])
-    assert 'aria-label="a &lt;method&gt; $x$. S0: success 3, plan 1; S1: plan 1"' in text
-    assert "&lt;method&gt; $x$" in text
-    shares = [n for n in re.findall(r">(\d+)</text>", text) if n not in ("0", "50")]
-    assert shares == ["75", "25", "100"]  # success of the first bar, then Plan's of both
 
 
 def test_margin_histograms_count_every_finite_margin_once(paper):

@@ -259,13 +259,3 @@ def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only
 def _rows(folder, capsys):
     assert command("report", folder, format="json") == 0
     return json.loads(capsys.readouterr().out)["rows"]
-
-
-def test_a_folder_that_is_no_run_names_the_runs_that_are_near(tmp_path, capsys):
-    write_run(tmp_path / "runs" / "mine", {"a": np.zeros(8, int)}, 4, 4)
-    for given, words in ((tmp_path / "runs", "runs/mine"), (tmp_path / "runs" / "mime", "runs/mine")):
-        assert command("report", given) == 2
-        error = capsys.readouterr().err
-        assert f"did you mean {tmp_path}/{words}" in error and error.count("\n") == 1
-    assert command("report", tmp_path / "runs" / "mine", "baselin") == 2
-    assert "did you mean baselines" in capsys.readouterr().err

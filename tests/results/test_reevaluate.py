@@ -253,17 +253,3 @@ def test_a_configuration_comes_back_as_it_was_or_is_refused(tmp_path):
     with pytest.raises(RunError, match="of another version: stability"):
         configuration(data, "run")
     assert set(again.COMPARED["trials"]) == set(TRIAL_SCHEMA.names) - {"t_plan_s", "t_method_s"}
-
-
-def test_people_of_r2h_v1_are_swept_judged_again_and_handed_to_methods(tmp_path):
-    out = tmp_path / "run"
-    line = ["--method", "random", "--trials", "4", "--sim", "none", "--protocol", "r2h-v1", "--out", str(out)]
-    assert sweep(line) == 0
-    run = load_run(out)
-    assert run.header["protocol"] == "r2h-v1"
-    found = reevaluate(run, "random", 8, Judge(run))
-    assert (found.scored, found.equal) == (8, 8)
-    assert main(["trials", "--protocol", "r2h-v1", "--trials", "4", "--out", str(tmp_path / "files")]) == 0
-    with np.load(tmp_path / "files" / "trials.npz") as files:
-        assert files["receiver"].shape == (8, 5, 4)
-    assert run.header["digests"]["trials"] in (tmp_path / "files" / "README.md").read_text()

@@ -70,14 +70,6 @@ def test_every_setting_counts_what_scoring_with_it_counts(made):
     assert len(seen) == 36  # every threshold matters
 
 
-def test_the_runs_own_thresholds_give_back_the_stored_outcomes(made):
-    run, *_ = made
-    (point,) = others.rethreshold(run)
-    stored = run.trials("m")["outcome"].to_pylist()
-    assert point.counts["m"][:, Outcome.SUCCESS].sum() == stored.count("success")
-    assert point.counts["m"][:, Outcome.SAFE].sum() == stored.count("safe")
-
-
 def test_a_grasp_that_fails_for_another_reason_than_its_width_still_fails(tmp_path):
     trials = make_trials(2, 0)
     scores = scored(trials, torch.zeros(2), torch.tensor([0.01, 0.02]), torch.full((2,), 0.05), BASE)

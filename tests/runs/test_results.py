@@ -118,19 +118,6 @@ def test_the_digest_is_of_the_rows_and_not_of_the_clock(tmp_path):
     assert len(set(digests.values())) == 3
 
 
-def test_a_write_that_fails_leaves_what_was_stored_and_no_trace_of_its_own(tmp_path):
-    write(tmp_path / "run", method="first")
-    trials = make_trials(6, 6)
-    run = open_run(tmp_path / "run", make_header(6, 6))
-    run.register("second", {"kind": "test"})
-    before = sorted(p for p in (tmp_path / "run").rglob("*") if p.is_file())
-    with pytest.raises(RuntimeError, match="power"), run.write("second", shards_of(run.header)[0]) as writer:
-        writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES), NAMES))
-        raise RuntimeError("power")
-    assert load_run(tmp_path / "run").methods == ("first",)
-    assert sorted(p for p in (tmp_path / "run").rglob("*") if p.is_file()) == before
-
-
 def test_what_a_killed_sweep_left_of_a_shard_is_removed_by_the_next_one_and_is_no_parquet_file(tmp_path):
     write(tmp_path / "run")
     stale = run_store.temporary_name(tmp_path / "run" / "trials" / "m" / "000000")

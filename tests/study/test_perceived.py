@@ -13,7 +13,6 @@ from r2h_batch.runs.store import load_run
 from r2h_batch.study.perceived import MEASURES
 
 METHODS = ("fc", "handover-va", "contact")
-NAMES = ("FC-Handover", "Handover-VA", "Contact-Handover")
 QUICK = ["--sim", "none", "--quiet", "--trials", "5", "--save-paths"]
 COMFORT = (3.2, 2.8, 2.5)  # Fig. 7 of the paper
 PEOPLE = ("anna", "ben", "cleo")
@@ -153,8 +152,3 @@ def test_a_rating_of_an_unknown_trial_and_one_given_twice_are_refused_by_line(tr
         assert main(["study", "rated", str(odd), "--trials", str(trials[0])]) == 2
         error = capsys.readouterr().err
         assert why in error and "line 8" in error and error.count("\n") == 1
-
-
-def test_two_methods_are_no_order(run, capsys):
-    assert main(["report", str(run), "--perceived", "--method", "fc", "contact"]) == 2
-    assert "needs three" in capsys.readouterr().err

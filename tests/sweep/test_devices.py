@@ -46,7 +46,7 @@ LOST = {
 }
 
 
-@pytest.mark.parametrize(("what", "who"), zip(LOST, ["the evaluator", "the method"] * 2, strict=True))
+@pytest.mark.parametrize(("what", "who"), [*zip(LOST, ["the evaluator", "the method"] * 2, strict=True)])
 def test_a_gpu_that_is_lost_is_one_line_and_the_same_command_goes_on(what, who, tmp_path, monkeypatch, capsys):
     mine, real, calls = type(sys)("mine"), FakeEvaluator.score, []
 

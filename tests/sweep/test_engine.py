@@ -1,7 +1,5 @@
 """How long a shard is, and which trials it holds."""
 
-import os
-import socket
 import time
 from dataclasses import replace
 
@@ -94,24 +92,3 @@ def test_planned_ids_are_those_of_the_protocol_in_any_range(splits):
         ids = plan.ids(first, last)
         assert ids.tolist() == expected.trial_id[first:last].tolist()
         assert torch.equal(plan.trials(ids).T_world_hand, expected.T_world_hand[first:last])
-
-
-def test_a_sweep_that_waits_for_another_one_says_for_whom(tmp_path, monkeypatch, capsys):
-    made, job, naps = bench(6, fake_bench.FakeEvaluator()), replace(JOB, warm=False), []
-    folder = open_run(tmp_path / "run", {**made.header, "shard_trials": 6})
-    folder.register("m", {"kind": "test"})
-    log = engine.Log(tmp_path / "progress.json")
-    other = folder.claim("m", folder.todo("m")[1])
-    monkeypatch.setattr(engine, "WAIT_S", 0.0)
-
-    def nap(seconds):
-        naps.append(seconds)
-        if len(naps) == 3:
-            other.__exit__(None, None, None)
-
-    assert other.__enter__()
-    monkeypatch.setattr(engine.time, "sleep", nap)
-    assert engine.score_local(made, [job], folder, lambda: False, log) == []
-    said = [line for line in capsys.readouterr().err.splitlines() if "waiting" in line]
-    assert said == [f"m: waiting for shard 1, which process {os.getpid()} on {socket.gethostname()} scores"]
-    assert len(naps) == 3 and load_run(tmp_path / "run").methods == ("m",)

@@ -33,7 +33,7 @@ def test_kill_9_of_the_process_loses_one_shard_at_most(tmp_path, undisturbed):
     same_rows(out, undisturbed)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stop_signal_ends_with_130_and_the_same_command_goes_on(tmp_path, undisturbed, number):
     out = tmp_path / "run"
     first = start(tmp_path, out, SLOW, FAKE_SECONDS="0.2")

@@ -28,12 +28,3 @@ def test_a_variants_flags_and_options_are_a_sweeps():
 
     for v in sensitivity.variants():
         jobs.resolve(parse(["--method", *v.methods, *(v.flags or sensitivity.BASE)]))
-
-
-def test_readmes_table_is_exchanged_and_nothing_else():
-    import findings
-
-    text = "before\n\n| | SR S0 | SR S1 |\n|---|--:|--:|\n| FC | 1 | 2 |\n| VA | 3 | 4 |\n\nafter | not a table\n"
-    lines = ["| | SR S0 | new |", "|---|--:|--:|", "| FC | 5 | 6 |"]
-    want = "before\n\n| | SR S0 | new |\n|---|--:|--:|\n| FC | 5 | 6 |\n\nafter | not a table\n"
-    assert findings.with_table(text, lines) == want

@@ -3,7 +3,6 @@
 import json
 import re
 import resource
-import signal
 import sys
 from types import SimpleNamespace
 
@@ -76,19 +75,6 @@ def test_a_bad_command_line_is_one_line_with_the_valid_names_and_exit_code_2(cap
 
 
 # --- the run, with a fake evaluator ---------------------------------------------------------------------------------
-
-
-class Interrupted:
-    """A method that hears a stop signal when it is called for the first time."""
-
-    def __init__(self, number):
-        self.number, self.calls = number, 0
-
-    def __call__(self, trials, scene, *, seed):
-        self.calls += 1
-        if self.calls == 1:
-            signal.raise_signal(self.number)
-        return fake_bench.best(trials, scene, seed=seed)
 
 
 @pytest.fixture
@@ -180,43 +166,6 @@ def test_missing_predictions_are_refused_or_counted_as_failures(fake, tmp_path, 
     assert (rows["S0"]["n"], rows["S0"]["sr"], rows["S0"]["n_missing"]) == (4, 50.0, 1)
     assert (rows["S1"]["n"], rows["S1"]["sr"], rows["S1"]["n_missing"]) == (4, 0.0, 4)
     assert load_run(tmp_path / "run").trials("m").num_rows == 8
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_stop_signal_ends_with_130_after_the_chunk_and_leaves_a_folder_that_goes_on(
-    fake, here, tmp_path, capsys, monkeypatch, number
-):
-    before = [signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT)]
-    stop = Interrupted(number)
-    monkeypatch.setattr(fake_bench, "stop", stop, raising=False)
-    line = ["--trials", "3", "--chunk", "2", "--out", str(tmp_path / "run"), "--format", "csv"]
-    methods = ["--method", f"{here}:best", f"{here}:stop"]
-    assert sweep.main([*methods, *line]) == 130
-    assert capsys.readouterr().err.splitlines()[-1].startswith("sweep: interrupted")
-    assert stop.calls == 1
-    run = load_run(tmp_path / "run")
-    assert run.methods == ("my_rules:best",) and run.unfinished == ("my_rules:stop",)
-    assert not list((tmp_path / "run").rglob("*.tmp"))
-    assert [signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT)] == before
-    assert sweep.main([*methods, *line]) == 0
-    assert "my_rules:best: already in the run folder" in capsys.readouterr().err
-    run = load_run(tmp_path / "run")
-    assert run.digest("my_rules:stop") == run.digest("my_rules:best")
-
-
-def test_stored_shards_are_not_scored_again_and_a_damaged_one_is(fake, here, tmp_path, capsys):
-    line = ["--method", f"{here}:best", "--trials", "10", "--shard-trials", "4", "--out", str(tmp_path / "run")]
-    assert sweep.main(line) == 0
-    run = load_run(tmp_path / "run")
-    digest = run.digest("my_rules:best")
-    victim = sorted((tmp_path / "run" / "trials").rglob("*.parquet"))[3]
-    victim.write_bytes(victim.read_bytes()[:-1])
-    capsys.readouterr()
-    assert sweep.main(line) == 0
-    error = capsys.readouterr().err
-    assert "truncated" in error and "shard 3 of 'my_rules:best' will be scored again" in error
-    assert "my_rules:best: 4 trials in" in error
-    assert load_run(tmp_path / "run").digest("my_rules:best") == digest
 
 
 def test_any_chunk_shard_and_part_gives_the_same_digest(fake, here, tmp_path, capsys):

@@ -105,18 +105,6 @@ def test_a_failed_reach_shows_the_gap_and_a_failed_affordance_the_part_on_the_re
         assert drawing.moments(3)[-1][2] and not drawing.moments(3)[0][2]
 
 
-def test_moments_end_at_rest_and_hold_the_touch_where_safe_fails(reader):
-    drawing = Drawing(reader.trial(1, "oracle"))
-    row = drawing.stored.row
-    end = row["t_exec_s"]
-    times = [t for t, *_ in drawing.moments(3)]
-    np.testing.assert_allclose(times, [0, end / 2, end])
-    row |= {"outcome": "safe", "witness_time_s": 0.6 * end}
-    assert [(round(t / end, 6), touch) for t, _, touch in drawing.moments(3)] == [(0, False), (0.6, True), (1, False)]
-    still = Drawing(first(reader, plan_reason="ik_unreachable"))
-    assert [t for t, *_ in still.moments(4)] == [0, 0, 0, 0]
-
-
 def test_the_camera_has_robot_object_and_hand_in_view_all_the_time(reader):
     drawings = [Drawing(reader.trial(1, m)) for m in ("oracle", "random")]
     aspect, half = 1.2, np.tan(np.radians(22.5))
