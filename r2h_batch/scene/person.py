@@ -83,10 +83,11 @@ def with_person(
     world: Any = scene.sized(World)()
     world.assign(scene.world)  # its arrays are shared
     points = blocks
-    if hand:
+    if hand or scene.robot.arm.corners:  # hulls of the arm have their points there too
         base = wp.to_torch(scene.world.points)
         tables["piece_start"] = first + len(base)
         points = torch.cat([base, blocks])
+    if hand:
         own = {name: _of_hands(scene, name, body_poses.hand_index) for name in tables}
         tables = {name: torch.cat([own[name], tables[name]], 1) for name in tables}
     else:

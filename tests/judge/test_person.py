@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import torch
 from oracle import MujocoScene, Staged, deepest_along, geom_depth
+from seven import with_hulls
 
 from r2h_batch import evaluate
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, nearer_of, person_distance
@@ -70,6 +72,17 @@ def test_distances_at_a_posture_are_those_of_mujoco(asked):
         else:  # a bound: no more than the depth, and with one pair that meets mostly all of it
             depth = max(geom_depth(twin.model, twin.data, int(a), int(b)) for a, b in twin.pairs_with_person())
             assert 0.2 * depth < -found <= 1.002 * depth + 1e-4, (i, found, depth)
+
+
+def test_distances_of_an_arm_of_hulls_are_those_of_mujoco(asked):
+    robot = with_hulls(load_robot())
+    judge = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), robot=robot)
+    posed = judge.score(*asked, stages="pose")
+    apart = torch.nonzero((posed.body_m > 0) & (posed.body_m < CLEARANCE_CAP_M)).flatten().tolist()
+    assert len(apart) >= 3
+    for i in apart:
+        true = twin_of(judge.scene, asked[2], posed, i).person_at(posed.q_goal[i].numpy())
+        assert float(posed.body_m[i]) == pytest.approx(true, abs=2e-5), i
 
 
 def test_the_smallest_distance_along_a_path_is_that_of_mujoco_sampled_finely(asked, as_paper):
