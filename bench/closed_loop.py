@@ -60,7 +60,8 @@ or there was no plan.
 Servo and replan look at table, robot and object before each step and stand where it is not free. Replan stands too where the
 pose beside the hand has no free solution; servo comes as near as it can.
 
-Kinematic: nothing pushes, and a contact ends an episode. Fingers do not move. `receiver="hand"`: arm and torso are not looked at.
+Kinematic: nothing pushes, and a contact ends an episode. Fingers do not move. These figures are of `receiver="hand"`:
+arm and torso do not count. With `--receiver body` they do.
 Sizes, times and the 2 cm stop are [choice]; other sizes shift all rows.
 
 ## Cost

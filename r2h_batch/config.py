@@ -229,7 +229,7 @@ class ExecConfig(_Checked):
         scale: that fraction; MoveIt 2's default is 0.1.
         max_velocity_rad_s: velocity limit of the joints, rad/s.
         max_acceleration_rad_s2: acceleration limit of the joints, rad/s^2.
-        sim: who moves the arm. auto: mujoco on a CPU, mjwarp on CUDA; none: nobody, as planned.
+        sim: engine that moves the arm. auto: mujoco on a CPU, mjwarp on CUDA; none: the planned motion.
         model: the whole scene; the arm with a rigid gripper and no contacts; auto: the arm, and
             again the whole scene where a contact is not ruled out (docs/motion.md).
         step_s: step of simulator and servos, s: the real controller's 500 Hz.

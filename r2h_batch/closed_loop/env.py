@@ -71,8 +71,8 @@ class End(IntEnum):
     DROP = 4
     """the gripper does not hold the object (Stability)"""
     NOT_RECEIVED = 5
-    """held out within reach, and nobody can take it: fingers on the receiver's region (Affordance), or no
-    grasp of the hand is free (motion takes), or the robot did not hold still"""
+    """the object is held out within reach, but the hand cannot take it: fingers are on the receiver's region
+    (Affordance), no grasp of the hand is free (motion takes), or the robot did not hold still (motion takes)"""
     TIMEOUT = 6
 
 
@@ -184,10 +184,10 @@ class HandoverEnv(VectorEnv):
             privileged: whether observations hold the truth too.
 
         Raises:
-            ValueError: the scores do not know their inputs, or a robot adds errors to what was asked.
+            ValueError: the scores hold no inputs, or their Evaluator has an execution error.
         """
         if (inputs := scores.inputs) is None:
-            raise ValueError("these scores do not know what was asked; score again")
+            raise ValueError("these scores hold no inputs; score again")
         self.evaluator, self.trials = inputs.evaluator, inputs.trials
         if self.evaluator.config.execution_error.any:
             raise ValueError(

@@ -58,7 +58,7 @@ def solve_ik(
     home = robot.home_q if home is None else tuple(home)
     if robot.family != "ur":
         raise ValueError(
-            f"ik.solver='pytorch-kinematics' is asked for {robot.name}; it solves arms of a UR's structure: use 'fused'"
+            f"ik.solver='pytorch-kinematics' does not solve {robot.name}, only arms of a UR's structure; use 'fused'"
         )
     start = fused.ik_seeds() if seeds is None else np.asarray(seeds, np.float64)
     exact = fused.solve_ik(

@@ -50,10 +50,10 @@ def payload(scores: Scores, *, grip_n: float = GRIP_N, friction: float = FRICTIO
         friction: coefficient between pad and object.
 
     Raises:
-        ValueError: the scores do not know what was asked.
+        ValueError: the scores hold no inputs.
     """
     if (inputs := scores.inputs) is None:
-        raise ValueError("these scores do not know what was asked; score again")
+        raise ValueError("these scores hold no inputs; score again")
     error = inputs.evaluator.config.execution_error
     poses = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, inputs.trials)
     attached = attach(se3.orthonormalise(poses[0]), scores.grasp_shift_m).double().cpu().numpy()

@@ -105,14 +105,14 @@ def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Re
         leans_deg: leans of the trunk that a person may use, 0 to 90 degrees; (0,): none.
 
     Raises:
-        TypeError, ValueError: an argument is none of these, the scores do not know what was asked, or
-            the trials have no receiver's body.
+        TypeError, ValueError: an argument has another type or range, the scores hold no inputs, or the
+            trials have no receiver's body.
     """
     if (inputs := scores.inputs) is None:
-        raise ValueError("these scores do not know what was asked; score again")
+        raise ValueError("these scores hold no inputs; score again")
     if inputs.trials.receiver is None:
         raise ValueError(
-            "these trials have no receiver's body, so nobody can take the object; use protocol r2h-v1"
+            "these trials have no receiver's body, which reception needs; use protocol r2h-v1"
         )
     if not len(leans_deg):
         raise ValueError("leans_deg is empty; give (0.0,) for a person who does not lean")

@@ -40,8 +40,8 @@ def differentiable(
     """
     if scene.robot.family != "ur":
         raise ValueError(
-            f"a gradient is asked for with {scene.robot.name}; margins have one for arms of a UR's structure:"
-            " detach the poses"
+            f"the poses require gradients, but margins of {scene.robot.name} have none; only arms of a UR's structure"
+            " do: detach the poses"
         )
     changes = MarginChanges(scene, config.thresholds, scores, held, goal)
     first_order_only = [FirstOrderOnly.apply(T) for T in poses]

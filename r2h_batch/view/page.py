@@ -288,7 +288,7 @@ def show(scores: Scores, *, height: int = 640) -> Shown:
     inputs = scores.inputs
     if inputs is None:
         why = "captured, compiled, joined or loaded"
-        raise ValueError(f"these scores do not know what was asked ({why}); score again")
+        raise ValueError(f"these scores hold no inputs ({why}); score again")
     if bool((scores.opening_m != scores.opening_m).any()):
         raise ValueError(
             "this row was not judged (its answer is no pose): there is nothing to show"
