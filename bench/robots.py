@@ -44,7 +44,7 @@ from r2h_batch.methods import random as random_method
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import make_trials
 
-ROBOTS = ("ur5e_2f85", "ur3e_2f85", "panda_hand")
+ROBOTS = ("ur5e_2f85", "ur3e_2f85", "ur10e_2f85", "panda_hand")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
 PAGE = ROOT / "docs" / "results" / "robots.md"
 STORED = ROOT / "bench" / "results" / "robots.json"
@@ -56,7 +56,7 @@ BAND_M = 1e-4
 BUDGET_S = 5.0
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 
-HEAD = """# The same methods on three robots
+HEAD = """# The same methods on four robots
 
 {trials} trials of each split of r2h-v1 on every built-in robot, motion as planned, persons placed for the robot
 ([robots](../robots.md#persons-and-table)). `python bench/robots.py` (bench/results/robots.json) measured it; on commit

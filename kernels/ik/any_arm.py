@@ -27,7 +27,7 @@ STATUS_NOT_FOUND = wp.constant(6)  # no seed converged; the list of ik/step.py g
 STATUS_SOME = wp.constant(7)  # there may be more postures than were found
 MOST_SEEDS = wp.constant(64)
 """Seeds of a target that are tried, at most."""
-ENOUGH_SEEDS = wp.constant(16)
+ENOUGH_SEEDS = wp.constant(14)
 """Seeds that are tried where a posture was found."""
 NEAR = wp.constant(3e-5)
 """Metres and radians from which float64 knows the error; one more step is enough but near singular postures and limits."""
