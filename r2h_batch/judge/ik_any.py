@@ -22,7 +22,7 @@ SEEDS = 1024
 FROM_HOME_M2 = 0.003
 """What a squared radian from home counts for when the nearest are chosen: so postures lie as near to home as those of a
 search that takes no account of it and tries three times as many."""
-TRIED = 32
+TRIED = 64
 """Of these, the nearest of a target that are tried, and where all fail as many others."""
 ITERATIONS = 20
 """Steps from a seed; of the others four times as many."""
