@@ -1477,6 +1477,8 @@ def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = Tru
         words = f"another run, which differs in {', '.join(fields)}"
         raise RunError(f"{folder}: {words}; {OTHER_OUT}")
     if exact and wanted and wanted != old["shard_trials"]:
-        words = f"has shards of {old['shard_trials']} trials, asked were {wanted}; {OTHER_OUT}"
+        words = (
+            f"has shards of {old['shard_trials']} trials; the command wants {wanted}; {OTHER_OUT}"
+        )
         raise RunError(f"{folder}: {words}")
     return RunFolder(folder, old, header.get("command", ()))

@@ -216,7 +216,7 @@ def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
         return dict.fromkeys(splits, options.trials)
     if options.trials != Options.trials:
         raise UsageError(
-            "--trials belongs to the protocol; a trials file says its own, leave --trials out"
+            "--trials sets how many trials the protocol draws; a trials file has its own number, so leave --trials out"
         )
     counts = {s: int((benchmark.listed.trial_id % 2 == SPLITS.index(s)).sum()) for s in splits}
     if not any(counts.values()):

@@ -183,7 +183,7 @@ def test_another_machine_of_the_same_kind_may_share_a_folder_and_another_shard_s
     write(tmp_path / "run")
     open_run(tmp_path / "run", make_header(6, 6, device={"kind": "cpu", "name": "cpu: another model"}))
     open_run(tmp_path / "run", make_header(6, 6, shard_trials=5), exact=False)
-    with pytest.raises(RunError, match="shards of 100000 trials, asked were 5"):
+    with pytest.raises(RunError, match="shards of 100000 trials; the command wants 5"):
         open_run(tmp_path / "run", make_header(6, 6, shard_trials=5))
 
 
