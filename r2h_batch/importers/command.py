@@ -36,8 +36,8 @@ def hand(
         out: The hand model to write, .npz. It holds MANO's data: its licence forbids to pass it on.
         mano_right: MANO_RIGHT.pkl, or the same arrays as .npz.
         mano_left: MANO_LEFT.pkl. A side without a file is the other's mirror image.
-        negate_left_shape: Change the sign of the left file's shapedirs[:, 0], as data fitted with
-            that repair need.
+        negate_left_shape: Change the sign of the left file's shapedirs[:, 0]. Only for data that
+            were fitted with the corrected sign.
         overwrite: Replace a file that is there.
     """
 
@@ -145,7 +145,7 @@ def grasps(
     """Write the grasps of one object as a file for a benchmark: T_obj_ee, width, score, part in our
     own ee frame.
 
-    A sweep seats grasps of another gripper anew on the object, or drops them, and counts both.
+    A sweep moves grasps of another gripper until they hold the object, or drops them. It counts both.
 
     Args:
         file: ACRONYM's .h5, graspnetAPI's .npy (N x 17) or GraspNet's _labels.npz, an isaac_grasp

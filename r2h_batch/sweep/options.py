@@ -80,7 +80,7 @@ class Options:
     )
     trials_file: str = _option("", _TRIALS, "your own trials, .npz or .parquet")
     benchmark: str = _option("", _TRIALS, "your own benchmark.yaml; see r2h-batch benchmark show")
-    objects: str = _option("", _TRIALS, "folder of meshes or benchmark.yaml instead")
+    objects: str = _option("", _TRIALS, "replace the objects: folder of meshes, or benchmark.yaml")
     object_mesh: tuple[str, ...] = _option(
         (),
         _TRIALS,
@@ -94,7 +94,9 @@ class Options:
         "", _TRIALS, "ur5e_2f85 (default), another of ls robots, or a folder of import robot"
     )
     persons: Literal["", "for-robot", "as-for-ur5e"] = _option(
-        "", _CONFIG, "persons stand as the robot's reach asks (for-robot, default) or the UR5e's"
+        "",
+        _CONFIG,
+        "where persons stand: for-robot (default): scaled by the robot's reach; as-for-ur5e",
     )
     hands: str = _option("", _TRIALS, "another hand set: .npz of import hands")
     hand_model: str = _option("", _CONFIG, "MANO_RIGHT.pkl, or .npz of import hand")
@@ -109,7 +111,7 @@ class Options:
         _VERDICT,
         "engine that moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset release",
     )
-    out: str = _option("", _OUTPUT, "run folder; the same command goes on with it")
+    out: str = _option("", _OUTPUT, "run folder; the same command continues it")
     format: Literal["md", "latex", "csv", "json"] = _option("md", _OUTPUT, "format of the table")
     save_paths: bool = _option(
         False, _OUTPUT, "store waypoints, goals, grasps and witnesses, for r2h-batch scene"
@@ -179,8 +181,8 @@ class Options:
     stability: Literal["geometric", "physics"] = _option(
         "geometric",
         _CONFIG,
-        "physics: the object must also stay in a friction grasp through its weight and a shake"
-        " along three axes",
+        "physics: friction must also hold the object against its weight and a shake along three"
+        " axes",
     )
     object_collision: Literal["hull", "pieces"] = _option(
         "hull",
@@ -209,22 +211,22 @@ class Options:
     execution_error: str = _option(
         "",
         _CONFIG,
-        "what a robot adds to the poses, standard deviation per axis: 5mm,1deg, of the camera's"
-        " calibration and of the object in the gripper, both drawn in every trial; camera:5mm,1deg or"
+        "errors of the executed poses, standard deviation per axis. 5mm,1deg: of the camera's"
+        " calibration and of the object in the gripper, drawn in every trial; camera:5mm,1deg or"
         " object:5mm,1deg: one of the two; bias:5mm,1deg: the camera's, drawn once",
     )
     robustness: bool = _option(
         False,
         _CONFIG,
-        "a sweep at each of four execution errors and without, in folders of --out; prints how SR"
-        " falls",
+        "sweep without and with each of four execution errors, into folders of --out, and print"
+        " how SR falls",
     )
     receiver_motion: str = _option(
         "",
         _CONFIG,
-        "also play every handover in closed loop, with receivers that are still, or that move: moves, reaches,"
-        " hesitates, withdraws, takes, with a size such as moves:100mm,20deg; or replay:NAME_motion.npz of import"
-        " hands (needs the extra env)",
+        "also play every handover in closed loop; the receiver's hand: still, moves, reaches, hesitates, withdraws"
+        " or takes, with a size such as moves:100mm,20deg; or replay:NAME_motion.npz of import hands (needs the"
+        " extra env)",
     )
     policy: str = _option(
         "planned",
@@ -249,7 +251,7 @@ class Options:
     )
     chunk: int = _option(0, _CONFIG, "trials scored at once; 0: 256 on a CPU, 2048 on a GPU")
     ray_timeout: float = _option(
-        30.0, _CONFIG, "seconds until a Ray cluster that does not answer is given up"
+        30.0, _CONFIG, "seconds after which a Ray cluster that does not answer counts as lost"
     )
     workers: int = _option(0, _CONFIG, "Ray actors; 0: one for each GPU, or for each 4 CPUs")
     gpus_per_worker: float = _option(0.0, _CONFIG, "GPUs of each actor; 0: 1 with device cuda")
