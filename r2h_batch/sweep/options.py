@@ -79,8 +79,8 @@ class Options:
         "", _TRIALS, "what planning and Safe see: hand (default), or body (with r2h-v1)"
     )
     trials_file: str = _option("", _TRIALS, "your own trials, .npz or .parquet")
-    benchmark: str = _option("", _TRIALS, "your own benchmark.yaml; see r2h-batch benchmark show")
-    objects: str = _option("", _TRIALS, "replace the objects: folder of meshes, or benchmark.yaml")
+    benchmark: str = _option("", _TRIALS, "your benchmark.yaml (r2h-batch benchmark show)")
+    objects: str = _option("", _TRIALS, "other objects: folder, or benchmark.yaml")
     object_mesh: tuple[str, ...] = _option(
         (),
         _TRIALS,
