@@ -203,9 +203,10 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
     back = _back(file)
     T_world_ee = _tool_pose(file) @ back
     own = file.own
-    if own is not None and np.abs(T_world_palm - own.T_world_palm).max() > RIGID:
-        own = None
-    if len(others):  # they are pieces of a mesh, and a posture has none
+    if own is not None and (
+        len(others)  # pieces of a mesh, and a posture has none
+        or np.abs(T_world_palm - own.T_world_palm).max() > RIGID
+    ):
         own = None
     return ReleaseTrial(
         file.id, file.object_id, file.variant, file.split, mesh, region,
@@ -284,12 +285,12 @@ def _place(file: TrialFile) -> tuple[dict[str, Any], Boxes]:
         "reach_radius_m": file.reach_radius_m,
         "w_max_m": file.max_opening_m,
     }
-    said = {
+    place = {
         "thresholds": limits,
         "table": {"center": np.round(middle, 9).tolist(), "half": half_of_table.tolist()},
         "home": [round(float(x), 6) for x in home],  # float32 and float64 say one home
     }
-    return said, Boxes(boxes.T[others], boxes.half[others])
+    return place, Boxes(boxes.T[others], boxes.half[others])
 
 
 def _palm(file: TrialFile, where: str) -> tuple[int, Array]:

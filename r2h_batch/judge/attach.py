@@ -61,9 +61,7 @@ def attach_object(
     width, opening, shift, empty = close_pads(
         scene.grasp_tables, T_obj_ee, objects, mode=config.width, known=True
     )
-    cut, cut_part = open_clearance(
-        scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M, known=True
-    )
+    cut, _ = open_clearance(scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M, known=True)
     made = new_outputs(row_kernels.close_rows, len(active), scene.device)
     point, normal = scene.palms
     launch_trials(
@@ -90,7 +88,7 @@ def attach_object(
         device=scene.device,
         chunk=ROWS_CHUNK,
     )
-    grasp = Grasp(width, opening, shift, empty, cut, made["margin"], cut_part)
+    grasp = Grasp(width, opening, shift, empty, cut, made["margin"])
     attached = made["attached"]
     body_poses = scene.body_poses(objects, hands, attached, T_world_hand, opening)
     planner_poses = body_poses

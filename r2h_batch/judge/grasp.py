@@ -36,8 +36,6 @@ class Grasp:
     empty: Bool[Tensor, " b"]
     cut_m: Float32[Tensor, " b"]
     margin_m: Float32[Tensor, " b"]
-    cut_part: Int32[Tensor, " b"]
-    """the gripper primitive (order of `Robot.gripper`) nearest to the object, -1 beyond the cap"""
 
 
 def close_gripper(
@@ -70,10 +68,10 @@ def close_gripper(
     )
     # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above
     # it. Lengths of different things are not added: the worst one decides, on the passing side too.
-    cut, cut_part = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, known=True)
+    cut, _ = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, known=True)
     material = torch.where(empty, -w_max, torch.minimum(w_max - width, width - w_min))
     margin = torch.minimum(material, cut)
-    return Grasp(width, opening, shift, empty, cut, margin, cut_part)
+    return Grasp(width, opening, shift, empty, cut, margin)
 
 
 def close_pads(

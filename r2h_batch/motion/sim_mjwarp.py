@@ -408,9 +408,7 @@ _log = logging.getLogger(__name__)
 _one_at_a_time = threading.Lock()
 
 
-def simulate(
-    job: Job,
-) -> Samples:
+def simulate(job: Job) -> Samples:
     """Recorded motion of the job's trials. What overflowed a buffer runs again in larger ones; then
     it is not valid."""
     out = Samples.empty(job)

@@ -26,9 +26,7 @@ Simulator = tuple[mujoco.MjModel, mujoco.MjData]
 """A copy of the model, which trials are put into one after the other, and its state."""
 
 
-def simulate(
-    job: Job,
-) -> Samples:
+def simulate(job: Job) -> Samples:
     """Recorded motion of the job's trials; each stops at its own end, so that no trial waits for the
     slowest."""
     out = Samples.empty(job)

@@ -533,9 +533,7 @@ def _expanded(value: Any) -> Any:
     return expand_home(value) if isinstance(value, str) else value
 
 
-def _without_config(
-    arguments: Sequence[str],
-) -> tuple[list[str], str | None, dict[str, Any]]:
+def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None, dict[str, Any]]:
     """The command line with each `--set NAME=VALUE` as a flag, without `--config FILE`; FILE; and
     what --set says of options that are true or false."""
     rest, path = list(arguments), None
