@@ -249,12 +249,12 @@ class Evaluator:
     def score_motion(
         self,
         T_obj_ee: Float32[Tensor, "b 4 4"],
-        q: Float[Tensor, "b w 6"],
+        q: Float[Tensor, "b w j"],
         time_s: Float[Tensor, "b w"] | Float[Tensor, " w"],
         trials: Trials,
         *,
         length: Int[Tensor, " b"] | None = None,
-        planned_q: Float[Tensor, "b p 6"] | None = None,
+        planned_q: Float[Tensor, "b p j"] | None = None,
         planned_length: Int[Tensor, " b"] | None = None,
     ) -> Scores:
         """Verdicts of B motions that you planned: the same five criteria and the same columns.
@@ -266,7 +266,7 @@ class Evaluator:
 
         Args:
             T_obj_ee: the grasp, ee in the object's frame, m.
-            q: joint angles of W samples, rad; joints move at a constant rate between two samples.
+            q: angles of the robot's joints in W samples, rad; joints move at a constant rate between two samples.
             time_s: time of each sample, s; of all motions at once if it is (W,).
             trials: B trials.
             length: how many samples of each motion count, 2 to W; None: all W.
@@ -289,10 +289,10 @@ class Evaluator:
                 "execution_error changes poses, and motions are judged as they are; score motions"
                 " with an Evaluator without it"
             )
-        trace = checked_trace(q, time_s, length, len(trials), self.scene.device)
+        trace = checked_trace(q, time_s, length, len(trials), self.scene)
         plan = trace
         if planned_q is not None:
-            plan = checked_plan(planned_q, planned_length, trace, self.scene.device)
+            plan = checked_plan(planned_q, planned_length, trace, self.scene)
             trace = replace(trace, usable=trace.usable & plan.usable)
         T_world_ee = final_pose(self.scene, trace)
         T_obj_ee, T_world_ee, trials = checked_inputs(

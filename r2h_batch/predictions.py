@@ -43,14 +43,10 @@ _CSV = {
     "T_world_ee": ("float64", 16),
     "t_method_s": ("float64", 1),
 }
-_PARQUET_SHAPES = {
-    **dict.fromkeys(("q", "planned_q"), (-1, 6)),
-    **dict.fromkeys(("T_obj_ee", "T_world_ee"), (-1, 4, 4)),
-}
 _MOTION_KEYS = ("q", "time_s", "length")
 _LENGTH_OF = {"q": "length", "time_s": "length", "planned_q": "planned_length"}
 _HOW_MOTIONS = (
-    "motions need trial_id or id (N,), T_obj_ee (N,4,4), q (S,6) rad and time_s (S,) s of all "
+    "motions need trial_id or id (N,), T_obj_ee (N,4,4), q (S,joints) rad and time_s (S,) s of all "
     "samples one after another, length (N,) samples of each; T_world_ee (N,4,4) where a length is 0"
 )
 _HOW = {
@@ -69,14 +65,14 @@ class PredictionsError(ValueError):
 class Motions:
     """Joint motions of N answers, the samples of all of them one after another."""
 
-    q: Float32[Tensor, "s 6"]  # rad
+    q: Float32[Tensor, "s j"]  # rad
     time_s: Float32[Tensor, " s"]  # from the motion's first sample on
     length: Int64[Tensor, " n"]  # samples; 0: the answer is a pose
-    planned_q: Float32[Tensor, "p 6"] | None = None  # rad, of plans that the motions differ from
+    planned_q: Float32[Tensor, "p j"] | None = None  # rad, of plans that the motions differ from
     planned_length: Int64[Tensor, " n"] | None = None
 
     def padded(self, rows: Tensor, device: Any = "cpu") -> dict[str, Tensor]:
-        """q (B, W, 6), time_s (B, W), length (B,) and, if there are plans, planned_q and
+        """q (B, W, joints), time_s (B, W), length (B,) and, if there are plans, planned_q and
         planned_length of these answers, as `Evaluator.score_motion` takes them: samples beyond the
         length repeat the last one."""
         at, length = _slots(self.length, rows)
@@ -178,9 +174,9 @@ def _motions(arrays: dict[str, Any], shown: str) -> Motions:
     """The motions among the arrays, which lose them."""
     if missing := [k for k in _MOTION_KEYS if k not in arrays]:
         raise FileError(f"{shown}: has no {missing[0]}")
-    n = len(arrays.get("trial_id", ()))
+    n, lengths = len(arrays.get("trial_id", ())), dict[str, int]()
     length = _lengths("length", arrays.pop("length"), n, shown)
-    q = _samples("q", arrays.pop("q"), (int(length.sum()), 6), "length", shown)
+    q = _samples("q", arrays.pop("q"), (int(length.sum()), "joints"), "length", shown, lengths)
     time_s = _samples("time_s", arrays.pop("time_s"), (len(q),), "length", shown)
     first = np.repeat((np.cumsum(length) - length)[length > 0], length[length > 0])
     with np.errstate(over="ignore", invalid="ignore"):
@@ -194,7 +190,9 @@ def _motions(arrays: dict[str, Any], shown: str) -> Motions:
                     f"{shown}: 'planned_length' of row {row} is 0; its motion has a plan"
                 )
             planned = arrays.pop("planned_q", np.zeros(0))
-            planned = _samples("planned_q", planned, (int(plan.sum()), 6), "planned_length", shown)
+            planned = _samples(
+                "planned_q", planned, (int(plan.sum()), "joints"), "planned_length", shown, lengths
+            )
             found += [planned.astype(np.float32), plan]
     return Motions(*map(torch.from_numpy, found))
 
@@ -209,9 +207,16 @@ def _lengths(key: str, value: Any, n: int, shown: str) -> Any:
     return value.astype(np.int64)
 
 
-def _samples(key: str, value: Any, shape: tuple[int, ...], lengths: str, shown: str) -> Any:
-    what = f"{shown}: {key} (its rows are the sum of {lengths})"
-    check_array(what, value, ("f", shape), gaps=True)
+def _samples(
+    key: str,
+    value: Any,
+    shape: tuple[int | str, ...],
+    rows: str,
+    shown: str,
+    lengths: dict[str, int] | None = None,
+) -> Any:
+    what = f"{shown}: {key} (its rows are the sum of {rows})"
+    check_array(what, value, ("f", shape), lengths, gaps=True)
     _check_precision(key, value, shown)
     return value
 
@@ -254,16 +259,17 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
 
 
 def _parquet(path: Path) -> dict[str, Any]:
-    """Motions, one a row: trial_id or id, T_obj_ee (16 numbers), q (lists of 6), time_s (a list)."""
+    """Motions, one a row: trial_id or id, T_obj_ee (16 numbers), q (lists of joint angles), time_s (a list)."""
     arrays, counts = read_parquet_arrays(path, most=MAX_BYTES, rows=10_000_000, text=["id"])
     for name, length in _LENGTH_OF.items():
         if name in counts:
             arrays.setdefault(length, counts[name])
-    for name in arrays.keys() & _PARQUET_SHAPES.keys():
-        shape, size = _PARQUET_SHAPES[name], arrays[name].size
-        if size % abs(math.prod(shape)):
-            need = f"{name!r} has {size} numbers; its rows need {shape}"
-            raise FileError(f"{printable(path)}: {need}")
+    for name in arrays.keys() & {"T_obj_ee", "T_world_ee", "q", "planned_q"}:
+        size, rows = arrays[name].size, int(np.sum(counts.get(name, 0)))
+        shape = (rows, size // max(rows, 1)) if name in _LENGTH_OF else (size // 16, 4, 4)
+        if size != math.prod(shape):
+            need = "lists of one angle a joint" if name in _LENGTH_OF else "16 numbers a row"
+            raise FileError(f"{printable(path)}: {name!r} has {size} numbers; it needs {need}")
         arrays[name] = arrays[name].reshape(shape)
     return arrays
 

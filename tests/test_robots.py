@@ -10,12 +10,13 @@ import torch
 from r2h_batch import Evaluator
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark.benchmark import built_in
-from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.oracle import predict
 from r2h_batch.scene.model import build_scene_model
 from r2h_batch.trials.protocol import make_trials
+from r2h_batch.types import PlanReason
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 UR3E = load_robot("ur3e_2f85")
@@ -66,6 +67,22 @@ def test_the_oracle_succeeds_on_another_arm_and_its_paths_are_that_arms(robot):
     assert np.abs(ee_pose(robot, goal.double().numpy())[:, :3, 3] - answer.T_world_ee[:, :3, 3].numpy()).max() < 1e-5
     usual = Evaluator(KINEMATIC).score(answer.T_obj_ee, answer.T_world_ee, trials)
     assert not torch.equal(usual.path[:, 0], start)
+    compiled = torch.compile(evaluator.score, backend="aot_eager", fullgraph=True)
+    assert torch.equal(compiled(answer.T_obj_ee, answer.T_world_ee, trials).path, scores.path)
+
+
+@pytest.mark.parametrize("robot", [UR3E, load_robot("panda_hand")], ids=lambda r: r.name)
+def test_each_joint_of_a_given_motion_has_its_own_limit_of_speed(robot: Robot) -> None:
+    evaluator, n = Evaluator(KINEMATIC, robot=robot), len(robot.joints)
+    trials, grasp = make_trials(trials=n)[:n], torch.eye(4).repeat(n, 1, 1)
+    q = torch.tensor(robot.home_q).repeat(n, 2, 1)
+    q[:, 1] += 0.05 * torch.eye(n)
+    least_s = 0.05 / torch.tensor(robot.max_velocity.tolist())[:, None] * torch.tensor([0.0, 1.0])
+    for share, fast in ((1.01, False), (0.99, True)):
+        reason = evaluator.score_motion(grasp, q, share * least_s, trials).plan_reason
+        assert ((reason == int(PlanReason.BEYOND_SPEED_LIMITS)) == fast).all()
+    with pytest.raises(ValueError, match=rf"must be \({n}, W, {n}\)"):
+        evaluator.score_motion(grasp, q[..., 1:], least_s, trials)
 
 
 def test_persons_stand_for_the_robot_or_as_for_the_ur5e() -> None:

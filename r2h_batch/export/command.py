@@ -117,14 +117,18 @@ def export(
     check_range("--trials", trials, 1, MOST_TRIALS, "")
     check_output_folder(out, overwrite=None)
     from r2h_batch.benchmark.build import BenchmarkOverrides
+    from r2h_batch.bodies.robot import DEFAULT_ROBOT
     from r2h_batch.export.release import (
         release_name,
         write_release_results,
         write_release_trial,
     )
-    from r2h_batch.export.stored import UNJUDGED, Reader
+    from r2h_batch.export.stored import UNJUDGED, ExportError, Reader
 
     reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    if reader.run.robot != DEFAULT_ROBOT:
+        words = f"holds motions of {reader.run.robot}; {to} has the {DEFAULT_ROBOT} alone"
+        raise ExportError(f"{printable(run)}: {words}")
     name = reader.method(method or None)
     rows = reader.rows(name).to_pylist()
     judged = sorted((r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"])

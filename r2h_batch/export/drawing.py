@@ -128,13 +128,13 @@ class Drawing:
                 self.model.geom_rgba[mark.geom], self.model.geom_group[mark.geom] = mark.rgba, MARK
 
     def at(self, q: Array) -> mujoco.MjData:
-        """The bodies with the arm at posture q (6,) rad; the next call overwrites them."""
+        """The bodies with the arm at posture q (joints,) rad; the next call overwrites them."""
         self._data.qpos[:] = q
         mujoco.mj_forward(self.model, self._data)
         return self._data
 
     def motion(self, executed: bool = True) -> tuple[Array, Array]:
-        """Times (N,) s and postures (N, 6) rad.
+        """Times (N,) s and postures (N, joints) rad.
 
         The executed motion where it was simulated, else (or where `executed` is false) the planned
         one. A trial without a path has one posture: the one that its target asks for.
@@ -148,7 +148,7 @@ class Drawing:
         return trajectory(stored)
 
     def moments(self, n: int) -> list[tuple[float, Array, bool]]:
-        """`n` even times (s) from the start to rest, their postures (6,), and whether the failure
+        """`n` even times (s) from the start to rest, their postures (joints,), and whether the failure
         is seen then.
 
         Reach and Affordance fail at the end. Where Safe fails, the nearest of the times is moved to
@@ -190,7 +190,7 @@ class Drawing:
 
     @cached_property
     def event(self) -> tuple[Array, Array, frozenset[str]]:
-        """Where the verdict is decided: the posture (6,) rad, the point (3,) m in the world, and the
+        """Where the verdict is decided: the posture (joints,) rad, the point (3,) m in the world, and the
         bodies that take part."""
         stored, witness = self.stored, self.witness
         row, q = stored.row, stored.target_q

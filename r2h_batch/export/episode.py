@@ -32,7 +32,7 @@ class EpisodeDrawing(Drawing):
 
         Args:
             stored: the trial.
-            q: (S, 6) rad.
+            q: (S, joints) rad.
             T_world_hand: (S, 4, 4), m.
             receivers: (S, 5, 4) as in `Trials.receiver`; None: no body.
             step_s: between them.

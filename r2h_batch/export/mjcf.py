@@ -6,7 +6,7 @@
                          receiver's part, fingers as they hold and as they come; key frames `home`,
                          `target` and, where there is a path, `goal`
     play.py              plays the motion with nothing but mujoco and numpy
-    trajectory.csv       time_s and six joints (rad): the planned motion at 100 Hz, all waypoints
+    trajectory.csv       time_s and the joints (rad): the planned motion at 100 Hz, all waypoints
     executed.csv         the same of the simulated motion, every sample; only where one was run
     trial.json           poses, verdict, margins, witness, reasons, digests
 
@@ -137,7 +137,7 @@ def trajectory(stored: StoredTrial, rate_hz: float = RATE_HZ) -> tuple[Array, Ar
     """The planned motion: samples at `rate_hz` and every waypoint, in order.
 
     Returns:
-        Times (N,) s and postures (N, 6) rad.
+        Times (N,) s and postures (N, joints) rad.
     """
     if not stored.moves:
         return np.zeros(1), stored.q
@@ -149,7 +149,7 @@ def trajectory(stored: StoredTrial, rate_hz: float = RATE_HZ) -> tuple[Array, Ar
 
 
 def posture_at(stored: StoredTrial, t: Array) -> Array:
-    """Postures (N, 6) rad of the planned motion at times (N,) s."""
+    """Postures (N, joints) rad of the planned motion at times (N,) s."""
     speed, gain = _limits(stored)
     ends, d = _waypoint_times(stored), np.diff(stored.q, axis=0)
     k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(d) - 1)
@@ -339,7 +339,7 @@ def _add_table(spec: mujoco.MjSpec, stored: StoredTrial) -> None:
 
 
 def _add_arm(spec: mujoco.MjSpec, robot: Robot, home_q: Sequence[float]) -> list[mujoco.MjsBody]:
-    """Base to wrist_3 with masses, joints and servos; the bodies stand at home and the joints say
+    """Base to the last link with masses, joints and servos; the bodies stand at home and the joints say
     so (`ref`)."""
     links = add_arm(spec, robot, spec.worldbody)
     for k, body in enumerate(links):

@@ -31,7 +31,7 @@ PASSES, FAILS = "#1b6e3c", "#a3262a"
 
 @contextmanager
 def painter(drawing: Drawing, size: tuple[int, int], view: View) -> Iterator[Callable[..., Image]]:
-    """Gives `paint(q, *groups)`: an image (height, width, 3) of the trial at posture q (6,), with
+    """Gives `paint(q, *groups)`: an image (height, width, 3) of the trial at posture q (joints,), with
     the marks of these groups of `MARKS`.
 
     Args:

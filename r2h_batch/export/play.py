@@ -16,7 +16,7 @@ HERE = Path(__file__).resolve().parent
 
 
 def motion(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times (N,) in s and postures (N, 6) in rad."""
+    """Times (N,) in s and postures (N, joints) in rad."""
     table = np.loadtxt(HERE / name, delimiter=",", skiprows=1, ndmin=2)
     return table[:, 0], table[:, 1:]
 

@@ -61,22 +61,24 @@ class StoredTrial:
     T_obj_ee_attached: Array  # after closing moved the object between the pads
     T_world_ee: Array
     T_world_hand: Array
-    q: Array  # (W, 6) rad, waypoints; home alone where no path was found
+    q: Array  # (W, joints) rad, waypoints; home alone where no path was found
     time_s: Array  # (W,)
-    executed_q: Array | None  # (S, 6) rad every `motion.sample_s` s; None: not simulated
+    executed_q: Array | None  # (S, joints) rad every `motion.sample_s` s; None: not simulated
     object_model: Any
     hand_set: Any = None  # None: the built-in one
     robot: Robot = field(default_factory=load_robot)
     workplace: Workplace = field(default_factory=Workplace)
     receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
-    asked_q: Array | None = None  # (6,) rad at the target, or the nearest to it; None: q[-1]
+    asked_q: Array | None = None  # (joints,) rad at the target, or the nearest to it; None: q[-1]
     asked_clearance_m: float | None = None  # of that posture, where there is no path
-    planned_q: Array | None = None  # (P, 6) rad, where q is what was executed; None: q is the plan
+    planned_q: Array | None = (
+        None  # (P, joints) rad, where q is what was executed; None: q is the plan
+    )
     note: str = ""  # where what was computed again is not what is stored
 
     @property
     def target_q(self) -> Array:
-        """The posture (6,) at the target, or the one that comes nearest to it."""
+        """The posture (joints,) at the target, or the one that comes nearest to it."""
         return self.q[-1] if self.asked_q is None else self.asked_q
 
     @property

@@ -28,7 +28,7 @@ LIMIT_TOLERANCE_RAD = 1e-5
 float32 makes of an angle at the limit."""
 SPEED_TOLERANCE = 1e-3
 """Of a joint's largest speed: what float32 makes of times."""
-Q_WORDS = "a torch tensor (N, W, 6) of joint angles in rad"
+Q_WORDS = "a torch tensor (N, W, joints) of angles in rad"
 START_RAD = 0.1
 """A plan of a motion begins this near to it, joint by joint."""
 
@@ -37,7 +37,7 @@ START_RAD = 0.1
 class Trace:
     """B joint motions. Samples beyond `length` repeat the last one."""
 
-    q: Float32[Tensor, "b w 6"]  # rad
+    q: Float32[Tensor, "b w j"]  # rad
     time_s: Float32[Tensor, "b w"]
     length: Int32[Tensor, " b"]
     usable: Bool[
@@ -48,37 +48,38 @@ class Trace:
         return Trace(self.q[rows], self.time_s[rows], self.length[rows], self.usable[rows])
 
 
-def checked_plan(planned_q: Any, length: Tensor | None, trace: Trace, device: str) -> Trace:
+def checked_plan(planned_q: Any, length: Tensor | None, trace: Trace, scene: Scene) -> Trace:
     """The plans of executed motions: as `checked_trace`, as slow as can be, for a plan has no
     times. Usable where the plan begins at the motion's first sample."""
-    planned_q = as_numbers("planned_q", planned_q, Q_WORDS, device)
+    planned_q = as_numbers("planned_q", planned_q, Q_WORDS, scene.device)
     samples = planned_q.shape[-2] if planned_q.ndim > 1 else 0
     times = torch.linspace(0, MOST_SECONDS, samples, dtype=torch.float32, device=planned_q.device)
-    plan = checked_trace(planned_q, times, length, len(trace.q), device, prefix="planned_")
+    plan = checked_trace(planned_q, times, length, len(trace.q), scene, prefix="planned_")
     near = ((plan.q[:, 0] - trace.q[:, 0]).abs() <= START_RAD).all(1)
     return replace(plan, usable=plan.usable & near)
 
 
 def checked_trace(
-    q: Any, time_s: Any, length: Tensor | None, n: int, device: str, *, prefix: str = ""
+    q: Any, time_s: Any, length: Tensor | None, n: int, scene: Scene, *, prefix: str = ""
 ) -> Trace:
     """The motions of `n` trials.
 
     Args:
-        q: (n, W, 6) joint angles, rad (`as_numbers`).
+        q: (n, W, joints) angles, rad (`as_numbers`).
         time_s: (n, W) or (W,) times of the samples, s.
         length: (n,) number of samples of each motion, 2 to W; None: W.
         n: number of trials.
-        device: where the evaluator is.
+        scene: the robot, and where the evaluator is.
         prefix: of `q` and `length` in messages.
 
     Raises:
         TypeError, ValueError: shape, dtype or device do not fit; the line names the argument.
     """
+    device, joints = scene.device, len(scene.robot.joints)
     q = as_numbers(f"{prefix}q", q, Q_WORDS, device)
-    if q.ndim != 3 or q.shape[0] != n or q.shape[1] < 2 or q.shape[2] != 6:
+    if q.ndim != 3 or q.shape[0] != n or q.shape[1] < 2 or q.shape[2] != joints:
         raise ValueError(
-            f"{prefix}q is {describe_value(q)}; with {n} trials it must be ({n}, W, 6), W at least 2 samples"
+            f"{prefix}q is {describe_value(q)}; with {n} trials it must be ({n}, W, {joints}), W at least 2 samples"
         )
     w = q.shape[1]
     time_s = as_numbers("time_s", time_s, "a torch tensor (N, W) or (W,) of seconds", device)
@@ -103,7 +104,7 @@ def checked_trace(
         )
     last = (length.long() - 1)[:, None]
     slot = torch.arange(w, dtype=torch.int64, device=q.device)[None].minimum(last)
-    q = q.detach().gather(1, slot[..., None].expand(-1, -1, 6))
+    q = q.detach().gather(1, slot[..., None].expand(-1, -1, joints))
     time_s = time_s.detach().expand(n, w).gather(1, slot)
     q, time_s = q.float(), (time_s - time_s[:, :1]).float()  # float64 may be too large for it
     takes = time_s[:, 1:] - time_s[:, :-1]
@@ -123,7 +124,7 @@ def final_pose(scene: Scene, trace: Trace) -> Float32[Tensor, "b 4 4"]:
 
 def walked(
     scene: Scene, trace: Trace, active: Bool[Tensor, " b"]
-) -> tuple[Float32[Tensor, "b w 6"], Int32[Tensor, " b"]]:
+) -> tuple[Float32[Tensor, "b w j"], Int32[Tensor, " b"]]:
     """The lines of active motions, and how many samples they have: 0 for motions beyond the joint
     limits, whose lines may be as long as numbers are."""
     lower, upper = (

@@ -377,7 +377,8 @@ def _motions(paths: pa.Table) -> Motions:
 def _postures(column: pa.ChunkedArray) -> tuple[torch.Tensor, torch.Tensor]:
     """Postures of all rows one after another, and their number in each."""
     lists = column.combine_chunks()
-    flat = lists.flatten().flatten().to_numpy(zero_copy_only=False).reshape(-1, 6)
+    postures = lists.flatten()
+    flat = postures.flatten().to_numpy(zero_copy_only=False).reshape(-1, postures.type.list_size)
     counts = lists.value_lengths().to_numpy(zero_copy_only=False).astype(np.int64)
     return torch.from_numpy(np.array(flat)), torch.from_numpy(counts)
 

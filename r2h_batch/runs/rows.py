@@ -266,7 +266,7 @@ def detail_rows(trials: "Trials", scores: "Scores", names: TrialNames) -> pa.Tab
         "witness_safe_part": _named(part[:, 1], names.parts),
         "witness_point_m": _vectors(scores.witness_point),
     }
-    schema = _of_joints(DETAIL_SCHEMA, scores.q_goal.shape[1])
+    schema = of_joints(DETAIL_SCHEMA, scores.q_goal.shape[1])
     return pa.table([columns[f.name] for f in DETAIL_SCHEMA], schema=schema)
 
 
@@ -309,7 +309,7 @@ def path_rows(scores: "Scores", planned: tuple[Any, Any] | None = None) -> pa.Ta
         pa.array(_array(scores.trial_id)[rows], pa.int64()),
         _vectors(_array(scores.q_goal)[rows]),
     ]
-    schema = _of_joints(PATH_SCHEMA, scores.q_goal.shape[1])
+    schema = of_joints(PATH_SCHEMA, scores.q_goal.shape[1])
     last = pa.nulls(len(rows), schema.field("planned_q").type)
     if planned is not None:
         q, length = (_array(x)[rows] for x in planned)
@@ -317,7 +317,7 @@ def path_rows(scores: "Scores", planned: tuple[Any, Any] | None = None) -> pa.Ta
     return pa.table([*first, *_motion_columns(scores, rows), last], schema=schema)
 
 
-def _of_joints(schema: pa.Schema, joints: int) -> pa.Schema:
+def of_joints(schema: pa.Schema, joints: int) -> pa.Schema:
     """The schema with postures of so many joints in place of a UR's six."""
     goal = pa.list_(pa.float32(), joints)
     for name in set(schema.names) & {"q_goal", "q", "executed_q", "planned_q"}:
@@ -344,7 +344,7 @@ def failure_rows(
         *_motion_columns(scores, rows),
         pa.array(list(_array(scores.failed_state)[rows]), pa.list_(pa.float64())),
     ]
-    return pa.table(arrays, schema=FAILURE_SCHEMA)
+    return pa.table(arrays, schema=of_joints(FAILURE_SCHEMA, scores.q_goal.shape[1]))
 
 
 def _motion_columns(scores: "Scores", rows: np.ndarray) -> list[pa.ListArray]:

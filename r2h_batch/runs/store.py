@@ -57,6 +57,7 @@ from r2h_batch.runs.rows import (
     PATH_SCHEMA,
     POSE_SCHEMA,
     TRIAL_SCHEMA,
+    of_joints,
 )
 from r2h_batch.schedule import PROTOCOLS, trial_ids
 from r2h_batch.validate import boolean, check_arguments, rule_of, sequence_of, text
@@ -73,7 +74,7 @@ SCHEMAS = {
     "failures": FAILURE_SCHEMA,
     "episodes": EPISODE_SCHEMA,
 }
-"""Kind of table (and folder) -> its columns."""
+"""Kind of table (and folder) -> its columns, for an arm of six joints."""
 
 IDENTITY = (
     "format",
@@ -290,6 +291,7 @@ Text = Annotated[str, Field(max_length=MAX_TEXT)]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Metres = Annotated[float, Field(ge=0, le=1e3)]
+Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
 Rate = Annotated[float, Field(ge=1e-3, le=1e3)]
 Step = Annotated[float, Field(gt=0, le=1e3)]
 
@@ -338,10 +340,15 @@ class _Execute(_Open):
     max_acceleration_rad_s2: Rate
 
 
+class _Workplace(_Open):
+    home_q: Annotated[list[Angle], Field(min_length=6, max_length=12)]
+
+
 class _Configuration(_Open):
     """A run that no sweep made may lack parts; who needs one checks for it."""
 
     name: Text = ""
+    workplace: _Workplace = _ABSENT
     thresholds: _Thresholds = _ABSENT
     plan: _Plan = _ABSENT
     execute: _Execute = _ABSENT
@@ -712,7 +719,7 @@ class Entry:
         except (OSError, pa.ArrowException) as error:
             raise RunError(f"{path}: cannot be read ({printable(error)[:300]})") from error
         for name in there:
-            if what := _wrong_column(table[name], SCHEMAS[kind].field(name)):
+            if what := _wrong_column(table[name], schema_of(self.header, kind).field(name)):
                 raise RunError(f"{path}: column {name!r} {what}")
         return table.select(there)
 
@@ -742,6 +749,12 @@ def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
             if field.name == "outcome" and (odd := set(words) - set(OUTCOME_NAMES)):
                 return f"holds {min(odd)!r}; known are {', '.join(OUTCOME_NAMES)}"
     return ""
+
+
+def schema_of(header: Mapping[str, Any], kind: str) -> pa.Schema:
+    """The columns of a kind of table in this run, whose postures are as long as its home posture."""
+    home = header["configuration"].get("workplace", {}).get("home_q")
+    return SCHEMAS[kind] if home is None else of_joints(SCHEMAS[kind], len(home))
 
 
 def read_methods(folder: Path, header: dict[str, Any]) -> list[Entry]:
@@ -930,7 +943,7 @@ class Run:
         return self._read("failures", method)
 
     def _read(self, kind: str, method: str, columns: Sequence[str] | None = None) -> pa.Table:
-        schema = SCHEMAS[kind]
+        schema = schema_of(self.entry(method).header, kind)
         if columns is not None:
             schema = pa.schema([schema.field(n) for n in columns])
         tables = [schema.empty_table(), *self.shards(kind, method, columns)]
@@ -950,7 +963,7 @@ class Run:
                 raise RunError(f"{entry.folder}: {words}")
             table = entry.table(kind, receipt, names)
             for name in set(names) - set(table.column_names):
-                field = SCHEMAS[kind].field(name)
+                field = schema_of(entry.header, kind).field(name)
                 table = table.append_column(field, pa.nulls(len(table), field.type))
             yield table.select(names)
 
@@ -1210,9 +1223,9 @@ class ShardWriter:
                     raise ValueError(f"{kind}: column {column.name!r} has {n} empty rows")
             self.tables[kind].append(table)
 
-    def table(self, kind: str) -> pa.Table:
-        """All rows of a kind so far."""
-        tables = [SCHEMAS[kind].empty_table(), *self.tables[kind]]
+    def table(self, kind: str, schema: pa.Schema) -> pa.Table:
+        """All rows of a kind so far; `schema`: of a run without any."""
+        tables = [schema.empty_table(), *self.tables[kind]]
         return pa.concat_tables(tables).unify_dictionaries()
 
 
@@ -1337,7 +1350,7 @@ class RunFolder:
             RunError: the rows are not the planned ones.
         """
         entry, where = self.entries[method], f"{self.folder}: shard {shard.index} of {method!r}"
-        tables = {kind: writer.table(kind) for kind in SCHEMAS}
+        tables = {kind: writer.table(kind, schema_of(self.header, kind)) for kind in SCHEMAS}
         outcomes = _count_outcomes(tables["trials"])
         planned = planned_in(self.header, shard)
         found = {s: sum(c.values()) for s, c in outcomes.items()}

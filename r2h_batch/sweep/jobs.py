@@ -341,6 +341,10 @@ def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     for path, digest, answers in files:
         planned, answers = setting.ids(0, setting.planned), answers.named(setting.names, path)
         given, motions = answers.predictions, answers.motions
+        robot = setting.evaluator.scene.robot
+        if motions is not None and motions.q.shape[1] != len(robot.joints) and len(motions.q):
+            words = f"motions of {motions.q.shape[1]} joints; {robot.name} has {len(robot.joints)}"
+            raise PredictionsError(f"{path}: {words}; name their robot with --robot")
         rows = align(given, planned, source=path, allow_missing=options.allow_missing)
         kind = "predictions" if motions is None else "motions"
         source = {"kind": kind, "file": path, "sha256": digest}

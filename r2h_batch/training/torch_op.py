@@ -18,6 +18,8 @@ from r2h_batch.types import CRITERIA, Scores, Trials
 class Scorer(Protocol):
     """What the operator calls: the `Evaluator`, as far as this module knows it."""
 
+    scene: Any
+
     def score(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, /
     ) -> Scores:
@@ -27,9 +29,12 @@ class Scorer(Protocol):
 _numbers = count()
 _scorers: "WeakValueDictionary[int, Scorer]" = WeakValueDictionary()
 """An operator's arguments are tensors and numbers: this is how it finds its evaluator again."""
+MOST_JOINTS = 16
 
 PATH_WIDTH = {"pose": 0, "all": WAYPOINTS}
 """Width of `Scores.path`."""
+WIDTH, JOINTS = -1, -2
+"""Of `_SHAPES`: the path's width and the robot's joints."""
 
 RETURNED = tuple(
     f.name
@@ -52,17 +57,18 @@ _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "plan_pair": (torch.int8, ()),
     "witness_part": (torch.int32, (2,)),
     "witness_point": (torch.float32, (3,)),
-    "q_goal": (torch.float32, (6,)),
-    "path": (torch.float32, (-1, 6)),
-    "path_time_s": (torch.float32, (-1,)),
+    "q_goal": (torch.float32, (JOINTS,)),
+    "path": (torch.float32, (WIDTH, JOINTS)),
+    "path_time_s": (torch.float32, (WIDTH,)),
     "path_len": (torch.int32, ()),
 }
-"""Per row; -1 stands for the path's width, what is not listed is one float."""
+"""Per row; what is not listed is one float."""
 
 
 def register(scorer: Scorer) -> int:
-    """The number under which the operator finds this scorer for as long as it lives."""
-    number = next(_numbers)
+    """The number under which the operator finds this scorer for as long as it lives; tracing, which
+    may not look it up, reads the robot's joints from it."""
+    number = next(_numbers) * MOST_JOINTS + len(scorer.scene.robot.joints)
     _scorers[number] = scorer
     return number
 
@@ -90,10 +96,11 @@ def score_op(
 
 @score_op.register_fake
 def _(T_obj_ee: Tensor, *others: Any) -> list[Tensor]:
-    out, stages = [], others[-1]
+    out, (evaluator, stages) = [], others[-2:]
+    sizes = {WIDTH: PATH_WIDTH[stages], JOINTS: evaluator % MOST_JOINTS}
     for name in RETURNED:
         dtype, shape = _SHAPES.get(name, (torch.float32, ()))
-        row = [PATH_WIDTH[stages] if n == -1 else n for n in shape]
+        row = [sizes.get(n, n) for n in shape]
         out.append(T_obj_ee.new_empty((T_obj_ee.shape[0], *row), dtype=dtype))
     return out
 
@@ -159,7 +166,7 @@ def call(
         zip(RETURNED, score_op(T_obj_ee, T_world_ee, *rows, evaluator, stages), strict=True)
     )
     motion, motion_len = (
-        T_obj_ee.new_empty((len(T_obj_ee), 0, 6)),
+        T_obj_ee.new_empty((len(T_obj_ee), 0, values["q_goal"].shape[1])),
         torch.zeros_like(values["path_len"]),
     )
     state = motion[:, :, 0].double()

@@ -57,7 +57,7 @@ class Drawn:
         self.show("target", not drawing.stored.moves)
 
     def pose(self, q: Array) -> None:
-        """Puts the robot and what it holds at posture q (6,) rad."""
+        """Puts the robot and what it holds at posture q (joints,) rad."""
         self._pose(q, self.moving)
 
     def _pose(self, q: Array, bodies: Sequence[int]) -> None:

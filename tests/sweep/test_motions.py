@@ -6,6 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from sweep_command import in_process
 
+from r2h_batch.__main__ import main
 from r2h_batch.export.stored import Reader
 from r2h_batch.results.reevaluation import Judge, reevaluate
 from r2h_batch.runs.store import load_run
@@ -14,19 +15,19 @@ from r2h_batch.verdicts import CRITERIA
 TRIALS = 6
 
 
-@pytest.fixture(scope="module")
-def planned(tmp_path_factory):
+@pytest.fixture(scope="module", params=["ur5e_2f85", "panda_hand"])
+def planned(tmp_path_factory, request):
     """A run of ours without a simulator, and its motions as a file: the samples one after another."""
-    folder = tmp_path_factory.mktemp("motions")
-    done = in_process(
-        "--method", "oracle", "--trials", TRIALS, "--sim", "none", "--save-paths", "--out", folder / "own"
-    )
+    folder, robot = tmp_path_factory.mktemp("motions"), request.param
+    line = ("--method", "oracle", "--robot", robot, "--trials", TRIALS, "--sim", "none", "--save-paths")
+    done = in_process(*line, "--out", folder / "own")
     assert done.returncode == 0, done.stderr
     run = load_run(folder / "own")
     paths, poses = run.paths("oracle").to_pylist(), run.poses("oracle").to_pylist()
     path_of = {p["trial_id"]: p for p in paths}
     ids = [p["trial_id"] for p in poses]
-    q = [np.array(path_of[i]["q"], np.float32) if i in path_of else np.zeros((0, 6), np.float32) for i in ids]
+    none = np.zeros((0, len(paths[0]["q_goal"])), np.float32)
+    q = [np.array(path_of[i]["q"], np.float32) if i in path_of else none for i in ids]
     assert any(len(x) for x in q)
     data = {
         "method": np.array("my planner"),
@@ -42,7 +43,8 @@ def planned(tmp_path_factory):
 
 
 def judged(folder, file, out, *more):
-    line = ["--motions", file, "--trials", TRIALS, "--sim", "none", "--out", folder / out, *more]
+    robot = load_run(folder / "own").robot
+    line = ["--motions", file, "--robot", robot, "--trials", TRIALS, "--sim", "none", "--out", folder / out, *more]
     done = in_process(*line)
     assert done.returncode == 0, done.stderr
     return load_run(folder / out)
@@ -50,6 +52,8 @@ def judged(folder, file, out, *more):
 
 def test_motions_in_a_file_get_the_verdicts_of_the_same_paths_and_a_run_goes_on(planned):
     folder, own, _ = planned
+    again = reevaluate(own, "oracle", 100, Judge(own))
+    assert again.equal == again.scored == 2 * TRIALS and not again.differences
     run = judged(folder, folder / "motions.npz", "given", "--shard-trials", 5)
     a, b = own.trials("oracle").to_pylist(), run.trials("my planner").to_pylist()
     for x, y in zip(a, b, strict=True):
@@ -105,6 +109,18 @@ def test_what_is_no_motions_file_is_one_line(planned, changes, words):
     np.savez(folder / "bad.npz", **{k: v for k, v in {**data, **changes}.items() if v is not None})
     done = in_process("--motions", folder / "bad.npz", "--trials", TRIALS, "--sim", "none", "--out", folder / "bad")
     assert done.returncode == 2 and words in done.stderr and "bad.npz" in done.stderr.splitlines()[-1]
+
+
+def test_joints_of_another_arm_are_one_line(planned, capsys):
+    folder, own, data = planned
+    line = ["export", str(folder / "own"), "--to", "r2handoversim", "--trials", "1", "--out"]
+    assert main([*line, str(folder / "theirs")]) == 2 * (own.robot != "ur5e_2f85")
+    assert ("ur5e_2f85 alone" in capsys.readouterr().err) == (own.robot != "ur5e_2f85")
+    np.savez(folder / "five.npz", **{**data, "q": data["q"][:, :5]})
+    line = ("--robot", own.robot, "--trials", TRIALS, "--sim", "none", "--out", folder / "five")
+    done = in_process("--motions", folder / "five.npz", *line)
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 2 and f"motions of 5 joints; {own.robot} has {data['q'].shape[1]}" in last
 
 
 def test_a_motion_with_a_number_that_is_none_is_one_invalid_row(planned):
