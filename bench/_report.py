@@ -46,6 +46,15 @@ class Report:
         Path(path).write_text(json.dumps(data, indent=1) + "\n")
 
 
+def resident_mib(pid: int | None = None) -> float:
+    """Resident memory of a process, MiB; None: this one. NaN where it is gone."""
+    try:
+        pages = int(Path(f"/proc/{pid or 'self'}/statm").read_text().split()[1])
+    except (OSError, IndexError):
+        return float("nan")
+    return pages * os.sysconf("SC_PAGESIZE") / 2**20
+
+
 def made_by() -> dict[str, object]:
     """Commit, files changed since, date, versions and hardware: where figures come from."""
     changed = (_git("status", "--porcelain", "--untracked-files=no") or "").splitlines()

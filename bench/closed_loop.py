@@ -7,16 +7,13 @@
 
 import argparse
 import json
-import os
 import time
-from collections.abc import Sequence
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, made_by
+from _report import ROOT, made_by, resident_mib
 
 PAGE = ROOT / "docs" / "results" / "moving.md"
 STORED = ROOT / "bench" / "results" / "closed_loop.json"
@@ -125,9 +122,14 @@ def summary(episodes: Any, rows: slice) -> dict[str, Any]:
         "by_robot": int(touched[e == End.CONTACT].sum()),
         "time_s": float(np.median(time_s[won])) if won.any() else None,
         "least_m": float(np.median(episodes.least_m[rows].numpy()[lived])),
-        "won": won.tolist(),
+        "won": bits(won),
         **{k: float(getattr(episodes, k)[rows].numpy()[lived].mean()) for k in shares},
     }
+
+
+def bits(flags: np.ndarray) -> str:
+    """A flag of each trial, "0" or "1": one line of the JSON."""
+    return "".join("01"[int(flag)] for flag in flags)
 
 
 def cost(scores: Any) -> list[dict[str, float]]:
@@ -185,8 +187,7 @@ def growth(trials: int) -> dict[str, Any]:
         Loop(ReceiverMotion("moves", seed=seed), "servo", LoopConfig(seed=seed))(scores)
         done += n
         if done * 10 >= trials * (len(mib) + 1):
-            pages = int(Path("/proc/self/statm").read_text().split()[1])
-            mib.append(round(pages * os.sysconf("SC_PAGE_SIZE") / 2**20))
+            mib.append(round(resident_mib()))
             print(done, mib[-1], flush=True)
     return {"trials": done, "mib": mib, "s": time.process_time() - begin, **made_by()}
 
@@ -195,7 +196,7 @@ def measure(trials: int) -> dict[str, Any]:
     """All figures of the page."""
     names, n, scores = answers(trials)
     rows = {name: slice(k * n, (k + 1) * n) for k, name in enumerate(names)}
-    methods: dict[str, Any] = {name: {"sr": scores.success[r].tolist(), "cases": {}} for name, r in rows.items()}
+    methods: dict[str, Any] = {name: {"sr": bits(scores.success[r].numpy()), "cases": {}} for name, r in rows.items()}
     for motion, policy in CASES:
         episodes = played(scores, motion, policy)
         for name, r in rows.items():
@@ -205,14 +206,14 @@ def measure(trials: int) -> dict[str, Any]:
     return {"trials": trials, "methods": methods, "cost": cost(scores[rows["oracle"]]), **made_by()}
 
 
-def _rate(hits: Sequence[bool]) -> str:
+def _rate(hits: str) -> str:
     from r2h_batch.statistics.aggregate import wilson_interval
 
-    low, high = wilson_interval(sum(hits), len(hits))
-    return f"{100 * sum(hits) / len(hits):.1f} [{100 * float(low):.0f}, {100 * float(high):.0f}]"
+    low, high = wilson_interval(hits.count("1"), len(hits))
+    return f"{100 * hits.count('1') / len(hits):.1f} [{100 * float(low):.0f}, {100 * float(high):.0f}]"
 
 
-def ranks(columns: dict[str, dict[str, list[bool]]]) -> str:
+def ranks(columns: dict[str, dict[str, str]]) -> str:
     """Which pairs of methods change places between SR and a case, with McNemar's exact p of each order."""
     from scipy.stats import binomtest
 
@@ -222,7 +223,7 @@ def ranks(columns: dict[str, dict[str, list[bool]]]) -> str:
         for a, b in combinations(columns[first], 2):
             signs, words = [], []
             for column in (first, case):
-                x, y = (np.array(columns[column][m]) for m in (a, b))
+                x, y = (np.array(list(columns[column][m])) == "1" for m in (a, b))
                 up, down = int((x & ~y).sum()), int((~x & y).sum())
                 p = binomtest(up, up + down).pvalue if up + down else 1.0
                 signs.append(np.sign(up - down))
@@ -240,7 +241,7 @@ def markdown(data: dict[str, Any]) -> str:
     methods, short = data["methods"], short_names(list(data["methods"]))
     cases = [f"{m}, {p}" for m, p in CASES]
     rows, ends = [], []
-    columns: dict[str, dict[str, list[bool]]] = {"SR": {short[n]: m["sr"] for n, m in methods.items()}}
+    columns: dict[str, dict[str, str]] = {"SR": {short[n]: m["sr"] for n, m in methods.items()}}
     columns |= {c: {short[n]: m["cases"][c]["won"] for n, m in methods.items()} for c in cases}
     for name, m in methods.items():
         rows.append([short[name], _rate(m["sr"]), *(_rate(m["cases"][c]["won"]) for c in cases)])
@@ -265,7 +266,7 @@ def markdown(data: dict[str, Any]) -> str:
         mib=", ".join(map(str, grown["mib"])),
     )  # fmt: skip
     return HEAD.format(
-        same="yes" if all(won for sr, won in pairs if sr) else "no", more=sum(won for sr, won in pairs if not sr),
+        same="no" if ("1", "0") in pairs else "yes", more=pairs.count(("0", "1")),
         n=data["trials"], commit=str(data["commit"])[:12], all=2 * data["trials"],
         table=aligned(["Method", "SR", *cases], rows, 1), ranks=ranks(columns), ends=aligned(head, ends, 2),
         cost=aligned(["Trials", "s a trial", "ms a step", *PARTS], lines, 0),

@@ -7,7 +7,6 @@ import json
 from itertools import combinations
 from typing import Any
 
-import numpy as np
 from _report import ROOT
 
 STORED = ROOT / "bench" / "results"
@@ -54,7 +53,9 @@ def columns() -> dict[str, dict[str, float]]:
             r[0]: float(r[head.index(name)]) for r in rows if r[0] in curves
         }
     methods = {m.partition(" (")[0]: x["cases"] for m, x in moving["methods"].items()}
-    found |= {case: {m: 100 * float(np.mean(x[case]["won"])) for m, x in methods.items()} for case in CASES}
+    found |= {
+        case: {m: 100 * x[case]["won"].count("1") / len(x[case]["won"]) for m, x in methods.items()} for case in CASES
+    }
     return found
 
 
@@ -69,8 +70,8 @@ def tested(case: str, a: str, b: str) -> str:
     if case not in CASES:
         return ""
     methods = {m.partition(" (")[0]: x["cases"][case]["won"] for m, x in read("closed_loop")["methods"].items()}
-    x, y = np.array(methods[a]), np.array(methods[b])
-    up, down = int((x & ~y).sum()), int((~x & y).sum())
+    pairs = list(zip(methods[a], methods[b], strict=True))
+    up, down = pairs.count(("1", "0")), pairs.count(("0", "1"))
     return f" (p {binomtest(up, up + down).pvalue:.2g})" if up + down else ""
 
 

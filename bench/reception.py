@@ -1,8 +1,8 @@
 """Can the receivers take what methods hand over, and what does it cost to know: docs/results/reception.{md,png}.
 
 `python bench/reception.py` asks it of the shipped baselines of r2h-v1 and of `oracle,for=reception`, measures the cost on the
-frozen poses of the oracle (median of three calls on one thread; process time), and draws one trial with all hands that were
-tried. `--again cost` and `--again picture` renew these alone; `--render` writes the page again from the JSON.
+frozen poses of the oracle (median of three calls on one thread; process time), measures memory over 100,000 trials, and draws
+one trial with all hands that were tried. `--render` writes the page again from the JSON.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, made_by
+from _report import ROOT, made_by, resident_mib
 from scipy.spatial.transform import Rotation, Slerp
 
 PAGE = ROOT / "docs" / "results" / "reception.md"
@@ -23,6 +23,7 @@ STORED = ROOT / "bench" / "results" / "reception.json"
 BOUND = "oracle,for=reception"
 SIZES = (64, 256, 1024)
 SHOWN_OF = 4
+GROWN_TO = 100_000
 PARTS = ("whole", "arms", "gripper", "robot", "release", "ways")
 TAKEN, BLOCKED, BEYOND, SKIN = (
     (0.25, 0.65, 0.3, 1),
@@ -47,9 +48,13 @@ The shipped rows of r2h-v1, default preset, and the upper bound `oracle,for=rece
 COST = """
 ## Cost
 
-One core, 256 grasps a trial, the oracle's poses; process time, median of three calls; commit {commit}.
+One core, 256 grasps a trial, the oracle's poses; process time, median of three calls.
 
 {table}
+"""
+
+GROWTH = """
+{trials} trials in one process ({ms:.1f} ms of process time each). Resident memory after each tenth, MiB: {mib}.
 """
 
 
@@ -117,6 +122,21 @@ def cost(scores: Any) -> list[dict[str, float]]:
                 spent[name].append(seconds)
         found.append({"trials": len(some)} | {k: 1e3 * statistics.median(v) / len(some) for k, v in spent.items()})
     return found
+
+
+def growth(scores: Any, trials: int = GROWN_TO) -> dict[str, Any]:
+    """Resident memory after each tenth of `trials` trials: the same poses again and again."""
+    from r2h_batch.judge.reception import reception
+
+    mib: list[int] = []
+    done, begin = 0, time.process_time()
+    while done < trials:
+        reception(scores)
+        done += len(scores)
+        if done * 10 >= trials * (len(mib) + 1):
+            mib.append(round(resident_mib()))
+            print(done, mib[-1], flush=True)
+    return {"trials": done, "mib": mib, "s": time.process_time() - begin}
 
 
 def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
@@ -247,8 +267,11 @@ def markdown(data: dict[str, Any]) -> str:
     lines = [[str(row["trials"]), *(f"{row[k]:.2f}" for k in PARTS)] for row in data["cost"]]
     head = ["Trials", "ms a trial", "arm", "free, way", "clear", "release", "whole way"]
     text = HEAD.format(commit=str(data["commit"])[:12], caption=data["caption"]) + data["tables"]
-    commit = str(data.get("cost_commit", data["commit"]))[:12]
-    return text + COST.format(table=aligned(head, lines, 0), commit=commit)
+    text += COST.format(table=aligned(head, lines, 0))
+    if grown := data.get("growth"):
+        ms, mib = 1e3 * grown["s"] / grown["trials"], ", ".join(map(str, grown["mib"]))
+        text += GROWTH.format(trials=grown["trials"], ms=ms, mib=mib)
+    return text
 
 
 def main() -> None:
@@ -256,22 +279,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--render", action="store_true")
-    parser.add_argument("--again", choices=["cost", "picture"], help="measure or draw this alone")
     options = parser.parse_args()
-    if options.again:
-        from r2h_batch.results.reevaluation import Judge
-        from r2h_batch.runs.store import load_run
-
-        judge = Judge(load_run(ROOT / "r2h_batch" / "compare" / "baselines"))
-        torch.set_num_threads(1)
-        bound = answered(judge, np.arange(2 * options.trials))
-        data = json.loads(STORED.read_text())
-        if options.again == "cost":
-            data |= {"cost": cost(bound[3]), "cost_commit": made_by()["commit"]}
-        else:
-            data["caption"] = draw(*bound)
-        STORED.write_text(json.dumps(data, indent=1) + "\n")
-    elif not options.render:
+    if not options.render:
         from r2h_batch.results.reception import render
 
         asked, tables = judged(ROOT / "r2h_batch" / "compare" / "baselines", options.trials)
@@ -280,6 +289,7 @@ def main() -> None:
             "trials": options.trials,
             "tables": render(tables),
             "cost": cost(asked[3]),
+            "growth": growth(asked[3]),
             "caption": draw(*asked),
             **made_by(),
         }

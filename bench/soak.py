@@ -11,7 +11,6 @@ The sweeps use the real evaluator with `--sim none`. Rows are compared by the ru
 import argparse
 import json
 import multiprocessing
-import os
 import random
 import resource
 import signal
@@ -23,7 +22,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from _report import ROOT, Report, arguments
+from _report import ROOT, Report, arguments, resident_mib
 
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
@@ -57,15 +56,6 @@ def ended(process: subprocess.Popen[str]) -> None:
 
 def receipts(out: Path) -> list[Path]:
     return sorted((out / "manifest").rglob("[!.]*.json"))
-
-
-def memory_mib(pid: int) -> float:
-    """Resident memory of a process; NaN where it is gone."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    except (OSError, IndexError):
-        return float("nan")
-    return pages * os.sysconf("SC_PAGESIZE") / 2**20
 
 
 def digest(out: Path, shards: set[int]) -> str:
@@ -123,7 +113,7 @@ def long(given: argparse.Namespace, base: Path, report: Report, dice: random.Ran
         stored = len(receipts(plain)) * given.shard_trials
         if stored * 5 // given.trials > tenth and process.poll() is None:
             tenth = stored * 5 // given.trials
-            report.add(f"long.memory_mib_at_{stored}", memory_mib(process.pid))
+            report.add(f"long.memory_mib_at_{stored}", resident_mib(process.pid))
             report.add(f"long.trials_per_s_at_{stored}", stored / (time.perf_counter() - start))
         if time.perf_counter() - start > given.limit_s:
             process.send_signal(signal.SIGTERM)
@@ -200,7 +190,7 @@ def memory_of_calls(kind: str, calls: int) -> dict[str, float]:
             moved.grad = None
             scores.margin.nan_to_num(0.0, 0.0, 0.0).sum().backward()
         if i + 1 in COUNTS:
-            seen[f"memory_mib_after_{i + 1}"] = memory_mib(os.getpid())
+            seen[f"memory_mib_after_{i + 1}"] = resident_mib()
     return {**seen, "ms_per_call": 1e3 * (time.perf_counter() - start) / calls}
 
 

@@ -1,4 +1,4 @@
-"""Reception: the arm found again from how persons are drawn, and every step against float64 twins of its bodies."""
+"""Reception: the arm found again from how persons are drawn, and every step against python-fcl's distances."""
 
 from functools import cache
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
-from convex_twin import bodies, convex_distance
+from fcl_twin import distance, hull, primitive
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -26,7 +26,6 @@ from r2h_batch.receiver.receiving import load_receiving
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.trials.receivers import arm_axes
 
-HULL = Kind.BOX + 1
 RANGES = {"elbow": (0, 150), "supination": (-80, 80), "wrist_flexion": (-70, 80), "ulnar_deviation": (-20, 30)}
 
 
@@ -201,70 +200,58 @@ def hand_pieces(batch, row, T):
     return [(skin @ T[:3, :3].T + T[:3, 3])[ids.numpy()] for ids in model.pieces]
 
 
-def gripper_bodies(batch, trial, opening):
-    """Kinds, sizes and world poses of the gripper's primitives."""
+def gripper_bodies(batch, trial, opening, T_ee=None):
+    """The gripper's primitives in the world, with the ee where the trial presents the object unless it is given."""
     robot = evaluator().scene.robot
     R, p = (x[0].double().numpy() for x in gripper_poses(robot, torch.tensor([opening], dtype=torch.float32)))
-    T_ee = batch.of_trial["T_world_obj"][trial].double().numpy() @ batch.of_trial["attached"][trial].double().numpy()
+    if T_ee is None:
+        T_ee = (
+            batch.of_trial["T_world_obj"][trial].double().numpy() @ batch.of_trial["attached"][trial].double().numpy()
+        )
     T = np.tile(np.eye(4), (len(p), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = R, p
-    return robot.gripper.kind, robot.gripper.size, T_ee @ T
+    return [primitive(*body) for body in zip(robot.gripper.kind, robot.gripper.size, T_ee @ T, strict=True)]
 
 
-def least(kinds, sizes, poses, pieces):
-    """Least distance of primitives to convex point sets, 0 where any two meet."""
-    g, n = len(kinds), len(pieces)
-    most = max(map(len, pieces))
-    padded = [np.concatenate([q, np.repeat(q[:1], most - len(q), axis=0)]) for q in pieces]
-    a = bodies(np.repeat(kinds, n), np.repeat(sizes, n, axis=0), np.repeat(poses, n, axis=0))
-    b = bodies([HULL] * g * n, None, np.tile(np.eye(4), (g * n, 1, 1)), padded * g)
-    return max(float(convex_distance(a, b)[0].min()), 0.0)
+def least(a, b):
+    """Least distance of two groups of bodies, 0 where any two meet."""
+    return min(distance(x, y) for x in a for y in b)
 
 
 def gap_to_gripper(batch, trial, row, turn, opening, shift=(0, 0, 0)):
     pieces = hand_pieces(batch, row, turned_object(batch, trial, turn))
-    return least(*gripper_bodies(batch, trial, opening), [p + np.asarray(shift) for p in pieces])
+    return least(gripper_bodies(batch, trial, opening), [hull(p + np.asarray(shift)) for p in pieces])
 
 
 def arm_bodies(receiver, lean_deg, elbow, wrist, shoulder=None):
-    """Forearm, upper arm and torso as kinds, sizes and world poses; the shoulder of that lean unless it is given."""
+    """Forearm, upper arm and torso in the world; the shoulder of that lean unless it is given."""
     body = receiver.double().numpy()
     ahead, up = np.array([body[3, 3], body[4, 3], 0.0]), np.array([0, 0, 1.0])
     left = np.cross(up, ahead)
     lean = Rotation.from_rotvec(np.radians(lean_deg) * left)
     hip = body[3, :3] - body[4, 2] * up
     shoulder = hip + lean.apply(body[0, :3] - hip) if shoulder is None else shoulder
-    kinds, sizes, poses = [], [], []
+    arm = []
     for a, b, r in ((elbow, wrist, body[1, 3]), (shoulder, elbow, body[0, 3])):
         z = (b - a) / np.linalg.norm(b - a)
         x = np.cross([0, 1.0, 0] if abs(z[0]) > 0.7 else [1.0, 0, 0], z)
         x /= np.linalg.norm(x)
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = np.stack([x, np.cross(z, x), z], 1), (a + b) / 2
-        kinds.append(Kind.CAPSULE)
-        sizes.append([r, np.linalg.norm(b - a) / 2, 0])
-        poses.append(T)
+        arm.append(primitive(Kind.CAPSULE, [r, np.linalg.norm(b - a) / 2], T))
     T = np.eye(4)
     T[:3, :3] = lean.as_matrix() @ np.stack([ahead, left, up], 1)
     T[:3, 3] = hip + lean.apply(body[4, 2] * up)
-    return [*kinds, Kind.BOX], np.array([*sizes, body[4, :3]]), np.array([*poses, T])
+    return [*arm, primitive(Kind.BOX, body[4, :3], T)]
 
 
 def gap_to_robot(batch, trial, q, arm):
     """Least distance of the robot's primitives at posture q to an arm's bodies."""
     robot = evaluator().scene.robot
     T = forward_kinematics(robot, q)[robot.arm.link] @ robot.arm.T_link_prim
+    links = [primitive(*body) for body in zip(robot.arm.kind, robot.arm.size, T, strict=True)]
     opening = float(batch.of_trial["opening"][trial])
-    R, p = (x[0].double().numpy() for x in gripper_poses(robot, torch.tensor([opening], dtype=torch.float32)))
-    G = np.tile(np.eye(4), (len(p), 1, 1))
-    G[:, :3, :3], G[:, :3, 3] = R, p
-    kinds = np.concatenate([robot.arm.kind, robot.gripper.kind])
-    sizes = np.concatenate([robot.arm.size, robot.gripper.size])
-    poses = np.concatenate([T, ee_pose(robot, q) @ G])
-    g, n = len(kinds), len(arm[0])
-    a = bodies(np.repeat(kinds, n), np.repeat(sizes, n, axis=0), np.repeat(poses, n, axis=0))
-    b = bodies(np.tile(arm[0], g), np.tile(arm[1], (g, 1)), np.tile(arm[2], (g, 1, 1)))
-    return max(float(convex_distance(a, b)[0].min()), 0.0)
+    return least(links + gripper_bodies(batch, trial, opening, ee_pose(robot, q)), arm)
 
 
 def some(mask, n, seed=0):
@@ -274,11 +261,11 @@ def some(mask, n, seed=0):
     return pairs[np.random.default_rng(seed).choice(len(pairs), n, replace=False)].tolist()
 
 
-def test_hands_are_free_of_the_gripper_as_the_twin_says(steps):
+def test_hands_are_free_of_the_gripper_as_fcl_says(steps):
     batch, arms, passes, _ = steps
     within, clear = passes[..., 0], passes[..., 1]
     for mask, free in ((within & clear, True), (within & ~clear, False)):
-        for i, k in some(mask, 20):
+        for i, k in some(mask, 100):
             opening = float(batch.of_trial["opening"][i])
             gap = gap_to_gripper(batch, i, int(batch.first[i]) + k, arms["turn"][i, k], opening)
             assert gap > judge.ROOM_M - 2e-5 if free else gap < judge.ROOM_M + 2e-5, (i, k, gap)
@@ -300,7 +287,7 @@ def test_a_way_in_and_the_release_are_free_at_every_sample(steps):
         assert min(back) > 0, (i, k)
 
 
-def test_arm_and_torso_are_clear_of_the_robot_as_the_twin_says(scores, steps):
+def test_arm_and_torso_are_clear_of_the_robot_as_fcl_says(scores, steps):
     batch, arms, passes, _ = steps
     asked = passes[..., :3].all(2)
     for mask, clear in ((asked & passes[..., 3], True), (asked & ~passes[..., 3], False)):
@@ -338,8 +325,8 @@ def test_the_whole_way_to_the_chosen_grasp_is_free_at_every_sample(scores, steps
         for t in np.linspace(0, 2, 21):
             at = start + t * (before - start) if t < 1 else before + (t - 1) * (target - before)
             back = turn(min(t, 1.0)).as_matrix() @ R[1].T
-            pieces = [(p - target) @ back.T + at for p in skin]
-            assert least(*gripper_bodies(batch, i, opening), pieces) > 0, (i, t)
+            pieces = [hull((p - target) @ back.T + at) for p in skin]
+            assert least(gripper_bodies(batch, i, opening), pieces) > 0, (i, t)
             arm = arm_bodies(receiver, 0.5 * t * lean, waits + 0.5 * t * (elbow - waits), at)
             assert gap_to_robot(batch, i, scores.q_goal[i].double().numpy(), arm) > 0, (i, t)
 

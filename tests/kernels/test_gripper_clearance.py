@@ -1,11 +1,11 @@
 """What the gripper cuts, and how far its fingers are from a region: against float64 and python-fcl."""
 
-import fcl
 import numpy as np
 import pytest
 import torch
 import trimesh
 from convex_twin import primitive_distance, winding_number
+from fcl_twin import primitive, surface, touch
 from grasp_cases import BAND, model_of, pose_at, random_grasps, shapes, tables_of_shapes, upper
 
 from r2h_batch.bodies.robot import Kind, gripper_primitives_at, load_robot
@@ -92,33 +92,16 @@ def test_cut_agrees_with_float64_and_with_fcl(count: int) -> None:
         seen["cut" if twin < 0 else "near" if twin < cap else "far"] += 1
         assert float(cut[i]) == pytest.approx(twin, abs=2e-5), i
         if abs(float(cut[i])) > BAND:
-            surface = _fcl_model(trimesh.transform_points(mesh.vertices, np.linalg.inv(T_obj_ee)), mesh.faces)
+            skin = surface(trimesh.transform_points(mesh.triangles.reshape(-1, 3), np.linalg.inv(T_obj_ee)))
             hits = any(
-                _fcl_hits(surface, *p) for p in zip(robot.gripper.kind, robot.gripper.size, T_ee_prim, strict=True)
+                touch(skin, primitive(*body))
+                for body in zip(robot.gripper.kind, robot.gripper.size, T_ee_prim, strict=True)
             )
             centers = trimesh.transform_points(T_ee_prim[:, :3, 3], T_obj_ee)
             assert (hits or any(abs(winding_number(x, mesh.triangles)) > 0.5 for x in centers)) == (
                 float(cut[i]) < 0
             ), i
     assert min(seen.values()) >= count // 10, seen
-
-
-def _fcl_model(vertices: np.ndarray, faces: np.ndarray) -> fcl.BVHModel:
-    model = fcl.BVHModel()
-    model.beginModel(len(vertices), len(faces))
-    model.addSubModel(vertices, faces)
-    model.endModel()
-    return model
-
-
-def _fcl_hits(model: fcl.BVHModel, kind: int, size: np.ndarray, T: np.ndarray) -> bool:
-    shape = (
-        fcl.Box(*(2 * size))
-        if kind == Kind.BOX
-        else (fcl.Cylinder if kind == Kind.CYLINDER else fcl.Capsule)(size[0], 2 * size[1])
-    )
-    a, b = fcl.CollisionObject(model), fcl.CollisionObject(shape, fcl.Transform(T[:3, :3], T[:3, 3]))
-    return fcl.collide(a, b, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
 
 
 def test_a_pad_wholly_inside_the_object_and_an_object_wholly_inside_the_palm_are_cuts() -> None:

@@ -5,11 +5,11 @@ from dataclasses import replace
 from functools import cache
 from importlib import resources
 
-import fcl
 import manifold3d
 import numpy as np
 import pytest
 import trimesh
+from fcl_twin import distance, primitive, surface
 
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
@@ -48,14 +48,14 @@ def _pad_z(gap: float) -> float:
     return float(z + robot.T_flange_gripper[2, 3] - robot.T_flange_ee[2, 3])
 
 
-def _distance(mesh: trimesh.Trimesh, gap: float, moving_only: bool, cap: float = 2e-3) -> float:
+def _distance(mesh: trimesh.Trimesh, opening: float, moving_only: bool, cap: float = 2e-3) -> float:
     """Least fcl distance of the gripper's primitives to the surface, below the cap (0: they touch it)."""
     robot = load_robot()
     least = cap
     middle = mesh.triangles.mean(axis=1)
     radius = np.linalg.norm(mesh.triangles - middle[:, None], axis=2).max(axis=1)
     for kind, size, motion, T in zip(
-        robot.gripper.kind, robot.gripper.size, robot.gripper_motion, gripper_primitives_at(robot, gap), strict=True
+        robot.gripper.kind, robot.gripper.size, robot.gripper_motion, gripper_primitives_at(robot, opening), strict=True
     ):
         if moving_only and motion == "fixed":
             continue
@@ -68,16 +68,7 @@ def _distance(mesh: trimesh.Trimesh, gap: float, moving_only: bool, cap: float =
         near = np.linalg.norm(np.maximum(beyond, 0), axis=1) - radius < cap
         if not near.any():
             continue
-        surface = fcl.BVHModel()
-        surface.beginModel(3 * near.sum(), near.sum())
-        surface.addSubModel(mesh.triangles[near].reshape(-1, 3), np.arange(3 * near.sum()).reshape(-1, 3))
-        surface.endModel()
-        round_shape = fcl.Cylinder if kind == Kind.CYLINDER else fcl.Capsule
-        shape = fcl.Box(*(2 * size)) if kind == Kind.BOX else round_shape(size[0], 2 * size[1])
-        result = fcl.DistanceResult()
-        body_poses = fcl.CollisionObject(shape, fcl.Transform(T[:3, :3], T[:3, 3]))
-        fcl.distance(fcl.CollisionObject(surface), body_poses, fcl.DistanceRequest(), result)
-        least = min(least, max(result.min_distance, 0.0))
+        least = min(least, distance(surface(mesh.triangles[near]), primitive(kind, size, T)))
     return least
 
 
