@@ -110,12 +110,16 @@ class Fields:
 
 @wp.struct
 class Fingers:
-    """Levers of the gripper's moving parts (m): driver, pin about the driver's pivot, inner finger, inner knuckle."""
+    """Levers of the gripper's moving parts (m): driver, pin about the driver's pivot, inner finger, inner knuckle.
+
+    `weight`, of fingers that a table moves: by how much (m) a point is off per unit of each joint of a side, of the first
+    (the driver) as it takes the others along. The others then count as one pin, in m. Empty: the linkage."""
 
     driver: float
     pin_arm: float
     pin: float
     inner_knuckle: float
+    weight: wp.array(dtype=float)
 
 
 @wp.struct
@@ -247,32 +251,36 @@ def fastest_change(motion_radius: wp.array2d(dtype=float), worlds: Worlds, field
 
 
 @wp.func
-def finger_joints(fields: Fields, w: int, side: int):
-    """Driver, inner knuckle and how far the inner finger is turned, of one side; a jaw on a slide has one joint."""
+def finger_joints(fingers: Fingers, queue: Queue, slot: int, fields: Fields, w: int, side: int):
+    """Driver, inner knuckle and how far the inner finger is turned, of one side (`Fingers`)."""
     per_side = (fields.qpos.shape[1] - JOINTS) / 2
     j = JOINTS + per_side * side
     driver = fields.qpos[w, j]
-    if per_side == 1:
-        return driver, driver, 0.0
+    if fingers.weight.shape[0] > 0:
+        off = float(0.0)
+        for k in range(per_side):
+            off += fingers.weight[k] * wp.abs(fields.qpos[w, j + k] - queue.start[slot, j + k])
+        return driver, driver, off
     return driver, fields.qpos[w, j + 2], driver + fields.qpos[w, j + 1]
 
 
 @wp.func
-def note_fingers(record: Record, window: int, fields: Fields, w: int):
+def note_fingers(record: Record, window: int, fingers: Fingers, queue: Queue, slot: int, fields: Fields, w: int):
     """Widens what a window knows of the finger joints (as SceneModel.fingers)."""
     for side in range(2):
-        driver, knuckle, turned = finger_joints(fields, w, side)
+        driver, knuckle, turned = finger_joints(fingers, queue, slot, fields, w, side)
         record.drive_low[window] = wp.min(record.drive_low[window], wp.min(driver, knuckle))
         record.drive_high[window] = wp.max(record.drive_high[window], wp.max(driver, knuckle))
         record.pin[window] = wp.max(record.pin[window], wp.abs(turned))
 
 
 @wp.func
-def finger_sway(fingers: Fingers, fields: Fields, drive: float, w: int):
-    """How far any point of the fingers is from where drive angle `drive` has it, at most (as SceneModel.sway)."""
+def finger_sway(fingers: Fingers, queue: Queue, slot: int, fields: Fields, w: int):
+    """How far any point of the fingers is from where the trial's drive has it, at most (as SceneModel.sway)."""
     worst = float(0.0)
+    drive = queue.hold[slot, 0]
     for side in range(2):
-        at, knuckle, turned = finger_joints(fields, w, side)
+        at, knuckle, turned = finger_joints(fingers, queue, slot, fields, w, side)
         driver = wp.abs(at - drive)
         pin = wp.abs(turned)
         worst = wp.max(worst, driver * wp.max(fingers.driver, fingers.pin_arm) + pin * fingers.pin)
@@ -315,12 +323,10 @@ def finish_step(
     change = fastest_change(motion_radius, worlds_inout, fields_inout, w)
     record_out.bend[window] = wp.max(record_out.bend[window], change / step_s)
     if nq > JOINTS:
-        record_out.sway[slot] = wp.max(
-            record_out.sway[slot], finger_sway(fingers, fields_inout, queue.hold[slot, 0], w)
-        )
-        note_fingers(record_out, window, fields_inout, w)
+        record_out.sway[slot] = wp.max(record_out.sway[slot], finger_sway(fingers, queue, slot, fields_inout, w))
+        note_fingers(record_out, window, fingers, queue, slot, fields_inout, w)
         if step % (record_steps * WINDOW) == 0 and step < queue.steps[slot]:
-            note_fingers(record_out, window + 1, fields_inout, w)
+            note_fingers(record_out, window + 1, fingers, queue, slot, fields_inout, w)
     if finite:  # the last finite state stays where it is
         for j in range(nq):
             worlds_inout.qpos[w, j] = fields_inout.qpos[w, j]

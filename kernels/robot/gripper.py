@@ -1,6 +1,6 @@
 """A gripper's fingers: where every gripper primitive stands in the ee frame at an opening (gap between the pads).
 
-Parallel jaws on slides: the drive is minus half the gap (m), so that a larger drive closes.
+Fingers that a table moves (jaws on slides: of two samples): the drive is minus half the gap (m), so that a larger drive closes.
 The 2F-85's closed-form linkage: half the gap = offset + pin_y cos q - pin_z sin q = offset + r cos(q + phi) at drive angle
 q, so q = acos((gap / 2 - offset) / r) - phi. `side` is -1 for the finger at -y, +1 for the finger at +y, 0 for the body.
 """
@@ -16,14 +16,17 @@ FIXED = wp.constant(0)
 DRIVER = wp.constant(1)
 PIN = wp.constant(2)
 INNER_KNUCKLE = wp.constant(3)
-SLIDE = wp.constant(4)
+TABLE = wp.constant(4)  # and beyond: TABLE + row of the table
 
 
 @wp.struct
 class Gripper:
     """Linkage (m, rad; the +y finger's, gripper frame) and the G primitives at drive 0 in the ee frame."""
 
-    slide: int  # 1: parallel jaws, no linkage
+    samples: int  # of the table, 0: the linkage
+    table_gap: float  # gap (m) of its first sample, and from one to the next
+    table_step: float
+    table: wp.array2d(dtype=wp.vec3)  # (rows, samples) y, z, turn about the ee frame's x; row 0 moves the pads
     driver_pivot_y: float
     driver_pivot_z: float
     pin_y: float  # from the driver pivot
@@ -46,9 +49,31 @@ class Gripper:
 
 
 @wp.func
+def table_interval(g: Gripper, gap: float):
+    """The sample at or below a gap, which has one above it, and the share of the way to that one."""
+    f = wp.clamp((gap - g.table_gap) / g.table_step, 0.0, float(g.samples - 1))
+    i = wp.min(int(f), g.samples - 2)
+    return i, f - float(i)
+
+
+@wp.func
+def table_at(g: Gripper, row: int, gap: float) -> wp.vec3:
+    """A row of the table at a gap."""
+    i, t = table_interval(g, gap)
+    return g.table[row, i] + t * (g.table[row, i + 1] - g.table[row, i])
+
+
+@wp.func
+def table_slope(g: Gripper, row: int, gap: float) -> wp.vec3:
+    """How a row of the table changes per metre of opening."""
+    i, _t = table_interval(g, gap)
+    return (g.table[row, i + 1] - g.table[row, i]) / g.table_step
+
+
+@wp.func
 def drive_from_gap(g: Gripper, gap: float) -> float:
     """Drive angle (rad) at which the pads are `gap` (m) apart, clipped to its range."""
-    if g.slide == 1:
+    if g.samples > 0:
         return wp.clamp(-0.5 * gap, g.drive_lower, g.drive_upper)
     # half the gap = offset + r cos(q + phi) solved for q; gaps beyond the linkage give its ends
     r = wp.sqrt(g.pin_y * g.pin_y + g.pin_z * g.pin_z)
@@ -59,7 +84,7 @@ def drive_from_gap(g: Gripper, gap: float) -> float:
 @wp.func
 def gap_from_drive(g: Gripper, drive: float) -> float:
     """Gap between the pads (m) at a drive angle."""
-    if g.slide == 1:
+    if g.samples > 0:
         return -2.0 * drive
     s, c = sin_cos(drive)
     return 2.0 * (g.gap_offset + g.pin_y * c - g.pin_z * s)
@@ -68,8 +93,9 @@ def gap_from_drive(g: Gripper, drive: float) -> float:
 @wp.func
 def pad_center_z(g: Gripper, drive: float) -> float:
     """z of the pads' centres in the ee frame (0 at half stroke)."""
-    if g.slide == 1:
-        return g.pad_z
+    if g.samples > 0:
+        at = table_at(g, 0, -2.0 * drive)
+        return g.pad_z + at[1]
     s, c = sin_cos(drive)
     return g.pad_z + g.pin_z * c + g.pin_y * s
 
@@ -77,8 +103,18 @@ def pad_center_z(g: Gripper, drive: float) -> float:
 @wp.func
 def pad_center_z_range(g: Gripper, gap_low: float, gap_high: float):
     """Smallest and largest z (ee frame) that the pads' centres take while the gap goes from gap_high to gap_low."""
-    if g.slide == 1:
-        return g.pad_z, g.pad_z
+    if g.samples > 0:  # linear in between: the ends, and the samples among them
+        at_low = table_at(g, 0, gap_low)
+        at_high = table_at(g, 0, gap_high)
+        z_low = wp.min(at_low[1], at_high[1])
+        z_high = wp.max(at_low[1], at_high[1])
+        first, _t = table_interval(g, gap_low)
+        last, _u = table_interval(g, gap_high)
+        for i in range(first + 1, last + 1):
+            at = g.table[0, i]
+            z_low = wp.min(z_low, at[1])
+            z_high = wp.max(z_high, at[1])
+        return g.pad_z + z_low, g.pad_z + z_high
     q_open = drive_from_gap(g, gap_high)
     q_closed = drive_from_gap(g, gap_low)
     a = pad_center_z(g, q_open)
@@ -100,11 +136,18 @@ def finger_pose(g: Gripper, i: int, drive: float):
     # the finger at -y is the mirror image: it turns the other way
     if motion != FIXED:
         side = g.side[i]
+        if motion >= TABLE:
+            at = table_at(g, motion - TABLE, -2.0 * drive)
+            shift = wp.vec3(0.0, side * at[0], at[1])
+            if at[2] == 0.0:
+                return R, p + shift
+            st, ct = sin_cos(at[2])
+            st = side * st
+            about_x = wp.mat33(1.0, 0.0, 0.0, 0.0, ct, -st, 0.0, st, ct)
+            return about_x * R, about_x * p + shift
         sine, c = sin_cos(drive)
         s = side * sine
-        if motion == SLIDE:
-            p = p - wp.vec3(0.0, side * drive, 0.0)
-        elif motion == PIN:  # the parallelogram carries inner finger and pad along the pin's arc without turning them
+        if motion == PIN:  # the parallelogram carries inner finger and pad along the pin's arc without turning them
             y = side * g.pin_y
             p = p + wp.vec3(0.0, c * y - s * g.pin_z - y, s * y + c * g.pin_z - g.pin_z)
         else:

@@ -13,7 +13,7 @@ from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose, l
 from r2h_batch.kernels.grasp.prism import FAR, clip_edge, corner
 from r2h_batch.kernels.grasp.width import between_gaps, close_on
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, gap_from_drive, pad_center_z_range
+from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, gap_from_drive, pad_center_z_range, table_slope
 
 wp.set_module_options(OPTIONS)
 
@@ -188,8 +188,9 @@ def _ends_along_y(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3):
 @wp.func
 def _lift(g: Gripper, gap: float):
     """By how much the pads' centres rise per metre of opening: dz/dq over dgap/dq, q the drive angle (gripper.py)."""
-    if g.slide == 1:
-        return float(0.0)
+    if g.samples > 0:
+        slope = table_slope(g, 0, gap)
+        return slope[1]
     drive = drive_from_gap(g, gap)
     s, c = sin_cos(drive)
     dz = g.pin_y * c - g.pin_z * s

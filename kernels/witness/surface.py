@@ -17,7 +17,17 @@ from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose
 from r2h_batch.kernels.grasp.triangle import DEPTH_M
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.gripper import FIXED, INNER_KNUCKLE, PIN, SLIDE, Gripper, drive_from_gap, finger_pose
+from r2h_batch.kernels.robot.gripper import (
+    FIXED,
+    INNER_KNUCKLE,
+    PIN,
+    TABLE,
+    Gripper,
+    drive_from_gap,
+    finger_pose,
+    table_at,
+    table_slope,
+)
 
 wp.set_module_options(OPTIONS)
 
@@ -234,8 +244,11 @@ def finger_velocity(g: Gripper, i: int, gap: float, x: wp.vec3):
     motion = g.motion[i]
     if motion != FIXED and drive > g.drive_lower and drive < g.drive_upper:
         side = g.side[i]
-        if motion == SLIDE:
-            return wp.vec3(0.0, 0.5 * side, 0.0)
+        if motion >= TABLE:
+            at = table_at(g, motion - TABLE, gap)
+            slope = table_slope(g, motion - TABLE, gap)
+            turning = side * slope[2]  # about x through the ee frame's origin, which the shift has carried along
+            return wp.vec3(0.0, side * slope[0] - turning * (x[2] - at[1]), slope[1] + turning * (x[1] - side * at[0]))
         s, c = sin_cos(drive)
         turns = -1.0 / (2.0 * (g.pin_y * s + g.pin_z * c))  # rad per metre
         if motion == PIN:

@@ -61,8 +61,9 @@ industrial arm within 0.1 mm while it moves."""
 GRIPPER_MASS_KG = 1.05
 """2F-85 with its coupling."""
 
-MOTIONS = ("fixed", "driver", "pin", "inner_knuckle", "slide")
-"""How a part of the gripper moves: the kernels' codes count these (tests/kernels/test_codes.py)."""
+MOTIONS = ("fixed", "driver", "pin", "inner_knuckle", *(f"table_{k}" for k in range(8)))
+"""How a part of the gripper moves: the kernels' codes count these (tests/kernels/test_codes.py).
+`table_K`: by row K of `Linkage.table`; the pads move by row 0."""
 
 
 class Kind(IntEnum):
@@ -98,8 +99,8 @@ class Linkage:
     """The right (+y) finger's pivots in the gripper frame's (y, z) plane at drive 0; the left is its
     mirror.
 
-    `slide`: parallel jaws in place of the four-bar linkage. The drive is minus half the gap (m), so
-    that a larger one closes; of the pivots `pad_from_pin_yz` alone says where the pads are.
+    With a `table` in place of the four-bar linkage the drive is minus half the gap (m), so that a
+    larger one closes; of the pivots `pad_from_pin_yz` alone says where the pads are.
     """
 
     driver_pivot_yz: Array
@@ -109,11 +110,19 @@ class Linkage:
     pad_half_size: Array
     drive_lower: float
     drive_upper: float
-    slide: bool = False
+    table: Array | None = None
+    """(K, S, 3) where the K parts of the right finger are at S gaps, evenly from the closed to the open
+    one, linear in between: moved along y and z (m) after a turn about x (rad) through ee's origin"""
     mass_kg: float = GRIPPER_MASS_KG
     """of the whole gripper"""
     jaw_mass_kg: float = 0.0
-    """of each jaw on a slide"""
+    """of each finger that a table moves"""
+
+    @property
+    def moved(self) -> Array:
+        """Which of y, z and turn change in each row of the table (K, 3), bool."""
+        assert self.table is not None
+        return np.ptp(self.table, axis=1) > 1e-9
 
     @property
     def gap_offset_m(self) -> float:
@@ -350,7 +359,7 @@ def ee_pose(robot: Robot, q: ArrayLike) -> Array:
 def gap_from_drive(robot: Robot, drive: ArrayLike) -> Array:
     """Distance between the pad faces in m at a drive angle in rad."""
     link, q = robot.linkage, np.asarray(drive, dtype=np.float64)
-    if link.slide:
+    if link.table is not None:
         return np.asarray(-2.0 * q)
     a, b = link.pin_from_driver_yz
     return np.asarray(2.0 * (link.gap_offset_m + a * np.cos(q) - b * np.sin(q)))
@@ -360,7 +369,7 @@ def drive_from_gap(robot: Robot, gap_m: ArrayLike) -> Array:
     """Drive angle in rad for a gap in m; gaps outside the linkage's range (2F-85: 1.5 to 86.0 mm)
     give its nearest end."""
     link = robot.linkage
-    if link.slide:
+    if link.table is not None:
         gap = np.asarray(gap_m, dtype=np.float64)
         return np.clip(-gap / 2.0, link.drive_lower, link.drive_upper)
     a, b = link.pin_from_driver_yz
@@ -373,11 +382,23 @@ def drive_from_gap(robot: Robot, gap_m: ArrayLike) -> Array:
 def pad_center_z(robot: Robot, drive: ArrayLike) -> Array:
     """z of the pads' centres in the gripper frame, m."""
     link, q = robot.linkage, np.asarray(drive, dtype=np.float64)
-    if link.slide:
-        return np.full(q.shape, link.pad_from_pin_yz[1])
+    if link.table is not None:
+        return np.asarray(link.pad_from_pin_yz[1] + table_at(link, q)[0, ..., 1])
     a, b = link.pin_from_driver_yz
     return np.asarray(
         link.driver_pivot_yz[1] + link.pad_from_pin_yz[1] + b * np.cos(q) + a * np.sin(q)
+    )
+
+
+def table_at(link: Linkage, drive: ArrayLike) -> Array:
+    """Rows of the table at drives (...): (K, ..., 3)."""
+    assert link.table is not None
+    drives = np.linspace(link.drive_upper, link.drive_lower, link.table.shape[1])
+    return np.stack(
+        [
+            np.stack([np.interp(-np.asarray(drive), -drives, x) for x in row.T], -1)
+            for row in link.table
+        ]
     )
 
 
@@ -403,9 +424,13 @@ def finger_motion(robot: Robot, motion: str, side: int, drive: ArrayLike) -> Arr
         return np.broadcast_to(np.eye(4), (*q.shape, 4, 4)).copy()
     if motion not in MOTIONS:
         raise ValueError(f"motion is {motion!r}, allowed are {', '.join(MOTIONS)}")
-    if motion == "slide":
-        T = np.broadcast_to(np.eye(4), (*q.shape, 4, 4)).copy()
-        T[..., 1, 3] = -side * q
+    if motion.startswith("table_"):
+        y, z, turn = np.moveaxis(table_at(link, q)[int(motion[6:])], -1, 0)
+        tool = (np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee)[:3, 3]
+        T = _rotation(0, side * turn)
+        T[..., :3, 3] = tool - T[..., :3, :3] @ tool
+        T[..., 1, 3] += side * y
+        T[..., 2, 3] += z
         return T
     pivot = link.inner_knuckle_pivot_yz if motion == "inner_knuckle" else link.driver_pivot_yz
     T = _rotation(0, side * q)
@@ -606,9 +631,10 @@ class Arm(_Part):
 
 
 class Jaws(_Part):
-    """A gripper with parallel jaws on slides; its shapes stand in robot.npz."""
+    """A gripper whose pads stay parallel: on slides, or moved by the table in robot.npz, which holds its
+    shapes."""
 
-    law: Literal["slide"]
+    law: Literal["slide", "table"]
     open_gap_m: Annotated[float, Field(gt=0, le=0.5)]
     closed_gap_m: Annotated[float, Field(ge=0, le=0.5)]
     mass_kg: Annotated[float, Field(gt=0, le=50)] = GRIPPER_MASS_KG
@@ -648,6 +674,13 @@ GRIPPER_SPECS: dict[str, Spec] = {
 """What it holds besides where the gripper does not go by name."""
 
 
+TABLE_SPECS: dict[str, Spec] = {
+    "finger_table": ("f", ("motions", "samples", 3)), "gripper_motion": ("iu", ("parts",)),
+}  # fmt: skip
+"""What it holds besides where a table moves the fingers: `Linkage.table`, and the row of each part that is on a side."""
+MAX_SAMPLES = 256
+
+
 def read_robot(folder: str | Path) -> Robot:
     """The robot of a folder with robot.yaml and robot.npz.
 
@@ -664,6 +697,8 @@ def read_robot(folder: str | Path) -> Robot:
         raise FileError(f"{printable(text)}: {where}: {first['msg'][:200]}") from None
     arrays, where = read_npz(packed, most=MAX_BYTES), printable(packed)
     specs = SPECS if file.gripper == "2f-85" else SPECS | GRIPPER_SPECS
+    if isinstance(file.gripper, Jaws) and file.gripper.law == "table":
+        specs = specs | TABLE_SPECS
     specs = specs | HULL_SPECS if "corners" in arrays else specs
     lengths = check_arrays(arrays, specs, where, only=True)
     for name in specs:
@@ -697,6 +732,30 @@ def _check_lengths(file: RobotFile, lengths: dict[str, int]) -> None:
             raise ValueError("gripper.closed_gap_m must be below open_gap_m")
         if 2 * file.gripper.jaw_mass_kg >= file.gripper.mass_kg:
             raise ValueError("gripper.mass_kg must be above the mass of both jaws")
+
+
+def _check_table(robot: Robot) -> None:
+    """Raises ValueError where a table is not that of two fingers whose pads stay parallel."""
+    table, most = robot.linkage.table, len(MOTIONS) - MOTIONS.index("table_0")
+    assert table is not None
+    k, samples = table.shape[:2]
+    if not (1 <= k <= most and 2 <= samples <= MAX_SAMPLES):
+        raise ValueError(
+            f"finger_table has {k} motions of {samples} samples; 1 to {most} of 2 to {MAX_SAMPLES} are allowed"
+        )
+    if np.abs(table[..., :2]).max() > 0.5 or np.abs(table[..., 2]).max() > np.pi:
+        raise ValueError("finger_table moves a part by more than 0.5 m or half a turn")
+    pads = [i for i, part in enumerate(robot.gripper_part) if part == "pad"]
+    gaps = np.linspace(robot.closed_gap_m, robot.open_gap_m, samples)
+    for i in pads:
+        side, y = robot.gripper_side[i], robot.gripper.T_link_prim[i, 1, 3]
+        apart = side * y - robot.linkage.pad_half_size[1] + table[0, :, 0]
+        if robot.gripper_motion[i] != "table_0" or np.abs(2 * apart - gaps).max() > 2e-4:
+            raise ValueError(
+                "row 0 of finger_table must move the pads, half the gap from the middle each"
+            )
+    if np.ptp(table[0, :, 2]) > 1e-6:
+        raise ValueError("the pads turn as the gripper closes; they must stay parallel")
 
 
 def check_robot(robot: Robot) -> None:
@@ -733,6 +792,8 @@ def check_robot(robot: Robot) -> None:
         raise ValueError(f"pairs name two links of 0 to {last + 1} (the gripper)")
     if not ((robot.lower <= robot.home_q) & (robot.home_q <= robot.upper)).all():
         raise ValueError("home_rad is outside the joint limits")
+    if robot.linkage.table is not None:
+        _check_table(robot)
     moments = np.linalg.eigvalsh(own.inertia)
     if (own.mass <= 0).any() or (moments <= 0).any():
         raise ValueError("masses and moments of inertia must be above 0")
@@ -821,8 +882,11 @@ def _jaws(gripper: Jaws, a: dict[str, Array]) -> dict[str, Any]:
     """The fields of a `Robot` that its gripper fills."""
     side = frozen(a["gripper_side"], np.int32)
     names = part_names(gripper.parts, side)
-    pad_z = float((np.linalg.inv(a["T_flange_gripper"]) @ a["T_flange_ee"])[2, 3])
-    none = frozen(np.zeros(2))
+    ee_z = float((np.linalg.inv(a["T_flange_gripper"]) @ a["T_flange_ee"])[2, 3])
+    rows = a.get("gripper_motion", np.zeros(len(side), np.int32))
+    if (side == 0).all() or not ((rows >= 0) & (rows < 8)).all():
+        raise ValueError("gripper_motion must be rows of finger_table, and some part on a side")
+    table = a.get("finger_table", slide_table(gripper.closed_gap_m, gripper.open_gap_m))
     return {
         "open_gap_m": gripper.open_gap_m,
         "T_flange_ee": frozen(a["T_flange_ee"]),
@@ -835,21 +899,38 @@ def _jaws(gripper: Jaws, a: dict[str, Array]) -> dict[str, Any]:
             frozen(a["gripper_size"]),
         ),
         "gripper_part": tuple(gripper.parts),
-        "gripper_motion": tuple("slide" if s else "fixed" for s in side.tolist()),
+        "gripper_motion": table_motions(rows, side),
         "gripper_side": side,
-        "linkage": Linkage(
-            none,
-            none,
-            none,
-            frozen([gripper.pad_half_size_m[1], pad_z]),
-            frozen(gripper.pad_half_size_m),
-            -gripper.open_gap_m / 2,
-            -gripper.closed_gap_m / 2,
-            slide=True,
-            mass_kg=gripper.mass_kg,
-            jaw_mass_kg=gripper.jaw_mass_kg,
+        "linkage": table_linkage(
+            table, gripper.closed_gap_m, gripper.open_gap_m, gripper.pad_half_size_m, ee_z,
+            gripper.mass_kg, gripper.jaw_mass_kg,
         ),
-    }
+    }  # fmt: skip
+
+
+def slide_table(closed_gap_m: float, open_gap_m: float) -> Array:
+    """The table (1, 2, 3) of jaws on slides whose shapes stand where the pads meet."""
+    return np.array([[[closed_gap_m / 2, 0.0, 0.0], [open_gap_m / 2, 0.0, 0.0]]])
+
+
+def table_motions(rows: ArrayLike, side: ArrayLike) -> tuple[str, ...]:
+    """`gripper_motion` of parts that rows of a table move, where they are on a side."""
+    pairs = zip(np.asarray(rows).tolist(), np.asarray(side).tolist(), strict=True)
+    return tuple(f"table_{k}" if s else "fixed" for k, s in pairs)
+
+
+def table_linkage(
+    table: ArrayLike, closed_gap_m: float, open_gap_m: float, pad_half_size_m: ArrayLike, ee_z_m: float,
+    mass_kg: float, jaw_mass_kg: float,
+) -> Linkage:  # fmt: skip
+    """The linkage of fingers that a table moves; `ee_z_m`: of the ee frame in the gripper's, where the
+    pads are half open."""
+    none, half, rows = frozen(np.zeros(2)), frozen(pad_half_size_m), frozen(table)
+    link = Linkage(
+        none, none, none, none, half, -open_gap_m / 2, -closed_gap_m / 2, rows, mass_kg, jaw_mass_kg
+    )
+    lift = float(table_at(link, -open_gap_m / 4)[0, 1])
+    return replace(link, pad_from_pin_yz=frozen([half[1], ee_z_m - lift]))
 
 
 def robot_arrays(robot: Robot) -> dict[str, Array]:
@@ -861,22 +942,33 @@ def robot_arrays(robot: Robot) -> dict[str, Array]:
         "T_link_prim": arm.T_link_prim, "size": arm.size, "self_pairs": robot.self_pairs,
         "object_pairs": robot.object_pairs,
     }  # fmt: skip
-    if robot.linkage.slide:
+    if robot.linkage.table is not None:
         shapes = robot.gripper
         found |= {
             "T_flange_ee": robot.T_flange_ee, "T_flange_gripper": robot.T_flange_gripper, "gripper_kind": shapes.kind,
             "gripper_side": robot.gripper_side, "T_gripper_prim": shapes.T_link_prim, "gripper_size": shapes.size,
         }  # fmt: skip
+        if robot_law(robot) == "table":
+            rows = [MOTIONS.index(m) - MOTIONS.index("table_0") for m in robot.gripper_motion]
+            found |= {"finger_table": robot.linkage.table, "gripper_motion": np.maximum(rows, 0)}
     if arm.corners:
         count = np.array([len(x) for x in arm.corners])
         found |= {"corner_count": count, "corners": np.concatenate(arm.corners)}
-    kinds, specs = {"f": "<f8", "iu": "<i4"}, SPECS | GRIPPER_SPECS | HULL_SPECS
+    kinds, specs = {"f": "<f8", "iu": "<i4"}, SPECS | GRIPPER_SPECS | TABLE_SPECS | HULL_SPECS
     return {k: np.ascontiguousarray(v, kinds[specs[k][0]]) for k, v in found.items()}
+
+
+def robot_law(robot: Robot) -> Literal["linkage", "slide", "table"]:
+    """How the gripper closes: `linkage` is the 2F-85's closed form."""
+    if robot.linkage.table is None:
+        return "linkage"
+    slides = np.array_equal(robot.linkage.table, slide_table(robot.closed_gap_m, robot.open_gap_m))
+    return "slide" if slides else "table"
 
 
 def robot_file(robot: Robot) -> RobotFile:
     """What robot.yaml holds of a robot; ValueError where a name or number cannot be in one."""
-    own = robot.dynamics
+    own, law = robot.dynamics, robot_law(robot)
     return RobotFile(
         format=1,
         name=robot.name,
@@ -898,9 +990,9 @@ def robot_file(robot: Robot) -> RobotFile:
             visuals=robot.visuals if robot.visuals.isidentifier() else "",
         ),
         gripper="2f-85"
-        if not robot.linkage.slide
+        if law == "linkage"
         else Jaws(
-            law="slide",
+            law=law,
             open_gap_m=robot.open_gap_m,
             closed_gap_m=robot.closed_gap_m,
             mass_kg=robot.linkage.mass_kg,

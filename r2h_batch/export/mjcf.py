@@ -494,7 +494,7 @@ def _add_gripper_visuals(
     """The gripper's meshes, or the bodies of one with jaws, with the pads `gap_m` apart, in the
     gripper's body."""
     color = "target" if ghost else "gripper"
-    if robot.linkage.slide:
+    if robot.linkage.table is not None:
         poses = _gripper_from_ee(robot) @ gripper_primitives_at(robot, gap_m)
         for i, part in enumerate(robot.gripper_part):
             rgb = COLORS["pad" if part == "pad" else "gripper"]

@@ -1,7 +1,7 @@
 """A robot out of a URDF: the arm's chain and masses, collision bodies fitted to its visual meshes,
 the pairs of links that are checked, a posture to start from.
 
-The gripper is the 2F-85, or two jaws on slides of the same URDF.
+The gripper is the 2F-85, or that of the same URDF.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from r2h_batch.bodies.robot import (
     DEFAULT_ROBOT,
     MAX_BODIES,
     Kind,
-    Linkage,
     Primitives,
     Robot,
     check_robot,
@@ -28,6 +28,9 @@ from r2h_batch.bodies.robot import (
     load_robot,
     part_names,
     robot_file,
+    slide_table,
+    table_linkage,
+    table_motions,
 )
 from r2h_batch.bodies.robot_visuals import ARM_LINKS, visual_triangles
 from r2h_batch.importers.robot_fit import (
@@ -39,10 +42,10 @@ from r2h_batch.importers.robot_fit import (
 )
 from r2h_batch.importers.robot_hulls import Hull, boxes_of, fit_hulls
 from r2h_batch.importers.robot_pairs import contact_rates, touching
-from r2h_batch.importers.urdf import Chain, Jaws, Link, read_chain, read_jaws
+from r2h_batch.importers.urdf import Box, Chain, Fingers, Link, read_chain, read_fingers
 from r2h_batch.io.read import FileError, printable
 
-__all__ = ["import_robot"]
+__all__ = ["gripper_of", "import_robot"]
 
 Array = NDArray[np.float64]
 
@@ -54,6 +57,12 @@ MOST_HULLS = 6
 """Of a link, as long as each link after it can have one of the bodies that the kernels hold."""
 PALM_BOXES = 8
 """Of a gripper that is imported: no hulls, as closing it asks how deep its bodies are met."""
+FINGER_BOXES, MAX_PARTS = 3, 31
+"""Of a mesh of a finger; of a whole gripper, as the kernels hold them."""
+TABLE_SAMPLES = 65
+"""Gaps at which the fingers' places are stored."""
+SYMMETRIC_M, PARALLEL_RAD = 1e-4, 5e-3
+"""By how much the fingers may close differently, and the pads turn."""
 NEAR_M = 0.010
 """Links that never touch and never come this near are not checked against each other."""
 DENSE_JOINTS = 2
@@ -82,7 +91,7 @@ def import_robot(
         base: the link that stands on the table.
         flange: the link that carries the gripper.
         packages: folder of each `package://NAME/`.
-        fingers: the links of the URDF's own gripper that slide apart; None: a 2F-85.
+        fingers: the two links of the URDF's own gripper that grasp; None: a 2F-85.
         visuals: the arm of airo-models whose meshes show it.
 
     Raises:
@@ -109,7 +118,7 @@ def import_robot(
     )
     palm: dict[str, Any] = {}
     if fingers is not None:
-        gripper, palm = _jaws(read_jaws(path, flange, fingers, packages), n, shown)
+        gripper, palm = gripper_of(read_fingers(path, flange, fingers, packages), fingers, n, shown)
         bare = replace(bare, **gripper)
     names: tuple[str, ...] = tuple(part.name for part in chain.links)
     mouths: list[list[Array]] = [[]] * (n + 1)
@@ -194,56 +203,155 @@ def _primitives_of(
     )  # fmt: skip
 
 
-def _jaws(jaws: Jaws, joints: int, shown: str) -> tuple[dict[str, Any], dict[str, Any]]:
+def gripper_of(
+    fingers: Fingers, pads: tuple[str, str], joints: int, shown: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """The fields of a `Robot` that its gripper fills, and the palm's figures.
 
-    z of the gripper is the flange's, +y the way in which the first jaw opens. The box of a jaw that
-    reaches farthest along z is its pad.
+    z of the gripper is the flange's, +y the way in which the first finger opens. The box of a pad's
+    link that reaches farthest along z is the pad.
+
+    Args:
+        fingers: what the URDF has.
+        pads: the two links that grasp.
+        joints: of the arm.
+        shown: the URDF's name in messages.
+
+    Raises:
+        FileError: fingers that do not close symmetrically, with pads that stay parallel.
     """
-    y, z = jaws.opens[0], np.array([0.0, 0.0, 1.0])
-    if abs(y @ z) > 1e-6:
-        raise FileError(f"{shown}: the jaws must open across the flange's z")
+    named = [next(part for part in fingers.parts if part.name == pad) for pad in pads]
+    way = [part.T[-1, :3, 3] - part.T[0, :3, 3] for part in named]
+    opens = (way[0] - way[1]) / 2
+    if np.linalg.norm(opens) < 1e-3 or abs(opens[2]) > 1e-3 * np.linalg.norm(opens):
+        raise FileError(f"{shown}: the two fingers must open apart, across the flange's z")
+    y = np.array([opens[0], opens[1], 0.0]) / np.hypot(*opens[:2])
     T_flange_gripper = np.eye(4)
-    T_flange_gripper[:3, :3] = np.stack([np.cross(y, z), y, z], 1)
-    turned = replace(jaws.palm, triangles=jaws.palm.triangles @ T_flange_gripper[:3, :3])
-    shapes = boxes_of(turned.triangles, PALM_BOXES)
-    report = {jaws.palm.name: target(turned.triangles, []).report(shapes)}
-    part, side = ["body"] * len(shapes), [0] * len(shapes)
-    faces, pads = [], []
-    for sign, boxes in zip((1, -1), jaws.jaws, strict=True):
-        placed = [(T_flange_gripper.T @ T, half) for T, half in boxes]  # it only turns
-        square = [b for b in placed if np.abs(np.abs(b[0][:3, :3]) - np.eye(3)).max() < 1e-6]
+    T_flange_gripper[:3, :3] = np.stack([np.cross(y, [0.0, 0.0, 1.0]), y, [0.0, 0.0, 1.0]], 1)
+    turned = fingers.palm.triangles @ T_flange_gripper[:3, :3]
+    shapes = boxes_of(turned, PALM_BOXES)
+    report = {fingers.palm.name: target(turned, []).report(shapes)}
+    moves = {p.name: T_flange_gripper.T @ p.T for p in fingers.parts}  # it only turns
+    pad, faces = [], []
+    for sign, one in zip((1, -1), named, strict=True):
+        boxes = [(moves[one.name] @ T, half) for T, half in one.boxes]
+        axes = [np.abs(T[0, :3, :3]) for T, _ in boxes]
+        square = [b for b, R in zip(boxes, axes, strict=True) if np.abs(R - R.round()).max() < 2e-3]
         if not square:
-            raise FileError(f"{shown}: a finger has no box along the gripper's axes for a pad")
-        pad = max(square, key=lambda b: float(b[0][2, 3] + b[1][2]))
-        pads.append(pad)
-        faces.append(float(sign * pad[0][1, 3] - pad[1][1]))
-        for T, half in placed:  # drive 0 has the pads' faces at y = 0
-            at = T[:3, 3] - [0.0, sign * faces[-1], 0.0]
-            shapes.append(Shape(BOX, at, T[:3, :3], half))
-            part.append("pad" if T is pad[0] else "finger")
-            side.append(sign)
-    half, pad_z = pads[0][1], float(pads[0][0][2, 3])
-    if abs(faces[0] - faces[1]) > 1e-4 or np.abs(half - pads[1][1]).max() > 1e-6:
-        raise FileError(f"{shown}: the two pads must be mirror images")
-    closed, opened = (max(2 * (travel + max(faces)), 0.0) for travel in jaws.travel)
+            raise FileError(
+                f"{shown}: {printable(one.name)} has no box along the gripper's axes for a pad"
+            )
+        square = [(T, np.abs(T[0, :3, :3]).round() @ half) for T, half in square]
+        pad.append(max(square, key=lambda b: float(b[0][0, 2, 3] + b[1][2])))
+        faces.append(sign * pad[-1][0][:, 1, 3] - pad[-1][1][1])
+        turns = Rotation.from_matrix(pad[-1][0][0, :3, :3].T @ pad[-1][0][:, :3, :3]).magnitude()
+        if turns.max() > PARALLEL_RAD:
+            raise FileError(
+                f"{shown}: {printable(one.name)} turns by {np.degrees(turns.max()):.1f} degrees as the gripper closes; pads must"
+                " stay parallel"
+            )
+    half, gap = pad[0][1], faces[0] + faces[1]
+    heights = [p[0][:, 2, 3] for p in pad]
+    uneven = max(np.abs(x[0] - x[1]).max() for x in (faces, heights))
+    if uneven > SYMMETRIC_M or np.abs(half - pad[1][1]).max() > 1e-6:
+        raise FileError(f"{shown}: the two pads must be mirror images, {1e3 * uneven:.2f} mm off")
+    if (np.diff(gap) <= 0).any() or gap[-1] <= 0:
+        raise FileError(f"{shown}: the pads do not come apart all the way as the gripper opens")
+    closed, opened = max(float(gap[0]), 0.0), float(gap[-1])
+    gaps = np.linspace(closed, opened, TABLE_SAMPLES)
     T_flange_ee = T_flange_gripper.copy()
-    T_flange_ee[2, 3] = pad_z
-    none = frozen(np.zeros(2))
-    names = part_names(part, side)
+    T_flange_ee[2, 3] = np.interp(opened / 2, gap, heights[0])
+    tool = T_flange_ee[:3, 3]
+
+    def row_of(part: str, sign: int) -> Array:
+        """(TABLE_SAMPLES, 3) of the table, mirrored to the +y finger."""
+        T = moves[part] @ np.linalg.inv(moves[part][0])
+        shift = T[:, :3, :3] @ tool + T[:, :3, 3] - tool
+        if max(np.abs(T[:, 0, 0] - 1).max(), np.abs(shift[:, 0]).max()) > SYMMETRIC_M:
+            raise FileError(
+                f"{shown}: {printable(part)} leaves the plane in which the gripper closes"
+            )
+        turn = np.unwrap(np.arctan2(T[:, 2, 1], T[:, 1, 1]))
+        columns = (sign * shift[:, 1], shift[:, 2], sign * turn)
+        return np.stack([np.interp(gaps, gap, x) for x in columns], 1)
+
+    rows, used = [row_of(pads[0], 1)], {(0, 1)}
+    part, side, motion = ["body"] * len(shapes), [0] * len(shapes), [0] * len(shapes)
+    room = (MAX_PARTS - len(shapes) - sum(len(p.boxes) for p in fingers.parts)) // max(
+        sum(bool(p.meshes) for p in fingers.parts), 1
+    )
+    mass = {1: 0.0, -1: 0.0}
+    for p in fingers.parts:
+        if not p.boxes and not p.meshes:
+            continue
+        bodies = list(p.boxes) or [
+            Box(_frame(s), s.size)
+            for s in _close_boxes(np.concatenate(p.meshes), min(room, FINGER_BOXES))
+        ]
+        placed = [(moves[p.name][0] @ T, h) for T, h in bodies]
+        sign = 1 if np.mean([(moves[p.name][-1] @ T)[1, 3] for T, _ in bodies]) > 0 else -1
+        mass[sign] += p.mass
+        found = row_of(p.name, sign)
+        k = next(
+            (i for i, r in enumerate(rows) if np.abs(r - found).max() < SYMMETRIC_M), len(rows)
+        )
+        rows += [found] if k == len(rows) else []
+        used.add((k, sign))
+        for i, (T, h) in enumerate(placed):
+            # of the rows the first alone moves as the gap does; where the pads meet it is 0
+            at = T[:3, 3] - [0.0, sign * gap[0] / 2 if k == 0 else 0.0, 0.0]
+            shapes.append(Shape(BOX, at, T[:3, :3], h))
+            here = next((x for n, x in zip(named, pad, strict=True) if n is p), None)
+            whose = here is not None and np.allclose(here[0][0], moves[p.name][0] @ bodies[i][0])
+            part.append("pad" if whose else "finger")
+            side.append(sign)
+            motion.append(k)
+    if {k for k, s in used if s == 1} != {k for k, s in used if s == -1}:
+        raise FileError(
+            f"{shown}: the two fingers must close symmetrically; a part of one moves as none of the other"
+        )
+    rows[0] = rows[0] + [gap[0] / 2, 0.0, 0.0]
+    if not np.isclose(mass[1], mass[-1], rtol=1e-3) or mass[1] <= 0:
+        what = f"{mass[1]:g} and {mass[-1]:g} kg"
+        raise FileError(f"{shown}: the gripper's fingers have {what}; they need equal masses")
+    table, slides = np.array(rows), slide_table(closed, opened)
+    if (
+        len(rows) == 1
+        and np.abs(table[0] - np.linspace(slides[0, 0], slides[0, 1], TABLE_SAMPLES)).max() < 1e-6
+    ):
+        table = slides
     return {
         "open_gap_m": opened,
         "T_flange_ee": frozen(T_flange_ee),
         "T_flange_gripper": frozen(T_flange_gripper),
-        "gripper": _primitives_of(shapes, [joints + 1] * len(shapes), names),
+        "gripper": _primitives_of(shapes, [joints + 1] * len(shapes), part_names(part, side)),
         "gripper_part": tuple(part),
-        "gripper_motion": tuple("slide" if s else "fixed" for s in side),
+        "gripper_motion": table_motions(motion, side),
         "gripper_side": frozen(side, np.int32),
-        "linkage": Linkage(
-            none, none, none, frozen([half[1], pad_z]), frozen(half), -opened / 2, -closed / 2,
-            slide=True, mass_kg=jaws.palm.mass + 2 * jaws.mass, jaw_mass_kg=jaws.mass,
+        "linkage": table_linkage(
+            table, closed, opened, half, T_flange_ee[2, 3], fingers.palm.mass + 2 * mass[1], mass[1]
         ),
     }, report  # fmt: skip
+
+
+def _close_boxes(triangles: Array, most: int) -> list[Shape]:
+    """Boxes that hold a finger's mesh, along the axes of its frame or along its own, whichever are
+    smaller together."""
+    points = triangles.reshape(-1, 3)
+    own = np.linalg.svd(points - points.mean(0), full_matrices=False)[2].T
+    own[:, 2] *= np.sign(np.linalg.det(own))
+    found = []
+    for R in (np.eye(3), own):
+        boxes = boxes_of(triangles @ R, max(most, 1))
+        turned = [replace(s, pos=R @ s.pos, R=R) for s in boxes]
+        found.append((sum(float(np.prod(s.size)) for s in boxes), turned))
+    return min(found, key=lambda x: x[0])[1]
+
+
+def _frame(shape: Shape) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = shape.R, shape.pos
+    return T
 
 
 def _dynamics(chain: Chain, robot: Robot, shown: str) -> Any:

@@ -1,10 +1,11 @@
-"""The chain of a URDF between two links: joint frames, limits, masses, visual meshes; a
-gripper of parallel jaws.
+"""The chain of a URDF between two links: joint frames, limits, masses, visual meshes; the fingers
+of a gripper.
 
 The file comes from a stranger. It is text of bounded size without a doctype, so it has no entities;
 meshes lie in its folder or in a package's that the caller names. Nothing is fetched.
 """
 
+import itertools
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
@@ -23,6 +24,8 @@ Array = NDArray[np.float64]
 Element = ElementTree.Element
 
 MAX_BYTES, MAX_LINKS, MAX_MESHES = 8 << 20, 256, 32
+SAMPLES = 513
+"""Of a gripper's way from closed to open."""
 LONGEST_M = 3.0
 """Of a link: a mesh that is longer is in millimetres, and would be covered point by point."""
 
@@ -46,14 +49,25 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Jaws:
-    """A gripper with two jaws on slides, flange frame at joint positions 0."""
+class Part:
+    """A link of a gripper that moves."""
+
+    name: str
+    boxes: tuple[Box, ...]
+    """what it collides as, in its frame"""
+    meshes: tuple[Array, ...]
+    """(F, 3, 3) what is seen of it, where it has no such boxes"""
+    mass: float
+    T: Array
+    """(SAMPLES, 4, 4) in the flange's frame, from closed to open in even steps of what drives it"""
+
+
+@dataclass(frozen=True)
+class Fingers:
+    """A gripper: what stands still, flange frame, and what moves."""
 
     palm: Link
-    jaws: tuple[tuple[Box, ...], tuple[Box, ...]]
-    opens: tuple[Array, Array]  # (3,) the direction in which each jaw opens
-    travel: tuple[float, float]  # smallest and largest position of each, m
-    mass: float  # of each, kg
+    parts: tuple[Part, ...]
 
 
 @dataclass(frozen=True)
@@ -127,15 +141,16 @@ def read_chain(
     return Chain(names, T, _exact(T_before), low, high, speed, effort, tuple(parts))
 
 
-def read_jaws(
-    path: Path, flange: str, fingers: tuple[str, str], packages: Mapping[str, Path]
-) -> Jaws:
-    """The gripper at a flange whose two `fingers` are links on prismatic joints that open apart.
+def read_fingers(
+    path: Path, flange: str, pads: tuple[str, str], packages: Mapping[str, Path]
+) -> Fingers:
+    """The gripper at a flange, moved from where the two `pads` are nearest to each other.
 
     Args:
         path: the URDF.
         flange: the link that carries the gripper.
-        fingers: two links; a finger collides as boxes.
+        pads: two links that grasp. A joint that mimics no other runs through its limits, others
+            follow it.
         packages: as in `read_chain`.
 
     Raises:
@@ -143,46 +158,125 @@ def read_jaws(
     """
     root, shown = _parsed(path), printable(path)
     links = {str(e.get("name")): e for e in root.findall("link")}
-    joints = root.findall("joint")
-    frames, todo = {flange: np.eye(4)}, [flange]
-    while todo:
-        at = todo.pop()
-        for joint in joints:
-            child = _end(joint, "child", shown)
-            if _end(joint, "parent", shown) == at and child not in frames:
-                frames[child] = frames[at] @ _origin(joint, shown)
-                todo += [child] if joint.get("type") == "fixed" else []
-    jaws, opens, travel, mass = [], [], [], []
-    for finger in fingers:
-        into = [j for j in joints if _end(j, "child", shown) == finger]
-        if not into or into[0].get("type") != "prismatic" or finger not in frames:
-            what = f"is no link on a prismatic joint of the gripper at {flange}"
-            raise FileError(f"{shown}: --fingers {printable(finger)} {what}")
-        opens.append(frames[finger][:3, :3] @ _to_axis(into[0], shown)[:3, 2])
-        jaws.append(_boxes(links[finger], frames[finger], shown))
-        travel.append(_limits(into[0], shown)[:2])
-        inertial = links[finger].find("inertial")
-        mass.append(0.0 if inertial is None else _body(inertial, np.eye(4), shown)[0])
-    if travel[0] != travel[1] or np.abs(opens[0] + opens[1]).max() > 1e-6:
-        raise FileError(f"{shown}: the two fingers must open apart, by as much each")
-    palm = _rigid(flange, np.eye(4), links, joints, set(), path, packages)
-    if min(palm.mass, *mass) <= 0 or mass[0] != mass[1]:
-        what = f"{palm.mass:g} kg, its fingers {mass[0]:g} and {mass[1]:g} kg"
+    joints, below = root.findall("joint"), {flange: 0}
+    while more := [j for j in joints if _end(j, "parent", shown) in below and _end(j, "child", shown) not in below]:  # fmt: skip
+        below |= {_end(j, "child", shown): len(below) for j in more}
+    inner = [
+        j for j in joints if _end(j, "child", shown) in below and _end(j, "child", shown) != flange
+    ]
+    moving = {str(j.get("name")): j for j in inner if j.get("type") != "fixed"}
+    carried = {_end(j, "child", shown) for j in moving.values()}
+    if len(below) - 1 != len(inner) or not set(below) <= set(links):
+        raise FileError(f"{shown}: the links at {flange} are no tree")
+    for pad in pads:
+        at, way = pad, [j for j in inner if _end(j, "child", shown) == pad]
+        while way and _end(way[0], "child", shown) not in carried:
+            at = _end(way[0], "parent", shown)
+            way = [j for j in inner if _end(j, "child", shown) == at]
+        if not way:
+            what = f"is no link that a joint of the gripper at {flange} moves"
+            raise FileError(f"{shown}: --fingers {printable(pad)} {what}")
+    roots = sorted({_root(j, moving, shown)[0] for j in moving.values()})
+    if len(roots) > 2:
         raise FileError(
-            f"{shown}: the gripper's palm has {what}; it needs masses, the fingers equal ones"
+            f"{shown}: {len(roots)} joints of the gripper move by themselves ({printable(', '.join(roots))[:80]});"
+            " one, or one of each finger, is allowed, the others mimic them"
         )
-    return Jaws(palm, (jaws[0], jaws[1]), (opens[0], opens[1]), travel[0], mass[0])
+
+    def placed(opened: Mapping[str, Array]) -> dict[str, Array]:
+        """Frames (S, 4, 4) of all links with the roots' joints at these positions (S,)."""
+        frames = {flange: np.tile(np.eye(4), (SAMPLES, 1, 1))}
+        for joint in sorted(inner, key=lambda j: below[_end(j, "child", shown)]):
+            T = frames[_end(joint, "parent", shown)] @ _origin(joint, shown)
+            if joint.get("type") != "fixed":
+                name, factor, offset = _root(joint, moving, shown)
+                T = T @ _moved(joint, factor * opened[name] + offset, shown)
+            frames[_end(joint, "child", shown)] = T
+        return frames
+
+    limits = {name: _limits(moving[name], shown)[:2] for name in roots}
+    ends = {name: np.linspace(low, high, SAMPLES) for name, (low, high) in limits.items()}
+    ways = [
+        placed({n: x[::turn] for (n, x), turn in zip(ends.items(), turns, strict=True)})
+        for turns in itertools.product((1, -1), repeat=len(roots))
+    ]
+    middle = [
+        np.mean([b.T[:3, 3] for b in _boxes(links[pad], np.eye(4), shown)] or [np.zeros(3)], 0)
+        for pad in pads
+    ]
+
+    def apart(frames: Mapping[str, Array], at: int) -> float:
+        one, two = (
+            frames[pad][at, :3, :3] @ x + frames[pad][at, :3, 3]
+            for pad, x in zip(pads, middle, strict=True)
+        )
+        return float(np.linalg.norm(one - two))
+
+    frames = max(ways, key=lambda f: apart(f, -1))
+    palm = _rigid(flange, np.eye(4), links, joints, carried, path, packages)
+    parts: list[Part] = []
+    for name in below:
+        at = name  # the link that carries this one
+        while at not in carried and at != flange:
+            at = next(_end(j, "parent", shown) for j in inner if _end(j, "child", shown) == at)
+        if at == flange:
+            continue
+        inertial = links[name].find("inertial")
+        mass = 0.0 if inertial is None else _body(inertial, np.eye(4), shown)[0]
+        boxes = _boxes(links[name], np.eye(4), shown)
+        seen = [] if boxes else [
+            _mesh(mesh, _origin(v, shown), path, packages) for v in links[name].findall("visual")
+            if (mesh := v.find("geometry/mesh")) is not None
+        ]  # fmt: skip
+        if not boxes and not seen and (name in pads or links[name].find("collision") is not None):
+            what = "has neither boxes to collide nor a visual mesh"
+            raise FileError(f"{shown}: {printable(name)} of the gripper {what}")
+        parts.append(Part(name, boxes, tuple(seen), mass, frames[name]))
+    if palm.mass <= 0:
+        raise FileError(f"{shown}: the gripper's palm has {palm.mass:g} kg; it needs a mass")
+    return Fingers(palm, tuple(parts))
+
+
+def _root(joint: Element, moving: Mapping[str, Element], shown: str) -> tuple[str, float, float]:
+    """The joint that a moving joint follows (itself), and by what factor and offset."""
+    name, factor, offset = str(joint.get("name")), 1.0, 0.0
+    for _ in range(len(moving) + 1):
+        if joint.get("type") not in ("revolute", "continuous", "prismatic"):
+            raise FileError(
+                f"{shown}: joint {printable(joint.get('name'))} is {printable(joint.get('type'))[:20]}; a gripper's turn or slide"
+            )
+        mimic = joint.find("mimic")
+        if mimic is None:
+            return str(joint.get("name")), factor, offset
+        like, where = str(mimic.get("joint")), f"{shown}: a mimic joint"
+        if like not in moving:
+            raise FileError(
+                f"{where} follows {printable(like)[:40]!r}, which is no joint that moves the gripper"
+            )
+        offset += factor * float(_numbers(mimic.get("offset", "0"), 1, where)[0])
+        factor *= float(_numbers(mimic.get("multiplier", "1"), 1, where)[0])
+        joint = moving[like]
+    raise FileError(f"{shown}: joint {printable(name)} follows itself")
+
+
+def _moved(joint: Element, at: Array, shown: str) -> Array:
+    """What a joint does at positions (S,): (S, 4, 4)."""
+    axis = _to_axis(joint, shown)[:3, 2]
+    T = np.tile(np.eye(4), (len(at), 1, 1))
+    if joint.get("type") == "prismatic":
+        T[:, :3, 3] = at[:, None] * axis
+    else:
+        T[:, :3, :3] = Rotation.from_rotvec(at[:, None] * axis).as_matrix()
+    return T
 
 
 def _boxes(link: Element, T: Array, shown: str) -> tuple[Box, ...]:
-    """What a link collides as, which must be boxes."""
+    """What a link collides as, where all of it is boxes; else none."""
     found = []
     for collision in link.findall("collision"):
         box = collision.find("geometry/box")
         if box is None:
-            raise FileError(
-                f"{shown}: {printable(link.get('name'))} collides as other than boxes; a finger is made of boxes"
-            )
+            return ()
         half = _numbers(box.get("size", ""), 3, f"{shown}: a box") / 2
         found.append(Box(T @ _origin(collision, shown), half))
     return tuple(found)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Robot, drive_from_gap
+from r2h_batch.bodies.robot import Robot, drive_from_gap, table_at
 from r2h_batch.launch import cpu_threads, thread_pool
 from r2h_batch.motion.simulation import warnings_unwritten
 from r2h_batch.scene.dynamics import add_servo, quat_wxyz
@@ -115,7 +115,7 @@ def shake(
 def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.MjSpec:
     """The fingers as parallelograms of their four-bars, or as jaws; pads as boxes, and the object's
     convex pieces as a free body."""
-    link, jaws = robot.linkage, robot.linkage.slide
+    link, jaws = robot.linkage, robot.linkage.table is not None
     most, armature, (kp, kv) = (
         (FORCE_N, JAW_ARMATURE_KG, JAW_GAINS) if jaws else (TORQUE_NM, 1e-3, (100.0, 2.0))
     )
@@ -145,13 +145,16 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
             )  # fmt: skip
             finger.add_joint(name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=1e-4)
             # the four-bar is a parallelogram: the pad keeps upright
-            tie(spec, f"{name}_pad", name, -1.0, solref=stiff)
+            tie(spec, f"{name}_pad", name, (0, -1), solref=stiff)
+        elif (rise := pad_rise(robot)) is not None:
+            body.add_joint(name=f"{name}_pad", type=SLIDE, axis=[0, 0, 1], armature=armature)
+            tie(spec, f"{name}_pad", name, rise.tolist(), solref=stiff)
         finger.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=robot.linkage.pad_half_size, pos=frames.pad,
             contype=1, conaffinity=2, friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
         )  # fmt: skip
         add_servo(spec, name, kp, kv)
-    tie(spec, "left", "right", 1.0, solref=stiff)
+    tie(spec, "left", "right", (0, 1), solref=stiff)
     T = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee @ np.linalg.inv(T_obj_ee)
     xx, yy, zz, xy, xz, yz = model.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     held = spec.worldbody.add_body(
@@ -168,6 +171,17 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
     return spec
 
 
+def pad_rise(robot: Robot) -> Array | None:
+    """Coefficients of the polynomial of the drive, powers 0 to 4, that the pads of a table rise by;
+    None: they keep their height, or the linkage lifts them."""
+    link = robot.linkage
+    if link.table is None or np.ptp(link.table[0, :, 1]) < 1e-9:
+        return None
+    drives = np.linspace(link.drive_upper, link.drive_lower, 65)
+    z = table_at(link, drives)[0, :, 1]
+    return np.asarray(np.polynomial.polynomial.Polynomial.fit(drives, z, 4).convert().coef)
+
+
 def _close(
     robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None, shake_m_s2: float
 ) -> tuple[float, float, float, float]:
@@ -175,9 +189,10 @@ def _close(
     # nothing drifts off at a touch
     m.dof_damping[-6:] = [model.mass * 50] * 3 + [float(np.trace(model.inertia)) * 50] * 3
     data = mujoco.MjData(m)
-    fingers = np.array([1, 1] if robot.linkage.slide else [1, -1, 1, -1])
-    n = len(fingers)
-    data.qpos[:n] = fingers * float(drive_from_gap(robot, robot.open_gap_m))
+    n, drive = m.nq - 7, float(drive_from_gap(robot, robot.open_gap_m))
+    rise = pad_rise(robot)
+    second = -drive if rise is None else float(np.polyval(rise[::-1], drive))
+    data.qpos[:n] = np.tile([drive, second][: n // 2], 2)
     start = data.qpos[n : n + 3].copy()
     every = 10
     for k in range(round((robot.open_gap_m / CLOSING_M_S + SETTLE_S) / STEP_S / every)):

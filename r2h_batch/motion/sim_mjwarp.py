@@ -380,6 +380,7 @@ def _fingers(scene: SceneModel) -> Fingers:
     fingers: Fingers = of_joints(Fingers, len(scene.robot.joints))()
     for name in ("driver", "pin_arm", "pin", "inner_knuckle"):
         setattr(fingers, name, getattr(scene.levers, name))
+    fingers.weight = wp.array(np.array(scene.levers.weight, np.float32), dtype=wp.float32)
     return fingers
 
 

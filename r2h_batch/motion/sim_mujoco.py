@@ -104,7 +104,7 @@ def _run(
     most = np.maximum.reduceat(acceleration, begins) @ job.motion_radii.T
     out.bend[i, : len(begins)] = most.max(1)
     if scene.full:
-        fingers = scene.fingers(q) * [-1, 1, 1]  # the smallest angle as a maximum too
+        fingers = scene.fingers(trial, q) * [-1, 1, 1]  # the smallest angle as a maximum too
         found = np.maximum(np.maximum.reduceat(fingers[1:], begins), fingers[begins])
         out.fingers[i, : len(begins)] = found * [-1, 1, 1]
     # after a warning (bad position, velocity, acceleration) rollout repeats the last state: time

@@ -71,12 +71,16 @@ def gripper_tables(robot: Robot, device: str = "cpu") -> Gripper:
     g.driver_pivot_y, g.driver_pivot_z = link.driver_pivot_yz
     g.pin_y, g.pin_z = link.pin_from_driver_yz
     g.inner_knuckle_pivot_y, g.inner_knuckle_pivot_z = link.inner_knuckle_pivot_yz
-    g.gap_offset, g.slide = link.gap_offset_m, int(link.slide)
+    g.gap_offset = link.gap_offset_m
     g.z_ee_gripper = T_ee_gripper[2, 3]
-    # a sliding pad stands at its own height, the linkage's turns about its pin
-    pivot_z = 0.0 if link.slide else link.driver_pivot_yz[1]
-    g.pad_z = pivot_z + link.pad_from_pin_yz[1] + T_ee_gripper[2, 3]
+    # without a linkage its pivots are 0
+    g.pad_z = link.driver_pivot_yz[1] + link.pad_from_pin_yz[1] + T_ee_gripper[2, 3]
     g.drive_lower, g.drive_upper = link.drive_lower, link.drive_upper
+    table = np.zeros((1, 1, 3)) if link.table is None else link.table
+    g.samples = 0 if link.table is None else table.shape[1]
+    g.table_gap = robot.closed_gap_m
+    g.table_step = (robot.open_gap_m - robot.closed_gap_m) / max(table.shape[1] - 1, 1)
+    g.table = wp.array(table.astype(np.float32), dtype=wp.vec3, device=device)
     g.pad_half_x, g.pad_half_z = link.pad_half_size[0], link.pad_half_size[2]
     g.kind = wp.array(prims.kind, dtype=wp.int32, device=device)
     g.size = wp.array(prims.size.astype(np.float32), dtype=wp.vec3, device=device)

@@ -39,6 +39,7 @@ from r2h_batch.scene.model_parts import (
     add_primitive,
     add_shown,
     add_visual,
+    finger_joints_at,
     link_color,
     look,
 )
@@ -176,8 +177,7 @@ class SceneModel:
         n = len(self.robot.joints)
         qpos[..., :n] = q
         if self.full:
-            signs = np.array([1] if self.robot.linkage.slide else [1, -1, 1])
-            qpos[..., n:] = np.tile(signs, 2) * self._drive(trial)[..., None]
+            qpos[..., n:] = np.tile(finger_joints_at(self.robot, self._drive(trial)), 2)
         return qpos
 
     def _drive(self, trial: TrialScene | TrialScenes) -> Array:
@@ -189,7 +189,7 @@ class SceneModel:
         states (n, nq); m."""
         if not self.full:
             return 0.0
-        driver, knuckle, pin = self._finger_joints(qpos)
+        driver, knuckle, pin = self._finger_joints(trial, qpos)
         driver, knuckle = (np.abs(x - self._drive(trial)) for x in (driver, knuckle))
         at = self.levers
         worst = np.maximum(
@@ -197,26 +197,31 @@ class SceneModel:
         )
         return float(worst.max())
 
-    def fingers(self, qpos: Array) -> Array:
+    def fingers(self, trial: TrialScene, qpos: Array) -> Array:
         """The smallest and largest drive of drivers and inner knuckles, and how far an inner
-        finger is turned against the gripper, rad: (n, 3) of the states (n, nq). Of jaws on slides
-        their place, m, and 0."""
-        driver, knuckle, pin = self._finger_joints(qpos)
+        finger is turned against the gripper, rad: (n, 3) of the states (n, nq). Of fingers that a
+        table moves all in m, the last how far points are off at most besides."""
+        driver, knuckle, pin = self._finger_joints(trial, qpos)
         drive = np.concatenate([driver, knuckle], 1)
         return np.stack([drive.min(1), drive.max(1), pin.max(1)], 1)
 
-    def _finger_joints(self, qpos: Array) -> tuple[Array, Array, Array]:
+    def _finger_joints(self, trial: TrialScene, qpos: Array) -> tuple[Array, Array, Array]:
         """Drivers, inner knuckles, turn of the inner fingers: (n, 2) each of states (n, nq)."""
         at = qpos[:, len(self.robot.joints) :].reshape(len(qpos), 2, -1)
-        if self.robot.linkage.slide:
-            return at[..., 0], at[..., 0], np.zeros(at.shape[:2])
+        if self.levers.weight:
+            off = np.abs(at - finger_joints_at(self.robot, self._drive(trial)))
+            return at[..., 0], at[..., 0], off @ np.array(self.levers.weight)
         return at[..., 0], at[..., 2], np.abs(at[..., 0] + at[..., 1])
 
     def hold(self, trial: TrialScene | TrialScenes) -> Array:
         """What the actuators beyond the arm's are told, all the time: (nu - 6,) or (n, nu - 6)."""
-        return np.repeat(
-            self._drive(trial)[..., None], self.model.nu - len(self.robot.joints), axis=-1
-        )
+        drive = self._drive(trial)
+        if self.model.nu == len(self.robot.joints):
+            return np.zeros((*drive.shape, 0))
+        if self.robot.linkage.table is None:
+            return drive[..., None]
+        one = finger_joints_at(self.robot, drive)
+        return np.concatenate([one, one[..., 1:]], -1)
 
 
 _kept: "OrderedDict[tuple[Any, ...], tuple[Any, SceneModel]]" = OrderedDict()

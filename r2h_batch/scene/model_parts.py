@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.robot import Kind, Primitives, Robot
+from r2h_batch.bodies.robot import Kind, Linkage, Primitives, Robot, table_at
 from r2h_batch.bodies.robot_visuals import part_origin, visual_triangles
 from r2h_batch.scene.dynamics import (
     FINGER_MASS_KG,
@@ -75,12 +75,14 @@ class FingerLevers:
     pin_arm: float
     pin: float
     inner_knuckle: float
+    weight: tuple[float, ...] = ()
+    """of each joint of a finger that a table moves, as `Fingers` of the kernels has it"""
 
     @staticmethod
     def of(robot: Robot) -> "FingerLevers":
-        """Bounds from the primitives, as if each were a ball; a jaw on a slide moves as its joint."""
-        if robot.linkage.slide:
-            return FingerLevers(1.0, 0.0, 0.0, 1.0)
+        """Bounds from the primitives, as if each were a ball."""
+        if robot.linkage.table is not None:
+            return FingerLevers(1.0, 0.0, 1.0, 1.0, _joint_weights(robot))
         link, far = robot.linkage, {"driver": 0.0, "pin": 0.0, "inner_knuckle": 0.0}
         pivots = {
             "driver": link.driver_pivot_yz, "pin": link.driver_pivot_yz + link.pin_from_driver_yz,
@@ -117,7 +119,7 @@ class FingerFrames:
     mirrored in y.
 
     All joints turn about x: the driver and the inner knuckle about pivots of the palm, the inner
-    finger about its pin. Jaws slide along y, and their pivots are the gripper's origin.
+    finger about its pin. A table's driver slides along y, and the pivots are the gripper's origin.
     """
 
     axis: Array  # (3,) of all joints: positive closes
@@ -136,25 +138,65 @@ class FingerFrames:
             link.inner_knuckle_pivot_yz,
             link.pad_from_pin_yz,
         )
-        axis = [0.0, -side, 0.0] if link.slide else [side, 0.0, 0.0]
+        axis = [side, 0.0, 0.0] if link.table is None else [0.0, -side, 0.0]
         return FingerFrames(np.array(axis), *(np.array([0.0, side * yz[0], yz[1]]) for yz in at))
 
 
-def tie(spec: mujoco.MjSpec, one: str, other: str, factor: float, **solver: Any) -> None:
-    """Joint `one` follows `factor` times joint `other`; `solver`: solref, solimp."""
+def tie(spec: mujoco.MjSpec, one: str, other: str, powers: Sequence[float], **solver: Any) -> None:
+    """Joint `one` follows a polynomial of joint `other`, coefficients from power 0 to at most 4;
+    `solver`: solref, solimp."""
     spec.add_equality(
         type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=one, name2=other,
-        data=[0, factor, *[0] * (mujoco.mjNEQDATA - 2)], **solver,
+        data=[*powers, *[0] * (mujoco.mjNEQDATA - len(powers))], **solver,
     )  # fmt: skip
+
+
+def _joint_weights(robot: Robot) -> tuple[float, ...]:
+    link, ee_z = robot.linkage, _ee_height(robot)
+    assert link.table is not None
+    slope = np.abs(np.diff(link.table, axis=1)).max(1) * (link.table.shape[1] - 1)
+    slope /= link.drive_upper - link.drive_lower
+    rates, weights = 0.0, []
+    for k, column in _table_joints(link):
+        lever = 1.0
+        if column == 2:
+            on = [i for i, m in enumerate(robot.gripper_motion) if m == f"table_{k}"]
+            centers = robot.gripper.T_link_prim[on][:, :3, 3] - [0.0, 0.0, ee_z]
+            sizes = np.linalg.norm(robot.gripper.size[on], axis=1)
+            lever = float((np.linalg.norm(centers, axis=1) + sizes).max())
+        weights.append(lever)
+        rates += lever * slope[k, column]
+    return (rates, *weights)
+
+
+def _table_joints(link: Linkage) -> list[tuple[int, int]]:
+    """Row and column of the table of each joint of a finger beyond its driver, which moves the pad
+    along y."""
+    assert link.table is not None
+    found = np.argwhere(np.abs(link.table).max(1) > 1e-9).tolist()
+    return [(k, column) for k, column in found if (k, column) != (0, 0)]
+
+
+def _ee_height(robot: Robot) -> float:
+    return float((np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee)[2, 3])
+
+
+def finger_joints_at(robot: Robot, drive: Array) -> Array:
+    """Where the joints of one finger stand at drives (...): (..., joints), the driver first."""
+    if robot.linkage.table is None:
+        return np.asarray(drive)[..., None] * np.array([1, -1, 1])
+    at = table_at(robot.linkage, drive)
+    others = [at[k, ..., column] for k, column in _table_joints(robot.linkage)]
+    return np.stack([np.asarray(drive, np.float64), *others], -1)
 
 
 def add_fingers(
     spec: mujoco.MjSpec, wrist: mujoco.MjsBody, robot: Robot, contact: tuple[int, int]
 ) -> mujoco.MjsBody:  # fmt: skip
     """The 2F-85: per side a driver, an inner finger at its pin and an inner knuckle, closed to a
-    loop; one motor. Or two jaws on slides."""
+    loop; one motor. Or fingers that a table moves, every part held at its place."""
     link = robot.linkage
-    one = link.jaw_mass_kg if link.slide else sum(FINGER_MASS_KG.values())
+    one = sum(FINGER_MASS_KG.values()) if link.table is None else link.jaw_mass_kg
     gripper = add_gripper(wrist, robot, link.mass_kg - 2 * one)
     stiff = [2.5 * spec.option.timestep, 1.0]
     carriers: dict[tuple[str, int], tuple[mujoco.MjsBody, Array]] = {
@@ -163,14 +205,8 @@ def add_fingers(
     for side in (-1, 1):
         name = "left" if side < 0 else "right"
         frames = FingerFrames.of(robot, side)
-        if link.slide:
-            inertia = np.eye(3) * link.jaw_mass_kg * FINGER_GYRATION_M**2
-            jaw = add_body(gripper, f"{name}_jaw", np.eye(4), link.jaw_mass_kg, frames.pad, inertia)
-            jaw.add_joint(
-                name=f"{name}_driver", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=frames.axis,
-                armature=JAW_ARMATURE_KG,
-            )  # fmt: skip
-            carriers["slide", side] = (jaw, np.zeros(3))
+        if link.table is not None:
+            carriers |= _add_table_finger(gripper, robot, side, frames)
             continue
         for motion, parent_name, at, masses in (
             ("driver", None, frames.driver, ("outer_knuckle", "outer_finger")),
@@ -196,10 +232,49 @@ def add_fingers(
             type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=f"{name}_inner_knuckle",
             name2=f"{name}_pin", data=[*frames.pin, *[0] * (mujoco.mjNEQDATA - 3)], solref=stiff, solimp=LOOP_IMPEDANCE,
         )  # fmt: skip
-    tie(spec, "left_driver", "right_driver", 1.0, solref=stiff, solimp=LOOP_IMPEDANCE)
-    add_servo(spec, "right_driver", *((JAW_KP, JAW_KV) if link.slide else (FINGER_KP, FINGER_KV)))
+    tie(spec, "left_driver", "right_driver", (0, 1), solref=stiff, solimp=LOOP_IMPEDANCE)
+    if link.table is None:
+        add_servo(spec, "right_driver", FINGER_KP, FINGER_KV)
+    else:
+        add_servo(spec, "right_driver", JAW_KP, JAW_KV)
+        weights = _joint_weights(robot)[1:]
+        for name in ("left", "right"):
+            for (k, column), lever in zip(_table_joints(link), weights, strict=True):
+                add_servo(spec, f"{name}_{k}_{'yzx'[column]}", JAW_KP * lever**2, JAW_KV * lever**2)
     _add_finger_geoms(spec, robot, carriers, contact)
     return gripper
+
+
+def _add_table_finger(
+    gripper: mujoco.MjsBody, robot: Robot, side: int, frames: FingerFrames
+) -> dict[tuple[str, int], tuple[mujoco.MjsBody, Array]]:
+    """A body for each row of the table; its joints are what the row changes, at ee's height."""
+    link, name, ee_z = robot.linkage, "left" if side < 0 else "right", _ee_height(robot)
+    assert link.table is not None
+    joints = list(zip(_table_joints(link), _joint_weights(robot)[1:], strict=True))
+    mass, found = link.jaw_mass_kg / len(link.table), {}
+    for row in range(len(link.table)):
+        # the driver is half the gap, and the pad's shape need not stand where the pads meet
+        shift = link.table[0, 0, 0] + link.drive_upper if row == 0 else 0.0
+        T = np.eye(4)
+        T[:3, 3] = 0.0, side * shift, ee_z
+        com, inertia = frames.pad - T[:3, 3], np.eye(3) * mass * FINGER_GYRATION_M**2
+        body = add_body(gripper, f"{name}_jaw_{row}", T, mass, com, inertia)
+        if row == 0:
+            body.add_joint(
+                name=f"{name}_driver", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=frames.axis,
+                armature=JAW_ARMATURE_KG,
+            )  # fmt: skip
+        for (k, column), lever in joints:
+            if k == row:
+                body.add_joint(
+                    name=f"{name}_{k}_{'yzx'[column]}",
+                    type=mujoco.mjtJoint.mjJNT_HINGE if column == 2 else mujoco.mjtJoint.mjJNT_SLIDE,
+                    axis=[[0, side, 0], [0, 0, 1], [side, 0, 0]][column],
+                    armature=JAW_ARMATURE_KG * lever**2,
+                )  # fmt: skip
+        found[f"table_{row}", side] = (body, T[:3, 3] - [0.0, side * shift, 0.0])
+    return found
 
 
 def _add_finger_geoms(
@@ -213,7 +288,8 @@ def _add_finger_geoms(
     # the left finger is the right one turned about the approach axis
     turned = np.diag([-1.0, -1.0, 1.0, 1.0])
     seen = set()
-    if not robot.linkage.slide:
+    jaws = robot.linkage.table is not None
+    if not jaws:
         body = carriers["fixed", 0][0]
         add_visual(spec, body, "gripper/body_visual", robot, "body", np.eye(4), "gripper")
     for i, part in enumerate(robot.gripper_part):
@@ -224,12 +300,12 @@ def _add_finger_geoms(
         add_primitive(
             spec, body, robot.gripper, i, T, *contact, f"gripper/{robot.gripper.names[i]}"
         )
-        if robot.linkage.slide:
+        if jaws:
             name = f"gripper/{robot.gripper.names[i]}_visual"
             add_shown(
                 body, robot.gripper, i, T, name, COLORS["pad" if part == "pad" else "gripper"]
             )
-        if robot.linkage.slide or side == 0 or (part, side) in seen:
+        if jaws or side == 0 or (part, side) in seen:
             continue
         seen.add((part, side))
         T = np.eye(4)

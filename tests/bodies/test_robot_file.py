@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from seven import seven_joints, with_hulls, with_jaws
+from seven import seven_joints, with_hulls, with_jaws, with_table
 
 from r2h_batch.bodies.robot import (
     ROBOTS,
@@ -21,13 +21,15 @@ from r2h_batch.bodies.robot import (
     load_robot,
     read_robot,
     robot_arrays,
+    slide_table,
     write_robot,
 )
 from r2h_batch.importers import urdf
+from r2h_batch.importers.robot import gripper_of
 from r2h_batch.importers.robot_fit import Target
 from r2h_batch.importers.robot_hulls import CORNERS, fit_hulls
 from r2h_batch.importers.robot_pairs import touching
-from r2h_batch.importers.urdf import read_chain, read_jaws
+from r2h_batch.importers.urdf import read_chain, read_fingers
 from r2h_batch.io.read import FileError
 
 OTHERS = ROBOTS[1:]
@@ -48,7 +50,9 @@ def same(a: object, b: object) -> bool:
 
 
 @pytest.mark.parametrize(
-    "robot", [load_robot(), with_jaws(seven_joints()), with_hulls(load_robot())], ids=lambda r: r.name
+    "robot",
+    [load_robot(), with_jaws(seven_joints()), with_hulls(load_robot()), with_table(seven_joints())],
+    ids=lambda r: r.name,
 )
 def test_a_robot_written_and_read_is_equal_field_by_field(robot: Robot, tmp_path: Path) -> None:
     write_robot(tmp_path, robot)
@@ -65,9 +69,9 @@ def test_a_built_in_arm_keeps_what_the_import_promises(name: str) -> None:
     palm = set(report["links"]) - set(robot.links)
     for link, row in report["links"].items():
         assert row["mean_mm"] <= (4.0 if link in palm else 3.0) and row["worst_protrusion_mm"] <= 0.1, link
-    assert len(palm) == robot.linkage.slide
+    assert len(palm) == (robot.linkage.table is not None)
     tool, home = load_robot().T_wrist3_ee, ee_pose(robot, robot.home_q)
-    assert robot.linkage.slide or np.array_equal(robot.T_wrist3_ee, tool)
+    assert palm or np.array_equal(robot.T_wrist3_ee, tool)
     assert home[2, 2] < -0.9999 and abs(home[1, 3]) < 1e-3 and not touching(robot, np.array(robot.home_q))
 
 
@@ -211,40 +215,83 @@ USUAL = {
 }
 
 
-def jaws_of(folder: Path, **changes: str):
+def jaws_of(folder: Path, urdf: str = JAWS, **changes: str):
     trimesh.creation.box((0.1, 0.1, 0.05)).export(folder / "palm.stl")
-    text = JAWS
+    text = urdf
     for key, value in (USUAL | changes).items():
         text = text.replace("{" + key + "}", value)
     (folder / "jaws.urdf").write_text(text)
-    return read_jaws(folder / "jaws.urdf", "flange", ("l", "r"), {})
+    fingers = read_fingers(folder / "jaws.urdf", "flange", ("l", "r"), {})
+    return fingers, gripper_of(fingers, ("l", "r"), 6, "jaws.urdf")[0]
 
 
 def test_jaws_of_a_urdf_stand_and_open_as_it_says(tmp_path):
-    jaws = jaws_of(tmp_path)
-    assert (
-        jaws.travel == (0.0, 0.04)
-        and jaws.mass == jaws.palm.mass == 0.2
-        and np.allclose(jaws.opens, [[0, 1, 0], [0, -1, 0]])
-    )
-    ((T, half),) = jaws.jaws[0]
-    assert np.array_equal(T[:3, 3], [0, 0, 0.1]) and np.allclose(half, [0.01, 0.005, 0.015])
+    jaws, gripper = jaws_of(tmp_path)
+    one, two = jaws.parts
+    assert jaws.palm.mass == one.mass == two.mass == 0.2
+    assert np.allclose(one.T[[0, -1], :3, 3], [[0, 0, 0.1], [0, 0.04, 0.1]])
+    assert np.allclose(two.T[[0, -1], :3, 3], [[0, 0, 0.1], [0, -0.04, 0.1]])
+    ((T, half),) = one.boxes
+    assert np.array_equal(T, np.eye(4)) and np.allclose(half, [0.01, 0.005, 0.015])
     assert np.allclose(np.ptp(jaws.palm.triangles.reshape(-1, 3), axis=0), [0.1, 0.1, 0.05])
+    # the jaws' boxes are 10 mm thick and begin with their middles in one place
+    assert np.allclose(gripper["linkage"].table, slide_table(0.0, 0.07)) and np.isclose(gripper["open_gap_m"], 0.07)
+
+
+CRANKS = """<robot name="cranks"><link name="flange"><visual><geometry><mesh filename="palm.stl"/></geometry></visual>{mass}
+</link><link name="a">{bar}{mass}</link><link name="b">{bar}{mass}</link><link name="l">{box}</link><link name="r">{box}</link>
+<joint name="one" type="revolute"><parent link="flange"/><child link="a"/><origin xyz="0 0.012 0.06"/><axis xyz="-1 0 0"/>
+<limit lower="0" upper="0.8" velocity="1" effort="1"/></joint>
+<joint name="two" type="revolute"><parent link="flange"/><child link="b"/><origin xyz="0 -0.012 0.06"/><axis xyz="1 0 0"/>
+<mimic joint="one" multiplier="{other}"/></joint>
+<joint name="three" type="revolute"><parent link="a"/><child link="l"/><origin xyz="0 0 0.05"/><axis xyz="-1 0 0"/>
+<mimic joint="one" multiplier="{pad}"/></joint>
+<joint name="four" type="revolute"><parent link="b"/><child link="r"/><origin xyz="0 0 0.05"/><axis xyz="1 0 0"/>
+<mimic joint="one" multiplier="{pad}"/></joint></robot>"""
+TURNING = {
+    "bar": '<collision><origin xyz="0 0 0.025"/><geometry><box size="0.01 0.004 0.05"/></geometry></collision>',
+    "other": "1",
+    "pad": "-1",
+}
+
+
+def test_fingers_on_cranks_become_a_table_of_their_circle(tmp_path):
+    gripper = jaws_of(tmp_path, CRANKS, **TURNING)[1]
+    link = gripper["linkage"]
+    gap = np.linspace(-2 * link.drive_upper, -2 * link.drive_lower, link.table.shape[1])
+    turn = np.arcsin((gap / 2 - 0.012 + 0.005) / 0.05)  # a crank of 50 mm, pads of 5 mm half
+    assert (
+        np.isclose(gap[0], 0.014)
+        and np.isclose(turn[-1], 0.8)
+        and gripper["gripper_motion"][-4:] == ("table_1",) * 2 + ("table_0",) * 2
+    )
+    assert np.abs(link.table[0, :, 1] - 0.05 * (np.cos(turn) - 1)).max() < 1e-6 and np.ptp(link.table[0, :, 2]) < 1e-9
+    assert np.abs(link.table[1, :, 2] + turn).max() < 1e-4 and link.jaw_mass_kg == 0.2 and np.isclose(link.mass_kg, 0.6)
+    assert np.isclose(gripper["T_flange_ee"][2, 3], np.interp(gap[-1] / 2, gap, 0.06 + 0.05 * np.cos(turn)), atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("urdf", "changes", "words"),
     [
-        ({"kind": "revolute"}, "no link on a prismatic joint"),
-        ({"axis": "0 -1 0"}, "must open apart"),
-        ({"box": USUAL["box"].replace('box size="0.02 0.01 0.03"', 'sphere radius="1"')}, "made of boxes"),
-        ({"limit": ""}, "no <limit>"),
-        ({"mass": ""}, "needs masses"),
+        (JAWS, {"kind": "revolute"}, "must stay parallel"),
+        (JAWS, {"axis": "0 -1 0"}, "must be mirror images"),
+        (JAWS, {"box": ""}, "neither boxes to collide nor a visual mesh"),
+        (JAWS, {"limit": ""}, "no <limit>"),
+        (JAWS, {"mass": ""}, "needs a mass"),
+        (CRANKS, TURNING | {"pad": "-0.9"}, "must stay parallel"),
+        (CRANKS, TURNING | {"other": "-1"}, "must open apart"),
+        (CRANKS.replace('joint="one" multiplier="{pad}"', 'joint="none"'), TURNING, "no joint that moves"),
+        (CRANKS.replace('joint="one" multiplier="{other}"', 'joint="two"'), TURNING, "follows itself"),
+        (
+            CRANKS.replace('<mimic joint="one" multiplier="{pad}"/>', "{limit}"),
+            TURNING,
+            "3 joints of the gripper move by themselves",
+        ),
     ],
 )
-def test_jaws_that_are_none_are_refused_in_one_line(changes, words, tmp_path):
+def test_jaws_that_are_none_are_refused_in_one_line(urdf, changes, words, tmp_path):
     with pytest.raises(FileError, match=words) as refused:
-        jaws_of(tmp_path, **changes)
+        jaws_of(tmp_path, urdf, **changes)
     assert "\n" not in str(refused.value)
 
 

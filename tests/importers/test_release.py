@@ -18,7 +18,7 @@ from r2h_batch import EvalConfig, Evaluator
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark.build import read_benchmark
 from r2h_batch.bodies.objects import object_digest
-from r2h_batch.bodies.robot import Kind, Primitives, load_robot
+from r2h_batch.bodies.robot import Kind, Primitives, load_robot, slide_table, table_linkage
 from r2h_batch.export.region_boxes import region_as_boxes
 from r2h_batch.judge.grasp import region_distance
 from r2h_batch.runs.store import load_run
@@ -198,9 +198,9 @@ def release_fingers():
         at,
         np.tile((0.012, 0.006, 0.022), (2, 1)),
     )
-    slides = replace(own.linkage, slide=True, drive_lower=-0.0425, drive_upper=0.0)
+    slides = table_linkage(slide_table(0.0, 0.085), 0.0, 0.085, own.linkage.pad_half_size, 0.0, 1.0, 0.1)
     return replace(
-        own, gripper=boxes, gripper_part=("pad", "pad"), gripper_motion=("slide", "slide"),
+        own, gripper=boxes, gripper_part=("pad", "pad"), gripper_motion=("table_0", "table_0"),
         gripper_side=np.array([-1, 1], np.int32), linkage=slides, digest="fingers of the release",
     )  # fmt: skip
 

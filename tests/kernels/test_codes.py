@@ -32,7 +32,9 @@ def test_pairs_of_the_object_follow_those_of_the_robot() -> None:
 
 
 def test_parts_of_a_gripper_move_by_the_same_numbers() -> None:
-    assert [getattr(gripper, motion.upper()) for motion in MOTIONS] == list(range(len(MOTIONS)))
+    names = [motion.upper() for motion in MOTIONS[: gripper.TABLE]]
+    assert [getattr(gripper, name) for name in names] == list(range(gripper.TABLE))
+    assert MOTIONS[gripper.TABLE :] == tuple(f"table_{k}" for k in range(len(MOTIONS) - gripper.TABLE))
 
 
 def test_hulls_are_sorted_into_as_many_cells_as_are_read() -> None:

@@ -208,7 +208,7 @@ def test_a_motion_that_is_held_up_keeps_its_margin_at_every_step_of_mujoco(besid
     scene, p, states, seen = default_evaluator().scene, problems(), [], SceneModel.fingers
     path, length, row = into_the_table()
     length = torch.where(torch.arange(N) == row, length, 0)
-    monkeypatch.setattr(SceneModel, "fingers", lambda self, q: states.append((self, q)) or seen(self, q))
+    monkeypatch.setattr(SceneModel, "fingers", lambda self, trial, q: states.append((self, q)) or seen(self, trial, q))
     e = run(BRIEF, path, length)
     model, q = states[-1]
     assert (

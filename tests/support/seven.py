@@ -4,7 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from r2h_batch.bodies.robot import Kind, Linkage, Primitives, Robot, frozen, hull_size, load_robot, part_names
+from r2h_batch.bodies.robot import (
+    Kind,
+    Primitives,
+    Robot,
+    drive_from_gap,
+    finger_motion,
+    frozen,
+    hull_size,
+    load_robot,
+    pad_center_z,
+    part_names,
+    slide_table,
+    table_linkage,
+    table_motions,
+)
 
 AXIS = np.array([[0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """Takes z to the forearm's axis, -x of its link."""
@@ -96,17 +110,36 @@ def with_jaws(robot: Robot) -> Robot:
     place = np.tile(np.eye(4), (len(rows), 1, 1))
     place[:, :3, 3] = [at for *_, at, _ in rows]
     side = np.array([s for _, s, *_ in rows], np.int32)
-    none = frozen(np.zeros(2))
     names = tuple(part_names([part for part, *_ in rows], side))
     return replace(
         robot, name=f"{robot.name}_jaws", digest=f"{robot.digest}, jaws", open_gap_m=0.08, T_flange_ee=frozen(T_ee),
         T_flange_gripper=frozen(T), gripper_part=tuple(part for part, *_ in rows),
-        gripper_motion=tuple("slide" if s else "fixed" for s in side), gripper_side=frozen(side, np.int32),
+        gripper_motion=table_motions(0 * side, side), gripper_side=frozen(side, np.int32),
         gripper=Primitives(
             names, frozen(np.full(len(rows), len(robot.joints) + 1), np.int32), frozen([Kind.BOX] * len(rows), np.int32),
             frozen(place), frozen([half for *_, half in rows]),
         ),
-        linkage=Linkage(
-            none, none, none, frozen([0.007, 0.1]), frozen([0.009, 0.007, 0.01]), -0.04, 0.0, slide=True, jaw_mass_kg=0.1
+        linkage=table_linkage(slide_table(0.0, 0.08), 0.0, 0.08, [0.009, 0.007, 0.01], 0.1, 1.05, 0.1),
+    )  # fmt: skip
+
+
+def with_table(robot: Robot, samples: int = 65) -> Robot:
+    """A robot with the 2F-85, whose linkage is sampled into a table."""
+    link, rows = robot.linkage, ("pin", "driver", "inner_knuckle")
+    tool = (np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee)[:3, 3]
+    gaps = np.linspace(robot.closed_gap_m, robot.open_gap_m, samples)
+    T = np.stack([finger_motion(robot, motion, 1, drive_from_gap(robot, gaps)) for motion in rows])
+    moved = T[..., :3, :3] @ tool + T[..., :3, 3] - tool
+    table = np.stack([moved[..., 1], moved[..., 2], np.arctan2(T[..., 2, 1], T[..., 1, 1])], -1)
+    assert np.isclose(float(pad_center_z(robot, drive_from_gap(robot, robot.open_gap_m / 2))), tool[2], atol=1e-6)
+    on_gripper = np.full(len(robot.gripper_part), len(robot.joints) + 1)
+    parts = tuple(part if part in ("body", "pad") else "finger" for part in robot.gripper_part)
+    return replace(
+        robot, name=f"{robot.name}_table", digest=f"{robot.digest}, table of {samples}", visuals="",
+        gripper_part=parts,
+        gripper=replace(robot.gripper, names=tuple(part_names(parts, robot.gripper_side)), link=frozen(on_gripper, np.int32)),
+        gripper_motion=tuple(f"table_{rows.index(m)}" if m != "fixed" else m for m in robot.gripper_motion),
+        linkage=table_linkage(
+            table, robot.closed_gap_m, robot.open_gap_m, link.pad_half_size, tool[2], link.mass_kg, 0.07
         ),
     )  # fmt: skip
