@@ -5,6 +5,7 @@ import json
 import os
 import platform
 import subprocess
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -53,6 +54,18 @@ def resident_mib(pid: int | None = None) -> float:
     except (OSError, IndexError):
         return float("nan")
     return pages * os.sysconf("SC_PAGESIZE") / 2**20
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A Markdown table whose columns but the first are right-aligned."""
+    rule = ["---", *["--:"] * (len(head) - 1)]
+    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in (head, rule, *rows))
+
+
+def lines_of(text: str, head: str) -> list[list[str]]:
+    """Cells of the rows of the Markdown table that follows the line `head`."""
+    body = text.split(f"{head}\n\n", 1)[1].split("\n\n", 1)[0].splitlines()
+    return [[c.strip() for c in line.strip("|").split("|")] for line in body]
 
 
 def made_by() -> dict[str, object]:

@@ -8,12 +8,12 @@
 import argparse
 import json
 import time
-from itertools import combinations
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, made_by, resident_mib
+from _report import ROOT, made_by, markdown_table, resident_mib
 
 PAGE = ROOT / "docs" / "results" / "moving.md"
 STORED = ROOT / "bench" / "results" / "closed_loop.json"
@@ -30,49 +30,42 @@ PARTS = {
 
 HEAD = """# Receivers that move
 
-The shipped poses of r2h-v1's baselines (default preset), the first {n} trials a split, played in closed loop
-([definitions](../receivers.md#receivers-that-move)). `python bench/closed_loop.py --trials {n}` (bench/results/closed_loop.json)
-measured it on commit {commit}. Your method:
-`r2h-batch sweep --method mine=my_rules.py:predict --receiver-motion moves --policy servo`.
+See how often each method succeeds when the hand moves. `python bench/closed_loop.py --trials {n}` played the shipped
+poses of r2h-v1 in closed loop ([definitions](../receivers.md#receivers-that-move)), the first {n} trials of each
+split (bench/results/closed_loop.json, commit {commit}). For your method run `r2h-batch sweep --method
+mine=my_rules.py:predict --receiver-motion moves --policy servo`.
 
 ## Successes
 
-Percent of all trials. SR is the verdict of the plan. The hand `moves`: it leaves the pose that the method was shown, sd 10 cm per
-axis and 20 degrees rms, 2 to 6 s after the start. Brackets: 95 %, Wilson, of {all} trials.
+Percent of all trials, with 95 % Wilson intervals. In `moves` the hand leaves the pose that the method saw.
 
 {table}
 
-{ranks}
+## How episodes end
 
-## How they end, and how they went
-
-Contacts: by the robot / by the hand. Least: median of the least distance. Time: median of successes.
+Percent of all trials, mean of the four published methods. Time (of successes) and least distance between robot and
+hand: mean of the methods' medians.
 
 {ends}
 
-Short motions have it easier: some end before the hand leaves. With `still` and `planned` all trials succeed that do by SR:
-{same}. {more} others succeed too: the object was within reach and slow at home or on the way, and not at the plan's end,
-or there was no plan.
-
-Servo and replan look at table, robot and object before each step and stand where it is not free. Replan stands too where the
-pose beside the hand has no free solution; servo comes as near as it can.
-
-Kinematic: nothing pushes, and a contact ends an episode. Fingers do not move. These figures are of `receiver="hand"`:
-arm and torso do not count. With `--receiver body` they do.
-Sizes, times and the 2 cm stop are [choice]; other sizes shift all rows.
+- Short motions have an advantage: some end before the hand moves.
+- With `still` a few trials succeed without SR: the object is slow and within reach at home or on the way.
+- Servo and replan check table, robot and object before each step, and stop if the step is not free. Replan also stops
+  if the pose beside the hand has no free solution. Servo then comes as near as it can.
+- The simulation is kinematic: a contact pushes nothing and ends the episode. Fingers do not move.
+- These figures ignore arm and torso. `--receiver body` includes them.
+- Other sizes and times of the hand's motion would shift all rows.
 
 ## Cost
 
-Process time on one thread, `moves` with `servo`, the oracle's poses; ms a trial and step (of the steps that ran). The parts are
-parts of the whole; the rest is kinematics, limits and counting.
+`moves` with `servo`, poses of the oracle, process time of one thread:
 
 {cost}
 """
 
 GROWTH = """
-`python bench/closed_loop.py --growth {n}` (bench/results/closed_loop_growth.json, commit {commit}): {n} episodes in one process,
-other hands in each pass over the oracle's poses, {ms:.0f} ms of process time each. Resident memory from pass to pass, MiB:
-{mib}.
+ `python bench/closed_loop.py --growth {n}` played {n} episodes in one process (bench/results/closed_loop_growth.json,
+commit {commit}). Resident memory grew from {first} to {last} MiB. An episode took {ms:.0f} ms.
 """
 
 
@@ -213,64 +206,52 @@ def _rate(hits: str) -> str:
     return f"{100 * hits.count('1') / len(hits):.1f} [{100 * float(low):.0f}, {100 * float(high):.0f}]"
 
 
-def ranks(columns: dict[str, dict[str, str]]) -> str:
-    """Which pairs of methods change places between SR and a case, with McNemar's exact p of each order."""
-    from scipy.stats import binomtest
-
-    said = []
-    first = next(iter(columns))
-    for case in list(columns)[1:]:
-        for a, b in combinations(columns[first], 2):
-            signs, words = [], []
-            for column in (first, case):
-                x, y = (np.array(list(columns[column][m])) == "1" for m in (a, b))
-                up, down = int((x & ~y).sum()), int((~x & y).sum())
-                p = binomtest(up, up + down).pvalue if up + down else 1.0
-                signs.append(np.sign(up - down))
-                words.append(f"{100 * (up - down) / len(x):+.1f} points, p {p:.2g}")
-            if signs[0] * signs[1] < 0:
-                said.append(f"- {case}: {a} less {b} is {words[1]}; by SR {words[0]}.")
-    head = "Pairs of methods that change places (paired trials, McNemar's exact test, not corrected for the number of pairs):"
-    return "\n".join([head, "", *(said or ["- none"])])
-
-
 def markdown(data: dict[str, Any]) -> str:
     """The page."""
-    from r2h_batch.report.text import aligned, short_names
+    from r2h_batch.report.text import short_names
 
     methods, short = data["methods"], short_names(list(data["methods"]))
     cases = [f"{m}, {p}" for m, p in CASES]
-    rows, ends = [], []
-    columns: dict[str, dict[str, str]] = {"SR": {short[n]: m["sr"] for n, m in methods.items()}}
-    columns |= {c: {short[n]: m["cases"][c]["won"] for n, m in methods.items()} for c in cases}
-    for name, m in methods.items():
-        rows.append([short[name], _rate(m["sr"]), *(_rate(m["cases"][c]["won"]) for c in cases)])
-        for c in cases:
-            s = m["cases"][c]
-            e, n = s["ends"], s["n"]
-            touched = f"{100 * s['by_robot'] / n:.1f} / {100 * (e['contact'] - s['by_robot']) / n:.1f}"
-            percents = [f"{100 * e[k] / n:.1f}" for k in ("collision", "drop", "not_received", "timeout")]
-            seconds = "-" if s["time_s"] is None else f"{s['time_s']:.1f}"
-            went = [f"{abs(s[k]):.2f}" for k in ("robot_idle", "human_idle", "concurrent", "delay")]
-            ends.append([short[name], c, touched, *percents, seconds, f"{100 * s['least_m']:.1f}", *went])
-    head = ["Method", "hand, policy", "contact", "collision", "drop", "not received", "timeout", "time, s", "least, cm",
-            "robot idle", "human idle", "both move", "delay"]  # fmt: skip
-    lines = [
-        [str(int(r["trials"])), f"{r['s_a_trial']:.2f}", *(f"{r[k]:.2f}" for k in ("whole", *PARTS))]
-        for r in data["cost"]
+    rows = [[short[name], _rate(m["sr"]), *(_rate(m["cases"][c]["won"]) for c in cases)] for name, m in methods.items()]
+    ends = []
+    for c in cases:
+        own = [m["cases"][c] for name, m in methods.items() if "Handover" in name]
+        rates = [_mean(s["by_robot"] / s["n"] for s in own)]
+        rates.append(_mean((s["ends"]["contact"] - s["by_robot"]) / s["n"] for s in own))
+        rates += [_mean(s["ends"][k] / s["n"] for s in own) for k in ("not_received", "timeout")]
+        times = [np.mean([s[k] for s in own]) for k in ("time_s", "least_m")]
+        ends.append([c, *(f"{100 * x:.1f}" for x in rates), f"{times[0]:.1f}", f"{100 * times[1]:.1f}"])
+    head = [
+        "hand, policy",
+        "robot touches hand",
+        "hand touches robot",
+        "not received",
+        "timeout",
+        "time, s",
+        "distance, cm",
     ]
-    pairs = [p for m in methods.values() for p in zip(m["sr"], m["cases"]["still, planned"]["won"], strict=True)]
-    grown = json.loads(GROWN.read_text()) if GROWN.exists() else None
-    said = "" if grown is None else GROWTH.format(
-        n=grown["trials"], commit=str(grown["commit"])[:12], ms=1e3 * grown["s"] / grown["trials"],
-        mib=", ".join(map(str, grown["mib"])),
-    )  # fmt: skip
-    return HEAD.format(
-        same="no" if ("1", "0") in pairs else "yes", more=pairs.count(("0", "1")),
-        n=data["trials"], commit=str(data["commit"])[:12], all=2 * data["trials"],
-        table=aligned(["Method", "SR", *cases], rows, 1), ranks=ranks(columns), ends=aligned(head, ends, 2),
-        cost=aligned(["Trials", "s a trial", "ms a step", *PARTS], lines, 0),
-    ) + said  # fmt: skip
+    costs = [[r["trials"], f"{r['s_a_trial']:.2f}", f"{r['whole']:.2f}"] for r in data["cost"]]
+    text = HEAD.format(
+        n=data["trials"],
+        commit=str(data["commit"])[:12],
+        table=markdown_table(["Method", "SR", *cases], rows),
+        ends=markdown_table(head, ends),
+        cost=markdown_table(["trials at once", "s a trial", "ms a trial and step"], costs),
+    )
+    if not GROWN.exists():
+        return text
+    grown = json.loads(GROWN.read_text())
+    return text + GROWTH.format(
+        n=grown["trials"],
+        commit=str(grown["commit"])[:12],
+        ms=1e3 * grown["s"] / grown["trials"],
+        first=grown["mib"][0],
+        last=grown["mib"][-1],
+    )
+
+
+def _mean(values: Iterable[float]) -> float:
+    return float(np.mean(list(values)))
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ import json
 from itertools import combinations
 from typing import Any
 
-from _report import ROOT
+from _report import ROOT, lines_of, markdown_table
 
 STORED = ROOT / "bench" / "results"
 LEVELS = {2: "5 mm, 1 deg", 3: "10 mm, 2 deg"}
@@ -15,16 +15,16 @@ CASES = ("moves, planned", "moves, stop", "moves, servo", "moves, replan")
 
 PAGE = """# Which methods change places
 
-Percent of trials (place). SR is the verdict of the plan: the hand stands and the robot does what it is asked. The other columns
-ask for more: the robot's [errors](robustness.md), a person who can [take](reception.md) the object, and a
-[hand that moves](moving.md). `python bench/tables.py --render` makes this page from the JSON of those pages (commits {commits}).
+See whether a method keeps its place when more is asked than SR. SR is the verdict of the plan: the hand stands still,
+and the robot reaches the requested pose. The other columns add [execution errors](robustness.md), a person who must
+[take](reception.md) the object, or a [hand that moves](moving.md). Those pages have the rates. This table has the
+places. (`python bench/tables.py --render` makes it; commits {commits}.)
 
 {table}
 
-SR and errors: {robust} trials a split of r2h-v1. Received: {received} a split. Moving: {moving} a split.
-
-Pairs that change places, with the difference in points by SR and there. Errors: ** decided for these objects and for new ones,
-* for these objects (Holm over the pairs of a level). Moving: p of McNemar's exact test, not corrected. Reception: no test.
+These pairs change places. The numbers are differences in points, by SR and by the column. `**`: decided for these
+objects and for new ones. `*`: decided for these objects. p: McNemar's exact test, not corrected for the number of
+pairs.
 
 {pairs}
 """
@@ -33,12 +33,6 @@ Pairs that change places, with the difference in points by SR and there. Errors:
 def read(name: str) -> Any:
     """A bench's JSON."""
     return json.loads((STORED / f"{name}.json").read_text())
-
-
-def lines_of(text: str, head: str) -> list[list[str]]:
-    """Cells of the rows of the table that follows a line."""
-    body = text.split(f"{head}\n\n", 1)[1].split("\n\n", 1)[0].splitlines()
-    return [[c.strip() for c in line.strip("|").split("|")] for line in body]
 
 
 def columns() -> dict[str, dict[str, float]]:
@@ -77,22 +71,19 @@ def tested(case: str, a: str, b: str) -> str:
 
 def page() -> str:
     """docs/results/ranks.md."""
-    from r2h_batch.report.text import aligned
-
     found = columns()
     methods = list(found["SR"])
     places = {c: {m: 1 + sum(x[o] > x[m] for o in methods) for m in methods} for c, x in found.items()}
-    rows = [[m, *(f"{x[m]:.1f} ({places[c][m]})" for c, x in found.items())] for m in methods]
+    rows = [[m, *(places[c][m] for c in found)] for m in methods]
     said = []
     for c, x in list(found.items())[1:]:
         for a, b in combinations(methods, 2):
             before, after = found["SR"][a] - found["SR"][b], x[a] - x[b]
             if before * after < 0:
-                said.append(f"- {c}: {a} less {b} {before:+.1f}, there {after:+.1f}{tested(c, a, b)}")
+                said.append([c, f"{a} - {b}", f"{before:+.1f}", f"{after:+.1f}{tested(c, a, b)}"])
     sources = {name: read(name) for name in ("robustness", "reception", "closed_loop")}
     return PAGE.format(
         commits=", ".join(f"{s['commit'][:12]}" for s in sources.values()),
-        table=aligned(["Method", *found], rows, 1),
-        robust=sources["robustness"]["trials"], received=sources["reception"]["trials"],
-        moving=sources["closed_loop"]["trials"], pairs="\n".join(said or ["- none"]),
-    )  # fmt: skip
+        table=markdown_table(["Method", *found], rows),
+        pairs=markdown_table(["column", "pair", "by SR", "by the column"], said),
+    )

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, made_by, resident_mib
+from _report import ROOT, lines_of, made_by, markdown_table, resident_mib
 from scipy.spatial.transform import Rotation, Slerp
 
 PAGE = ROOT / "docs" / "results" / "reception.md"
@@ -35,26 +35,36 @@ OBJECT = (0.13, 0.35, 0.72, 1)
 
 HEAD = """# Reception: can the person take it?
 
-The shipped rows of r2h-v1, default preset, and the upper bound `oracle,for=reception` on the same trials
-([definitions](../receivers.md#reception-can-this-person-take-the-object)). `python bench/reception.py`
-(bench/results/reception.json) measured it on commit {commit}. Your method: `r2h-batch results reception runs/mine`.
+See how many receivers could take the object, and how far they must turn the hand. `python bench/reception.py` judged
+the shipped rows of r2h-v1 and the upper bound `oracle,for=reception`
+([definitions](../receivers.md#reception-can-this-person-take-the-object); bench/results/reception.json, commit
+{commit}). For your method run `r2h-batch results reception runs/mine`.
 
 ![One trial with all hands that were tried](reception.png)
 
 *{caption}*
 
-"""
+## Steps
 
-COST = """
+Percent of the `n` trials with a held object and a goal posture. A step's column counts trials in which some grasp
+passes this step and all steps before it. `received`: the whole way to the easiest of these grasps is free too.
+
+{steps}
+
+## Fewer grasps, effort
+
+K: how many could receive if only K grasps a side were known. The other columns describe the easiest grasp. `turn <=
+60`: percent received if the hand may turn by 60 degrees at most.
+
+{effort}
+
 ## Cost
 
-One core, 256 grasps a trial, the oracle's poses; process time, median of three calls.
-
-{table}
+A trial with 256 grasps takes {ms:.1f} ms of one core (the oracle's poses).
 """
 
 GROWTH = """
-{trials} trials in one process ({ms:.1f} ms of process time each). Resident memory after each tenth, MiB: {mib}.
+{trials} trials in one process took {ms:.1f} ms each. Resident memory grew from {first} to {last} MiB.
 """
 
 
@@ -262,15 +272,29 @@ def frame(
 
 def markdown(data: dict[str, Any]) -> str:
     """The page."""
-    from r2h_batch.report.text import aligned
-
-    lines = [[str(row["trials"]), *(f"{row[k]:.2f}" for k in PARTS)] for row in data["cost"]]
-    head = ["Trials", "ms a trial", "arm", "free, way", "clear", "release", "whole way"]
-    text = HEAD.format(commit=str(data["commit"])[:12], caption=data["caption"]) + data["tables"]
-    text += COST.format(table=aligned(head, lines, 0))
+    steps, known, easiest = (
+        lines_of(data["tables"], head)
+        for head in (
+            "Received, by step",
+            "With fewer known grasps, and with less turn of the hand",
+            "Means of the easiest grasp",
+        )
+    )
+    for row in steps + known + easiest:
+        row[0] = row[0].replace("oracle,fo..ption", BOUND)
+    picked = [known[0].index(k) for k in ("K=8", "K=64", "K=256", "60 deg")]
+    head = ["Method", "K=8", "K=64", "K=256", "turn <= 60", *easiest[0][1:]]
+    both = [[a[0], *(a[i] for i in picked), *b[1:]] for a, b in zip(known[2:], easiest[2:], strict=True)]
+    text = HEAD.format(
+        commit=str(data["commit"])[:12],
+        caption=data["caption"],
+        steps=markdown_table(steps[0], steps[2:]),
+        effort=markdown_table(head, both),
+        ms=data["cost"][-1]["whole"],
+    )
     if grown := data.get("growth"):
-        ms, mib = 1e3 * grown["s"] / grown["trials"], ", ".join(map(str, grown["mib"]))
-        text += GROWTH.format(trials=grown["trials"], ms=ms, mib=mib)
+        ms, mib = 1e3 * grown["s"] / grown["trials"], grown["mib"]
+        text += GROWTH.format(trials=grown["trials"], ms=ms, first=mib[0], last=mib[-1])
     return text
 
 

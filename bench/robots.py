@@ -19,7 +19,7 @@ import argparse
 import json
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import pytorch_kinematics
 import torch
-from _report import ROOT, made_by
+from _report import ROOT, made_by, markdown_table
 from _twins import Batch, checker_of, dense, ompl_solve, oracle, recheck, solve
 from scipy.spatial.transform import Rotation
 
@@ -58,55 +58,31 @@ KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 
 HEAD = """# The same methods on four robots
 
-{trials} trials of each split of r2h-v1 on every built-in robot, motion as planned, persons placed for the robot
-([robots](../robots.md#persons-and-table)). `python bench/robots.py` (bench/results/robots.json) measured it; on commit
-{commits}.
-Your robot: `r2h-batch sweep --robot DIR --method fc handover-va contact intent oracle`.
+See how the methods do on each built-in robot. `python bench/robots.py` measured {trials} trials of each split of
+r2h-v1, motion as planned, persons placed for the robot ([robots](../robots.md#persons-and-table);
+bench/results/robots.json, which also has the first failures; commit {commits}). For your robot run `r2h-batch sweep
+--robot DIR --method fc handover-va contact intent oracle`.
 
 ## Success rates
 
-Percent of all trials, mean of the splits; brackets: 95 %, Wilson.
+Percent of all trials, mean of the splits, with 95 % Wilson intervals.
 
 {rates}
 
-Order of the four methods by SR:
+The grasp candidates are the 2F-85's on every robot. The Panda's hand opens {stroke:.0f} mm, so wider grasps fail
+Stability.
 
-{orders}
+## Checks and speed
 
-The grasp candidates are the 2F-85's on every robot. The Panda's hand has a shorter stroke, {stroke:.0f} mm, and fails Stability
-where they are wider.
+{checks}
 
-## First failures
-
-Percent of all trials, mean of the splits.
-
-{failures}
-
-{more}## Inverse kinematics
-
-{targets:,} postures drawn uniformly within the joint ranges; microseconds of one core for a target, with all branches or eight
-postures. Missed: targets without any posture. pytorch-kinematics: one posture within 1 mm and 0.01 rad, {restarts} restarts,
-{some:,} targets.
-
-{ik}
-"""
-
-
-WHOLE = """## Whole trials
-
-{trial_rows} trials a robot, half answered by the oracle and half by random: microseconds of one core, median of {repeats}.
-
-{whole}
-
-"""
-
-CHECKED = """## Collision checks and paths
-
-Postures: own verdict against the distances of MuJoCo C. Paths: problems with a free start and a free goal, {budget_s:g} s for
-OMPL.
-
-{checked}
-
+- Trial: whole trials, half answered by the oracle and half by random, median of {repeats} runs.
+- Wrong postures: verdicts on collisions against the distances of MuJoCo C, leaving out postures within 0.1 mm of
+  contact.
+- Paths: problems with a free start and a free goal. Penetrating: paths that MuJoCo C finds to collide. OMPL had
+  {budget_s:g} s a problem.
+- IK: {targets:,} postures drawn uniformly within the joint ranges, all branches or eight postures. Missed: targets
+  without a posture. pytorch-kinematics: one posture within 1 mm and 0.01 rad, {restarts} restarts, {some:,} targets.
 """
 
 
@@ -294,8 +270,6 @@ def measure(options: argparse.Namespace, data: dict[str, Any]) -> None:
 
 def markdown(data: dict[str, Any]) -> str:
     """The page."""
-    from r2h_batch.report.text import aligned
-
     robots = data["robots"]
     methods = list(next(iter(robots.values()))["table"])
 
@@ -303,58 +277,28 @@ def markdown(data: dict[str, Any]) -> str:
         return f"{row['sr']:.1f} [{row['sr_low']:.0f}, {row['sr_high']:.0f}]"
 
     rates = [[m, *(rate(r["table"][m]) for r in robots.values())] for m in methods]
-    kinds = ("f_stab", "f_plan", "f_reach", "f_afford", "f_safe")
-    failures = [[m, name, *(f"{r['table'][m][k]:.1f}" for k in kinds)] for m in methods for name, r in robots.items()]
-    ik = [
-        [
-            name,
-            f"{r['ik']['us']:.1f}",
-            str(r["ik"]["missed"]),
-            f"{r['ik']['postures']:.1f}",
-            f"{r['ik']['position_error_um']:.1f}",
-            f"{r['ik']['reference_us']:.0f}",
-            str(r["ik"]["reference_missed"]),
-        ]
-        for name, r in robots.items()
-    ]
-    head = ["Robot", "us", "missed", "postures", "largest error, um", "pytorch-kinematics, us", "its misses"]
-    more = ""
-    if all("trials" in r for r in robots.values()):
-        whole = [[name, f"{r['trials']['us']:.0f}"] for name, r in robots.items()]
-        rows = next(iter(robots.values()))["trials"]["trials"]
-        more += WHOLE.format(trial_rows=rows, repeats=REPEATS, whole=aligned(["Robot", "us"], whole, 1))
-    if all("collision" in r and "plan" in r for r in robots.values()):
-        checked = [[name, *(f"{part[k]:,}" for part, keys in _checked(r) for k in keys)] for name, r in robots.items()]
-        heads = "Robot,postures,borderline,disagreements,problems,solved,penetrating,OMPL's solved,OMPL's penetrating"
-        more += CHECKED.format(budget_s=BUDGET_S, checked=aligned(heads.split(","), checked, 1))
-    commits: dict[str, list[str]] = {str(x["commit"])[:12]: [] for x in data["measured"].values()}
-    for section, made in sorted(data["measured"].items()):
-        commits[str(made["commit"])[:12]].append(section)
+    lines: dict[str, Callable[[dict[str, Any]], str]] = {
+        "trial, core us": lambda r: f"{r['trials']['us']:.0f}",
+        "wrong postures": lambda r: "{disagreements} of {postures:,}".format(**r["collision"]),
+        "paths found; penetrating": lambda r: "{solved} of {problems}; {penetrating}".format(**r["plan"]),
+        "OMPL's paths; penetrating": lambda r: "{ompl_solved}; {ompl_penetrating}".format(**r["plan"]),
+        "IK, core us": lambda r: f"{r['ik']['us']:.1f}",
+        "IK missed": lambda r: str(r["ik"]["missed"]),
+        "IK, largest error, um": lambda r: f"{r['ik']['position_error_um']:.1f}",
+        "pytorch-kinematics, core us": lambda r: f"{r['ik']['reference_us']:.0f}",
+    }
     return HEAD.format(
         trials=data["trials"],
-        commits=", ".join(f"{commit} ({', '.join(names)})" for commit, names in commits.items()),
-        more=more,
-        rates=aligned(["Method", *robots], rates, 1),
-        orders="\n".join(f"- {name}: {_order(r['table'], methods)}" for name, r in robots.items()),
+        commits=", ".join(sorted({str(made["commit"])[:12] for made in data["measured"].values()})),
+        rates=markdown_table(["Method", *robots], rates),
         stroke=robots["panda_hand"]["stroke_mm"],
-        failures=aligned(["Method", "Robot", *kinds], failures, 2),
+        checks=markdown_table(["", *robots], [[k, *(f(r) for r in robots.values())] for k, f in lines.items()]),
+        repeats=REPEATS,
+        budget_s=BUDGET_S,
         targets=data["targets"],
         some=data["some"],
         restarts=RESTARTS,
-        ik=aligned(head, ik, 1),
     )
-
-
-def _checked(robot: dict[str, Any]) -> list[tuple[dict[str, Any], tuple[str, ...]]]:
-    return [
-        (robot["collision"], ("postures", "borderline", "disagreements")),
-        (robot["plan"], ("problems", "solved", "penetrating", "ompl_solved", "ompl_penetrating")),
-    ]
-
-
-def _order(rows: dict[str, Any], methods: Sequence[str]) -> str:
-    own = [m for m in methods if m not in ("random", "oracle")]
-    return ", ".join(sorted(own, key=lambda m: -rows[m]["sr"]))
 
 
 def main() -> None:

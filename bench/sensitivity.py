@@ -10,10 +10,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from _report import markdown_table
+
 METHODS = ("fc", "handover-va", "contact", "intent")
 TITLES = {"fc": "FC-Handover", "handover-va": "Handover-VA", "contact": "Contact-Handover", "intent": "Intent-Handover"}
 COLUMNS = ("sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
-FAILURES = ("f_stab", "f_plan", "f_reach", "f_afford", "f_safe")
 BASE = ("--protocol", "r2h-v1")
 
 
@@ -111,46 +112,30 @@ def kept_pairs(order: Sequence[str], base: Sequence[str]) -> int:
 
 
 def markdown(data: dict) -> str:
-    """The page: a line for each variant, changes of SR against the base, first failures, and pairs."""
+    """The page: SR of each variant, and its change against the base."""
     variants_, base = data["variants"], data["variants"][0]
-    short = {"fc": "FC", "handover-va": "VA", "contact": "Contact", "intent": "Intent"}
-    lines = [
-        "| changed | " + " | ".join(f"{short[m]} SR" for m in METHODS) + " | pairs as in the base |",
-        "|---|" + "--:|" * len(METHODS) + "--:|",
-    ]
-    failures = ["| changed | " + " | ".join(short[m] for m in METHODS) + " |", "|---|" + "--:|" * len(METHODS)]
+    lines, own_lines = [], []
     for v in variants_:
-        cells, failed = [], []
-        for m in METHODS:
-            rates = v["rates"][m]["Avg"]
-            moved = "" if v is base else f" ({rates['sr'] - base['rates'][m]['Avg']['sr']:+.1f})"
-            own = m in v["own"]
-            cells.append(f"{rates['sr']:.1f}{moved}" if own else "")
-            failed.append(" / ".join(f"{rates[c]:.1f}" for c in FAILURES) if own else "")
-        lines.append(f"| {v['name']} | " + " | ".join(cells) + f" | {v['kept']} of 6 |")
-        failures.append(f"| {v['name']} | " + " | ".join(failed) + " |")
-    pairs = ["| changed | " + " | ".join(base["pairs"]) + " |", "|---|" + "---|" * len(base["pairs"])]
-    for v in (v for v in variants_ if v["pairs"]):
-        pairs.append(f"| {v['name']} | " + " | ".join(v["pairs"][pair] for pair in base["pairs"]) + " |")
-    pairs = [line.replace("-Handover", "").replace("Handover-", "") for line in pairs]
-    stable = [v["name"] for v in variants_[1:] if v["kept"] == 6]
+        cells = []
+        for m in v["own"]:
+            rate = v["rates"][m]["Avg"]["sr"]
+            moved = "" if v is base else f" ({rate - base['rates'][m]['Avg']['sr']:+.1f})"
+            cells.append(f"{rate:.1f}{moved}")
+        (lines if len(cells) == len(METHODS) else own_lines).append([v["name"], *cells, v["kept"]])
+    stable = sum(v["kept"] == 6 for v in variants_[1:])
     best = sum(v["order"][0] == base["order"][0] for v in variants_[1:])
     parts = [
         "# What each choice is worth",
-        f"`make tables` measured this: {data['trials']} trials of each split, motion as planned, base `{' '.join(BASE)}` with the"
-        f" default preset, one choice changed at a time. Commit {data['commit'][:12]}, code {data['code'][:16]}; single"
-        " splits and Presented in `sensitivity.json`. Cells of methods that a choice does not touch are empty.",
-        "## Success rates",
-        "Percent, mean of the splits; in brackets the change against the base.",
-        "\n".join(lines),
-        f"The order of the base holds in {len(stable)} of {len(variants_) - 1} variants; its first method stays first in {best}.",
-        "## First failures",
-        "Stability / Plan / Reach / Affordance / Safe, percent, mean of the splits (Affordance: half of S1's rate).",
-        "\n".join(failures),
-        "## Apart or tied",
-        "Exact McNemar on the same trials, both splits together, Holm over the six pairs: the better method of a pair, or tied"
-        " (`r2h-batch compare`).",
-        "\n".join(pairs),
+        "See how far one choice moves the success rates. Each line changes one choice of the base"
+        f" (`{' '.join(BASE)}`, default preset, motion as planned, {data['trials']} trials a split). `make tables`"
+        f" measured it on commit {data['commit'][:12]}. `sensitivity.json` has the first failures, the single splits and"
+        " the test of each pair of methods.",
+        "SR is the mean of the splits in percent, with its change in brackets. Pairs: how many of the six pairs of"
+        " methods keep the order of the base.",
+        markdown_table(["changed", *(TITLES[m] for m in METHODS), "pairs"], lines),
+        "Options of one method ([meaning](../baselines.md#options-of-a-method)):",
+        markdown_table(["changed", "SR", "pairs"], own_lines),
+        f"The whole order stays in {stable} of {len(variants_) - 1} variants, its first method in {best}.",
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -8,7 +8,7 @@ The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. 
 
     r2h_batch/compare/baselines*, bench/rows/*    the rows of each table, with poses
     docs/results/table1*.{csv,json}               the tables, with intervals, counts, versions and digests
-    docs/results/table1-{v1,others}.md            what a reader needs of them
+    docs/results/table1-v1.md                     what a reader needs of them
     docs/results/sensitivity.{md,json}            what each choice is worth
     docs/results/findings.md, README.md, docs/choices.md    what follows from the tables
     docs/results/{moving,reception,ranks}.md      from the JSON of their benches, which run by themselves
@@ -93,14 +93,6 @@ PUBLISHED = (
 )
 TABLES = tuple(p for p in PUBLISHED if p.title)
 
-FINGERS = {
-    "r2h-v0": "The protocol leaves a hand's roll free. Where fingers point away from the robot, FC- and Intent-Handover oppose"
-    " the gripper to them and request poses that no arm on this side reaches.",
-    "r2h-v1": "The hand follows from a reaching arm ([receivers](../receivers.md#place-and-posture)): few fingers point away"
-    " from the robot.",
-    "r2h-release": "Palms point up and fingers away from the robot, within 50 degrees of sideways"
-    " ([release](../release.md#protocol-r2h-release)).",
-}
 RATES = {"SR": "sr", "F_plan": "f_plan", "F_reach": "f_reach", "F_safe": "f_safe", "F_stab": "f_stab"}
 RATES |= {"F_afford": "f_afford", "Presented": "presented"}
 TIMES = {
@@ -108,11 +100,12 @@ TIMES = {
     "T_exec, s": ("t_exec_s", 1, ".2f"),
     "T_method, us": ("t_method_s", 1e6, ".0f"),
 }
-NOTES = """- SR: percent of all trials of a split. F_*: percent whose first failure is that criterion, in the order Stability,
-  Plan, Reach, Affordance, Safe; SR and F_* add up to 100. F_afford and Presented (not in SR) are evaluated in S1 only.
-- T_plan: planning, amortised (batch wall time / B). T_exec: mean over the trials whose arm came to rest at its goal.
+NOTES = """- SR: trials that succeed. F_*: trials whose first failure is that criterion. SR and F_* add up to 100.
+- F_afford and Presented (the region faces the palm within reach; not in SR) exist in S1 only."""
+TIMES_NOTES = """- T_plan: planning, batch wall time / B. T_exec: mean over the trials whose arm came to rest at its goal.
   T_method: the method's own time.
-- `r2h-batch report ROWS` prints averages and the intervals of all rates."""
+- SR, 95 %: for more trials with these objects (Wilson); for new objects of the same kind (t interval over objects).
+- Arm or torso met: percent of the motions. They count in Safe only with `--receiver body`."""
 
 
 def git(*words: str) -> str:
@@ -147,57 +140,18 @@ def swept(line: Sequence[str], folder: Path) -> Path:
 
 
 def plan_lines(run) -> list[str]:
-    """A Markdown table: why Plan fails first, percent of each method's Plan failures by split."""
-    found: dict[tuple[str, str], Counter] = {}
+    """A Markdown table: why Plan fails first, percent of each method's Plan failures."""
+    found: dict[str, Counter] = {}
     for method in run.methods:
-        columns = (run.trials(method)[c].to_pylist() for c in ("split", "outcome", "plan_reason", "plan_pair"))
-        for split, outcome, reason, pair in zip(*columns, strict=True):
-            if outcome == "plan":
-                found.setdefault((split, method), Counter())[pair or reason] += 1
+        columns = (run.trials(method)[c].to_pylist() for c in ("outcome", "plan_reason", "plan_pair"))
+        pairs = [pair or reason for outcome, reason, pair in zip(*columns, strict=True) if outcome == "plan"]
+        if pairs:
+            found[method.partition(" (")[0]] = Counter(pairs)
     kinds = [k for k, _ in sum(found.values(), Counter()).most_common()]
-    lines = ["| split | method | failures | " + " | ".join(kinds) + " |", "|---|---|--:|" + "--:|" * len(kinds)]
-    for (split, method), counts in sorted(found.items()):
-        n = counts.total()
-        lines.append(
-            f"| {split} | {method.partition(' (')[0]} | {n} | "
-            + " | ".join(f"{100 * counts[k] / n:.0f} %" for k in kinds)
-            + " |"
-        )
-    return lines
-
-
-def finger_lines(run) -> list[str]:
-    """F_plan by where the receiver's fingers point (in the horizontal plane's sense: towards the robot or away)."""
-    import numpy as np
-    import torch
-
-    from r2h_batch.benchmark.benchmark import built_in
-    from r2h_batch.scene.scene import Scene
-    from r2h_batch.trials.protocol import trials_with_ids
-
-    own, tip = built_in(run.header["protocol"]), 1
-    scene = Scene(objects=own.objects, hand_set=own.hand_set)
-    ids = np.array(run.trials(run.methods[0])["trial_id"])
-    trials = trials_with_ids(torch.from_numpy(ids.copy()), protocol=run.header["protocol"])
-    hand = trials.hand_index.long()
-    pointing = scene.hands.vertices[hand, int(scene.hands.model.tip_vertices[tip])] - scene.hands.joints[hand, 0]
-    fingers = torch.einsum("nij,nj->ni", trials.T_world_hand[:, :3, :3], pointing).double().numpy()
-    center = scene.palm(trials.hand_index, trials.T_world_hand)[2].double().numpy() * [1.0, 1.0, 0.0]
-    cos = -(fingers * center).sum(1) / np.linalg.norm(fingers, axis=1) / np.linalg.norm(center, axis=1)
-    angle = np.degrees(np.arccos(np.clip(cos, -1, 1)))
-    edges = [(0, 60), (60, 90), (90, 120), (120, 181)]
-    inside = [(angle >= a) & (angle < b) for a, b in edges]
-    heads = [f"{a}-{min(b, 180)} deg (n = {int(m.sum())})" for (a, b), m in zip(edges, inside)]
-    lines = ["| F_plan in % | " + " | ".join(heads) + " |", "|---|" + "--:|" * len(edges)]
-    for method in run.methods:
-        rows = run.trials(method)
-        failed = np.array(rows["outcome"].to_pylist()) == "plan"
-        failed = failed[np.argsort(np.array(rows["trial_id"]))][np.argsort(np.argsort(ids))]
-        lines.append(
-            f"| {method.partition(' (')[0]} | "
-            + " | ".join(f"{100 * failed[m].mean():.1f}" if m.any() else "-" for m in inside)
-            + " |"
-        )
+    lines = ["| method | failures | " + " | ".join(kinds) + " |", "|---|--:|" + "--:|" * len(kinds)]
+    for method, counts in found.items():
+        cells = [str(n := counts.total()), *(f"{100 * counts[k] / n:.0f}" for k in kinds)]
+        lines.append(line_of(method, cells))
     return lines
 
 
@@ -275,18 +229,17 @@ def times_of(data: dict) -> dict[str, dict[str, str]]:
     return found
 
 
-def intervals_table(data: dict) -> str:
-    """95 % intervals of SR, and the motions that meet the receiver's body."""
+def intervals_of(data: dict) -> dict[str, dict[str, str]]:
+    """Columns of SR's 95 % intervals and of the motions that meet the receiver's body."""
 
     def ends(low: str, high: str) -> dict[str, str]:
         return both_splits(data, lambda r: f"{r[low]:.1f}-{r[high]:.1f}", low)
 
-    columns = {
+    return {
         "SR, more trials": ends("sr_low", "sr_high"),
         "SR, new objects": ends("sr_new_objects_low", "sr_new_objects_high"),
+        "arm or torso met": both_splits(data, lambda r: f"{r['body_met']:.1f}", "body_met"),
     }
-    met = both_splits(data, lambda r: f"{r['body_met']:.1f} of {r['t_exec_s_n']}", "body_met")
-    return columns_table(columns | {"arm or torso met, % of motions": met})
 
 
 def v1_page(published: Published, data: dict) -> str:
@@ -296,47 +249,22 @@ def v1_page(published: Published, data: dict) -> str:
     run, made = load_run(ROOT / published.rows), data["provenance"]
     parts = [
         f"# {published.title}",
-        f"`{made['command']}`; rows in `{made['rows']}`, intervals, counts, versions and digests in"
-        f" `{published.name}.json`; commit {made['commit'][:12]}.",
+        "See how the built-in methods do on the default benchmark: why they fail, how long motions take, and how sure the rates"
+        f" are. `{made['command']}` made the rows in `{made['rows']}` (commit {made['commit'][:12]}). `{published.name}.json`"
+        " has counts, intervals of all rates, versions and digests.",
+        "Every cell is S0 / S1; rates are percent.",
         columns_table(rates_of(data)),
-        columns_table(times_of(data)),
         NOTES,
-        "## Intervals",
-        "95 %. More trials: Wilson, with these objects. New objects: t interval over objects of the same kind. Motions that meet"
-        " arm or torso count in Safe only with `--receiver body`.",
-        intervals_table(data),
+        columns_table(times_of(data) | intervals_of(data)),
+        TIMES_NOTES,
         "## Why Plan fails",
-        "Percent of a method's Plan failures: the pair of bodies that overlap in the posture of the last branch, or"
+        "Percent of a method's Plan failures: the pair of bodies that overlap in the posture of the last IK branch, or"
         " `ik_unreachable`.",
         "\n".join(plan_lines(run)),
-        "## Plan failures by where the receiver's fingers point",
-        "Angle between the true hand's direction (wrist to middle tip) and the horizontal direction to the robot. "
-        + FINGERS["r2h-v1"],
-        "\n".join(finger_lines(run)),
         "## By object",
-        f"SR in percent; `r2h-batch report {published.rows.as_posix()} --by-object` prints the other rates, intervals and which"
-        " criteria fail together.",
+        f"SR in percent. `r2h-batch report {published.rows.as_posix()} --by-object` prints the other rates.",
         "\n".join(object_matrix(run)),
     ]
-    return "\n\n".join(parts) + "\n"
-
-
-def others_page(tables: dict[Published, dict]) -> str:
-    """docs/results/table1-others.md: the same table of the other protocols and presets."""
-    parts = [
-        "# Table I of other protocols and presets",
-        "The same methods and commit as in [Table I of r2h-v1](table1-v1.md), which explains the columns. The flags"
-        " of `sweep` differ. [Findings](findings.md) compares the tables with the paper's.",
-    ]
-    for published, data in tables.items():
-        rows, flags = published.rows.as_posix(), shlex.join(published.flags)
-        parts += [
-            f"## {published.title.removeprefix('Table I of ')}",
-            f"`{flags}`; rows in `{rows}`, all figures in `{published.name}.json`.",
-        ]
-        if (protocol := data["origin"]["protocol"]) != "r2h-v1":
-            parts.append(FINGERS[protocol])
-        parts.append(columns_table(rates_of(data) | {"T_exec, s": times_of(data)["T_exec, s"]}))
     return "\n\n".join(parts) + "\n"
 
 
@@ -378,9 +306,7 @@ def render_all() -> dict[Path, str]:
     """Every published text (path from the checkout's root), from the stored rows and docs/results/sensitivity.json."""
     files = {RESULTS / name: text for p in TABLES for name, text in table_files(p, ROOT / p.rows).items()}
     data = {p.name: json.loads(files[RESULTS / f"{p.name}.json"]) for p in TABLES}
-    first, *others = TABLES
-    files[RESULTS / "table1-v1.md"] = v1_page(first, data[first.name])
-    files[RESULTS / "table1-others.md"] = others_page({p: data[p.name] for p in others})
+    files[RESULTS / "table1-v1.md"] = v1_page(TABLES[0], data[TABLES[0].name])
     files[RESULTS / "sensitivity.md"] = sensitivity.markdown(
         json.loads((ROOT / RESULTS / "sensitivity.json").read_text())
     )

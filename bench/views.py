@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import ROOT, made_by
+from _report import ROOT, made_by, markdown_table
 
 PAGE = ROOT / "docs" / "results" / "views.md"
 STORED = ROOT / "bench" / "results" / "views.json"
@@ -31,21 +31,20 @@ COLUMNS = {"sr": "SR", "f_plan": "F_plan", "f_afford": "F_afford, S1", "presente
 
 HEAD = """# Depth views: what Contact-Handover's network is shown
 
-Contact-Handover's network sees a grid of 64^3 voxels. As shipped it is the whole solid. Here depth cameras carve it: a voxel
-is full unless some camera looks through it (`contact,cameras=2,...`, [options](../baselines.md#options-of-a-method)).
-`python bench/views.py` (bench/results/views.json) measured it: {trials} trials of each split of r2h-v1, motion as planned,
-commit {commit}.
+See how much Contact-Handover depends on the view of the object. Its network sees a grid of 64^3 voxels, by default
+the whole solid. Depth cameras carve the grid: a voxel stays full unless some camera looks through it
+(`contact,cameras=2`, [options](../baselines.md#options-of-a-method)). `python bench/views.py` measured {trials}
+trials of each split of r2h-v1, motion as planned (bench/results/views.json, commit {commit}).
 
 {table}
 
-- SR, F_plan: percent of all trials, mean of the splits; F_afford, Presented: of S1's trials. 95 % of SR: +- {half:.0f} points.
-- IoU: of the cloud's points that count as touched (probability 0.4 and more), with those of the whole solid; touched: their
-  share.
-- AUC: chance that a point that people touch in the receiving grasps has a higher probability than one that they do not.
+- SR (95 %: +- {half:.0f} points) and F_plan: mean of the splits, percent. F_afford and Presented: S1.
+- touched: share of the points whose probability is at least 0.4. IoU: overlap of these points with those of the whole
+  solid.
+- AUC: chance that a point that people touch in the receiving grasps ranks above one that they do not touch.
 
-The network is a stand-in trained on whole solids, and it never saw the object: its AUC is low before any camera comes. A worse
-view changes which points it calls touched more than what the method makes of them. So this table shows how much the stand-in
-depends on the view, and cannot show what a network loses whose maps are right.
+The network is a stand-in and never saw the object, so its AUC is low even for the whole solid. The table cannot show
+what a better network would lose.
 """
 
 
@@ -113,8 +112,6 @@ def measure(out: Path, trials: int) -> dict[str, Any]:
 
 def markdown(data: dict[str, Any]) -> str:
     """The page."""
-    from r2h_batch.report.text import aligned
-
     lines = [
         [name, *(f"{row[k]:.1f}" for k in COLUMNS), *(f"{row[k]:.2f}" for k in ("iou", "touched", "auc"))]
         for name, row in data["views"].items()
@@ -124,7 +121,7 @@ def markdown(data: dict[str, Any]) -> str:
     return HEAD.format(
         trials=data["trials"],
         commit=str(data["commit"])[:12],
-        table=aligned(["The network sees", *COLUMNS.values(), "IoU", "touched", "AUC"], lines, 1),
+        table=markdown_table(["The network sees", *COLUMNS.values(), "IoU", "touched", "AUC"], lines),
         half=196 * np.sqrt(p * (1 - p) / n),
     )
 
