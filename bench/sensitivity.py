@@ -114,7 +114,8 @@ def kept_pairs(order: Sequence[str], base: Sequence[str]) -> int:
 def markdown(data: dict) -> str:
     """The page: SR of each variant, and its change against the base."""
     variants_, base = data["variants"], data["variants"][0]
-    lines, own_lines = [], []
+    lines: list[list[object]] = []
+    own_lines: list[list[object]] = []
     for v in variants_:
         cells = []
         for m in v["own"]:
