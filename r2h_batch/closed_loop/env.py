@@ -205,6 +205,10 @@ class HandoverEnv(VectorEnv):
         self.speed, self.acceleration = limits(law)
         self.brake = law.max_acceleration_rad_s2
         robot = self.scene.robot
+        # speed, acceleration and brake are the slowest joint's; another one's are 1 / weight times as high
+        self.weight = torch.tensor(
+            np.array(robot.joint_weight), dtype=torch.float64, device=self._device
+        )
         self._lower, self._upper = (
             torch.tensor(np.array(x), dtype=torch.float32, device=self._device)
             for x in (robot.lower, robot.upper)
@@ -216,7 +220,7 @@ class HandoverEnv(VectorEnv):
         self.single_observation_space = Dict(
             {k: Box(-MOST, MOST, shape, np.float32) for k, shape in shapes.items()}
         )
-        most = np.full(joints, self.speed, np.float32)
+        most = np.float32(self.speed / robot.joint_weight)
         self.single_action_space = {
             "velocity": Box(-most, most),
             "twist": Box(-1.0, 1.0, (6,), np.float32),
@@ -364,11 +368,13 @@ class HandoverEnv(VectorEnv):
                 twist = twist / over[:, None]
             v = joint_speeds(jacobian, twist)
         v = torch.nan_to_num(v, nan=0.0)
-        v = v / (v.abs().amax(1, keepdim=True) / (self.speed * (1 + 1e-3))).clamp(min=1.0)
+        v = v / (self._fastest(v) / (self.speed * (1 + 1e-3))).clamp(min=1.0)
         dv = v - old
         slower = (v.abs() <= old.abs()) & (v * old >= 0)
         most = torch.where(slower, self.brake, self.acceleration) * dt * (1 + 1e-3) + 1e-5
-        share = (most / dv.abs().clamp(min=1e-12)).amin(1, keepdim=True).clamp(max=1.0)
+        share = (
+            (most / (dv.abs() * self.weight).clamp(min=1e-12)).amin(1, keepdim=True).clamp(max=1.0)
+        )
         v = old + share * dv
         to = (q.double() + v * dt).float()
         if self.action == "posture":
@@ -382,7 +388,7 @@ class HandoverEnv(VectorEnv):
         a robot knows these. The receiver is not looked at. An arm that stands where it is False meets nothing."""
         rows = torch.nonzero(self.ends == int(End.RUNNING)).flatten()
         q, v = self.moved(torch.as_tensor(actions, device=self._device), rows)
-        stop = q + (v * v.abs().amax(1, keepdim=True) / (2.0 * self.brake)).float()
+        stop = q + (v * self._fastest(v) / (2.0 * self.brake)).float()
         stop = torch.minimum(torch.maximum(stop, self._lower), self._upper)
         way = torch.stack([self.q[rows], q, stop], 1)
         free = torch.ones(self.num_envs, dtype=torch.bool, device=self._device)
@@ -390,7 +396,11 @@ class HandoverEnv(VectorEnv):
             free[rows] = self._meets_nothing(rows, way)
         return free
 
-    def _meets_nothing(self, rows: Tensor, motion: Float32[Tensor, "r s 6"]) -> Tensor:
+    def _fastest(self, v: Tensor) -> Tensor:
+        """Of joint speeds (r, j) the largest one (r, 1) by its weight."""
+        return (v.abs() * self.weight).amax(1, keepdim=True)
+
+    def _meets_nothing(self, rows: Tensor, motion: Float32[Tensor, "r s j"]) -> Tensor:
         """Whether motions are certified free of table, robot and object."""
         length = torch.full((len(rows),), motion.shape[1], dtype=torch.int32, device=self._device)
         off = torch.zeros(len(rows), dtype=torch.float32, device=self._device)
@@ -609,7 +619,7 @@ class HandoverEnv(VectorEnv):
             1.0 - robot, 1.0 - hand, both, (1.0 - robot - hand + both).clamp(min=0.0), s["path"].clone(),
         )  # fmt: skip
 
-    def trace(self) -> tuple[Float32[Tensor, "b s 6"], Float32[Tensor, "b s 4 4"]]:
+    def trace(self) -> tuple[Float32[Tensor, "b s j"], Float32[Tensor, "b s 4 4"]]:
         """Postures (rad) and T_world_hand at the beginning and after each step."""
         return torch.stack(self._postures, 1), torch.stack(self._poses, 1)
 

@@ -45,12 +45,13 @@ class Planned:
         rows = torch.arange(len(length), dtype=torch.int64, device=length.device)[:, None]
         path = scores.path[rows, slot.minimum(last)]
         self.path = torch.where((length > 0)[:, None, None], path, home)
-        self.far = (self.path[:, 1:].double() - self.path[:, :-1].double()).abs().amax(2)
+        turns = (self.path[:, 1:].double() - self.path[:, :-1].double()).abs()
+        self.far = (turns * env.weight).amax(2)
         steps = torch.ceil(self._duration(self.far) / self.step_s - 1e-6)
         self.begin = self.step_s * torch.nn.functional.pad(steps.cumsum(1), (1, 0))
         self.clock = torch.zeros(len(path), dtype=torch.float64, device=length.device)
 
-    def __call__(self, seen: Seen) -> Float32[Tensor, "b 6"]:
+    def __call__(self, seen: Seen) -> Float32[Tensor, "b j"]:
         self.clock = self.clock + self.step_s
         return self.posture(self.clock)
 
@@ -58,7 +59,7 @@ class Planned:
         v, a = self.speed, self.acceleration
         return torch.where(far >= v * v / a, far / v + v / a, 2 * (far / a).sqrt())
 
-    def posture(self, time_s: Float64[Tensor, " b"]) -> Float32[Tensor, "b 6"]:
+    def posture(self, time_s: Float64[Tensor, " b"]) -> Float32[Tensor, "b j"]:
         """Where the plan has the arm at a time of each row's own."""
         v, a = self.speed, self.acceleration
         k = (self.begin[:, 1:] <= time_s[:, None] + 1e-9).sum(1).clamp(max=self.far.shape[1] - 1)
@@ -84,7 +85,7 @@ class StopAndWait(Planned):
         super().__init__(env)
         self.pace = torch.ones_like(self.clock)
 
-    def __call__(self, seen: Seen) -> Float32[Tensor, "b 6"]:
+    def __call__(self, seen: Seen) -> Float32[Tensor, "b j"]:
         go = torch.where(seen["gap"] < STOP_M, -1.0, 1.0)
         self.pace = (self.pace + go * self.step_s / self.RAMP_S).clamp(0.0, 1.0)
         self.clock = self.clock + self.step_s * self.pace
@@ -122,7 +123,7 @@ class Servo(Planned):
         self.goal = self.path[:, -1].double()
         self.end_s = self.begin[:, -1].clamp(min=self.step_s)
 
-    def __call__(self, seen: Seen) -> Float32[Tensor, "b 6"]:
+    def __call__(self, seen: Seen) -> Float32[Tensor, "b j"]:
         asked = se3.matmul(seen["T_world_hand"].double(), seen["T_hand_ee"].double())
         T, jacobian = ee_and_jacobian(self.robot, self.goal)
         turn = self.follow[:, None] * joint_speeds(jacobian, twist_between(T, asked))
@@ -135,7 +136,8 @@ class Servo(Planned):
         bent = (self.clock / self.end_s)[:, None] * (self.goal - self.path[:, -1].double())
         to, q = self.posture(self.clock).double() + bent, seen["q"].double()
         most = self.speed * self.step_s * pace
-        share = (most / (to - q).abs().amax(1).clamp(min=1e-9)).clamp(max=1.0)
+        turns = (to - q).abs() * self.env.weight
+        share = (most / turns.amax(1).clamp(min=1e-9)).clamp(max=1.0)
         to = (q + (to - q) * share[:, None]).float()
         return torch.where(self.env.keeps_off(to)[:, None], to, seen["q"])
 
@@ -162,7 +164,7 @@ class Replan:
         self.asked = torch.eye(4, dtype=torch.float64, device=device).repeat(b, 1, 1)
         self.key = random_key(env.trials.trial_id)
 
-    def __call__(self, seen: Seen) -> Float32[Tensor, "b 6"]:
+    def __call__(self, seen: Seen) -> Float32[Tensor, "b j"]:
         if self.k % self.every == 0:
             with self.env.evaluator.working():
                 self._plan(seen)
@@ -175,7 +177,7 @@ class Replan:
         there = (self.path[rows, self.next] - q).abs().amax(1) < self.THERE_RAD
         self.next = torch.where(there, self.next + 1, self.next).minimum(self.length - 1)
         left = self.path[rows, self.next].double() - q
-        far = left.abs().amax(1)
+        far = (left.abs() * env.weight).amax(1)
         # as fast as it may be to come to rest there
         speed = torch.minimum((2 * env.acceleration * far).sqrt(), far / env.step_s).clamp(
             max=env.speed

@@ -58,7 +58,7 @@ class RelativeDistance:
     def at(
         self,
         rows: Tensor,
-        q: Float32[Tensor, "r 6"],
+        q: Float32[Tensor, "r j"],
         T_world_hand: Float32[Tensor, "r 4 4"],
     ) -> Float32[Tensor, " r"]:
         """Distance of some trials at postures and poses, m."""
@@ -66,7 +66,7 @@ class RelativeDistance:
         return near.distance_m
 
     def nearest(
-        self, rows: Tensor, q: Float32[Tensor, "r 6"], T_world_hand: Float32[Tensor, "r 4 4"]
+        self, rows: Tensor, q: Float32[Tensor, "r j"], T_world_hand: Float32[Tensor, "r 4 4"]
     ) -> NearestApproach:
         """As `at`, with the robot's body and the point of the hand."""
         trials = self.trials
@@ -77,7 +77,7 @@ class RelativeDistance:
         active = torch.ones(len(rows), dtype=torch.bool, device=q.device)
         return hand_distance_at(self.scene, bodies, q.contiguous(), active, cap_m=CAP_M)
 
-    def robot_travel(self, turned: Float32[Tensor, "r 6"]) -> Float32[Tensor, " r"]:
+    def robot_travel(self, turned: Float32[Tensor, "r j"]) -> Float32[Tensor, " r"]:
         """No point of the robot goes farther while each joint turns by so much, m."""
         total = self._levers[:, 0] * turned[:, None, 0].abs()
         for k in range(1, turned.shape[1]):
@@ -87,7 +87,7 @@ class RelativeDistance:
     def over_step(
         self,
         rows: Tensor,
-        q: tuple[Float32[Tensor, "r 6"], Float32[Tensor, "r 6"]],
+        q: tuple[Float32[Tensor, "r j"], Float32[Tensor, "r j"]],
         hands: MovingHands,
         time_s: tuple[float, float],
         before_m: Float32[Tensor, " r"],
