@@ -3,12 +3,9 @@
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-from made_runs import make_header, make_scores, make_trials
 
 from r2h_batch.__main__ import COMMANDS, main
-from r2h_batch.runs.store import RunError, load_run, open_run
 
 NESTED = (
     "results verify",
@@ -78,51 +75,3 @@ def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code
     assert captured.out == "" and captured.err.count("\n") == 1
     for part in parts:
         assert part in captured.err
-
-
-@pytest.fixture
-def run(tmp_path):
-    """Two methods whose names in the table are not the sweep's words, and one of the user."""
-    trials = make_trials(6, 6)
-    folder = open_run(tmp_path / "run", make_header(6, 6, configuration={"name": "default", "thresholds": THRESHOLDS}))
-    scores = make_scores(trials, np.array([0, 1, 2, 3, 5, 1] * 2))
-    for name, function in (
-        ("FC-Handover (VoxNet + noise)", "r2h_batch.methods.fc:predict"),
-        ("Handover-VA (parts)", "r2h_batch.methods.handover_va:predict"),
-        ("mine:best", "mine:best"),
-    ):
-        folder.register(name, {"kind": "method", "function": function})
-        for shard in folder.todo(name):
-            with folder.write(name, shard) as writer:
-                writer.append(trials=_rows(trials[shard.first : shard.last], scores[shard.first : shard.last]))
-    return load_run(tmp_path / "run")
-
-
-THRESHOLDS = {"w_max_m": 0.085, "reach_radius_m": 0.1, "safe_margin_m": 0.0}
-
-
-def _rows(trials, scores):
-    from made_runs import NAMES
-
-    from r2h_batch.runs.rows import score_rows
-
-    return score_rows(trials, scores, NAMES)
-
-
-def test_what_the_sweep_calls_fc_every_command_takes_as_fc(run, capsys):
-    assert run.named("fc") == "FC-Handover (VoxNet + noise)" and run.named("handover-va") == "Handover-VA (parts)"
-    assert run.named("mine:best") == "mine:best"
-    with pytest.raises(RunError, match="no method 'contact'; it has FC-Handover"):
-        run.named("contact")
-    folder = str(run.folder)
-    for line in (["report", folder, "--method", "fc"], ["results", "rethreshold", folder, "--method", "fc"]):
-        assert main(line) == 0
-        out = capsys.readouterr().out
-        assert "FC-Handover" in out and "Handover-VA" not in out
-    assert main(["compare", folder, "--method", "fc", "handover-va"]) == 0
-    out = capsys.readouterr().out
-    assert "FC-Handover" in out and "Handover-VA" in out and "mine" not in out
-    assert main(["compare", folder, "--method", "fc", "contcat"]) == 2
-    assert "no method 'contcat'" in capsys.readouterr().err
-    assert main(["scene", "--run", folder, "--trial", "0", "--method", "fc", "--out", folder + "x"]) == 2
-    assert "run.json lacks objects" in capsys.readouterr().err  # it was found

@@ -61,18 +61,3 @@ def test_each_logger_gets_numbers_steps_name_and_settings_and_stays_on_this_mach
     assert [name for name, *_ in calls][-1] in ("finish", "end_run")
     local = {"wandb": "'mode': 'offline'", "mlflow": f"sqlite:///{tmp_path}"}
     assert local.get(kind, "") in text
-
-
-def test_a_logger_that_is_missing_or_unknown_is_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(ImportError, match="--log wandb needs wandb: pip install"):
-        Logger("wandb", tmp_path)
-    with pytest.raises(ValueError, match="kind is 'tensorbord'"):
-        Logger("tensorbord", tmp_path)
-    monkeypatch.setattr(jobs, "prepare", prepare_fake)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    assert (
-        sweep.main(["--method", "fake_bench:best", "--trials", "4", "--out", str(tmp_path / "r"), "--log", "trackio"])
-        == 2
-    )
-    assert "--log trackio needs trackio: pip install 'r2h_batch[trackio]'" in capsys.readouterr().err

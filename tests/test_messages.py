@@ -1,42 +1,12 @@
 """What is said to somebody whose file is not what a command takes: what was given, what is allowed, what to do."""
 
-import json
-import re
-
 import numpy as np
 import pytest
 
-from r2h_batch.__main__ import main
 from r2h_batch.bodies.hand_file import read_hand_set
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.io.read import FileError
 from r2h_batch.trials.protocol import make_trials
-
-POSE = [np.eye(4).tolist()]
-ONE = {"trial_id": [0], "T_obj_ee": POSE, "T_world_ee": POSE}
-
-BENCHMARK, PREDICTIONS = "benchmark check b.yaml", "sweep --trials 1 --out run --predictions p"
-SAID = {
-    "no pickle": (b"hello world", "import hand --out h.npz --mano-right hand.pkl", r"no pickle \(it begins with b'hello w"),
-    "empty YAML": (b"", BENCHMARK, "must hold fields, one `name: value` a line; it is empty"),
-    "a config for a benchmark": (b"trials: 500", BENCHMARK, "trials is 500; it must be text: trials of your own"),
-    "centimetres": (b"thresholds: {reach_radius_m: 8}", BENCHMARK, "reach_radius_m is 8; it must be 0.001 to 2 metres"),
-    "two numbers": (b"table: {half: [1, 2]}", BENCHMARK, "table.half is .*; it must have 3 entries or more, it has 2"),
-    "JSON in UTF-16": (b"\xff\xfe{\0}\0", f"{PREDICTIONS}.json", "is in UTF-16; save it in UTF-8"),
-    "a long number": (b'{"trial_id": [%s]}' % (b"9" * 5000), f"{PREDICTIONS}.json", "no readable JSON .number out of range"),
-    "one id": (json.dumps(ONE).encode(), f"{PREDICTIONS}.json", "1 trial id is planned but missing: 1;"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", SAID)
-def test_a_file_that_is_something_else_is_told_what_it_is_and_what_is_allowed(case, tmp_path, monkeypatch, capsys):
-    data, line, words = SAID[case]
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / line.split()[-1]).write_bytes(data)
-    assert main(line.split()) == 2
-    error = capsys.readouterr().err
-    assert re.search(words, error) and error.count("\n") == 1, error
-    assert "NoneType" not in error and "input should" not in error and "int_max_str" not in error
 
 
 def hands(**changes):

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 from made_runs import write_run
 from markdown_it import MarkdownIt
-from needs import needs
 
 from r2h_batch.compare.text import render as render_comparison
-from r2h_batch.export import captions, pictures
+from r2h_batch.export import captions
 from r2h_batch.report import page
 from r2h_batch.report.table import object_lines, render, table_of
-from r2h_batch.report.text import short_names, tex
+from r2h_batch.report.text import short_names
 from r2h_batch.statistics.paired import compare, pair_up
 
 ODD = (
@@ -98,18 +97,6 @@ def test_csv_and_json_give_the_names_back_and_no_cell_is_a_formula(run):
         assert all(json.dumps(name, ensure_ascii=False) in text for name in ODD)
 
 
-def test_latex_rows_hold_the_names_with_every_special_character_escaped(run):
-    compared = compare(pair_up([run]), draws=50)
-    for text in (
-        render(table_of(run), "latex"),
-        render(table_of(run), "latex", columns=1),
-        render_comparison(compared, "latex"),
-    ):
-        body = text[text.index(r"\begin{tabular}") :]
-        assert all(tex(name) in body for name in SHORT.values()) and r"\input" not in body
-        assert all(line.startswith("% ") for line in text.partition(r"\begin{tabular}")[0].splitlines())
-
-
 def test_the_page_and_its_charts_say_the_names_and_gain_no_tag(run, tmp_path):
     picture = {"src": "data:,", "trial": "1", "href": "x"}
     gallery = {n: [{**picture, "alt": f"1 of {n}", "caption": n, "command": n}] for n in ODD}
@@ -144,13 +131,3 @@ def test_panels_of_a_page_and_of_the_viewer_show_the_name(name):
     for found in (Text(captions.as_html(drawing(name))), shown(captions.as_markdown(drawing(name)))):
         assert "".join(found.text).count(name) >= 2  # the method and the note
         assert not {"script", "img", "a", "em", "del", "s", "code"} & set(found.tags)
-
-
-@needs("viser")
-def test_strips_and_films_caption_the_names(tmp_path, monkeypatch):
-    monkeypatch.setattr(pictures, "view_of", lambda *_: None)
-    monkeypatch.setattr(pictures, "images", lambda d, size, n, view: [(np.zeros((4, 4, 3), np.uint8), "0 s")] * n)
-    file = tmp_path / "x.svg"
-    pictures.write_strips([drawing(name) for name in ODD], file, n=1, size=(40, 40))
-    texts = {"".join(e.itertext()) for e in ElementTree.parse(file).iter("{http://www.w3.org/2000/svg}text")}
-    assert {*ODD} <= texts

@@ -8,7 +8,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,17 +16,13 @@ import pytest
 import torch
 from other_defaults import everything
 from problems import assert_same, default_evaluator, make_batch
-from staging import Staged, batch_of, staged_evaluator
 from torch._subclasses.fake_tensor import FakeTensorMode
 
 import r2h_batch
 from r2h_batch import Evaluator, make_trials
 from r2h_batch.bodies.objects import load_objects
-from r2h_batch.config import PlanConfig, Thresholds
-from r2h_batch.judge import inputs
 from r2h_batch.launch import thread_pool
 from r2h_batch.training.torch_op import score_op
-from r2h_batch.trials.protocol import trials_with_ids
 
 ROWS = 64
 WAIT_S = 300
@@ -155,21 +150,6 @@ def test_defaults_of_the_callers_program_change_no_bit(tmp_path, dtype):
 # --- arguments -----------------------------------------------------------------------------------------------------
 
 
-WRONG = {
-    "objects of one name": (lambda: Evaluator(objects=load_objects()[:1] * 2), "two objects are called 'game_controller'"),
-    "a device that is none": (lambda: Evaluator(device="gpu"), "device is 'gpu'; allowed are cpu, cuda, cuda:N"),
-    "trial ids of 32 bits": (lambda: trials_with_ids(torch.arange(3).int()), "trial_id is torch.int32.*torch.int64"),
-    "a gripper that opens too wide": (lambda: Thresholds(w_max_m=0.3), "w_max_m is 0.3; it must be 0.085 or less: metres"),
-    "a distance to the hand that no goal has": (lambda: PlanConfig(hand_clearance_m=0.01), "it must be 0.006 or less: metres"),
-    "a hand before the first": (lambda: palm(torch.tensor([-1])), "hand_index runs from -1 to -1; the scene has 0 to 399"),
-    "a row beyond the last": (lambda: make_trials(("S0",), 2)[2], "row 2 of 2 rows; allowed are -2 to 1"),
-}  # fmt: skip
-
-
-def palm(hand_index):
-    return default_evaluator().scene.palm(hand_index, torch.eye(4)[None])
-
-
 def test_torch_func_and_sparse_poses_are_refused_by_name():
     batch = make_batch(default_evaluator().scene, 4)
 
@@ -221,13 +201,6 @@ def test_a_negative_bit_is_part_of_the_number():
     assert_same(scores, plain)
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_argument_is_named_at_the_call(case):
-    call, words = WRONG[case]
-    with pytest.raises((TypeError, ValueError, IndexError), match=words):
-        call()
-
-
 def test_obvious_meanings():
     assert torch.equal(make_trials("S1", 3).trial_id, make_trials(("S1",), np.int64(3)).trial_id)
     trials = make_trials(("S0", "S1"), 3)
@@ -246,21 +219,6 @@ def test_an_optimizers_step_in_place_does_not_change_what_scores_were_asked_abou
         handover.zero_()
     assert torch.equal(scores.inputs.T_obj_ee, batch.T_obj_ee)
     assert torch.equal(scores.inputs.T_world_ee, batch.T_world_ee)
-
-
-def test_a_full_call_says_once_that_no_gradient_leads_back():
-    T_obj_ee, T_world_ee, trials = batch_of([Staged()])
-    inputs.warn_of_no_gradient.cache_clear()
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        staged_evaluator().score(T_obj_ee, T_world_ee, trials)
-        with torch.no_grad():
-            staged_evaluator().score(T_obj_ee.requires_grad_(), T_world_ee, trials)
-        staged_evaluator().score(T_obj_ee, T_world_ee, trials, "pose")
-        assert not said
-        for _ in range(3):
-            staged_evaluator().score(T_obj_ee, T_world_ee, trials)
-    assert len(said) == 1 and 'score with stages="pose"' in str(said[0].message) and said[0].filename == __file__
 
 
 def test_second_derivatives_raise():

@@ -9,7 +9,6 @@ from problems import default_evaluator, make_batch
 
 from r2h_batch import launch
 from r2h_batch.judge import attach, goal, plan
-from r2h_batch.launch import threads
 from r2h_batch.launch.threads import one_torch_thread
 
 
@@ -87,16 +86,3 @@ def test_calls_at_once_do_not_mix_up_their_numbers(batch):
     with ThreadPoolExecutor(3) as pool:
         found = [f.result() for f in [pool.submit(call, own) for own in (1, 2, 3)]]
     assert found == [[own] * 5 for own in (1, 2, 3)]
-
-
-def test_without_openmp_torch_itself_is_asked(monkeypatch):
-    threads._of_this_thread.cache_clear()
-    try:
-        with monkeypatch.context() as patched:
-            patched.setattr(threads.ctypes, "CDLL", lambda name: object())
-            with one_torch_thread("cpu"):
-                assert torch.get_num_threads() == 1
-            assert threads._of_this_thread() is None
-    finally:
-        threads._of_this_thread.cache_clear()
-    assert torch.get_num_threads() == 2

@@ -1,7 +1,6 @@
 """A benchmark out of flags: other hands, grasps and trials in a sweep, and what is refused."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -85,23 +84,6 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
     assert run.header["digests"]["benchmark"] == digest != built_in().digest
     header = json.loads((tmp_path / "run" / "run.json").read_text())
     assert header["hands"] == [["right", 3]]
-
-
-def test_trials_as_text_are_those_of_an_npz(tmp_path):
-    columns, base = some_trials(), built_in()
-    columns = {k: columns[k] for k in ("object", "T_world_hand")} | {"hand": np.arange(len(columns["object"]))}
-    np.savez(tmp_path / "t.npz", **columns)
-    (tmp_path / "t.json").write_text(json.dumps({k: v.tolist() for k, v in columns.items()}))
-    head = ["object", "hand", *(f"T_world_hand_{k}" for k in range(16))]
-    rows = zip(columns["object"], columns["hand"], columns["T_world_hand"].reshape(-1, 16), strict=True)
-    lines = [",".join(head), *(",".join(map(str, (o, h, *T))) for o, h, T in rows)]
-    (tmp_path / "t.csv").write_text("\n".join(lines))
-    wanted, *read = (
-        read_trials_file(tmp_path / f"t.{k}", base.objects, base.hand_set)[0] for k in ("npz", "json", "csv")
-    )
-    for found in read:
-        for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
-            assert torch.equal(getattr(found, name), getattr(wanted, name))
 
 
 def test_a_split_without_objects_is_refused_before_any_mesh_is_built(tmp_path, capsys):
@@ -227,23 +209,6 @@ def test_grasps_come_by_name_by_file_name_or_by_folder(tmp_path):
     for wrong in ("mine.npz", "none", "mug=cup.npz"):
         with pytest.raises(FileError, match=r"NAME=FILE|no such file|cannot be"):
             BenchmarkOverrides(grasps=(str(tmp_path / wrong),)).read()
-
-
-def test_what_the_flags_cannot_mean_is_refused_in_one_line(tmp_path, capsys):
-    (tmp_path / "empty").mkdir()
-    for ending in ("npz", "parquet", "yaml"):
-        os.mkfifo(tmp_path / f"pipe.{ending}")  # a reader that opened it would wait for ever
-    pipe = tmp_path / "pipe.npz"
-    for flags, words in (
-        (("--objects", tmp_path / "empty"), "no mesh"),
-        (("--hands", pipe), "not a regular file"),
-        (("--trials-file", pipe), "not a regular file"),
-        (("--hand-model", tmp_path / "none.npz"), "none.npz"),
-        (("--trials-file", tmp_path / "none.txt"), ".npz, .parquet, .csv, .json file"),
-    ):
-        assert main(["sweep", "--method", "fc", "--trials", "1", *map(str, flags)]) == 2
-        told = capsys.readouterr()
-        assert told.out == "" and len(told.err.splitlines()) == 1 and words in told.err
 
 
 @pytest.fixture

@@ -10,8 +10,7 @@ from grasp_files import poses, write_acronym, write_isaac
 from needs import needs
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.__main__ import main
-from r2h_batch.benchmark.build import BenchmarkOverrides, read_benchmark
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import load_robot
@@ -181,33 +180,3 @@ def test_grasps_of_another_gripper_are_seated_anew_or_dropped_and_counted():
     T[:] = T[0]
     with pytest.raises(ValueError, match="hammer: none of 100 grasps can be held"):
         seat_grasps(hammer, as_set(own, T=T))
-
-
-@needs("h5py")
-def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path, capsys):
-    T, held = poses(6), np.array([1, 1, 0, 1, 1, 1])
-    for ending in ("h5", "hdf5"):
-        write_acronym(tmp_path / f"mug.{ending}", T, held)
-    write_isaac(tmp_path / "mug.yaml", T, np.ones(6))
-    rows = np.column_stack(
-        [np.ones((6, 3)) * 0.02, np.full(6, 0.03), T[:, :3, :3].reshape(6, 9), T[:, :3, 3], np.full(6, 5)]
-    )
-    np.save(tmp_path / "mug.npy", rows)
-    for said, source, more in (
-        ("mug.h5", "acronym", []),
-        ("mug.hdf5", "acronym", []),
-        ("mug.npy", "graspnet", []),
-        ("mug.yaml:panda-hand", "isaac", ["--gripper", "panda-hand"]),
-    ):
-        out = tmp_path / f"{source}.npz"
-        file = tmp_path / said.partition(":")[0]
-        line = ["import", "grasps", str(file), "--from", source, "--overwrite", "--out", str(out), *more]
-        assert main(line) == 0
-        capsys.readouterr()
-        found = BenchmarkOverrides(grasps=(f"cup={tmp_path / said}",)).read()
-        (cup,) = (o for o in found.objects if o.name == "cup")
-        assert cup.grasps.digest == read_grasps(out).digest
-        assert ("1 left out" in capsys.readouterr().err) == (source == "acronym")
-    (tmp_path / "b.yaml").write_text("objects: [{built_in: cup, grasps: 'mug.yaml:ee'}]\n")
-    (cup,) = read_benchmark(tmp_path / "b.yaml").objects
-    assert cup.grasps.digest == read_file_of("isaac", tmp_path / "mug.yaml", "ee")[0].digest

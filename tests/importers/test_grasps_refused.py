@@ -1,10 +1,5 @@
 """Files that are no grasps, lie about their size or name other files: refused in one line, before anything is unpacked."""
 
-import json
-import os
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from grasp_files import poses, write_acronym, write_isaac
@@ -13,7 +8,7 @@ from needs import needs
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies.grasp_set import read_grasps
 from r2h_batch.importers import hdf5
-from r2h_batch.importers.grasp_files import grasps_from, read_file_of
+from r2h_batch.importers.grasp_files import read_file_of
 from r2h_batch.io.read import FileError
 
 
@@ -121,56 +116,6 @@ def test_a_file_that_leads_hdf5_in_circles_is_ended_with_its_process(tmp_path, m
     monkeypatch.setattr(hdf5, "MOST_SECONDS", 2)
     with pytest.raises(FileError, match=r"mug.h5: takes more than 2 s of CPU time to read, or ends its reader"):
         read_file_of("acronym", path)
-
-
-@needs("h5py")
-def test_acronym_of_another_gripper_or_without_success_is_refused(tmp_path):
-    for name, held, gripper, message in (
-        ("a", 1, b"barrett", "ACRONYM's is the panda"),
-        ("b", 0, b"panda", "none of 4"),
-        ("list", 1, [b"panda"], "gripper/type is no word; ACRONYM's is 'panda'"),
-    ):
-        path = write_acronym(tmp_path / f"{name}.h5", poses(4), np.full(4, held), gripper)
-        with pytest.raises(FileError, match=message):
-            read_file_of("acronym", path)
-    (tmp_path / "c.h5").write_bytes(os.urandom(4096))
-    with pytest.raises(FileError, match="not a readable HDF5 file"):
-        read_file_of("acronym", Path(tmp_path / "c.h5"))
-
-
-def test_graspnet_rows_that_can_be_no_grasp_are_named(tmp_path):
-    rows = np.column_stack(
-        [np.ones((2, 3)) * 0.02, np.full(2, 0.03), np.tile(np.eye(3).ravel(), (2, 1)), np.zeros((2, 4))]
-    )
-    half, thin = rows.copy(), rows.copy()
-    half[1, 16], thin[1, 1] = 0.5, -1
-    for array, why in (
-        (rows[:0], "holds no grasp"),
-        (half, "object 0.5 of row 1; objects are whole numbers"),
-        (thin, "width of grasp 1 is -1; 0 to 10 m are allowed"),
-    ):
-        np.save(tmp_path / "cup.npy", array)
-        with pytest.raises(FileError, match=f"cup.npy: {why}"):
-            read_file_of("graspnet", tmp_path / "cup.npy")
-
-
-@pytest.mark.parametrize(
-    ("name", "write", "why"),
-    [
-        ("a.json", lambda p: p.write_text('{"grasps": 3}'), "has no grasps with transforms"),
-        ("c.json", lambda p: p.write_text(json.dumps({"grasps": {"transforms": poses(2).tolist(), "object_in_gripper": [0, 0]}})),
-         "none of 2 grasps held"),
-        ("d.npy", lambda p: np.save(p, np.zeros((3, 3, 3))), "is (3, 3, 3) of float64; need any x 4 x 4"),
-        ("f_labels.npz", lambda p: np.savez(p, points=np.zeros((1, 3)), offsets=np.zeros((1, 3)), scores=np.zeros((1, 300))),
-         "scores are (1, 300); need 1 x 300 x 12 x 4"),
-    ],
-)  # fmt: skip
-def test_files_of_graspgen_and_graspnet_that_are_none_are_one_line(tmp_path, name, write, why):
-    write(tmp_path / name)
-    said = tmp_path / name if name.endswith("npz") else f"{tmp_path / name}:graspgen-franka"
-    with pytest.raises(FileError, match=re.escape(why)) as refused:
-        grasps_from(said)
-    assert "\n" not in str(refused.value)
 
 
 def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):

@@ -1,7 +1,5 @@
 """Hand sets from GRAB, ARCTIC, H2O, DexYCB and OakInk: small folders in their formats, read back as what they mean."""
 
-import pickle
-
 import numpy as np
 import pytest
 import torch
@@ -17,10 +15,10 @@ from hand_data import (
     write_h2o,
     write_oakink,
 )
-from hand_errors import CASES, OAKINK, largest_errors, moving_camera
+from hand_errors import CASES, largest_errors, moving_camera
 from mano_files import mano_dictionary, write_mano
 from scipy.spatial.transform import Rotation
-from smplx_files import SIDES, smplx_dictionary, smplx_twin, write_smplx
+from smplx_files import SIDES, smplx_twin, write_smplx
 
 from r2h_batch.__main__ import main
 from r2h_batch.bodies.hand import load_hand_set
@@ -101,15 +99,6 @@ def test_grab(tmp_path, capsys):
         and posed.posture == ("grab", "grab")
         and torch.equal(posed.side, torch.tensor([0, 1]).to(torch.int8))
     )
-
-
-@pytest.mark.parametrize("rule, frame", [("middle", FRAMES // 2), ("-2", FRAMES - 2)])
-def test_the_frame_can_be_chosen(tmp_path, capsys, rule, frame):
-    write_grab(tmp_path)
-    code, _, _ = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz", "--frame", rule)
-    hands, motions = loaded(tmp_path / "hands.npz")
-    assert code == 0
-    check(hands, motions, 0, 0, frame, 0)
 
 
 def test_the_widest_grip_counts_only_before_the_object_moves(tmp_path, capsys, monkeypatch):
@@ -195,35 +184,6 @@ def test_oakink_takes_the_receivers_of_handovers(tmp_path, capsys):
     code, out, _ = imported(capsys, tmp_path, "oakink", tmp_path / "all.npz", "--frame", "first")
     assert code == 0 and "4 hands" in out
     assert "use the mug" in loaded(tmp_path / "all.npz")[0]["instruction"].tolist()
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"shape": np.full(10, 1e5)}, "shape"),
-        ({"pose": [np.zeros(1 << 20)] * 5000}, "pose is missing or no numbers"),
-    ],
-)
-def test_a_grasp_of_oakink_that_is_no_hand_is_refused_in_one_line(tmp_path, capsys, change, words):
-    path = write_oakink(tmp_path, "abcdef0123", "pass1/A01001_0004_0001_0002/2021-09-26-19-59-58_alt")
-    path.write_bytes(pickle.dumps({**pickle.loads(path.read_bytes()), **change}))
-    code, _, err = imported(capsys, tmp_path, "oakink", tmp_path / "hands.npz")
-    skipped, refused = err.strip().split("\n")
-    assert code == 2 and words in skipped and "none of 1 files could be read" in refused
-    assert not (tmp_path / "hands.npz").exists()
-
-
-def test_hands_of_virtual_objects_and_names_of_metaV2(tmp_path, capsys):
-    """A grasp that was moved to a virtual object is of that object; one bad entry of the list costs that entry only."""
-    meta = tmp_path / "shape" / "metaV2"
-    meta.mkdir(parents=True)
-    (meta / "object_id.json").write_text('{"A01001": {"name": "white mug"}, "C1": {"name": 7}, "C2": {"name": "../x"}}')
-    (meta / "virtual_object_id.json").write_text('{"s10101": {"name": "mug_v"}}')
-    for virtual in (None, "s10101", "s10102"):
-        write_oakink(tmp_path, "abcdef0123", OAKINK, virtual=virtual)
-    code, _, err = imported(capsys, tmp_path, "oakink", tmp_path / "hands.npz")
-    assert code == 0 and loaded(tmp_path / "hands.npz")[0]["object"].tolist() == ["white_mug", "mug_v", "s10102"]
-    assert "C1 has no name; left out" in err and "points outside" in err and err.count("\n") == 2
 
 
 def test_hands_that_never_carry_the_object_are_left_out_and_counted(tmp_path, capsys):
@@ -316,36 +276,3 @@ def test_a_body_without_its_mesh_has_the_models_arms(tmp_path, capsys):
     ways = load_hand_set(tmp_path / "hands.npz").in_body[0, :, 3:].T.numpy()
     lengths = np.linalg.norm(np.diff(joints, axis=0), axis=1)
     assert np.abs([np.linalg.norm(ways[0]), np.linalg.norm(ways[1] - ways[0])] - lengths).max() < 1e-6
-
-
-@pytest.mark.parametrize(("change", "words"), [
-    ({}, "no such file"), ({"J_regressor": None}, "has no J_regressor; it is no SMPL-X model"),
-    ({"kintree_table": np.zeros((2, 55), np.uint32)}, "kintree_table is not SMPL-X'"),
-    ({"J_regressor": np.zeros((55, 3))}, "J_regressor is (55, 3)"),
-])  # fmt: skip
-def test_a_body_model_that_is_none_is_told_once_and_the_hands_are_taken(tmp_path, capsys, change, words):
-    write_grab(tmp_path)
-    write_grab(tmp_path, "s1/cup_lift_1")
-    write_smplx(tmp_path / "smplx", gender="FEMALE")
-    if change:
-        arrays = {k: v for k, v in {**smplx_dictionary(), **change}.items() if v is not None}
-        np.savez(tmp_path / "smplx" / "SMPLX_MALE.npz", **arrays)
-    code, out, err = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz", "--smplx", tmp_path / "smplx")
-    lines = [line for line in err.splitlines() if "SMPLX_MALE" in line]
-    assert code == 0 and "4 hands" in out and len(lines) == 1 and words in lines[0] and "stay unknown" in lines[0]
-    assert np.isnan(loaded(tmp_path / "hands.npz")[0]["arm"]).all()
-    code, _, err = imported(capsys, tmp_path, "grab", tmp_path / "no.npz", "--smplx", tmp_path / "grab")
-    assert code == 2 and "has no SMPLX_MALE.npz" in err
-
-
-def test_the_hand_command_writes_a_model_that_loads(tmp_path, capsys, mano):
-    from r2h_batch.bodies.hand import load_hand
-
-    out = tmp_path / "hand.npz"
-    assert main(["import", "hand", "--mano-right", str(mano[0]), "--out", str(out)]) == 0
-    assert "do not pass it on" in capsys.readouterr().out
-    assert load_hand(out).digest == load_mano(mano[0]).model.digest
-    bad = tmp_path / "bad.pkl"
-    bad.write_bytes(pickle.dumps(Runs()))
-    assert main(["import", "hand", "--mano-right", str(bad), "--out", str(tmp_path / "x.npz")]) == 2
-    assert "asks for builtins.eval" in capsys.readouterr().err and not (tmp_path / "x.npz").exists()

@@ -61,17 +61,6 @@ def test_objects_come_in_the_frame_of_the_hands_with_parts_and_region(oakink, tm
     assert found["mug"].split == "S0" and found["mug"].part_names == ("body",)
 
 
-def test_parts_as_point_clouds_label_the_same_faces(oakink, tmp_path):
-    points, blurred_m = 60, 0.02
-    for file in (oakink / "OakBase" / "knife" / "knife 1").glob("*.ply"):
-        trimesh.PointCloud(trimesh.load_mesh(file).sample(points, seed=points)).export(file)
-    assert main(["import", "objects", str(oakink), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 0
-    knife = next(o for o in BenchmarkOverrides(objects=str(tmp_path / "mine")).read().objects if o.name == "knife_1")
-    x = knife.mesh.triangles_center[:, 0]
-    clear = np.abs(x - 0.01) > blurred_m
-    assert knife.split == "S1" and (knife.receiver_face == (x < 0.01))[clear].all()
-
-
 def test_what_is_not_as_it_should_be_is_named_and_skipped_or_refused(oakink, tmp_path, capsys):
     part = oakink / "OakBase" / "knife" / "knife 1" / "part_00.ply"
     far = block(-0.1, 0.0)

@@ -71,15 +71,6 @@ def trials_of(text):
     return json.loads(re.search(r"<script type=\"application/json\" id=trials>(.*?)</script>", text)[1])
 
 
-def test_every_trial_of_a_small_run_can_be_searched(paper):
-    run, text = paper
-    data = trials_of(text)
-    assert list(data["methods"]) == list(run.methods)
-    outcome = data["columns"].index("outcome")
-    for method, columns in data["methods"].items():
-        assert columns[outcome] == run.trials(method)["outcome"].to_pylist()
-
-
 def test_a_large_run_is_represented_by_the_first_of_each_outcome_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(page, "TRIALS_SHOWN", 45)
     outcome = np.where(np.arange(300) == 250, 5, 0)
@@ -150,23 +141,3 @@ def test_a_page_says_who_is_better_on_which_object_and_shows_only_what_is_there(
     assert 'alt="&lt;x&gt;"' in shown and '<a href="t.html"' in shown and "<h2>Gallery</h2>" in shown
     assert "<code>r2h-batch view RUN --trial 3</code>" in shown
     assert trials_of(shown)["pages"][run.methods[0]] == {"3": "t.html"}
-
-
-@needs("chromium")
-def test_nothing_makes_the_page_wider_than_its_window(tmp_path):
-    """Six methods with long names; a table that does not fit scrolls in itself."""
-    codes = np.array([0, 1, 2, 3, 5])
-    names = {
-        f"Method-{k} (a network, built-in contacts + noise)": codes[np.arange(240) % (k + 2) % 5] for k in range(6)
-    }
-    text = page.page(write_run(tmp_path / "run", names, 120, 120))
-    # a headless window is at least 500 wide: for a phone the document is made narrower than its window of one column
-    probe = """<script>document.title = [390, 1040].map(w => {
-        document.documentElement.style.width = w + "px";
-        return w + ":" + document.body.scrollWidth; }).join(" ")</script></body>"""
-    (tmp_path / "page.html").write_text(text.replace("</body>", probe), encoding="utf-8")
-    assert CHROMIUM
-    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000", "--window-size=1040,900"]
-    line = [CHROMIUM, *flags, "--dump-dom", f"--user-data-dir={tmp_path}/profile", f"file://{tmp_path}/page.html"]
-    shown = subprocess.run(line, capture_output=True, text=True, timeout=120, check=True).stdout
-    assert "<title>390:390 1040:1040</title>" in shown

@@ -3,10 +3,7 @@
 import csv
 import io
 import json
-import os
 import re
-import subprocess
-import sys
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -101,33 +98,6 @@ def test_every_rate_has_an_interval_around_it_in_markdown(paper):
     assert checked == 12 * 6 - 4
 
 
-def test_markdown_names_preset_protocol_digest_counts_and_denominators(paper):
-    text = report.render(paper, "md")
-    for part in ("preset: default", "protocol: made", "0123456789abcdef", "500 S0, 500 S1", "S0's F_afford"):
-        assert part in text
-    counts = md_tables(text)[2]
-    assert counts[0][:3] == ["Split", "Method", "N"]
-    assert f"r2h-batch compare {paper.folders} " in text and "r2h-batch results reevaluate" in text
-    assert counts[1][2] == "500" and counts[-1][2] == "1000"
-    for note in report.FOOTNOTES:
-        assert note in " ".join(text.replace("\n- ", "\n").split())
-    alone = report.render(replace(paper, rows=paper.rows[:1]), "md")
-    assert f"r2h-batch compare {paper.folders} baselines" in alone
-
-
-@pytest.mark.parametrize("name", ["oracle", "Contact-Handover (oracle hand)"])
-def test_markdown_is_aligned_ascii_and_fits_a_terminal_of_100_columns(paper, name):
-    rows = tuple(replace(row, method=name) for row in paper.rows)
-    text = report.render(replace(paper, rows=rows, folders=""), "md")
-    assert text.isascii()
-    assert max(map(len, text.splitlines())) <= 100
-    for block in re.split(r"\n\n", text):
-        assert len({len(line) for line in block.splitlines() if "|" in line}) <= 1
-    short = name.partition(" (")[0]
-    assert {(r[0], r[1]) for r in md_tables(text)[0][1:]} == {(r.split, short) for r in rows}
-    assert (f"- {short}: {name}" in text) == (short != name)
-
-
 @pytest.mark.parametrize("fmt", report.FORMATS)
 @pytest.mark.parametrize(("n_s0", "n_s1", "code"), [(0, 3, 0), (6, 6, 2), (2, 2, 8)])
 def test_edges_print_na_and_never_nan(tmp_path, fmt, n_s0, n_s1, code):
@@ -170,24 +140,6 @@ def test_missing_and_invalid_trials_are_shown(tmp_path):
     main, _, counts = md_tables(report.render(table, "md"))
     assert main[1][2] == "37.5"
     assert counts[1][-2:] == ["2", "3"]
-
-
-def test_the_command_prints_a_stored_runs_table_on_a_plain_terminal(tmp_path):
-    run = write_run(tmp_path / "run", {"m": np.array([0, 2])}, 1, 1)
-    environment = {"PATH": os.environ["PATH"], "LANG": "C", "TERM": "dumb"}
-    command = [sys.executable, "-m", "r2h_batch", "report", str(run.folder), "--format", "csv"]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == report.render(report.table_of(run), "csv") and done.stderr == ""
-
-
-def test_by_object_prints_a_line_for_each_and_which_criteria_fail_together(tmp_path, capsys):
-    run = write_run(tmp_path / "run", {"m": np.array([0, 1, 2, 3, 5, 1] * 5)}, 15, 15)
-    assert command("report", run.folder, by_object=True) == 0
-    first, *pairs = md_tables(capsys.readouterr().out)
-    assert [r[1] for r in first[1:]] == ["bowl", "cup", "eyeglasses", "hammer", "knife", "scissors"]
-    assert all(r[3] == "5" for r in first[1:]) and len(pairs) == 2
-    assert pairs[0][3][1] == "5/15" and pairs[0][1][4] == "n/a"  # reach with stability; affordance in S0
 
 
 def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):

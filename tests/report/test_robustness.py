@@ -1,6 +1,5 @@
 """Curves over the execution error, of runs made by hand."""
 
-import json
 from dataclasses import asdict
 
 import numpy as np
@@ -9,7 +8,7 @@ from made_runs import write_run
 from scipy import stats
 
 from r2h_batch.config import EvalConfig
-from r2h_batch.report.robustness import figure, render, robustness
+from r2h_batch.report.robustness import robustness
 from r2h_batch.statistics.paired import compare, pair_up
 from r2h_batch.sweep.options import execution_error
 from r2h_batch.types import Outcome
@@ -62,19 +61,3 @@ def test_pairs_are_those_of_compare_at_each_level(runs):
     for run, pairs in zip(runs, found.pairs, strict=True):
         assert pairs == compare(pair_up([run]))[-1].pairs
     assert found.pairs[0][0].difference > 0 > found.pairs[2][0].difference  # the order turns
-
-
-def test_one_method_has_a_curve_and_no_pairs(runs):
-    found = robustness([run.only(["b"]) for run in runs])
-    assert [c.method for c in found.curves] == ["b"] and found.pairs == ((), (), ())
-    assert "Pairs" not in render(found)
-
-
-def test_the_text_the_records_and_the_figure_hold_every_level(runs):
-    found = robustness(runs)
-    assert all(level in render(found) for level in found.levels)
-    assert len(render(found, "csv").splitlines()) == 1 + 2 * 3
-    assert json.loads(render(found, "json"))["curves"][0]["area"]["value"] == found.curves[0].area.value
-    pytest.importorskip("matplotlib")
-    (axes,) = figure(found).axes
-    assert [len(c.lines[0].get_xdata()) for c in axes.containers] == [3, 3]

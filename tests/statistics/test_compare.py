@@ -48,19 +48,6 @@ def test_the_difference_and_the_discordant_trials_are_counted_on_the_same_trials
     assert c.rates == (62.5, 37.5)
 
 
-def test_words_say_what_is_decided_and_for_what():
-    objects = np.repeat(np.arange(8), 50)
-    random = np.random.default_rng(1)
-    base = random.random(400) < 0.5
-    everywhere = base | (random.random(400) < 0.6)
-    one_object = base | (objects == 3)
-    (c,) = pairing.compare(paired([base, everywhere, one_object, base], objects))
-    words = {(p.a, p.b): p.verdict for p in c.pairs}
-    assert words["m0", "m1"] == "worse" and words["m1", "m3"] == "better"
-    assert words["m0", "m2"] == "worse here"  # all of it in one object: nothing about new ones
-    assert words["m0", "m3"] == "tied"
-
-
 @pytest.mark.parametrize("splits", [1, 2])
 def test_the_interval_for_new_objects_covers_the_truth_and_knows_no_seed(splits):
     """Methods whose difference varies by object: 16 drawn objects, the truth is the mean over all objects."""

@@ -62,10 +62,3 @@ def test_real_rates_and_trials_beyond_their_bounds_are_refused(tmp_path, capsys,
     (tmp_path / "real.csv").write_text(f"method,real_sr,real_t_tot_s\nFC-Handover,{cells}\n")
     code, out, err = outcome(tmp_path / "real.csv", capsys, "real", "--trials", trials, run)
     assert code == 2 and out == "" and part in err and err.count("\n") == 1
-
-
-@pytest.mark.parametrize(("cell", "shown"), [("85%", "85.0"), ("0.7%", "0.7"), ("1.1", "1.1")])
-def test_a_percent_sign_is_read_and_what_nobody_can_tell_apart_has_one(tmp_path, capsys, run, cell, shown):
-    (tmp_path / "real.csv").write_text(f"method,real_sr,real_t_tot_s\nFC-Handover,{cell},13\n")
-    code, out, _ = outcome(tmp_path / "real.csv", capsys, "real", "--trials", "150", run)
-    assert code == 0 and f" {shown} " in out, out

@@ -1,10 +1,7 @@
 """`sweep --receiver-motion --policy`: what is stored and printed beside the verdicts, which stay."""
 
-import pytest
-
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main
-from r2h_batch.sweep.options import UsageError, parse
 
 BASE = ["--method", "random", "--trials", "6", "--sim", "none", "--quiet"]
 
@@ -36,22 +33,3 @@ def test_a_sweep_plays_the_loop_beside_its_verdicts_and_a_users_policy_is_one(tm
     # another policy is another run
     assert sweep(tmp_path / "on", "--receiver-motion", "moves:50mm,10deg", "--policy", "servo") == 2
     assert "closed_loop" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("flags", "words"),
-    [
-        (["--policy", "servo"], "add --receiver-motion"),
-        (["--receiver-motion", "moves", "--execution-error", "5mm,1deg"], "leave --execution-error out"),
-    ],
-)
-def test_what_cannot_be_played_is_refused(flags, words):
-    with pytest.raises(UsageError, match=words):
-        parse([*BASE, *flags])
-
-
-def test_a_policy_or_motion_that_is_not_there_is_refused_in_a_line(tmp_path, capsys):
-    assert sweep(tmp_path / "a", "--receiver-motion", "flies") == 2
-    assert "it must be still, moves" in capsys.readouterr().err
-    assert sweep(tmp_path / "b", "--receiver-motion", "moves", "--policy", "magic") == 2
-    assert "built in are planned, stop, servo, replan" in capsys.readouterr().err

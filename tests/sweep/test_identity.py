@@ -84,15 +84,3 @@ def test_a_resume_after_a_change_of_any_of_them_is_refused_by_the_name_of_the_fi
     (place / changed).write_text(FILES[changed])
     assert run() == 0
     assert len(load_run(place / "run").methods) == 1
-
-
-def test_what_is_not_compared_is_said(place, capsys):
-    assert run("id_method:secretive") == 0
-    assert "imported id_secret when it was called; a resume does not notice its changes" in capsys.readouterr().err
-    (place / "id_method.py").write_text(METHOD.replace("METHOD_FILES", "OTHERS"))
-    assert run("id_method:predict,table=a") == 0
-    error = capsys.readouterr().err
-    assert "a resume is refused once id_method or 4 modules that it imports changes; other files (weights" in error
-    (place / "id_method.py").write_text(METHOD.replace("weights.bin", "gone.bin"))
-    assert run("id_method:predict,table=b") == 2
-    assert "gone.bin: no such file; METHOD_FILES of" in capsys.readouterr().err

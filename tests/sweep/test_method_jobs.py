@@ -84,19 +84,3 @@ def test_a_methods_options_reach_it_and_stand_in_its_name(bench):
     assert [j.source.get("options") for j in given] == [None, "gate=ik, height_m=0.12", "rounds=8"]
     # no public way from a job to what its function is called with
     assert jobs._method(some[1]).options == {"gate": "ik", "height_m": 0.12}
-
-
-@pytest.mark.parametrize(
-    ("method", "said"),
-    [
-        ("contact,gat=ik", "unknown option 'gat', did you mean gate?"),
-        ("contact,gate", "option gate has no value; say gate=VALUE"),
-        ("contact,rolls=1.5", "rolls is '1.5'; it must be a whole number"),
-        ("contact,gate=ik,gate=ik", "option gate is given twice"),
-        ("contact,predictor=x", "unknown option 'predictor'"),
-    ],
-)
-def test_an_option_that_cannot_be_is_one_line_and_exit_code_2(capsys, method, said):
-    assert sweep.main(["--method", method]) == 2
-    error = capsys.readouterr().err.splitlines()
-    assert said in error[-1] and error[-1].startswith(f"sweep: --method {method.partition(',')[0]}: ")

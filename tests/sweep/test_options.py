@@ -89,23 +89,6 @@ def test_a_bad_file_is_refused_by_the_path_of_the_field(tmp_path, text, parts):
 
 
 @pytest.mark.parametrize(
-    ("line", "part"),
-    [
-        ("--shard 0/3", "--shard is '0/3'; it must be I/N"),
-        ("--shard 1/2", "--shard needs --out"),
-        ("--workers 2", "belong to --engine ray"),
-        ("--predictor-noise -1", "--predictor-noise is -1.0; it must be 0 (the truth) or more"),
-        ("--method random fc --predicted-hands h.npz --preset paper", "add --plan-hand true"),
-        ("--predictor net.pt", "--predictor is the contact network of --method contact; add that method"),
-    ],
-)
-def test_options_of_engines_are_checked(line, part):
-    with pytest.raises(UsageError) as refused:
-        parse([*(() if "--method" in line else ("--method", "random")), *line.split()])
-    assert part in " ".join(str(refused.value).split())
-
-
-@pytest.mark.parametrize(
     ("text", "part"),
     [
         ("? [1, 2]\n: 3", "a list or mapping is a key"),

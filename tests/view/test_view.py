@@ -19,7 +19,6 @@ from r2h_batch.export.captions import as_markdown
 from r2h_batch.export.drawing import Drawing, view_of
 from r2h_batch.export.episode import episode_of
 from r2h_batch.export.stored import ExportError, Reader
-from r2h_batch.scene import offscreen
 from r2h_batch.view.server import ANY, Filter
 
 pytestmark = needs("viser")
@@ -103,21 +102,6 @@ def test_a_failed_reach_shows_the_gap_and_a_failed_affordance_the_part_on_the_re
             assert witness.geoms[0].startswith("gripper/") and witness.geoms[1] == "object/region_visual"
         assert [m.text for m in drawing.marks if m.text] == [witness.caption]
         assert drawing.moments(3)[-1][2] and not drawing.moments(3)[0][2]
-
-
-def test_the_camera_has_robot_object_and_hand_in_view_all_the_time(reader):
-    drawings = [Drawing(reader.trial(1, m)) for m in ("oracle", "random")]
-    aspect, half = 1.2, np.tan(np.radians(22.5))
-    for some, close in ((drawings, False), (drawings[:1], False), (drawings[:1], True)):
-        view = view_of(some, aspect, close=close)
-        eye = view.look_at - view.distance_m * view.axes[2]
-        for drawing in some:
-            for q in drawing.motion()[1][:: 1 if close else 40][-1 if close else None :]:
-                data = drawing.at(q)
-                hand, tool = data.geom("hand/mesh_visual").xpos, data.geom("object/mesh_visual").xpos
-                for point in (hand, tool, data.site("ee").xpos):
-                    right, up, forward = view.axes @ (point - eye)
-                    assert forward > 0 and abs(right) < half * aspect * forward and abs(up) < half * forward
 
 
 def test_the_first_camera_sees_what_decides(reader):
@@ -243,32 +227,6 @@ def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end
         stop_server(server)
 
 
-def test_a_viser_that_serves_in_another_way_is_refused(monkeypatch):
-    import viser
-
-    from r2h_batch.command_line import UsageError
-    from r2h_batch.view.page import new_server
-
-    class Elsewhere:
-        """Never calls `serve` of websockets."""
-
-        ended = 0
-
-        def __init__(self, **_):
-            pass
-
-        def get_port(self):
-            return 8080
-
-        def stop(self):
-            Elsewhere.ended += 1
-
-    monkeypatch.setattr(viser, "ViserServer", Elsewhere)
-    with pytest.raises(UsageError, match="does not let the viewer refuse pages of others"):
-        new_server(0)
-    assert Elsewhere.ended == 1
-
-
 @pytest.mark.parametrize(
     ("line", "said"),
     [
@@ -283,17 +241,6 @@ def test_what_cannot_be_shown_is_refused_in_one_line(run, capsys, line, said):
     assert main([str(run) if word == "RUN" else word for word in line]) == 2
     out = capsys.readouterr()
     assert out.out == "" and out.err.count("\n") == 1 and said in out.err
-
-
-def test_without_an_opengl_one_line_says_what_to_install(run, tmp_path, capsys, monkeypatch):
-    offscreen.ready.cache_clear()
-    monkeypatch.setattr(offscreen, "_works", lambda backend: False)
-    try:
-        assert main(["view", str(run), "--method", "oracle", "--trial", "0", "--strips", str(tmp_path / "x.png")]) == 1
-    finally:
-        offscreen.ready.cache_clear()
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "apt-get install libosmesa6" in said
 
 
 @needs("gl")
