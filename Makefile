@@ -45,7 +45,7 @@ $(VENV)/.installed-test: $(SETUP)
 
 docs: $(SETUP)  ## the documentation as a site, build/site/index.html: strict, without network, notebooks run
 	$(BIN)/python -c 'import mkdocs, mkdocstrings, IPython, nbformat, viser' 2>/dev/null || $(BIN)/python -m pip install -q -c constraints.txt -e '.[docs]'
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict -q
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict  # with -q no warning is counted
 
 assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its scripts
 	$(BIN)/python -m r2h_batch.assets.robot.build_robot
@@ -70,7 +70,7 @@ wheel: $(VENV)/.installed-test  ## wheel and sdist in build/dist, checked; the w
 	$(BIN)/python -m twine check --strict build/dist/*
 	du -h build/dist/*
 	$(PYTHON) -m venv build/empty
-	build/empty/bin/python -m pip install -q -c constraints.txt build/dist/*.whl
+	build/empty/bin/python -m pip install -q --no-compile -c constraints.txt build/dist/*.whl
 	cd build/empty && bin/r2h-batch sweep --method random --trials 2 --out run
 	rm -rf build/empty build/lib build/bdist*
 

@@ -1,13 +1,14 @@
 """The documentation: links lead somewhere, and the site builds strictly without network."""
 
 import dataclasses
+import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from needs import CHROMIUM, is_here, needs
+from no_network import without_network
 
 from r2h_batch import config
 from r2h_batch.types import Predictions, Scores, Trials
@@ -32,14 +33,22 @@ def test_the_reference_explains_every_field(kind):
     assert named == [f.name for f in dataclasses.fields(kind) if not f.name.startswith("_")]
 
 
+def build_site(folder: Path) -> None:
+    """`mkdocs build --strict`."""
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    os.chdir(ROOT)
+    config = load_config("mkdocs.yml", site_dir=str(folder), strict=True)
+    config.plugins.on_startup(command="build", dirty=False)
+    build(config)
+
+
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
+def site(tmp_path_factory, scene):
     """`make docs`: built strictly, without network; both notebooks run."""
     folder = tmp_path_factory.mktemp("docs") / "site"
-    line = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(folder)]
-    line = ["unshare", "-rn", *line] if is_here("unshare") else line
-    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    (without_network if is_here("unshare") else lambda work, *given: work(*given))(build_site, folder)
     return folder
 
 

@@ -46,7 +46,7 @@ def test_a_generator_is_trained_and_judged_in_three_ways(tmp_path):
 
 def test_a_servo_learns_from_closed_loops_and_is_played_on_unseen_trials(capsys):
     learn_servo = import_module("learn_servo")
-    found = learn_servo.main(["--trials", "4", "--population", "4", "--generations", "2"])
+    found = learn_servo.main(["--trials", "2", "--population", "2", "--generations", "2"])
     out = capsys.readouterr().out
-    assert "4 unseen trials" in out and out.count("generation") == 2
+    assert "2 unseen trials" in out and out.count("generation") == 2
     assert -1 <= found["return before"] <= 1 and found["success after"] >= found["success before"]

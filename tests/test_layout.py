@@ -23,14 +23,21 @@ def modules() -> dict[str, Path]:
     return found
 
 
-def imports_of(path: Path) -> list[tuple[str, str]]:
-    """(module, name) of every import of the package's own, lazy ones included; those for type checkers are left out."""
+@cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    """Every node of a file's syntax; what only type checkers import is left out."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
             node.body = []
+    return list(ast.walk(tree))
+
+
+@cache
+def imports_of(path: Path) -> list[tuple[str, str]]:
+    """(module, name) of every import of the package's own, lazy ones included; those for type checkers are left out."""
     found = []
-    for node in ast.walk(tree):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             found += [(a.name, "") for a in node.names if a.name.startswith("r2h_batch")]
         elif isinstance(node, ast.ImportFrom):
@@ -53,7 +60,7 @@ def test_kernels_import_relatively_what_depends_on_the_number_of_joints_and_noth
         sized |= {n for n, own in imported.items() if own & sized}
     wrong = []
     for name, path in kernels.items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of(path):
             if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module in sized:
                 wrong.append(f"{name} imports {node.module}")
             elif isinstance(node, ast.ImportFrom) and node.level and name not in sized:
@@ -100,7 +107,7 @@ FACTORIES = (
 def test_every_new_tensor_says_its_dtype_and_device() -> None:
     silent, seen = [], 0
     for name, path in modules().items():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of(path):
             if isinstance(node, ast.Call) and ast.unparse(node.func) in {f"torch.{f}" for f in FACTORIES}:
                 seen += 1
                 if missing := {"dtype", "device"} - {k.arg for k in node.keywords}:

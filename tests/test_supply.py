@@ -1,16 +1,15 @@
 """What comes from others: the lock is whole, licences are listed, an audit that was not made is no clean bill, no downloads."""
 
 import importlib.util
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 import torch
 from needs import needs
+from no_network import without_network
+from sweep_command import in_process
 
 from r2h_batch.runs.provenance import PACKAGES
 from r2h_batch.runs.store import load_run
@@ -81,9 +80,6 @@ def test_an_audit_that_looked_nothing_up_is_not_a_clean_one(
 
 @needs("unshare")
 def test_a_sweep_fetches_nothing_it_runs_with_the_network_cut_off(tmp_path: Path) -> None:
-    line = ["unshare", "-rn", sys.executable, "-m", "r2h_batch.sweep", "--method", "random", "--trials", "1"]
-    environment = {**os.environ, "TERM": "dumb"}
-    line += ["--sim", "none", "--out", str(tmp_path / "run")]
-    done = subprocess.run(line, capture_output=True, text=True, env=environment, timeout=900, check=False)
-    assert done.returncode == 0, done.stderr
+    line = ["--method", "random", "--trials", "1", "--sim", "none", "--out", str(tmp_path / "run")]
+    without_network(in_process, *line)
     assert load_run(tmp_path / "run").trials("random").num_rows == 2

@@ -77,6 +77,7 @@ def test_kill_9_of_the_driver_leaves_a_folder_that_goes_on(tmp_path, undisturbed
     same_rows(out, undisturbed)
 
 
+@pytest.mark.slow
 def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_again_on_resume(tmp_path, undisturbed):
     out, log = tmp_path / "run", tmp_path / "log"
     code, table, error = finish(start(tmp_path, out, DEADLY, *ONE, FAKE_DEADLY="47"))
