@@ -58,7 +58,7 @@ def damped_gram(axes: wp.array(dtype=wp.vec3d), linear: wp.array(dtype=wp.vec3d)
     """[J J^T + damping 1 | 0] (6, 7) of the Jacobian with columns (linear_j, axes_j): velocity and turn per joint rate."""
     n = int(6)
     A = mat67d()
-    for j in range(n):
+    for j in range(axes.shape[0]):
         column = vec6d(linear[j][0], linear[j][1], linear[j][2], axes[j][0], axes[j][1], axes[j][2])
         for r in range(n):
             for m in range(n):

@@ -39,14 +39,14 @@ class UrParameters:
 
 @wp.func
 def ee_and_axes(
-    joint_R: wp.array(dtype=wp.mat33d),  # (7,) parent link to joint at q = 0; the last: wrist_3 to ee
+    joint_R: wp.array(dtype=wp.mat33d),  # (J + 1,) parent link to joint at q = 0; the last: last link to ee
     joint_p: wp.array(dtype=wp.vec3d),
-    q: wp.array(dtype=wp.float64),  # (6,)
-    axes: wp.array(dtype=wp.vec3d),  # (6,) out: the joints' axes and points on them, world frame
+    q: wp.array(dtype=wp.float64),  # (J,)
+    axes: wp.array(dtype=wp.vec3d),  # (J,) out: the joints' axes and points on them, world frame
     origins: wp.array(dtype=wp.vec3d),
 ):
     """R, p of the ee in the world, joint by joint as world.py has it in float32; writes the joints' axes."""
-    n = int(6)
+    n = joint_R.shape[0] - 1
     zero = wp.float64(0.0)
     R = wp.identity(n=3, dtype=wp.float64)
     p = wp.vec3d()
@@ -57,7 +57,7 @@ def ee_and_axes(
         R = R * joint_R[j] * wp.mat33d(c, -s, zero, s, c, zero, zero, zero, wp.float64(1.0))
         axes[j] = wp.vec3d(R[0, 2], R[1, 2], R[2, 2])
         origins[j] = p
-    return R * joint_R[6], R * joint_p[6] + p
+    return R * joint_R[n], R * joint_p[n] + p
 
 
 @wp.func

@@ -129,11 +129,12 @@ class Poses0:
 @dataclass(frozen=True)
 class Arm:
     """Joint axes and points on them (world frame), and the joint rates per motion of the ee frame
-    (damped inverse)."""
+    (damped inverse; more than six joints: pseudo-inverse)."""
 
-    axis: Float[Tensor, "b 6 3"]
-    origin: Float[Tensor, "b 6 3"]
-    inverse: Float[Tensor, "b 6 6"]
+    axis: Float[Tensor, "b j 3"]
+    origin: Float[Tensor, "b j 3"]
+    inverse: Float[Tensor, "b j 6"]
+    T_world_ee: Float[Tensor, "b 4 4"]
 
 
 def receded(
@@ -145,9 +146,9 @@ def receded(
     return se3.dot(away, now - at)
 
 
-EE, GRIPPER, OBJECT, FIXED = 6, 7, 8, -1
-"""Carriers of a point: 0 to 5 a link of the arm, the wrist, the gripper, the held object, or
-nothing that moves."""
+FIXED = -1
+"""A carrier of a point: nothing that moves. The others, for an arm of J joints: 0 to J a link (J
+with the ee), J + 1 the gripper, J + 2 the held object."""
 
 
 def carried(
@@ -171,16 +172,17 @@ def carried(
 
     twist = ee_motion(poses)
     with_link = torch.zeros_like(point)
-    for j in range(5):
+    ee = arm.axis.shape[1]
+    for j in range(ee - 1):
         rate = torch.zeros_like(point[:, 0])
         for k in range(6):
             rate = rate + arm.inverse[:, j, k] * twist[:, k]
         lever = torch.linalg.cross(arm.axis[:, j], point - arm.origin[:, j])
         with_link = with_link + torch.where((carrier > j)[:, None], rate[:, None] * lever, 0.0)
 
-    out = torch.where((carrier == EE)[:, None], with_ee, with_link)
-    out = torch.where((carrier == GRIPPER)[:, None], with_ee + fingers, out)
-    out = torch.where((carrier == OBJECT)[:, None], with_object, out)
+    out = torch.where((carrier == ee)[:, None], with_ee, with_link)
+    out = torch.where((carrier == ee + 1)[:, None], with_ee + fingers, out)
+    out = torch.where((carrier == ee + 2)[:, None], with_object, out)
     return torch.where((carrier == FIXED)[:, None], 0.0, out)
 
 
@@ -226,6 +228,23 @@ def missed(T_world_ee: Float[Tensor, "b 4 4"], ur: UrLengths) -> Float[Tensor, "
             beyond = torch.maximum(d - ur.a2 - ur.a3, abs(ur.a2 - ur.a3) - d).clamp(min=0.0)
             least = torch.minimum(least, _root(beyond * beyond + off * off))
     return least
+
+
+def missed_by(
+    T_world_ee: Float[Tensor, "b 4 4"],
+    T_reached: Float[Tensor, "b 4 4"],
+    rotation_lever_m: float,
+) -> Float[Tensor, " b"]:
+    """By how much a posture whose ee is at `T_reached` misses a target (m, a radian counts `rotation_lever_m`)."""
+    away = T_world_ee[:, :3, 3] - T_reached[:, :3, 3]
+    R, R0 = T_world_ee[:, :3, :3], T_reached[:, :3, :3]
+    # sum_k a_k x R a_k = 2 sin(angle) axis, and the trace is 1 + 2 cos(angle)
+    turn = sum(torch.linalg.cross(R0[:, :, k], R[:, :, k]) for k in range(3))
+    cosine = sum(
+        (se3.dot(R0[:, :, k], R[:, :, k]) for k in range(3)), torch.full_like(away[:, 0], -1.0)
+    )
+    angle = torch.atan2(_root(se3.dot(turn, turn)), cosine)
+    return _root(se3.dot(away, away)) + rotation_lever_m * angle
 
 
 def _root(square: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.robot import ee_pose, ur_lengths
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, Thresholds
 from r2h_batch.judge.attach import AttachedBatch
-from r2h_batch.judge.goal import Goal
+from r2h_batch.judge.goal import ROTATION_LEVER_M, Goal
 from r2h_batch.judge.grasp import CUT_CAP_M
 from r2h_batch.scene.scene import Scene
 from r2h_batch.soft import with_gradient
@@ -35,14 +35,8 @@ def differentiable(
     """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses; rows
     that are no poses do not.
 
-    `poses`: T_obj_ee and T_world_ee as they were given, with their history. Raises ValueError for a
-    robot without a closed form of its inverse kinematics.
+    `poses`: T_obj_ee and T_world_ee as they were given, with their history.
     """
-    if scene.robot.family != "ur":
-        raise ValueError(
-            f"the poses require gradients, but margins of {scene.robot.name} have none; only arms of a UR's structure"
-            " do: detach the poses"
-        )
     changes = MarginChanges(scene, config.thresholds, scores, held, goal)
     first_order_only = [FirstOrderOnly.apply(T) for T in poses]
     return replace(scores, margin=with_gradient(scores.margin, changes(*first_order_only)))
@@ -159,7 +153,9 @@ class MarginChanges:
         """Safe and Plan: which bodies, what carries them, how fingers move there. `safe_m`: from
         hand to robot."""
         held, goal, opening_m = self.held, self.goal, self.held.grasp.opening_m
-        self.unreachable = goal.reason == int(PlanReason.IK_UNREACHABLE)
+        self.unreachable = (goal.reason == int(PlanReason.IK_UNREACHABLE)) | (
+            goal.reason == int(PlanReason.IK_NOT_FOUND)
+        )
         self.start = goal.reason == int(PlanReason.START_IN_COLLISION)
         n_arm, n_robot = scene.world.n_arm, scene.world.n_robot
         body = torch.where(held.active & ~self.unreachable, scores.witness_part[:, 1], -1)
@@ -172,10 +168,10 @@ class MarginChanges:
             goal.nearest == int(CollidingPair.OBJECT_ROBOT)
         )
         self.body, self.other = (
-            _carrier(x, links, n_robot)
+            self._carrier(x, links, n_robot)
             for x in (goal.body, torch.where(with_robot, goal.other, -1))
         )
-        self.safe_body = _carrier(body, links, n_robot)
+        self.safe_body = self._carrier(body, links, n_robot)
         self.T_world_ee_0 = torch.where(self.start[:, None, None], T_home, held.T_world_ee)
         self.arm = witnesses.arm_at(
             scene, torch.where(self.start[:, None] | ~held.active[:, None], q_home, goal.q)
@@ -233,7 +229,7 @@ class MarginChanges:
         ) - first_order.carried(point, self.other, no_fingers, at_home, self.arm)
         plan = torch.where(
             self.unreachable,
-            -first_order.missed(T_world_ee, ur_lengths(self.robot)),
+            -self._missed(T_world_ee),
             se3.dot(self.goal.push, apart),
         )
         changes = {
@@ -247,13 +243,18 @@ class MarginChanges:
         out = torch.stack([changes.get(name, torch.zeros_like(safe)) for name in CRITERIA], 1)
         return torch.where(self.evaluated, out, torch.zeros_like(out))
 
+    def _missed(self, T_world_ee: Tensor) -> Float[Tensor, " b"]:
+        """By how much the arm misses the poses that it does not reach; without a closed form, by
+        how much the posture that came nearest does."""
+        if self.robot.family == "ur":
+            return first_order.missed(T_world_ee, ur_lengths(self.robot))
+        return first_order.missed_by(T_world_ee, self.safe_arm.T_world_ee, ROTATION_LEVER_M)
 
-def _carrier(body: Tensor, links: Tensor, n_robot: int) -> Tensor:
-    """What carries a robot body (`Scene.part_names`): a code of first_order.py."""
-    link = links[body.clamp(min=0, max=n_robot - 1).long()].long()
-    return torch.where(
-        body < 0, first_order.FIXED, torch.where(body >= n_robot, first_order.OBJECT, link)
-    )
+    def _carrier(self, body: Tensor, links: Tensor, n_robot: int) -> Tensor:
+        """What carries a robot body (`Scene.part_names`): a code of first_order.py."""
+        link = links[body.clamp(min=0, max=n_robot - 1).long()].long()
+        held = len(self.robot.joints) + 2
+        return torch.where(body < 0, first_order.FIXED, torch.where(body >= n_robot, held, link))
 
 
 @lru_cache(maxsize=4)

@@ -186,7 +186,7 @@ def _sample_points(scene: Scene) -> tuple[Any, Any]:
 def hand_contact(
     scene: Scene,
     body_poses: BodyPoses,
-    q: Float32[Tensor, "b 6"],
+    q: Float32[Tensor, "b j"],
     body: Int32[Tensor, " b"],
     distance_m: Float32[Tensor, " b"],
 ) -> tuple[Bool[Tensor, " b"], Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
@@ -196,9 +196,10 @@ def hand_contact(
     `distance_m`: the evaluator's. The normal points from the robot to the hand: that way the
     distance grows.
     """
-    made = new_outputs(posture_kernels.hand_witness, len(body), scene.device)
+    kernel = scene.sized(posture_kernels.hand_witness)
+    made = new_outputs(kernel, len(body), scene.device)
     launch_trials(
-        posture_kernels.hand_witness,
+        kernel,
         len(body),
         inputs={
             "world": scene.world,
@@ -241,30 +242,39 @@ def finger_motion(
 
 def arm_at(
     scene: Scene,
-    q: Float32[Tensor, "b 6"],
+    q: Float32[Tensor, "b j"],
 ) -> Arm:
-    """The arm's joint axes at a posture, and its damped inverse Jacobian."""
-    b, device = len(q), q.device
+    """The arm's joint axes at a posture, and its damped inverse Jacobian: of a redundant arm the
+    pseudo-inverse, with joints held that stand at a limit."""
+    (b, joints), device = q.shape, q.device
     axis, origin = (
-        torch.zeros((b, 6, 3), dtype=torch.float32, device=device),
-        torch.zeros((b, 6, 3), dtype=torch.float32, device=device),
+        torch.zeros((b, joints, 3), dtype=torch.float32, device=device),
+        torch.zeros((b, joints, 3), dtype=torch.float32, device=device),
     )
-    inverse = torch.zeros((b, 6, 6), dtype=torch.float32, device=device)
+    inverse = torch.zeros((b, joints, 6), dtype=torch.float32, device=device)
+    ee = torch.empty((b, 4, 4), dtype=torch.float32, device=device)
     joint_R, joint_p = _chain(scene.robot, scene.device)
     launch_trials(
-        posture_kernels.arm_jacobian,
+        scene.sized(posture_kernels.arm_jacobian),
         b,
-        inputs={"damping": DAMPING, "joint_R": joint_R, "joint_p": joint_p, "q": q.contiguous()},
-        outputs={"axis": axis, "origin": origin, "inverse": inverse},
+        inputs={
+            "damping": DAMPING,
+            "joint_R": joint_R,
+            "joint_p": joint_p,
+            "lower": scene.world.lower,
+            "upper": scene.world.upper,
+            "q": q.contiguous(),
+        },
+        outputs={"axis": axis, "origin": origin, "inverse": inverse, "ee": ee},
         device=scene.device,
         chunk=256,
     )
-    return Arm(axis, origin, inverse)
+    return Arm(axis, origin, inverse, ee)
 
 
 @lru_cache(maxsize=4)
 def _chain(robot: Robot, device: str) -> tuple[Any, Any]:
-    """The arm's joint frames at q = 0, the last from wrist_3 to ee, float64."""
+    """The arm's joint frames at q = 0, the last from the last link to ee, float64."""
     T = np.stack([*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee])
     R, p = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
     return wp.array(R, dtype=wp.mat33d, device=device), wp.array(p, dtype=wp.vec3d, device=device)

@@ -331,9 +331,29 @@ class MujocoScene:
                 break
             g, T = ids[i], np.eye(4)
             T[:3, :3], T[:3, 3] = d.geom_xmat[g].reshape(3, 3), d.geom_xpos[g]
+            if m.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
+                first, n = m.mesh_vertadr[m.geom_dataid[g]], m.mesh_vertnum[m.geom_dataid[g]]
+                best = min(
+                    best, hull_distance(m.mesh_vert[first : first + n] @ T[:3, :3].T + T[:3, 3], triangles, best)
+                )
+                continue
             kind = _KIND_OF_TYPE[int(m.geom_type[g])]
             best = min(best, mesh_distance(kind, m.geom_size[g], T, triangles, cap=max(best, 0.0)))
         return best
+
+
+def hull_distance(corners: Array, triangles: Array, cap: float) -> float:
+    """Distance of a hull (P, 3) to triangles (F, 3, 3), 0 where they meet; `cap` at most."""
+    center = corners.mean(0)
+    size = np.linalg.norm(corners - center, axis=1).max()
+    near = triangles[
+        np.linalg.norm(triangles - center, axis=2).min(1) - size < cap + 0.02
+    ]  # faces are smaller than 2 cm
+    if not len(near):
+        return cap
+    place, n = np.tile(np.eye(4), (len(near), 1, 1)), len(near)
+    a, b = bodies([Kind.HULL] * n, None, place, [corners] * n), bodies([Kind.HULL] * n, None, place, near)
+    return min(cap, max(float(convex_distance(a, b)[1].min()), 0.0))
 
 
 def open_surface_distance(kind: int, size: Array, T: Array, triangles: Array, cap: float) -> float:

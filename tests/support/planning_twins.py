@@ -230,10 +230,12 @@ def staged(problems, row: int) -> Staged:
     )
 
 
-def jacobian_ik(robot: Robot, target: Array, start: ArrayLike = HOME_Q, *, within: float = 1e-6) -> Array | None:
+def jacobian_ik(
+    robot: Robot, target: Array, start: ArrayLike = HOME_Q, *, within: float = 1e-6, held: ArrayLike = False
+) -> Array | None:
     """The joint angles near `start` that reach a pose (4, 4), by damped least squares with a Jacobian of central differences.
 
-    Errors are metres and radians, float64; None where 100 steps do not come within `within`.
+    Errors are metres and radians, float64; None where 100 steps do not come within `within`. `held`: joints (J,) that stay.
     """
 
     def error(to: Array, at: Array) -> Array:
@@ -244,7 +246,8 @@ def jacobian_ik(robot: Robot, target: Array, start: ArrayLike = HOME_Q, *, withi
         e = error(target, ee_pose(robot, q))
         if np.abs(e).max() < within:
             return q
-        J = np.stack([error(ee_pose(robot, q + h), ee_pose(robot, q - h)) / 2e-6 for h in 1e-6 * np.eye(6)], 1)
+        J = np.stack([error(ee_pose(robot, q + h), ee_pose(robot, q - h)) / 2e-6 for h in 1e-6 * np.eye(len(q))], 1)
+        J = np.where(held, 0.0, J)
         q = np.clip(q + J.T @ np.linalg.solve(J @ J.T + 1e-2 * (e @ e + 1e-9) * np.eye(6), e), robot.lower, robot.upper)
     return None
 
