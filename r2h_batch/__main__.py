@@ -48,7 +48,7 @@ COMMANDS = {
         "Look at trials in three dimensions, or write one as a page, a film or strips.",
     ),
     "import": (
-        "importers.command:COMMANDS",
+        "imports:COMMANDS",
         "Turn other people's hands and grasps into files that sweeps read.",
     ),
     "results": (

@@ -184,6 +184,8 @@ class Robot:
     self_pairs: NDArray[np.int32]
     object_pairs: NDArray[np.int32]
     digest: str
+    ik_missed: tuple[int, int] | None = None
+    """random reachable poses that the import solved, and how many of them it found no posture for"""
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Robot) and self.digest == other.digest
@@ -598,6 +600,7 @@ Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
 Positive = Annotated[float, Field(ge=1e-2, le=1e6)]
 Length = Annotated[float, Field(ge=1e-3, le=0.2)]
+Count = Annotated[int, Field(ge=0, le=10**9)]
 Each = Field(min_length=4, max_length=12)
 """One number a joint."""
 
@@ -627,6 +630,8 @@ class Arm(_Part):
     max_torque_nm: Annotated[list[Positive], Each]
     servo: Servo
     table_from: Annotated[int, Field(ge=1, le=12)]
+    ik_missed: tuple[Count, Count] | None = None
+    """of so many random reachable poses so many were not found: a measurement, no part of the digest"""
     visuals: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{0,32}$")] = ""
 
 
@@ -807,7 +812,8 @@ def check_robot(robot: Robot) -> None:
 
 def _robot(file: RobotFile, a: dict[str, Array]) -> Robot:
     arm, own = file.arm, load_robot(DEFAULT_ROBOT)
-    digest = hashlib.sha256(json.dumps(file.model_dump(), sort_keys=True).encode())
+    said = file.model_dump(exclude={"arm": {"ik_missed"}})
+    digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
     for array in a.values():
         digest.update(np.ascontiguousarray(array).tobytes())
     count = [0] * len(arm.links)
@@ -848,6 +854,7 @@ def _robot(file: RobotFile, a: dict[str, Array]) -> Robot:
         self_pairs=frozen(a["self_pairs"], np.int32),
         object_pairs=frozen(a["object_pairs"], np.int32),
         digest=digest.hexdigest(),
+        ik_missed=arm.ik_missed,
         **(_jaws(file.gripper, a) if isinstance(file.gripper, Jaws) else {}),
     )
 
@@ -987,6 +994,7 @@ def robot_file(robot: Robot) -> RobotFile:
                 armature_kg_m2=own.armature,
             ),
             table_from=robot.table_from,
+            ik_missed=robot.ik_missed,
             visuals=robot.visuals if robot.visuals.isidentifier() else "",
         ),
         gripper="2f-85"
@@ -1005,7 +1013,7 @@ def robot_file(robot: Robot) -> RobotFile:
 
 def write_robot(folder: Path, robot: Robot) -> None:
     """Writes robot.yaml and robot.npz, which `read_robot` reads as the same robot."""
-    file = robot_file(robot).model_dump()
+    file = robot_file(robot).model_dump(exclude_none=True)
     folder.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump(file, sort_keys=False, default_flow_style=None, width=98)
     (folder / "robot.yaml").write_text(text, encoding="utf-8")

@@ -290,62 +290,6 @@ def results(
     return 0
 
 
-def robot(
-    *,
-    urdf: Path,
-    base: str,
-    flange: str,
-    out: Path,
-    gripper: Literal["2f85"] = "2f85",
-    fingers: str = "",
-    name: str = "",
-    package: tuple[str, ...] = (),
-) -> int:
-    """Write an arm with a gripper as a folder for --robot: robot.yaml, robot.npz, report.json.
-
-    Args:
-        urdf: The arm. Its meshes are .obj, .stl, .ply or .glb, beside it or in a --package.
-        base: The link that stands on the table.
-        flange: The link that carries the gripper.
-        out: A new or empty folder.
-        gripper: The gripper at the flange.
-        fingers: LINK,LINK: the sliding fingers of the URDF's own gripper, in place of --gripper.
-        name: Name of the robot in tables; by default the folder's and the gripper's.
-        package: NAME=FOLDER: the folder that package://NAME/ means.
-    """
-    from r2h_batch.bodies.robot import write_robot
-    from r2h_batch.importers.robot import import_robot
-    from r2h_batch.io.write import write_json
-
-    check_output_folder(out, overwrite=None)
-    folders = {k: Path(v) for k, _, v in (p.partition("=") for p in package)}
-    if wrong := [p for p in package if not all(p.partition("="))]:
-        raise UsageError(f"--package {wrong[0]}: write NAME=FOLDER")
-    one, _, other = fingers.partition(",")
-    if fingers and not (one and other):
-        raise UsageError(f"--fingers {fingers}: write LINK,LINK")
-    found, report = import_robot(
-        urdf, name=name or f"{out.name}_{'jaws' if fingers else gripper}", base=base, flange=flange, packages=folders,
-        fingers=(one, other) if fingers else None,
-    )  # fmt: skip
-    write_robot(out, found)
-    write_json(out / "report.json", report)
-    for link, row in report["links"].items():
-        print(
-            f"{link:10s} {row['primitives']} bodies, overshoot mean {row['mean_mm']:.2f} mm,"
-            f" mesh outside {max(row['worst_protrusion_mm'], 0):.3f} mm"
-            + (
-                ": a body that is too large fails motions that are free"
-                if row["mean_mm"] > 3
-                else ""
-            )
-        )
-    print(
-        f"{found.name}: reach {1e3 * found.reach_m:.0f} mm, home {list(found.home_q)} rad in {out}"
-    )
-    return 0
-
-
 def _grasp_files(
     folder: Path | None, names: Sequence[str], gripper: str | None
 ) -> "dict[str, GraspSet]":
@@ -369,7 +313,6 @@ COMMANDS: dict[str, Command] = {
     "objects": objects,
     "trials": trials,
     "results": results,
-    "robot": robot,
 }
 
 

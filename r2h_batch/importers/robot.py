@@ -1,4 +1,4 @@
-"""A robot out of a URDF: the arm's chain and masses, collision bodies fitted to its visual meshes,
+"""A robot out of a URDF or MJCF: the arm's chain and masses, collision bodies fitted to its visual meshes,
 the pairs of links that are checked, a posture to start from.
 
 The gripper is the 2F-85, or that of the same URDF.
@@ -7,7 +7,7 @@ The gripper is the 2F-85, or that of the same URDF.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from r2h_batch.bodies.robot import (
     table_motions,
 )
 from r2h_batch.bodies.robot_visuals import ARM_LINKS, visual_triangles
+from r2h_batch.config import Workplace
 from r2h_batch.importers.robot_fit import (
     BOX,
     Shape,
@@ -42,6 +43,7 @@ from r2h_batch.importers.robot_fit import (
 )
 from r2h_batch.importers.robot_hulls import Hull, boxes_of, fit_hulls
 from r2h_batch.importers.robot_pairs import contact_rates, touching
+from r2h_batch.importers.robot_srdf import compared, home_of, read_srdf
 from r2h_batch.importers.urdf import Box, Chain, Fingers, Link, read_chain, read_fingers
 from r2h_batch.io.read import FileError, printable
 
@@ -53,6 +55,8 @@ LEAST_JOINTS, MOST_JOINTS = 6, 7
 """Of an arm: the kernels take any number, these have been tried."""
 MOST_OVERSHOOT_MM = 3.0
 """Mean distance from a link's bodies to its mesh above which it gets one body more."""
+MOST_OUTSIDE_MM = 0.1
+"""How much of a link's mesh the file's own shapes may leave outside."""
 MOST_HULLS = 6
 """Of a link, as long as each link after it can have one of the bodies that the kernels hold."""
 PALM_BOXES = 8
@@ -73,6 +77,15 @@ SMALL_EFFORT_NM, STIFF, SOFT = 40.0, 10_000.0, 2_000.0
 """Servos below this effort are soft, N m/rad: the UR5e's rule [choice]."""
 
 
+class Imported(NamedTuple):
+    """A robot, the figures of its import, and what the file shows of it."""
+
+    robot: Robot
+    report: dict[str, Any]
+    seen: tuple[Array, ...]
+    """triangles (F, 3, 3) of each link in its frame"""
+
+
 def import_robot(
     path: Path,
     *,
@@ -82,27 +95,37 @@ def import_robot(
     packages: Mapping[str, Path],
     fingers: tuple[str, str] | None = None,
     visuals: str = "",
-) -> tuple[Robot, dict[str, Any]]:
+    srdf: Path | None = None,
+    home: Sequence[float] | str = (),
+) -> Imported:
     """A robot with a gripper at its flange, and the figures of its import.
 
     Args:
-        path: the URDF.
+        path: the URDF or MJCF.
         name: of the robot, in rows and tables.
         base: the link that stands on the table.
         flange: the link that carries the gripper.
         packages: folder of each `package://NAME/`.
         fingers: the two links of the URDF's own gripper that grasp; None: a 2F-85.
         visuals: the arm of airo-models whose meshes show it.
+        srdf: the file whose pairs are compared with those that are checked.
+        home: the posture at the start, rad, or the name of a state of the SRDF; by default it is chosen.
 
     Raises:
         FileError: one line that says what the file has and what is allowed.
     """
+    beside = None if srdf is None else read_srdf(srdf)
     chain = read_chain(path, base, flange, packages, bare=fingers is not None)
     shown, n = printable(path), len(chain.joints)
     if not LEAST_JOINTS <= n <= MOST_JOINTS:
         raise FileError(
             f"{shown}: {n} joints move {flange}; {LEAST_JOINTS} to {MOST_JOINTS} are allowed"
         )
+    start = home_of(beside, home, chain.joints) if isinstance(home, str) else tuple(home)
+    if start and len(start) != n:
+        raise FileError(f"--home has {len(start)} numbers; {shown} has {n} joints")
+    if start and not ((chain.lower <= start) & (start <= chain.upper)).all():
+        raise FileError(f"{shown}: home {list(start)} rad is outside the joint limits")
     bare = replace(
         load_robot(DEFAULT_ROBOT),
         name=name,
@@ -123,9 +146,9 @@ def import_robot(
     names: tuple[str, ...] = tuple(part.name for part in chain.links)
     mouths: list[list[Array]] = [[]] * (n + 1)
     if bare.family == "ur":
-        home = np.array(bare.home_q)  # before the minutes that fitting takes
-        limits = {"lower": np.minimum(bare.lower, home), "upper": np.maximum(bare.upper, home)}
-        _check(replace(bare, **limits), shown)
+        usual = np.array(bare.home_q)  # before the minutes that fitting takes
+        lower, upper = np.minimum(bare.lower, usual), np.maximum(bare.upper, usual)
+        _check(replace(bare, lower=lower, upper=upper), shown)
         names = ARM_LINKS
         mouths = [_mouths(*pair) for pair in zip(chain.links, names, strict=True)]
     else:
@@ -134,30 +157,45 @@ def import_robot(
             links=(*names, bare.links[-1]),
             object_pairs=frozen(np.arange(n + 1), np.int32),
         )
-    hulls: list[Hull] = []
+    hulls: list[Shape | Hull] = []
     where: list[int] = []
     links: dict[str, Any] = {}
     for k, link in enumerate(chain.links):
-        found, links[names[k]] = _hulls(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
+        found, links[names[k]] = _bodies(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
         hulls, where = [*hulls, *found], [*where, *[k] * len(found)]
     numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
     arm = _primitives_of(hulls, where, numbered)
     bare = replace(bare, arm=arm, dynamics=_dynamics(chain, bare, shown))
-    robot = replace(bare, home_q=_home(bare))
+    robot = replace(bare, home_q=start or _home(bare))
     pairs = _checked_pairs(robot)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
     robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
-    if met := touching(robot, np.array(robot.home_q)):
-        raise FileError(f"{shown}: {', '.join(met)} overlap at home, {list(robot.home_q)} rad")
+    table = Workplace().scaled(robot.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
+    if met := touching(robot, np.array(robot.home_q), table):
+        how = "give another posture with --home"
+        raise FileError(
+            f"{shown}: {', '.join(met)} overlap at home, {list(robot.home_q)} rad; {how}"
+        )
     _check(robot, shown)
+    of_joints = (robot.lower, robot.upper, robot.max_velocity, robot.max_torque)
     report = {
         "links": links | palm,
         "pairs": {f"{a} - {b}": says for (a, b), (_, says) in pairs.items()},
         "home_rad": list(robot.home_q),
         "inverse_kinematics": robot.family,
         "reach_m": robot.reach_m,
+        "joints": {
+            joint: {"lower_rad": a, "upper_rad": b, "speed_rad_s": v, "torque_nm": t}
+            for joint, a, b, v, t in zip(
+                chain.joints, *map(np.ndarray.tolist, of_joints), strict=True
+            )
+        },
     }
-    return robot, report
+    if beside is not None:
+        report["srdf"] = compared(beside, chain, robot.links, pairs) | {
+            "states": sorted(beside.states)
+        }
+    return Imported(robot, report, tuple(part.triangles for part in chain.links))
 
 
 def _check(robot: Robot, shown: str) -> None:
@@ -174,13 +212,31 @@ def _mouths(link: Link, like: str) -> list[Array]:
     return mouths_for(like, box_of(visual_triangles(like)), box_of(link.triangles))
 
 
-def _hulls(link: Link, mouths: list[Array], most: int) -> tuple[list[Hull], dict[str, Any]]:
-    """As few hulls of a link as overshoot it little enough, and its figures."""
-    mesh = target(link.triangles, mouths)
-    found = fit_hulls(
-        mesh, lambda h: mesh.mean_overshoot_mm(h) < MOST_OVERSHOOT_MM, min(most, MOST_HULLS)
+def _bodies(
+    link: Link, mouths: list[Array], most: int
+) -> tuple[list[Shape | Hull], dict[str, Any]]:
+    """The file's own cylinders, boxes and capsules where they are the link, or cover its mesh as hulls
+    must; else as few hulls of its mesh as overshoot it little enough. And its figures."""
+    shapes = list(link.shapes)
+    if shapes and link.meshed == 0 and len(shapes) <= most:
+        row = {"primitives": len(shapes), "mean_mm": 0.0, "worst_protrusion_mm": 0.0}
+        return [*shapes], row | {"from": "shapes of the file"}
+    apart = bool(link.meshed) and len(shapes) < min(most, MOST_HULLS)
+    mesh = target(link.triangles[: link.meshed] if apart else link.triangles, mouths)
+    shapes = shapes if apart else []
+    given, more = list(link.collides), {}
+    if given and not shapes:
+        over, outside = mesh.mean_overshoot_mm(given), 1e3 * mesh.protrusion(given)
+        if over <= MOST_OVERSHOOT_MM and outside <= MOST_OUTSIDE_MM and len(given) <= most:
+            return [*given], mesh.report(given) | {"from": "collision shapes of the file"}
+        words = f"{len(given)} collision shapes overshoot by {over:.1f} mm and leave {outside:.1f} mm of the mesh outside"
+        more = {"not_used": words}
+    hulls = fit_hulls(
+        mesh,
+        lambda h: mesh.mean_overshoot_mm(h) < MOST_OVERSHOOT_MM,
+        min(most, MOST_HULLS) - len(shapes),
     )
-    return found, mesh.report(found)
+    return [*hulls, *shapes], mesh.report(hulls) | {"primitives": len(hulls) + len(shapes)} | more
 
 
 def _primitives_of(

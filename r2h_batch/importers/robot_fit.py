@@ -51,6 +51,19 @@ class Shape:
             )
         return local @ self.R.T + self.pos, area
 
+    def triangles(self) -> Array:
+        """Faces (F, 3, 3) of about the shape, none of them outside."""
+        if self.kind == BOX:
+            mesh = trimesh.creation.box(2 * self.size)
+        else:
+            radius, length = float(self.size[0]), 2 * float(self.size[1])
+            if self.kind == CYLINDER:
+                mesh = trimesh.creation.cylinder(radius, length, sections=48)
+            else:
+                mesh = trimesh.creation.capsule(length, radius, count=[48, 24])
+                mesh.apply_translation(-mesh.bounds.mean(0))
+        return np.asarray(mesh.triangles) @ self.R.T + self.pos
+
     def grown(self, amount: float) -> "Shape":
         """The shape with every size larger by `amount` (a capsule only in radius)."""
         size = self.size + (np.array([amount, 0.0]) if self.kind == CAPSULE else amount)

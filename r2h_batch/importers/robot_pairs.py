@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.robot import Kind, Robot, corners_of, gripper_primitives_at, load_robot
+from r2h_batch.config import Workplace
 
 FAR_M = 0.05
 
 
-def mjcf(robot: Robot) -> str:
+def mjcf(robot: Robot, table: Workplace | None = None) -> str:
     """The primitives as a MuJoCo model; geom names are `link/primitive`, finger shapes carry their opening's number."""
     T_gripper_ee = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee
     geoms: dict[str, list[str]] = {link: [] for link in robot.links}
@@ -54,6 +55,10 @@ def mjcf(robot: Robot) -> str:
         + "".join(geoms[robot.links[-1]])
         + "</body>"
     )
+    if table is not None:
+        T = np.eye(4)
+        T[:3, 3] = table.table_center
+        tail += _geom("table/top", Kind.BOX, T, np.array(table.table_half))
     return (
         '<mujoco><option><flag filterparent="disable"/></option><size memory="64M"/>'
         f'<default><geom mass="0.1" margin="{FAR_M}" gap="0"/></default>'
@@ -89,18 +94,29 @@ def contact_rates(
     }
 
 
-def touching(robot: Robot, q: NDArray[np.float64]) -> list[str]:
-    """Checked pairs of links that overlap at a posture, gripper open or closed."""
-    model = mujoco.MjModel.from_xml_string(mjcf(robot))
+def touching(robot: Robot, q: NDArray[np.float64], table: Workplace | None = None) -> list[str]:
+    """Checked pairs of links, and links and table, that overlap at a posture, gripper open or closed."""
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, table))
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
-    owner = [robot.links.index(model.geom(g).name.split("/")[0]) for g in range(model.ngeom)]
-    met = {tuple(sorted(owner[g] for g in c.geom)) for c in data.contact if c.dist <= 0}
+    names = [*robot.links, "table"]
     checked = {tuple(sorted(pair)) for pair in robot.self_pairs.tolist()}
-    return [f"{robot.links[a]} and {robot.links[b]}" for a, b in sorted(met & checked)]
+    checked |= {(k, len(robot.links)) for k in range(robot.table_from, len(robot.links))}
+    met: dict[tuple[int, ...], set[str]] = {}
+    for contact in data.contact:
+        parts = [model.geom(g).name for g in contact.geom]
+        pair = tuple(sorted(names.index(part.split("/")[0]) for part in parts))
+        if contact.dist <= 0 and pair in checked:
+            openings = {part.partition("@")[2] for part in parts}
+            met.setdefault(pair, set()).update({"0", "1"} if openings == {""} else openings - {""})
+    when = {"0": " (gripper open)", "1": " (gripper closed)"}
+    return [
+        f"{names[a]} and {names[b]}{when.get(''.join(sorted(how)), '')}"
+        for (a, b), how in sorted(met.items())
+    ]
 
 
 def _geom(name: str, kind: int, T: NDArray[np.float64], size: NDArray[np.float64]) -> str:

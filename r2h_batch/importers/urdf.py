@@ -1,5 +1,5 @@
-"""The chain of a URDF between two links: joint frames, limits, masses, visual meshes; the fingers
-of a gripper.
+"""The chain of a URDF between two links: joint frames, limits, masses, visual meshes, shapes; the
+fingers of a gripper. An MJCF is read as the URDF that says the same.
 
 The file comes from a stranger. It is text of bounded size without a doctype, so it has no entities;
 meshes lie in its folder or in a package's that the caller names. Nothing is fetched.
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
+from r2h_batch.importers.robot_fit import CAPSULE, CYLINDER, Shape
+from r2h_batch.importers.robot_mjcf import as_urdf
 from r2h_batch.io.read import FileError, path_within, printable, read_file
 
 Array = NDArray[np.float64]
@@ -42,10 +44,18 @@ class Link:
     """A rigid part: its own link and what is fixed to it, in the frame of the joint that moves it."""
 
     name: str
-    triangles: Array  # (F, 3, 3) of the visual meshes, m
+    triangles: Array  # (F, 3, 3) of what is seen, m: of meshes first
     mass: float
     com: Array  # (3,)
     inertia: Array  # (3, 3) about com
+    meshed: int
+    """how many of the triangles are of meshes"""
+    shapes: tuple[Shape, ...]
+    """what is seen besides: cylinders, spheres, boxes, capsules"""
+    collides: tuple[Shape, ...]
+    """what it collides as, if that is such shapes alone"""
+    members: tuple[str, ...]
+    """the links of the file that are this part"""
 
 
 @dataclass(frozen=True)
@@ -82,6 +92,8 @@ class Chain:
     velocity: Array
     effort: Array
     links: tuple[Link, ...]
+    beyond: frozenset[str]
+    """the flange and the links of the file that it carries"""
 
 
 def read_chain(
@@ -99,7 +111,7 @@ def read_chain(
     Raises:
         FileError: one line that says what the file has and what is allowed.
     """
-    root, shown = _parsed(path), printable(path)
+    root, shown = _read(path), printable(path)
     links = {str(e.get("name")): e for e in root.findall("link")}
     joints = root.findall("joint")
     if (most := max(len(links), len(joints))) > MAX_LINKS:
@@ -138,7 +150,14 @@ def read_chain(
     names = tuple(str(j.get("name")) for j in moving)
     low, high, speed, effort = limits.T
     T = _exact(np.array(frames))
-    return Chain(names, T, _exact(T_before), low, high, speed, effort, tuple(parts))
+    beyond, todo = {flange}, [flange]
+    while todo:
+        at = todo.pop()
+        new = {_end(j, "child", shown) for j in joints if _end(j, "parent", shown) == at} - beyond
+        beyond |= new
+        todo += new
+    own = _exact(T_before)
+    return Chain(names, T, own, low, high, speed, effort, tuple(parts), frozenset(beyond))
 
 
 def read_fingers(
@@ -156,7 +175,7 @@ def read_fingers(
     Raises:
         FileError: one line that says what the file has and what is allowed.
     """
-    root, shown = _parsed(path), printable(path)
+    root, shown = _read(path), printable(path)
     links = {str(e.get("name")): e for e in root.findall("link")}
     joints, below = root.findall("joint"), {flange: 0}
     while more := [j for j in joints if _end(j, "parent", shown) in below and _end(j, "child", shown) not in below]:  # fmt: skip
@@ -282,10 +301,17 @@ def _boxes(link: Element, T: Array, shown: str) -> tuple[Box, ...]:
     return tuple(found)
 
 
-def _parsed(path: Path) -> Element:
+def _read(path: Path) -> Element:
+    """The <robot> of a URDF, or of the URDF that says what an MJCF says."""
+    root = parsed(path)
+    return root if root.tag == "robot" else as_urdf(root, path, parsed)
+
+
+def parsed(path: Path) -> Element:
+    """The root of a stranger's <robot> or <mujoco>: bounded in size, without a document type."""
     text, shown = read_file(path, MAX_BYTES).decode("utf-8", errors="replace"), printable(path)
     if re.search(r"<!\s*(doctype|entity)", text, re.IGNORECASE):
-        raise FileError(f"{shown}: declares a document type; remove it, a URDF needs none")
+        raise FileError(f"{shown}: declares a document type; remove it, a robot needs none")
     if "xacro:" in text or path.suffix == ".xacro":
         how = "expand it with: xacro FILE > robot.urdf"
         raise FileError(f"{shown}: is a xacro program, which is not run here; {how}")
@@ -295,8 +321,10 @@ def _parsed(path: Path) -> Element:
         )
     except (ElementTree.ParseError, RecursionError) as error:
         raise FileError(f"{shown}: is no XML: {printable(error)[:100]}") from None
-    if root.tag != "robot":
-        raise FileError(f"{shown}: begins with <{printable(root.tag)[:40]}>; a URDF has <robot>")
+    if root.tag not in ("robot", "mujoco", "mujocoinclude"):
+        raise FileError(
+            f"{shown}: begins with <{printable(root.tag)[:40]}>; a URDF has <robot>, an MJCF <mujoco>"
+        )
     return root
 
 
@@ -379,38 +407,94 @@ def _rigid(
 ) -> Link:  # fmt: skip
     """A link and all that is fixed to it; T: the link in the frame of the joint that moves it."""
     shown, bodies, todo = printable(path), [], [(name, T)]
-    triangles: list[Array] = []
-    seen = {name}
+    seen: dict[str, list[tuple[Element, Array]]] = {"visual": [], "collision": []}
+    members = {name}
     while todo:
         at, T_at = todo.pop()
-        for visual in links[at].findall("visual"):
-            if (mesh := visual.find("geometry/mesh")) is not None:
-                if len(triangles) == MAX_MESHES:
-                    most = f"more than {MAX_MESHES} visual meshes; join them into one"
-                    raise FileError(f"{shown}: link {printable(name)} has {most}")
-                triangles.append(_mesh(mesh, T_at @ _origin(visual, shown), path, packages))
+        for kind, found in seen.items():
+            found += [(e, T_at @ _origin(e, shown)) for e in links[at].findall(kind)]
         if (inertial := links[at].find("inertial")) is not None:
             bodies.append(_body(inertial, T_at, f"{shown}: link {printable(at)}"))
         for joint in joints:
             child = _end(joint, "child", shown)
             fixed = joint.get("type") == "fixed" and _end(joint, "parent", shown) == at
-            if fixed and child not in seen | ends and child in links:
-                seen.add(child)
+            if fixed and child not in members | ends and child in links:
+                members.add(child)
                 todo.append((child, T_at @ _origin(joint, shown)))
+    where = f"{shown}: link {printable(name)}"
+    shown_as = [(_geometry(e, where), at) for e, at in seen["visual"] or seen["collision"]]
+    meshes = [(mesh, at) for mesh, at in shown_as if mesh.tag == "mesh"]
+    if len(meshes) > MAX_MESHES:
+        raise FileError(f"{where} has more than {MAX_MESHES} visual meshes; join them into one")
+    triangles = [_mesh(mesh, at, path, packages) for mesh, at in meshes]
+    meshed = sum(map(len, triangles))
+    shapes = _shapes([x for x in shown_as if x[0].tag != "mesh"], where)
+    triangles += [shape.triangles() for shape in shapes]
     if not triangles:
-        raise FileError(f"{shown}: link {printable(name)} has no visual mesh")
+        raise FileError(f"{where} has no visual mesh or shape")
     faces = np.concatenate(triangles)
     size = float(np.ptp(faces.reshape(-1, 3), axis=0).max())
     if not 1e-3 <= size <= LONGEST_M:
         how = f"1 mm to {LONGEST_M:g} m are allowed; correct the scale of its meshes"
-        raise FileError(f"{shown}: link {printable(name)} is {size:g} m long; {how}")
+        raise FileError(f"{where} is {size:g} m long; {how}")
+    solid = [(_geometry(e, where), at) for e, at in seen["collision"]]
+    plain = not any(shape.tag == "mesh" for shape, _ in solid)
     mass = sum(m for m, _, _ in bodies)
     com = sum((m * c for m, c, _ in bodies), np.zeros(3)) / (mass or 1.0)
     about = np.zeros((3, 3))
     for m, c, inertia in bodies:  # the parallel axis theorem
         d = c - com
         about += inertia + m * ((d @ d) * np.eye(3) - np.outer(d, d))
-    return Link(name, faces, mass, com, about)
+    collides = _shapes(solid, where) if plain and seen["visual"] else ()
+    return Link(name, faces, mass, com, about, meshed, shapes, collides, tuple(sorted(members)))
+
+
+def _geometry(element: Element, where: str) -> Element:
+    """The shape of a <visual> or <collision>."""
+    node = element.find("geometry")
+    if node is None or not len(node):
+        raise FileError(f"{where}: a <{element.tag}> has no shape in its <geometry>")
+    return node[0]
+
+
+def _shapes(given: list[tuple[Element, Array]], where: str) -> tuple[Shape, ...]:
+    """Shapes as bodies: a cylinder between two spheres of its radius is a capsule, another sphere a capsule
+    0.2 mm longer than it."""
+    found: list[Shape] = []
+    balls: list[Shape] = []
+    capped: set[int] = set()
+    for element, T in given:
+        kind, sizes = element.tag, f"{element.get('radius', '')} {element.get('length', '')}"
+        if kind == "box":
+            size = _numbers(element.get("size", ""), 3, f"{where}: a box") / 2
+        elif kind in ("cylinder", "capsule"):
+            size = _numbers(sizes, 2, f"{where}: radius and length of a {kind}") * [1, 0.5]
+        elif kind == "sphere":
+            radius = _numbers(element.get("radius", ""), 1, f"{where}: a sphere's radius")
+            size = np.append(radius, 1e-4)
+        else:
+            allowed = "a mesh, box, cylinder, sphere or capsule is"
+            raise FileError(f"{where}: a <{printable(kind)[:40]}> is not read; {allowed}")
+        if not 1e-4 <= size.min() <= size.max() <= LONGEST_M:
+            raise FileError(
+                f"{where}: a {kind} of {size} m; radii and half sides of 0.1 mm to {LONGEST_M:g} m are allowed"
+            )
+        shape = Shape(CAPSULE if kind == "sphere" else kind, T[:3, 3], T[:3, :3], size)
+        (balls if kind == "sphere" else found).append(shape)
+    for i, shape in enumerate(found):
+        ends = [shape.pos + s * shape.size[1] * shape.R[:, 2] for s in (1, -1)]
+        caps = [
+            {
+                k
+                for k, b in enumerate(balls)
+                if np.abs([*b.pos - end, b.size[0] - shape.size[0]]).max() < 1e-5
+            }
+            for end in ends
+        ]
+        if shape.kind == CYLINDER and all(caps):
+            found[i] = Shape(CAPSULE, shape.pos, shape.R, shape.size)
+            capped |= caps[0] | caps[1]
+    return (*found, *(b for k, b in enumerate(balls) if k not in capped))
 
 
 def _body(inertial: Element, T: Array, where: str) -> tuple[float, Array, Array]:

@@ -13,7 +13,6 @@ import numpy as np
 from r2h_batch.report import figures
 from r2h_batch.report.table import (
     BEST_NOTE,
-    FOOTNOTES,
     HEADINGS,
     Table,
     best_cells,
@@ -91,7 +90,7 @@ def page(
         gallery=gallery or {},
         table=_table(table),
         headings=list(HEADINGS.values()),
-        notes=[*FOOTNOTES, BEST_NOTE],
+        notes=[*table.notes, BEST_NOTE],
         facts=_all_facts(runs),
         trials=_trials(run, gallery or {}),
     )

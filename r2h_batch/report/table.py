@@ -79,6 +79,13 @@ class Table:
     rows: tuple[Row, ...]
     origin: Mapping[str, str]
     folders: str = ""
+    misses: tuple[str, ...] = ()
+    """what the inverse kinematics of each robot without a closed form misses, a sentence each"""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What stands under the table."""
+        return (*FOOTNOTES, *self.misses)
 
 
 def table_of(run: Run, counted: Sequence[Tally] | None = None) -> Table:
@@ -101,7 +108,20 @@ def table_of(run: Run, counted: Sequence[Tally] | None = None) -> Table:
         (r.header["configuration"].get("plan") or {}).get("edge_check") != "moveit" for r in runs
     ):
         rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
-    return Table(rows, origin, shlex.join(str(r.folder) for r in runs))
+    misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
+    return Table(rows, origin, shlex.join(str(r.folder) for r in runs), tuple(misses))
+
+
+def _misses(header: Mapping[str, Any]) -> str:
+    """What the import measured of a robot's numerical inverse kinematics; empty: a closed form, or an older run."""
+    robot = header.get("robot") or {}
+    targets, missed = robot.get("ik_missed") or (0, 0)
+    if not targets:
+        return ""
+    return (
+        f"Inverse kinematics of {robot['name']}: numerical; of {targets:,} random reachable poses it misses {missed:,}"
+        f" ({100 * missed / targets:.3g} %). A trial whose target is missed fails Plan (ik_not_found)."
+    )
 
 
 def _joined(origins: Sequence[tuple[str, Mapping[str, str]]]) -> dict[str, str]:
@@ -166,7 +186,7 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
     if fmt == "json":
         rows = list(map(record, table.rows))
         return json_text(
-            {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": FOOTNOTES}
+            {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": table.notes}
         )
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
@@ -271,7 +291,7 @@ def _md(table: Table) -> str:
         lines = [[row.split, plain(short[row.method]), *line] for row, line in cells if line]
         if lines:
             parts += [caption, aligned(["Split", "Method", *headings], lines, 2)]
-    parts.append(notes_list([*map(plain, legend(short)), *FOOTNOTES]))
+    parts.append(notes_list([*map(plain, legend(short)), *table.notes]))
     if table.folders:
         parts.append(_next_commands(table))
     return "\n\n".join(parts) + "\n"
@@ -320,7 +340,7 @@ def _latex(table: Table, columns: int, intervals: bool) -> str:
         f" {interval(row.sr_new_objects)}"
         for row in table.rows
     ]
-    comments = tex_comments(table.origin, [*legend(short), *counts, BEST_NOTE, *FOOTNOTES])
+    comments = tex_comments(table.origin, [*legend(short), *counts, BEST_NOTE, *table.notes])
     write = _wide if columns == 2 else _narrow
     return "\n".join([*comments, *write(table, short, intervals)]) + "\n"
 

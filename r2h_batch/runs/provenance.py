@@ -50,6 +50,7 @@ ONLY_READ_ROWS = (
     "compare",
     "results",
     "gallery",
+    "imports.py",
     "ls.py",
     "submission.py",
     "loggers.py",

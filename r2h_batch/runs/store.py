@@ -375,6 +375,9 @@ class _Benchmark(_Open):
 class _Robot(_Open):
     name: Name
     digest: Hash
+    ik_missed: Annotated[
+        list[Annotated[int, Field(ge=0, le=10**9)]], Field(min_length=2, max_length=2)
+    ] = _ABSENT
 
 
 class _Predictors(_Open):

@@ -150,7 +150,15 @@ def prepare(options: Options) -> Setting:
             **({} if benchmark.robot == load_robot() else {"robot": benchmark.robot.digest}),
             **({} if loop is None else {"closed_loop": loop.identity}),
         },
-        "robot": {"name": benchmark.robot.name, "digest": benchmark.robot.digest},
+        "robot": {
+            "name": benchmark.robot.name,
+            "digest": benchmark.robot.digest,
+            **(
+                {"ik_missed": list(missed)}
+                if (missed := benchmark.robot.ik_missed) and benchmark.robot.family != "ur"
+                else {}
+            ),
+        },
         "motion": {
             "engine": config.execute.sim,
             "model": config.execute.model if config.execute.sim != "none" else None,

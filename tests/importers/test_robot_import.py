@@ -1,0 +1,164 @@
+"""Robots out of a URDF or an MJCF: both say the same robot, the file's shapes are its bodies, bad files say why."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_files import write_mjcf, write_urdf
+
+from r2h_batch.bodies.robot import Kind, robot_arrays, robot_file
+from r2h_batch.importers.robot import import_robot
+from r2h_batch.importers.robot_srdf import read_srdf
+from r2h_batch.importers.urdf import read_chain
+from r2h_batch.io.read import FileError
+
+HAND = ("left_finger", "right_finger")
+
+
+def made(path: Path, **more):
+    return import_robot(path, name="made", base="base", flange="flange", packages={}, fingers=HAND, **more)
+
+
+def test_a_urdf_and_an_mjcf_of_one_arm_give_one_robot(tmp_path):
+    by_urdf, report, _ = made(write_urdf(tmp_path))
+    by_mjcf, *_ = made(write_mjcf(tmp_path))
+    one, other = robot_arrays(by_urdf), robot_arrays(by_mjcf)
+    assert one.keys() == other.keys()
+    for name in one:
+        assert np.abs(one[name] - other[name]).max() < 1e-9, name
+    assert robot_file(by_urdf) == robot_file(by_mjcf)
+    kinds = [Kind(k).name for k in by_urdf.arm.kind]
+    assert kinds == ["CYLINDER", "CYLINDER", "CAPSULE", "CYLINDER", "BOX", "HULL", "CAPSULE", "CYLINDER"]
+    assert by_urdf.open_gap_m == pytest.approx(0.08) and report["links"]["l2"]["from"] == "shapes of the file"
+
+
+def test_an_mjcfs_frames_angles_includes_and_anchors_are_read(tmp_path):
+    turned = '<body name="l2" pos="0 0 0.18"'
+    usual = read_chain(write_mjcf(tmp_path), "base", "flange", {}, bare=True)
+    # the body is turned by 45 degrees, which ref takes back; its joint's anchor lies 30 mm along its z
+    (tmp_path / "motors.xml").write_text('<mujoco><actuator><motor joint="j7" ctrlrange="-33 33"/></actuator></mujoco>')
+    path = write_mjcf(
+        tmp_path,
+        **{
+            turned: '<frame pos="0 0 0.1"><body name="l2" pos="0 0 0.05" euler="0 45 0"',
+            '<body name="l3"': '<body name="l3_"><body name="l3"',
+            '<joint name="j2"': '<joint name="j2" pos="0 0 0.03" ref="45"',
+            "</body></body></worldbody>": "</body></frame></body></body></worldbody>",
+            "<sensor/>": '<include file="motors.xml"/>',
+        },
+    )
+    read = read_chain(path, "base", "flange", {}, bare=True)
+    assert read.joints == usual.joints and read.effort[6] == 33
+    assert read.T_parent_joint[1][:3, 3] == pytest.approx([0.03 * 0.5**0.5, 0, 0.15 + 0.03 * 0.5**0.5])
+    assert np.abs(read.T_parent_joint[1][:3, :3] - usual.T_parent_joint[1][:3, :3]).max() < 1e-9
+    assert (
+        np.abs(read.links[2].com - usual.links[2].com + usual.T_parent_joint[1][:3, :3].T @ [0, 0, 0.03]).max() < 1e-9
+    )
+
+
+def test_a_cylinder_between_two_balls_is_a_capsule_and_bad_collision_shapes_are_not_used(tmp_path):
+    own = '<collision><origin xyz="0 0 0.09"/><geometry><capsule radius="0.05" length="0.12"/></geometry></collision>'
+    ball = '<visual><origin xyz="0 0 {}"/><geometry><sphere radius="0.05"/></geometry></visual>'
+    tube = '<visual><origin xyz="0 0 0.09"/><geometry><capsule'
+    path = write_urdf(
+        tmp_path, **{own: own + ball.format("0.03") + ball.format("0.15"), tube: tube.replace("capsule", "cylinder")}
+    )
+    (shape,) = read_chain(path, "base", "flange", {}, bare=True).links[2].shapes
+    assert shape.kind == "capsule" and np.allclose(shape.size, [0.05, 0.06])
+    mesh = '<mesh filename="parts/block.stl" scale="0.001 0.001 0.001"/></geometry></collision>'
+    for side, source, note in ((0.0702, "collision shapes of the file", False), (0.06, None, True)):
+        box = f'<box size="{side} 0.0702 0.1802"/></geometry></collision>'
+        arm = made(write_urdf(tmp_path, **{mesh: box}))
+        row = arm.report["links"]["l5"]
+        assert row.get("from") == source and ("not_used" in row) == note
+        assert row["mean_mm"] < 3 and row["worst_protrusion_mm"] <= 0.1
+
+
+BAD = {
+    '<!DOCTYPE m [<!ENTITY a "b">]><mujoco model': ("<mujoco model", "declares a document type"),
+    '<extension><plugin plugin="x"/></extension><compiler': ("<compiler", "<extension> is not read"),
+    '<asset><model name="o" file="o.xml"/></asset><compiler': ("<compiler", "<model> is not read"),
+    '<body name="base"><replicate count="1000000000"/>': ('<body name="base" pos="0 0 0">', "<replicate> is not read"),
+    '<include file="../other.xml"/><compiler': ("<compiler", "points outside the folder"),
+    '<include file="/etc/passwd"/><compiler': ("<compiler", "points outside the folder"),
+    '<include file="made.xml"/><compiler': ("<compiler", "more than 16 includes"),
+    '<include file="http://x.org/a.xml"/><compiler': ("<compiler", "points outside the folder"),
+    'file="/etc/block.stl"': ('file="block.stl"', "points outside the folder"),
+    'meshdir="../.."': ('meshdir="parts"', "points outside the folder"),
+    'file="block.stl" refpos="1 0 0"': ('file="block.stl"', "neither refpos nor refquat"),
+    'file="block.msh"': ('file="block.stl"', "is not one of"),
+    'name="j3" type="ball"': ('name="j3"', "MuJoCo: "),
+    'name="j3" type="slide"': ('name="j3"', "j3 is prismatic"),
+    '<joint name="more"/><joint name="j3"': ('<joint name="j3"', "several joints"),
+    '<equality><joint joint1="j3" joint2="j2"/></equality><actuator': ("<actuator", "j3 is a mimic joint"),
+    '<position joint="j7"': ('<motor joint="j7"', "j7: limits"),
+    'mass="nan"': ('mass="1.5"', "MuJoCo: "),
+    'type="ellipsoid" size="0.1 0.1 0.1"': ('type="sphere" size="0.045"', "<ellipsoid> is not read"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("new", BAD)
+def test_a_bad_mjcf_is_refused_in_one_line(new, tmp_path):
+    old, words = BAD[new]
+    with pytest.raises(FileError, match=words) as refused:
+        read_chain(write_mjcf(tmp_path, **{old: new}), "base", "flange", {}, bare=True)
+    assert "\n" not in str(refused.value)
+
+
+SRDF = """<robot name="made"><disable_collisions link1="base" link2="l3" reason="Never"/>
+<disable_collisions link1="l6" link2="left_finger" reason="Adjacent"/><disable_collisions link1="other" link2="l3"/>
+<group_state name="ready" group="arm">{joints}</group_state><group_state name="part" group="arm"/></robot>"""
+READY = (0.0, -0.9, 0.0, 2.3, 0.0, -1.74, 0.0)
+
+
+def srdf_of(folder: Path, posture=READY) -> Path:
+    joints = "".join(f'<joint name="j{k + 1}" value="{x}"/>' for k, x in enumerate(posture))
+    (folder / "made.srdf").write_text(SRDF.format(joints=joints))
+    return folder / "made.srdf"
+
+
+def test_an_srdf_is_compared_and_gives_a_posture(tmp_path):
+    robot, report, _ = made(write_urdf(tmp_path), srdf=srdf_of(tmp_path), home="ready")
+    assert robot.home_q == READY
+    checked = {tuple(robot.links[k] for k in pair) for pair in robot.self_pairs}
+    both = report["srdf"]["off_but_checked"], report["srdf"]["on_but_not_checked"]
+    assert ("base", "l3") in checked and both[0]["base - l3"].endswith("the SRDF: Never")
+    assert all(("l6 - gripper" in part) == inside for part, inside in zip(both, (("l6", "gripper") in checked, False)))
+    assert both[1].keys() == {
+        f"{a} - {b}" for i, a in enumerate(robot.links) for b in robot.links[i + 1 :]
+        if (a, b) not in checked | {("l6", "gripper")}
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("home", "words"),
+    [
+        ("sitting", "no state of the SRDF that has all joints; those are: ready"),
+        ("part", "no state of the SRDF that has all joints"),
+        ((0.0,) * 6, "--home has 6 numbers; .* has 7 joints"),
+        ((0.0, 0.9, 0.0, 2.2, 0.0, 0.0, 0.0), "made.urdf: [^,]* and table"),
+        ((0.0, 0.0, 0.0, 2.5, 0.0, -2.3, 0.0), "overlap at home"),
+        ((0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0), "outside the joint limits"),
+    ],
+)
+def test_a_home_that_cannot_be_one_is_refused_in_one_line(home, words, tmp_path):
+    with pytest.raises(FileError, match=words) as refused:
+        made(write_urdf(tmp_path), srdf=srdf_of(tmp_path), home=home)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('<!DOCTYPE r [<!ENTITY a "b">]>' + SRDF, "declares a document type"),
+        ("<mujoco/>", "an SRDF has <robot>"),
+        (SRDF.replace('link1="base"', ""), "needs link1 and link2"),
+        (SRDF.replace("{joints}", '<joint name="j1" value="soon"/>'), "has no value in rad"),
+        ("<robot", "is no XML"),
+    ],
+)
+def test_a_bad_srdf_is_refused_in_one_line(text, words, tmp_path):
+    (tmp_path / "made.srdf").write_text(text)
+    with pytest.raises(FileError, match=words) as refused:
+        read_srdf(tmp_path / "made.srdf")
+    assert "\n" not in str(refused.value)
