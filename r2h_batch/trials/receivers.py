@@ -3,8 +3,8 @@ something brings it.
 
 A trial has its person: sex, standing or seated, lengths. A proposal is a place beyond the table's
 front edge and a posture of the arm: the wrist in the comfortable part of its reach, elbow, forearm
-and wrist within joint ranges. The hand follows from these; its roll is never free. Every number
-stands in docs/receivers.md with its source.
+and wrist within joint ranges. The hand follows from these; its roll is never free. Every constant
+names its source; [choice] marks a value without one.
 
 Only +, -, *, / and sqrt: sine, cosine and the normal quantile are polynomials and a rational
 function of this file, so that a person is the same on every machine (r2h_batch.rng).
@@ -20,7 +20,9 @@ from r2h_batch import rng, se3
 
 Array = NDArray[np.float64]
 
-# men: mean, sd, correlation with stature; women: the same (ANSUR II, n = 4,082 and 1,986)
+# men: mean, sd, correlation with stature; women: the same. ANSUR II, the 2012 survey of U.S. Army
+# personnel (Gordon et al. 2014, NATICK/TR-15/007), n = 4,082 and 1,986: younger and fitter than the
+# population. Half of the people are women [choice].
 LENGTHS_MM = {
     "acromial_height": (1440.7, 63.3, 0.97, 1335.1, 58.1, 0.97),
     "biacromial_breadth": (415.7, 19.2, 0.53, 365.3, 18.3, 0.57),
@@ -45,24 +47,31 @@ LENGTHS_MM = {
 }
 PERCENTILES = (0.05, 0.95)
 SHOES_M = 0.025
+"""Pheasant (from memory)."""
 JOINT_BELOW_ACROMION = 0.104
-"""Share of the acromion-radiale length by which the shoulder's joint centre lies below the
-acromion."""
+"""Share of the acromion-radiale length by which the shoulder's joint centre lies below the acromion:
+de Leva 1996 (from memory)."""
 
 TABLE_HEIGHT_M = 0.74
+"""Above the floor: EN 527-1 (from memory)."""
 SEATED = 0.25
+"""Share that sits [choice]."""
 GAP_M = (0.05, 0.40)
-"""Between the table's front edge and the chest."""
+"""Between the table's front edge and the chest [choice]."""
 SIDEWAYS_M = 0.40
 FACING_DEG = 20.0
+"""Largest angles and shifts from facing the robot [choice]."""
 ELBOW_DEG = (30.0, 100.0)
+"""Flexion. 100: RULA's neutral range (McAtamney and Corlett 1993, from memory); 30 [choice]."""
 ACROSS_DEG, OUTWARDS_DEG = 45.0, 30.0
-"""Direction from shoulder to wrist, seen from above: across the body, and away from it."""
+"""Direction from shoulder to wrist, seen from above: across the body, and away from it [choice]."""
 DOWN_DEG = (0.0, 75.0)
 SWIVEL_DEG = (0.0, 45.0)
-"""Of the elbow about that line, outwards from hanging."""
+"""Of the elbow about that line, outwards from hanging [choice]."""
 PRONATED_DEG, SUPINATED_DEG = 20.0, 80.0
+"""Of the forearm, 0: thumb up. 80: AAOS; 20 [choice]."""
 WRIST_BENT_DEG, WRIST_ASIDE_DEG = 40.0, 20.0
+"""Flexion and deviation, sums of two uniform numbers: Ryu et al. 1991, J. Hand Surg. 16A (abstract)."""
 
 OF_PERSON, OF_POSTURE = len(LENGTHS_MM) + 3, 12
 """How many uniform numbers each takes."""
