@@ -50,11 +50,8 @@ hand: mean of the methods' medians.
 
 - Short motions have an advantage: some end before the hand moves.
 - With `still` a few trials succeed without SR: the object is slow and within reach at home or on the way.
-- Servo and replan check table, robot and object before each step, and stop if the step is not free. Replan also stops
-  if the pose beside the hand has no free solution. Servo then comes as near as it can.
-- The simulation is kinematic: a contact pushes nothing and ends the episode. Fingers do not move.
+- Servo and replan stop if the next step is not free. Servo then comes as near as it can.
 - These figures ignore arm and torso. `--receiver body` includes them.
-- Other sizes and times of the hand's motion would shift all rows.
 
 ## Cost
 

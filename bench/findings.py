@@ -142,28 +142,20 @@ def findings() -> list[Finding]:
 
 
 CAUSES = [
-    "Contact-Handover compares 256 poses of gripper and held object with the estimated hand. The other methods compare at most"
-    " eight, without the object. In the default preset F_safe is 0 for every method, because the planner certifies paths against"
-    " the true hand.",
-    "Contact-Handover's pose search ignores the function of the object. F_afford rises because its network never saw the object"
-    " ([contact network](../receivers.md#contact-network)). Stability fails only with candidates as generated, which preset paper"
-    " uses.",
-    "Intent-Handover's rule knows the region. Contact-Handover's network estimates it. The estimate suffices for the second place"
-    " with filtered candidates, but not with candidates as generated.",
+    "Contact-Handover compares 256 poses of gripper and held object with the estimated hand, the other methods at most eight"
+    " without the object. In the default preset F_safe is 0, because the planner certifies paths against the true hand.",
+    "Contact-Handover's pose search ignores the function of the object, and its network never saw the object. Stability fails"
+    " only with candidates as generated (preset paper).",
+    "Intent-Handover's rule knows the region, Contact-Handover's network estimates it. The estimate suffices for the second"
+    " place only with filtered candidates.",
     "Intent-Handover turns hand, object and gripper as one. So gripper and target hand keep the distance that gripper and"
-    " predicted hand have. With the TCP instead of the object's centre 15 cm above the palm (`intent,at=gripper`) a bowl or a cup"
-    " has little room. The paper does not say what stands there.",
-    "The times of stand-ins say nothing about the originals. A look-up takes microseconds, a diffusion model seconds. F_safe:"
-    " when planning sees only the estimated hand, methods near the hand sometimes fail Safe.",
-    "Reach rarely fails. With published errors the object comes within a few centimetres of c_h, and the ball's radius is 10 cm."
-    " Twice the errors change little (`error x 2` in [sensitivity](sensitivity.md)). Handover-VA retreats from the receiver where"
-    " the arm does not reach.",
+    " predicted hand have. The paper does not say what stands 15 cm above the palm.",
+    "The times of stand-ins say nothing about the originals.",
+    "Reach rarely fails: the object comes within a few centimetres of c_h, and the ball's radius is 10 cm.",
     "FC-Handover places the gripper opposite to the fingers, wherever they point, and knows no region"
-    " ([why its plans fail](table1-v1.md#why-plan-fails)). The paper does not give the distance to the palm. With the object 3 cm"
-    " nearer F_plan about doubles (`fc,height_m=0.12`).",
-    "Handover-VA takes the first pose that the arm reaches and checks no collision: highest F_plan, lowest SR. It runs ICP while"
-    " the other methods look up hands. In the default preset only its grasps are unfiltered, so only it fails Stability. From S0"
-    " to S1 Affordance lowers the SR of all methods but Intent-Handover ([by object](table1-v1.md#by-object)).",
+    " ([why its plans fail](table1-v1.md#why-plan-fails)).",
+    "Handover-VA takes the first pose that the arm reaches and checks no collision. It runs ICP while the other methods look up"
+    " hands. In the default preset only its grasps are unfiltered, so only it fails Stability.",
 ]
 """Read on 2026-11-21 from 500 trials of each split. `make tables` does not check them: a person does."""
 

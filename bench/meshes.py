@@ -222,8 +222,8 @@ HEAD = """# Meshes of users, measured
 See how long your mesh may take to import and how much the repair may change it ([how a mesh becomes an
 object](../your_data.md#objects)). `python bench/meshes.py DIR --json bench/results/meshes.json --docs` measured
 {files} drawings of household things (CC0; DIR) and {drawn} meshes that the bench draws. Two slivers are glued on the
-drawn mug, wrench, knife and clamp. The open wrench and knife lack the faces that look down. meshes.json has the steps
-of each repair and the successes of each method.
+drawn mug, wrench, knife and clamp. The open wrench and knife lack the faces that look down. The table lists the
+{repaired} repaired meshes; meshes.json has all, with the steps of each repair.
 
 {table}
 
@@ -246,7 +246,9 @@ def page(stored: dict[str, Any]) -> str:
     """docs/results/objects.md."""
     rows = [r for r in stored["objects"] if "refused" not in r]
     lines = []
-    for r in rows:
+    for r in sorted(rows, key=lambda r: r["object"]):
+        if not r["steps"]:
+            continue
         within, kept = (f"{r[k]:.3f}" for k in ("within_99_mm", "within_99_kept_mm"))
         volume = "open" if r["volume_change"] is None else f"{100 * r['volume_change']:+.2f}"
         lines.append([
@@ -267,6 +269,7 @@ def page(stored: dict[str, Any]) -> str:
         grasps=rows[0]["grasps_tried"],
         within=sum(r["all_cpu_s"] <= MOST_S for r in rows),
         count=len(rows),
+        repaired=len(lines),
         refused=len(stored["objects"]) - len(rows),
         most=MOST_S,
         oracle=f"{min(r['oracle'] for r in rows)} of {stored['trials']}",

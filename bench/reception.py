@@ -282,8 +282,8 @@ def markdown(data: dict[str, Any]) -> str:
     )
     for row in steps + known + easiest:
         row[0] = row[0].replace("oracle,fo..ption", BOUND)
-    picked = [known[0].index(k) for k in ("K=8", "K=64", "K=256", "60 deg")]
-    head = ["Method", "K=8", "K=64", "K=256", "turn <= 60", *easiest[0][1:]]
+    picked = [known[0].index(k) for k in ("K=8", "K=64", "60 deg")]
+    head = ["Method", "K=8", "K=64", "turn <= 60", *easiest[0][1:]]
     both = [[a[0], *(a[i] for i in picked), *b[1:]] for a, b in zip(known[2:], easiest[2:], strict=True)]
     text = HEAD.format(
         commit=str(data["commit"])[:12],

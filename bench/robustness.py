@@ -40,13 +40,6 @@ with its 95 % t interval over objects.
 
 {rates}
 
-## Pairs
-
-SR of the first method less SR of the second, points. `**`: decided for these objects and for new ones. `*`: decided
-for these objects (McNemar, Holm over the pairs of a level, bounds included).
-
-{pairs}
-
 ## Weight
 
 Two pads hold a grasp by friction: {grip:g} N each, friction {mu:g}, the whole pad in contact
@@ -191,18 +184,11 @@ def markdown(data: dict[str, Any]) -> str:
         ]
         for m, c in curves.items()
     ]
-    pairs = [
-        [w.strip() for w in line.split("|")]
-        for line in data["tables"].partition("Pairs: A-B")[2].splitlines()
-        if "|" in line
-    ]
-    pairs = [[" - ".join(line[:2]), *line[2:]] for line in pairs[2:] if {*line[:2]}.isdisjoint(("oracle", "random"))]
     more = (~closed & simulated).sum(0)
     return HEAD.format(
         trials=data["trials"],
         commit=str(data["commit"])[:12],
         rates=markdown_table(["Method", *levels, "area"], rates),
-        pairs=markdown_table(["Pair", *levels], pairs),
         grip=GRIP_N,
         mu=FRICTION,
         weight=markdown_table(["Method", "grasps", "lever, mm", "at the pose", "in the worst posture"], weight),

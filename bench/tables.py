@@ -161,13 +161,13 @@ def object_matrix(run) -> list[str]:
     from r2h_batch.report.text import short_names
 
     rows = json.loads(object_lines(run, "json"))["rows"]
-    names = short_names(run.methods)
-    lines = ["| split | object | N | " + " | ".join(names.values()) + " |", "|---|---|--:|" + "--:|" * len(names)]
+    names = {m: n for m, n in short_names(run.methods).items() if "Handover" in n}
+    lines = ["| split | object | " + " | ".join(names.values()) + " |", "|---|---|" + "--:|" * len(names)]
     rates = {(r["split"], r["object"], r["method"]): r for r in rows}
     for split, name in dict.fromkeys(key[:2] for key in rates):
         own = [rates[split, name, method] for method in names]
         cells = " | ".join(f"{r['sr']:.1f}" for r in own)
-        lines.append(f"| {split} | {name.replace('_', ' ')} | {own[0]['n']} | {cells} |")
+        lines.append(f"| {split} | {name.replace('_', ' ')} | {cells} |")
     return lines
 
 

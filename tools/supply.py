@@ -22,6 +22,16 @@ from packaging.version import Version
 ROOT = Path(__file__).resolve().parents[1]
 LOCK = ROOT / "constraints.txt"
 LICENCES = ROOT / "docs" / "licences.md"
+SPDX = {
+    **dict.fromkeys(("Apache 2.0", "Apache Software License"), "Apache-2.0"),
+    **dict.fromkeys(("2-clause BSD", "BSD 2-Clause License"), "BSD-2-Clause"),
+    "3-Clause BSD License": "BSD-3-Clause",
+    "BSD License": "BSD",
+    "ISC license": "ISC",
+    "MIT License": "MIT",
+    "Mozilla Public License 2.0 (MPL 2.0)": "MPL-2.0",
+}
+"""One name for a licence that metadata spell in several ways."""
 NOT_CHECKED = 3
 """Exit code of an audit that could not be made: no advisory source was reachable."""
 
@@ -110,9 +120,10 @@ def licences() -> str:
     kinds: dict[str, tuple[list[str], list[str], list[str]]] = {}
     for installed, asked_by in closure().values():
         kind = 0 if asked_by == "r2h_batch" else 1 if asked_by.startswith("r2h_batch[") else 2
-        kinds.setdefault(_cell(licence(installed)), ([], [], []))[kind].append(installed.metadata["Name"])
+        name = _cell(licence(installed))
+        kinds.setdefault(SPDX.get(name, name), ([], [], []))[kind].append(installed.metadata["Name"])
     head = (
-        "| licence, as the metadata says | r2h_batch needs | an extra needs | these bring along |",
+        "| licence | r2h_batch needs | an extra needs | these bring along |",
         "|---|---|---|---|",
     )
     rows = ["| " + " | ".join([name, *map(", ".join, kinds[name])]) + " |" for name in sorted(kinds, key=str.lower)]
@@ -127,7 +138,7 @@ def licences() -> str:
             "",
             "## Packages",
             "",
-            "pip installs them; none is bundled. `constraints.txt` has the versions.",
+            "pip installs them; none is bundled. `constraints.txt` has the versions, the metadata name the licences.",
             "",
             *head,
             *rows,
