@@ -4,16 +4,19 @@ the witnesses backward.
 Where margins have kinks: docs/gradients.md. A witness attains a margin, and its motion gives the change
 to first order (Danskin):
 
-| margin | witness | depends on |
-|---|---|---|
-| Stability, w_max - w or w - w_min | the two outermost points of material between the pads; on a wall of the pads' prism, where that wall cuts the surface | T_obj_ee; the opening is the fixed point of width and pad height |
-| Stability, clearance | the object's point nearest to, or deepest in, a primitive of the open gripper | T_obj_ee |
-| Reach | the object's point nearest to c_h | both poses, and how closing shifts the object |
-| Affordance | nearest points of finger and receiver's region | T_obj_ee, shift and opening |
-| Plan, goal | the nearest pair at the goal and its separating direction | object and gripper move with the ee frame, arm links with the inverse Jacobian of the branch, or the pseudo-inverse |
-| Plan, unreachable | the residual in closed form: wrist centre out of reach, or too near to the base's axis; arms without a closed form: what the nearest posture misses, that posture held | T_world_ee |
-| Plan, start in collision | the nearest pair at home | T_obj_ee |
-| Safe | nearest points of the hand's mesh and a robot primitive at the goal posture | as Plan |
+    Stability, width      the two outermost points of material between the pads; on a wall of the pads'
+                          prism, where that wall cuts the surface. Of T_obj_ee; the opening is the
+                          fixed point of width and pad height
+    Stability, clearance  the object's point nearest to, or deepest in, a primitive of the open gripper
+    Reach                 the object's point nearest to c_h. Of both poses, and how closing shifts the object
+    Affordance            nearest points of finger and receiver's region. Of T_obj_ee, shift and opening
+    Plan, goal            the nearest pair at the goal and its separating direction. Object and gripper
+                          move with the ee frame, arm links with the inverse Jacobian of the branch, or
+                          the pseudo-inverse
+    Plan, unreachable     the residual in closed form: wrist centre out of reach, or too near to the
+                          base's axis. Arms without a closed form: what the nearest posture misses
+    Plan, start           the nearest pair at home. Of T_obj_ee
+    Safe                  nearest points of the hand's mesh and a robot primitive at the goal; as Plan
 """
 
 from dataclasses import replace
