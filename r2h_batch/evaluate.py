@@ -441,7 +441,7 @@ class Evaluator:
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         missed_m = failed_clearance(
-            scene, held.planner_poses, held.T_world_ee, ik.q, branches, planned.reason
+            scene, held.planner_poses, held.T_world_ee, ik, branches, planned.reason
         )  # fmt: skip
         planned = replace(planned, reason=weaken_singular_reason(planned.reason, ik))
         weight = self.scene.robot.joint_weight

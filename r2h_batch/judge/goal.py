@@ -8,18 +8,13 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M
-from r2h_batch.judge.ik import IkResult, home_posture, nearest_found, ur_parameters
+from r2h_batch.judge.ik import ROTATION_LEVER_M, IkResult, SearchedIk, home_posture, ur_parameters
 from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
-
-ROTATION_LEVER_M = 0.1
-"""How many metres a radian counts in the residual of an unreachable target [choice]: about the
-fingers' length."""
-
 
 MEASURED = (
     PlanReason.START_IN_COLLISION,
@@ -92,7 +87,7 @@ def judge_goals(
         outputs={"reason": goal.reason, "pair": goal.pair, "slot": goal.slot},
         device=scene.device,
     )
-    _measure(goal, scene, body_poses, T_world_ee, postures, active)
+    _measure(goal, scene, body_poses, T_world_ee, ik, postures, active)
     if scene.robot.family != "ur":  # of a UR the kernel knows what is proven
         goal.reason.copy_(weaken_singular_reason(goal.reason, ik))
     return goal
@@ -102,7 +97,7 @@ def failed_clearance(
     scene: Scene,
     body_poses: BodyPoses,
     T_world_ee: Float32[Tensor, "b 4 4"],
-    q: Float32[Tensor, "b 8 6"],
+    ik: IkResult,
     branches: Bool[Tensor, "b 8"],
     reason: Int32[Tensor, " b"],
 ) -> Float32[Tensor, " b"]:
@@ -114,11 +109,11 @@ def failed_clearance(
     measured = torch.zeros_like(reason, dtype=torch.bool)
     for why in MEASURED:
         measured |= reason == int(why)
-    goal = _unjudged(len(reason), q.shape[2], reason.device)
+    goal = _unjudged(len(reason), ik.q.shape[2], reason.device)
     goal.reason.copy_(torch.where(measured, reason, int(PlanReason.NOT_EVALUATED)))
     goal.slot.fill_(-1)
-    postures = {"valid": branches.contiguous(), "q": q.flatten(0, 1)}
-    _measure(goal, scene, body_poses, T_world_ee, postures, measured)
+    postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
+    _measure(goal, scene, body_poses, T_world_ee, ik, postures, measured)
     return torch.where(measured, goal.clearance_m.clamp(min=-FARTHEST_M), -torch.inf)
 
 
@@ -158,6 +153,7 @@ def _measure(
     scene: Scene,
     body_poses: BodyPoses,
     T_world_ee: Float32[Tensor, "b 4 4"],
+    ik: IkResult,
     postures: dict[str, Tensor],
     active: Bool[Tensor, " b"],
 ) -> None:
@@ -168,7 +164,7 @@ def _measure(
     """
     b, device = len(active), active.device
     # a posture for targets that no branch reaches ...
-    if scene.robot.family == "ur":
+    if not isinstance(ik, SearchedIk):
         residual = torch.empty(b, dtype=torch.float32, device=device)
         launch_trials(
             ik_nearest.nearest_posture,
@@ -185,9 +181,8 @@ def _measure(
             device=scene.device,
         )
     else:
-        missed = active & ~postures["valid"].any(1)
-        q, residual = nearest_found(scene.robot, T_world_ee, missed, ROTATION_LEVER_M)
-        goal.q.copy_(q)
+        residual = ik.miss_m
+        goal.q.copy_(torch.where(active[:, None], ik.nearest, torch.nan))
     # ... and how near its bodies are to others
     launch_trials(
         scene.sized(goal_kernels.goal_clearance),

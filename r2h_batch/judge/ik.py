@@ -27,6 +27,9 @@ from r2h_batch.launch import init_warp, launch_trials, new_outputs
 ITERATIONS = 20
 """Damped least squares steps per seed; the mean is 7."""
 
+ROTATION_LEVER_M = 0.1
+"""How many metres a radian counts in the residual of an unreachable target [choice]: about the
+fingers' length."""
 POSITION_TOLERANCE_M = 1e-5
 ROTATION_TOLERANCE_RAD = 1e-5
 CHUNK = 128
@@ -87,6 +90,16 @@ class IkResult:
         return self.status == int(ik_step.STATUS_RESCUED)
 
 
+@dataclass(frozen=True)
+class SearchedIk(IkResult):
+    """Of an arm without a closed form: also how near the search came where it found nothing."""
+
+    nearest: Float[Tensor, "b j"]
+    """The posture that came nearest, rad; NaN where one was found."""
+    miss_m: Float[Tensor, "b"]
+    """By how much it misses, m (a radian counts ROTATION_LEVER_M); inf where one was found."""
+
+
 def solve_ik(
     T_world_ee: Float[Tensor, "b 4 4"],
     *,
@@ -112,8 +125,15 @@ def solve_ik(
     init_warp()
     if robot.family != "ur":
         found = _unsolved(len(T_world_ee), device, len(robot.joints))
-        _solve_any(robot, T_world_ee, active, found)
-        return found
+        nearest, miss_m = ik_any.solve(
+            robot,
+            T_world_ee,
+            active,
+            _written(found),
+            tolerance=(POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD),
+            rotation_lever_m=ROTATION_LEVER_M,
+        )
+        return SearchedIk(**vars(found), nearest=nearest, miss_m=miss_m)
     start = ik_seeds() if seeds is None else np.asarray(seeds, dtype=np.float64)
     _check(T_world_ee, active, robot, home, start, iterations)
     n = len(T_world_ee)
@@ -141,25 +161,6 @@ def solve_ik(
         width=4,
     )
     return result
-
-
-def nearest_found(
-    robot: Robot,
-    T_world_ee: Float[Tensor, "b 4 4"],
-    active: Bool[Tensor, "b"],
-    rotation_lever_m: float,
-) -> tuple[Float[Tensor, "b j"], Float[Tensor, "b"]]:
-    """Of targets that a robot without a closed form was not found to reach: the posture (rad) that
-    came nearest, and by how much it misses (m, a radian counts `rotation_lever_m`)."""
-    found = _unsolved(len(T_world_ee), T_world_ee.device, len(robot.joints))
-    return _solve_any(robot, T_world_ee, active, found, rotation_lever_m=rotation_lever_m)
-
-
-def _solve_any(
-    robot: Robot, T_world_ee: Tensor, active: Tensor, into: IkResult, **more: Any
-) -> tuple[Tensor, Tensor]:
-    tolerance = POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD
-    return ik_any.solve(robot, T_world_ee, active, _written(into), tolerance=tolerance, **more)
 
 
 def _written(result: IkResult) -> dict[str, Tensor]:

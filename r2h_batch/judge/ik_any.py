@@ -37,7 +37,7 @@ def solve(
     outputs: dict[str, Tensor],
     *,
     tolerance: tuple[float, float],
-    rotation_lever_m: float = 1.0,
+    rotation_lever_m: float,
     iterations: int = ITERATIONS,
     threads: int | None = None,
 ) -> tuple[Tensor, Tensor]:
