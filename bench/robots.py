@@ -69,8 +69,7 @@ Percent of all trials, mean of the splits, with 95 % Wilson intervals.
 
 {rates}
 
-The grasp candidates are the 2F-85's on every robot. The Panda's hand opens {stroke:.0f} mm, so wider grasps fail
-Stability.
+The grasp candidates are sampled, closed and graded with each robot's own gripper.
 
 ## Checks and speed
 
@@ -244,8 +243,8 @@ def measure(options: argparse.Namespace, data: dict[str, Any]) -> None:
     data.setdefault("measured", {"table": {"commit": data.get("commit")}})
     asked, robots = options.sections, {name: load_robot(name) for name in ROBOTS}
     record = data.setdefault("robots", {})
-    for name, robot in robots.items():
-        record.setdefault(name, {})["stroke_mm"] = 1e3 * robot.open_gap_m
+    for name in robots:
+        record.setdefault(name, {})
     answered = {name: Answered(r, options.rows) for name, r in robots.items()} if {"trials", "plan"} & {*asked} else {}
     if "trials" in asked:
         for name, times in whole_trials(answered).items():
@@ -291,7 +290,6 @@ def markdown(data: dict[str, Any]) -> str:
         trials=data["trials"],
         commits=", ".join(sorted({str(made["commit"])[:12] for made in data["measured"].values()})),
         rates=markdown_table(["Method", *robots], rates),
-        stroke=robots["panda_hand"]["stroke_mm"],
         checks=markdown_table(["", *robots], [[k, *(f(r) for r in robots.values())] for k, f in lines.items()]),
         repeats=REPEATS,
         budget_s=BUDGET_S,

@@ -77,7 +77,7 @@ def write_trials(
     chosen = [i for i, o in enumerate(objects) if o.split in splits]
     hands = _hand_arrays(hand_set)
     files = {"trials.npz": _trial_arrays(planned, benchmark, hands), "hands.npz": hands}
-    candidates = candidates_of(objects)
+    candidates = candidates_of(objects, robot=benchmark.robot)
     for i in chosen:
         files[f"objects/{objects[i].name}.npz"] = _object_arrays(objects[i], candidates[i])
     digest = trials_digest(planned, objects=objects)

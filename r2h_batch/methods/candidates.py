@@ -16,11 +16,12 @@ from torch import Tensor
 
 from r2h_batch.bodies.arrays import stored_arrays
 from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_key
-from r2h_batch.bodies.robot import load_robot
+from r2h_batch.bodies.robot import Robot
 from r2h_batch.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.judge.grasp import close_gripper
-from r2h_batch.methods.grasps.candidate_set import OWN_ROBOT, Candidates, NoGraspError
+from r2h_batch.methods.grasps.candidate_set import Candidates, NoGraspError, carrier
 from r2h_batch.methods.grasps.own import own_grasps, seat_grasps
+from r2h_batch.methods.grasps.sample import ENOUGH as SAMPLED
 from r2h_batch.methods.grasps.sample import generate_grasps, sample_grasps
 from r2h_batch.scene.scene import Scene
 
@@ -52,34 +53,37 @@ FORM = {
 ENOUGH = 240
 """Of a user's object: what its candidates are chosen from. The stored ones are of 1,200."""
 
-NOTHING_FITS = "no grasp found; the gripper needs a part narrower than 85 mm that it can reach"
+NOTHING_FITS = "no grasp found; the gripper needs a part narrower than {:.0f} mm that it can reach"
 
 
 def candidates_in(scene: Scene) -> tuple[Candidates, ...]:
     """Candidates of each of a scene's objects, of the kind that its configuration says."""
-    return candidates_of(scene.objects, scene.config.candidates)
+    return candidates_of(scene.objects, scene.config.candidates, carrier(scene.robot))
 
 
 @lru_cache(maxsize=8)
 def candidates_of(
-    objects: tuple[ObjectModel, ...], kind: Kind = "filtered"
+    objects: tuple[ObjectModel, ...], kind: Kind = "filtered", robot: Robot | None = None
 ) -> tuple[Candidates, ...]:
-    """Candidates of each object, in the objects' order; those that are not stored are sampled once
-    (seconds each) and kept on disk. An object that the gripper cannot hold has none, with a
-    warning.
+    """Candidates of each object for the robot's gripper (None: the 2F-85), in the objects' order.
+
+    Stored are the built-in objects' for the 2F-85. Others are sampled once (seconds each) and kept on
+    disk. An object that the gripper cannot hold has none, with a warning.
 
     `region_m` is not stored: NaN for the built-in objects.
     """
+    robot = carrier(robot)
     if kind == "narrow":
-        return tuple(_narrow(o, c) for o, c in zip(objects, candidates_of(objects), strict=True))
-    return tuple(_candidates(o, kind) for o in objects)
+        every = candidates_of(objects, "filtered", robot)
+        return tuple(_narrow(o, c, robot) for o, c in zip(objects, every, strict=True))
+    return tuple(_candidates(o, kind, robot) for o in objects)
 
 
-def _narrow(model: ObjectModel, found: Candidates) -> Candidates:
+def _narrow(model: ObjectModel, found: Candidates, robot: Robot) -> Candidates:
     """The candidates along whose closing axis the object is at most as wide as the open gripper;
     all of them where there is none."""
     along = model.vertices.astype(np.float64) @ found.T_obj_ee[:, :3, 1].T.astype(np.float64)
-    fits = np.ptp(along, axis=0) <= load_robot(OWN_ROBOT).open_gap_m
+    fits = np.ptp(along, axis=0) <= robot.open_gap_m
     return found.rows(fits) if fits.any() else found
 
 
@@ -169,31 +173,37 @@ def candidate_table(scene: Scene) -> CandidateTable:
 
 
 @lru_cache(maxsize=64)
-def _candidates(model: ObjectModel, kind: Kind) -> Candidates:
+def _candidates(model: ObjectModel, kind: Kind, robot: Robot) -> Candidates:
     filtered = kind == "filtered"
     if model.grasps is not None:  # a user's own: none left is the user's to know
-        return seat_grasps(model, model.grasps) if filtered else own_grasps(model, model.grasps)
-    stored = _stored(kind)
-    if f"{(own := stored_key(model))}/T_obj_ee" in stored:
+        return (seat_grasps if filtered else own_grasps)(model, model.grasps, robot)
+    stored, usual = _stored(kind), robot == carrier(None)
+    if f"{(own := stored_key(model))}/T_obj_ee" in stored and usual:
         values = {k: stored[f"{own}/{k}"] for k in ("T_obj_ee", "width", "score", "part")}
         return Candidates(**values, region_m=np.full(len(values["width"]), np.nan, np.float32))
 
     def make() -> dict[str, NDArray[Any]]:
         try:
             return _arrays(
-                sample_grasps(model, enough=ENOUGH) if filtered else generate_grasps(model)
+                sample_grasps(model, robot=robot, enough=ENOUGH if usual else SAMPLED)
+                if filtered
+                else generate_grasps(model, robot)
             )
         except NoGraspError:
-            return {k: v[:0] for k, v in _arrays(_candidates(load_objects()[0], kind)).items()}
+            return {
+                k: v[:0]
+                for k, v in _arrays(_candidates(load_objects()[0], kind, carrier(None))).items()
+            }
 
+    whose = "" if usual else robot.digest
     key = hashlib.sha256(
-        f"{object_digest(model)} {code_digest(CODE, VERSIONS)}".encode()
+        f"{object_digest(model)} {code_digest(CODE, VERSIONS)}{whose}".encode()
     ).hexdigest()
     found = Candidates(
         **cached("candidates" if filtered else "candidates-as-generated", key, make, FORM)
     )
     if not len(found):
-        warnings.warn(f"{model.name}: {NOTHING_FITS}", stacklevel=2)
+        warnings.warn(f"{model.name}: {NOTHING_FITS.format(1e3 * robot.open_gap_m)}", stacklevel=2)
     return found
 
 

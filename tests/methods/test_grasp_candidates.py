@@ -13,13 +13,14 @@ from fcl_twin import distance, primitive, surface
 
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
-from r2h_batch.bodies.robot import Kind, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
+from r2h_batch.bodies.robot import Kind, Robot, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
 from r2h_batch.launch.threads import on_threads
+from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps.antipodal import FRICTION
 from r2h_batch.methods.grasps.sample import sample_grasps
 
 BAND = 1e-4
-OPEN_GAP_M, STEP = 0.085, 25
+ROBOT, STEP = load_robot(), 25
 FOLDER = resources.files("r2h_batch.assets.objects")
 
 
@@ -42,15 +43,15 @@ def _in_ee(model: ObjectModel, T_obj_ee: np.ndarray, faces: np.ndarray | None = 
     return trimesh.Trimesh(vertices, model.faces if faces is None else faces, process=False)
 
 
-def _pad_z(gap: float) -> float:
-    robot = load_robot()
+def _pad_z(gap: float, robot: Robot) -> float:
     z = pad_center_z(robot, drive_from_gap(robot, gap))
     return float(z + robot.T_flange_gripper[2, 3] - robot.T_flange_ee[2, 3])
 
 
-def _distance(mesh: trimesh.Trimesh, opening: float, moving_only: bool, cap: float = 2e-3) -> float:
+def _distance(
+    mesh: trimesh.Trimesh, opening: float, moving_only: bool, robot: Robot = ROBOT, cap: float = 2e-3
+) -> float:
     """Least fcl distance of the gripper's primitives to the surface, below the cap (0: they touch it)."""
-    robot = load_robot()
     least = cap
     middle = mesh.triangles.mean(axis=1)
     radius = np.linalg.norm(mesh.triangles - middle[:, None], axis=2).max(axis=1)
@@ -93,36 +94,54 @@ def test_there_are_100_of_every_object_and_the_report_belongs_to_them() -> None:
 
 @pytest.mark.parametrize("name", stored_objects())
 def test_a_grasp_is_narrow_centred_clear_and_within_the_friction_cone(name: str) -> None:
-    model, stored = _model(name), _stored()
-    for i in range(0, 100, STEP):
-        width = float(stored[f"{name}/width"][i])
-        mesh = _in_ee(model, stored[f"{name}/T_obj_ee"][i])
-        gap = max(width, 0.0016)
-        low, high = _between(mesh, gap)
-        assert high - low == pytest.approx(width, abs=BAND) and width <= OPEN_GAP_M
+    stored = _stored()
+    _check_grasps(_model(name), stored[f"{name}/T_obj_ee"][::STEP], stored[f"{name}/width"][::STEP], ROBOT)
+
+
+@pytest.mark.parametrize("name", ["hammer", "wineglass"])
+def test_grasps_for_the_pandas_hand_keep_the_same_promises_with_its_own_shapes(name: str) -> None:
+    """The 2F-85's do not: some are wider than its 80 mm, and its pads are half as long."""
+    panda, model = load_robot("panda_hand"), _model(name)
+    (found,) = candidates_of((model,), robot=panda)
+    assert (
+        len(found) == 100
+        and found.width.max() <= 0.0772
+        and not np.array_equal(found.T_obj_ee, _stored()[f"{name}/T_obj_ee"])
+    )
+    _check_grasps(model, found.T_obj_ee[::STEP], found.width[::STEP], panda)
+
+
+def _check_grasps(model: ObjectModel, T_obj_ee: np.ndarray, widths: np.ndarray, robot: Robot) -> None:
+    for T, width in zip(T_obj_ee, map(float, widths), strict=True):
+        mesh = _in_ee(model, T)
+        gap = max(width, robot.closed_gap_m + 1e-4)
+        low, high = _between(mesh, gap, robot)
+        assert high - low == pytest.approx(width, abs=BAND) and width <= robot.open_gap_m
         assert abs(low + high) / 2 <= 1e-3
-        assert _distance(mesh, OPEN_GAP_M, moving_only=False) >= 1e-3 - BAND
-        touched, cosine = _contact(mesh, gap, width)
-        assert touched >= 1 and cosine >= 1 / np.hypot(1, FRICTION) - 0.02, i
+        assert _distance(mesh, robot.open_gap_m, False, robot) >= 1e-3 - BAND
+        touched, cosine = _contact(mesh, gap, width, robot)
+        assert touched >= 1 and cosine >= 1 / np.hypot(1, FRICTION) - 0.02
 
 
-def _between(mesh: trimesh.Trimesh, gap: float) -> tuple[float, float]:
+def _between(mesh: trimesh.Trimesh, gap: float, robot: Robot) -> tuple[float, float]:
     solid = manifold3d.Manifold(manifold3d.Mesh64(mesh.vertices, mesh.faces.astype(np.uint64)))
-    prism = manifold3d.Manifold.cube((0.022, 2.0, 0.0375), True).translate((0, 0, _pad_z(gap)))
+    wide, _, high = robot.linkage.pad_half_size
+    prism = manifold3d.Manifold.cube((2 * wide, 2.0, 2 * high), True).translate((0, 0, _pad_z(gap, robot)))
     boxes = [piece.bounding_box() for piece in (solid ^ prism).decompose()]
-    held = [(b[1], b[4]) for b in boxes if b[4] > -OPEN_GAP_M / 2 and b[1] < OPEN_GAP_M / 2]
+    held = [(b[1], b[4]) for b in boxes if b[4] > -robot.open_gap_m / 2 and b[1] < robot.open_gap_m / 2]
     return min(h[0] for h in held), max(h[1] for h in held)
 
 
-def _contact(mesh: trimesh.Trimesh, gap: float, width: float) -> tuple[int, float]:
+def _contact(mesh: trimesh.Trimesh, gap: float, width: float, robot: Robot) -> tuple[int, float]:
     """Rays from the lesser pad that meet the surface within 1.5 mm of it, and the mean cosine over both pads."""
-    x, z = np.meshgrid(0.011 * (np.arange(5) - 2) / 2.5, 0.01875 * (np.arange(7) - 3) / 3.5)
+    wide, _, high = robot.linkage.pad_half_size
+    x, z = np.meshgrid(wide * (np.arange(5) - 2) / 2.5, high * (np.arange(7) - 3) / 3.5)
     least, cosines = 99, []
     normals = np.cross(mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     for side in (-1, 1):
         on_pad = 0
-        for u, v in zip(x.ravel(), z.ravel() + _pad_z(gap), strict=True):
+        for u, v in zip(x.ravel(), z.ravel() + _pad_z(gap, robot), strict=True):
             y, face = _along_y(mesh.triangles, u, v)
             depth = width / 2 + 1.5e-3 - side * y
             reached = (depth >= 0) & (depth <= 3e-3)

@@ -8,20 +8,21 @@ import warp as wp
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import drive_from_gap, load_robot, pad_center_z
+from r2h_batch.bodies.robot import Robot, drive_from_gap, pad_center_z
 from r2h_batch.kernels.methods import antipodal
 from r2h_batch.launch import launch_trials
-from r2h_batch.methods.grasps.candidate_set import OWN_ROBOT
+from r2h_batch.methods.grasps.candidate_set import widest_m
 
 FRICTION = 0.5
-WIDEST_M = 0.082  # leaves the open pads 1.5 mm on each side
 SEEDS, APPROACHES = 3000, 6
 DEPTH_M = 0.012  # how far the contact may lie from the pads' centre along the approach
 
 F32 = NDArray[np.float32]
 
 
-def proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator) -> tuple[F32, F32]:
+def proposals(
+    model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, robot: Robot
+) -> tuple[F32, F32]:
     """(M, 4, 4) T_obj_ee, pads on opposite surface points, several approaches about each closing
     axis; (M,) how far these points are from each other."""
     corner = model.vertices[model.faces].astype(np.float64)
@@ -47,7 +48,7 @@ def proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator) -> tu
         inputs={
             "mesh": mesh.id,
             "friction_cosine": 1 / np.hypot(1, FRICTION),
-            "widest": WIDEST_M,
+            "widest": widest_m(robot),
             "point": point.astype(np.float32),
             "normal": (normal[face] / np.maximum(double_area[face, None], 1e-30)).astype(
                 np.float32
@@ -71,13 +72,12 @@ def proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator) -> tu
     y = sign[keep][..., None] * axis64[:, None]
     T = np.zeros((*z.shape[:2], 4, 4))
     T[..., :3, 0], T[..., :3, 1], T[..., :3, 2], T[..., 3, 3] = np.cross(y, z), y, z, 1
-    height = pad_height(thickness[keep].astype(np.float64))[:, None] + depth[keep]
+    height = pad_height(robot, thickness[keep].astype(np.float64))[:, None] + depth[keep]
     T[..., :3, 3] = center64[:, None] - height[..., None] * z
     return T.reshape(-1, 4, 4).astype(np.float32), np.repeat(thickness[keep], APPROACHES)
 
 
-def pad_height(gap: NDArray[Any]) -> NDArray[np.float64]:
+def pad_height(robot: Robot, gap: NDArray[Any]) -> NDArray[np.float64]:
     """Height of the pads' centres in the ee frame at a gap."""
-    robot = load_robot(OWN_ROBOT)
     z, middle = (pad_center_z(robot, drive_from_gap(robot, g)) for g in (gap, robot.open_gap_m / 2))
     return z - middle

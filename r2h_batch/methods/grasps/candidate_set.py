@@ -7,8 +7,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.bodies.robot import Robot, load_robot
+
 OWN_GRIPPER, OWN_ROBOT = "2f-85", "ur5e_2f85"
-"""The gripper that stored and sampled candidates are for, and a robot that carries it."""
+"""The gripper that stored candidates are for, and a robot that carries it."""
+
+
+def carrier(robot: Robot | None) -> Robot:
+    """The robot whose gripper candidates are for: all with the 2F-85 (None) are as good as one."""
+    return load_robot(OWN_ROBOT) if robot is None or robot.linkage.table is None else robot
+
+
+def widest_m(robot: Robot) -> float:
+    """What a candidate may be wide: leaves the open pads 1.5 mm on each side."""
+    return round(robot.open_gap_m - 0.003, 9)
+
 
 F32 = NDArray[np.float32]
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import Robot
 from r2h_batch.methods.grasps.antipodal import pad_height
 from r2h_batch.methods.grasps.candidate_set import Candidates
 
@@ -18,13 +19,13 @@ POOREST = 0.1  # share of the pool that is left out where it is large enough
 TURN_RAD = 0.9
 
 
-def diverse(model: ObjectModel, every: Candidates, count: int) -> Candidates:
+def diverse(model: ObjectModel, every: Candidates, count: int, robot: Robot) -> Candidates:
     """Greedy by score without the pool's poorest, none too like one already taken; that bar falls
     until `count` are found."""
     order = np.argsort(-every.score, kind="stable")
     every = every.rows(order)
     y, z = every.T_obj_ee[:, :3, 1].astype(np.float64), every.T_obj_ee[:, :3, 2].astype(np.float64)
-    place = every.T_obj_ee[:, :3, 3] + pad_height(every.width)[:, None] * z
+    place = every.T_obj_ee[:, :3, 3] + pad_height(robot, every.width)[:, None] * z
     taken: list[int] = []
     off_region = every.region_m > REGION_CLEARANCE_M
     stages = [(np.ones(len(every), bool), min(count, len(every)))]

@@ -14,7 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import load_robot
+from r2h_batch.bodies.robot import Robot
 from r2h_batch.config import Thresholds
 from r2h_batch.judge.grasp import (
     attach,
@@ -25,8 +25,8 @@ from r2h_batch.judge.grasp import (
 )
 from r2h_batch.kernels.methods import antipodal
 from r2h_batch.launch import launch_trials
-from r2h_batch.methods.grasps.antipodal import FRICTION, WIDEST_M, pad_height
-from r2h_batch.methods.grasps.candidate_set import OWN_ROBOT, Candidates
+from r2h_batch.methods.grasps.antipodal import FRICTION, pad_height
+from r2h_batch.methods.grasps.candidate_set import Candidates, widest_m
 from r2h_batch.scene.grasp_tables import GraspTables
 
 CLEARANCE_M = 0.001
@@ -42,36 +42,38 @@ F32 = NDArray[np.float32]
 
 
 def graded(
-    model: ObjectModel, tables: GraspTables, mesh: wp.Mesh, proposals: F32
+    model: ObjectModel, tables: GraspTables, mesh: wp.Mesh, proposals: F32, robot: Robot
 ) -> tuple[Candidates, NDArray[np.int64]]:
     """The proposals that keep every promise of `sample_grasps`, with their scores, and which of the
     proposals they are."""
     T = torch.from_numpy(proposals)
     row = torch.nonzero(_clear(tables, T))[:, 0]
     T = T[row].contiguous()
-    edge = 1 / np.hypot(1, FRICTION)
+    edge, widest = 1 / np.hypot(1, FRICTION), widest_m(robot)
     pads = _Pads(tables, len(proposals))
     for turn in range(3):  # the pads centre the object; what then lies between them may differ
         width, opening, shift, empty = pads.close(T, row)
-        held = ~empty & (width <= WIDEST_M)
+        held = ~empty & (width <= widest)
         T, row = attach(T[held], shift[held]).contiguous(), row[held]
         if turn == 0:  # for most there is no hope: they hold by an edge, or at a slant
             share, cosine, _ = pad_contact(
-                model, mesh, T.numpy(), width[held].numpy(), opening[held].numpy()
+                model, mesh, T.numpy(), width[held].numpy(), opening[held].numpy(), robot
             )
             hopeful = torch.from_numpy((share > 0) & (cosine >= edge - HOPELESS))
             T, row = T[hopeful].contiguous(), row[hopeful]
     clear = _clear(tables, T)
     T, row = T[clear].contiguous(), row[clear]
     width, opening, shift, empty = pads.close(T, row)
-    held = ~empty & (width <= WIDEST_M) & (shift.abs() <= CENTERED_M)
+    held = ~empty & (width <= widest) & (shift.abs() <= CENTERED_M)
     behind, _ = closed_clearance(tables, T, zeros(T), opening, cap_m=CLEARANCE_M)
     held &= behind >= BEHIND_PADS_M
     T, width, opening, shift, row = (x[held].contiguous() for x in (T, width, opening, shift, row))
     squeezed = (width - Thresholds().pad_squeeze_m).clamp(min=0)
     region = region_distance(tables, attach(T, shift), zeros(T), squeezed)[0].numpy()
-    contact, alignment, part = pad_contact(model, mesh, T.numpy(), width.numpy(), opening.numpy())
-    score, square = scored(model, T.numpy(), opening.numpy(), contact, alignment)
+    contact, alignment, part = pad_contact(
+        model, mesh, T.numpy(), width.numpy(), opening.numpy(), robot
+    )
+    score, square = scored(model, T.numpy(), opening.numpy(), contact, alignment, robot)
     every = Candidates(T.numpy(), width.numpy(), score, part.astype(np.uint8), region)
     good = square & (contact >= LEAST_CONTACT)
     return every.rows(good), row.numpy()[good]
@@ -104,11 +106,12 @@ def scored(
     opening: F32,
     contact: NDArray[np.float64],
     alignment: NDArray[np.float64],
+    robot: Robot,
 ) -> tuple[F32, NDArray[np.bool_]]:
     """Scores (the head of this file), and whether the touched surface is within the friction
     cone."""
     edge = 1 / np.hypot(1, FRICTION)
-    pads = T[:, :3, 3] + pad_height(opening)[:, None] * T[:, :3, 2]
+    pads = T[:, :3, 3] + pad_height(robot, opening)[:, None] * T[:, :3, 2]
     farthest = np.linalg.norm(model.vertices - model.com, axis=1).max()
     balance = 1 - np.clip(np.linalg.norm(pads - model.com, axis=1) / farthest, 0, 1)
     score = (
@@ -118,16 +121,16 @@ def scored(
 
 
 def pad_contact(
-    model: ObjectModel, mesh: wp.Mesh, T: F32, width: F32, opening: F32
+    model: ObjectModel, mesh: wp.Mesh, T: F32, width: F32, opening: F32, robot: Robot
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     """What `antipodal.pad_contact` says: share of the lesser pad, mean cosine, part."""
-    link = load_robot(OWN_ROBOT).linkage
+    link = robot.linkage
     share, cosine, part = (
         np.zeros(len(T), np.float32),
         np.zeros(len(T), np.float32),
         np.zeros(len(T), np.int32),
     )
-    pad_z = pad_height(opening).astype(np.float32)
+    pad_z = pad_height(robot, opening).astype(np.float32)
     launch_trials(
         antipodal.pad_contact,
         len(T),

@@ -8,14 +8,14 @@ import torch
 
 from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import load_robot
+from r2h_batch.bodies.robot import Robot
 from r2h_batch.judge.grasp import close_pads
 from r2h_batch.launch import init_warp
 from r2h_batch.methods.grasps.candidate_set import (
     OWN_GRIPPER,
-    OWN_ROBOT,
     Candidates,
     NoGraspError,
+    carrier,
     joined,
 )
 from r2h_batch.methods.grasps.grade import device_mesh, graded, zeros
@@ -24,17 +24,14 @@ from r2h_batch.scene.grasp_tables import grasp_tables
 SEATS_M = (0.0, 0.004, -0.004, 0.008, -0.008, 0.012, -0.012, 0.016, -0.016, 0.02, -0.02)
 
 
-def own_grasps(
-    model: ObjectModel,
-    grasps: GraspSet,
-) -> Candidates:
+def own_grasps(model: ObjectModel, grasps: GraspSet, robot: Robot) -> Candidates:
     """The user's grasps as they are, best score first, without any check. `width`: of what
     lies between the pads."""
     init_warp()
     order = np.argsort(-grasps.score, kind="stable")
     T = np.ascontiguousarray(grasps.T_obj_ee[order])
     width = close_pads(
-        grasp_tables([model], load_robot(OWN_ROBOT)),
+        grasp_tables([model], robot),
         torch.from_numpy(T),
         zeros(torch.from_numpy(T)),
     )[0]
@@ -45,9 +42,8 @@ def own_grasps(
     return Candidates(T, width.numpy(), grasps.score[order], part, nan)
 
 
-def seat_grasps(model: ObjectModel, grasps: GraspSet, *, count: int | None = None) -> Candidates:
-    """The user's grasps that keep every promise of `sample_grasps`, best score of the user's first,
-    at most `count`.
+def seat_grasps(model: ObjectModel, grasps: GraspSet, robot: Robot | None = None) -> Candidates:
+    """The user's grasps that keep every promise of `sample_grasps`, best score of the user's first.
 
     Pads centre the object as in `sample_grasps`. Those of another gripper may be pushed up to 20 mm
     further or less far along the approach, the nearest place first: its fingers have another
@@ -55,8 +51,10 @@ def seat_grasps(model: ObjectModel, grasps: GraspSet, *, count: int | None = Non
     how many dropped is one warning; none left raises.
     """
     init_warp()
-    tables, mesh = grasp_tables([model], load_robot(OWN_ROBOT)), device_mesh(model)
-    depths = (0.0,) if grasps.gripper == OWN_GRIPPER else SEATS_M
+    robot = carrier(robot)
+    tables, mesh = grasp_tables([model], robot), device_mesh(model)
+    own = OWN_GRIPPER if robot == carrier(None) else robot.name
+    depths = (0.0,) if grasps.gripper == own else SEATS_M
     seated: dict[int, tuple[Candidates, float]] = {}
     for depth in depths:
         left = np.array([i for i in range(len(grasps)) if i not in seated], np.int64)
@@ -64,11 +62,11 @@ def seat_grasps(model: ObjectModel, grasps: GraspSet, *, count: int | None = Non
             break
         T = grasps.T_obj_ee[left].copy()
         T[:, :3, 3] += np.float32(depth) * T[:, :3, 2]
-        found, rows = graded(model, tables, mesh, T)
+        found, rows = graded(model, tables, mesh, T, robot)
         seated |= {int(left[r]): (found.rows([k]), depth) for k, r in enumerate(rows)}
     if not seated:
         raise NoGraspError(
-            f"{model.name}: none of {len(grasps)} grasps can be held by the {OWN_GRIPPER}; are they in the object's frame, in"
+            f"{model.name}: none of {len(grasps)} grasps can be held by the {own}; are they in the object's frame, in"
             " metres, and named for the right gripper?"
         )
     moved = sum(depth != 0 for _, depth in seated.values())
@@ -78,5 +76,5 @@ def seat_grasps(model: ObjectModel, grasps: GraspSet, *, count: int | None = Non
             f"{model.name}: of {len(grasps)} grasps of the {grasps.gripper}, {moved} seated elsewhere, {dropped} dropped",
             stacklevel=2,
         )
-    order = sorted(seated, key=lambda i: (-float(grasps.score[i]), i))[:count]
+    order = sorted(seated, key=lambda i: (-float(grasps.score[i]), i))
     return replace(joined([seated[i][0] for i in order]), score=grasps.score[order])

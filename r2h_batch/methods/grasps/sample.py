@@ -9,16 +9,15 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import load_robot
+from r2h_batch.bodies.robot import Robot
 from r2h_batch.launch import init_warp
 from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.methods.box_grasps import three_boxes
 from r2h_batch.methods.grasps.antipodal import pad_height, proposals
 from r2h_batch.methods.grasps.candidate_set import (
-    OWN_GRIPPER,
-    OWN_ROBOT,
     Candidates,
     NoGraspError,
+    carrier,
     joined,
 )
 from r2h_batch.methods.grasps.diverse import REGION_CLEARANCE_M, diverse
@@ -33,26 +32,32 @@ GENERATED_CONTACT = 0.1
 F32 = NDArray[np.float32]
 
 
-def sample_grasps(model: ObjectModel, *, count: int = COUNT, enough: int = ENOUGH) -> Candidates:
+def sample_grasps(
+    model: ObjectModel, robot: Robot | None = None, *, count: int = COUNT, enough: int = ENOUGH
+) -> Candidates:
     """Up to `count` grasps of an object: the same object and name, the same grasps. Raises if it
     has none.
+
+    They are for the robot's gripper, None: for the 2F-85.
 
     They are chosen of the first `enough` that are found (a round more or less), or of what 8 rounds
     find.
 
-    Each closes on 82 mm or less within the friction cone, is centred between the pads to 0.5 mm,
+    Each closes on 3 mm less than the open gap within the friction cone, is centred between the pads to 0.5 mm,
     keeps the open gripper 1 mm off the object, and closed touches it with the pads (1 mm for the
     shapes' overshoot). At least 40 % of an S1 object's keep 1 mm from the receiver's region, if
     that many were found.
     """
-    tables = grasp_tables([model], load_robot(OWN_ROBOT))
+    robot = carrier(robot)
+    tables = grasp_tables([model], robot)
     mesh = device_mesh(model)
     key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
     pool: list[Candidates] = []
     with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
         for turn in range(ROUNDS):
             rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-            pool.append(graded(model, tables, mesh, proposals(model, mesh, rng)[0])[0])
+            proposed = proposals(model, mesh, rng, robot)[0]
+            pool.append(graded(model, tables, mesh, proposed, robot)[0])
             found, off_region = (
                 sum(map(len, pool)),
                 sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool),
@@ -63,11 +68,11 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, enough: int = ENOUG
                 break
     every = joined(pool)
     if len(every) == 0:
-        stroke = f"{1e3 * load_robot(OWN_ROBOT).open_gap_m:.0f} mm"
+        stroke = f"{1e3 * robot.open_gap_m:.0f} mm"
         raise NoGraspError(
             f"{model.name}: no grasp found; the gripper needs a part narrower than {stroke} that it can reach"
         )
-    chosen = diverse(model, every, count)
+    chosen = diverse(model, every, count, robot)
     free = int((chosen.region_m > REGION_CLEARANCE_M).sum())
     if model.split != "S0" and free < 0.25 * len(chosen):
         warnings.warn(
@@ -78,11 +83,13 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, enough: int = ENOUG
     return chosen
 
 
-def generate_grasps(model: ObjectModel, *, count: int = COUNT) -> Candidates:
+def generate_grasps(
+    model: ObjectModel, robot: Robot | None = None, *, count: int = COUNT
+) -> Candidates:
     """Up to `count` grasps as a generator proposes them, not tried on this evaluator's gripper;
     reproducible. Raises if none.
 
-    Antipodal pairs within the friction cone and 82 mm apart, with a tenth of each pad on the
+    Antipodal pairs within the friction cone and 3 mm less than the open gap apart, with a tenth of each pad on the
     surface there; the open gripper, as three boxes, holds no point of the object's cloud outside
     the gap (as ten Pas et al. 2017 ask of a hand). `width` is the pair's distance: what else lies
     between the pads, whether they close on it centred, and what the true gripper cuts into is not
@@ -90,18 +97,21 @@ def generate_grasps(model: ObjectModel, *, count: int = COUNT) -> Candidates:
     -1.
     """
     init_warp()
+    robot = carrier(robot)
     mesh = device_mesh(model)
     key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
     pool: list[Candidates] = []
     with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
         for turn in range(ROUNDS):
             rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-            T, width = proposals(model, mesh, rng)
-            contact, alignment, part = pad_contact(model, mesh, T, width, width)
-            score, square = scored(model, T, width, contact, alignment)
+            T, width = proposals(model, mesh, rng, robot)
+            contact, alignment, part = pad_contact(model, mesh, T, width, width, robot)
+            score, square = scored(model, T, width, contact, alignment, robot)
             rows = np.flatnonzero(square & (contact >= GENERATED_CONTACT))
-            rows = rows[_boxes_clear(model, T[rows])]
-            region = np.where(_on_region(model, T[rows], width[rows]), -1.0, 1.0).astype(np.float32)
+            rows = rows[_boxes_clear(model, T[rows], robot)]
+            region = np.where(_on_region(model, T[rows], width[rows], robot), -1.0, 1.0).astype(
+                np.float32
+            )
             pool.append(
                 Candidates(T[rows], width[rows], score[rows], part[rows].astype(np.uint8), region)
             )
@@ -110,16 +120,16 @@ def generate_grasps(model: ObjectModel, *, count: int = COUNT) -> Candidates:
     every = joined(pool)
     if len(every) == 0:
         raise NoGraspError(
-            f"{model.name}: no antipodal pair that the {OWN_GRIPPER} fits about was found"
+            f"{model.name}: no antipodal pair that the gripper of {robot.name} fits about was found"
         )
-    return diverse(model, every, count)
+    return diverse(model, every, count, robot)
 
 
-def _boxes_clear(model: ObjectModel, T: F32) -> NDArray[np.bool_]:
+def _boxes_clear(model: ObjectModel, T: F32, robot: Robot) -> NDArray[np.bool_]:
     """Whether no point of the object's cloud lies in the open gripper as three boxes: two fingers,
     and the rest."""
     finger_low, finger_high, rest_low, rest_high = (
-        x.astype(np.float32) for x in three_boxes(load_robot(OWN_ROBOT))
+        x.astype(np.float32) for x in three_boxes(robot)
     )
     clear = np.ones(len(T), bool)
     for first in range(0, len(T), 256):
@@ -132,10 +142,10 @@ def _boxes_clear(model: ObjectModel, T: F32) -> NDArray[np.bool_]:
     return clear
 
 
-def _on_region(model: ObjectModel, T: F32, width: F32) -> NDArray[np.bool_]:
+def _on_region(model: ObjectModel, T: F32, width: F32, robot: Robot) -> NDArray[np.bool_]:
     """Whether pads `width` apart touch a cloud point of the receiver's region."""
-    link = load_robot(OWN_ROBOT).linkage
-    pad_z = pad_height(width).astype(np.float32)
+    link = robot.linkage
+    pad_z = pad_height(robot, width).astype(np.float32)
     region = model.receiver_face[model.point_face]
     touches = np.zeros(len(T), bool)
     for first in range(0, len(T), 256):
