@@ -1,16 +1,24 @@
 """Robots out of a URDF or an MJCF: both say the same robot, the file's shapes are its bodies, bad files say why."""
 
+import json
 from pathlib import Path
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
+from needs import needs
 from robot_files import write_mjcf, write_urdf
 
-from r2h_batch.bodies.robot import Kind, robot_arrays, robot_file
+from r2h_batch.__main__ import main
+from r2h_batch.bodies.robot import Kind, ee_pose, read_robot, robot_arrays, robot_file
+from r2h_batch.config import Workplace
+from r2h_batch.importers import robot as importer
 from r2h_batch.importers.robot import import_robot
+from r2h_batch.importers.robot_pairs import touching
 from r2h_batch.importers.robot_srdf import read_srdf
 from r2h_batch.importers.urdf import read_chain
 from r2h_batch.io.read import FileError
+from r2h_batch.scene.offscreen import RenderError
 
 HAND = ("left_finger", "right_finger")
 
@@ -19,8 +27,13 @@ def made(path: Path, **more):
     return import_robot(path, name="made", base="base", flange="flange", packages={}, fingers=HAND, **more)
 
 
-def test_a_urdf_and_an_mjcf_of_one_arm_give_one_robot(tmp_path):
-    by_urdf, report, _ = made(write_urdf(tmp_path))
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return made(write_urdf(tmp_path_factory.mktemp("arm")))
+
+
+def test_a_urdf_and_an_mjcf_of_one_arm_give_one_robot(arm, tmp_path):
+    by_urdf, report, _ = arm
     by_mjcf, *_ = made(write_mjcf(tmp_path))
     one, other = robot_arrays(by_urdf), robot_arrays(by_mjcf)
     assert one.keys() == other.keys()
@@ -137,7 +150,6 @@ def test_an_srdf_is_compared_and_gives_a_posture(tmp_path):
         ("part", "no state of the SRDF that has all joints"),
         ((0.0,) * 6, "--home has 6 numbers; .* has 7 joints"),
         ((0.0, 0.9, 0.0, 2.2, 0.0, 0.0, 0.0), "made.urdf: [^,]* and table"),
-        ((0.0, 0.0, 0.0, 2.5, 0.0, -2.3, 0.0), "overlap at home"),
         ((0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0), "outside the joint limits"),
     ],
 )
@@ -145,6 +157,54 @@ def test_a_home_that_cannot_be_one_is_refused_in_one_line(home, words, tmp_path)
     with pytest.raises(FileError, match=words) as refused:
         made(write_urdf(tmp_path), srdf=srdf_of(tmp_path), home=home)
     assert "\n" not in str(refused.value)
+
+
+def test_what_overlaps_is_named_with_the_gripper_open_or_closed(arm):
+    robot, home = arm.robot, np.array(arm.robot.home_q)
+    T = ee_pose(robot, home)
+    assert not touching(robot, home, Workplace())
+    for y, words in ((0.0, "gripper and table (gripper closed)"), (0.046, "gripper and table (gripper open)")):
+        at = T[:3, 3] + y * T[:3, 1]
+        assert touching(robot, home, Workplace(table_center=tuple(at.tolist()), table_half=(1e-3,) * 3)) == [words]
+    assert touching(robot, home, Workplace(table_center=(0.0, 0.0, 0.3))) and not touching(robot, home)
+
+
+@pytest.mark.parametrize("draws", [pytest.param(True, marks=needs("gl")), False])
+def test_the_command_writes_a_robot_and_tells_what_it_is(draws, arm, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(importer, "import_robot", lambda *_, **__: arm)
+    if not draws:
+
+        def refuse() -> None:
+            raise RenderError("nothing draws here")
+
+        monkeypatch.setattr("r2h_batch.scene.offscreen.ready", refuse)
+    out = tmp_path / "made"
+    line = ["import", "robot", "--mjcf", "made.xml", "--base", "base", "--flange", "flange", "--out", str(out)]
+    assert main(line) == 0
+    told = capsys.readouterr().out
+    robot, report = read_robot(out), json.loads((out / "report.json").read_text())
+    assert robot.ik_missed == (10_000, report["ik_missed"]) and report["ik_missed"] < 50
+    assert f"numerical, {report['ik_missed']} of 10000 reachable poses missed" in told
+    for words in ("not checked: base - l1: neighbours", "j4: -2.600 to 2.600 rad, 2 rad/s, 80 N m", "an MJCF has none"):
+        assert words in told
+    text = (out / "robot.yaml").read_text()
+    (out / "robot.yaml").write_text(text.replace(f"ik_missed: [10000, {report['ik_missed']}]", "ik_missed: [7, 1]"))
+    assert read_robot(out) == robot and read_robot(out).ik_missed == (7, 1)
+    if draws:
+        image = imageio.imread(out / "home.png")
+        seen = (image < 250).any(2)
+        assert image.shape == (640, 1280, 3) and min(seen[:, :640].mean(), seen[:, 640:].mean()) > 0.02
+    else:
+        assert "no home.png: nothing draws here" in told and not (out / "home.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [(["--urdf", "a.urdf", "--mjcf", "a.xml"], "--urdf FILE or as --mjcf FILE"), ([], "--urdf FILE or as --mjcf FILE")],
+)
+def test_one_file_of_the_arm_is_asked_for(flags, words, tmp_path, capsys):
+    assert main(["import", "robot", "--base", "b", "--flange", "f", "--out", str(tmp_path / "x"), *flags]) == 2
+    assert words in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -208,6 +208,18 @@ def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only
     assert "differ in digests (hand_set)" in capsys.readouterr().err
 
 
+def test_the_measured_misses_of_a_robot_without_a_closed_form_stand_under_the_table(tmp_path, capsys):
+    own = {"name": "arm", "digest": "c" * 64, "ik_missed": [10_000, 3]}
+    folder = write_run(tmp_path / "run", {"a": np.zeros(8, int)}, 4, 4, robot=own).folder
+    words = "Inverse kinematics of arm: numerical; of 10,000 random reachable poses it misses 3 (0.03 %)"
+    for fmt in ("md", "json", "html", "latex"):
+        assert command("report", folder, format=fmt, out=tmp_path / f"page.{fmt}") == 0
+        page = (tmp_path / f"page.{fmt}").read_text().replace("\\%", "%")
+        assert words in " ".join(page.replace("% ", "").split()) or words in " ".join(page.split()), fmt
+    usual = write_run(tmp_path / "usual", {"a": np.zeros(8, int)}, 4, 4).folder
+    assert command("report", usual) == 0 and "Inverse kinematics" not in capsys.readouterr().out
+
+
 def _rows(folder, capsys):
     assert command("report", folder, format="json") == 0
     return json.loads(capsys.readouterr().out)["rows"]
