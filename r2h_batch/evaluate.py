@@ -45,6 +45,7 @@ from r2h_batch.judge.inputs import (
     checked_inputs,
     warn_of_doubts,
     warn_of_no_gradient,
+    warn_of_payload,
 )
 from r2h_batch.judge.plan import plan_paths, random_key
 from r2h_batch.judge.presented import presented
@@ -120,6 +121,7 @@ class Evaluator:
         )
         cpu_threads(threads)
         self.scene = Scene(device, config=config, objects=objects, hand_set=hand_set, robot=robot)
+        warn_of_payload(self.scene)
         self.config = self.scene.config
         self.threads = threads
         if self.scene.device != "cpu":

@@ -4,7 +4,7 @@ robot and draws it."""
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from r2h_batch.command_line import Command, UsageError
+from r2h_batch.command_line import Command, UsageError, check_range
 from r2h_batch.importers.command import COMMANDS as FILES
 from r2h_batch.io.write import check_output_folder
 
@@ -30,6 +30,7 @@ def robot(
     fingers: str = "",
     home: str = "",
     name: str = "",
+    payload: float | None = None,
     package: tuple[str, ...] = (),
 ) -> int:
     """Write an arm with a gripper as a folder for --robot: robot.yaml, robot.npz, report.json, home.png.
@@ -45,6 +46,7 @@ def robot(
         fingers: LINK,LINK: the sliding fingers of the file's own gripper, in place of --gripper.
         home: Posture at the start: rad with commas, --home=-0.5,1,..., or a state's name in --srdf.
         name: Name of the robot in tables; by default the folder's and the gripper's.
+        payload: What the arm carries at its flange by its data sheet, gripper included, kg.
         package: NAME=FOLDER: the folder that package://NAME/ means.
     """
     from dataclasses import replace
@@ -56,6 +58,8 @@ def robot(
 
     if (urdf is None) == (mjcf is None):
         raise UsageError("give the arm as --urdf FILE or as --mjcf FILE")
+    if payload is not None:
+        check_range("--payload", payload, 0.01, 1e4, " kg")
     check_output_folder(out, overwrite=None)
     folders = {k: Path(v) for k, _, v in (p.partition("=") for p in package)}
     if wrong := [p for p in package if not all(p.partition("="))]:
@@ -68,7 +72,7 @@ def robot(
         packages=folders, fingers=(one, other) if fingers else None, srdf=srdf, home=_posture(home),
     )  # fmt: skip
     count = missed(found.robot)
-    arm = replace(found.robot, ik_missed=(TARGETS, count))
+    arm = replace(found.robot, ik_missed=(TARGETS, count), payload_kg=payload)
     report = found.report | {"ik_targets": TARGETS, "ik_missed": count}
     if mjcf is not None:
         report["speeds"] = (
@@ -133,6 +137,10 @@ def _tell(robot: "Robot", report: dict[str, Any]) -> None:
         print(
             f"{joint}: {row['lower_rad']:.3f} to {row['upper_rad']:.3f} rad, {row['speed_rad_s']:.3g} rad/s,"
             f" {row['torque_nm']:.3g} N m"
+        )
+    if robot.payload_kg is not None:
+        print(
+            f"payload: {robot.payload_kg:g} kg at the flange, {robot.carries_kg:.2f} kg for objects"
         )
     if "speeds" in report:
         print(f"speeds: {report['speeds']}")

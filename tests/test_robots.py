@@ -1,5 +1,6 @@
 """Another arm goes through the whole evaluator, and no stage falls back to the UR5e."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import torch
 from r2h_batch import Evaluator
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark.benchmark import built_in
-from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.bodies.robot import ROBOTS, Robot, ee_pose, load_robot, read_robot, write_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.oracle import predict
@@ -83,6 +85,21 @@ def test_each_joint_of_a_given_motion_has_its_own_limit_of_speed(robot: Robot) -
         assert ((reason == int(PlanReason.BEYOND_SPEED_LIMITS)) == fast).all()
     with pytest.raises(ValueError, match=rf"must be \({n}, W, {n}\)"):
         evaluator.score_motion(grasp, q[..., 1:], least_s, trials)
+
+
+def test_objects_that_are_too_heavy_for_an_arm_are_named_and_a_payload_is_no_other_robot(tmp_path: Path) -> None:
+    """Data sheets' payloads, less the mass of the gripper."""
+    arms = [load_robot(name) for name in ROBOTS]
+    np.testing.assert_allclose([arm.carries_kg for arm in arms], [3.95, 1.95, 11.45, 2.24])
+    objects = [replace(o, mass=kg) for o, kg in zip(load_objects()[:2], (2.0, 2.3), strict=True)]
+    with pytest.warns(UserWarning, match=r"1 of 2 objects are heavier than the 2.24 kg that panda_hand carries"):
+        Evaluator(KINEMATIC, robot=arms[3], objects=objects)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Evaluator(KINEMATIC, objects=objects)
+    write_robot(tmp_path, replace(arms[3], payload_kg=None))
+    again = read_robot(tmp_path)
+    assert again == arms[3] and again.carries_kg == np.inf
 
 
 def test_persons_stand_for_the_robot_or_as_for_the_ur5e() -> None:

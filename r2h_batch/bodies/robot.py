@@ -61,6 +61,9 @@ industrial arm within 0.1 mm while it moves."""
 GRIPPER_MASS_KG = 1.05
 """2F-85 with its coupling."""
 
+PAYLOAD_KG = 5.0
+"""Of the UR5e at its flange (data sheet): what the gripper weighs is part of it."""
+
 MOTIONS = ("fixed", "driver", "pin", "inner_knuckle", *(f"table_{k}" for k in range(8)))
 """How a part of the gripper moves: the kernels' codes count these (tests/kernels/test_codes.py).
 `table_K`: by row K of `Linkage.table`; the pads move by row 0."""
@@ -186,6 +189,8 @@ class Robot:
     digest: str
     ik_missed: tuple[int, int] | None = None
     """random reachable poses that the import solved, and how many of them it found no posture for"""
+    payload_kg: float | None = None
+    """what the arm carries at its flange by its data sheet, gripper included; no verdict asks for it"""
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Robot) and self.digest == other.digest
@@ -207,6 +212,11 @@ class Robot:
     def closed_gap_m(self) -> float:
         """Gap between the pads of the closed gripper, whose linkage is at its stop."""
         return float(gap_from_drive(self, self.linkage.drive_upper))
+
+    @property
+    def carries_kg(self) -> float:
+        """The heaviest object that the payload leaves room for beside the gripper; inf where none is given."""
+        return np.inf if self.payload_kg is None else self.payload_kg - self.linkage.mass_kg
 
     @cached_property
     def family(self) -> Literal["ur", "numerical"]:
@@ -297,6 +307,7 @@ def _load_robot(name: str) -> Robot:
         ),
         object_pairs=frozen([links.index(a) for a in data["object_pairs"]], np.int32),
         digest=hashlib.sha256(raw).hexdigest(),
+        payload_kg=PAYLOAD_KG,
     )
 
 
@@ -630,6 +641,8 @@ class Arm(_Part):
     max_torque_nm: Annotated[list[Positive], Each]
     servo: Servo
     table_from: Annotated[int, Field(ge=1, le=12)]
+    payload_kg: Positive | None = None
+    """at the flange, gripper included; no verdict asks for it, so it is no part of the digest"""
     ik_missed: tuple[Count, Count] | None = None
     """of so many random reachable poses so many were not found: a measurement, no part of the digest"""
     visuals: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{0,32}$")] = ""
@@ -812,7 +825,7 @@ def check_robot(robot: Robot) -> None:
 
 def _robot(file: RobotFile, a: dict[str, Array]) -> Robot:
     arm, own = file.arm, load_robot(DEFAULT_ROBOT)
-    said = file.model_dump(exclude={"arm": {"ik_missed"}})
+    said = file.model_dump(exclude={"arm": {"ik_missed", "payload_kg"}})
     digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
     for array in a.values():
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -855,6 +868,7 @@ def _robot(file: RobotFile, a: dict[str, Array]) -> Robot:
         object_pairs=frozen(a["object_pairs"], np.int32),
         digest=digest.hexdigest(),
         ik_missed=arm.ik_missed,
+        payload_kg=arm.payload_kg,
         **(_jaws(file.gripper, a) if isinstance(file.gripper, Jaws) else {}),
     )
 
@@ -994,6 +1008,7 @@ def robot_file(robot: Robot) -> RobotFile:
                 armature_kg_m2=own.armature,
             ),
             table_from=robot.table_from,
+            payload_kg=robot.payload_kg,
             ik_missed=robot.ik_missed,
             visuals=robot.visuals if robot.visuals.isidentifier() else "",
         ),

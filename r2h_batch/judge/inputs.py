@@ -142,6 +142,19 @@ def warn_of_doubts(T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> None
         warnings.warn(line, stacklevel=3)
 
 
+def warn_of_payload(scene: Scene) -> None:
+    """Says which objects are heavier than what the arm carries beside its gripper."""
+    robot, heaviest = scene.robot, max(scene.objects, key=lambda o: o.mass)
+    if heaviest.mass > robot.carries_kg:
+        count = sum(o.mass > robot.carries_kg for o in scene.objects)
+        warnings.warn(
+            f"{count} of {len(scene.objects)} objects are heavier than the {robot.carries_kg:.2f} kg that {robot.name} carries"
+            f" (payload {robot.payload_kg:g} kg, gripper {robot.linkage.mass_kg:g} kg): {heaviest.name} has"
+            f" {heaviest.mass:.2f} kg; no verdict says so",
+            stacklevel=3,
+        )
+
+
 @cache
 def warn_of_no_gradient() -> None:
     """Says once in a process that poses of a full call wait for a gradient in vain."""

@@ -8,7 +8,7 @@ import torch
 
 from r2h_batch import Evaluator
 from r2h_batch.benchmark.benchmark import built_in
-from r2h_batch.bodies.robot import Robot, load_robot
+from r2h_batch.bodies.robot import ROBOTS, Robot, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.launch import init_warp, launch_trials
@@ -105,6 +105,28 @@ def test_mujoco_keeps_a_panda_on_its_planned_motion():
         q = scores.motion[k, : int(scores.motion_len[k])].double().numpy()
         at = np.arange(len(q)) * config.execute.step_s * config.execute.record_steps
         assert np.abs(q - timed(path, times, at)).max() < 3e-4
+
+
+@pytest.mark.parametrize("model", ["arm", pytest.param("scene", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ROBOTS[1:])
+def test_engines_agree_on_every_built_in_robot(name, model):
+    """As the UR5e's (test_motion.py): MuJoCo C and MuJoCo-Warp step by step, and the plan in verdicts."""
+    benchmark, found = built_in().on(load_robot(name)), {}
+    trials = make_trials(trials=2, benchmark=benchmark)
+    answer = None
+    for sim in ("none", "mujoco", "mjwarp"):
+        law = ExecConfig(sim=sim, model=model, scale=0.5, settle_s=0.1, dwell_s=0.1)
+        evaluator = Evaluator.from_benchmark(benchmark, EvalConfig(execute=law))
+        answer = answer or predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
+        found[sim] = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials, keep_motion=True)
+    plan, c, w = found.values()
+    assert plan.success.all() and c.success.all() and w.success.all()
+    assert torch.equal(c.motion_len, w.motion_len) and (c.motion_len > 100).all()
+    assert float((c.motion - w.motion).abs().max()) < 5e-6
+    np.testing.assert_allclose(w.t_exec_s, c.t_exec_s, atol=0.0081)
+    np.testing.assert_allclose(w.margin, c.margin, atol=5e-5)
+    np.testing.assert_allclose(c.t_exec_s, plan.t_exec_s, atol=0.15)
+    np.testing.assert_allclose(c.margin, plan.margin, atol=1e-3)
 
 
 def timed(path: np.ndarray, times: np.ndarray, at: np.ndarray) -> np.ndarray:
