@@ -232,9 +232,9 @@ def _told_warnings(name: str) -> Iterator[None]:
     ) -> str:
         text = f"{name}: {printable(' '.join(str(message).split()))}"
         if issubclass(category, UserWarning):
-            tell(text)
+            LOG.info(text)
         else:
-            note(f"{text} ({category.__name__})")
+            LOG.debug(f"{text} ({category.__name__})")
         return ""
 
     before, warnings.formatwarning = warnings.formatwarning, told
@@ -286,16 +286,6 @@ def refuse(name: str, error: object, code: int = 2) -> int:
 def counted(number: int, things: str) -> str:
     """A number and what it counts, a plural that ends with s: "1 hand", "2 hands"."""
     return f"{number} {things[:-1] if number == 1 else things}"
-
-
-def tell(text: object) -> None:
-    """Print lines on stderr at once, without control characters; with --quiet only log them."""
-    LOG.info(text)
-
-
-def note(text: object) -> None:
-    """Print lines on stderr with --verbose; a log file always has them."""
-    LOG.debug(text)
 
 
 class _Stderr(logging.Handler):

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import UsageError, counted, refuse, tell
+from r2h_batch.command_line import LOG, UsageError, counted, refuse
 from r2h_batch.io.read import FileError, archive_members, open_archive, printable
 from r2h_batch.io.write import atomic_path, check_output_file, write_text
 
@@ -184,7 +184,7 @@ def leaderboard(
                 held[printable(given)] = stored
             except (ValueError, MemoryError) as error:
                 left_out += 1
-                tell(f"leaderboard: {printable(given)} is left out: {error}")
+                LOG.info(f"leaderboard: {printable(given)} is left out: {error}")
         if not held:
             return refuse("leaderboard", "no submission holds; nothing is written", 1)
         try:
@@ -193,10 +193,10 @@ def leaderboard(
             return refuse("leaderboard", f"{error}, or add the word {BASELINES}", 1)
         for name, run in held.items():
             if run in listed:
-                tell(f"leaderboard: {name}: {', '.join(run.methods)}")
+                LOG.info(f"leaderboard: {name}: {', '.join(run.methods)}")
             else:
                 left_out += 1
-                tell(
+                LOG.info(
                     f"leaderboard: {name} is left out: it was not judged as the {len(listed)} listed"
                 )
         text = page(join(listed), common=common_trials(listed, proven=stored_rows()))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_runs import write_run
 
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.verdicts import Outcome
 
 FORMULA = "=1+2é"
@@ -53,7 +53,7 @@ def test_a_full_or_closed_stdout_is_one_line_and_exit_code_1(folder, name, redir
 
 
 def test_what_is_told_on_stderr_is_cleaned(capsys):
-    tell(f"{HOSTILE}\r\nnext")
+    LOG.info(f"{HOSTILE}\r\nnext")
     assert capsys.readouterr().err == "=1+2\\x1b]0;owned\\x07\\u202eé\\r\nnext\n"
 
 
@@ -82,7 +82,7 @@ def test_a_kernel_cache_that_takes_nothing_is_one_line_and_exit_code_1(tmp_path)
 
     Another kernel is there already, so the cache was not full when it was begun.
     """
-    code = f"{FILLS_UP}\nimport sys\nfrom r2h_batch.command_line import answer\n"
+    code = f"{FILLS_UP}\nimport LOG, sys\nfrom r2h_batch.command_line import answer\n"
     code += "from r2h_batch.judge.plan import load_searches\nsys.exit(answer('sweep', lambda: load_searches('cpu')))"
     environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "cache")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)

@@ -31,7 +31,7 @@ from torch import Tensor
 
 from r2h_batch.assets.receiving.contact_maps import contact_map
 from r2h_batch.bodies.objects import OBJECT_NAMES, VOXELS, ObjectModel, load_objects
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.predictors.contacts import CONTACT_THRESHOLD
 from r2h_batch.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.predictors.voxnet import LEFT_OUT_FILE, STORED_FILE, VoxNet, halved
@@ -102,7 +102,7 @@ def train(data: Examples, steps: int, seed: int, *, report: str = "") -> tuple[V
         losses.append(float(loss.detach()))
         if report and (step + 1) % 50 == 0:
             rate = (time.perf_counter() - begin) / (step + 1)
-            tell(f"{report}: step {step + 1}, loss {np.mean(losses[-50:]):.4f}, {rate:.2f} s a step")
+            LOG.info(f"{report}: step {step + 1}, loss {np.mean(losses[-50:]):.4f}, {rate:.2f} s a step")
     return net.eval(), losses
 
 

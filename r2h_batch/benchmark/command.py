@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from r2h_batch.command_line import failed, refuse, tell
+from r2h_batch.command_line import LOG, failed, refuse
 
 
 def show(*, builtin: bool = False) -> int:
@@ -50,7 +50,7 @@ def check(file: Path, /) -> int:
             found = read_benchmark(file)
         for w in told:  # what was done to a mesh
             if w.category is UserWarning:
-                tell(f"benchmark: {w.message}")
+                LOG.info(f"benchmark: {w.message}")
         own = found.digest
         same = own == built_in().digest
     except ValueError as error:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from r2h_batch.command_line import check_seed, nearest, tell
+from r2h_batch.command_line import LOG, check_seed, nearest
 from r2h_batch.io.read import printable
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def compare(
         "r2h_batch": str(header["versions"]["r2h_batch"]),
     }
     for note in paired.notes if format in ("csv", "json") else ():
-        tell(f"compare: {note}")
+        LOG.info(f"compare: {note}")
     sys.stdout.write(
         render(comparisons, format, origin=origin, notes=(*common.notes, *paired.notes))
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import UsageError, tell
+from r2h_batch.command_line import LOG, UsageError
 from r2h_batch.io.write import check_output_file, check_output_folder, write_text
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def report(
         print(out)
     for name in stored.unfinished:
         missing = sum(s.last - s.first for s in stored.missing(name))
-        tell(f"report: {name} is not in the table, {missing} of its trials are not scored yet")
+        LOG.info(f"report: {name} is not in the table, {missing} of its trials are not scored yet")
     return 1 if stored.unfinished else 0
 
 
@@ -118,7 +118,7 @@ def _common(runs: "Sequence[Run]") -> "Common | None":
     try:
         return common_trials(runs, proven=stored_rows())
     except ValueError as error:
-        tell(f"report: not compared with each other: {error}")
+        LOG.info(f"report: not compared with each other: {error}")
         return None
 
 

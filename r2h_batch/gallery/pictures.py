@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.export.captions import headline
 from r2h_batch.export.drawing import Drawing, view_of
 from r2h_batch.export.pictures import Image, image_at_end, images, painter
@@ -111,7 +111,7 @@ def gallery(
                         "href": quote(page.relative_to(base).as_posix()),
                     }
                 )
-            tell(f"report: {method}: {len(trials)} of {WORDS[outcome]}")
+            LOG.info(f"report: {method}: {len(trials)} of {WORDS[outcome]}")
     return found
 
 

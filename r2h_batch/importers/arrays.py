@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.io.read import FileError, printable
 
 F64 = NDArray[np.float64]
@@ -81,5 +81,5 @@ def files_below(folder: Path, pattern: str) -> list[Path]:
     if not found:
         raise FileError(f"{printable(folder)}: holds no {pattern}; is it the right folder?")
     if outside:
-        tell(f"{printable(folder)}: {links}, left out")
+        LOG.info(f"{printable(folder)}: {links}, left out")
     return sorted(found)

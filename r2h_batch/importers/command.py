@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from r2h_batch.command_line import Command, UsageError, counted, tell
+from r2h_batch.command_line import LOG, Command, UsageError, counted
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import check_output_file, check_output_folder
 
@@ -220,7 +220,7 @@ def objects(
         if strict:
             raise FileError(f"{printable(name)}: {made}")
         skipped += 1
-        tell(f"skipped: {name}: {made}")
+        LOG.info(f"skipped: {name}: {made}")
     if not found:
         raise FileError(f"{printable(folder)}: none of {skipped} objects could be read")
     write(out, found, _grasp_files(grasps, [o.name for o in found], gripper), hands)

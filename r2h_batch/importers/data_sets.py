@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.importers.arrays import files_below, numbers, rigid
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.safe_pickle import read_npy, read_pickle, read_pickle_file
@@ -212,10 +212,10 @@ def _subject_shape(root: Path, mesh: str, hand: ManoHand | None, side: int) -> F
             raise FileError(f"not in {root}")
         shape, off = hand.shape_of(load_mesh_file(file, mesh).vertices, side)
     except ValueError as error:
-        tell(f"grab: {printable(mesh)}: {printable(error)}; their hands get the shape 0")
+        LOG.info(f"grab: {printable(mesh)}: {printable(error)}; their hands get the shape 0")
         return np.zeros(10)
     if off > FAR_SHAPE_M:
-        tell(f"grab: {printable(mesh)}: MANO's shapes come within {1e3 * off:.1f} mm of it")
+        LOG.info(f"grab: {printable(mesh)}: MANO's shapes come within {1e3 * off:.1f} mm of it")
     return shape
 
 
@@ -335,7 +335,7 @@ def _h2o(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMotion
         many = f"{len(left_out)} of {len(files)} frames left out; the first: {left_out[0]}"
         if not rows:
             raise FileError(f"{where}: {many}")
-        tell(f"{where}: {many}")
+        LOG.info(f"{where}: {many}")
     T_world_camera, columns, obj = np.stack(camera), np.stack(rows), np.stack(objects)
     T_world_object = T_world_camera @ obj[:, 1:].reshape(-1, 4, 4)
     doing = _h2o_action(beside.get("action_label"))
@@ -464,7 +464,7 @@ def oakink_objects(meta: Path) -> dict[str, tuple[str, Path]]:
                 raise FileError(f"{printable(oid)[:40]} has no name")
             found[oid] = name, path_within(meta.parent.parent / META[meta.name], name)
         except FileError as error:
-            tell(f"{printable(meta)}: {error}; left out")
+            LOG.info(f"{printable(meta)}: {error}; left out")
     return found
 
 

@@ -38,7 +38,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps, read_grasps
 from r2h_batch.bodies.robot import DEFAULT_ROBOT, drive_from_gap, load_robot, pad_center_z
-from r2h_batch.command_line import nearest, tell
+from r2h_batch.command_line import LOG, nearest
 from r2h_batch.importers.arrays import numbers, rigid
 from r2h_batch.importers.hdf5 import read_datasets
 from r2h_batch.io.read import FileError, printable, read_json, read_npy, read_npz, read_yaml
@@ -287,7 +287,7 @@ def grasps_from(argument: str | Path) -> GraspSet:
         raise FileError(f"{where}: says itself whose grasps it holds; leave :{gripper} out")
     found, left_out = read_file_of(kind, path, gripper or None)
     if left_out:
-        tell(
+        LOG.info(
             f"{where}: {len(found)} grasps of the {found.gripper}; {left_out} left out, which did not hold or are worse"
         )
     return found

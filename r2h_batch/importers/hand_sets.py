@@ -35,7 +35,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import HandModel, load_hand, load_hand_set
 from r2h_batch.bodies.hand_file import HELD_S, check_postures, in_body
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.importers.data_sets import DATA_SETS, HandMotion, oakink_receivers
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.smplx import Bodies
@@ -159,7 +159,7 @@ def collect(
             if strict:
                 raise FileError(line) from None
             found.skipped.append(line)
-            tell(f"skipped: {line}")
+            LOG.info(f"skipped: {line}")
             continue
         found.idle += len(hands) - len(taken)
         for row, h in taken:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.importers.arrays import numbers
 from r2h_batch.io.read import FileError, path_within, printable, read_npz
 
@@ -74,7 +74,7 @@ def _rest_joints(folder: Path, gender: str, root: Path, mesh: str) -> F64 | None
             raise FileError(f"gender {printable(gender)[:40]!r}; SMPL-X has {', '.join(GENDERS)}")
         template, regressor = _model(folder / f"SMPLX_{gender.upper()}.npz")
     except FileError as error:
-        tell(f"{printable(error)}; arms of such bodies stay unknown")
+        LOG.info(f"{printable(error)}; arms of such bodies stay unknown")
         return None
     try:
         file = path_within(root, mesh)
@@ -85,7 +85,7 @@ def _rest_joints(folder: Path, gender: str, root: Path, mesh: str) -> F64 | None
             raise FileError(f"{len(own)} vertices; the model has {len(template)}")
         template = own
     except ValueError as error:
-        tell(f"{printable(mesh)}: {printable(error)}; its arms get the model's own lengths")
+        LOG.info(f"{printable(mesh)}: {printable(error)}; its arms get the model's own lengths")
     return np.asarray(regressor @ template)
 
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.io.read import read_npz
 from r2h_batch.io.write import write_npz
 
@@ -206,7 +206,7 @@ def _wait_for(path: Path, take: Callable[[], None]) -> None:
             return take()
         if waited > REPORT_AFTER_S and not reported:
             reported, minutes = True, f"{GIVE_UP_AFTER_S / 60:.0f} minutes"
-            tell(f"{path}: another process is making this entry; waiting up to {minutes}")
+            LOG.info(f"{path}: another process is making this entry; waiting up to {minutes}")
         time.sleep(POLL_S)
     return None
 

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.io.read import FileError, printable
 
 MOST_WAITS = 10
@@ -90,7 +90,7 @@ def _wait(child: subprocess.Popen[bytes], seconds: float, doing: str) -> bytes:
             waited = time.monotonic() - start
             if waited > MOST_WAITS * seconds:
                 raise FileError(f"is not read after {waited:.0f} s") from None
-            tell(f"{doing}, {waited:.0f} s")
+            LOG.info(f"{doing}, {waited:.0f} s")
 
 
 def answer_parent(read: Callable[[bytes, dict[str, Any]], Sequence[Any]]) -> int:

@@ -13,7 +13,7 @@ import torch
 
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.benchmark.flags import BenchmarkFlags
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.io.write import atomic_path
 from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception
 from r2h_batch.report.text import aligned, notes_list, plain, short_names
@@ -81,7 +81,7 @@ def tables_of_run(
         raise RunError(f"{run.folder}: its trials have no receiver's body; sweep --protocol r2h-v1")
     tables = {}
     for name in names:
-        tell(f"{name}: 256 grasps for each trial, 4 ms a trial")
+        LOG.info(f"{name}: 256 grasps for each trial, 4 ms a trial")
         tables[name] = (of or table_of)(run, name, judge)
     return tables
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.io.read import printable
 from r2h_batch.sweep.options import UsageError
 from r2h_batch.types import Predictions, Trials
@@ -128,7 +128,7 @@ def own_streams(name: str) -> Iterator[None]:
             yield
     finally:
         if not printed.closed and printed.getvalue():
-            tell(f"{name} printed: {printed.getvalue().rstrip()}")
+            LOG.info(f"{name} printed: {printed.getvalue().rstrip()}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.command_line import refuse, tell
+from r2h_batch.command_line import LOG, refuse
 from r2h_batch.io.read import printable
 from r2h_batch.runs.store import TRIES, RunFolder, Shard, ShardWriter, differing
 from r2h_batch.sweep import jobs as sweep_jobs
@@ -155,7 +155,7 @@ class Head:
         # for the main thread to say so and to leave, unless it hangs in a call of Ray's
         time.sleep(GRACE_S)
         if not self.said:
-            tell(f"sweep: {self.lost}")
+            LOG.info(f"sweep: {self.lost}")
         sys.stderr.flush()
         os._exit(1)  # shards appear whole or not at all, so nothing can be left half done
 
@@ -357,7 +357,7 @@ def _feed(
                     todo.append(task)
                 else:
                     folder.quarantine(name, shard, errors[task])
-                    tell(f"{name}: shard {shard.index} failed {TRIES} times")
+                    LOG.info(f"{name}: shard {shard.index} failed {TRIES} times")
                 continue
             except OSError as error:
                 raise _lost(error) from error

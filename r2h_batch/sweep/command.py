@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.command_line import answer, counted, failed, note, refuse, tell, telling
+from r2h_batch.command_line import LOG, answer, counted, failed, refuse, telling
 from r2h_batch.sweep.options import Options, UsageError, parse
 
 # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
@@ -60,7 +60,7 @@ def stop_signals() -> Iterator[Callable[[], bool]]:
         heard.append(number)
         if len(heard) > 1:
             raise KeyboardInterrupt
-        tell("sweep: stopping after the current chunk; once more stops at once")
+        LOG.info("sweep: stopping after the current chunk; once more stops at once")
 
     before = {s: signal.signal(s, hear) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -88,7 +88,7 @@ def _robustness(
     out = Path(os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S")))
     folders = [out / level for level in report.LEVELS]
     for level, folder in zip(report.LEVELS, folders, strict=True):
-        tell(f"execution error {level}")
+        LOG.info(f"execution error {level}")
         own = replace(options, robustness=False, execution_error=level, out=str(folder))
         with redirect_stdout(sys.stderr):  # the table of a level is no result of this command
             if code := _run(own, stopping, log_to):
@@ -101,7 +101,7 @@ def _robustness(
     if find_spec("matplotlib"):
         report.figure(found).savefig(out / "robustness.png", dpi=150)
     sys.stdout.write(report.render(found, options.format))
-    tell(f"curves: {out}/robustness.md")
+    LOG.info(f"curves: {out}/robustness.md")
     return 0
 
 
@@ -132,7 +132,7 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
         sweep_jobs.resolve(options)
         start = time.perf_counter()
         setting = sweep_jobs.prepare(options)
-        note(
+        LOG.debug(
             f"ready in {time.perf_counter() - start:.1f} s: {setting.evaluator!r}, {counted(setting.planned, 'trials')}"
         )
         jobs = sweep_jobs.make_jobs(options, files, setting)
@@ -142,9 +142,9 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
             write_labels(folder.folder, setting.labels)
         for job in jobs:
             folder.register(job.name, job.source)
-            note(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")
+            LOG.debug(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")
         for line in (line for job in jobs for line in job.lines):
-            tell(line)
+            LOG.info(line)
     except (UsageError, ClusterError, ValueError, ImportError) as error:
         return refuse("sweep", error, 2)
     except OSError as error:
@@ -181,7 +181,7 @@ def _score(
     from r2h_batch.sweep.engine import Log, score_local
 
     for line in mark_for_rerun(folder.folder, folder.header):
-        tell(line)
+        LOG.info(line)
     log = Log(folder.folder / setting.own_file("progress.json"))
     if options.engine == "ray":
         from r2h_batch.sweep.cluster import score_on_ray
@@ -230,14 +230,14 @@ def _finish(options: Options, names: list[str]) -> int:
     for name in names:
         bad = [str(s.index) for s in stored.quarantined(name)]
         if bad:
-            tell(f"{name}: quarantined after three tries: shards {', '.join(bad)}")
+            LOG.info(f"{name}: quarantined after three tries: shards {', '.join(bad)}")
             code = 1
     left = {name: len(stored.missing(name)) for name in names if stored.missing(name)}
     if left and not code:
         if options.part[1] == 1:
             code = 1
         words = ", ".join(f"{name} {n}" for name, n in left.items())
-        tell(f"shards that other parts have to score: {words}; the table comes with the last")
+        LOG.info(f"shards that other parts have to score: {words}; the table comes with the last")
     if names and not stored.unfinished:
         write_summary(stored)
         if options.log:
@@ -251,5 +251,5 @@ def _finish(options: Options, names: list[str]) -> int:
             (stored.folder / "closed_loop.md").write_text(words)
             (sys.stdout if options.format == "md" else sys.stderr).write(f"\n{words}")
         sys.stdout.flush()
-    tell(f"run folder: {options.out}")
+    LOG.info(f"run folder: {options.out}")
     return code

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from r2h_batch.command_line import counted, is_quiet, note, refuse, tell
+from r2h_batch.command_line import LOG, counted, is_quiet, refuse
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.predictions import Motions
@@ -124,12 +124,12 @@ def progress(
             if now - said >= plain_every_s:
                 rate = done / (now - start)
                 line = f"{name}: {done}/{total} trials, {rate:.1f} trials/s, {(total - done) / rate:.0f} s left"
-                tell(line)
+                LOG.info(line)
                 said = now
 
         yield speak
     seconds = time.perf_counter() - start
-    tell(f"{name}: {counted(total, 'trials')} in {seconds:.1f} s, {total / seconds:.1f} trials/s")
+    LOG.info(f"{name}: {counted(total, 'trials')} in {seconds:.1f} s, {total / seconds:.1f} trials/s")
 
 
 def score_local(
@@ -149,14 +149,14 @@ def score_local(
     for job in jobs:
         todo = folder.todo(job.name, setting.part)
         if not todo:
-            tell(f"{job.name}: already in the run folder, reused")
+            LOG.info(f"{job.name}: already in the run folder, reused")
             continue
         for shard in todo:
             if folder.quarantined(job.name, shard):
                 folder.give_another_try(job.name, shard)
         # where a process died before comes last: the others are stored first, whatever happens then
         todo = sorted(todo, key=lambda s: folder.deaths(job.name, s))
-        tell(f"{job.name}: warming up (kernels are compiled on first use)")
+        LOG.info(f"{job.name}: warming up (kernels are compiled on first use)")
         try:
             warm_up(job, setting)
             with progress(job.name, sum(s.last - s.first for s in todo), log=log) as advance:
@@ -185,12 +185,12 @@ def _score_job(
                 elif mine and (deaths := folder.deaths(job.name, shard)) >= TRIES:
                     what = f"the sweep's process ended {deaths} times while it was scored"
                     folder.quarantine(job.name, shard, [what])
-                    tell(f"{job.name}: shard {shard.index}: {what}")
+                    LOG.info(f"{job.name}: shard {shard.index}: {what}")
                 elif mine:
                     start = time.perf_counter()
                     with folder.attempt(job.name, shard), folder.write(job.name, shard) as writer:
                         score_shard(job, shard, writer, setting, stopping, advance)
-                    note(
+                    LOG.debug(
                         f"{job.name}: shard {shard.index} stored after {time.perf_counter() - start:.1f} s"
                     )
                 else:
@@ -204,7 +204,7 @@ def _score_job(
                 who = folder.claimed_by(job.name, left[0]) or "another process"
                 words = f"{job.name}: waiting for shard {left[0].index}, which {who} scores"
                 if words != told:
-                    tell(words)
+                    LOG.info(words)
                 told = words
             time.sleep(0.5)
         todo = left

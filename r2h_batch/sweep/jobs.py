@@ -18,7 +18,7 @@ import torch
 from r2h_batch.benchmark.benchmark import Benchmark
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.benchmark.trials_file import Labels
-from r2h_batch.command_line import counted, tell
+from r2h_batch.command_line import LOG, counted
 from r2h_batch.launch.threads import on_threads
 from r2h_batch.predictions import Answers, Motions, PredictionsError, align, doubts, load_answers
 from r2h_batch.runs import provenance
@@ -335,7 +335,7 @@ def load_files(options: Options) -> Files:
             words = f"{path}: {flag} needs {flag[2:]}, the file holds {other[2:]}; say {other}"
             raise PredictionsError(words)
         for words in doubts(answers.predictions, answers.motions):
-            tell(f"{path}: {words}")
+            LOG.info(f"{path}: {words}")
     return [(path, provenance.file_digest([Path(path)]), answers) for path, answers in loaded]
 
 
@@ -547,7 +547,7 @@ def _method_job(
             )
         late = user_files(sys.modules.keys() - before)
         for k in late.keys() - files.keys() if not built_in else ():
-            tell(f"{title}: imported {k} when it was called; a resume does not notice its changes")
+            LOG.info(f"{title}: imported {k} when it was called; a resume does not notice its changes")
         return answer
 
     if not built_in:

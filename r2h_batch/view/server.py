@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from r2h_batch.command_line import UsageError, tell
+from r2h_batch.command_line import LOG, UsageError
 from r2h_batch.export.captions import as_markdown, summary
 from r2h_batch.export.drawing import MARKS, Drawing
 from r2h_batch.export.stored import ExportError, Reader
@@ -55,11 +55,11 @@ class Filter:
 def serve(reader: Reader, methods: Sequence[str], trial: int | None, port: int) -> None:
     """Shows the run until it is interrupted; prints the address on stderr."""
     viewer = Viewer(reader, methods, trial, port)
-    tell(f"view: {viewer.address} (Ctrl-C ends)")
+    LOG.info(f"view: {viewer.address} (Ctrl-C ends)")
     try:
         viewer.run()
     except KeyboardInterrupt:
-        tell("view: ended")
+        LOG.info("view: ended")
     finally:
         viewer.stop()
 

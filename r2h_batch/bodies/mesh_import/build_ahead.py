@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from r2h_batch.bodies.objects import build_object, is_built
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 from r2h_batch.io.cache import cache_folder
 
 
@@ -38,7 +38,7 @@ def build_ahead(calls: Sequence[Mapping[str, Any]], *, cores: int | None = None)
     workers = min(len(todo), cores or len(os.sched_getaffinity(0)))
     if workers < 2:
         return 0
-    tell(f"building {len(todo)} objects on {workers} cores")
+    LOG.info(f"building {len(todo)} objects on {workers} cores")
     path = os.pathsep.join(p or os.getcwd() for p in sys.path)
     command = [sys.executable, "-P", "-m", "r2h_batch.bodies.mesh_import.build_ahead"]
     started: list[subprocess.Popen[str]] = []
@@ -68,7 +68,7 @@ def work() -> None:
         with warnings.catch_warnings(), contextlib.suppress(Exception):
             warnings.simplefilter("ignore")
             build_object(**call)
-            tell(f"built {Path(call['mesh']).name}")
+            LOG.info(f"built {Path(call['mesh']).name}")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import LOG
 
 MOST_BYTES = 1 << 30
 """Of a mesh file, and of each file that it names."""
@@ -44,4 +44,4 @@ class Budget:
             )
         if now - self._said > SILENT_SECONDS:
             self._said = now
-            tell(f"{self.label}: {doing}{part}, {used:.0f} s")
+            LOG.info(f"{self.label}: {doing}{part}, {used:.0f} s")
