@@ -102,9 +102,9 @@ def read(
             raise  # --help, or a shell completion
         flags = [*more_flags, *(_flags(chosen) if chosen is not None else ())]
         raise UsageError(_one_line(box.getvalue(), arguments, flags)) from None
-    said = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
+    given = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
     for flag in _lists(chosen) if chosen is not None else ():
-        if said.count(flag) > 1:  # the last would silently replace the others
+        if given.count(flag) > 1:  # the last would silently replace the others
             raise UsageError(
                 f"{flag} is given twice; write its values one after another: {flag} A B"
             )

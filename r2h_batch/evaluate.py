@@ -1,6 +1,6 @@
 """The Evaluator: a batch of handovers in, verdicts with margins and reasons out.
 
-`_score_motion`, `_score_pose` and `_score_trace` call the stages in order; the rest is inputs, chunks
+`_score_planned`, `_score_pose` and `_score_given` call the stages in order; the rest is inputs, chunks
 and memory.
 """
 
@@ -152,9 +152,9 @@ class Evaluator:
             pieces = config is not None and config.plan.object_collision == "pieces"
             benchmark = read_benchmark(benchmark, pieces=pieces)
         instance_of(Benchmark, "a file's path, or read_benchmark(FILE)")("benchmark", benchmark)
-        mine = benchmark.config(config)
+        own = benchmark.config(config)
         return cls(
-            mine,
+            own,
             device=device,
             objects=benchmark.objects,
             hand_set=benchmark.hand_set,
@@ -306,7 +306,7 @@ class Evaluator:
         def part(first: int, last: int) -> Scores:
             rows = slice(first, last)
             own = trace[rows]
-            return self._score_trace(
+            return self._score_given(
                 T_obj_ee[rows],
                 T_world_ee[rows],
                 own if plan is trace else plan[rows],
@@ -389,7 +389,7 @@ class Evaluator:
         judge = (
             self._score_pose
             if stages == "pose"
-            else partial(self._score_motion, keep_motion=keep_motion)
+            else partial(self._score_planned, keep_motion=keep_motion)
         )
         order = None
         if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
@@ -420,7 +420,7 @@ class Evaluator:
         moves = self.config.execute.engine(torch.device(device).type) != "none"
         return rows_at_once(device, chunk, MOVED_ROW_BYTES if moves else ROW_BYTES)
 
-    def _score_motion(
+    def _score_planned(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool
     ) -> Scores:
         """Every stage: hold, IK, plan, move, judge."""
@@ -480,10 +480,10 @@ class Evaluator:
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
         )  # fmt: skip
 
-    def _score_trace(
+    def _score_given(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: Trace, trace: Trace, trials: Trials
     ) -> Scores:
-        """As `_score_motion`, with the plan and the motion given."""
+        """As `_score_planned`, with the plan and the motion given."""
         scene = self.scene
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, self.config)
         active, poses = held.active, held.body_poses
@@ -508,7 +508,7 @@ class Evaluator:
         )  # fmt: skip
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
-        """As `_score_motion`, as far as it goes without a path."""
+        """As `_score_planned`, as far as it goes without a path."""
         scene, config = self.scene, self.config
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
         active = held.active

@@ -55,8 +55,8 @@ def scores_table(
     p, e, m = (np.reshape(x, (-1, len(CRITERIA))) for x in (passed, evaluated, margin))
     rows = []
     for k, name in enumerate(CRITERIA):
-        mine = e[:, k]
-        finite = m[mine & np.isfinite(m[:, k]), k]
+        column = e[:, k]
+        finite = m[column & np.isfinite(m[:, k]), k]
         low, middle = (
             f"{1e3 * float(np.quantile(finite, q)):.1f}" if len(finite) else "none"
             for q in (0.05, 0.5)
@@ -64,8 +64,8 @@ def scores_table(
         rows.append(
             (
                 name,
-                f"{int(mine.sum()):,}",
-                share(int(p[mine, k].sum()), int(mine.sum())),
+                f"{int(column.sum()):,}",
+                share(int(p[column, k].sum()), int(column.sum())),
                 middle,
                 low,
             )
@@ -95,10 +95,10 @@ def scalars_of(
     found |= {f"outcome/{o.name.lower()}": float((codes == o).mean()) for o in Outcome}
     p, e, m, kinds = (np.reshape(x, (-1, len(CRITERIA))) for x in (passed, evaluated, margin, kind))
     for k, name in enumerate(CRITERIA):
-        mine = e[:, k]
-        finite = m[mine & np.isfinite(m[:, k]) & (kinds[:, k] != MarginKind.CAP), k]
-        if mine.any():
-            found[f"passed/{name}"] = float(p[mine, k].mean())
+        column = e[:, k]
+        finite = m[column & np.isfinite(m[:, k]) & (kinds[:, k] != MarginKind.CAP), k]
+        if column.any():
+            found[f"passed/{name}"] = float(p[column, k].mean())
         if len(finite):
             found[f"margin_m/{name}"] = float(finite.astype(np.float64).mean())
     for name, values in times.items():

@@ -90,8 +90,8 @@ class _Rows:
 
         # in the order in which they are put back; what stands beside the rows goes along
         self._changed(seen)
-        here = {value.device.type for value in every}
-        if device.type == "cpu" and here - {"cpu"}:
+        devices = {value.device.type for value in every}
+        if device.type == "cpu" and devices - {"cpu"}:
             copied = iter(in_one_copy(every))
             return self._changed(lambda value: next(copied))
         return self._changed(lambda value: value.to(device))

@@ -90,9 +90,13 @@ def _import_file(file: Path) -> ModuleType:
         return sys.modules[name]
     _search_first(file.parent)
     for imported in set(_imported(name, file)):
-        beside = [file.parent / f"{imported}.py", file.parent / imported / "__init__.py"]
+        candidates = [file.parent / f"{imported}.py", file.parent / imported / "__init__.py"]
         loaded = getattr(sys.modules.get(imported), "__file__", None)
-        if loaded and any(p.is_file() for p in beside) and Path(loaded).resolve() not in beside:
+        if (
+            loaded
+            and any(p.is_file() for p in candidates)
+            and Path(loaded).resolve() not in candidates
+        ):
             raise ImportError(
                 f"{file.name} imports {imported}, and {loaded} is loaded under that name; rename one of them, or score"
                 " the two in sweeps of their own"
@@ -128,8 +132,8 @@ def user_files(modules: Iterable[str]) -> dict[str, Path]:
         if file.suffix == ".py":
             left += _imported(name, file)
     for name, file in list(found.items()):
-        for said in getattr(sys.modules.get(name), "METHOD_FILES", ()):
-            path = file.parent / os.path.expanduser(said)
+        for listed in getattr(sys.modules.get(name), "METHOD_FILES", ()):
+            path = file.parent / os.path.expanduser(listed)
             inside = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
             if not all(p.exists() for p in inside):
                 raise FileError(f"{path}: no such file; METHOD_FILES of {file} names it")

@@ -114,14 +114,14 @@ class Benchmark:
             for name in DECIDES:
                 value = np.ascontiguousarray(getattr(o, name))
                 digest.update(f"{name}:{value.dtype.str}:{value.shape}:".encode() + value.tobytes())
-            said = {
+            fields = {
                 "grasps": None if o.grasps is None else o.grasps.digest,
                 "roles": None if o.roles is None else dict(o.roles),
                 "words": None if o.words is None else asdict(o.words),
             }
             if o.receiver_boxes is not None:  # what there was before keeps its digest
-                said["receiver_boxes"] = o.receiver_boxes.tolist()
-            digest.update(json.dumps(said, sort_keys=True).encode())
+                fields["receiver_boxes"] = o.receiver_boxes.tolist()
+            digest.update(json.dumps(fields, sort_keys=True).encode())
         if self.listed is not None:
             for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
                 digest.update(getattr(self.listed, name).contiguous().numpy().tobytes())

@@ -92,8 +92,10 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
     try:
         own = built_in(file.protocol)
         if "robot" in file.model_fields_set or "persons" in file.model_fields_set:
-            beside = file.robot if file.robot in ROBOTS else str(path_within(folder, file.robot))
-            own = own.on(robot_of(beside), file.persons)
+            robot_path = (
+                file.robot if file.robot in ROBOTS else str(path_within(folder, file.robot))
+            )
+            own = own.on(robot_of(robot_path), file.persons)
         hand_set, listed, labels = _hands(file, folder, own), None, None
         objects = own.objects  # take longer to read than hands: what is wrong there is said first
         if "objects" in file.model_fields_set:
@@ -138,20 +140,20 @@ def _named(file: BenchmarkFile) -> list[tuple[str, str]]:
 
 def _hand_entries(file: BenchmarkFile) -> list[HandsEntry]:
     """The hand sets that are joined."""
-    said = [file.hand_set] if isinstance(file.hand_set, str) else file.hand_set
-    return [HandsEntry(file=e) if isinstance(e, str) else e for e in said]
+    entries = [file.hand_set] if isinstance(file.hand_set, str) else file.hand_set
+    return [HandsEntry(file=e) if isinstance(e, str) else e for e in entries]
 
 
 def _file_of(entry: ObjectEntry, field: str) -> str | None:
     """What an object's field names as a file; None where it names none."""
-    said: str | None = getattr(entry, field)
-    if said is None or (field == "receiver" and not said.endswith(".npy")):
+    name: str | None = getattr(entry, field)
+    if name is None or (field == "receiver" and not name.endswith(".npy")):
         return None
-    return str(without_gripper(said)[0]) if field == "grasps" else said
+    return str(without_gripper(name)[0]) if field == "grasps" else name
 
 
-def _grasps(folder: Path, said: str) -> GraspSet:
-    path, gripper = without_gripper(said)
+def _grasps(folder: Path, argument: str) -> GraspSet:
+    path, gripper = without_gripper(argument)
     inside = path_within(folder, str(path))
     return grasps_from(f"{inside}:{gripper}" if gripper else inside)
 
@@ -416,10 +418,12 @@ class BenchmarkOverrides(BenchmarkFlags):
         if file is None:
             entries = [_entry(mesh) for mesh in _files(path, MESHES)] if path.is_dir() else []
         else:
-            said = read_benchmark_file(file)
-            if "objects" not in said.model_fields_set or (said.trials and not self.objects):
+            file_data = read_benchmark_file(file)
+            if "objects" not in file_data.model_fields_set or (
+                file_data.trials and not self.objects
+            ):
                 return set()
-            entries = said.objects
+            entries = file_data.objects
         own = {e: load_objects([e])[0].split for e in {e.built_in for e in entries} if e}
         there = {e.split or own.get(e.built_in or "", "S0") for e in entries}
         return there | {str(call_of(m)["split"]) for m in self.object_mesh} if there else there
@@ -473,10 +477,10 @@ def _file_in(path: Path) -> Path | None:
 
 def _entry(file: Path) -> ObjectEntry:
     """The entry of a mesh in a folder, with the fields of NAME.yaml beside it."""
-    beside = file.with_suffix(".yaml")
-    if not os.path.lexists(beside):
+    yaml_file = file.with_suffix(".yaml")
+    if not os.path.lexists(yaml_file):
         return ObjectEntry(file=file.name)
-    return read_object_file(path_within(file.parent, beside.name), file.name)
+    return read_object_file(path_within(file.parent, yaml_file.name), file.name)
 
 
 def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
@@ -523,11 +527,11 @@ def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | P
                 f"{printable(path)}: no grasps ({', '.join(GRASP_FILES)}) in this folder"
             )
     if unknown := [n for n, _ in files if n not in names]:
-        said = name if equals else unknown[0]
-        same = [n for n in names if n.lower() == said.lower()]
-        hint = f", did you mean {same[0]}?" if same else nearest(said, names)
+        wrong = name if equals else unknown[0]
+        same = [n for n in names if n.lower() == wrong.lower()]
+        hint = f", did you mean {same[0]}?" if same else nearest(wrong, names)
         how = f"say NAME=FILE, the objects are {', '.join(names[:40])}"
-        raise FileError(f"{shown}: no object is called {printable(said)!r}{hint}; {how}")
+        raise FileError(f"{shown}: no object is called {printable(wrong)!r}{hint}; {how}")
     return files
 
 
@@ -549,13 +553,13 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
     if protocol not in (*PROTOCOLS, LISTED):
         known = f"this version makes the trials of {', '.join(PROTOCOLS)}"
         raise FileError(f"{where}: protocol {protocol!r}; {known}")
-    said = [
+    robots = [
         f.partition(" ")[2]
         for f in (header.get("benchmark") or {}).get("flags", ())
         if f.startswith("--robot ")
     ]
-    if said and said[0] in ROBOTS and not given.robot:  # a built-in robot is no file
-        given = replace(given, robot=said[0])
+    if robots and robots[0] in ROBOTS and not given.robot:  # a built-in robot is no file
+        given = replace(given, robot=robots[0])
     flags = _check_flags(header, given, where)
     if protocol != LISTED:
         given = replace(given, protocol=protocol)
@@ -571,7 +575,7 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
         found["benchmark"] = benchmark.digest
     differing = [k for k, v in found.items() if digests.get(k) != v]
     pairs = zip(header.get("objects", ()), benchmark.objects, strict=False)
-    if other := [o.name for said, o in pairs if said.get("digest", "") != object_digest(o)]:
+    if other := [o.name for entry, o in pairs if entry.get("digest", "") != object_digest(o)]:
         differing = [
             f"objects ({', '.join(other[:10])})" if k == "objects" else k for k in differing
         ]

@@ -29,10 +29,10 @@ class BenchmarkFlags:
 
     def flags(self) -> list[str]:
         """The flags that are given, as one would type them again."""
-        said = asdict(self).items()
+        given = asdict(self).items()
         return [
             f"--{k.replace('_', '-')} {v if isinstance(v, str) else ' '.join(v)}"
-            for k, v in said
+            for k, v in given
             if v
         ]
 

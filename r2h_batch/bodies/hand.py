@@ -85,10 +85,10 @@ class HandModel:
         def tensor(name: str) -> Tensor:
             return torch.from_numpy(np.array(arrays[name], order="C"))
 
-        mine = {k.removeprefix("left_"): v for k, v in arrays.items() if k.startswith("left_")}
+        of_left = {k.removeprefix("left_"): v for k, v in arrays.items() if k.startswith("left_")}
         left = (
-            {**{k: v for k, v in arrays.items() if not k.startswith("left_")}, **mine}
-            if mine
+            {**{k: v for k, v in arrays.items() if not k.startswith("left_")}, **of_left}
+            if of_left
             else None
         )
 
@@ -202,8 +202,8 @@ class HandModel:
             (len(pose), *self.vertices.shape), dtype=torch.float32, device=pose.device
         )
         joints = torch.empty((len(pose), JOINTS, 3), dtype=torch.float32, device=pose.device)
-        for model, mine in ((self, ~left), (self.left, left)):
-            vertices[mine], joints[mine] = model._pose_rows(pose[mine], shape[mine], left[mine])
+        for model, rows in ((self, ~left), (self.left, left)):
+            vertices[rows], joints[rows] = model._pose_rows(pose[rows], shape[rows], left[rows])
         return vertices, joints
 
     def _pose_rows(self, pose: Tensor, shape: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
@@ -528,7 +528,7 @@ def make_skin_set(
     skin = HandGeometry(
         torch.from_numpy(vertices.astype(np.float32)), torch.from_numpy(joints.astype(np.float32))
     )
-    said = {"skin": skin.vertices.numpy(), "joints": skin.joints.numpy(), "side": side}
+    found = {"skin": skin.vertices.numpy(), "joints": skin.joints.numpy(), "side": side}
     return HandSet(
         pose=torch.zeros((count, POSE_SIZE), dtype=torch.float32, device="cpu"),
         shape=torch.zeros((count, SHAPE_SIZE), dtype=torch.float32, device="cpu"),
@@ -536,7 +536,7 @@ def make_skin_set(
         posture=("skin",) * count,
         hull_vertex_ids=torch.from_numpy(ids),
         hull_offsets=torch.from_numpy(offsets),
-        digest=arrays_digest({**said, "faces": arrays["faces"], "hull_vertex_ids": ids}),
+        digest=arrays_digest({**found, "faces": arrays["faces"], "hull_vertex_ids": ids}),
         model=HandModel.from_arrays(arrays),
         skin=skin,
     )

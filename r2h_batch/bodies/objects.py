@@ -442,8 +442,8 @@ def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> ObjectModel:
     values["part_names"] = tuple(str(n) for n in np.atleast_1d(np.asarray(values["part_names"])))
     for key in ("mass", "voxel_pitch"):
         values[key] = float(np.asarray(values[key]))
-    said = json.loads(str(values.pop("repair", "null")))
-    values["repair"] = Repair(**{**said, "steps": tuple(said["steps"])}) if said else None
+    repair = json.loads(str(values.pop("repair", "null")))
+    values["repair"] = Repair(**{**repair, "steps": tuple(repair["steps"])}) if repair else None
     return _frozen(ObjectModel(**values))
 
 

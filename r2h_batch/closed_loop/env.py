@@ -353,14 +353,14 @@ class HandoverEnv(VectorEnv):
         """What actions (B rows) come to: postures (rad) of `rows` at the end of the step, as near to what is asked as
         limits of speed, acceleration and joints allow, and the joint speeds (rad/s). An asked posture that they allow
         is reached bit for bit."""
-        dt, q, old, asked = self.step_s, self.q[rows], self.qd[rows].double(), actions[rows]
+        dt, q, old, target = self.step_s, self.q[rows], self.qd[rows].double(), actions[rows]
         if self.action == "velocity":
-            v = asked.double()
+            v = target.double()
         elif self.action == "posture":
-            v = (asked.double() - q.double()) / dt
+            v = (target.double() - q.double()) / dt
         else:
             T, jacobian = ee_and_jacobian(self.scene.robot, q)
-            twist = asked.double()
+            twist = target.double()
             if self.action == "pose":
                 twist = GAIN_S * twist_between(T, se3.orthonormalise(twist))
                 way, turn = (se3.dot(x, x).sqrt() for x in (twist[:, :3], twist[:, 3:]))
@@ -378,8 +378,8 @@ class HandoverEnv(VectorEnv):
         v = old + share * dv
         to = (q.double() + v * dt).float()
         if self.action == "posture":
-            exact = ((to - asked).abs() <= 1e-6).all(1, keepdim=True)
-            to = torch.where(exact, asked.float(), to)
+            exact = ((to - target).abs() <= 1e-6).all(1, keepdim=True)
+            to = torch.where(exact, target.float(), to)
         to = torch.minimum(torch.maximum(to, self._lower), self._upper)
         return to, (to.double() - q.double()) / dt
 
@@ -485,14 +485,14 @@ class HandoverEnv(VectorEnv):
             receiver=None if body is None else body[rows],
         )
         poses = inputs.T_obj_ee[rows], T.float()
-        here = self.evaluator.score(*poses, trials, stages="pose")
-        found = here.inputs
+        posed = self.evaluator.score(*poses, trials, stages="pose")
+        found = posed.inputs
         assert found is not None
-        said = reception(replace(here, q_goal=self.q[rows]).with_inputs(found))
-        self._finish(rows[~said.received], End.NOT_RECEIVED)
-        some = rows[said.received]
-        self.hands.take(self.time_s, some, said.T_world_hand[said.received])
-        self._at_take[some] = T[said.received, :3, 3].float()
+        reception_scores = reception(replace(posed, q_goal=self.q[rows]).with_inputs(found))
+        self._finish(rows[~reception_scores.received], End.NOT_RECEIVED)
+        some = rows[reception_scores.received]
+        self.hands.take(self.time_s, some, reception_scores.T_world_hand[reception_scores.received])
+        self._at_take[some] = T[reception_scores.received, :3, 3].float()
 
     def _taken(self, rows: Tensor, rest: Tensor) -> None:
         """Ends what is taken: a success where the robot has held still."""
@@ -578,10 +578,10 @@ class HandoverEnv(VectorEnv):
             error = se3.matmul(
                 self._bias.double(), self._error(1 + frame % 60_000, FRAME_SHARE).double()
             )
-            seen = se3.matmul(self._poses[frame].double(), error).float()
+            T_seen = se3.matmul(self._poses[frame].double(), error).float()
             if k == 0:
-                self._seen = seen
-            self._seen = torch.where(lost[:, None, None], self._seen, seen)
+                self._seen = T_seen
+            self._seen = torch.where(lost[:, None, None], self._seen, T_seen)
             self._last_seen = torch.where(lost, self._last_seen, frame)
         running = torch.nonzero(self.ends == int(End.RUNNING)).flatten()
         gap = torch.full_like(self.gap, CAP_M)
@@ -649,9 +649,9 @@ class _Single(gymnasium.Env[Any, Any]):
     def step(
         self, action: np.ndarray
     ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        seen, reward, ended, late, _ = self.vector.step(np.asarray(action)[None])
-        return _numbers(seen), float(reward[0]), bool(ended[0]), bool(late[0]), {}
+        observation, reward, ended, late, _ = self.vector.step(np.asarray(action)[None])
+        return _numbers(observation), float(reward[0]), bool(ended[0]), bool(late[0]), {}
 
 
-def _numbers(seen: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
-    return {k: np.array(x[0].cpu().numpy(), np.float32) for k, x in seen.items()}
+def _numbers(observation: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
+    return {k: np.array(x[0].cpu().numpy(), np.float32) for k, x in observation.items()}

@@ -19,7 +19,7 @@ AT_ONCE = 256
 """Episodes that run together."""
 
 
-def policy_of(said: str) -> tuple[Any, str]:
+def policy_of(spec: str) -> tuple[Any, str]:
     """A built-in policy by its name, or the user's (`package.module:function` or `FILE.py:function`), and a text
     that says what decides its actions.
 
@@ -27,15 +27,15 @@ def policy_of(said: str) -> tuple[Any, str]:
         ImportError: there is no such module or function.
         TypeError: it cannot be called.
     """
-    if said in POLICIES:
-        return POLICIES[said], said
-    if ":" not in said:
+    if spec in POLICIES:
+        return POLICIES[spec], spec
+    if ":" not in spec:
         raise ImportError(
-            f"no policy {said!r}; built in are {', '.join(POLICIES)}, your own is package.module:function"
+            f"no policy {spec!r}; built in are {', '.join(POLICIES)}, your own is package.module:function"
         )
-    found = load_function(said)
+    found = load_function(spec)
     if not callable(found.function):
-        raise TypeError(f"{said} is no function")
+        raise TypeError(f"{spec} is no function")
     return found.function, f"{found.spec} {provenance.file_digest(found.files().values())[:16]}"
 
 
@@ -46,10 +46,10 @@ def play(env: HandoverEnv, policy: Callable[..., Any]) -> Episodes:
         env: whose action is what the policy says (`kind_of_action`).
         policy: a function of an observation, or a class that is made with the environment first.
     """
-    seen, _ = env.reset()
+    observation, _ = env.reset()
     act = policy(env) if isinstance(policy, type) else policy
     while bool((env.ends == int(End.RUNNING)).any()):
-        seen, *_ = env.step(act(seen))
+        observation, *_ = env.step(act(observation))
     return env.episodes()
 
 
@@ -67,8 +67,8 @@ class Loop:
         m, c = asdict(self.motion), asdict(self.config)
         if self.motion.file:
             m["file"] = provenance.file_digest([self.motion.path])[:16]
-        said = [f"{k} {v}" for k, v in {**m, **c}.items() if v != ""]
-        return f"{policy_of(self.policy)[1]}; {', '.join(said)}"
+        fields = [f"{k} {v}" for k, v in {**m, **c}.items() if v != ""]
+        return f"{policy_of(self.policy)[1]}; {', '.join(fields)}"
 
     @staticmethod
     def of(identity: str) -> "Loop":
@@ -79,17 +79,20 @@ class Loop:
                 or no loop says so of itself.
         """
         policy, _, rest = identity.partition("; ")
-        said = dict(part.partition(" ")[::2] for part in rest.split(", "))
+        fields = dict(part.partition(" ")[::2] for part in rest.split(", "))
         if policy not in POLICIES:
             raise ValueError(f"policy {policy.split(' ')[0]} is not built in")
-        if said.get("kind") == "replay":
+        if fields.get("kind") == "replay":
             raise ValueError("the imported motion is not in the folder")
         try:
-            seed, rate_hz = int(said.pop("seed")), int(said.pop("rate_hz"))
+            seed, rate_hz = int(fields.pop("seed")), int(fields.pop("rate_hz"))
             motion = ReceiverMotion(
-                said.pop("kind"), float(said.pop("shift_m")), float(said.pop("turn_deg")), seed=seed
+                fields.pop("kind"),
+                float(fields.pop("shift_m")),
+                float(fields.pop("turn_deg")),
+                seed=seed,
             )
-            config = LoopConfig(rate_hz, seed=seed, **{k: float(v) for k, v in said.items()})
+            config = LoopConfig(rate_hz, seed=seed, **{k: float(v) for k, v in fields.items()})
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"no closed loop is {identity[:200]!r} ({error})") from None
         loop = Loop(motion, policy, config)

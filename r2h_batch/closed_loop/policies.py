@@ -19,7 +19,7 @@ from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.plan import plan_paths, random_key
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 
-Seen = dict[str, Tensor]
+Observation = dict[str, Tensor]
 
 SLOW_M, STOP_M = 0.10, 0.02
 """Nearer than the first to the hand that it sees, a robot slows down; nearer than the second it stands."""
@@ -51,7 +51,7 @@ class Planned:
         self.begin = self.step_s * torch.nn.functional.pad(steps.cumsum(1), (1, 0))
         self.clock = torch.zeros(len(path), dtype=torch.float64, device=length.device)
 
-    def __call__(self, seen: Seen) -> Float32[Tensor, "b j"]:
+    def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:
         self.clock = self.clock + self.step_s
         return self.posture(self.clock)
 
@@ -85,8 +85,8 @@ class StopAndWait(Planned):
         super().__init__(env)
         self.pace = torch.ones_like(self.clock)
 
-    def __call__(self, seen: Seen) -> Float32[Tensor, "b j"]:
-        go = torch.where(seen["gap"] < STOP_M, -1.0, 1.0)
+    def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:
+        go = torch.where(observation["gap"] < STOP_M, -1.0, 1.0)
         self.pace = (self.pace + go * self.step_s / self.RAMP_S).clamp(0.0, 1.0)
         self.clock = self.clock + self.step_s * self.pace
         return self.posture(self.clock)
@@ -123,23 +123,23 @@ class Servo(Planned):
         self.goal = self.path[:, -1].double()
         self.end_s = self.begin[:, -1].clamp(min=self.step_s)
 
-    def __call__(self, seen: Seen) -> Float32[Tensor, "b j"]:
-        asked = se3.matmul(seen["T_world_hand"].double(), seen["T_hand_ee"].double())
+    def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:
+        T_wanted = se3.matmul(observation["T_world_hand"].double(), observation["T_hand_ee"].double())
         T, jacobian = ee_and_jacobian(self.robot, self.goal)
-        turn = self.follow[:, None] * joint_speeds(jacobian, twist_between(T, asked))
+        turn = self.follow[:, None] * joint_speeds(jacobian, twist_between(T, T_wanted))
         self.goal = self.goal + turn / (turn.abs().amax(1, keepdim=True) / self.GOAL_RAD).clamp(
             min=1.0
         )
         room = (self.slow_m - self.stop_m).clamp(min=1e-6)
-        pace = ((seen["gap"].double() - self.stop_m) / room).clamp(0.0, 1.0)
+        pace = ((observation["gap"].double() - self.stop_m) / room).clamp(0.0, 1.0)
         self.clock = torch.minimum(self.clock + self.step_s * pace, self.end_s)
         bent = (self.clock / self.end_s)[:, None] * (self.goal - self.path[:, -1].double())
-        to, q = self.posture(self.clock).double() + bent, seen["q"].double()
+        to, q = self.posture(self.clock).double() + bent, observation["q"].double()
         most = self.speed * self.step_s * pace
         turns = (to - q).abs() * self.env.weight
         share = (most / turns.amax(1).clamp(min=1e-9)).clamp(max=1.0)
         to = (q + (to - q) * share[:, None]).float()
-        return torch.where(self.env.keeps_off(to)[:, None], to, seen["q"])
+        return torch.where(self.env.keeps_off(to)[:, None], to, observation["q"])
 
 
 class Replan:
@@ -161,19 +161,19 @@ class Replan:
         self.length = torch.ones(b, dtype=torch.int64, device=device)
         self.next = torch.zeros(b, dtype=torch.int64, device=device)
         self.planned = torch.zeros(b, dtype=torch.bool, device=device)
-        self.asked = torch.eye(4, dtype=torch.float64, device=device).repeat(b, 1, 1)
+        self.T_planned_for = torch.eye(4, dtype=torch.float64, device=device).repeat(b, 1, 1)
         self.key = random_key(env.trials.trial_id)
 
-    def __call__(self, seen: Seen) -> Float32[Tensor, "b j"]:
+    def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:
         if self.k % self.every == 0:
             with self.env.evaluator.working():
-                self._plan(seen)
+                self._plan(observation)
         self.k += 1
         env, rows = (
             self.env,
             torch.arange(len(self.path), dtype=torch.int64, device=self.path.device),
         )
-        q = seen["q"].double()
+        q = observation["q"].double()
         there = (self.path[rows, self.next] - q).abs().amax(1) < self.THERE_RAD
         self.next = torch.where(there, self.next + 1, self.next).minimum(self.length - 1)
         left = self.path[rows, self.next].double() - q
@@ -182,31 +182,31 @@ class Replan:
         speed = torch.minimum((2 * env.acceleration * far).sqrt(), far / env.step_s).clamp(
             max=env.speed
         )
-        pace = ((seen["gap"].double() - STOP_M) / (SLOW_M - STOP_M)).clamp(0.0, 1.0)
+        pace = ((observation["gap"].double() - STOP_M) / (SLOW_M - STOP_M)).clamp(0.0, 1.0)
         v = left * (pace * speed / far.clamp(min=1e-9))[:, None]
         return torch.where(env.keeps_off(v)[:, None], v, 0.0).float()
 
-    def _plan(self, seen: Seen) -> None:
+    def _plan(self, observation: Observation) -> None:
         env = self.env
-        asked = se3.matmul(seen["T_world_hand"].double(), seen["T_hand_ee"].double())
-        off = twist_between(self.asked, asked)
+        T_wanted = se3.matmul(observation["T_world_hand"].double(), observation["T_hand_ee"].double())
+        off = twist_between(self.T_planned_for, T_wanted)
         way, turn = (se3.dot(x, x).sqrt() for x in (off[:, :3], off[:, 3:]))
         moved = (way > self.MOVED_M) | (turn > self.MOVED_RAD)
         rows = torch.nonzero((env.ends == int(End.RUNNING)) & (moved | ~self.planned)).flatten()
         if not len(rows):
             return
-        T = se3.orthonormalise(asked[rows]).float()
+        T = se3.orthonormalise(T_wanted[rows]).float()
         ik = solve_ik(T, robot=env.scene.robot, home=env.scene.config.workplace.home_q)
         config = replace(env.scene.config.plan, rounds=self.ROUNDS, seed=self.k)
         found = plan_paths(
-            env.scene, env.obstacles(seen["T_world_hand"][rows], rows), ik.q, ik.valid, ik.reachable, self.key[rows],
-            config, execute=env.scene.config.execute, start=seen["q"][rows],
+            env.scene, env.obstacles(observation["T_world_hand"][rows], rows), ik.q, ik.valid, ik.reachable, self.key[rows],
+            config, execute=env.scene.config.execute, start=observation["q"][rows],
         )  # fmt: skip
         some = (found.length > 0)[:, None, None]
-        self.path[rows] = torch.where(some, found.path, seen["q"][rows][:, None])
+        self.path[rows] = torch.where(some, found.path, observation["q"][rows][:, None])
         self.length[rows] = found.length.long().clamp(min=1)
         self.next[rows], self.planned[rows] = 0, found.length > 0
-        self.asked[rows] = asked[rows]
+        self.T_planned_for[rows] = T_wanted[rows]
 
 
 POLICIES: dict[str, Any] = {

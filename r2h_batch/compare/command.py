@@ -31,9 +31,9 @@ def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
     configuration = (header or {}).get("configuration", {})
     preset, protocol = configuration.get("name", "default"), str((header or {}).get("protocol", ""))
     name = protocol.removeprefix("r2h-") + (f"-{preset}-preset" if preset != "default" else "")
-    beside = {f.name: f for f in ROWS.iterdir()} if ROWS.is_dir() else {}
+    stored = {f.name: f for f in ROWS.iterdir()} if ROWS.is_dir() else {}
     execute = configuration.get("execute") or {}
-    return beside.get(name, FOLDERS[execute.get("sim") == "none"])
+    return stored.get(name, FOLDERS[execute.get("sim") == "none"])
 
 
 def stored_rows() -> tuple[Path, ...]:

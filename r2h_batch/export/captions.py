@@ -87,10 +87,10 @@ def headline(row: dict[str, Any]) -> str:
         return f"{words}nothing lies between the pads"
     if outcome == "stability":
         words += f"{1e3 * row['width_m']:.1f} mm of material between the pads, "
-    said = FAILS.get(outcome)
-    if said is None or not by:
-        return f"{words}{said or ''}".rstrip(" :,")
-    return f"{words}{said}, by {by}"
+    text = FAILS.get(outcome)
+    if text is None or not by:
+        return f"{words}{text or ''}".rstrip(" :,")
+    return f"{words}{text}, by {by}"
 
 
 def summary(row: dict[str, Any]) -> str:

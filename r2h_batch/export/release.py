@@ -270,8 +270,8 @@ def _paper_table(results: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     for variant in dict.fromkeys(r["variant"] for r in results):
         rows = []
         for split in SPLITS:
-            if mine := [r for r in results if (r["variant"], r["split"]) == (variant, split)]:
-                rows.append(_table_row(variant, split, mine))
+            if own := [r for r in results if (r["variant"], r["split"]) == (variant, split)]:
+                rows.append(_table_row(variant, split, own))
         if len(rows) == len(SPLITS):
             both = {k: [row[k] for row in rows] for k in _TABLE[4:]}
             both["Fafford"][0] = 0.0

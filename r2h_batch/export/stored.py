@@ -240,12 +240,12 @@ def judged_again(
         posed = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, stages="pose")
         q, clearance_m = posed.q_goal[0].double().cpu().numpy(), float(posed.margin[0, plan])
     scene = evaluator.scene
-    told = _stored(
+    stored = _stored(
         header, method, again | (row or {}), path[0] if path else None, trial, answer,
         scene.objects, scene.hands.set, scene.robot, evaluator.config.workplace,
     )  # fmt: skip
     note = "" if row is None else difference(row, again)
-    return replace(told, asked_q=q, asked_clearance_m=clearance_m, note=note)
+    return replace(stored, asked_q=q, asked_clearance_m=clearance_m, note=note)
 
 
 def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:

@@ -190,7 +190,7 @@ def figures(
         pictures.methods_over_time(stored, reader, stored.methods, trial),
         pictures.failures(stored, reader, stored.methods),
     )
-    for name, (figure, said) in zip(FIGURES, drawn, strict=True):
+    for name, (figure, caption) in zip(FIGURES, drawn, strict=True):
         pdf, png = pictures.write(figure, out, name)
-        print(f"{pdf}, {png.name}: {said}")
+        print(f"{pdf}, {png.name}: {caption}")
     return 0

@@ -285,8 +285,8 @@ def _arctic_body(
 
 @lru_cache(maxsize=16)
 def _arctic_gender(file: Path, subject: str) -> str:
-    said = read_json(file, most=META_BYTES) if file.is_file() else {}
-    about = said.get(subject) if isinstance(said, Mapping) else None
+    meta = read_json(file, most=META_BYTES) if file.is_file() else {}
+    about = meta.get(subject) if isinstance(meta, Mapping) else None
     return str(about.get(GENDER)) if isinstance(about, Mapping) else "neutral"
 
 
@@ -312,17 +312,17 @@ def _h2o(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMotion
     """The frames in which a hand is annotated; `path` is the folder of the hands' poses."""
     sequence = path.parent
     where = "h2o:" + "/".join(sequence.parts[-4:])
-    beside = {p.name.lower(): p for p in sequence.iterdir()}
+    by_name = {p.name.lower(): p for p in sequence.iterdir()}
     files = sorted(path.glob("*.txt"))[:H2O_FRAMES]
-    if not files or (missing := {"cam_pose", "obj_pose_rt"} - beside.keys()):
+    if not files or (missing := {"cam_pose", "obj_pose_rt"} - by_name.keys()):
         lacks = f"{path.name}/*.txt" if not files else min(missing)
         raise FileError(f"{printable(sequence)}: holds no {lacks}")
     rows, camera, objects, left_out = [], [], [], []
     for file in files:
         try:
             row = _h2o_numbers(file, 124)
-            pose = _h2o_numbers(beside["cam_pose"] / file.name, 16).reshape(4, 4)
-            moved = _h2o_numbers(beside["obj_pose_rt"] / file.name, 17)
+            pose = _h2o_numbers(by_name["cam_pose"] / file.name, 16).reshape(4, 4)
+            moved = _h2o_numbers(by_name["obj_pose_rt"] / file.name, 17)
             if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-2:
                 raise FileError(f"cam_pose/{file.name} is no rigid pose")
         except FileError as error:
@@ -338,7 +338,7 @@ def _h2o(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMotion
         LOG.info(f"{where}: {many}")
     T_world_camera, columns, obj = np.stack(camera), np.stack(rows), np.stack(objects)
     T_world_object = T_world_camera @ obj[:, 1:].reshape(-1, 4, 4)
-    doing = _h2o_action(beside.get("action_label"))
+    doing = _h2o_action(by_name.get("action_label"))
     hands = []
     for side, part in ((RIGHT, columns[:, 62:]), (LEFT, columns[:, :62])):
         seen = np.flatnonzero(part[:, 0] == 1)
@@ -415,7 +415,7 @@ def _dexycb(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMot
     seen = np.flatnonzero((hands != 0).any(1))
     if not len(seen):
         raise FileError(f"{where}: no frame has a hand")
-    mine, places = hands[seen], poses[seen, grasped]
+    frames, places = hands[seen], poses[seen, grasped]
     if (np.abs(np.linalg.norm(places[:, :4], axis=1) - 1) > 1e-2).any():
         raise FileError(f"{where}: pose_y holds quaternions that are no rotations")
     T = rigid(Rotation.from_quat(places[:, :4]), places[:, 4:])
@@ -423,7 +423,7 @@ def _dexycb(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMot
     known = type(number) is int and 1 <= number <= len(YCB)
     name = YCB[number - 1] if known else name_of(f"ycb_{number}")
     text = f"pick up the {name.partition('_')[2].replace('_', ' ')}"
-    columns = mine[:, :3], mine[:, 48:], mine[:, 3:48]
+    columns = frames[:, :3], frames[:, 48:], frames[:, 3:48]
     return [
         _motion(where, hand, side, columns, shape, flat=False, components=True,
                 rate_hz=30.0, object_name=name, instruction=text, T_world_object=T)
@@ -523,8 +523,8 @@ def _oakink(path: Path, *_: ManoHand | Bodies | None) -> list[HandMotion]:
 
 def _oakink_source(path: Path) -> tuple[str, re.Match[str]]:
     # a virtual object's grasp is one deeper
-    beside = [p / "source.txt" for p in (path.parent, path.parent.parent)]
-    file = next((p for p in beside if p.is_file()), beside[0])
+    sources = [p / "source.txt" for p in (path.parent, path.parent.parent)]
+    file = next((p for p in sources if p.is_file()), sources[0])
     text = read_file(file, 4096).decode("utf-8", "replace").strip()
     match = SOURCE.search(text)
     if match is None:

@@ -127,8 +127,8 @@ def graspnet(
             f"{where}: object {rows[row, 16]:g} of row {row}; objects are whole numbers"
         )
     ids = sorted({int(i) for i in rows[:, 16]})
-    mine = np.ones(len(rows), bool) if object_id is None else rows[:, 16] == object_id
-    if not mine.any():
+    rows_of_object = np.ones(len(rows), bool) if object_id is None else rows[:, 16] == object_id
+    if not rows_of_object.any():
         raise FileError(
             f"{where}: no grasp of object {object_id}; there are objects {', '.join(map(str, ids[:10]))}"
         )
@@ -136,11 +136,11 @@ def graspnet(
         raise FileError(
             f"{where}: grasps of {len(ids)} objects; choose one with --object-id of r2h-batch import grasps"
         )
-    rows = rows[mine]
+    rows = rows[rows_of_object]
     R = rows[:, 4:13].reshape(-1, 3, 3)
     T = _graspnet_poses(R, rows[:, 13:16], rows[:, 3], T_obj_source)
     arrays = {"T_obj_ee": T, "width": rows[:, 1], "score": rows[:, 0]}
-    return checked_grasps(arrays, where, "graspnet"), int((~mine).sum())
+    return checked_grasps(arrays, where, "graspnet"), int((~rows_of_object).sum())
 
 
 def _graspnet_poses(R: F64, t: F64, depth: F64, T_obj_source: F64 | None) -> F64:

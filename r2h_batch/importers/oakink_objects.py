@@ -124,9 +124,9 @@ def _labels(
         raise FileError(f"{label}: {len(files)} parts; at most {MOST_PARTS} are allowed")
     names, held, distance, gaps = [], [], [], []
     for file in files:
-        said = _dictionary(file, MAX_PART_BYTES)
-        attributes = said.get("attr", [])
-        name = said.get("name")
+        part = _dictionary(file, MAX_PART_BYTES)
+        attributes = part.get("attr", [])
+        name = part.get("name")
         name = name[0] if isinstance(name, list) and name else name
         if not isinstance(name, str) or not isinstance(attributes, list):
             raise FileError(f"{printable(file)}: needs name and attr")

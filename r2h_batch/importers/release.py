@@ -198,8 +198,8 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
         surface = _hand_surface(file, T_world_palm, side, where)
         obstacles = _corners(others, T_world_palm, side)
     except FileError as error:
-        said = str(error)
-        raise FileError(said if said.startswith(where) else f"{where}: {said}") from None
+        message = str(error)
+        raise FileError(message if message.startswith(where) else f"{where}: {message}") from None
     back = _back(file)
     T_world_ee = _tool_pose(file) @ back
     own = file.own
@@ -454,8 +454,8 @@ def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
     shapes = {
         (len(v), np.sort(_from_least(f).view("i8,i8,i8"), axis=0).tobytes()) for v, f in meshes
     }
-    beside = max(len(t.obstacles) for t in trials)
-    most = MAX_SKIN_PIECES - beside
+    obstacles = max(len(t.obstacles) for t in trials)
+    most = MAX_SKIN_PIECES - obstacles
     if len(meshes) == len(trials) and len(shapes) == 1:
         form, skins, faces = "meshes", np.stack([v for v, _ in meshes]), meshes[0][1]
         piece = _pieces(skins[0], faces, most)
@@ -464,13 +464,13 @@ def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
         skins = np.stack([_repeated(t.hand_boxes, n) for t in trials])
         faces = box_faces(n)
         piece = np.repeat(np.arange(n) * min(n, most) // n, len(faces) // n)
-    if beside:
+    if obstacles:
         boxes = [t.obstacles if len(t.obstacles) else t.hand_boxes for t in trials]
-        own_faces = box_faces(beside)
-        own_piece = np.repeat(np.arange(beside), len(own_faces) // beside)
+        own_faces = box_faces(obstacles)
+        own_piece = np.repeat(np.arange(obstacles), len(own_faces) // obstacles)
         faces = np.concatenate([faces, own_faces + skins.shape[1]])
         piece = np.concatenate([piece, own_piece + piece.max() + 1])
-        skins = np.concatenate([skins, np.stack([_repeated(b, beside) for b in boxes])], 1)
+        skins = np.concatenate([skins, np.stack([_repeated(b, obstacles) for b in boxes])], 1)
     rounded = np.concatenate([side[:, None], skins.reshape(len(skins), -1).round(6)], 1)
     _, first, hand = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     return form, {

@@ -112,10 +112,14 @@ def experiment_trials(data: Any, file: Path) -> tuple[list[TrialFile], int]:
         scene = validated(read_json(scene_file, most=MAX_BYTES), printable(scene_file), SceneFile)
         for mode, name in batch.selections.items():
             chosen = path_within(file.parent, name)
-            said = validated(read_json(chosen, most=MAX_BYTES), printable(chosen), SelectionFile)
-            if said.mode != mode:
-                raise FileError(f"{printable(chosen)}: mode is {said.mode}; {where} says {mode}")
-            trial = _trial(scene, said, printable(chosen))
+            selection = validated(
+                read_json(chosen, most=MAX_BYTES), printable(chosen), SelectionFile
+            )
+            if selection.mode != mode:
+                raise FileError(
+                    f"{printable(chosen)}: mode is {selection.mode}; {where} says {mode}"
+                )
+            trial = _trial(scene, selection, printable(chosen))
             found += [] if trial is None else [trial]
             none += trial is None
     return found, none
@@ -136,33 +140,35 @@ def paired_trials(
         by_object[scene.object.id] = scene
     found, none = [], 0
     for data, where in selections:
-        said = validated(data, where, SelectionFile)
-        if said.object_id not in by_object:
+        selection = validated(data, where, SelectionFile)
+        if selection.object_id not in by_object:
             raise FileError(
-                f"{where}: object_id {said.object_id} has no handover.scene.v1 beside it"
+                f"{where}: object_id {selection.object_id} has no handover.scene.v1 beside it"
             )
-        trial = _trial(by_object[said.object_id], said, where)
+        trial = _trial(by_object[selection.object_id], selection, where)
         found += [] if trial is None else [trial]
         none += trial is None
     return found, none
 
 
-def _trial(scene: SceneFile, said: SelectionFile, where: str) -> TrialFile | None:
+def _trial(scene: SceneFile, selection: SelectionFile, where: str) -> TrialFile | None:
     """The selection as a trial; None where no grasp was feasible."""
-    if said.object_id != scene.object.id:
-        raise FileError(f"{where}: object_id is {said.object_id}, the scene's is {scene.object.id}")
-    if said.status != "ok":
+    if selection.object_id != scene.object.id:
+        raise FileError(
+            f"{where}: object_id is {selection.object_id}, the scene's is {scene.object.id}"
+        )
+    if selection.status != "ok":
         return None
     grasps = {
         g.id: g.T_object_gripper
-        for g in (*scene.candidates, *said.candidates)
+        for g in (*scene.candidates, *selection.candidates)
         if g.T_object_gripper is not None
     }
-    if said.selected not in grasps:
+    if selection.selected not in grasps:
         raise FileError(
-            f"{where}: selected is {said.selected}; no candidate of this id has T_object_gripper"
+            f"{where}: selected is {selection.selected}; no candidate of this id has T_object_gripper"
         )
-    T_world_object, T_object_gripper = scene.target_T_world_object, grasps[said.selected]
+    T_world_object, T_object_gripper = scene.target_T_world_object, grasps[selection.selected]
     hand, receiver = scene.receiving_hand, scene.receiver
     palm = transform_points(T_world_object, np.array([hand.center]))[0]
     normal = T_world_object[:3, :3] @ hand.palm_normal
@@ -174,7 +180,7 @@ def _trial(scene: SceneFile, said: SelectionFile, where: str) -> TrialFile | Non
     if receiver is not None:
         palm, normal = receiver.T_world_hand[:3, 3], receiver.T_world_hand[:3, 2]
     region = scene.object.usage_regions.get(scene.intent.human_region, NO_BOXES)
-    name = f"{scene.object.id}_{said.mode}" + (
+    name = f"{scene.object.id}_{selection.mode}" + (
         f"_{receiver.id}" if receiver and receiver.id else ""
     )
     trial: Mapping[str, Any] = {
@@ -182,7 +188,7 @@ def _trial(scene: SceneFile, said: SelectionFile, where: str) -> TrialFile | Non
         "units": "m",
         "id": name,
         "object_id": scene.object.id,
-        "variant": said.mode,
+        "variant": selection.mode,
         "split": scene.evaluation_split,
         "T_object_gripper": T_object_gripper.tolist(),
         "target_T_world_gripper": (T_world_object @ T_object_gripper).tolist(),

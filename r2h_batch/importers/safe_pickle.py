@@ -245,8 +245,8 @@ class _Reader:
     def name(self, module: Any, name: Any) -> None:
         words = isinstance(module, str) and isinstance(name, str)
         if not words or name not in _ALLOWED.get(module, ()):
-            asked = f"{_short(module)}.{_short(name)}"
-            raise FileError(f"asks for {asked}; only arrays are read, nothing is called")
+            full_name = f"{_short(module)}.{_short(name)}"
+            raise FileError(f"asks for {full_name}; only arrays are read, nothing is called")
         self.stack.append(_Name(name))
 
     def make(self) -> None:

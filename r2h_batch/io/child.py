@@ -107,12 +107,14 @@ def answer_parent(read: Callable[[bytes, dict[str, Any]], Sequence[Any]]) -> int
         answer.flush()
         return 0
     except MemoryError:
-        said = "asks for more memory than any file of its size needs"
+        message = "asks for more memory than any file of its size needs"
     except FileError as error:
-        said = str(error)
+        message = str(error)
     except Exception as error:  # readers raise whatever their parser meets
-        said = f"cannot be read: {type(error).__name__}: {' '.join(printable(error).split())[:300]}"
-    sys.stderr.write(f"\n{said}")
+        message = (
+            f"cannot be read: {type(error).__name__}: {' '.join(printable(error).split())[:300]}"
+        )
+    sys.stderr.write(f"\n{message}")
     return REFUSED
 
 

@@ -118,10 +118,15 @@ def _seen(
     scene: Scene, trials: Trials, hands: Tensor, active: Tensor, config: EvalConfig
 ) -> Float32[Tensor, "b 4 4"]:
     """Where the planner sees the hands stand, the identity where a row is not active."""
-    seen, noise = config.estimate, PredictorNoise(target_errors=config.estimate.errors)
+    estimate, noise = config.estimate, PredictorNoise(target_errors=config.estimate.errors)
     given = trials.T_world_hand.detach()
     T = estimated_hand(
-        scene, trials.trial_id, hands, given, seed=seen.seed, noise=noise.scaled(seen.factor)
+        scene,
+        trials.trial_id,
+        hands,
+        given,
+        seed=estimate.seed,
+        noise=noise.scaled(estimate.factor),
     )
     eye = torch.eye(4, dtype=T.dtype, device=T.device)
     return se3.orthonormalise(torch.where(active[:, None, None], T, eye)).contiguous()

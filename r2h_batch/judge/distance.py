@@ -100,9 +100,9 @@ def _nearest(
     found = new_outputs(path_clearance, b, device)
     found["clearance"].fill_(torch.nan)
     found["body"].fill_(-1)
-    asked = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
+    inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
     launch_trials(
-        scene.sized(path_clearance), b, inputs=asked, outputs=found, chunk=8, device=scene.device
+        scene.sized(path_clearance), b, inputs=inputs, outputs=found, chunk=8, device=scene.device
     )
     return found, torch.nonzero((length > 0) & (found["clearance"] < 0)).flatten().to(torch.int32)
 

@@ -72,8 +72,8 @@ def solve_ik(
     slot = torch.arange(BRANCHES, dtype=torch.int64, device=device)
     pair = 2 * (slot // 4) + slot % 2
     # (b, 8): it exists and is a point, not a line
-    asked = (exact.status == int(ik_step.STATUS_RESCUED))[:, pair]
-    row, column = asked.nonzero(as_tuple=True)
+    rescued = (exact.status == int(ik_step.STATUS_RESCUED))[:, pair]
+    row, column = rescued.nonzero(as_tuple=True)
     targets = se3.orthonormalise(T_world_ee.double())[row]
     signs = torch.stack(
         [1.0 - 2.0 * (column // 4), 1.0 - 2.0 * (column // 2 % 2), 1.0 - 2.0 * (column % 2)], 1

@@ -237,11 +237,12 @@ def _batch_of(scores: Scores) -> _Batch:
     assert receiver is not None  # `reception` has asked
     grasps, device = _grasps(scene), scene.device
     error = evaluator.config.execution_error
-    asked = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, trials)
+    executed = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, trials)
     evaluated = scores.passed[:, CRITERIA.index("stability")] & scores.q_goal.isfinite().all(1)
     eye = torch.eye(4, dtype=torch.float32, device=device)
     T_obj_ee, T_world_ee = (
-        se3.orthonormalise(torch.where(evaluated[:, None, None], T.to(device), eye)) for T in asked
+        se3.orthonormalise(torch.where(evaluated[:, None, None], T.to(device), eye))
+        for T in executed
     )
     attached = attach(T_obj_ee, torch.where(evaluated, scores.grasp_shift_m, 0.0)).contiguous()
     squeezed = scores.opening_m - evaluator.config.thresholds.pad_squeeze_m

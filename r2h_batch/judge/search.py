@@ -80,8 +80,8 @@ class Search:
         """The other rounds of those `rows` that are `unsolved`, and shortcuts on what they find."""
         found_with = torch.zeros_like(self.margin[:, 0])
         for i in rounds:
-            here = length == 0
-            found_with = torch.where(here, self._round(rows, i, path, length), found_with)
+            empty = length == 0
+            found_with = torch.where(empty, self._round(rows, i, path, length), found_with)
         fresh = torch.where(unsolved, length, 0)
         self._shorten(rows, self.config.seed, found_with, path, fresh)
         length.copy_(torch.where(unsolved, fresh, length))

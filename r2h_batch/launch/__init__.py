@@ -78,9 +78,9 @@ def _start() -> None:
             os.dup2(before, 2)
             os.close(before)
             kept.seek(0)
-            said = b"".join(line for line in kept if not line.startswith(NO_DRIVER))
+            output = b"".join(line for line in kept if not line.startswith(NO_DRIVER))
             with suppress(OSError):
-                os.write(2, said)
+                os.write(2, output)
 
 
 @lru_cache(maxsize=1)

@@ -323,8 +323,8 @@ def _pack_array(p: Parameter, value: Any, place: Any, rows: int) -> Any:
             pointer = value.ctypes.data
         elif hasattr(value, "data_ptr"):
             # asked by flag and number: `device` builds an object each time
-            here = value.is_cpu if place.is_cpu else value.get_device() == place.ordinal
-            if value.dtype is not layout.torch or not value.is_contiguous() or not here:
+            same_device = value.is_cpu if place.is_cpu else value.get_device() == place.ordinal
+            if value.dtype is not layout.torch or not value.is_contiguous() or not same_device:
                 raise _wrong_kind(p, value, place)
             pointer = value.data_ptr()
         else:

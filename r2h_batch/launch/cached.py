@@ -76,9 +76,9 @@ class CachedLaunch:
         values: list[Tensor] = []
         for p in parameters(kernel):
             value = (outputs if p.written else inputs)[p.name]
-            here = getattr(self.arguments, p.label)
+            argument = getattr(self.arguments, p.label)
             if p.array is not None and type(value) is Tensor:
-                self.tensors.append((p.name, p.written, p.array.torch, here))
+                self.tensors.append((p.name, p.written, p.array.torch, argument))
                 values.append(value)
             else:
                 self.others.append((p.name, p.written, p))

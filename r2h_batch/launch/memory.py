@@ -19,13 +19,13 @@ Part = TypeVar("Part")
 _log = logging.getLogger(__name__)
 
 
-def rows_at_once(device: str, asked: int, row_bytes: int) -> int:
+def rows_at_once(device: str, chunk: int, row_bytes: int) -> int:
     """Rows that a device holds at once: on a CPU `asked`, on CUDA as memory allows, `asked` at
     least."""
     if device == "cpu":
-        return asked
+        return chunk
     free, _ = torch.cuda.mem_get_info(torch.device(device))
-    return max(asked, min(CUDA_ROWS, free // SHARE // row_bytes))
+    return max(chunk, min(CUDA_ROWS, free // SHARE // row_bytes))
 
 
 def in_parts(n: int, rows: int, judge: Callable[[int, int], Part]) -> list[Part]:

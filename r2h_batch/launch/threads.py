@@ -165,20 +165,20 @@ def one_torch_thread(device: str | torch.device) -> Iterator[None]:
     if threads == 1 or str(device) != "cpu":
         yield
         return
-    here = _of_this_thread()
-    if here is None:
+    engine = _of_this_thread()
+    if engine is None:
         torch.set_num_threads(1)
     else:
-        here.openmp(1)
-        mkl = here.mkl(1)
+        engine.openmp(1)
+        mkl = engine.mkl(1)
     try:
         yield
     finally:
-        if here is None:
+        if engine is None:
             torch.set_num_threads(threads)
         else:
-            here.mkl(mkl)
-            here.openmp(threads)
+            engine.mkl(mkl)
+            engine.openmp(threads)
 
 
 class _Setters(NamedTuple):

@@ -59,8 +59,8 @@ def three_boxes(robot: Robot) -> tuple[Array, Array, Array, Array]:
     )  # fmt: skip
     half = np.einsum("gij,gj->gi", np.abs(R), half)
     finger = np.isin(robot.gripper_part, FINGER_PARTS)
-    mine = finger & (robot.gripper_side > 0)
-    finger_low, finger_high = (p - half)[mine].min(0), (p + half)[mine].max(0)
+    positive = finger & (robot.gripper_side > 0)
+    finger_low, finger_high = (p - half)[positive].min(0), (p + half)[positive].max(0)
     chassis_low, chassis_high = (p - half)[~finger].min(0), (p + half)[~finger].max(0)
     finger_low[1], finger_low[2] = robot.open_gap_m / 2, chassis_high[2]
     return finger_low, finger_high, chassis_low, chassis_high

@@ -190,8 +190,11 @@ def first_reached(
         reached = reachable(robot, T)
         found = reached.any(1)
         rows = todo if k == 0 else todo[found]
-        here = torch.ones_like(found) if k == 0 else found
-        T_obj_ee[rows], T_world_ee[rows] = grasp[here], T[here, first_true(reached)[here]]
+        open_rows = torch.ones_like(found) if k == 0 else found
+        T_obj_ee[rows], T_world_ee[rows] = (
+            grasp[open_rows],
+            T[open_rows, first_true(reached)[open_rows]],
+        )
         todo = todo[~found]
     return T_obj_ee, T_world_ee
 

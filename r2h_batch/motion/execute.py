@@ -169,9 +169,9 @@ def execute(
         # Two bodies may each be off by the deviation, towards each other; the clearance is located
         # to a tolerance.
         free = alone.valid & (2.0 * alone.deviation_m < clearance_m - CLEARANCE_TOLERANCE_M)
-    asked = found & alone.valid & ~free
-    if bool(asked.any()):
-        recorded = torch.where(asked, alone.length, 0)
+    unsure = found & alone.valid & ~free
+    if bool(unsure.any()):
+        recorded = torch.where(unsure, alone.length, 0)
         free = free | nothing_pushes(
             scene, body_poses, alone.path, recorded, alone.slack_with_object_m
         )

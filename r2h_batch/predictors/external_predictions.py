@@ -230,11 +230,11 @@ def _hands(path: Path, model: HandModel) -> dict[str, ExternalHands]:
     ids, order = _trial_ids(where, arrays)
     found = {}
     for kind, T in frames.items():
-        mine = {
+        chosen = {
             k.removeprefix(f"{kind}_"): v for k, v in arrays.items() if k.startswith(f"{kind}_")
         }
-        if mine:
-            values = _one_hand(f"{where}: {kind} hands", mine, T, len(ids), model)
+        if chosen:
+            values = _one_hand(f"{where}: {kind} hands", chosen, T, len(ids), model)
             found[kind] = ExternalHands(
                 source,
                 ids,

@@ -155,14 +155,14 @@ def retrieve_receiving(
     if seen is not None and seen.receiving is not None:
         return _given(trials, scene, seen.receiving)
     object_index = trials.object_index.cpu().tolist()
-    said = (
+    texts = (
         [scene.objects[i].instruction for i in object_index]
         if instructions is None
         else list(instructions)
     )
-    if len(said) != len(trials):
+    if len(texts) != len(trials):
         raise InstructionError(
-            f"{len(said)} instructions for {len(trials)} trials; give one for each, or None"
+            f"{len(texts)} instructions for {len(trials)} trials; give one for each, or None"
         )
     grasps = load_receiving(scene.objects, scene.hands.model)
     most = max(len(intents_of(o)) for o in scene.objects)
@@ -174,10 +174,10 @@ def retrieve_receiving(
             )
     answer = {
         pair: understand(pair[1], scene.objects, object_index=pair[0]).intent
-        for pair in dict.fromkeys(zip(object_index, said, strict=True))
+        for pair in dict.fromkeys(zip(object_index, texts, strict=True))
     }
     wanted = torch.tensor(
-        [answer[pair] for pair in zip(object_index, said, strict=True)],
+        [answer[pair] for pair in zip(object_index, texts, strict=True)],
         dtype=torch.int64,
         device="cpu",
     )
@@ -230,11 +230,11 @@ def _drawn(
 def _rows(grasps: ReceivingGrasps, fits: Tensor) -> tuple[Tensor, Tensor]:
     """Rows of `grasps` for (object, side, choice), padded (O, 2, C, L), and how many; where nothing
     fits, all do."""
-    mine = torch.stack([grasps.object_index == i for i in range(len(fits))])[:, None] & torch.stack(
-        [grasps.side == s for s in (0, 1)]
-    )
-    kept = mine[:, :, None] & fits[:, None]
-    kept = torch.where(kept.any(-1, keepdim=True), kept, mine[:, :, None].expand_as(kept))
+    fitting = torch.stack([grasps.object_index == i for i in range(len(fits))])[
+        :, None
+    ] & torch.stack([grasps.side == s for s in (0, 1)])
+    kept = fitting[:, :, None] & fits[:, None]
+    kept = torch.where(kept.any(-1, keepdim=True), kept, fitting[:, :, None].expand_as(kept))
     number = kept.sum(-1)
     order = torch.argsort((~kept).to(torch.uint8), dim=-1, stable=True)
     return order[..., : int(number.max())], number

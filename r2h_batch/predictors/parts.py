@@ -59,10 +59,10 @@ def predict_parts(
     noise = PredictorNoise() if noise is None else noise
     device = trials.trial_id.device
     if seen is not None and seen.parts is not None:
-        said = {k: v.to(device) for k, v in seen.parts.of(trials).items()}
-        nothing = torch.zeros_like(next(iter(said.values())))
-        usage = said.get("usage", nothing).to(torch.bool)
-        return SeenParts(said.get("label", nothing), usage, said.get("role"))
+        given = {k: v.to(device) for k, v in seen.parts.of(trials).items()}
+        nothing = torch.zeros_like(next(iter(given.values())))
+        usage = given.get("usage", nothing).to(torch.bool)
+        return SeenParts(given.get("label", nothing), usage, given.get("role"))
     clouds = _clouds(scene.objects)
     at = trials.object_index.cpu().long()
     if noise.border_m == 0:
@@ -142,9 +142,9 @@ def _other(
     other, offset = label.copy(), np.full(len(points), np.inf, np.float32)
     spacing = float(cKDTree(points).query(points, 2)[0][:, 1].mean())
     for part in np.unique(label):
-        mine, rest = label == part, label != part
+        own, rest = label == part, label != part
         if rest.any():
-            distance, nearest = cKDTree(points[rest]).query(points[mine])
-            other[mine] = label[rest][nearest]
-            offset[mine] = np.maximum(distance - spacing / 2, 1e-5)
+            distance, nearest = cKDTree(points[rest]).query(points[own])
+            other[own] = label[rest][nearest]
+            offset[own] = np.maximum(distance - spacing / 2, 1e-5)
     return other, offset

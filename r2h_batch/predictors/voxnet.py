@@ -65,7 +65,7 @@ class VoxNet(nn.Module):
     ) -> Float32[Tensor, "k p"]:
         """The same at some voxels only: for training, where most of a grid is empty."""
         at = (2 * voxel + 1).float() / grid.shape[-1] - 1  # voxel centres, from -1 to 1
-        seen = nn.functional.grid_sample(
+        sampled = nn.functional.grid_sample(
             self.features(grid),
             at.flip(-1)[:, :, None, None],
             padding_mode="border",
@@ -74,7 +74,7 @@ class VoxNet(nn.Module):
         i, j, k = voxel.unbind(-1)
         row = torch.arange(len(grid), dtype=torch.int64, device=grid.device)[:, None]
         given = _centred(grid)[row, :, i, j, k].transpose(1, 2)[..., None, None]
-        return self.out(torch.cat([seen, given], 1))[:, 0, :, 0, 0]
+        return self.out(torch.cat([sampled, given], 1))[:, 0, :, 0, 0]
 
     def forward(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k 64 64 64"]:
         """Probability of contact; what it says of empty voxels means nothing."""

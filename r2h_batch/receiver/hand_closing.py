@@ -277,9 +277,9 @@ def distance_field(surface: ObjectSurface) -> Any:
     value = np.where(
         value > 0, np.maximum(short, np.float32(EXACT_M)), np.minimum(value, -np.float32(EXACT_M))
     )
-    asked = tuple(near[face >= 0].T)
+    pairs = tuple(near[face >= 0].T)
     thinner = np.maximum(SEEN_M - surface.thickness(SEEN_M), 0.0) / 2
-    value[asked] = exact[face >= 0] - thinner[face[face >= 0]]
+    value[pairs] = exact[face >= 0] - thinner[face[face >= 0]]
     return _field(value.reshape(-1), low, nodes)
 
 

@@ -138,7 +138,7 @@ def measure_contact(
     *,
     hand: HandModel | None = None,
     about: F32 | None = None,
-    asked: NDArray[np.bool_] | None = None,
+    measured: NDArray[np.bool_] | None = None,
 ) -> Contact:
     """Contacts of B hands with skins `vertices` (B, V, 3) in the object's frame; `hand`: whose
     skins (default: ours).
@@ -156,14 +156,14 @@ def measure_contact(
         low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         around = (
             np.zeros((n, count), bool)
-            if asked is None
+            if measured is None
             else ((vertices < low) | (vertices > high)).any(axis=2)
         )
-        asked = np.ones((n, count), bool) if asked is None else asked
+        measured = np.ones((n, count), bool) if measured is None else measured
         # outside nobody needs a winding number
         for mine, outside in (
-            (asked & ~around, False),
-            (asked & around, True),
+            (measured & ~around, False),
+            (measured & around, True),
         ):
             d, normal[mine], face[mine] = surface.distance(vertices[mine], REACH_M, quick=outside)
             distance[mine] = np.abs(d) if outside else d

@@ -60,9 +60,9 @@ def intents_of(model: ObjectModel) -> tuple[Intent, ...]:
         chosen = tuple(i for i, n in enumerate(model.part_names) if n in labels and i in allowed)
         if not chosen:
             continue
-        said = f"{name} {part}"
+        text = f"{name} {part}"
         phrases: tuple[str, ...] = (
-            f"hand over the {said} to human",
+            f"hand over the {text} to human",
             f"pass me the {name} by its {part}",
             f"give me the {name}, {part} first",
             f"could you hand me the {part} of the {name}?",
@@ -91,8 +91,8 @@ def intents_of(model: ObjectModel) -> tuple[Intent, ...]:
 
 def instructions_of(model: ObjectModel) -> tuple[str, ...]:
     """Every listed way to ask for an object, its own instruction first."""
-    said = [p for intent in intents_of(model) for p in intent.phrases]
-    return tuple(dict.fromkeys([model.instruction, *said]))
+    phrases = [p for intent in intents_of(model) for p in intent.phrases]
+    return tuple(dict.fromkeys([model.instruction, *phrases]))
 
 
 def understand(
@@ -149,12 +149,12 @@ def _object(
     if len(kept) > 1:
         raise InstructionError(f"{text!r} names {_listed(kept)}; name one object")
     verbs = _find(words, VERB_WORDS, inflected=True)
-    able = [o.name for o in objects if any(v in _thing(o).verbs for v in verbs)]
-    if len(able) == 1:
-        return index[able[0]]
-    if able:
+    fitting = [o.name for o in objects if any(v in _thing(o).verbs for v in verbs)]
+    if len(fitting) == 1:
+        return index[fitting[0]]
+    if fitting:
         raise InstructionError(
-            f"{text!r} names no object; {_listed(able)} would do: name one of them"
+            f"{text!r} names no object; {_listed(fitting)} would do: name one of them"
         )
     names = [n for o in objects for n in _thing(o).names]
     near = [n for w in words if len(w) > 3 for n in difflib.get_close_matches(w, names, 1, 0.75)]
@@ -187,9 +187,9 @@ def _part_names(model: ObjectModel, thing: Thing) -> dict[str, tuple[str, ...]]:
         names[part] = (part, *PART_WORDS.get(part, ()), *thing.part_words.get(part, ()))
     taken = {w for words in names.values() for w in words}
     for label in model.part_names:
-        said = label.replace("_", " ")
-        if said not in taken and label not in names:
-            names[label] = (said, *(w for w in PART_WORDS.get(label, ()) if w not in taken))
+        spoken = label.replace("_", " ")
+        if spoken not in taken and label not in names:
+            names[label] = (spoken, *(w for w in PART_WORDS.get(label, ()) if w not in taken))
     return names
 
 
@@ -212,15 +212,15 @@ def _spans(
 ) -> list[tuple[int, int, str]]:
     """(first word, number of words, key) of every name said; longer names take their words first,
     exact before stemmed."""
-    exact = {tuple(n.split()): key for key, said in reversed(list(names.items())) for n in said}
+    exact = {tuple(n.split()): key for key, phrase in reversed(list(names.items())) for n in phrase}
     stems = {tuple(_stem(w, inflected) for w in n): key for n, key in exact.items()}
     spans: list[tuple[int, int, str]] = []
     free = [True] * len(words)
     for size in range(max((len(n) for n in exact), default=0), 0, -1):
         for i in range(len(words) - size + 1):
             if all(free[i : i + size]):
-                said = tuple(words[i : i + size])
-                key = exact.get(said) or stems.get(tuple(_stem(w, inflected) for w in said))
+                phrase = tuple(words[i : i + size])
+                key = exact.get(phrase) or stems.get(tuple(_stem(w, inflected) for w in phrase))
                 if key is not None:
                     spans.append((i, size, key))
                     free[i : i + size] = [False] * size
@@ -284,5 +284,5 @@ def _takeable(model: ObjectModel) -> frozenset[int]:
 
 
 def _listed(names: Sequence[str] | Mapping[str, object]) -> str:
-    said = [n.replace("_", " ") for n in names]
-    return said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
+    spoken = [n.replace("_", " ") for n in names]
+    return spoken[0] if len(spoken) == 1 else f"{', '.join(spoken[:-1])} and {spoken[-1]}"

@@ -153,7 +153,7 @@ class _Side:
             self.surface,
             skin[None],
             hand=self.hand,
-            asked=about[None] < LOOKED_AT_M,
+            measured=about[None] < LOOKED_AT_M,
         )
         if not _holds_well(self.model, contact)[0]:
             return False
@@ -337,11 +337,11 @@ def _diverse(
     usable[[i for i, holds in known.items() if not holds]] = False
     # the poorest where the best fail
     for allowed, number, share in ((a, n, s) for a, n in stages for s in (BEST, 1.0)):
-        mine = order[allowed[order]]
-        mine = mine[: max(number, int(share * len(mine)))]
+        ranked = order[allowed[order]]
+        ranked = ranked[: max(number, int(share * len(ranked)))]
         scale = 1.0
-        while int(allowed[taken].sum()) < min(number, int(usable[mine].sum())):
-            for i in mine.tolist():
+        while int(allowed[taken].sum()) < min(number, int(usable[ranked].sum())):
+            for i in ranked.tolist():
                 if int(allowed[taken].sum()) >= number:
                     break
                 if i in taken or not usable[i]:

@@ -210,11 +210,11 @@ def _with_later(data: dict[str, Any]) -> dict[str, Any]:
 def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
     """What could move a last bit: the digest of the code, versions, the kind of processor."""
     other = [] if header["digests"].get("code") == provenance.code_digest() else ["code"]
-    mine = provenance.versions()
-    other += [k for k, v in header["versions"].items() if k != "python" and mine.get(k) != v]
-    here = provenance.device_name(device)
+    installed = provenance.versions()
+    other += [k for k, v in header["versions"].items() if k != "python" and installed.get(k) != v]
+    device_name = provenance.device_name(device)
     # "cpu: MODEL, N cores"
-    same = here.rpartition(",")[0] == str(header["device"]["name"]).rpartition(",")[0]
+    same = device_name.rpartition(",")[0] == str(header["device"]["name"]).rpartition(",")[0]
     return (*other, *([] if same else ["processor"]))
 
 

@@ -78,8 +78,8 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
             f"Share of the {len(points)} settings at which a method has a rank, #1 the best (mean SR of the splits).",
             aligned(["Method", *(f"#{i + 1}" for i in range(len(methods)))], ranks, 1),
         ]
-    if told := legend(short_names(methods)):
-        parts.append(notes_list(map(plain, told)))
+    if legend_text := legend(short_names(methods)):
+        parts.append(notes_list(map(plain, legend_text)))
     parts.append(
         "- Poses as they were predicted for the run's own thresholds.\n"
         f"- undecided: within {ROUNDING_M:g} m of a threshold, where float32 does not tell (counted as computed)."

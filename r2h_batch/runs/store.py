@@ -543,9 +543,9 @@ def _near(folder: Path) -> str:
 
     if inside := runs_in(folder):
         return str(max(inside, key=lambda p: (p / "run.json").stat().st_mtime))
-    beside = {p.name: p for p in runs_in(folder.parent)}
-    close = difflib.get_close_matches(folder.name, list(beside), n=1)
-    return str(beside[close[0]]) if close else ""
+    siblings = {p.name: p for p in runs_in(folder.parent)}
+    close = difflib.get_close_matches(folder.name, list(siblings), n=1)
+    return str(siblings[close[0]]) if close else ""
 
 
 def read_header(folder: Path) -> dict[str, Any]:

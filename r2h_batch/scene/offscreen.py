@@ -57,9 +57,9 @@ def ready() -> str:
 
     MUJOCO_GL comes first where it is set, then the others.
     """
-    asked = os.environ.get("MUJOCO_GL", "").lower().strip()
+    wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     order = BACKENDS if _has_gpu() else ("osmesa", "egl", "glfw")
-    for backend in dict.fromkeys([*([asked] if asked in BACKENDS else []), *order]):
+    for backend in dict.fromkeys([*([wanted] if wanted in BACKENDS else []), *order]):
         if _works(backend):
             _use(backend)
             return backend

@@ -195,16 +195,16 @@ class WorldTables:
         link_caps, link_motion_radius = [], []
         for k in range(joints + 2):
             if k <= joints:
-                mine = np.flatnonzero(link[:n_arm] == k)
-                T = robot.arm.T_link_prim[order[mine]]
-                axes = np.stack([T[i, :3, :3] @ caps[b][0] for i, b in enumerate(mine)])
+                bodies = np.flatnonzero(link[:n_arm] == k)
+                T = robot.arm.T_link_prim[order[bodies]]
+                axes = np.stack([T[i, :3, :3] @ caps[b][0] for i, b in enumerate(bodies)])
                 centers = np.concatenate([T[:, :3, 3] - axes, T[:, :3, 3] + axes])
-                radius = np.tile([caps[b][1] for b in mine], 2)
+                radius = np.tile([caps[b][1] for b in bodies], 2)
             else:
-                mine = np.arange(n_arm, n_robot)
+                bodies = np.arange(n_arm, n_robot)
                 centers, radius = ends.reshape(-1, 3), np.repeat(radii, ends.shape[1])
             link_caps.append(bounds.capsule_of_balls(centers, radius))
-            link_motion_radius.append(levers[mine].max(0))
+            link_motion_radius.append(levers[bodies].max(0))
         partners = np.zeros(joints + 3, np.int32)
         for a, b in robot.self_pairs:
             partners[max(a, b)] |= 1 << int(min(a, b))

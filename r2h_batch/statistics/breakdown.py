@@ -114,7 +114,7 @@ def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
     all its trials."""
     total, kept = 0, []
     each = max(1, limit // (MISSING + 1))
-    seen = np.zeros(MISSING + 1, np.int64)
+    counts = np.zeros(MISSING + 1, np.int64)
     whole = sum(run.planned(method).values()) <= limit
     for table in run.shards("trials", method, SHOWN):
         total += len(table)
@@ -123,8 +123,8 @@ def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
             continue
         outcome = codes(table, "outcome", OUTCOME_NAMES)
         rows = np.concatenate(
-            [np.flatnonzero(outcome == k)[: max(each - seen[k], 0)] for k in range(MISSING + 1)]
+            [np.flatnonzero(outcome == k)[: max(each - counts[k], 0)] for k in range(MISSING + 1)]
         )
-        seen += np.bincount(outcome[rows], minlength=MISSING + 1)
+        counts += np.bincount(outcome[rows], minlength=MISSING + 1)
         kept.append(table.take(pa.array(np.sort(rows))))
     return pa.concat_tables(kept).unify_dictionaries(), total

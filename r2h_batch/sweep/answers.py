@@ -40,11 +40,11 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
 
     The method gets a copy of the trials: what it writes there does not reach what is judged.
     """
-    mine = trials.clone()
+    copied = trials.clone()
     start = time.perf_counter()
     try:
         with own_streams(name):
-            given = call(mine)
+            given = call(copied)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit too; other methods go on

@@ -55,10 +55,10 @@ def reach(address: str, timeout_s: float) -> None:
     _show_token()
     where = f"at --address {printable(address)}"
     todo = "start one with `ray start --head`, or leave --address out for one on this machine"
-    with tempfile.TemporaryFile() as said:
+    with tempfile.TemporaryFile() as stderr:
         line = [sys.executable, "-P", str(CONNECT), address]
         process = subprocess.Popen(
-            line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
+            line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stderr
         )
         end, text = time.monotonic() + timeout_s, ""
         try:
@@ -68,10 +68,10 @@ def reach(address: str, timeout_s: float) -> None:
                 and not any(w in text for w in NO_TOKEN)
             ):
                 time.sleep(0.05)
-                text = os.pread(said.fileno(), 1 << 20, 0).decode(errors="replace")
+                text = os.pread(stderr.fileno(), 1 << 20, 0).decode(errors="replace")
             code, text = (
                 process.poll(),
-                os.pread(said.fileno(), 1 << 20, 0).decode(errors="replace"),
+                os.pread(stderr.fileno(), 1 << 20, 0).decode(errors="replace"),
             )
         finally:
             process.kill()
@@ -287,9 +287,9 @@ def _on_cluster(
         size = options.workers or _devices(ray, gpus)
         # an actor sees its own GPUs only, as cuda:0; max_restarts 0: the pool replaces actors
         # itself
-        mine = replace(options, device="cuda" if options.device != "cpu" else "cpu")
+        on_node = replace(options, device="cuda" if options.device != "cpu" else "cpu")
         remote = ray.remote(Worker).options(num_cpus=1, num_gpus=gpus, max_restarts=0)
-        pool = Pool(ray, partial(remote.remote, sweep_jobs.prepare, mine), head.check)
+        pool = Pool(ray, partial(remote.remote, sweep_jobs.prepare, on_node), head.check)
         try:
             total = sum(s.last - s.first for _, s in todo)
             with progress("all methods", total, log=log) as advance:

@@ -82,7 +82,7 @@ def progress(
 ) -> Iterator[Callable[[int], None]]:
     """Gives `advance(n)`: a bar on a terminal, else a plain line every 30 s and one at the end, all
     on stderr."""
-    start = said = time.perf_counter()
+    start = printed = time.perf_counter()
     done = 0
 
     def count(n: int) -> None:
@@ -118,18 +118,20 @@ def progress(
     else:
 
         def speak(n: int) -> None:
-            nonlocal said
+            nonlocal printed
             count(n)
             now = time.perf_counter()
-            if now - said >= plain_every_s:
+            if now - printed >= plain_every_s:
                 rate = done / (now - start)
                 line = f"{name}: {done}/{total} trials, {rate:.1f} trials/s, {(total - done) / rate:.0f} s left"
                 LOG.info(line)
-                said = now
+                printed = now
 
         yield speak
     seconds = time.perf_counter() - start
-    LOG.info(f"{name}: {counted(total, 'trials')} in {seconds:.1f} s, {total / seconds:.1f} trials/s")
+    LOG.info(
+        f"{name}: {counted(total, 'trials')} in {seconds:.1f} s, {total / seconds:.1f} trials/s"
+    )
 
 
 def score_local(
@@ -175,18 +177,18 @@ def _score_job(
     stopping: Callable[[], bool],
     advance: Callable[[int], None],
 ) -> None:
-    since, told = time.monotonic(), ""
+    since, printed = time.monotonic(), ""
     while todo:
         left = []
         for shard in todo:
-            with folder.claim(job.name, shard) as mine:
+            with folder.claim(job.name, shard) as claimed:
                 if folder.stored(job.name, shard):
                     advance(shard.last - shard.first)
-                elif mine and (deaths := folder.deaths(job.name, shard)) >= TRIES:
+                elif claimed and (deaths := folder.deaths(job.name, shard)) >= TRIES:
                     what = f"the sweep's process ended {deaths} times while it was scored"
                     folder.quarantine(job.name, shard, [what])
                     LOG.info(f"{job.name}: shard {shard.index}: {what}")
-                elif mine:
+                elif claimed:
                     start = time.perf_counter()
                     with folder.attempt(job.name, shard), folder.write(job.name, shard) as writer:
                         score_shard(job, shard, writer, setting, stopping, advance)
@@ -203,9 +205,9 @@ def _score_job(
             if time.monotonic() - since > WAIT_S:
                 who = folder.claimed_by(job.name, left[0]) or "another process"
                 words = f"{job.name}: waiting for shard {left[0].index}, which {who} scores"
-                if words != told:
+                if words != printed:
                     LOG.info(words)
-                told = words
+                printed = words
             time.sleep(0.5)
         todo = left
 
@@ -316,9 +318,9 @@ def _paths(
     path, but can be judged again."""
     if not given:
         return scores, None
-    here = {name: value.cpu() for name, value in given.items()}
-    path, time_s, length = here["q"], here["time_s"], here["length"].int()
-    plan = (here["planned_q"], here["planned_length"]) if "planned_q" in here else None
+    on_cpu = {name: value.cpu() for name, value in given.items()}
+    path, time_s, length = on_cpu["q"], on_cpu["time_s"], on_cpu["length"].int()
+    plan = (on_cpu["planned_q"], on_cpu["planned_length"]) if "planned_q" in on_cpu else None
     return replace(scores, path=path, path_time_s=time_s, path_len=length), plan
 
 

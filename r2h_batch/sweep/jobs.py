@@ -200,13 +200,13 @@ def _said_of(model: "ObjectModel") -> dict[str, Any]:
     """What run.json says of an object: a repaired mesh with what was done, and what came of it."""
     from r2h_batch.bodies.objects import object_digest, stored_key
 
-    said = {
+    fields = {
         "name": model.name,
         "split": model.split,
         "built_in": stored_key(model) is not None,
         "digest": object_digest(model),
     }
-    return said if model.repair is None else {**said, "repair": asdict(model.repair)}
+    return fields if model.repair is None else {**fields, "repair": asdict(model.repair)}
 
 
 def _check_splits(options: Options, there: set[str]) -> None:
@@ -250,7 +250,7 @@ def _configuration(options: Options) -> "EvalConfig":
         config.plan, object_collision=options.object_collision, edge_check=edge_check, hand=hand
     )
     # what nothing is judged by says nothing: two runs that differ in it can be compared
-    seen = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
+    estimate = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
     sim = config.execute.sim if options.sim == "auto" else options.sim
     execute = replace(config.execute, sim=sim, model=options.sim_model)
     execute = replace(execute, sim=execute.engine(options.device))
@@ -258,7 +258,7 @@ def _configuration(options: Options) -> "EvalConfig":
         config, ik=IkConfig(options.ik), plan=plan, execute=execute, stability=options.stability,
         width=config.width if options.width == "preset" else options.width,
         reach=config.reach if options.reach == "preset" else options.reach,
-        estimate=seen if hand == "estimated" else EstimateConfig(),
+        estimate=estimate if hand == "estimated" else EstimateConfig(),
         execution_error=execution_error(options.execution_error, options.seed),
         candidates=config.candidates if options.candidates == "preset" else options.candidates,
     )  # fmt: skip
@@ -456,8 +456,8 @@ def _built_in(word: str) -> UserFunction:
     return UserFunction(module.predict, module, spec)
 
 
-def _method(said: str) -> _Method:
-    name = base_of(said)
+def _method(argument: str) -> _Method:
+    name = base_of(argument)
     built_in = name in METHODS
     form = f"it must be {HOW}; the function takes (trials, scene, *, seed)"
     try:
@@ -471,7 +471,7 @@ def _method(said: str) -> _Method:
             f"--method {name}: {kind}{' '.join(str(error).split())}; {form}"
         ) from error
     function = found.function
-    given = options_of(said, function, known=built_in) if callable(function) else {}
+    given = options_of(argument, function, known=built_in) if callable(function) else {}
     try:
         signature = inspect.signature(function)
         more = {
@@ -495,18 +495,18 @@ def _files_of(method: _Method) -> dict[str, Path]:
 def _method_job(
     name: str, evaluator: "Evaluator", options: Options, seen: "Observations | None" = None
 ) -> Job:
-    method, said = _method(name), said_options(name)
+    method, options_text = _method(name), said_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
     extra: dict[str, Any] = {
         **method.options,
         **({"evaluator": evaluator} if "evaluator" in takes else {}),
     }
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)
-    title = f"{base} ({said})" if said and not own_name(name) else base
+    title = f"{base} ({options_text})" if options_text and not own_name(name) else base
     source = {
         "kind": "method",
         "function": method.found.spec,
-        **({"options": said} if said else {}),
+        **({"options": options_text} if options_text else {}),
     }
     files = {"": Path(str(module.__file__))} if built_in else _files_of(method)
     source["sha256"] = provenance.file_digest(files.values())
@@ -530,7 +530,7 @@ def _method_job(
                 options.predictor_noise,
                 shown,
                 module.SEES,
-                said,
+                options_text,
                 errors=_errors(options),
             )
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
@@ -547,7 +547,9 @@ def _method_job(
             )
         late = user_files(sys.modules.keys() - before)
         for k in late.keys() - files.keys() if not built_in else ():
-            LOG.info(f"{title}: imported {k} when it was called; a resume does not notice its changes")
+            LOG.info(
+                f"{title}: imported {k} when it was called; a resume does not notice its changes"
+            )
         return answer
 
     if not built_in:
@@ -602,9 +604,9 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
     if errors not in get_args(Errors):
         named, allowed = str(errors)[:40], ", ".join(get_args(Errors))
         raise UsageError(f"run.json names the error model {named!r}; allowed are {allowed}")
-    said = source.get("options", "")
+    options_text = source.get("options", "")
     options = Options(
-        method=(f"{word},{said}" if said else word,),
+        method=(f"{word},{options_text}" if options_text else word,),
         seed=header["seed"],
         predictor_noise=predictors.get("noise_factor", 1.0),
         hand_errors=cast(Errors, errors),

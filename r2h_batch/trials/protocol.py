@@ -381,7 +381,7 @@ def _draw_people(
     def place_hand(
         people: receivers.Person, rows: NDArray[np.int64], number: NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32], receivers.Person]:
-        hand, palm, able = hand_index[rows], people.palm, np.ones(len(rows), bool)
+        hand, palm, placed = hand_index[rows], people.palm, np.ones(len(rows), bool)
         n, a = hands.palm_normal[hand], hands.along[hand]
         local = np.stack([a, n, np.cross(a, n)], 2)
         world = np.stack([people.hand, people.palm, np.cross(people.hand, people.palm)], 2)
@@ -397,14 +397,14 @@ def _draw_people(
             R = np.where(known[:, None, None], own[:, :, :3], R)
             palm = np.where(known[:, None], se3.rotate(R, n), palm)
             can = recorded.arm_can(people, hands.side[hand], se3.rotate(R, a), palm)
-            able = ~known | with_arm | can
+            placed = ~known | with_arm | can
             people = recorded.with_arms(people, own[:, :, 3:], with_arm)
         center = (
             people.wrist
             + se3.rotate(R, hands.palm_point[hand] - hands.wrist[hand])
             + offset_m * palm
         )
-        kept = np.flatnonzero(able & _in_set(center, Room.of(robot)))
+        kept = np.flatnonzero(placed & _in_set(center, Room.of(robot)))
         kept = kept[_faces_robot_or_up(center[kept], palm[kept])]
         kept = kept[receivers.clear_of_torso(people.rows(kept))]
         kept = kept[_arm_is_clear(people.rows(kept), robot, at)]

@@ -111,5 +111,5 @@ def kept_with_warnings(
     return arrays
 
 
-def _texts(said: NDArray[Any]) -> Sequence[str]:
-    return [str(text) for text in json.loads(str(said))]
+def _texts(stored: NDArray[Any]) -> Sequence[str]:
+    return [str(text) for text in json.loads(str(stored))]

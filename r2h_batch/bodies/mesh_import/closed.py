@@ -347,14 +347,14 @@ def _without_slivers(
     kinds = np.unique(group[group >= 0])
     for n, k in enumerate(kinds):
         budget.spend("looking for slivers", n / len(kinds))
-        mine = group == k
-        t = mesh.triangles[mine]
+        members = group == k
+        t = mesh.triangles[members]
         size = float(np.ptp(t.reshape(-1, 3), axis=0).max())
-        narrow = float(mesh.area_faces[mine].sum()) < THINNEST_M * size
+        narrow = float(mesh.area_faces[members].sum()) < THINNEST_M * size
         middles = (t + np.roll(t, -1, axis=1)) / 2
         points = np.concatenate([t.reshape(-1, 3), middles.reshape(-1, 3), t.mean(axis=1)])
         if size < least or narrow or (solid.signed(points)[0] < THINNEST_M).all():
-            drop |= mine
+            drop |= members
     if not drop.any():
         return mesh, sheet
     count = len(np.unique(group[drop]))
@@ -414,8 +414,8 @@ def _lips(
     free = np.ones(len(rims), bool)
     large = (boxes[:, 3:] - boxes[:, :3]).max(axis=1) > 4 * gap  # smaller rims bound holes
     for i in np.flatnonzero(large):
-        alike = free & large & (np.abs(boxes - boxes[i]).max(axis=1) <= gap)
-        for j in i + 1 + np.flatnonzero(alike[i + 1 :]):
+        similar = free & large & (np.abs(boxes - boxes[i]).max(axis=1) <= gap)
+        for j in i + 1 + np.flatnonzero(similar[i + 1 :]):
             strip = _strip(mesh.vertices, rims[i], rims[j], gap) if free[i] else None
             if strip is not None:
                 strips.append(strip)
@@ -447,10 +447,10 @@ def _strip(
     p, q, faces = 0, 0, []
     while p + 1 < len(a) or q + 1 < len(b):
         ahead = np.linalg.norm(vertices[a[p + 1]] - vertices[b[q]]) if p + 1 < len(a) else np.inf
-        beside = np.linalg.norm(vertices[b[q + 1]] - vertices[a[p]]) if q + 1 < len(b) else np.inf
-        next_a = ahead <= beside
+        gap_m = np.linalg.norm(vertices[b[q + 1]] - vertices[a[p]]) if q + 1 < len(b) else np.inf
+        next_a = ahead <= gap_m
         start, end = (a[p], a[p + 1]) if next_a else (b[q], b[q + 1])
-        if min(ahead, beside) > gap + np.linalg.norm(vertices[end] - vertices[start]):
+        if min(ahead, gap_m) > gap + np.linalg.norm(vertices[end] - vertices[start]):
             return None
         faces.append((a[p], a[p + 1], b[q]) if next_a else (a[p], b[q + 1], b[q]))
         p, q = (p + 1, q) if next_a else (p, q + 1)

@@ -198,7 +198,7 @@ def _marched(field: _Field, cell: float, grow: F64, sheet: bool) -> tuple[F64, I
         return np.where(np.abs(value) < least, np.where(value < 0, -least, least), value)
 
     keys, value = np.zeros(0, np.int64), np.zeros(0)
-    new = seen = np.sort(_keys(_cells_near(field, low, cell, float(grow.max()))))
+    new = visited = np.sort(_keys(_cells_near(field, low, cell, float(grow.max()))))
     crossed = []
     while len(new):
         corner = _keys((_indices(new)[:, None] + CORNERS).reshape(-1, 3))
@@ -208,8 +208,8 @@ def _marched(field: _Field, cell: float, grow: F64, sheet: bool) -> tuple[F64, I
         inside = (value[np.searchsorted(keys, corner)] < 0).reshape(-1, 8)
         cross = inside.any(axis=1) & ~inside.all(axis=1)
         crossed.append(new[cross])
-        new = _not_in(seen, _beside(new[cross], inside[cross]))
-        seen = np.insert(seen, np.searchsorted(seen, new), new)
+        new = _not_in(visited, _beside(new[cross], inside[cross]))
+        visited = np.insert(visited, np.searchsorted(visited, new), new)
     cells = np.concatenate(crossed)
     if not len(cells):
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -252,12 +252,12 @@ def _beside(cells: I64, inside: NDArray[np.bool_]) -> I64:
     return np.unique(np.concatenate(found))
 
 
-def _not_in(known: I64, asked: I64) -> I64:
+def _not_in(known: I64, wanted: I64) -> I64:
     """Those of `asked` that are not in `known`; both sorted."""
     if not len(known):
-        return asked
-    at = np.searchsorted(known, asked).clip(max=len(known) - 1)
-    return asked[known[at] != asked]
+        return wanted
+    at = np.searchsorted(known, wanted).clip(max=len(known) - 1)
+    return wanted[known[at] != wanted]
 
 
 def _keys(index: I64) -> I64:

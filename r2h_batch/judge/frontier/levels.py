@@ -306,9 +306,9 @@ class Frontier(Levels):
     def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
         """Queues the edges in use, and runs all levels that they may need."""
         self.clear()
-        asked = {"parity": 0, "mode": mode, "hand_only": hand_only, "edges": edges}
+        inputs = {"parity": 0, "mode": mode, "hand_only": hand_only, "edges": edges}
         self.launch(
-            queue_edges, len(used), asked | {"used": used.contiguous(), "queue": self.intervals[0]}
+            queue_edges, len(used), inputs | {"used": used.contiguous(), "queue": self.intervals[0]}
         )
         single = mode in (POSTURE, SAMPLES)
         self._all_frontier(edges, 1 if single else MAX_LEVEL, certify=int(mode == CERTIFY))

@@ -92,11 +92,11 @@ class _Pads:
     def close(self, T: torch.Tensor, row: torch.Tensor) -> list[torch.Tensor]:
         """Width, opening, shift, emptiness of proposals `row`, which stand at `T` now."""
         moved = (self.T[row] != T).flatten(1).any(1)
-        asked, number = T[moved].contiguous(), row[moved]
+        poses, number = T[moved].contiguous(), row[moved]
         every = [*self.found, self.empty]
-        for known, new in zip(every, close_pads(self.tables, asked, zeros(asked)), strict=True):
+        for known, new in zip(every, close_pads(self.tables, poses, zeros(poses)), strict=True):
             known[number] = new
-        self.T[number] = asked
+        self.T[number] = poses
         return [known[row] for known in every]
 
 
