@@ -304,7 +304,12 @@ class EvalConfig(_Checked):
     name: str = "default"
 
     def for_robot(self, home_q: tuple[float, ...], max_velocity_rad_s: float) -> "EvalConfig":
-        """The same with a robot's home and speed in place of the UR5e's, which are the defaults."""
+        """The same with a robot's home and speed in place of the UR5e's, which are the defaults.
+
+        Args:
+            home_q: its home posture, rad.
+            max_velocity_rad_s: speed limit of its slowest joint.
+        """
         place, law = self.workplace, self.execute
         if place.home_q == HOME_Q:
             place = replace(place, home_q=home_q)

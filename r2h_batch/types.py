@@ -149,8 +149,14 @@ class Trials(_Rows):
     receiver: Float32[Tensor, "n 5 4"] | None = None
 
     def named(self, objects: Sequence[Any]) -> Self:
-        """The same trials, which know what their objects are called: `objects` as indexed by
-        `object_index`."""
+        """The same trials, which know what their objects are called.
+
+        Args:
+            objects: objects or names, as indexed by `object_index`.
+
+        Raises:
+            TypeError: no sequence.
+        """
         if isinstance(objects, (str, bytes)) or not isinstance(objects, Sequence):
             raise TypeError(
                 f"objects is {describe_value(objects)}; it must be a sequence of objects or names"
@@ -365,7 +371,11 @@ class Scores(_Rows):
         return self._context
 
     def with_inputs(self, inputs: ScoreInputs) -> Self:
-        """The same scores, with the inputs of their call."""
+        """The same scores, with the inputs of their call.
+
+        Args:
+            inputs: poses, trials and the evaluator that judged them.
+        """
         instance_of(ScoreInputs)("inputs", inputs)
         same = object.__new__(type(self))
         same.__dict__.update(self.__dict__)

@@ -164,8 +164,12 @@ class Benchmark:
 
 @cache
 def built_in(protocol: str = PROTOCOL) -> Benchmark:
-    """This package's own benchmark of a protocol: 16 objects, 400 hands; r2h-release has objects,
-    two hands, table and home of the authors' release (docs/release.md)."""
+    """This package's own benchmark of a protocol.
+
+    Args:
+        protocol: `r2h-v0` and `r2h-v1`: 16 objects, 400 hands; `r2h-release`: objects, two hands,
+            table and home of the authors' release (docs/release.md).
+    """
     if protocol != RELEASE:
         return Benchmark(load_objects(), load_hand_set(), drawn=protocol)
     free = tuple(map(without_region, load_objects(RELEASE_S0)))

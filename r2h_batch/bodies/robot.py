@@ -250,7 +250,14 @@ class Robot:
 
 
 def load_robot(name: str = DEFAULT_ROBOT) -> Robot:
-    """A built-in robot, the same object for the same name; `digest` is its files' sha256."""
+    """A built-in robot, the same object for the same name; `digest` is its files' sha256.
+
+    Args:
+        name: one of `ROBOTS`.
+
+    Raises:
+        ValueError: there is no such robot; the message lists them.
+    """
     return _load_robot(name)
 
 

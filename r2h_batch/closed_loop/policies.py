@@ -124,7 +124,9 @@ class Servo(Planned):
         self.end_s = self.begin[:, -1].clamp(min=self.step_s)
 
     def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:
-        T_wanted = se3.matmul(observation["T_world_hand"].double(), observation["T_hand_ee"].double())
+        T_wanted = se3.matmul(
+            observation["T_world_hand"].double(), observation["T_hand_ee"].double()
+        )
         T, jacobian = ee_and_jacobian(self.robot, self.goal)
         turn = self.follow[:, None] * joint_speeds(jacobian, twist_between(T, T_wanted))
         self.goal = self.goal + turn / (turn.abs().amax(1, keepdim=True) / self.GOAL_RAD).clamp(
@@ -188,7 +190,9 @@ class Replan:
 
     def _plan(self, observation: Observation) -> None:
         env = self.env
-        T_wanted = se3.matmul(observation["T_world_hand"].double(), observation["T_hand_ee"].double())
+        T_wanted = se3.matmul(
+            observation["T_world_hand"].double(), observation["T_hand_ee"].double()
+        )
         off = twist_between(self.T_planned_for, T_wanted)
         way, turn = (se3.dot(x, x).sqrt() for x in (off[:, :3], off[:, 3:]))
         moved = (way > self.MOVED_M) | (turn > self.MOVED_RAD)

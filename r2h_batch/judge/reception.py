@@ -443,6 +443,11 @@ def chance_of_one(
     """The chance that at least one of k grasps, drawn from the `known`, is one of those that pass.
 
     1 - C(known - passing, k) / C(known, k): what fewer known grasps would have said of a trial.
+
+    Args:
+        passing: (B,) grasps that pass.
+        known: (B,) grasps that are known.
+        k: how many are drawn, without replacement.
     """
     n, m = known.astype(np.float64), (known - passing).astype(np.float64)
     k_ = np.minimum(k, n)
@@ -476,9 +481,13 @@ range [choice]."""
 
 
 def rula(angles_deg: Float64[Array, "n 7"]) -> Int8[NDArray[np.int8], " n"]:
-    """RULA's grand score of arms (`ANGLES`): neck and legs 1, no load, no repetition.
+    """RULA's grand score of arms: neck and legs 1, no load, no repetition.
 
-    McAtamney and Corlett 1993, Applied Ergonomics 24(2), tables A, B and C.
+    Args:
+        angles_deg: (N, 7) `ANGLES`.
+
+    Source:
+        McAtamney and Corlett 1993, Applied Ergonomics 24(2), tables A, B and C.
     """
     flexion, abduction, elbow, twist, wrist, deviation, lean = angles_deg.T
     upper = 1 + ((flexion > 20) | (flexion < -20)) + (flexion > 45) + (flexion > 90)

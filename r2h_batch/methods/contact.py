@@ -104,13 +104,37 @@ def predict(
     camera_m: float = 0.0,
     camera_deg: float = 0.0,
 ) -> Predictions:
-    """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
+    """One grasp and handover pose a trial.
 
-    `predictor`: what gives the contact map (`r2h_batch.predictors.load_predictor`); None: the
-    built-in VoxNet, of built-in objects with the weights that never saw the object
-    (`contacts="all"`: trained on all of them). `gate="ik"`: only orientations that the arm reaches.
-    `at`: what stands `height_m` above the palm. `cameras` and what follows: depth cameras that show
-    the object to the network (`predictors.depth_view.DepthView`); 0: it sees the whole solid.
+    Args:
+        trials: N trials.
+        scene: objects, hands and robot: `Evaluator.scene`.
+        seed: key of the draws; a row depends on seed and trial id alone.
+        noise: errors of what the method sees; None: `PredictorNoise()`.
+        seen: answers of your own networks, in place of the stand-ins.
+        predictor: what gives the contact map (`predictors.load_predictor`); None: the built-in
+            VoxNet.
+        threshold: probability from which a point counts as touched.
+        height_m: how far what `at` names stands above the palm.
+        blocked_m: contact points nearer than this to the gripper are blocked by it.
+        eps_m: DBSCAN: grasps nearer than this are neighbours.
+        min_samples: DBSCAN: neighbours of a grasp that is no outlier, itself counted.
+        clearance_m: what gripper and receiving hand must keep.
+        directions: approach directions that are tried.
+        rolls: turns about each direction that are tried.
+        zone_m: points of the target hand nearer than this to gripper or object cost.
+        hand_points: points of the hand that the cost counts.
+        gate: `ik`: only orientations that the arm reaches.
+        at: what stands above the palm.
+        contacts: weights for built-in objects: `left-out` never saw them, `all` did.
+        cameras: depth cameras that show the object to the network; 0: it sees the whole solid.
+        depth_noise: factor on the cameras' axial noise.
+        depth_lost: share of depth points that are lost.
+        camera_m: deviation of a camera's place, m.
+        camera_deg: deviation of a camera's direction, degrees.
+
+    Returns:
+        `T_obj_ee` (N, 4, 4) and `T_world_ee` (N, 4, 4), m.
     """
     check_choice("contacts", contacts, Contacts)
     view = DepthView(cameras, depth_noise, depth_lost, camera_m, camera_deg)

@@ -57,10 +57,22 @@ def predict(
     height_m: float = HEIGHT_M,
     at: Anchor = "object",
 ) -> Predictions:
-    """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
+    """One grasp and handover pose a trial.
 
-    `gate`: what a roll about the approach axis must pass (`placing.Gate`). `at`: what stands
-    `height_m` above the palm.
+    Args:
+        trials: N trials.
+        scene: objects, hands and robot: `Evaluator.scene`.
+        seed: key of the draws; a row depends on seed and trial id alone.
+        noise: errors of what the method sees; None: `PredictorNoise()`.
+        seen: answers of your own networks, in place of the stand-ins.
+        rolls: turns about the approach axis that are tried.
+        clearance_m: what gripper and receiving hand must keep.
+        gate: what a roll must pass (`placing.Gate`).
+        height_m: how far what `at` names stands above the palm.
+        at: what stands above the palm.
+
+    Returns:
+        `T_obj_ee` (N, 4, 4) and `T_world_ee` (N, 4, 4), m.
     """
     table = candidate_table(scene)
 

@@ -90,10 +90,25 @@ def predict(
     distances: int = DISTANCES,
     label_m: float = LABEL_M,
 ) -> Predictions:
-    """One grasp and handover pose a trial; labels and target hand predicted with `noise`, drawn by
-    (seed, trial id).
+    """One grasp and handover pose a trial.
 
-    `loops`: what is tried, in which order. `at`: what is put opposite the palm.
+    Args:
+        trials: N trials.
+        scene: objects, hands and robot: `Evaluator.scene`.
+        seed: key of the draws; a row depends on seed and trial id alone.
+        noise: errors of what the method sees; None: `PredictorNoise()`.
+        seen: answers of your own networks, in place of the stand-ins.
+        loops: what is tried, in which order.
+        at: what is put opposite the palm.
+        voxel_m: grid of grasp points.
+        crop_m: half side of the box of obstacles about a grasp point.
+        azimuth_step: angle between two top-down orientations, rad.
+        rotations: turns of the object about its axis.
+        distances: places in front of the palm.
+        label_m: distance between two labels when templates are aligned.
+
+    Returns:
+        `T_obj_ee` (N, 4, 4) and `T_world_ee` (N, 4, 4), m.
     """
     check_choice("loops", loops, Loops)
     check_choice("at", at, BodyPoses)

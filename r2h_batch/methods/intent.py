@@ -64,7 +64,7 @@ INWARD_DEG = 15.0
 
 CLEARANCE_M = 0.0
 """What the gripper and the target hand must keep when rolls are tried: touching is a collision, no
-no room is required."""
+room is required."""
 
 BACK_OFF_M = 0.10
 """The approach ray starts this far behind the TCP: inside the gripper's body, where a candidate has
@@ -106,13 +106,31 @@ def predict(
     at: Place = "object",
     select: Select = "published",
 ) -> Predictions:
-    """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
+    """One grasp and handover pose a trial.
 
-    `instructions`: one sentence a trial; None: each object's own. `orientation`: what is turned
-    (`Orientation`). With "axis" the roll about it is searched: `rolls`, `gate`, `clearance_m`.
-    `at`: what stands `height_m` above the palm; "ergonomic": nothing does, the object goes where
-    the receiver's shoulders and arm suggest (r2h-v1). `select`: which rules choose the grasp
-    (`Select`).
+    Args:
+        trials: N trials.
+        scene: objects, hands and robot: `Evaluator.scene`.
+        seed: key of the draws; a row depends on seed and trial id alone.
+        noise: errors of what the method sees; None: `PredictorNoise()`.
+        seen: answers of your own networks, in place of the stand-ins.
+        instructions: one sentence a trial; None: each object's own.
+        rolls: with orientation `axis`: turns about the approach axis that are tried.
+        height_m: how far what `at` names stands above the palm.
+        inward_deg: turn in the palm's plane towards the thumb, degrees.
+        clearance_m: with orientation `axis`: what gripper and hand must keep.
+        back_off_m: how far behind the TCP the approach ray starts.
+        orientation: what is turned (`Orientation`).
+        gate: with orientation `axis`: what a roll must pass.
+        at: what stands above the palm; `ergonomic`: the object goes where the receiver's shoulders
+            and arm suggest (r2h-v1).
+        select: which rules choose the grasp (`Select`).
+
+    Returns:
+        `T_obj_ee` (N, 4, 4) and `T_world_ee` (N, 4, 4), m.
+
+    Raises:
+        ValueError: the number of instructions is not N, or `ergonomic` without bodies.
     """
     check_choice("orientation", orientation, Orientation)
     check_choice("select", select, Select)
@@ -129,14 +147,14 @@ def predict(
     named = named_parts(scene, trials, instructions).to(scene.device)
     hit_part, hit_region, hits = approach_hits(scene, back_off_m)
 
-    def choose(part: Trials, here: slice) -> tuple[Tensor, Tensor]:
-        said = None if instructions is None else instructions[here]
-        taking = retrieve_receiving(part, scene, said, seed=seed, noise=noise, seen=seen)
+    def choose(part: Trials, rows_of: slice) -> tuple[Tensor, Tensor]:
+        texts = None if instructions is None else instructions[rows_of]
+        taking = retrieve_receiving(part, scene, texts, seed=seed, noise=noise, seen=seen)
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         rows, exists = table.rows(part.object_index)
         # The receiver's grasp is what the instruction names: a robot grasp whose approach axis
         # enters that part there is out
-        in_region = hit_region[rows] & named[here].gather(1, hit_part[rows])
+        in_region = hit_region[rows] & named[rows_of].gather(1, hit_part[rows])
         fits = table.width_m[rows] <= w_max
         if select in ("published", "FS", "A2"):
             fits = fits & ~in_region

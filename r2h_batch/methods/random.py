@@ -17,8 +17,16 @@ _CANDIDATE, _POSE = 0, 1  # purposes of the random counters
 
 
 def predict(trials: Trials, scene: Scene, *, seed: int = 0) -> Predictions:
-    """A grasp from the object's candidates, a TCP pose uniform in ball and orientation; drawn by
-    (seed, trial id)."""
+    """A random grasp candidate, and a TCP pose uniform in a ball about c_h and in orientation.
+
+    Args:
+        trials: N trials.
+        scene: objects, hands and robot: `Evaluator.scene`.
+        seed: key of the draws; a row depends on seed and trial id alone.
+
+    Returns:
+        `T_obj_ee` (N, 4, 4) and `T_world_ee` (N, 4, 4), m.
+    """
     check_candidates(scene, trials.object_index)
     key = rng.key_of(f"random {seed}")
     ids = trials.trial_id.cpu().numpy()

@@ -39,13 +39,22 @@ def predict_contacts(
     view: DepthView | None = None,
     seed: int = 0,
 ) -> Float32[Tensor, "n p"]:
-    """Probability that a person touches each cloud point (`ObjectModel.points`); default: the
-    built-in VoxNet.
+    """Probability that a person touches each cloud point (`ObjectModel.points`).
 
-    The network runs once for each object and predictor; trials only look up. `seen`: a network's
-    answers instead. `left_out`: a built-in object is shown to the weights that never saw it; else,
-    as any other object, to those of all. `view`: the network sees what these cameras leave of the
-    grid, one of `DRAWS` sets drawn by (seed, trial id); it is still asked for the whole cloud.
+    The network runs once for each object and predictor; trials only look up.
+
+    Args:
+        trials: N trials.
+        scene: objects: `Evaluator.scene`.
+        predictor: the network; None: the built-in VoxNet.
+        seen: answers of your own network instead.
+        left_out: show a built-in object to the weights that never saw it; False: to those of all.
+        view: the network sees what these cameras leave of the grid, one of `DRAWS` sets; it still
+            answers for the whole cloud. None: it sees all.
+        seed: key of the draw of the set; a row depends on seed and trial id alone.
+
+    Returns:
+        (N, P) probabilities.
     """
     if seen is not None and seen.contacts is not None:
         return seen.contacts.of(trials)["probability"].to(trials.trial_id.device)

@@ -113,11 +113,21 @@ def predict_receiving(
     part: Int32[Tensor, " n"] | None = None,
     seen: Observations | None = None,
 ) -> ReceivingHand:
-    """A receiving grasp of each trial's object and hand side, with the error model; drawn by (seed,
-    trial id).
+    """A receiving grasp of each trial's object and hand side, with the error model.
 
-    `part`: label that the hand should hold, -1 for any; where no grasp holds it, any is drawn.
-    `seen`: a network's answers instead, where it has some.
+    Args:
+        trials: N trials.
+        scene: objects and hand model: `Evaluator.scene`.
+        seed: key of the draws; a row depends on seed and trial id alone.
+        noise: deviations of the error model; None: `PredictorNoise()`.
+        part: label that the hand should hold, -1 for any; where no grasp holds it, any is drawn.
+        seen: answers of your own network instead, where it has some.
+
+    Returns:
+        N hands in the object's frame.
+
+    Raises:
+        ValueError: `part` is out of range.
     """
     if seen is not None and seen.receiving is not None:
         return _given(trials, scene, seen.receiving)
@@ -145,12 +155,22 @@ def retrieve_receiving(
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
 ) -> ReceivingHand:
-    """A receiving grasp that answers each trial's instruction (None: the object's own), with the
-    error model.
+    """A receiving grasp that answers each trial's instruction, with the error model.
 
-    Instructions are understood for object, part and purpose (`instructions.understand`); a sentence
-    about another object, or about a part that the receiver does not take, raises `InstructionError`. `seen`: a
-    network's answers instead.
+    Args:
+        trials: N trials.
+        scene: objects and hand model: `Evaluator.scene`.
+        instructions: one sentence a trial (`instructions.understand`); None: each object's own.
+        seed: key of the draws; a row depends on seed and trial id alone.
+        noise: deviations of the error model; None: `PredictorNoise()`.
+        seen: answers of your own network instead.
+
+    Returns:
+        N hands in the object's frame.
+
+    Raises:
+        InstructionError: a sentence names another object, or a part that the receiver does not
+            take; or there are not N of them.
     """
     if seen is not None and seen.receiving is not None:
         return _given(trials, scene, seen.receiving)
@@ -260,10 +280,17 @@ def predict_target(
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
 ) -> TargetHand:
-    """Each trial's real hand as an estimator sees it, with the error model; drawn by (seed, trial
-    id).
+    """Each trial's real hand as an estimator sees it, with the error model.
 
-    `seen`: a network's answers instead, where it has some.
+    Args:
+        trials: N trials.
+        scene: hands: `Evaluator.scene`.
+        seed: key of the draws; a row depends on seed and trial id alone.
+        noise: deviations of the error model; None: `PredictorNoise()`.
+        seen: answers of your own network instead, where it has some.
+
+    Returns:
+        N hands in the world.
     """
     noise = PredictorNoise() if noise is None else noise
     hands, device = scene.hands, trials.trial_id.device

@@ -49,12 +49,20 @@ def predict_parts(
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
 ) -> SeenParts:
-    """Part label and region of every cloud point, borders shifted along the surface; drawn by
-    (seed, trial id).
+    """Part label and region of every cloud point, borders shifted along the surface.
 
     Where two parts meet, the border moves by a smooth random field of deviation `border_m`: points
-    on the side that shrinks get the other part's label. The region's border is one of them. `seen`:
-    a network's answers instead.
+    on the side that shrinks get the other part's label. The region's border is one of them.
+
+    Args:
+        trials: N trials.
+        scene: objects: `Evaluator.scene`.
+        seed: key of the draws; a row depends on seed and trial id alone.
+        noise: deviations of the error model; None: `PredictorNoise()`.
+        seen: answers of your own network instead.
+
+    Returns:
+        (N, P) labels, and whether each point belongs to the receiver's region.
     """
     noise = PredictorNoise() if noise is None else noise
     device = trials.trial_id.device

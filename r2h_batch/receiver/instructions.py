@@ -98,12 +98,19 @@ def instructions_of(model: ObjectModel) -> tuple[str, ...]:
 def understand(
     text: str, objects: Sequence[ObjectModel] | None = None, *, object_index: int | None = None
 ) -> Understood:
-    """The object, part and purpose that a sentence names, among these objects (default: the 16
-    built-in ones).
+    """The object, part and purpose that a sentence names.
 
-    `object_index` is what the sentence is about where it names no object ("the handle, please"); a
-    sentence that names another object is refused. Without a part, the purpose decides; without a
-    purpose, the receiver's region (S1) or any part (S0).
+    Without a part, the purpose decides; without a purpose, the receiver's region (S1) or any part
+    (S0).
+
+    Args:
+        text: the sentence.
+        objects: what it may name; None: the 16 built-in ones.
+        object_index: what it is about where it names no object ("the handle, please").
+
+    Raises:
+        InstructionError: it names no object, two, another than `object_index`, or a part that the
+            receiver does not take.
     """
     return _understand(text, tuple(load_objects() if objects is None else objects), object_index)
 

@@ -130,11 +130,14 @@ def _intents(model: ObjectModel, part: NDArray[np.uint8]) -> NDArray[np.int32]:
 def load_receiving(
     objects: Sequence[ObjectModel] | None = None, hand: HandModel | None = None
 ) -> ReceivingGrasps:
-    """Receiving grasps of these objects (default: the 16 built-in ones), `object_index` counting
-    them in order.
+    """Receiving grasps of objects, `object_index` counting them in order.
 
-    Those of the built-in hand and objects are stored, whatever file the same hand comes from; for a
-    user's hand or object they are sampled once (seconds an object) and kept on disk (`io.cache`).
+    Those of the built-in hand and objects are stored. For a user's hand or object they are sampled
+    once (seconds an object) and kept on disk (`io.cache`).
+
+    Args:
+        objects: None: the 16 built-in ones.
+        hand: the hand's model; None: the built-in one.
     """
     return _load(
         tuple(load_objects() if objects is None else objects), load_hand() if hand is None else hand

@@ -125,7 +125,11 @@ class Scene:
         return self
 
     def sized(self, thing: Compiled) -> Compiled:
-        """A kernel or struct of the kernels, as it is for the robot's number of joints."""
+        """A kernel or struct of the kernels, as it is for the robot's number of joints.
+
+        Args:
+            thing: imported from `r2h_batch.kernels`, which has six joints.
+        """
         return of_joints(thing, len(self.robot.joints))
 
     @property
@@ -166,8 +170,13 @@ class Scene:
         return wp.mat33(*T[:3, :3].ravel()), wp.vec3(*T[:3, 3])
 
     def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> SceneModel:
-        """The scene as one MuJoCo model, which takes any trial with one of these hands: what is
-        simulated and rendered."""
+        """The scene as one MuJoCo model, which takes any trial with one of these hands: what is simulated
+        and rendered.
+
+        Args:
+            hand_indices: rows of the hand set.
+            execute: engine's settings; None: those of the configuration.
+        """
         hands = sequence_of(SupportsIndex, "numbers of hands", least=0)(
             "hand_indices", tuple(_listed(hand_indices))
         )
@@ -361,8 +370,15 @@ class Scene:
         T_world_hand: Float32[Tensor, "b 4 4"],
         opening_m: Float32[Tensor, " b"],
     ) -> "BodyPoses":
-        """Bodies of B trials: hand in the world, fingers at their opening, object attached (after
-        closing moved it)."""
+        """Bodies of B trials: hand in the world, fingers at their opening, object attached.
+
+        Args:
+            object_index: (B,) int32.
+            hand_index: (B,) int32.
+            T_obj_ee: (B, 4, 4) float32, the grasp after closing moved the object, m.
+            T_world_hand: (B, 4, 4) float32, m.
+            opening_m: (B,) float32, gap between the pads.
+        """
         b, device = len(object_index), object_index.device
         gripper = gripper_tables(self.robot, self.device)
         count = gripper.kind.shape[0]
@@ -406,8 +422,13 @@ class Scene:
         rows: Tensor,
         opening_m: Float32[Tensor, " r"],
     ) -> "BodyPoses":
-        """Some rows of bodies that index the scene's tables, with the fingers at another opening;
-        the object stays in the wrist's frame."""
+        """Some rows of bodies, with the fingers at another opening; the object stays in the wrist's frame.
+
+        Args:
+            body_poses: bodies that index the scene's tables.
+            rows: (R,) int64, rows of them.
+            opening_m: (R,) float32, gap between the pads.
+        """
         own = tuple(x[rows] for x in body_poses.owners)
         T = torch.eye(4, dtype=torch.float32, device=opening_m.device).repeat(len(opening_m), 1, 1)
         moved = self.body_poses(own[0], own[1], T, own[9], opening_m).owners
