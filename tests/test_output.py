@@ -82,7 +82,7 @@ def test_a_kernel_cache_that_takes_nothing_is_one_line_and_exit_code_1(tmp_path)
 
     Another kernel is there already, so the cache was not full when it was begun.
     """
-    code = f"{FILLS_UP}\nimport LOG, sys\nfrom r2h_batch.command_line import answer\n"
+    code = f"{FILLS_UP}\nimport sys\nfrom r2h_batch.command_line import answer\n"
     code += "from r2h_batch.judge.plan import load_searches\nsys.exit(answer('sweep', lambda: load_searches('cpu')))"
     environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "cache")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
