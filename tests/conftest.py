@@ -7,11 +7,14 @@ from contextlib import suppress
 
 import pytest
 from needs import is_here, reason
+from readers import own_process, read_in_this_process  # noqa: F401 (a fixture)
 
 # CUDA builds of torch bring triton, which ends the process where OSMesa's LLVM was loaded before it (mujoco does that
 # with MUJOCO_GL=osmesa); the other order works
 with suppress(ImportError):
     import triton  # noqa: F401
+
+read_in_this_process()
 
 INTERPRETERS = ("3.11", "3.12", "3.13")
 LEFT_OUT = pytest.StashKey[Counter[str]]()

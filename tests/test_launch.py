@@ -119,17 +119,6 @@ def test_a_repeated_call_takes_the_memory_rows_and_values_it_is_given():
             assert (outputs["calls"] == 1).all()
 
 
-def test_a_struct_whose_numbers_change_and_another_one_are_both_seen():
-    inputs, outputs = arguments()
-    for factor in (2.0, 3.0):
-        inputs["scale"].factor = factor
-        launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
-        torch.testing.assert_close(outputs["length"], (expected(inputs) - 0.75) * factor / 2.0 + 0.75)
-    other, _ = arguments(scale=Scale())
-    launch_trials(scaled, N, inputs=other, outputs=outputs, device="cpu")
-    torch.testing.assert_close(outputs["length"], torch.full((N,), 0.75))
-
-
 def test_what_is_refused_the_first_time_is_refused_after_a_call_that_was_right():
     inputs, outputs = arguments()
     launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")

@@ -5,7 +5,6 @@ import html.parser
 import io
 import json
 import re
-from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,7 +13,6 @@ from made_runs import write_run
 from markdown_it import MarkdownIt
 
 from r2h_batch.compare.text import render as render_comparison
-from r2h_batch.export import captions
 from r2h_batch.report import page
 from r2h_batch.report.table import object_lines, render, table_of
 from r2h_batch.report.text import short_names
@@ -118,16 +116,3 @@ def test_the_page_and_its_charts_say_the_names_and_gain_no_tag(run, tmp_path):
     assert all(any(label.startswith(f"{name}. S0: ") for label in labels) for name in SHORT.values())
     colors = {value for c in charts for e in c.iter() for value in e.attrib.values() if "#010203" in value}
     assert all("&lt;" in value for value in colors)  # in the name's label alone
-
-
-def drawing(name):
-    row = {"trial_id": 3, "object": "a_b", "side": "left", "split": "S0", "outcome": "plan", "plan_reason": name}
-    stored = SimpleNamespace(row=row, method=name, note=name, moves=False)
-    return SimpleNamespace(stored=stored, witness=None, marks=(), ended=None)
-
-
-@pytest.mark.parametrize("name", ODD)
-def test_panels_of_a_page_and_of_the_viewer_show_the_name(name):
-    for found in (Text(captions.as_html(drawing(name))), shown(captions.as_markdown(drawing(name)))):
-        assert "".join(found.text).count(name) >= 2  # the method and the note
-        assert not {"script", "img", "a", "em", "del", "s", "code"} & set(found.tags)

@@ -2,13 +2,11 @@
 
 import json
 import zipfile
-from dataclasses import replace
 
 import pytest
 from made_runs import forged
 
 from r2h_batch.__main__ import main
-from r2h_batch.bodies.robot import load_robot, write_robot
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 
@@ -85,18 +83,6 @@ def test_a_built_in_name_is_only_a_built_in_methods_and_the_first_file_decides_n
     assert main(["leaderboard", *given, "--rows", "2", "--out", str(tmp_path / "board.html")]) == 1
     page = (tmp_path / "board.html").read_text()
     assert "oracle (submitted)" in page and "random" in page and "<title>theirs, mine</title>" in page
-
-
-def test_a_run_on_a_robot_of_ones_own_is_submitted_and_listed_with_its_robot(tmp_path, capsys):
-    write_robot(tmp_path / "arm", replace(load_robot(), name="my_arm"))
-    run, robot = str(tmp_path / "own"), ["--rows", "2", "--robot", str(tmp_path / "arm")]
-    line = ["--method", "random", "--trials", "2", "--splits", "S0", "--sim", "none", "--out", run]
-    assert sweep([*line, *robot[2:]]) == 0
-    assert main(["submit", run]) == 2
-    assert "--robot" in capsys.readouterr().err
-    assert main(["submit", run, *robot]) == 0
-    assert main(["leaderboard", f"{run}.zip", *robot, "--out", str(tmp_path / "board.html")]) == 0
-    assert "my_arm" in (tmp_path / "board.html").read_text()
 
 
 def test_a_forged_row_is_found_by_judging_it_again(bundle, tmp_path, capsys):

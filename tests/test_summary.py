@@ -1,6 +1,5 @@
 """What batches look like in a terminal, a notebook and a logger: short, true, and without a second evaluation."""
 
-import copy
 import pickle
 
 import pytest
@@ -8,7 +7,7 @@ import torch
 from needs import needs
 from problems import default_evaluator, make_batch
 
-from r2h_batch import CRITERIA, Outcome, Scores, make_trials
+from r2h_batch import CRITERIA, Outcome, make_trials
 
 
 @pytest.fixture(scope="module")
@@ -44,15 +43,3 @@ def test_trials_know_their_objects_and_keep_them_through_selection_and_copies():
     with pytest.raises(ValueError, match=r"trials\.named"):
         _ = bare.object_names
     assert bare.named(default_evaluator().scene.objects).object_names == names
-
-
-def test_scores_keep_their_inputs_and_copies_hold_numbers_alone(scores):
-    batch = make_batch(default_evaluator().scene, 24)
-    one = scores[torch.tensor([7])]
-    assert (
-        torch.equal(one.inputs.T_obj_ee, batch.T_obj_ee[7:8])
-        and one.inputs.trials.trial_id.tolist() == one.trial_id.tolist()
-    )
-    assert one.inputs.evaluator is default_evaluator() and scores.clone().inputs is not None
-    assert pickle.loads(pickle.dumps(scores)).inputs is None and copy.deepcopy(scores).inputs is None
-    assert Scores.concatenate([scores, scores]).inputs is None

@@ -19,7 +19,6 @@ from r2h_batch.bodies.arrays import asset, read_arrays
 from r2h_batch.bodies.hand import load_hand_set
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.io.read import FileError
-from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.runs.store import load_run
 from r2h_batch.trials.protocol import trials_of
 
@@ -154,28 +153,6 @@ def test_a_trials_file_that_is_none_is_refused_in_one_line(words, tmp_path):
     assert words in str(error.value) and "\n" not in str(error.value)
 
 
-def test_parquet_files_of_other_shapes_or_sizes_are_refused_before_they_are_read(tmp_path, monkeypatch):
-    base, good = built_in(), some_trials()
-    cases = {
-        "T_world_hand must be a list of 16": {**good, "T_world_hand": good["T_world_hand"][:, :3]},
-        "object is no text": {**good, "object": np.arange(10)},
-    }
-    for words, columns in cases.items():
-        with pytest.raises(FileError, match=words):
-            read_trials_file(as_parquet(tmp_path / "t.parquet", columns), base.objects, base.hand_set)
-    (tmp_path / "no.parquet").write_bytes(b"PAR1" + b"\xff" * 64 + b"PAR1")
-    with pytest.raises(FileError, match="no readable Parquet"):
-        read_trials_file(tmp_path / "no.parquet", base.objects, base.hand_set)
-    # a thousand rows of one long list each, as small as a dictionary makes it: more values than the rows can have
-    many = {"object": ["cup"] * 4, "hand": [0] * 4, "T_world_hand": [[1.0] * 100_000] * 4}
-    pq.write_table(pa.table(many), tmp_path / "long.parquet", compression="zstd")
-    read = []
-    monkeypatch.setattr(pq.ParquetFile, "read", lambda *_, **__: read.append(1))
-    with pytest.raises(FileError, match=r"unpacks to .* bytes; at most"):
-        read_trials_file(tmp_path / "long.parquet", base.objects, base.hand_set)
-    assert not read
-
-
 def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
     arrays = read_arrays(asset("hand", "hand.npz"))
     np.savez(tmp_path / "large.npz", **arrays | {"vertices": arrays["vertices"] * np.float32(1.1)})
@@ -192,23 +169,6 @@ def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
     assert found.digest != BenchmarkOverrides(hands=str(tmp_path / "two.npz")).read().digest
     np.savez(tmp_path / "large.npz", **arrays)  # another hand in the file: it is read again
     assert given.read().digest != found.digest
-
-
-def test_grasps_come_by_name_by_file_name_or_by_folder(tmp_path):
-    (cup,) = load_objects(["cup"])
-    own = candidates_of((cup,))[0]
-    (tmp_path / "g").mkdir()
-    for name in ("mine.npz", "cup.npz", "g/cup.npz"):
-        np.savez(tmp_path / name, T_obj_ee=own.T_obj_ee[:9], width=own.width[:9], score=own.score[:9])
-    digests = set()
-    for argument in (f"cup={tmp_path / 'mine.npz'}", tmp_path / "cup.npz", tmp_path / "g"):
-        benchmark = BenchmarkOverrides(grasps=(str(argument),)).read()
-        assert [o.name for o in benchmark.objects if o.grasps is not None] == ["cup"]
-        digests.add(benchmark.digest)
-    assert len(digests) == 1 and digests != {built_in().digest}
-    for wrong in ("mine.npz", "none", "mug=cup.npz"):
-        with pytest.raises(FileError, match=r"NAME=FILE|no such file|cannot be"):
-            BenchmarkOverrides(grasps=(str(tmp_path / wrong),)).read()
 
 
 @pytest.fixture

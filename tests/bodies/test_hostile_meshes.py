@@ -15,6 +15,8 @@ from r2h_batch.bodies.mesh_import.limits import Budget
 from r2h_batch.bodies.objects import ObjectMeshError, build_object
 from r2h_batch.io import child
 
+pytestmark = pytest.mark.usefixtures("own_process")
+
 BOX = trimesh.creation.box((0.1, 0.05, 0.03))
 
 

@@ -1,6 +1,5 @@
 """A user's meshes: what is taken, mended, rebuilt or refused, and what is said about it."""
 
-import sys
 import warnings
 
 import numpy as np
@@ -190,23 +189,6 @@ def test_a_receiver_region_can_be_given_in_four_ways(tmp_path):
         assert said == "" and (model.receiver_face == low).all()
 
 
-@pytest.mark.parametrize(
-    ("receiver", "text"),
-    [
-        ("x<0.0", "region is empty"),
-        ("x<2", "region is the whole object"),
-        ("handle", "neither an existing .npy file nor"),
-        (np.array([0, 10**6]), "receiver array is int64"),
-        (np.array([-1]), "receiver array is int64"),
-        (np.ones(3, bool), "receiver array is bool"),
-        (np.ones(3), "receiver array is float64"),
-    ],
-)
-def test_bad_receiver_regions_are_refused(receiver, text):
-    with pytest.raises(ObjectMeshError, match=text):
-        build_object(brick(), split="S1", receiver=receiver, pieces=False)
-
-
 def test_labels_and_faces_of_a_file_are_carried_over_to_the_repaired_mesh(tmp_path):
     mesh = ball()
     holed = trimesh.Trimesh(mesh.vertices, mesh.faces[1:], process=False)
@@ -225,18 +207,6 @@ def test_labels_and_faces_of_a_file_are_carried_over_to_the_repaired_mesh(tmp_pa
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object), allow_pickle=True)
     with pytest.raises(ObjectMeshError, match=r"not a plain \.npy array"):
         build_object(mesh, split="S1", receiver=tmp_path / "objects.npy", pieces=False)
-
-
-def test_without_manifold3d_the_hull_is_the_only_piece_and_rebuilding_is_refused(monkeypatch):
-    for missing, pieces in (("coacd", "fine"), ("manifold3d", True)):
-        monkeypatch.setitem(sys.modules, missing, None)
-        with pytest.warns(UserWarning, match=f"{missing} is not installed"):
-            model = build_object(brick(), pieces=pieces)
-        assert len(model.pieces) == 1 and len(model.pieces[0][0]) == len(model.hull_vertices)
-    mesh = ball()
-    half = trimesh.Trimesh(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0], process=False)
-    with pytest.raises(ObjectMeshError, match=r"manifold3d is needed to decimate its"):
-        build_object(half)
 
 
 def test_long_thin_faces_fill_the_voxels_that_they_pass_and_no_others() -> None:

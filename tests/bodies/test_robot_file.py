@@ -96,7 +96,7 @@ def test_wrong_corners_are_refused_in_one_line(change, words, tmp_path):
 
 
 def test_hulls_hold_the_mesh_that_they_are_cut_from():
-    ring = trimesh.creation.torus(0.2, 0.05, major_sections=24, minor_sections=12)
+    ring = trimesh.creation.torus(0.06, 0.015, major_sections=24, minor_sections=12)
     mesh = Target(ring.triangles, [], float(ring.area))
     hulls = fit_hulls(mesh, lambda found: len(found) == 4, 4)
     for corners in (hull.points for hull in hulls):
@@ -104,7 +104,7 @@ def test_hulls_hold_the_mesh_that_they_are_cut_from():
     nearest = np.min([
         trimesh.proximity.signed_distance(trimesh.convex.convex_hull(h.points), ring.vertices) * -1 for h in hulls
     ], axis=0)  # fmt: skip
-    assert nearest.max() < 1e-5 and mesh.mean_overshoot_mm(hulls) < 40
+    assert nearest.max() < 1e-5 and mesh.mean_overshoot_mm(hulls) < 12
 
 
 @pytest.mark.parametrize(

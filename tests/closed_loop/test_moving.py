@@ -1,6 +1,5 @@
 """Hands that move: strokes against their closed form, the bound of their way, the arm that follows, imported motions."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -166,13 +165,3 @@ def test_an_imported_motion_ends_at_the_trials_pose_and_goes_as_it_was_recorded(
         assert (far <= hands.travel(a, a + 0.07).double() + 1e-5).all()
     with pytest.raises(ValueError, match="no hand"):
         MovingHands.of(scene, make_trials(trials=2, protocol="r2h-v1"), motion)
-
-
-def test_what_cannot_be_is_refused_in_a_line(scene):
-    for wrong in ("jumps", "moves:10", "replay", "replay:"):
-        with pytest.raises(ValueError, match="must be still, moves"):
-            ReceiverMotion.parse(wrong)
-    assert ReceiverMotion.parse("takes:50mm,10deg", 3) == ReceiverMotion("takes", 0.05, 10.0, seed=3)
-    trials = replace(make_trials(trials=2, protocol="r2h-v1"), receiver=None)
-    with pytest.raises(ValueError, match="use protocol r2h-v1"):
-        MovingHands.of(scene, trials, ReceiverMotion("reaches"))

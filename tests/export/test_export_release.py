@@ -11,7 +11,6 @@ from sweep_command import in_process
 from r2h_batch.__main__ import main
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.export.region_boxes import region_as_boxes
-from r2h_batch.importers.release import read_trials
 from r2h_batch.runs.store import load_run
 from r2h_batch.verdicts import CRITERIA
 
@@ -43,23 +42,6 @@ def test_trials_that_are_read_back_get_the_verdicts_that_they_had(run, written):
                 if own[i][f"margin_{name}_m"] is not None:
                     atol = 2e-6 if name in ("stability", "reach", "affordance") else 2e-3  # between 60 Hz samples
                     assert row[f"margin_{name}_m"] == pytest.approx(own[i][f"margin_{name}_m"], abs=atol)
-
-
-def test_compare_pairs_a_run_of_imported_trials_with_results_of_the_same_names(written, tmp_path, capsys):
-    """Of one trial's name less, it refuses."""
-    done = in_process("--trials-from", written / "files", "--sim", "none", "--out", tmp_path / "mine")
-    assert done.returncode == 0, done.stderr
-    results = json.loads((written / "files" / "results.json").read_text())
-    results = [r for r in results if (written / "files" / f"{r['trial_id']}.json").is_file()]
-    for name, rows in (("same", results[::-1]), ("other", [{**results[0], "trial_id": "another"}, *results[1:]])):
-        (tmp_path / f"{name}.json").write_text(json.dumps(rows))
-        line = ["results", str(tmp_path / f"{name}.json"), "--from", "r2handoversim", "--out", str(tmp_path / name)]
-        assert main(["import", *line]) == 0
-    capsys.readouterr()
-    assert main(["compare", str(tmp_path / "mine"), str(tmp_path / "same")]) == 0
-    assert "paired by their names" in capsys.readouterr().out
-    assert main(["compare", str(tmp_path / "mine"), str(tmp_path / "other")]) == 2
-    assert "differ in the names of their trials" in capsys.readouterr().err
 
 
 def test_a_hands_mesh_decides_safe_where_its_posture_is_unknown(run, written):
@@ -111,18 +93,6 @@ def validate(t):
     assert np.abs(np.diff(t["executed_joints"], axis=0)).max() <= 0.0101  # 0.6 rad/s at 60 Hz
     assert "planning" not in t or t["planning"]["status"] == "failed"  # no digest of theirs is claimed
     json.dumps(t, allow_nan=False)
-
-
-def test_a_hand_that_was_moved_in_a_file_is_where_the_file_says(written, tmp_path):
-    (tmp_path / "in").mkdir()
-    path = next((written / "files").glob("oracle_*.json"))
-    t = json.loads(path.read_text())
-    palm = np.array(t["receiver"]["T_world_hand"])
-    palm[2, 3] += 0.05
-    t["receiver"]["T_world_hand"], t["palm_position_world"] = palm.tolist(), palm[:3, 3].tolist()
-    (tmp_path / "in" / path.name).write_text(json.dumps(t))
-    trials, _ = read_trials(tmp_path / "in")
-    assert trials[0].own is None and trials[0].T_world_palm[2, 3] == pytest.approx(palm[2, 3] - 0.75)
 
 
 def test_files_keep_what_the_release_demands_of_a_trial(written):

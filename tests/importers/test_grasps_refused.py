@@ -87,27 +87,8 @@ def test_files_that_are_no_grasps_are_refused_in_one_line(tmp_path, name):
     assert str(refused.value).startswith(str(path)) and "\n" not in str(refused.value)
 
 
-ISAAC = "format: isaac_grasp\nformat_version: 1.0\n"
-
-
-@pytest.mark.parametrize("text, message", [
-    ("format: other\n", "no isaac_grasp"),
-    (ISAAC + "grasps: {}\n", "needs 1 to"),
-    (ISAAC + "grasps:\n  g:\n    position: [0, 0, 0]\n", "no orientation"),
-    (ISAAC + "grasps:\n  g:\n    position: [0, 0]\n    orientation: {w: 1, xyz: [0, 0, 0]}\n",
-     "position is"),
-    (ISAAC + "grasps:\n  g:\n    position: [0, 0, 0]\n    orientation: {w: 3, xyz: [0, 0, 0]}\n",
-     "no rotation"),
-])  # fmt: skip
-def test_yaml_that_is_no_grasp_file_is_refused_in_one_line(tmp_path, text, message):
-    path = tmp_path / "g.yaml"
-    path.write_text(text)
-    with pytest.raises(FileError, match=message) as refused:
-        read_file_of("isaac", path, "panda-hand")
-    assert "\n" not in str(refused.value)
-
-
 @needs("h5py")
+@pytest.mark.usefixtures("own_process")
 def test_a_file_that_leads_hdf5_in_circles_is_ended_with_its_process(tmp_path, monkeypatch):
     path = write_acronym(tmp_path / "mug.h5", poses(3), np.ones(3))
     data = bytearray(path.read_bytes())

@@ -101,23 +101,6 @@ def test_grab(tmp_path, capsys):
     )
 
 
-def test_the_widest_grip_counts_only_before_the_object_moves(tmp_path, capsys, monkeypatch):
-    import hand_data
-
-    whole = hand_data.truth
-
-    def wide_after(side=0, seed=0, idle=False):
-        h = whole(side, seed, idle)
-        h["fingers"][LIFTED + 2 :] *= 0.0  # flat, after it let go
-        return h
-
-    monkeypatch.setattr(hand_data, "truth", wide_after)
-    write_grab(tmp_path)
-    imported(capsys, tmp_path, "grab", tmp_path / "hands.npz")
-    hands, _ = loaded(tmp_path / "hands.npz")
-    assert hands["frame"].tolist() == [WIDEST, WIDEST]
-
-
 def test_arctic_is_about_the_mean_hand_and_in_millimetres(tmp_path, capsys, mano, means):
     write_arctic(tmp_path, means[0])
     code, _, err = imported(capsys, tmp_path, "arctic", tmp_path / "no.npz")

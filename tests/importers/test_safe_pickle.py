@@ -52,12 +52,6 @@ def test_data_comes_back_as_python_reads_it(protocol):
     assert equal(found, pickle.loads(raw)) and found["twice"][0] is found["twice"][1]
 
 
-@pytest.mark.parametrize("protocol", (0, 2, 4))
-def test_sets_come_back_as_lists_so_that_nothing_of_a_file_is_hashed(protocol):
-    found = read_pickle(pickle.dumps({"names": {"x", "a"}, "fixed": frozenset({3}), "none": set()}, protocol))
-    assert sorted(found["names"]) == ["a", "x"] and found["fixed"] == [3] and found["none"] == []
-
-
 class Runs:
     def __reduce__(self):
         return os.system, ("touch /tmp/r2h_batch_pickle_ran",)

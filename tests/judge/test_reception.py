@@ -7,7 +7,6 @@ import pytest
 import torch
 import warp as wp
 from fcl_twin import distance, hull, primitive
-from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation, Slerp
 
 from r2h_batch.bodies.objects import load_objects
@@ -16,12 +15,12 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import reception as judge
 from r2h_batch.judge.grasp import gripper_poses
-from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception, rula
+from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception
 from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.methods import oracle
-from r2h_batch.receiver.held_out import grip_forces, load_held_out, revolution_axis
+from r2h_batch.receiver.held_out import grip_forces, load_held_out
 from r2h_batch.receiver.receiving import load_receiving
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.trials.receivers import arm_axes
@@ -156,31 +155,6 @@ def test_the_arms_that_persons_were_drawn_with_are_found_and_have_the_twins_effo
     assert np.abs(effort[::6] - twin).max() < 1e-4
 
 
-def test_a_mirrored_person_finds_the_mirrored_arm():
-    trials = make_trials(trials=20, protocol="r2h-v1")
-    inputs, vectors, outwards = waiting(trials)
-    flip = torch.tensor([1.0, -1.0, 1.0])
-    table = Receiving()
-    table.assign(inputs["grasps"])
-    mirrored = [(v * flip).contiguous() for v in vectors]
-    for name, x in zip(("wrist", "along", "normal"), mirrored, strict=True):
-        setattr(table, name, wp.from_torch(x, dtype=wp.vec3))
-    receiver = trials.receiver.clone()
-    receiver[:, :4, 1] *= -1.0
-    receiver[:, 4, 3] *= -1.0  # y of the direction that the torso faces
-    effort, angles = searched(inputs)
-    other, turned = searched({**inputs, "grasps": table, "receiver": receiver, "outwards": -outwards})
-    assert np.abs(effort - other).max() < 1e-5 and np.abs(angles - turned).max() < 1e-2
-
-
-def test_no_hand_beyond_the_arms_length_is_reached():
-    trials = make_trials(trials=10, protocol="r2h-v1")
-    inputs, vectors, _ = waiting(trials)
-    far = (vectors[0] + torch.tensor([-0.8, 0.0, 0.0])).contiguous()
-    inputs["grasps"].wrist = wp.from_torch(far, dtype=wp.vec3)
-    assert (searched(inputs)[0] == -1).all()
-
-
 # --- bodies ----------------------------------------------------------------------------------------------------------
 
 
@@ -274,7 +248,7 @@ def test_hands_are_free_of_the_gripper_as_fcl_says(steps):
 def test_a_way_in_and_the_release_are_free_at_every_sample(steps):
     batch, arms, passes, way = steps
     table = batch.grasps
-    for i, k in some(passes[..., :5].all(2), 5):
+    for i, k in some(passes[..., :5].all(2), 3):
         row, turn = int(batch.first[i]) + k, arms["turn"][i, k]
         T = turned_object(batch, i, turn)
         n, a = (x[row].double().numpy() for x in (table.owners[2], table.owners[1]))
@@ -291,7 +265,7 @@ def test_arm_and_torso_are_clear_of_the_robot_as_fcl_says(scores, steps):
     batch, arms, passes, _ = steps
     asked = passes[..., :3].all(2)
     for mask, clear in ((asked & passes[..., 3], True), (asked & ~passes[..., 3], False)):
-        for i, k in some(mask, 12):
+        for i, k in some(mask, 8):
             trial, at = torch.tensor([i]), torch.tensor([k])
             wrist = batch.wrists(batch.pairs(trial, at, arms))[0].double().numpy()
             lean, elbow = float(arms["angles"][i, k, 6]), arms["elbow"][i, k].double().numpy()
@@ -304,7 +278,7 @@ def test_the_whole_way_to_the_chosen_grasp_is_free_at_every_sample(scores, steps
     batch, arms, _, way = steps
     rows = torch.nonzero(found.received)[:, 0].tolist()
     assert len(rows) >= 20
-    for i in rows[::6]:
+    for i in rows[::10]:
         row = int(found.grasp[i])
         k = row - int(batch.first[i])
         opening = float(batch.of_trial["opening"][i])
@@ -355,13 +329,6 @@ def test_without_lean_fewer_arms_reach(scores, found):
     assert (upright.angles_deg[upright.received, ANGLES.index("lean")] == 0).all()
 
 
-def test_no_rows_give_no_rows_and_leans_are_degrees_that_a_trunk_has(scores):
-    assert len(reception(scores[:0]).received) == 0
-    for leans in ((), (-30.0,), (float("nan"),), "30"):
-        with pytest.raises((TypeError, ValueError), match="leans_deg is"):
-            reception(scores, leans_deg=leans)
-
-
 def test_rows_that_hold_nothing_are_not_evaluated(scores):
     T = scores.inputs.T_obj_ee.clone()
     T[:4, :3, 3] += 1.0
@@ -399,13 +366,6 @@ def test_the_chance_of_one_is_that_of_drawing_without_replacement():
     assert (np.diff(curve) >= -1e-12).all() and curve[-1] == 1.0
 
 
-def test_rula_scores_postures_as_its_tables_do():
-    good = [10, 0, 80, 0, 0, 0, 0]  # upper arm 1, lower arm 1, wrist 1, twist 1: A 1; trunk 1: B 1
-    worse = [95, 40, 120, 70, 30, 20, 25]  # upper arm 5, lower arm 2, wrist 4, twist 2: A 7; trunk 3: B 3
-    reaching = [60, 0, 40, 0, 10, 0, 0]  # upper arm 3, lower arm 2, wrist 2, twist 1: A 4; B 1
-    assert rula(np.array([good, worse, reaching], float)).tolist() == [1, 6, 3]
-
-
 # --- held-out grasps -------------------------------------------------------------------------------------------------
 
 
@@ -432,28 +392,9 @@ def test_no_predictor_and_no_method_but_the_oracle_reads_them(monkeypatch):
         assert len(method.predict(trials, evaluator().scene, seed=0).T_obj_ee) == 4
 
 
-def test_objects_of_revolution_are_known_by_their_surface():
-    axes = {o.name: revolution_axis(o)[0] for o in load_objects()}
-    round_ones = {name for name, axis in axes.items() if any(axis)}
-    assert round_ones == {"bowl", "cup", "wineglass", "bottle"}
-    assert all(abs(axes[name][2]) > 0.999 for name in round_ones)
-
-
 def test_stored_grips_are_those_of_the_linear_program_again():
     model = next(o for o in load_objects() if o.name == "hammer")
     own = load_held_out([model])
     rows = [0, 300]
     again = grip_forces(model, own.grasps[torch.tensor(rows)].vertices.numpy(), own.grasps.hand)
     assert np.allclose(again, own.grip_n[rows].numpy(), rtol=1e-3)
-
-
-def test_a_pinch_needs_the_grip_of_coulombs_law():
-    """Two fingers from both sides of a ball carry it with friction alone: each presses with m g / (2 mu), by the pyramid."""
-    inward = np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
-    arm = np.array([[-0.03, 0.01, 0], [0.03, 0.01, 0], [-0.03, -0.01, 0], [0.03, -0.01, 0]])
-    from r2h_batch.receiver.held_out import CONE_EDGES, FRICTION, _edges
-
-    wrench = _edges(arm, inward)
-    found = linprog(np.ones(wrench.shape[1]), A_eq=wrench, b_eq=[0, 0, 1, 0, 0, 0], method="highs")
-    assert found.status == 0
-    assert 1 / FRICTION <= found.fun <= 1 / (FRICTION * np.cos(np.pi / CONE_EDGES)) + 1e-9

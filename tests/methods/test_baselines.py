@@ -175,54 +175,6 @@ def test_intent_by_its_axis_opposes_the_gripper_to_the_hand_and_searches_the_rol
         assert np.abs(tries[turn] - T).max() < 2e-5
 
 
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("contact", {"at": "gripper"}),
-        ("intent", {"at": "gripper"}),
-        ("fc", {"at": "gripper"}),
-        ("fc", {"height_m": 0.12}),
-    ],
-)
-def test_gripper_or_object_stand_above_the_palm_as_they_are_told(name, options):
-    target = predict_target(trials()[:4], evaluator().scene, noise=NOISE)
-    found = predict(METHODS[name], trials()[:4], **options)
-    for i in range(4):
-        point = target.palm_point[i].double() + options.get("height_m", 0.15) * target.palm_normal[i].double()
-        placed = found.T_world_ee[i, :3, 3].double().numpy() if "at" in options else middle(found, i)[0]
-        assert np.abs(placed - point.numpy()).max() < 1e-5
-
-
-def test_without_a_gate_the_roll_nearest_home_is_taken_unseen():
-    found = predict(METHODS["fc"], trials()[:6], gate="none")
-    for i in range(6):
-        T = found.T_world_ee[i].double().numpy()
-        assert np.abs(T[:3, :3] - rolls_from(found.T_world_ee[i], T[:3, 2])[0]).max() < 1e-5
-
-
-def test_intent_does_as_it_is_told():
-    model = evaluator().scene.objects
-    s1 = trials()[trials().trial_id % 2 == 1]
-    own = predict(intent, s1)
-    said = [model[int(i)].instruction for i in s1.object_index]
-    told = predict(intent, s1, instructions=said)
-    assert torch.equal(own.T_obj_ee, told.T_obj_ee) and torch.equal(own.T_world_ee, told.T_world_ee)
-    with pytest.raises(ValueError, match="1 instructions for 16 trials"):
-        predict(intent, s1, instructions=said[:1])
-
-
-def test_the_region_is_what_the_sentence_names():
-    scene = evaluator().scene
-    some = trials()[trials().trial_id == 1]  # a hammer
-    model = scene.objects[int(some.object_index[0])]
-    assert model.name == "hammer"
-    assert [model.part_names[k] for k in intent.named_parts(scene, some, None)[0].nonzero()[:, 0]] == ["grip"]
-    free = trials()[trials().trial_id == 0]
-    assert not intent.named_parts(scene, free, None).any()
-    words = intent.named_parts(scene, free, ["hand me the controller by its grip"])[0]
-    assert [scene.objects[0].part_names[k] for k in words.nonzero()[:, 0]] == ["grip"]
-
-
 def va_inputs():
     """Roles, own grasps and the aligned template that Handover-VA works from."""
     scene = evaluator().scene
@@ -282,41 +234,6 @@ def test_va_goes_through_grasps_distances_and_turns_as_the_original_program_does
         assert np.abs(got[0] - T_obj_ee).max() < 1e-6 and np.abs(got[1] - tries[first]).max() < 2e-5
         gone.append((first // 35 > 0, first // 7 % 5 > 0, first % 7 > 0, wraps))
     assert np.any(gone, 0)[3] and (reached is arm or np.any(gone, 0).all())
-
-
-def test_va_with_one_loop_takes_its_best_scored_grasp_and_turns_the_handle_evenly():
-    target = predict_target(trials(), evaluator().scene, noise=NOISE)
-    _, own, axis = va_inputs()
-    one = predict(handover_va, trials(), loops="one")
-    for i in range(0, len(trials()), 3):
-        T_obj_ee, got = (getattr(one, k)[i].double().numpy() for k in ("T_obj_ee", "T_world_ee"))
-        if (own.score[i] > 0).any():
-            assert np.array_equal(T_obj_ee, own.T_obj_ee[i, int(own.score[i].argmax())].double().numpy())
-        else:
-            assert chosen_candidate(i, one.T_obj_ee[i]) == candidates(i)[2].argmax()
-        T_world_obj = got @ np.linalg.inv(T_obj_ee)
-        n = target.palm_normal[i].double().numpy()
-        assert np.abs(T_world_obj[:3, :3] @ axis.R_obj_template[i, :, 0].numpy() + n).max() < 1e-5
-        middle = T_world_obj[:3, :3] @ axis.handle[i].double().numpy() + T_world_obj[:3, 3]
-        assert np.abs(middle - target.ball_center[i].numpy()).max() < 1e-5
-        tries = handover_va.carried(
-            handover_va.presented(
-                axis.R_obj_template[i : i + 1], target.palm_normal[i : i + 1], [2 * np.pi * k / 7 for k in range(7)]
-            ),
-            axis.handle[i : i + 1], target.ball_center[i : i + 1, None], one.T_obj_ee[i : i + 1],
-        )[0].double().numpy()  # fmt: skip
-        assert np.abs(tries[first_passing(tries, torch.zeros(1), None)] - got).max() < 2e-5
-        turn = tries[1, :3, :3] @ tries[0, :3, :3].T  # 2 pi / 7 about the handover axis
-        assert np.trace(turn) == pytest.approx(1 + 2 * np.cos(2 * np.pi / 7), abs=1e-5)
-        assert np.abs(turn @ n - n).max() < 1e-5
-
-
-def test_va_puts_what_it_is_told_on_the_palms_normal():
-    target = predict_target(trials(), evaluator().scene, noise=NOISE)
-    gripper = predict(handover_va, trials()[:6], loops="one", at="gripper")
-    assert (gripper.T_world_ee[:, :3, 3] - target.ball_center[:6]).abs().max() < 1e-5
-    with pytest.raises(ValueError, match="at is 'head'; allowed are gripper, object, handle"):
-        predict(handover_va, trials()[:1], at="head")
 
 
 @pytest.mark.parametrize("name", METHODS)

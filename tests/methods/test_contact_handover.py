@@ -24,7 +24,6 @@ from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import contact
-from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.least_cost_pose import approach_fan, collision_cost, gripper_capsule, hand_sample
 from r2h_batch.predictors import (
     predict_contacts,
@@ -75,15 +74,6 @@ def test_contact_takes_the_grasp_that_blocks_least_contact_of_clustered_clear_on
         assert not equal[got] or score[got] >= score[equal].max() - 1e-7
         unlike += int(blocked.max() > blocked[got])
     assert unlike >= 4
-
-
-def test_clusters_are_dbscans_by_its_definition():
-    table, found = candidate_table(evaluator().scene), contact.in_clusters(evaluator().scene, contact.EPS_M, 3)
-    for first, count in zip(table.first.tolist(), table.count.tolist(), strict=True):
-        rows = slice(first, first + count)
-        points = table.T_obj_ee[rows, :3, 3].double().numpy()
-        assert np.array_equal(found[rows].numpy(), clusters(points))
-    assert 5 < (~found).sum() < 200
 
 
 def test_of_equally_blocked_grasps_the_best_scored_wins_and_filters_give_way_one_by_one():
@@ -152,12 +142,3 @@ def test_the_grippers_capsule_holds_it_at_any_opening():
         for g, (kind, size) in enumerate(zip(robot.gripper.kind, robot.gripper.size, strict=True)):
             assert primitive_distance(int(kind), size, (outside - p[n, g]) @ R[n, g]).min() > 0
     assert radius < 0.1 and high < 0.03
-
-
-def test_the_fan_faces_the_palm_and_starts_straight_into_it():
-    n = torch.tensor([[0.0, 0.0, 1.0], [0.6, 0.0, -0.8]], dtype=torch.float64)
-    fan = approach_fan(n, 32, 8)
-    into = -(fan[..., 2] * n[:, None]).sum(-1)
-    assert (into > 0).all() and (into[:, :8] > 0.97).all() and into.min() < 0.1
-    assert (into[:, ::8].diff(dim=1) < 0).all()  # ever flatter
-    assert (fan.mT @ fan - torch.eye(3, dtype=torch.float64)).abs().max() < 1e-12

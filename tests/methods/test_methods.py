@@ -105,16 +105,6 @@ def test_the_oracles_answer_for_a_trial_does_not_depend_on_the_others():
     assert len(oracle.predict(trials[:0], evaluator().scene, evaluator=evaluator())) == 0
 
 
-def test_more_rounds_keep_what_fewer_have_solved_and_another_seed_answers_differently():
-    trials, _, high = bounds()
-    one = oracle.predict(trials, evaluator().scene, evaluator=evaluator(), rounds=1)
-    solved = evaluator().score(one.T_obj_ee, one.T_world_ee, trials).success
-    assert 0.4 < solved.float().mean() < 1.0
-    assert same(one[solved], high[solved])
-    other = oracle.predict(trials[:20], evaluator().scene, evaluator=evaluator(), rounds=1, seed=1)
-    assert not same(other, one[:20])
-
-
 def test_the_proposal_that_got_farthest_is_kept_over_the_rounds():
     """A ball of 1 mm is hardly ever met, so trials stay unsolved and differ in how far off they are."""
     hard = Evaluator(EvalConfig(thresholds=Thresholds(reach_radius_m=0.001)))

@@ -1,7 +1,5 @@
 """Predictions of somebody's own networks: shown the truth as a file, a method answers as when it is shown the truth."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -206,13 +204,3 @@ def test_files_that_are_no_predictions_are_refused_in_one_line(scene, asked, tmp
     (tmp_path / "x.pkl").write_bytes(b"\x80\x04.")
     with pytest.raises(FileError, match=r"an \.npz file"):
         read_observations(scene.objects, scene.hands.model, hands=str(tmp_path / "x.pkl"))
-
-
-def test_what_is_not_in_the_files_is_left_to_the_error_model(scene, asked, tmp_path):
-    arrays = truth(scene, asked, predict_receiving)
-    np.savez(tmp_path / "t.npz", **{k: v for k, v in arrays.items() if "receiving" not in k})
-    seen = read_observations(scene.objects, scene.hands.model, hands=str(tmp_path / "t.npz"))
-    assert seen.receiving is None
-    drawn = predict_receiving(asked, scene, seed=3, seen=seen)
-    assert torch.equal(drawn.T, predict_receiving(asked, scene, seed=3).T)
-    assert torch.equal(predict_target(asked, scene, seen=replace(seen, target=None)).T, predict_target(asked, scene).T)

@@ -61,12 +61,3 @@ def test_a_trial_has_its_error_in_any_batch_and_none_at_factor_0(scene, trials):
         assert torch.equal(predict_target(trials[17:18], scene, noise=noise).T_world_hand, every[17:18])
         exact = predict_target(trials[:50], scene, noise=noise.scaled(0)).T_world_hand
         assert torch.equal(exact, trials[:50].T_world_hand)
-
-
-def test_tails_are_frames_on_top_of_the_normal_error(scene, trials):
-    angle = {}
-    for kind in ("normal", "frames", "tails"):
-        turn, _ = errors_of(scene, trials, PredictorNoise(target_errors=kind))
-        angle[kind] = np.degrees(np.linalg.norm(turn, axis=1))
-    assert angle["normal"].max() < 40 and angle["frames"].max() > 90 and angle["tails"].max() > 90
-    assert np.median(angle["frames"]) < 5 < 8 < np.median(angle["normal"]) < np.median(angle["tails"]) < 13

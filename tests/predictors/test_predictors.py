@@ -101,45 +101,9 @@ def test_retrieval_answers_the_instruction(scene, few) -> None:
         retrieve_receiving(few, scene, ["the bowl"])
 
 
-def test_a_wanted_part_is_held_where_grasps_hold_it(scene, few) -> None:
-    grasps = load_receiving(scene.objects)
-    part = torch.full((len(few),), -1, dtype=torch.int32)
-    bowl = few.object_index == 1
-    part[bowl] = 1  # rim
-    seen = predict_receiving(few, scene, part=part)
-    assert bool((grasps.part[seen.grasp[bowl]] == 1).all())
-    assert torch.equal(seen.grasp[~bowl], predict_receiving(few, scene).grasp[~bowl])
-    with pytest.raises(ValueError, match="part is -1 to 9; it must be -1"):
-        predict_receiving(few, scene, part=torch.where(bowl, 9, part))
-
-
 def test_parts_without_noise_are_the_objects_labels(scene, few) -> None:
     seen = predict_parts(few, scene, noise=EXACT)
     for row, index in enumerate(few.object_index.tolist()):
         model = scene.objects[index]
         assert np.array_equal(seen.label[row].numpy(), model.point_part)
         assert np.array_equal(seen.usage[row].numpy(), model.receiver_face[model.point_face])
-
-
-def test_label_noise_stays_near_borders_and_grows_with_the_width(scene, trials) -> None:
-    true = predict_parts(trials, scene, noise=EXACT)
-    shares = []
-    for width in (0.002, 0.006, 0.012):
-        seen = predict_parts(trials, scene, noise=PredictorNoise(border_m=width))
-        wrong = seen.label != true.label
-        shares.append(float(wrong.float().mean()))
-        for row in range(0, len(trials), 57):
-            model = scene.objects[int(trials.object_index[row])]
-            for i in torch.nonzero(wrong[row])[:, 0].tolist():
-                other = model.points[model.point_part == int(seen.label[row, i])]
-                assert np.linalg.norm(other - model.points[i], axis=1).min() < 5 * width + 0.006
-    assert 0 < shares[0] < shares[1] < shares[2] < 0.3
-
-
-def test_a_border_moves_as_a_whole(scene, trials) -> None:
-    hammer = trials[trials.object_index == 6]
-    true, seen = predict_parts(hammer, scene, noise=EXACT), predict_parts(hammer, scene)
-    grown = (seen.usage & ~true.usage).sum(1) > 0
-    shrunk = (~seen.usage & true.usage).sum(1) > 0
-    assert 0.25 < float(grown.float().mean()) < 0.9 and 0.25 < float(shrunk.float().mean()) < 0.9
-    assert float((grown & shrunk).float().mean()) < 0.5  # mostly one or the other, not salt and pepper

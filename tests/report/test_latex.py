@@ -54,33 +54,6 @@ def test_the_wide_table_gives_back_every_cell_of_table_1(paper):
     assert "% S0 FC-Handover: N 500" in first and r"\usepackage{booktabs,siunitx}" in first
 
 
-def test_the_narrow_table_gives_back_every_success_rate(paper):
-    lines = report.render(paper, "latex", columns=1, intervals=True).splitlines()
-    rows = [
-        re.sub(r"\\bfseries ", "", line).removesuffix(r" \\").split(" & ") for line in lines if line.endswith(r"\\")
-    ]
-    found = {(s, r[0]): c for r in rows[2:] for s, c in zip(("S0", "S1", "Avg"), r[1:])}
-    assert found == {(r["split"], r["method"]): r["sr"] for r in table_1()}
-    assert sum("scriptsize" in line for line in lines) == len(rows) - 2
-    with pytest.raises(ValueError, match="--columns is 3"):
-        report.render(paper, "latex", columns=3)
-
-
-def test_the_best_rates_of_a_split_are_bold_and_no_time_ever_is(paper):
-    bold, split = {}, ""
-    for line in report.render(paper, "latex").splitlines():
-        cells = [c.strip() for c in line.removesuffix(r" \\").split(" & ")]
-        if len(cells) == 11 and cells[1] not in ("", "Method"):
-            split = cells[0] or split
-            for column, text in zip(COLUMNS, cells[2:]):
-                if r"\bfseries" in text:
-                    bold.setdefault((split, column), []).append(cells[1])
-    assert bold["S0", "sr"] == ["Contact-Handover"] and bold["S1", "sr"] == ["Intent-Handover"]
-    assert bold["S0", "f_reach"] == ["FC-Handover"] and bold["S1", "f_stab"] == ["Handover-VA"]
-    assert ("S0", "f_afford") not in bold
-    assert {c for _, c in bold} <= {"sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford"}
-
-
 def test_a_comment_ends_no_comment(paper):
     evil = replace(paper, origin={"preset": "a\n\\input{/etc/passwd}\r% b"})
     first = report.render(evil, "latex").partition(r"\begin{tabular}")[0]

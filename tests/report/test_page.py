@@ -71,17 +71,6 @@ def trials_of(text):
     return json.loads(re.search(r"<script type=\"application/json\" id=trials>(.*?)</script>", text)[1])
 
 
-def test_a_large_run_is_represented_by_the_first_of_each_outcome_and_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(page, "TRIALS_SHOWN", 45)
-    outcome = np.where(np.arange(300) == 250, 5, 0)
-    run = write_run(tmp_path / "run", {"m": outcome}, 150, 150, shard_trials=64)
-    text = page.page(run)
-    (columns,) = trials_of(text)["methods"].values()
-    words = columns[trials_of(text)["columns"].index("outcome")]
-    assert words.count("safe") == 1 and words.count("success") == 5
-    assert "m: 6 of 300 trials" in text
-
-
 def test_margin_histograms_count_every_finite_margin_once(paper):
     run, _ = paper
     for method in run.methods[:2]:

@@ -13,7 +13,7 @@ from made_runs import command, make_header, make_scores, make_trials, paper_run,
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
-from r2h_batch.runs.store import join, load_run, open_run
+from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.statistics import common
 from r2h_batch.statistics.aggregate import RATES
 from r2h_batch.types import Outcome
@@ -154,27 +154,6 @@ def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):
     assert "no method is complete" in capsys.readouterr().err
 
 
-def test_several_runs_are_one_table_and_one_page(tmp_path, capsys):
-    mine = write_run(tmp_path / "mine", {"a": np.zeros(8, int), "b": np.ones(8, int)}, 4, 4)
-    theirs = write_run(tmp_path / "theirs", {"a": np.ones(20, int)}, 10, 10)
-    assert command("report", mine.folder, theirs.folder, format="json") == 0
-    told = json.loads(capsys.readouterr().out)
-    rows = {(r["method"], r["split"]): r for r in told["rows"]}
-    assert {m for m, _ in rows} == {"mine/a", "b", "theirs/a"}
-    assert (rows["mine/a", "S0"]["n"], rows["theirs/a", "S0"]["n"]) == (4, 10)
-    assert told["origin"]["trials"] == "mine: 4 S0, 4 S1; theirs: 10 S0, 10 S1"
-    single = {r["split"]: r for r in _rows(mine.folder, capsys) if r["method"] == "a"}
-    assert {s: {**r, "method": "mine/a"} for s, r in single.items()} == {
-        s: r for (m, s), r in rows.items() if m == "mine/a"
-    }
-    out = tmp_path / "both.html"
-    assert command("report", mine.folder, theirs.folder, format="html", out=out) == 0
-    page = out.read_text()
-    assert not report.best_cells(report.table_of(join([mine, theirs])))  # other trials
-    assert "<title>mine, theirs</title>" in page and "theirs/a" in page and "trials.S0 (theirs)" in page
-    assert command("report", mine.folder, theirs.folder, format="html", gallery=1, out=tmp_path / "no.html") == 2
-
-
 def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only_when_asked(
     tmp_path, capsys, monkeypatch
 ):
@@ -218,8 +197,3 @@ def test_the_measured_misses_of_a_robot_without_a_closed_form_stand_under_the_ta
         assert words in " ".join(page.replace("% ", "").split()) or words in " ".join(page.split()), fmt
     usual = write_run(tmp_path / "usual", {"a": np.zeros(8, int)}, 4, 4).folder
     assert command("report", usual) == 0 and "Inverse kinematics" not in capsys.readouterr().out
-
-
-def _rows(folder, capsys):
-    assert command("report", folder, format="json") == 0
-    return json.loads(capsys.readouterr().out)["rows"]

@@ -64,14 +64,6 @@ def test_what_the_simulator_failed_on_can_be_run_again_from_its_row():
     assert rows[1]["executed_q"] is None and rows[1]["failed_state"] == [9.0, 10.0, 11.0]
 
 
-def test_what_met_and_what_is_nearest_are_two_columns():
-    trials = make_trials(2, 0)
-    scores = make_scores(trials, np.array([Outcome.SUCCESS, Outcome.PLAN]))
-    scores.plan_pair[:] = torch.tensor([CollidingPair.HAND, CollidingPair.OBJECT_HAND], dtype=torch.int8)
-    rows = score_rows(trials, scores, NAMES).to_pylist()
-    assert [(r["plan_pair"], r["nearest_pair"]) for r in rows] == [(None, "hand"), ("object_hand", None)]
-
-
 def test_the_documentation_names_every_column_and_every_word_in_it():
     text = (Path(__file__).parents[2] / "docs" / "run_folder.md").read_text(encoding="utf-8")
     columns = [f.name for schema in store.SCHEMAS.values() for f in schema]

@@ -131,20 +131,6 @@ def test_a_run_that_is_given_twice_is_counted_once(tmp_path, capsys):
     assert "'m' is given 2 times" in capsys.readouterr().err
 
 
-def test_folders_with_other_shards_are_paired_row_by_row(tmp_path, capsys):
-    random, texts = np.random.default_rng(9), []
-    outcomes = {m: random.choice([0, 2, 5], 140) for m in "abc"}
-    for sizes in ((140, 140), (7, 33), (60, 11)):
-        folders = tuple(tmp_path / f"{sizes[0]}-{sizes[1]}" / name for name in "xy")
-        write_run(folders[0], {"a": outcomes["a"]}, 70, 70, shard_trials=sizes[0])
-        write_run(folders[1], {m: outcomes[m] for m in "bc"}, 70, 70, shard_trials=sizes[1])
-        assert command("compare", *folders, format="json") == 0
-        texts.append(capsys.readouterr().out)
-    assert texts[0] == texts[1] == texts[2]
-    pair = json.loads(texts[0])[2]["pairs"][0]
-    assert pair["only_a"] == int(((outcomes["a"] == 0) & (outcomes["b"] != 0)).sum())
-
-
 @pytest.mark.parametrize("change", ["ids", "objects"])
 def test_methods_that_answered_other_trials_are_refused(tmp_path, capsys, monkeypatch, change):
     run = write_run(tmp_path / "a", {m: np.zeros(40, int) for m in "mn"}, 20, 20, shard_trials=7)

@@ -142,13 +142,3 @@ def test_ratings_of_trials_meet_their_measures_row_by_row(trials, tmp_path, caps
     assert len(joined) == len(PEOPLE) * len(trials[1])
     measured = {(r["method"], r["trial_id"]): r for r in trials[1]}
     assert all(r[k] == measured[r["method"], r["trial_id"]][k] for r in joined for k in MEASURES)
-
-
-def test_a_rating_of_an_unknown_trial_and_one_given_twice_are_refused_by_line(trials, tmp_path, capsys):
-    file = ratings(tmp_path, trials[1][:2], lambda *_: 3)
-    for extra, why in (("anna,fc,999,comfort,3", "no trial 999 of fc"), (file.read_text().splitlines()[1], "twice")):
-        odd = tmp_path / "odd.csv"
-        odd.write_text(f"{file.read_text()}{extra}\n")
-        assert main(["study", "rated", str(odd), "--trials", str(trials[0])]) == 2
-        error = capsys.readouterr().err
-        assert why in error and "line 8" in error and error.count("\n") == 1

@@ -13,7 +13,7 @@ from r2h_batch.runs.provenance import file_digest
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
-from r2h_batch.sweep.options import METHODS, Options
+from r2h_batch.sweep.options import Options
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -25,23 +25,6 @@ def bench():
 
 def names(bench, **options) -> list[str]:
     return [j.name for j in jobs.make_jobs(Options(**options), [], bench)]
-
-
-def test_the_names_in_tables_carry_stand_in_and_noise(bench):
-    every = names(bench, method=METHODS, predictor_noise=0.0)
-    assert every == [
-        "random",
-        "oracle",
-        "FC-Handover (oracle hand)",
-        "Handover-VA (oracle labels)",
-        "Contact-Handover (VoxNet, built-in contacts)",
-        "Intent-Handover (retrieval)",
-    ]
-    assert names(bench, method=("fc", "intent")) == [
-        "FC-Handover (oracle hand + noise)",
-        "Intent-Handover (retrieval + noise)",
-    ]
-    assert names(bench, method=("handover-va",), predictor_noise=0.5) == ["Handover-VA (oracle labels + 0.5 x noise)"]
 
 
 def test_a_users_network_is_named_and_reaches_contact_alone(bench, tmp_path, monkeypatch):

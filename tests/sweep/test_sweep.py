@@ -185,14 +185,3 @@ def test_any_chunk_shard_and_part_gives_the_same_digest(fake, here, tmp_path, ca
         digests.add((run.digest("my_rules:best"), run.digest("m")))
         assert run.unfinished == ()
     assert len(digests) == 1
-
-
-def test_parts_of_a_sweep_print_the_table_with_the_last_and_log_apart(fake, here, tmp_path, capsys):
-    base = ["--method", f"{here}:best", "--trials", "6", "--shard-trials", "5", "--out", str(tmp_path / "run")]
-    for part, table in (("1/2", False), ("2/2", True)):
-        assert sweep.main([*base, "--shard", part]) == 0
-        captured = capsys.readouterr()
-        assert ("SR" in captured.out) == table
-        assert ("shards that other parts have to score: my_rules:best 1;" in captured.err) != table
-    log = json.loads((tmp_path / "run" / "progress-1.json").read_text())["methods"]["my_rules:best"]
-    assert (log["done"], log["planned"], log["left_s"]) == (7, 7, 0) and log["trials_per_s"] > 0

@@ -11,12 +11,11 @@ from io import BytesIO
 import mujoco
 import numpy as np
 import pytest
-import trimesh
 from needs import CHROMIUM, needs
 
 from r2h_batch.__main__ import main
 from r2h_batch.export.captions import as_markdown
-from r2h_batch.export.drawing import Drawing, view_of
+from r2h_batch.export.drawing import Drawing
 from r2h_batch.export.episode import episode_of
 from r2h_batch.export.stored import ExportError, Reader
 from r2h_batch.view.server import ANY, Filter
@@ -102,22 +101,6 @@ def test_a_failed_reach_shows_the_gap_and_a_failed_affordance_the_part_on_the_re
             assert witness.geoms[0].startswith("gripper/") and witness.geoms[1] == "object/region_visual"
         assert [m.text for m in drawing.marks if m.text] == [witness.caption]
         assert drawing.moments(3)[-1][2] and not drawing.moments(3)[0][2]
-
-
-def test_the_first_camera_sees_what_decides(reader):
-    """A ray of a second program (trimesh) from the camera to the event meets nothing of others before it."""
-    trials = [first(reader, outcome=o) for o in ("plan", "reach", "affordance")]
-    for drawing in map(Drawing, [*trials, reader.trial(1, "oracle")]):
-        q, point, bodies = drawing.event
-        data, view = drawing.at(q), view_of([drawing], 1.2)
-        parts = []
-        for g in drawing.visual_geoms():
-            body, made = data.body(drawing.body_of(g)), drawing.surface(g)
-            if drawing.body_of(g) not in bodies:
-                parts.append(trimesh.Trimesh(made.vertices @ body.xmat.reshape(3, 3).T + body.xpos, made.faces))
-        others, eye = trimesh.util.concatenate(parts), point - 2.0 * view.axes[2]
-        hits, *_ = others.ray.intersects_location(eye[None], view.axes[2][None])
-        assert all(np.linalg.norm(hit - eye) > 2.0 - 0.045 for hit in hits)
 
 
 def test_a_surface_stands_where_mujoco_has_the_geom(reader):
@@ -225,22 +208,6 @@ def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end
                         page.send(odd)
     finally:
         stop_server(server)
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        (["view", "RUN", "--html", "x.html"], "--html needs --trial"),
-        (["view", "RUN", "--trial", "7777", "--method", "random", "--html", "x.html"], "no trial 7777"),
-        (["view", "RUN", "--trial", "0", "--video", "x.doc"], ".mp4"),
-        (["view", "RUN", "--trial", "0", "--video", "x.mp4", "--size", "99999", "3"], "--size"),
-        (["view", "RUN", "--trial", "0", "--html", "x.html", "--receiver-motion", "moves"], "is played in --video"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_shown_is_refused_in_one_line(run, capsys, line, said):
-    assert main([str(run) if word == "RUN" else word for word in line]) == 2
-    out = capsys.readouterr()
-    assert out.out == "" and out.err.count("\n") == 1 and said in out.err
 
 
 @needs("gl")

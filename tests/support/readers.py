@@ -1,0 +1,42 @@
+"""Readers of meshes and HDF5 files in this process: a process of its own takes a CPU second to import them, for each file.
+
+Tests of what such a process is for (`own_process`) have it: tests/bodies/test_hostile_meshes.py and
+tests/importers/test_grasps_refused.py.
+"""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, BinaryIO
+
+import pytest
+
+from r2h_batch.io import child
+from r2h_batch.io.read import FileError
+
+READERS = {"r2h_batch.bodies.mesh_import.file": "_child", "r2h_batch.importers.hdf5": "_read"}
+"""Module -> what it gives to `answer_parent`."""
+IN_PROCESS = True
+_apart = child.read_in_child
+
+
+def _read_here(module: str, file: BinaryIO, options: Mapping[str, Any], **how: Any) -> list[Any]:
+    if not IN_PROCESS:
+        return _apart(module, file, options, **how)
+    data = file.read()
+    try:
+        return getattr(import_module(module), READERS[module])(data, {**options, "bytes": len(data)})
+    except FileError:
+        raise
+    except Exception as error:
+        raise FileError(f"cannot be read: {type(error).__name__}: {error}") from error
+
+
+def read_in_this_process() -> None:
+    """For all modules that are imported from now on."""
+    child.read_in_child = _read_here
+
+
+@pytest.fixture
+def own_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Readers have a process of their own, as users have it."""
+    monkeypatch.setitem(globals(), "IN_PROCESS", False)
