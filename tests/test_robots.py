@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from r2h_batch import Evaluator
 from r2h_batch.__main__ import main
@@ -52,6 +53,16 @@ def test_a_redundant_arm_gets_eight_postures_a_target_for_few_steps() -> None:
     from_home = torch.where(found.valid, (found.q - torch.tensor(panda.home_q)).norm(dim=2), torch.inf).min(1).values
     by_chance = np.linalg.norm(q - panda.home_q, axis=1)
     assert float(from_home[found.reachable].mean()) < 0.8 * by_chance.mean()
+
+
+def test_a_search_in_vain_leaves_seeds_that_do_not_come_near() -> None:
+    """64 seeds of 20 steps and 64 of up to 80: all of them are 6,400."""
+    panda, target = load_robot("panda_hand"), torch.eye(4).repeat(200, 1, 1)
+    target[:, :3, :3] = torch.from_numpy(Rotation.random(200, random_state=3).as_matrix())
+    target[:, :3, 3] = torch.tensor([0.55, 0.3, 0.4])
+    found = solve_ik(target, robot=panda)
+    lost = ~found.reachable
+    assert lost.sum() > 20 and found.steps[lost, 0].double().mean() < 4500
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ search that takes no account of it and tries three times as many."""
 TRIED = 64
 """Of these, the nearest of a target that are tried, and where all fail as many others."""
 ITERATIONS = 20
-"""Steps from a seed; of the others four times as many."""
+"""Steps from a seed; four times as many from those of the others that come near."""
 APART_RAD = 0.25
 """Postures that differ less in every joint count as one."""
 
