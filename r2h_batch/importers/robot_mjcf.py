@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 SPEED_RAD_S = 2.0
 """Of a joint: an MJCF has no limits of speed [choice]."""
-MAX_INCLUDES = 16
+MAX_INCLUDES, MAX_ELEMENTS = 16, 4096
 _IN_BODY = {"body", "frame", "joint", "freejoint", "geom", "inertial"}
 _MOTORS = {"motor", "general", "position", "velocity", "intvelocity", "damper"}
 READ: dict[str, set[str]] = {
@@ -59,7 +59,13 @@ def as_urdf(root: Element, path: Path, parse: Callable[[Path], Element]) -> Elem
         FileError: one line that says what the file has and what is allowed.
     """
     shown = printable(path)
-    _include(root, path, parse, [MAX_INCLUDES])
+    try:
+        _include(root, path, parse, [MAX_INCLUDES])
+        kept = _kept(root)
+    except RecursionError:
+        raise FileError(f"{shown}: is nested too deeply") from None
+    if (count := sum(1 for _ in kept.iter())) > MAX_ELEMENTS:
+        raise FileError(f"{shown}: {count} elements say what it is; {MAX_ELEMENTS} are allowed")
     for element in root.iter():
         if element.tag in REFUSED or "plugin" in element.attrib:
             tag = element.tag if element.tag in REFUSED else "plugin"
@@ -68,7 +74,7 @@ def as_urdf(root: Element, path: Path, parse: Callable[[Path], Element]) -> Elem
     for compiler in root.findall("compiler"):
         folder = compiler.get("meshdir", compiler.get("assetdir", folder))
     try:
-        text = ElementTree.tostring(_kept(root), encoding="unicode")
+        text = ElementTree.tostring(kept, encoding="unicode")
         spec = mujoco.MjSpec.from_string(text)
         files = _take_meshes(spec, folder, shown)
         own = [_own_mass(spec, body) for body in spec.bodies]
@@ -78,10 +84,16 @@ def as_urdf(root: Element, path: Path, parse: Callable[[Path], Element]) -> Elem
             model = spec.compile()
     except FileError:
         raise
-    except (ValueError, RecursionError, mujoco.FatalError) as error:
+    except (ValueError, mujoco.FatalError) as error:
         raise FileError(
             f"{shown}: MuJoCo: {printable(' '.join(str(error).split()))[:160]}"
         ) from None
+    numbers = (
+        model.body_pos, model.body_quat, model.body_ipos, model.body_iquat, model.body_inertia, model.body_mass,
+        model.jnt_pos, model.jnt_axis, model.geom_pos, model.geom_quat, model.geom_size, model.qpos0,
+    )  # fmt: skip
+    if not all((np.abs(x) < 1e6).all() for x in numbers):
+        raise FileError(f"{shown}: a place, size or mass is not finite or above a million")
     return _urdf(model, meshes, own)
 
 

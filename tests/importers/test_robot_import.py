@@ -105,12 +105,15 @@ BAD = {
     '<joint name="more"/><joint name="j3"': ('<joint name="j3"', "several joints"),
     '<equality><joint joint1="j3" joint2="j2"/></equality><actuator': ("<actuator", "j3 is a mimic joint"),
     '<position joint="j7"': ('<motor joint="j7"', "j7: limits"),
+    2000 * "<body>" + 2000 * "</body>": ('<light pos="0 0 3"/>', "nested too deeply"),
+    5000 * "<geom/>": ('<light pos="0 0 3"/>', "elements say what it is; 4096 are allowed"),
+    'pos="inf 0 0"': ('pos="0 0 0.18"', "is not finite"),
     'mass="nan"': ('mass="1.5"', "MuJoCo: "),
     'type="ellipsoid" size="0.1 0.1 0.1"': ('type="sphere" size="0.045"', "<ellipsoid> is not read"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("new", BAD)
+@pytest.mark.parametrize("new", BAD, ids=lambda text: text[:40])
 def test_a_bad_mjcf_is_refused_in_one_line(new, tmp_path):
     old, words = BAD[new]
     with pytest.raises(FileError, match=words) as refused:
