@@ -264,7 +264,7 @@ def gripper_of(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The fields of a `Robot` that its gripper fills, and the palm's figures.
 
-    z of the gripper is the flange's, +y the way in which the first finger opens. The box of a pad's
+    z of the gripper is the flange's, +y the way in which one of the fingers opens. The box of a pad's
     link that reaches farthest along z is the pad.
 
     Args:
@@ -279,6 +279,8 @@ def gripper_of(
     named = [next(part for part in fingers.parts if part.name == pad) for pad in pads]
     way = [part.T[-1, :3, 3] - part.T[0, :3, 3] for part in named]
     opens = (way[0] - way[1]) / 2
+    if opens[1] < -1e-6:  # the closed form of a UR wants the flange's axes
+        named, opens = named[::-1], -opens
     if np.linalg.norm(opens) < 1e-3 or abs(opens[2]) > 1e-3 * np.linalg.norm(opens):
         raise FileError(f"{shown}: the two fingers must open apart, across the flange's z")
     y = np.array([opens[0], opens[1], 0.0]) / np.hypot(*opens[:2])
@@ -331,7 +333,7 @@ def gripper_of(
         columns = (sign * shift[:, 1], shift[:, 2], sign * turn)
         return np.stack([np.interp(gaps, gap, x) for x in columns], 1)
 
-    rows, used = [row_of(pads[0], 1)], {(0, 1)}
+    rows, used = [row_of(named[0].name, 1)], {(0, 1)}
     part, side, motion = ["body"] * len(shapes), [0] * len(shapes), [0] * len(shapes)
     room = (MAX_PARTS - len(shapes) - sum(len(p.boxes) for p in fingers.parts)) // max(
         sum(bool(p.meshes) for p in fingers.parts), 1

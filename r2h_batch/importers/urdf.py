@@ -251,6 +251,10 @@ def read_fingers(
             what = "has neither boxes to collide nor a visual mesh"
             raise FileError(f"{shown}: {printable(name)} of the gripper {what}")
         parts.append(Part(name, boxes, tuple(seen), mass, frames[name]))
+        if (many := sum(len(part.meshes) for part in parts)) > MAX_MESHES:
+            raise FileError(
+                f"{shown}: the gripper's fingers have {many} visual meshes and more; {MAX_MESHES} are allowed"
+            )
     if palm.mass <= 0:
         raise FileError(f"{shown}: the gripper's palm has {palm.mass:g} kg; it needs a mass")
     return Fingers(palm, tuple(parts))

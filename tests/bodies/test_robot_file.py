@@ -256,7 +256,9 @@ TURNING = {
 
 
 def test_fingers_on_cranks_become_a_table_of_their_circle(tmp_path):
-    gripper = jaws_of(tmp_path, CRANKS, **TURNING)[1]
+    fingers, gripper = jaws_of(tmp_path, CRANKS, **TURNING)
+    other = gripper_of(fingers, ("r", "l"), 6, "")[0]  # in whatever order they are named
+    assert np.allclose(gripper["T_flange_gripper"], np.eye(4)) and np.allclose(other["T_flange_gripper"], np.eye(4))
     link = gripper["linkage"]
     gap = np.linspace(-2 * link.drive_upper, -2 * link.drive_lower, link.table.shape[1])
     turn = np.arcsin((gap / 2 - 0.012 + 0.005) / 0.05)  # a crank of 50 mm, pads of 5 mm half

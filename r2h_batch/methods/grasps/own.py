@@ -53,7 +53,7 @@ def seat_grasps(model: ObjectModel, grasps: GraspSet, robot: Robot | None = None
     init_warp()
     robot = carrier(robot)
     tables, mesh = grasp_tables([model], robot), device_mesh(model)
-    own = OWN_GRIPPER if robot == carrier(None) else robot.name
+    own = OWN_GRIPPER if robot == carrier(None) else robot.name.replace("_", "-")
     depths = (0.0,) if grasps.gripper == own else SEATS_M
     seated: dict[int, tuple[Candidates, float]] = {}
     for depth in depths:
