@@ -387,9 +387,9 @@ def test_no_predictor_and_no_method_but_the_oracle_reads_them(monkeypatch):
     for name in ("load_held_out", "_load", "_of_object", "stored_arrays"):
         monkeypatch.setattr(held_out, name, read)
     monkeypatch.setattr(judge, "load_held_out", read)
-    trials = make_trials(trials=2, protocol="r2h-v1")
+    trials = make_trials(trials=1, protocol="r2h-v1")
     for method in (contact, fc, handover_va, intent):
-        assert len(method.predict(trials, evaluator().scene, seed=0).T_obj_ee) == 4
+        assert len(method.predict(trials, evaluator().scene, seed=0).T_obj_ee) == 2
 
 
 def test_stored_grips_are_those_of_the_linear_program_again():
