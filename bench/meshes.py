@@ -1,8 +1,8 @@
-"""Somebody's meshes through import, grasps and every method: `python bench/meshes.py [DIR] [--json OUT] [--docs]`.
+"""Somebody's meshes through import, grasps and every method: `python bench/meshes.py [DIR] [--json OUT]`.
 
 Drawn here, so that anybody can measure them again: a mug, a wrench, a knife and a clamp with two slivers glued on, a bottle
 as it is (mug and bottle of some 20,000 faces), and wrench and knife without the faces that look down. Then every mesh of DIR.
-Objects that OUT holds already are not measured again (give the same DIR). `--docs` writes docs/results/objects.md.
+Objects that OUT holds already are not measured again (give the same DIR).
 
 Measured, with nothing kept on disk and kernels compiled: CPU seconds (all threads) of the import, of the convex
 decomposition, of grasp candidates and of receiving grasps; how many of `--trials` trials (S0, built-in hands, motion as
@@ -26,7 +26,7 @@ import manifold3d
 import numpy as np
 import torch
 import trimesh
-from _report import ROOT, arguments, made_by, markdown_table
+from _report import arguments, made_by, markdown_table
 from _twins import winding_number
 from numpy.typing import NDArray
 
@@ -46,9 +46,6 @@ from r2h_batch.sweep.options import Options
 
 METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
-MOST_S = 5.0
-"""What an object of 20,000 faces may take."""
-PAGE = ROOT / "docs/results/objects.md"
 
 
 def drawn() -> dict[str, trimesh.Trimesh]:
@@ -217,63 +214,10 @@ def measure(
     return row
 
 
-HEAD = """# Meshes of users, measured
-
-See how long your mesh may take to import and how much the repair may change it ([how a mesh becomes an
-object](../your_data.md#objects)). `python bench/meshes.py DIR --json bench/results/meshes.json --docs` measured
-{files} drawings of household things (CC0; DIR) and {drawn} meshes that the bench draws. Two slivers are glued on the
-drawn mug, wrench, knife and clamp. The open wrench and knife lack the faces that look down. The table lists the
-{repaired} repaired meshes; meshes.json has all, with the steps of each repair.
-
-{table}
-
-- import, all: CPU seconds on a busy machine. `all` includes convex pieces, grasp candidates and receiving grasps.
-- volume: change by the repair. `open`: the given mesh has no volume.
-- 99 % within: distance of 99 % of the new surface from the given one, or from the original of a drawn mesh. In
-  brackets: without the faces that replace missing ones.
-- flips: how many of {grasps:,} grasps near the surface pass Stability on one of the two surfaces only. A given open
-  mesh has no inside, so its flips come from the comparison.
-
-- {within} of {count} objects take at most {most:g} s in all; {refused} were refused.
-- The oracle solves {oracle} trials with each object.
-- The open wrench and knife miss the goal of 0.3 mm: a third of their surface is missing.
-- Thin walls grow if their rims are too far apart to be joined; the warning says so. A plastic cup with walls of 0.4
-  mm, its inner wall cut 8 mm lower, gets walls of 0.75 mm.
-"""
-
-
-def page(stored: dict[str, Any]) -> str:
-    """docs/results/objects.md."""
-    rows = [r for r in stored["objects"] if "refused" not in r]
-    lines = []
-    for r in sorted(rows, key=lambda r: r["object"]):
-        if not r["steps"]:
-            continue
-        within, kept = (f"{r[k]:.3f}" for k in ("within_99_mm", "within_99_kept_mm"))
-        volume = "open" if r["volume_change"] is None else f"{100 * r['volume_change']:+.2f}"
-        lines.append([
-            r["object"].removeprefix("sh3d_"),
-            r["faces"],
-            r["build_cpu_s"],
-            r["all_cpu_s"],
-            volume,
-            within if within == kept else f"{within} ({kept})",
-            r["flips"],
-        ])  # fmt: skip
-    head = ["object", "faces", "import, s", "all, s", "volume, %", "99 % within, mm", "flips"]
-    drawn_here = sum(r["object"].startswith(("drawn_", "open_")) for r in rows)
-    return HEAD.format(
-        table=markdown_table(head, lines),
-        drawn=drawn_here,
-        files=len(rows) - drawn_here,
-        grasps=rows[0]["grasps_tried"],
-        within=sum(r["all_cpu_s"] <= MOST_S for r in rows),
-        count=len(rows),
-        repaired=len(lines),
-        refused=len(stored["objects"]) - len(rows),
-        most=MOST_S,
-        oracle=f"{min(r['oracle'] for r in rows)} of {stored['trials']}",
-    )
+def table(rows: list[dict[str, Any]]) -> str:
+    """What the import did to each mesh, as Markdown."""
+    keys = ("faces", "build_cpu_s", "all_cpu_s", "volume_change", "within_99_mm", "flips", "oracle")
+    return markdown_table(["object", *keys], [[r["object"], *(r.get(k, "-") for k in keys)] for r in rows])
 
 
 def main() -> None:
@@ -281,7 +225,6 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--grasps", type=int, default=4000)
-    parser.add_argument("--docs", action="store_true")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     out: Path | None = asked.json
@@ -301,10 +244,7 @@ def main() -> None:
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
         if out is not None:
             out.write_text(json.dumps({**stored, "trials": asked.trials, "objects": rows}, indent=1) + "\n")
-    text = page({"trials": asked.trials, **stored, "objects": rows})
-    print(text)
-    if asked.docs:
-        PAGE.write_text(text)
+    print(table(rows))
 
 
 if __name__ == "__main__":

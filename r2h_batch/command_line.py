@@ -112,7 +112,7 @@ def read(
         _check_text(os.getcwd(), "work in another folder")
     except OSError as error:
         raise UsageError(
-            f"the current folder is gone or closed ({error.strerror}); cd to one that is there"
+            f"the current folder is gone or closed ({error.strerror}); cd to an existing folder"
         ) from None
     return found
 
@@ -122,7 +122,7 @@ def _check_text(path: str, how: str) -> None:
     try:
         path.encode()
     except UnicodeEncodeError:
-        raise UsageError(f"{printable(path)}: has a byte that is no UTF-8; {how}") from None
+        raise UsageError(f"{printable(path)}: has a byte that is not UTF-8; {how}") from None
 
 
 def _plain_numbers() -> Any:

@@ -377,7 +377,7 @@ def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str
         off, transposed, far = (np.concatenate([p[i] for p in pieces]) for i in range(3))
         hint = ": transposed?" if (off & transposed).any() else ""
         for odd, words in (
-            (off, f"are no rigid pose and count as invalid{hint}"),
+            (off, f"are not rigid poses and count as invalid{hint}"),
             (far, f"are more than {FAR_M:g} m away: lengths are in metres"),
         ):
             if odd.any():

@@ -186,7 +186,7 @@ def leaderboard(
                 left_out += 1
                 LOG.info(f"leaderboard: {printable(given)} is left out: {error}")
         if not held:
-            return refuse("leaderboard", "no submission holds; nothing is written", 1)
+            return refuse("leaderboard", "no submission passed; no file is written", 1)
         try:
             listed = _largest(list(held.values()))
         except ValueError as error:

@@ -63,7 +63,7 @@ def load_function(spec: str) -> UserFunction:
             _search_first(Path.cwd())
         module = importlib.import_module(place)
     else:
-        raise ImportError(f"{place!r} is no name of a module, and no file that ends with .py")
+        raise ImportError(f"{place!r} is neither a name of a module nor a file that ends with .py")
     _BROUGHT.setdefault(module.__name__, sys.modules.keys() - before)
     try:
         return UserFunction(getattr(module, name), module, spec)

@@ -335,7 +335,7 @@ def parse_number(text: str) -> float:
     """
     if not _DECIMAL.fullmatch(text) or not math.isfinite(float(text)):
         shown = repr(printable(text)[:40])
-        raise ValueError(f"{shown} is no plain number; write decimal digits, such as 0.1")
+        raise ValueError(f"{shown} is not a plain number; write decimal digits, such as 0.1")
     return float(text)
 
 
@@ -343,7 +343,7 @@ def parse_whole_number(text: str) -> int:
     """The whole number in decimal digits; else ValueError."""
     if not _WHOLE.fullmatch(text):
         shown = repr(printable(text)[:40])
-        raise ValueError(f"{shown} is no whole number; write decimal digits, such as 10")
+        raise ValueError(f"{shown} is not a whole number; write decimal digits, such as 10")
     return int(text)
 
 

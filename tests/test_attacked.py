@@ -57,7 +57,7 @@ def test_no_command_writes_over_what_is_there_unless_that_is_said(who, run, tmp_
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert re.search(
-        r"is there already; give another name, or add --overwrite|is no folder; give a new or empty", error
+        r"is there already; give another name, or add --overwrite|is not a folder; give a new or empty", error
     )
     kept = mine / "methods.png" if who == "figures" else mine
     assert kept.read_text() == "precious"

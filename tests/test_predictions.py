@@ -106,7 +106,7 @@ def test_poses_in_millimetres_and_transposed_ones_are_said_before_they_are_score
     T_bad[1:, :3, 3], T_bad[1:, 3, :3] = 0.0, T[1:, :3, 3]
     far[2:, :3, 3] *= 1000
     assert doubts(Predictions(ids, T_bad, far)) == [
-        "4 of 5 grasps (T_obj_ee; the first of trial 3) are no rigid pose and count as invalid: transposed?",
+        "4 of 5 grasps (T_obj_ee; the first of trial 3) are not rigid poses and count as invalid: transposed?",
         "3 of 5 handover poses (T_world_ee; the first of trial 0) are more than 10 m away: lengths are in metres",
     ]
     far[0, 0, 0] = torch.nan

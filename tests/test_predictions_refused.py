@@ -99,7 +99,7 @@ LINK.external_attr = 0o120777 << 16
         ([(f"a{i}.npy", npy(np.zeros(1))) for i in range(65)], "at most 64"),
         *(([(name, b"x")], "outside the archive") for name in ("../a.npy", "C:x.npy")),
         ([(LINK, "/etc/passwd")], "symbolic link"),
-        ([("notes.txt", b"x")], "is no .npy array"),
+        ([("notes.txt", b"x")], "is not an .npy array"),
         ([("sub/T_obj_ee.npy", npy(np.zeros(1)))], "unknown array 'sub/T_obj_ee'; allowed are trial_id"),
     ],
 )  # fmt: skip

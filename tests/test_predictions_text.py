@@ -60,8 +60,8 @@ BAD = {
     "must hold an object of lists": [GOOD],
     "unknown array 'methods'": GOOD | {"methods": "x"},
     "method '' must be": GOOD | {"method": ""},
-    "'trial_id' is no list of numbers": GOOD | {"trial_id": [1 << 70, 0, 1]},
-    "'T_obj_ee' is no list of numbers or texts of one shape": GOOD | {"T_obj_ee": [[1.0], [2.0, 3.0], []]},
+    "'trial_id' is not a list of numbers": GOOD | {"trial_id": [1 << 70, 0, 1]},
+    "'T_obj_ee' is not a list of numbers or texts of one shape": GOOD | {"T_obj_ee": [[1.0], [2.0, 3.0], []]},
     "T_world_ee is (3, 4, 4) ": GOOD | {"T_world_ee": [[["1"] * 4] * 4] * 3},
     "has no T_world_ee": {k: v for k, v in GOOD.items() if k != "T_world_ee"},
 }

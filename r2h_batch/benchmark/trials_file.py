@@ -195,7 +195,9 @@ def _skins(columns: Columns, where: str) -> HandSet:
         raise FileError(f"{where}: skin or T_hand_palm holds numbers beyond {FARTHEST_M:g} m")
     least = min(a[k].min() for k in ("skin_faces", "skin_piece", "skin_side"))
     if least < 0 or a["skin_faces"].max() >= v or a["skin_side"].max() > 1:
-        raise FileError(f"{where}: skin_faces, skin_piece or skin_side name what is not there")
+        raise FileError(
+            f"{where}: skin_faces, skin_piece or skin_side name a row that the file does not hold"
+        )
     pieces = np.unique(a["skin_piece"])
     if len(pieces) != pieces[-1] + 1 or len(pieces) > MAX_SKIN_PIECES:
         raise FileError(

@@ -78,7 +78,7 @@ def read_grasps(path: str | Path) -> GraspSet:
     found = read_npz(path)
     gripper = found.pop("gripper", np.array("2f-85"))
     if gripper.shape != () or gripper.dtype.kind != "U" or len(str(gripper)) > 64:
-        raise FileError(f"{where}: gripper is no name")
+        raise FileError(f"{where}: gripper is not a name")
     return checked_grasps(found, where, str(gripper))
 
 

@@ -244,7 +244,7 @@ def in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:
     if bad.any():
         i = int(np.flatnonzero(known)[bad.argmax()])
         raise FileError(
-            f"{where}: T_world_hand, facing and up of hand {i} are no rotation and two directions that differ"
+            f"{where}: T_world_hand, facing and up of hand {i} must be a rotation and two different directions"
         )
     out[known, :, :3] = body.transpose(0, 2, 1) @ T[:, :3, :3]
     if "arm" in arrays:

@@ -74,7 +74,7 @@ def close_holes(vertices: F64, faces: Ids) -> Ids:
     directed, count = np.unique(edge[:, 0] * len(vertices) + edge[:, 1], return_counts=True)
     if (count > 1).any():
         raise ValueError(
-            "two faces of the hand run along one edge in the same direction: it is no surface"
+            "two faces of the hand run along one edge in the same direction: it is not a surface"
         )
     open_edges = edge[~np.isin(edge[:, 1] * len(vertices) + edge[:, 0], directed)]
     # against the faces' direction: outward for what closes the hole

@@ -396,7 +396,7 @@ def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
     """The arguments of `build_object` that such a text means."""
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]*://", argument):
         raise ObjectMeshError(
-            f"object mesh {printable(argument)[:200]!r}: an address; nothing is fetched: save the file and give its path"
+            f"object mesh {printable(argument)[:200]!r}: is an address; save the file and give its path"
         )
     shown = printable(argument)[:200]
     if any(c in argument for c in "\r\n\0"):

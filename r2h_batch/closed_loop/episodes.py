@@ -35,7 +35,7 @@ def policy_of(spec: str) -> tuple[Any, str]:
         )
     found = load_function(spec)
     if not callable(found.function):
-        raise TypeError(f"{spec} is no function")
+        raise TypeError(f"{spec} is not a function")
     return found.function, f"{found.spec} {provenance.file_digest(found.files().values())[:16]}"
 
 

@@ -159,7 +159,7 @@ def _grab(path: Path, hand: ManoHand | None, bodies: Bodies | None) -> list[Hand
     where = f"grab:{path.parent.name}/{path.stem}"
     found = read_npz(path, objects=read_pickle, only=(*GRAB, GENDER), most=GRAB_BYTES)
     if missing := [k for k in GRAB if k not in found]:
-        raise FileError(f"{where}: has no {missing[0]}; it is no sequence of GRAB")
+        raise FileError(f"{where}: has no {missing[0]}; it is not a sequence of GRAB")
     name, intent = str(found["obj_name"]), str(found["motion_intent"])
     rate = float(numbers(found["framerate"], (), f"{where} framerate"))
     turn, place = (
@@ -231,7 +231,7 @@ def _arctic(path: Path, hand: ManoHand | None, bodies: Bodies | None) -> list[Ha
     where = f"arctic:{path.parent.name}/{stem}"
     found = read_npy(path)
     if not isinstance(found, Mapping):
-        raise FileError(f"{where}: holds no dictionary; it is no sequence of ARCTIC")
+        raise FileError(f"{where}: holds no dictionary; it is not a sequence of ARCTIC")
     rows = numbers(read_npy(path.with_name(f"{stem}.object.npy")), (None, 7), f"{where} object")
     T = rigid(Rotation.from_rotvec(rows[:, 1:4]), rows[:, 4:] / 1000)
     facing, up, arms = _arctic_body(path.with_name(f"{stem}.smplx.npy"), len(rows), where, bodies)
@@ -324,7 +324,7 @@ def _h2o(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMotion
             pose = _h2o_numbers(by_name["cam_pose"] / file.name, 16).reshape(4, 4)
             moved = _h2o_numbers(by_name["obj_pose_rt"] / file.name, 17)
             if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-2:
-                raise FileError(f"cam_pose/{file.name} is no rigid pose")
+                raise FileError(f"cam_pose/{file.name} is not a rigid pose")
         except FileError as error:
             left_out.append(str(error))
             continue
@@ -417,7 +417,7 @@ def _dexycb(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMot
         raise FileError(f"{where}: no frame has a hand")
     frames, places = hands[seen], poses[seen, grasped]
     if (np.abs(np.linalg.norm(places[:, :4], axis=1) - 1) > 1e-2).any():
-        raise FileError(f"{where}: pose_y holds quaternions that are no rotations")
+        raise FileError(f"{where}: pose_y holds quaternions that are not rotations")
     T = rigid(Rotation.from_quat(places[:, :4]), places[:, 4:])
     number = objects[grasped]
     known = type(number) is int and 1 <= number <= len(YCB)
@@ -503,14 +503,14 @@ def _oakink(path: Path, *_: ManoHand | Bodies | None) -> list[HandMotion]:
     where = f"oakink:{text}"
     found = read_pickle_file(path)
     if not isinstance(found, Mapping):
-        raise FileError(f"{printable(path)}: holds no dictionary; it is no grasp of OakInk")
+        raise FileError(f"{printable(path)}: holds no dictionary; it is not a grasp of OakInk")
     turns = found.get("pose")
     if isinstance(turns, np.ndarray) and turns.size == 48:
         R = Rotation.from_rotvec(numbers(turns.reshape(16, 3), (16, 3), f"{where} pose"))
     else:
         turns = numbers(turns, (16, 4), f"{where} (48 turns or quaternions) pose")
         if (np.abs(np.linalg.norm(turns, axis=1) - 1) > 1e-2).any():
-            raise FileError(f"{where}: pose holds quaternions that are no rotations")
+            raise FileError(f"{where}: pose holds quaternions that are not rotations")
         R = Rotation.from_quat(turns, scalar_first=True)
     T = rigid(R[:1], numbers(found.get("tsl"), (3,), f"{where} tsl")[None])
     shape = numbers(found.get("shape"), (10,), f"{where} shape")

@@ -97,7 +97,7 @@ def acronym(path: Path, **_: Any) -> Found:
     held = numbers(found[quality], (len(T),), f"{where} {quality}")
     word = found[kind] if found[kind].size else np.array("panda")
     if word.dtype.kind != "U" or word.shape:
-        raise FileError(f"{where}: {kind} is no word; ACRONYM's is 'panda'")
+        raise FileError(f"{where}: {kind} is not a word; ACRONYM's is 'panda'")
     if word != "panda":
         raise FileError(f"{where}: gripper {printable(word)[:40]!r}; ACRONYM's is the panda")
     return _held(T, held, "acronym-panda", where)
@@ -169,7 +169,7 @@ def _graspnet_labels(path: Path, T_obj_source: F64 | None) -> Found:
             continue
         if name != "collision":
             raise FileError(
-                f"{where}: has no {name}; it is no label of GraspNet's, nor our own format"
+                f"{where}: has no {name}; it is neither a label of GraspNet nor our own format"
             )
     points = numbers(found["points"], (None, 3), f"{where} points")
     grid = (len(points), VIEWS, ANGLES, DEPTHS)
@@ -206,7 +206,7 @@ def isaac(path: Path, *, gripper: str, **_: Any) -> Found:
     object's. Which frame that is stands nowhere a program could rely on."""
     where, found = printable(path), read_yaml(path, most=MAX_YAML, deepest=DEEPEST)
     if found.get("format") != "isaac_grasp" or float(found.get("format_version") or 0) != 1.0:
-        raise FileError(f"{where}: format is no isaac_grasp 1.0")
+        raise FileError(f"{where}: format is not isaac_grasp 1.0")
     grasps = found.get("grasps")
     if not isinstance(grasps, dict) or not 1 <= len(grasps) <= MAX_LISTED:
         raise FileError(f"{where}: needs 1 to {MAX_LISTED} named grasps")
@@ -218,7 +218,7 @@ def isaac(path: Path, *, gripper: str, **_: Any) -> Found:
             raise FileError(f"{at} has no orientation with w and xyz")
         q = numbers([*_list(turn.get("xyz")), *_list([turn.get("w")])], (4,), f"{at} orientation")
         if abs(np.linalg.norm(q) - 1) > 1e-2:
-            raise FileError(f"{at} orientation is no rotation")
+            raise FileError(f"{at} orientation is not a rotation")
         T[i, :3, :3] = Rotation.from_quat(q).as_matrix()
         T[i, :3, 3] = numbers(grasp.get("position"), (3,), f"{at} position")
         score[i] = float(numbers([grasp.get("confidence", 1.0)], (1,), f"{at} confidence")[0])
@@ -235,7 +235,7 @@ def graspgen(path: Path, *, gripper: str, **_: Any) -> Found:
     grasps = found.get("grasps") if isinstance(found, dict) else None
     if not isinstance(grasps, dict):
         raise FileError(
-            f"{where}: has no grasps with transforms; it is no file of GraspGen's data set"
+            f"{where}: has no grasps with transforms; it is not a file of GraspGen's data set"
         )
     T = numbers(grasps.get("transforms"), (None, 4, 4), f"{where} transforms")
     held = numbers(grasps.get("object_in_gripper"), (len(T),), f"{where} object_in_gripper")
@@ -302,6 +302,6 @@ def without_gripper(argument: str | Path) -> tuple[Path, str]:
     if text.lower().endswith(FRAMELESS):
         close = nearest(gripper.lower(), GRIPPERS)
         raise FileError(
-            f"{printable(argument)}: {printable(gripper)!r} is no gripper{close}; allowed are {', '.join(GRIPPERS)}"
+            f"{printable(argument)}: {printable(gripper)!r} is not a gripper{close}; allowed are {', '.join(GRIPPERS)}"
         )
     return Path(argument), ""

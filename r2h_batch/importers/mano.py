@@ -202,7 +202,7 @@ def _checked(found: Mapping[str, Any], where: str, side: int) -> _Raw:
 
 def _numbers(found: Mapping[str, Any], name: str, shape: tuple[int | None, ...], where: str) -> F64:
     if found.get(name) is None:
-        raise FileError(f"{where}: has no {name}; it is no MANO file")
+        raise FileError(f"{where}: has no {name}; it is not a MANO file")
     return numbers(found[name], shape, f"{where}: {name}", most=1e10)
 
 

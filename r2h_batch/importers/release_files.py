@@ -150,7 +150,7 @@ def _boxes(value: Any) -> Any:
     T = np.tile(np.eye(4), (len(value), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = parts["rotation"], parts["center"]
     if not (right := _are_rotations(T[:, :3, :3])).all():
-        raise ValueError(f"rotation: row {right.argmin()} is no rotation, 3 x 3")
+        raise ValueError(f"rotation: row {right.argmin()} is not a rotation, 3 x 3")
     return Boxes(T, parts["half_extents"].astype(np.float64))
 
 

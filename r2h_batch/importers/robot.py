@@ -419,7 +419,7 @@ def _dynamics(chain: Chain, robot: Robot, shown: str) -> Any:
         moments = np.linalg.eigvalsh(link.inertia)
         if link.mass <= 0 or moments[0] <= 0 or moments[2] > 1.001 * (moments[0] + moments[1]):
             what = f"mass {link.mass:g} kg, moments {moments} kg m^2"
-            raise FileError(f"{shown}: link {printable(link.name)} is no body: {what}")
+            raise FileError(f"{shown}: link {printable(link.name)} is not a body: {what}")
     return replace(
         robot.dynamics,
         mass=frozen([link.mass for link in moving]),

@@ -35,7 +35,7 @@ REFUSED = {
     "plugin": "plugins run code", "extension": "plugins run code",
     "attach": "write the other model's bodies into it", "model": "write the other model's bodies into it",
     "replicate": "save it with MuJoCo, which writes all copies",
-    "composite": "it is no rigid body", "flexcomp": "it is no rigid body",
+    "composite": "it is not a rigid body", "flexcomp": "it is not a rigid body",
 }  # fmt: skip
 COMPILER = {
     "angle", "eulerseq", "autolimits", "inertiafromgeom", "inertiagrouprange", "settotalmass",

@@ -164,7 +164,7 @@ class _Reader:
             opcode = _OPCODES.get(code)
             if opcode is None:
                 at = self.stream.tell() - 1
-                raise FileError(f"byte {code!r} at {at} is no pickle instruction")
+                raise FileError(f"byte {code!r} at {at} is not a pickle instruction")
             if opcode.name == "STOP":
                 if len(self.stack) != 1 or self.below:
                     raise FileError(f"leaves {len(self.stack)} values; a pickle holds one")

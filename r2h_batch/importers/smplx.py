@@ -95,7 +95,7 @@ def _model(path: Path) -> tuple[F64, F64]:
     names, where = ("v_template", "J_regressor", "kintree_table"), printable(path)
     found = read_npz(path, only=names, most=MAX_BYTES, most_each=MAX_BYTES)
     if missing := [n for n in names if n not in found]:
-        raise FileError(f"{where}: has no {missing[0]}; it is no SMPL-X model")
+        raise FileError(f"{where}: has no {missing[0]}; it is not an SMPL-X model")
     template = numbers(found["v_template"], (None, 3), f"{where} v_template")
     if len(template) > MOST_VERTICES:
         raise FileError(f"{where}: {len(template)} vertices; at most {MOST_VERTICES} are allowed")

@@ -119,11 +119,11 @@ def read_chain(
     for flag, name in (("--base", base), ("--flange", flange)):
         if name not in links:
             found = ", ".join(printable(n)[:40] for n in list(links)[:12])
-            raise FileError(f"{shown}: {flag} {printable(name)} is no link of it; it has {found}")
+            raise FileError(f"{shown}: {flag} {printable(name)} is not a link of it; it has {found}")
     into = {_end(j, "child", shown): j for j in joints}
     if unknown := {_end(j, end, shown) for j in joints for end in ("parent", "child")} - set(links):
         raise FileError(
-            f"{shown}: a joint names {printable(min(unknown))[:40]!r}, which is no link of it"
+            f"{shown}: a joint names {printable(min(unknown))[:40]!r}, which is not a link of it"
         )
     way: list[Element] = []
     at = flange
@@ -193,7 +193,7 @@ def read_fingers(
             at = _end(way[0], "parent", shown)
             way = [j for j in inner if _end(j, "child", shown) == at]
         if not way:
-            what = f"is no link that a joint of the gripper at {flange} moves"
+            what = f"is not a link that a joint of the gripper at {flange} moves"
             raise FileError(f"{shown}: --fingers {printable(pad)} {what}")
     roots = sorted({_root(j, moving, shown)[0] for j in moving.values()})
     if len(roots) > 2:
@@ -274,7 +274,7 @@ def _root(joint: Element, moving: Mapping[str, Element], shown: str) -> tuple[st
         like, where = str(mimic.get("joint")), f"{shown}: a mimic joint"
         if like not in moving:
             raise FileError(
-                f"{where} follows {printable(like)[:40]!r}, which is no joint that moves the gripper"
+                f"{where} follows {printable(like)[:40]!r}, which is not a joint that moves the gripper"
             )
         offset += factor * float(_numbers(mimic.get("offset", "0"), 1, where)[0])
         factor *= float(_numbers(mimic.get("multiplier", "1"), 1, where)[0])
@@ -324,7 +324,7 @@ def parsed(path: Path) -> Element:
             re.sub(r"(</?|\s)[A-Za-z]+:(?=[A-Za-z_]+[\s=/>])", r"\1", text)
         )
     except (ElementTree.ParseError, RecursionError) as error:
-        raise FileError(f"{shown}: is no XML: {printable(error)[:100]}") from None
+        raise FileError(f"{shown}: is not XML: {printable(error)[:100]}") from None
     if root.tag not in ("robot", "mujoco", "mujocoinclude"):
         raise FileError(
             f"{shown}: begins with <{printable(root.tag)[:40]}>; a URDF has <robot>, an MJCF <mujoco>"

@@ -90,7 +90,7 @@ def not_rigid(T: NDArray[Any], slack: float = RIGID) -> NDArray[np.bool_]:
 def check_poses(what: str, T: NDArray[Any]) -> None:
     """Refuse (N, 4, 4) matrices that are no rigid poses within 10 m."""
     if (off := not_rigid(T)).any():
-        raise FileError(f"{what} of row {int(off.argmax())} is no rigid pose")
+        raise FileError(f"{what} of row {int(off.argmax())} is not a rigid pose")
     far = np.abs(T[:, :3, 3]).max(1, initial=0.0) > FARTHEST_M
     if far.any():
         how = f"is more than {FARTHEST_M:g} m away; lengths are in metres"

@@ -91,7 +91,7 @@ def read_json_arrays(path: Path) -> dict[str, Any]:
             found[name] = np.array(None)
         if found[name].dtype.kind not in "biufU":
             shown = repr(printable(name)[:60])
-            raise FileError(f"{where}: {shown} is no list of numbers or texts of one shape")
+            raise FileError(f"{where}: {shown} is not a list of numbers or texts of one shape")
     return found
 
 

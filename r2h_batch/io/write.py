@@ -54,7 +54,7 @@ def check_output_file(
         return
     regular = stat.S_ISREG(found.st_mode)
     if not regular and not stat.S_ISLNK(found.st_mode):
-        raise FileError(f"{shown}: is no plain file; give a file's name")
+        raise FileError(f"{shown}: is not a plain file; give a file's name")
     if not overwrite and (found.st_size or not regular):  # an empty file loses nothing
         how = "give another name, or add --overwrite to replace it"
         raise FileError(f"{shown}: is there already; {how}")
@@ -75,7 +75,7 @@ def check_output_folder(path: Path, *, overwrite: bool | None = False, flag: str
     if _found(path, shown) is None:
         return
     if not path.is_dir():
-        raise FileError(f"{shown}: is no folder; give a new or empty one")
+        raise FileError(f"{shown}: is not a folder; give a new or empty one")
     if not overwrite and any(path.iterdir()):
         how = "" if overwrite is None else ", or add --overwrite to write into this one"
         raise FileError(f"{shown}: is not empty; give a new or empty folder{how}")

@@ -191,7 +191,7 @@ def _read(path: Path, allowed: Sequence[str]) -> tuple[Arrays, str]:
     source = arrays.pop("source", np.array(path.stem))
     name = str(source) if source.shape == () and source.dtype.kind == "U" else ""
     if not name.strip() or len(name) > 60 or not name.isprintable():
-        raise FileError(f"{where}: source is no name; give 1 to 60 printable characters")
+        raise FileError(f"{where}: source is not a name; give 1 to 60 printable characters")
     if unknown := sorted(set(arrays) - set(allowed)):
         shown = repr(printable(unknown[0])[:60])
         raise FileError(f"{where}: unknown array {shown}; allowed are {', '.join(allowed)}, source")

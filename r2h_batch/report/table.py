@@ -61,7 +61,7 @@ FOOTNOTES = (
 )
 
 BEST_NOTE = (
-    "Bold: best rate of the split; all methods were asked the same trials. It does not say that the difference is more than"
+    "Bold: best rate of the split; all methods answered the same trials. It does not say that the difference is more than"
     " chance: r2h-batch compare does. Times of a machine, and means over the trials that moved, are never best."
 )
 
@@ -220,7 +220,7 @@ def interval(rate: Rate | None) -> str:
 def best_cells(table: Table) -> set[tuple[str, str, str]]:
     """Which cells are bold.
 
-    Only rates can be, and only where all methods were asked the same trials. T_plan depends on the machine, and
+    Only rates can be, and only where all methods answered the same trials. T_plan depends on the machine, and
     T_exec is a mean over the trials that moved.
 
     Returns:

@@ -289,7 +289,7 @@ def _who_answers(run: Run, entry: Entry, judge: Judge) -> tuple[Job | None, str]
     except NotBuiltIn as error:
         return None, f"not asked again: {error}"
     except UsageError as error:
-        raise RunError(f"{run.folder}: {entry.name!r} cannot be asked again: {error}") from None
+        raise RunError(f"{run.folder}: {entry.name!r} cannot be called again: {error}") from None
     if job.name != entry.name:
         function = entry.source["function"]
         words = f"{entry.name!r} is said to be {function}, which is called {job.name!r}"

@@ -748,7 +748,7 @@ def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
             if len(words) > MAX_WORDS or not all(
                 w and len(w) <= 200 and w.isprintable() for w in words
             ):
-                return "holds what is no name; sweep again"
+                return "holds an entry that is not a name; sweep again"
             if field.name == "outcome" and (odd := set(words) - set(OUTCOME_NAMES)):
                 return f"holds {min(odd)!r}; known are {', '.join(OUTCOME_NAMES)}"
     return ""

@@ -150,7 +150,7 @@ class Head:
             return
         self.lost = (
             f"the Ray cluster at {printable(self.address)} has not answered for {self.timeout_s:g} s (--ray-timeout):"
-            " its head or the network between is gone; complete shards are stored, the same command goes on"
+            " its head or the network between is gone; complete shards are stored, the same command continues"
         )
         # for the main thread to say so and to leave, unless it hangs in a call of Ray's
         time.sleep(GRACE_S)
@@ -213,7 +213,7 @@ def _lost(error: Exception) -> ClusterError:
     """What a call of Ray's says that does not reach the cluster."""
     return ClusterError(
         f"the Ray cluster does not answer any more ({printable(error)[:200]}): its node on this machine or its head is"
-        " gone; complete shards are stored, the same command goes on"
+        " gone; complete shards are stored, the same command continues"
     )
 
 

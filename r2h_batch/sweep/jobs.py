@@ -596,7 +596,7 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
     function = source.get("function", "")
     word = function.removeprefix("r2h_batch.methods.").removesuffix(":predict").replace("_", "-")
     if function != _function_of(word) or word not in METHODS:
-        raise NotBuiltIn("only built-in methods can be asked again")
+        raise NotBuiltIn("only built-in methods can be called again")
     if files := [k for k, v in predictors.items() if isinstance(v, dict) and "file" in v]:
         raise NotBuiltIn(f"{', '.join(files)} came from files of its own, which are not opened")
     noise = predictors.get("noise")

@@ -502,7 +502,7 @@ def load_config(path: Path) -> Options:
         _check_names(str(path), "field", data)
         if data.get("trust_code"):  # the file may come from whoever made the network
             raise UsageError(
-                f"{path}: trust_code is no option of a file; add the flag --trust-code"
+                f"{path}: trust_code is not an option of a file; add the flag --trust-code"
             )
         text = json.dumps(data, default=str)
         options = pydantic.TypeAdapter(Options).validate_json(text, strict=True)
@@ -634,7 +634,7 @@ def _allowed(function: Callable[..., Any]) -> dict[str, Any]:
     hints: Mapping[str, Any]
     try:
         hints = typing.get_type_hints(function)
-    except (NameError, TypeError):  # a user's annotations may name what is not there when it runs
+    except (NameError, TypeError):  # a user's annotations may name a row that the file does not hold when it runs
         hints = {}
     takes = inspect.signature(function).parameters.values()
     keywords = [p for p in takes if p.kind is p.KEYWORD_ONLY and p.name not in GIVEN]

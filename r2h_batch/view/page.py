@@ -291,7 +291,7 @@ def show(scores: Scores, *, height: int = 640) -> Shown:
         raise ValueError(f"these scores hold no inputs ({why}); score again")
     if bool((scores.opening_m != scores.opening_m).any()):
         raise ValueError(
-            "this row was not judged (its answer is no pose): there is nothing to show"
+            "this row was not judged (its answer is not a pose): there is nothing to show"
         )
     evaluator = inputs.evaluator
     trial = inputs.trials.named(evaluator.scene.objects)

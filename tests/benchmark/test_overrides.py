@@ -135,7 +135,7 @@ def bent(at: tuple[int, ...], value: float) -> np.ndarray:
 
 REFUSED = {
     "no object is called 'mug'": lambda: changed(object=["mug"] * 10),
-    "T_world_hand of row 3 is no rigid pose": lambda: changed(T_world_hand=bent((3, 0, 0), 2.0)),
+    "T_world_hand of row 3 is not a rigid pose": lambda: changed(T_world_hand=bent((3, 0, 0), 2.0)),
     "T_world_hand of row 2 is more than 10 m away": lambda: changed(T_world_hand=bent((2, 0, 3), 450.0)),
     "has no shape; needed are": lambda: changed(shape=None),
     "give either hand": lambda: changed(hand=np.zeros(10, int)),

@@ -185,10 +185,10 @@ URDF = """<robot name="one"><link name="base"><visual><geometry><mesh filename="
         (URDF.replace('velocity="1"', ""), "velocity and effort above 0"),
         (URDF.replace('link="base"', 'link="hand"'), "no chain"),
         (URDF.replace("0 0 1", "0 nan 1"), "3 numbers"),
-        (URDF.replace('parent link="base"', 'parent link="x"'), "names 'x', which is no link"),
+        (URDF.replace('parent link="base"', 'parent link="x"'), "names 'x', which is not a link"),
         (URDF.replace("</robot>", 300 * '<joint name="j"/>' + "</robot>"), "301 links or joints"),
         ("<html/>", "begins with <html>"),
-        ("<robot", "is no XML"),
+        ("<robot", "is not XML"),
     ],
 )
 def test_a_bad_urdf_is_refused_in_one_line(text, words, tmp_path):

@@ -104,8 +104,8 @@ def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
     for said, why in (
         ("cup.yaml", "say --gripper, or FILE:GRIPPER, one of"),
         ("cup.npz:ee", "leave :ee out"),
-        ("cup.yaml:EE", "'EE' is no gripper, did you mean ee\\?; allowed are acronym-panda"),
-        ("cup.yaml:", "'' is no gripper; allowed are"),
+        ("cup.yaml:EE", "'EE' is not a gripper, did you mean ee\\?; allowed are acronym-panda"),
+        ("cup.yaml:", "'' is not a gripper; allowed are"),
     ):
         with pytest.raises(FileError, match=why):
             BenchmarkOverrides(grasps=(str(tmp_path / said),)).read()

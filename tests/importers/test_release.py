@@ -425,7 +425,7 @@ def changed(**fields):
         ({"object_mesh_object": {"vertices": [[0, 0, 0]] * 4, "faces": [[0, 1, 7]] * 4}}, "names vertex 7; there are 4"),
         ({"usage_boxes": [{"center": [0, 0, 0], "half_extents": [1, -1, 1]}]}, "half_extents: row 0 is [1, -1, 1]; 1e-09 to 10"),
         ({"usage_boxes": [{"center": [0, 0, 0], "half_extents": [1, 1, 1], "rotation": [[1, 0, 0]] * 3}]},
-         "rotation: row 0 is no rotation, 3 x 3"),
+         "rotation: row 0 is not a rotation, 3 x 3"),
         ({"object_mesh_object": {"vertices": [[0, 0, 0]] * 4, "faces": [[0, 1, 2]] * 4, "source_path": "o.obj",
                                  "source_sha256": "0" * 64}}, "source_sha256 is 000000000000...; "),
         ({"method_geometry_invalidated": True}, "method_geometry_invalidated is true"),

@@ -217,7 +217,7 @@ def test_one_file_of_the_arm_is_asked_for(flags, words, tmp_path, capsys):
         ("<mujoco/>", "an SRDF has <robot>"),
         (SRDF.replace('link1="base"', ""), "needs link1 and link2"),
         (SRDF.replace("{joints}", '<joint name="j1" value="soon"/>'), "has no value in rad"),
-        ("<robot", "is no XML"),
+        ("<robot", "is not XML"),
     ],
 )
 def test_a_bad_srdf_is_refused_in_one_line(text, words, tmp_path):

@@ -191,7 +191,7 @@ def test_files_that_are_no_predictions_are_refused_in_one_line(scene, asked, tmp
         ),
         "need 0 to 1 (a sigmoid?)": ("contacts", {"trial_id": ids, "probability": np.full((n, 2048), 1.5)}),
         "rows go by one of": ("contacts", {"probability": np.zeros((n, 2048))}),
-        "source is no name": (
+        "source is not a name": (
             "contacts",
             {"trial_id": ids, "probability": np.zeros((n, 2048)), "source": np.array("a\nb")},
         ),

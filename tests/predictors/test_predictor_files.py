@@ -51,7 +51,7 @@ def test_torchscript_writes_no_file_unless_its_source_is_trusted(tmp_path, capsy
     assert said.count("\n") == 1 and "ONNX (torch.onnx.export), or, if you trust its source, add --trust-code" in said
     (tmp_path / "mine.yaml").write_text("trust_code: true\n")
     assert sweep.main([*line, "--config", str(tmp_path / "mine.yaml")]) == 2
-    assert "mine.yaml: trust_code is no option of a file; add the flag --trust-code" in capsys.readouterr().err
+    assert "mine.yaml: trust_code is not an option of a file; add the flag --trust-code" in capsys.readouterr().err
     assert victim.read_text() == "mine"
     resolve(parse([*line, "--trust-code"]))
     load_predictor(str(tmp_path / "net.pt"), trust_code=True)(contact_grids(load_objects(["cup"])))

@@ -220,7 +220,7 @@ def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_nam
             assert words in reevaluate(load_run(tmp_path / "run"), "random", 1, judge).asked
     source = {"function": "r2h_batch.methods.fc:predict", "options": "bogus=1"}
     file.write_text(json.dumps({**data, "source": source}))
-    with pytest.raises(RunError, match=r"'random' cannot be asked again: .*bogus"):
+    with pytest.raises(RunError, match=r"'random' cannot be called again: .*bogus"):
         reevaluate(load_run(tmp_path / "run"), "random", 1, elsewhere)
 
 

@@ -50,7 +50,7 @@ def test_every_option_can_be_set_on_the_command_line(tmp_path, capsys):
     assert parse(["--method", "random", "--chunk", "8"]).chunk == 8  # the old flags stay for one version
     for line, part in (
         ("chunks=8", "unknown option 'chunks', did you mean chunk?"),
-        ("chunk=many", "'many' is no whole number"),
+        ("chunk=many", "'many' is not a whole number"),
         ("chunk", "it must be NAME=VALUE"),
         ("verbose=yes", "--set verbose is 'yes'; allowed are true, false"),
     ):
