@@ -146,7 +146,7 @@ def test_a_wrong_robot_yaml_is_refused_in_one_line(change, words, tmp_path):
         (lambda a: a.update(link=a["link"] * 0), "every link"),
         (lambda a: a.update(kind=a["kind"] * 0), "kind must be"),
         (lambda a: a.update(self_pairs=a["self_pairs"] + 9), "pairs name two links"),
-        (lambda a: a.update(T_link_prim=2 * a["T_link_prim"]), "no rigid pose"),
+        (lambda a: a.update(T_link_prim=2 * a["T_link_prim"]), "not a rigid pose"),
         (lambda a: a.update(T_parent_joint=a["T_parent_joint"][::-1].copy()), "not that of a UR"),
         (lambda a: a.update(mass=-a["mass"]), "above 0"),
         (lambda a: a.update(mass=a["mass"] * 1e300), "masses to 1000 kg"),
@@ -282,7 +282,7 @@ def test_fingers_on_cranks_become_a_table_of_their_circle(tmp_path):
         (JAWS, {"mass": ""}, "needs a mass"),
         (CRANKS, TURNING | {"pad": "-0.9"}, "must stay parallel"),
         (CRANKS, TURNING | {"other": "-1"}, "must open apart"),
-        (CRANKS.replace('joint="one" multiplier="{pad}"', 'joint="none"'), TURNING, "no joint that moves"),
+        (CRANKS.replace('joint="one" multiplier="{pad}"', 'joint="none"'), TURNING, "not a joint that moves"),
         (CRANKS.replace('joint="one" multiplier="{other}"', 'joint="two"'), TURNING, "follows itself"),
         (
             CRANKS.replace('<mimic joint="one" multiplier="{pad}"/>', "{limit}"),

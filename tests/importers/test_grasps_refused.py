@@ -65,8 +65,8 @@ def bad_npz(**arrays):
 
 OWN = {
     "no poses.npz": (bad_npz(width=np.ones(3)), "has no T_obj_ee"),
-    "sheared.npz": (bad_npz(T_obj_ee=np.ones((2, 4, 4))), "no rigid pose"),
-    "mirrored.npz": (bad_npz(T_obj_ee=np.diag([1.0, 1, -1, 1])[None]), "no rigid pose"),
+    "sheared.npz": (bad_npz(T_obj_ee=np.ones((2, 4, 4))), "not a rigid pose"),
+    "mirrored.npz": (bad_npz(T_obj_ee=np.diag([1.0, 1, -1, 1])[None]), "not a rigid pose"),
     "millimetres.npz": (bad_npz(T_obj_ee=poses(2) * 1.0 + np.eye(4, k=3) * 500), "more than 10 m away"),
     "short width.npz": (bad_npz(T_obj_ee=poses(2), width=np.ones(3)), "width is"),
     "nan score.npz": (bad_npz(T_obj_ee=poses(2), score=np.full(2, np.nan)), "score holds a number that is not finite in row 0"),
