@@ -1,7 +1,7 @@
-"""What Contact-Handover does when depth cameras show its network the object: docs/results/views.md.
+"""What Contact-Handover does when depth cameras show its network the object.
 
 `python bench/views.py --out FOLDER` sweeps the method on r2h-v1, motion as planned, with the whole solid and with cameras (the
-same FOLDER goes on). `--render` writes the page again from the JSON.
+same FOLDER goes on). `--render` prints the table of the JSON.
 """
 
 import argparse
@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from _report import ROOT, made_by, markdown_table
 
-PAGE = ROOT / "docs" / "results" / "views.md"
 STORED = ROOT / "bench" / "results" / "views.json"
 VIEWS = {
     "the whole solid": "",
@@ -28,24 +27,6 @@ VIEWS = {
     "2 cameras, off by 20 mm and 3 deg": "cameras=2,camera_m=0.02,camera_deg=3",
 }
 COLUMNS = {"sr": "SR", "f_plan": "F_plan", "f_afford": "F_afford, S1", "presented": "Presented, S1"}
-
-HEAD = """# Depth views: what Contact-Handover's network is shown
-
-See how much Contact-Handover depends on the view of the object. Its network sees a grid of 64^3 voxels, by default
-the whole solid. Depth cameras carve the grid: a voxel stays full unless some camera looks through it
-(`contact,cameras=2`, [options](../baselines.md#options-of-a-method)). `python bench/views.py` measured {trials}
-trials of each split of r2h-v1, motion as planned (bench/results/views.json, commit {commit}).
-
-{table}
-
-- SR (95 %: +- {half:.0f} points) and F_plan: mean of the splits, percent. F_afford and Presented: S1.
-- touched: share of the points whose probability is at least 0.4. IoU: overlap of these points with those of the whole
-  solid.
-- AUC: chance that a point that people touch in the receiving grasps ranks above one that they do not touch.
-
-The network is a stand-in and never saw the object, so its AUC is low even for the whole solid. The table cannot show
-what a better network would lose.
-"""
 
 
 def maps(spec: dict[str, float], scene: Any, trials: Any) -> np.ndarray:
@@ -110,20 +91,14 @@ def measure(out: Path, trials: int) -> dict[str, Any]:
     return {"trials": trials, "views": rows, **made_by()}
 
 
-def markdown(data: dict[str, Any]) -> str:
-    """The page."""
+def table(data: dict[str, Any]) -> str:
+    """Rates and maps of each view, as Markdown: percent; overlap of the touched points with those of the whole solid, their
+    share, and how well the probabilities rank the points that people touch."""
     lines = [
         [name, *(f"{row[k]:.1f}" for k in COLUMNS), *(f"{row[k]:.2f}" for k in ("iou", "touched", "auc"))]
         for name, row in data["views"].items()
     ]
-    n = 2 * data["trials"]
-    p = np.mean([row["sr"] for row in data["views"].values()]) / 100
-    return HEAD.format(
-        trials=data["trials"],
-        commit=str(data["commit"])[:12],
-        table=markdown_table(["The network sees", *COLUMNS.values(), "IoU", "touched", "AUC"], lines),
-        half=196 * np.sqrt(p * (1 - p) / n),
-    )
+    return markdown_table(["The network sees", *COLUMNS.values(), "IoU", "touched", "AUC"], lines)
 
 
 def main() -> None:
@@ -134,7 +109,7 @@ def main() -> None:
     options = parser.parse_args()
     if not options.render:
         STORED.write_text(json.dumps(measure(options.out, options.trials), indent=1) + "\n")
-    PAGE.write_text(markdown(json.loads(STORED.read_text())))
+    print(table(json.loads(STORED.read_text())))
 
 
 if __name__ == "__main__":

@@ -111,6 +111,6 @@ def test_poses_in_millimetres_and_transposed_ones_are_said_before_they_are_score
     ]
     far[0, 0, 0] = torch.nan
     assert (
-        "1 of 5 handover poses (T_world_ee; the first of trial 7) are no rigid pose"
+        "1 of 5 handover poses (T_world_ee; the first of trial 7) are not rigid poses"
         in doubts(Predictions(ids, T, far))[0]
     )

@@ -4,6 +4,16 @@ as a benchmark with predictions and motions of ours.
 Their frames: the robot's base stands at (0, 0, 0.75) m and the arm reaches to -x, hence `T_world_release`.
 Their grasp frame lies between the finger tips (+Y closes, +Z approaches), ours between the pads, which
 is `PADS_M` behind. Their hand frame lies in the palm (origin p_h, +Z along n_h, +X to the fingers).
+
+    object_mesh_object, else object_boxes       the object; source_sha256 is the digest of source_path
+    usage_boxes                                 the receiver's region as volumes
+    T_object_gripper, executed_joints, target   grasp and handover pose of our TCP
+    receiver, else palm point and normal        the palm, which decides Reach
+    hand_mesh_world, else hand_boxes_world      the hand for Plan and Safe
+    obstacle_boxes_world                        the table: the axis-parallel box with the largest top;
+                                                the others, at most 20, are pieces of the hand's mesh
+    planned_joints, executed_joints             home and the motion, of our gripper alone
+    id, variant                                 trials.csv, and ids.csv of a run
 """
 
 from __future__ import annotations
