@@ -119,7 +119,9 @@ def read_chain(
     for flag, name in (("--base", base), ("--flange", flange)):
         if name not in links:
             found = ", ".join(printable(n)[:40] for n in list(links)[:12])
-            raise FileError(f"{shown}: {flag} {printable(name)} is not a link of it; it has {found}")
+            raise FileError(
+                f"{shown}: {flag} {printable(name)} is not a link of it; it has {found}"
+            )
     into = {_end(j, "child", shown): j for j in joints}
     if unknown := {_end(j, end, shown) for j in joints for end in ("parent", "child")} - set(links):
         raise FileError(

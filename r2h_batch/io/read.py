@@ -294,7 +294,9 @@ def read_npz(
             name, size = member.orig_filename, member.file_size
             key = name.removesuffix(".npy")
             if name == key:
-                raise FileError(f"{shown}: member {name!r} is not an .npy array (is this a pickle?)")
+                raise FileError(
+                    f"{shown}: member {name!r} is not an .npy array (is this a pickle?)"
+                )
             if size > most_each:
                 raise FileError(f"{shown}: {name!r} has {size} bytes; {most_each} are allowed")
             with archive.open(member) as stream:

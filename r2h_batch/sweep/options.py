@@ -634,7 +634,10 @@ def _allowed(function: Callable[..., Any]) -> dict[str, Any]:
     hints: Mapping[str, Any]
     try:
         hints = typing.get_type_hints(function)
-    except (NameError, TypeError):  # a user's annotations may name a row that the file does not hold when it runs
+    except (
+        NameError,
+        TypeError,
+    ):  # a user's annotations may name a row that the file does not hold when it runs
         hints = {}
     takes = inspect.signature(function).parameters.values()
     keywords = [p for p in takes if p.kind is p.KEYWORD_ONLY and p.name not in GIVEN]

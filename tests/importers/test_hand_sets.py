@@ -224,7 +224,9 @@ def test_a_sequence_of_zeros_is_refused_where_it_is_read_and_not_where_the_hands
         params.update({k: np.zeros_like(v) for k, v in params.items()})
     np.savez(good, **arrays)
     code, _, err = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz")
-    assert code == 2 and "must be a rotation and two different directions" in err and not (tmp_path / "hands.npz").exists()
+    assert (
+        code == 2 and "must be a rotation and two different directions" in err and not (tmp_path / "hands.npz").exists()
+    )
 
 
 def test_nothing_outside_the_folder_is_read(tmp_path, capsys, means, mano):

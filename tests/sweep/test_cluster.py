@@ -56,7 +56,9 @@ def test_a_cluster_that_breaks_off_is_no_trouble_of_the_run_folder(tmp_path):
     pool = cluster.Pool(ray, lambda: SimpleNamespace(header=SimpleNamespace(remote=object)))
     todo = deque([("mine", store.Shard(0, 0, 10))])
     rest = (SimpleNamespace(), SimpleNamespace(), lambda: False, print, {})
-    with pytest.raises(cluster.ClusterError, match=r"does not answer any more .Broken pipe.*the same command continues"):
+    with pytest.raises(
+        cluster.ClusterError, match=r"does not answer any more .Broken pipe.*the same command continues"
+    ):
         cluster._feed(pool, 1, todo, *rest)
     pool.stop()
 
