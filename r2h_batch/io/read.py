@@ -445,7 +445,7 @@ def _plain_loader(text: str, deepest: int) -> Any:
             elif kind in ("int", "float"):
                 plain = _DECIMAL.fullmatch(str(node.value))
                 if not plain or not math.isfinite(float(node.value)):
-                    raise refused(node, f"{shown}, no plain number; write decimal digits")
+                    raise refused(node, f"{shown}, not a plain number; write decimal digits")
 
     class Loader(yaml.SafeLoader):
         depth = 0
