@@ -93,7 +93,7 @@ def test_a_bad_file_is_refused_by_the_path_of_the_field(tmp_path, text, parts):
     [
         ("? [1, 2]\n: 3", "a list or mapping is a key"),
         ("<<: {trials: 3}", "'<<' is a key"),
-        ("trials: 0x1F", "'0x1F', no plain number"),
+        ("trials: 0x1F", "'0x1F', not a plain number"),
         ("trials: " + "9" * 5000, "not a plain number"),
         ("trials: 100000000000000000", "--trials is 100000000000000000; it must be 1000000000000 or less"),
         ("method: [[[[[[random]]]]]]", "nested too deeply"),
