@@ -637,7 +637,7 @@ def _allowed(function: Callable[..., Any]) -> dict[str, Any]:
     except (
         NameError,
         TypeError,
-    ):  # a user's annotations may name a row that the file does not hold when it runs
+    ):  # a user's annotations may name what is missing when it runs
         hints = {}
     takes = inspect.signature(function).parameters.values()
     keywords = [p for p in takes if p.kind is p.KEYWORD_ONLY and p.name not in GIVEN]
