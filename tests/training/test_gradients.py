@@ -214,7 +214,7 @@ def check_postures(evaluator: Evaluator, batch: Any, criterion: int, count: int)
         )
 
         def margin(T_world_ee: np.ndarray, twin=twin, triangles=triangles, q0=q0) -> float:
-            q = jacobian_ik(scene.robot, T_world_ee, q0, within=1e-10, held=stays(scene.robot, q0))
+            q = jacobian_ik(scene.robot, T_world_ee, q0, within=1e-9, held=stays(scene.robot, q0))
             return twin.least(q)[0] if criterion == PLAN else twin.safe_at(triangles, q)
 
         T_world_ee = batch.T_world_ee[i].double().numpy()
