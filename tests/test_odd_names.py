@@ -15,7 +15,7 @@ from markdown_it import MarkdownIt
 from r2h_batch.compare.text import render as render_comparison
 from r2h_batch.report import page
 from r2h_batch.report.table import object_lines, render, table_of
-from r2h_batch.report.text import short_names
+from r2h_batch.report.text import short_names, tex
 from r2h_batch.statistics.paired import compare, pair_up
 
 ODD = (
@@ -116,3 +116,15 @@ def test_the_page_and_its_charts_say_the_names_and_gain_no_tag(run, tmp_path):
     assert all(any(label.startswith(f"{name}. S0: ") for label in labels) for name in SHORT.values())
     colors = {value for c in charts for e in c.iter() for value in e.attrib.values() if "#010203" in value}
     assert all("&lt;" in value for value in colors)  # in the name's label alone
+
+
+def test_latex_rows_hold_the_names_with_every_special_character_escaped(run):
+    compared = compare(pair_up([run]), draws=50)
+    for text in (
+        render(table_of(run), "latex"),
+        render(table_of(run), "latex", columns=1),
+        render_comparison(compared, "latex"),
+    ):
+        body = text[text.index(r"\begin{tabular}") :]
+        assert all(tex(name) in body for name in SHORT.values()) and r"\input" not in body
+        assert all(line.startswith("% ") for line in text.partition(r"\begin{tabular}")[0].splitlines())

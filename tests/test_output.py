@@ -1,5 +1,6 @@
 """What every command says when its stdout is closed, full or ASCII, and that no name in a file steers a terminal."""
 
+import json
 import os
 import subprocess
 import sys
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 from made_runs import write_run
 
+from r2h_batch.__main__ import main
 from r2h_batch.command_line import LOG
+from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.verdicts import Outcome
 
 FORMULA = "=1+2é"
@@ -88,3 +91,23 @@ def test_a_kernel_cache_that_takes_nothing_is_one_line_and_exit_code_1(tmp_path)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert "kernel cache" in done.stderr.splitlines()[-1] and "WARP_CACHE_PATH" in done.stderr.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory):
+    """A run whose method's name is a window title and a reversed line, too: written by hand, the sweep refuses it."""
+    folder = tmp_path_factory.mktemp("hostile") / "run"
+    write_run(folder, {FORMULA: OUTCOMES}, 20, 20)
+    (entry,) = (folder / "methods").glob("*.json")
+    entry.write_text(json.dumps({**json.loads(entry.read_text()), "name": HOSTILE}))
+    with pytest.raises(RunError, match="printable"):
+        load_run(folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["report", "results", "rethreshold"])
+def test_names_in_files_reach_no_terminal_as_control_characters(hostile, name, capsys):
+    assert main(lines(hostile)[name]) == 2
+    out, error = capsys.readouterr()
+    assert out == "" and error.count("\n") == 1 and not any(c in error for c in "\x1b\x07\u202e"), error
+    assert "x1b]0;owned" in error and "printable" in error

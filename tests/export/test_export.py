@@ -2,7 +2,10 @@
 
 import csv
 import json
+import re
 import shutil
+import subprocess
+import sys
 from xml.etree import ElementTree
 
 import mujoco
@@ -223,3 +226,34 @@ def test_the_trajectory_is_the_timed_path_with_all_its_waypoints(exported):
         assert rate.max() <= speed * 1.01
         fine = np.diff(t) > 5e-3
         assert (np.abs(np.diff(rate)) / 0.01)[fine[1:] & fine[:-1]].max() <= gain * 1.1 + 1e-3
+
+
+def test_a_model_opens_at_home_stays_there_and_plays_with_the_script_beside_it(exported):
+    _, folder = exported[0]
+    model, data = load(folder)
+    assert np.allclose(data.qpos, HOME_Q) and model.ncam >= 1 and model.nlight >= 1 and model.nu == 6
+    mujoco.mj_step(model, data, 200)
+    assert np.abs(data.qpos - HOME_Q).max() < 1e-9
+    for flags, off_mm in (([], 0.2), (["--servos"], 1.0)):
+        line = [sys.executable, str(folder / "play.py"), "--check", *flags]
+        done = subprocess.run(line, capture_output=True, text=True, check=True, cwd=folder.parent)
+        found = re.search(r"gripper ([0-9.]+) mm from its target, (\d+) contacts", done.stdout)
+        assert found and float(found[1]) < off_mm and found[2] == "0"
+
+
+def test_contacts_are_those_of_the_checked_pairs(exported):
+    for stored, folder in exported.values():
+        model, data = load(folder)
+        data.qpos[:] = stored.q[-1]
+        mujoco.mj_forward(model, data)
+        assert stored.row["outcome"] == "success" and data.ncon == 0
+        rng, agreed = np.random.default_rng(1), set()
+        for q in rng.uniform(-np.pi, np.pi, (60, 6)):
+            least = clearances(model, data, q)  # leaves the posture in data
+            if any(abs(x) < 1e-4 for x in least.values()):
+                continue
+            held = least["hand"] < 0 and all(least[k] > 0 for k in CHECKED - {"hand"})
+            if not held:  # the base and the hand both stand still: MuJoCo looks for no contact between them
+                assert (data.ncon > 0) == (min(least.values()) < 0), least
+            agreed |= {k for k in CHECKED if least[k] < 0}
+        assert {"table", "self"} <= agreed

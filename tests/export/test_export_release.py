@@ -204,3 +204,20 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
     assert main(["import", *line]) == 2
     error = capsys.readouterr().err
     assert "wrong.json[0]: variant" in error and error.count("\n") == 1
+
+
+def test_compare_pairs_a_run_of_imported_trials_with_results_of_the_same_names(written, tmp_path, capsys):
+    """Of one trial's name less, it refuses."""
+    done = in_process("--trials-from", written / "files", "--sim", "none", "--out", tmp_path / "mine")
+    assert done.returncode == 0, done.stderr
+    results = json.loads((written / "files" / "results.json").read_text())
+    results = [r for r in results if (written / "files" / f"{r['trial_id']}.json").is_file()]
+    for name, rows in (("same", results[::-1]), ("other", [{**results[0], "trial_id": "another"}, *results[1:]])):
+        (tmp_path / f"{name}.json").write_text(json.dumps(rows))
+        line = ["results", str(tmp_path / f"{name}.json"), "--from", "r2handoversim", "--out", str(tmp_path / name)]
+        assert main(["import", *line]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(tmp_path / "mine"), str(tmp_path / "same")]) == 0
+    assert "paired by their names" in capsys.readouterr().out
+    assert main(["compare", str(tmp_path / "mine"), str(tmp_path / "other")]) == 2
+    assert "differ in the names of their trials" in capsys.readouterr().err

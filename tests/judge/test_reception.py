@@ -7,6 +7,7 @@ import pytest
 import torch
 import warp as wp
 from fcl_twin import distance, hull, primitive
+from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation, Slerp
 
 from r2h_batch.bodies.objects import load_objects
@@ -15,12 +16,12 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import reception as judge
 from r2h_batch.judge.grasp import gripper_poses
-from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception
+from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception, rula
 from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.methods import oracle
-from r2h_batch.receiver.held_out import grip_forces, load_held_out
+from r2h_batch.receiver.held_out import grip_forces, load_held_out, revolution_axis
 from r2h_batch.receiver.receiving import load_receiving
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.trials.receivers import arm_axes
@@ -398,3 +399,54 @@ def test_stored_grips_are_those_of_the_linear_program_again():
     rows = [0, 300]
     again = grip_forces(model, own.grasps[torch.tensor(rows)].vertices.numpy(), own.grasps.hand)
     assert np.allclose(again, own.grip_n[rows].numpy(), rtol=1e-3)
+
+
+def test_a_mirrored_person_finds_the_mirrored_arm():
+    trials = make_trials(trials=20, protocol="r2h-v1")
+    inputs, vectors, outwards = waiting(trials)
+    flip = torch.tensor([1.0, -1.0, 1.0])
+    table = Receiving()
+    table.assign(inputs["grasps"])
+    mirrored = [(v * flip).contiguous() for v in vectors]
+    for name, x in zip(("wrist", "along", "normal"), mirrored, strict=True):
+        setattr(table, name, wp.from_torch(x, dtype=wp.vec3))
+    receiver = trials.receiver.clone()
+    receiver[:, :4, 1] *= -1.0
+    receiver[:, 4, 3] *= -1.0  # y of the direction that the torso faces
+    effort, angles = searched(inputs)
+    other, turned = searched({**inputs, "grasps": table, "receiver": receiver, "outwards": -outwards})
+    assert np.abs(effort - other).max() < 1e-5 and np.abs(angles - turned).max() < 1e-2
+
+
+def test_no_hand_beyond_the_arms_length_is_reached():
+    trials = make_trials(trials=10, protocol="r2h-v1")
+    inputs, vectors, _ = waiting(trials)
+    far = (vectors[0] + torch.tensor([-0.8, 0.0, 0.0])).contiguous()
+    inputs["grasps"].wrist = wp.from_torch(far, dtype=wp.vec3)
+    assert (searched(inputs)[0] == -1).all()
+
+
+def test_rula_scores_postures_as_its_tables_do():
+    good = [10, 0, 80, 0, 0, 0, 0]  # upper arm 1, lower arm 1, wrist 1, twist 1: A 1; trunk 1: B 1
+    worse = [95, 40, 120, 70, 30, 20, 25]  # upper arm 5, lower arm 2, wrist 4, twist 2: A 7; trunk 3: B 3
+    reaching = [60, 0, 40, 0, 10, 0, 0]  # upper arm 3, lower arm 2, wrist 2, twist 1: A 4; B 1
+    assert rula(np.array([good, worse, reaching], float)).tolist() == [1, 6, 3]
+
+
+def test_objects_of_revolution_are_known_by_their_surface():
+    axes = {o.name: revolution_axis(o)[0] for o in load_objects()}
+    round_ones = {name for name, axis in axes.items() if any(axis)}
+    assert round_ones == {"bowl", "cup", "wineglass", "bottle"}
+    assert all(abs(axes[name][2]) > 0.999 for name in round_ones)
+
+
+def test_a_pinch_needs_the_grip_of_coulombs_law():
+    """Two fingers from both sides of a ball carry it with friction alone: each presses with m g / (2 mu), by the pyramid."""
+    inward = np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
+    arm = np.array([[-0.03, 0.01, 0], [0.03, 0.01, 0], [-0.03, -0.01, 0], [0.03, -0.01, 0]])
+    from r2h_batch.receiver.held_out import CONE_EDGES, FRICTION, _edges
+
+    wrench = _edges(arm, inward)
+    found = linprog(np.ones(wrench.shape[1]), A_eq=wrench, b_eq=[0, 0, 1, 0, 0, 0], method="highs")
+    assert found.status == 0
+    assert 1 / FRICTION <= found.fun <= 1 / (FRICTION * np.cos(np.pi / CONE_EDGES)) + 1e-9

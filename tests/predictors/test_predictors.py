@@ -107,3 +107,12 @@ def test_parts_without_noise_are_the_objects_labels(scene, few) -> None:
         model = scene.objects[index]
         assert np.array_equal(seen.label[row].numpy(), model.point_part)
         assert np.array_equal(seen.usage[row].numpy(), model.receiver_face[model.point_face])
+
+
+def test_a_border_moves_as_a_whole(scene, trials) -> None:
+    hammer = trials[trials.object_index == 6]
+    true, seen = predict_parts(hammer, scene, noise=EXACT), predict_parts(hammer, scene)
+    grown = (seen.usage & ~true.usage).sum(1) > 0
+    shrunk = (~seen.usage & true.usage).sum(1) > 0
+    assert 0.25 < float(grown.float().mean()) < 0.9 and 0.25 < float(shrunk.float().mean()) < 0.9
+    assert float((grown & shrunk).float().mean()) < 0.5  # mostly one or the other, not salt and pepper

@@ -60,3 +60,14 @@ def test_a_worker_of_ray_finds_a_module_in_the_current_folder(place):
     code, _, error = finish(start(place, "run", both, "--engine", "ray", "--workers", "1"))
     assert code == 0, error
     assert set(load_run("run").methods) == {"mine", "uc_rules:predict"}
+
+
+def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refused(place, capsys):
+    line = ["--method", "a=uc_rules.py:predict", "b=../there/uc_rules.py:predict", "--trials", "3", "--out", "run"]
+    assert sweep.main(line) == 0
+    run = load_run("run")
+    assert run.methods == ("a", "b") and run.entry("a").source["sha256"] != run.entry("b").source["sha256"]
+    capsys.readouterr()
+    assert sweep.main(["--method", "c=../third/uc_rules.py:predict", "--trials", "3", "--out", "run"]) == 2
+    error = capsys.readouterr().err
+    assert "uc_rules.py imports uc_helper, and " in error and "rename one of them" in error and error.count("\n") == 1
