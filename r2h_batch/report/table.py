@@ -300,8 +300,10 @@ def _md(table: Table) -> str:
 def _next_commands(table: Table) -> str:
     """Commands that answer the next questions about this run."""
     several = len({row.method for row in table.rows}) > 1
+    # the shipped rows are those of the robot that a table does not name
+    baselines = " baselines --across-robots" if "robot" in table.origin else " baselines"
     lines = [
-        ("compare", "" if several else " baselines", "which differences are more than chance"),
+        ("compare", "" if several else baselines, "which differences are more than chance"),
         ("report", " --format html > report.html", "by object, margins, every trial"),
         ("results reevaluate", " --rows 200", "whether the rows are what the evaluator says"),
     ]

@@ -189,11 +189,16 @@ def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only
 
 def test_the_measured_misses_of_a_robot_without_a_closed_form_stand_under_the_table(tmp_path, capsys):
     own = {"name": "arm", "digest": "c" * 64, "ik_missed": [10_000, 3]}
-    folder = write_run(tmp_path / "run", {"a": np.zeros(8, int)}, 4, 4, robot=own).folder
+    digests = {"trials": "0123456789abcdef", "robot": own["digest"]}
+    folder = write_run(tmp_path / "run", {"a": np.zeros(8, int)}, 4, 4, robot=own, digests=digests).folder
     words = "Inverse kinematics of arm: numerical; of 10,000 random reachable poses it misses 3 (0.03 %)"
     for fmt in ("md", "json", "html", "latex"):
         assert command("report", folder, format=fmt, out=tmp_path / f"page.{fmt}") == 0
         page = (tmp_path / f"page.{fmt}").read_text().replace("\\%", "%")
         assert words in " ".join(page.replace("% ", "").split()) or words in " ".join(page.split()), fmt
     usual = write_run(tmp_path / "usual", {"a": np.zeros(8, int)}, 4, 4).folder
-    assert command("report", usual) == 0 and "Inverse kinematics" not in capsys.readouterr().out
+    capsys.readouterr()
+    assert command("report", usual) == 0
+    shown = capsys.readouterr().out
+    assert "Inverse kinematics" not in shown and "baselines  #" in shown
+    assert command("report", folder) == 0 and "baselines --across-robots  #" in capsys.readouterr().out
