@@ -87,10 +87,11 @@ def test_fingers_of_a_table_close_where_the_linkage_does():
 def test_derivatives_of_a_table_are_those_of_the_linkage():
     """Chords for arcs: slopes differ by half a sample's turn, 0.008, and more where the linkage is near its dead centre."""
     lifts, fingers = [], []
+    grasps = candidates_in(Evaluator(robot=LINKAGE).scene)[:6]  # each gripper has its own; one set is compared
+    T = torch.from_numpy(np.concatenate([c.T_obj_ee[::4] for c in grasps]))
+    index = torch.arange(6, dtype=torch.int32).repeat_interleave(25)
     for robot in (TABLE, LINKAGE):
         scene = Evaluator(robot=robot).scene
-        T = torch.from_numpy(np.concatenate([c.T_obj_ee[::4] for c in candidates_in(scene)[:6]]))
-        index = torch.arange(6, dtype=torch.int32).repeat_interleave(25)
         grasp = close_gripper(scene.grasp_tables, T, index)
         lifts.append(witnesses.closing(scene, T, index, grasp.width_m, grasp.opening_m).lift)
         near, wanted = torch.full((len(T),), 0.01), grasp.opening_m > 0
