@@ -30,10 +30,10 @@ PARTS = {
 
 HEAD = """# Receivers that move
 
-See how often each method succeeds when the hand moves. `python bench/closed_loop.py --trials {n}` played the shipped
-poses of r2h-v1 in closed loop ([definitions](../receivers.md#receivers-that-move)), the first {n} trials of each
-split (bench/results/closed_loop.json, commit {commit}). For your method run `r2h-batch sweep --method
-mine=my_rules.py:predict --receiver-motion moves --policy servo`.
+See how often each method succeeds when the hand moves ([definitions](../receivers.md#receivers-that-move)). `python
+bench/closed_loop.py --trials {n}` played the shipped poses of the first {n} trials of each split of r2h-v1
+(bench/results/closed_loop.json, commit {commit}). For your method run `r2h-batch sweep --method mine=my_rules.py:predict
+--receiver-motion moves --policy servo`.
 
 ## Successes
 
@@ -43,13 +43,13 @@ Percent of all trials, with 95 % Wilson intervals. In `moves` the hand leaves th
 
 ## How episodes end
 
-Percent of all trials, mean of the four published methods. Time (of successes) and least distance between robot and
-hand: mean of the methods' medians.
+Percent of all trials, mean of the four published methods. The last two columns are means of the methods' medians: the time
+of successes, and the least distance between robot and hand.
 
 {ends}
 
 - Short motions have an advantage: some end before the hand moves.
-- With `still` a few trials succeed without SR: the object is slow and within reach at home or on the way.
+- With `still` a few trials succeed without SR. Their object is slow and within reach at home or on the way.
 - Servo and replan stop if the next step is not free. Servo then comes as near as it can.
 - These figures ignore arm and torso. `--receiver body` includes them.
 
@@ -61,8 +61,8 @@ hand: mean of the methods' medians.
 """
 
 GROWTH = """
- `python bench/closed_loop.py --growth {n}` played {n} episodes in one process (bench/results/closed_loop_growth.json,
-commit {commit}). Resident memory grew from {first} to {last} MiB. An episode took {ms:.0f} ms.
+`python bench/closed_loop.py --growth {n}` played {n:,} episodes in one process. Resident memory grew from {first} to
+{last} MiB. An episode took {ms:.0f} ms (bench/results/closed_loop_growth.json, commit {commit}).
 """
 
 

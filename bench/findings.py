@@ -142,20 +142,20 @@ def findings() -> list[Finding]:
 
 
 CAUSES = [
-    "Contact-Handover compares 256 poses of gripper and held object with the estimated hand, the other methods at most eight"
-    " without the object. In the default preset F_safe is 0, because the planner certifies paths against the true hand.",
+    "Contact-Handover compares 256 poses of gripper and held object with the estimated hand. The other methods compare at most"
+    " eight, without the object. In the default preset F_safe is 0: the planner certifies paths against the true hand.",
     "Contact-Handover's pose search ignores the function of the object, and its network never saw the object. Stability fails"
     " only with candidates as generated (preset paper).",
-    "Intent-Handover's rule knows the region, Contact-Handover's network estimates it. The estimate suffices for the second"
-    " place only with filtered candidates.",
-    "Intent-Handover turns hand, object and gripper as one. So gripper and target hand keep the distance that gripper and"
-    " predicted hand have. The paper does not say what stands 15 cm above the palm.",
+    "Intent-Handover's rule knows the region. Contact-Handover's network estimates it, which suffices for the second place only"
+    " with filtered candidates.",
+    "Intent-Handover turns hand, object and gripper as one. So the gripper keeps the predicted hand's distance from the target"
+    " hand. The paper does not say what stands 15 cm above the palm.",
     "The times of stand-ins say nothing about the originals.",
     "Reach rarely fails: the object comes within a few centimetres of c_h, and the ball's radius is 10 cm.",
     "FC-Handover places the gripper opposite to the fingers, wherever they point, and knows no region"
     " ([why its plans fail](table1-v1.md#why-plan-fails)).",
-    "Handover-VA takes the first pose that the arm reaches and checks no collision. It runs ICP while the other methods look up"
-    " hands. In the default preset only its grasps are unfiltered, so only it fails Stability.",
+    "Handover-VA takes the first pose that the arm reaches, and checks no collision. It runs ICP while the other methods look up"
+    " hands. Only its grasps are unfiltered in the default preset, so only it fails Stability.",
 ]
 """Read on 2026-11-21 from 500 trials of each split. `make tables` does not check them: a person does."""
 
@@ -230,21 +230,18 @@ def page(tables: Mapping[str, Mapping]) -> str:
     parts = [
         "# Compare with the paper",
         "See which findings of the paper appear here, and why others do not. Objects, hands and networks are stand-ins"
-        " ([baselines](../baselines.md)), so a finding that does not appear is no evidence against the paper. `make tables`"
-        f" makes this page ({first['origin']['trials']} trials, commit {first['provenance']['commit'][:12]}; the paper's"
-        " figures: `r2h_batch/study/paper/table1.csv`).",
+        " ([baselines](../baselines.md)). So a finding that does not appear is no evidence against the paper. `make tables`"
+        f" makes this page ({first['origin']['trials']} trials, commit {first['provenance']['commit'][:12]}).",
         "## Success rates",
-        "Each column names protocol and preset (`sweep --protocol r2h-v1 --preset paper`). `r2h-batch report"
-        " bench/rows/NAME` prints the whole table and `r2h-batch compare bench/rows/NAME` the better method of each pair,"
-        f" for NAME in {', '.join(f'`{n}`' for n in ROWS)}. Distance: mean difference in points from the paper's SR.",
+        "Each column names protocol and preset. `r2h-batch report bench/rows/NAME` prints the whole table, for NAME in"
+        f" {', '.join(f'`{n}`' for n in ROWS)}. Distance: mean difference in points from the paper's SR.",
         "\n".join([*success_lines(here), distance_line(here)]),
-        "- The oracle tries candidates until the evaluator accepts one. In preset paper the planner samples edges around the"
-        " estimated hand, so the oracle loses some trials.\n"
+        "- In preset paper the planner samples edges around the estimated hand, so the oracle loses some trials.\n"
         f"- F_safe is {safe[PAPER_PRESET][0]:.1f} to {safe[PAPER_PRESET][1]:.1f} % in preset paper, and at most {other:.1f} % in"
         " the other columns.\n"
         "- In preset release every handover of the bowl fails Stability: the whole bowl is wider than the gripper opens.\n"
-        "- In r2h-release fingers point away from the robot. FC- and Intent-Handover place the gripper opposite to them, so"
-        " Plan mostly fails.",
+        "- In r2h-release fingers point away from the robot. FC- and Intent-Handover place the gripper opposite to them, so Plan"
+        " mostly fails.",
         "## Findings",
         "A finding is a list of conditions. `yes`: all hold. `no`: none holds. `not:` names those that do not hold.",
         "\n".join(appearing(here)),

@@ -15,16 +15,16 @@ CASES = ("moves, planned", "moves, stop", "moves, servo", "moves, replan")
 
 PAGE = """# Which methods change places
 
-See whether a method keeps its place when more is asked than SR. SR is the verdict of the plan: the hand stands still,
-and the robot reaches the requested pose. The other columns add [execution errors](robustness.md), a person who must
-[take](reception.md) the object, or a [hand that moves](moving.md). Those pages have the rates. This table has the
-places. (`python bench/tables.py --render` makes it; commits {commits}.)
+See whether a method keeps its place when more is asked than SR. SR judges the plan for a hand that stands still. The other
+columns add [execution errors](robustness.md), a person who must [take](reception.md) the object, or a
+[hand that moves](moving.md). Those pages have the rates. (Commits {commits}.)
 
 {table}
 
-These pairs change places. The numbers are differences in points, by SR and by the column. `**`: decided for these
-objects and for new ones. `*`: decided for these objects. p: McNemar's exact test, not corrected for the number of
-pairs.
+These pairs change places. The numbers are differences in points, by SR and by the column.
+
+- `**`: decided for these objects and for new ones. `*`: decided for these objects.
+- p: McNemar's exact test, not corrected for the number of pairs.
 
 {pairs}
 """

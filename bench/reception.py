@@ -35,10 +35,10 @@ OBJECT = (0.13, 0.35, 0.72, 1)
 
 HEAD = """# Reception: can the person take it?
 
-See how many receivers could take the object, and how far they must turn the hand. `python bench/reception.py` judged
-the shipped rows of r2h-v1 and the upper bound `oracle,for=reception`
-([definitions](../receivers.md#reception-can-this-person-take-the-object); bench/results/reception.json, commit
-{commit}). For your method run `r2h-batch results reception runs/mine`.
+See how many receivers could take the object, and how far they must turn the hand
+([definitions](../receivers.md#reception-can-this-person-take-the-object)). `python bench/reception.py` judged the shipped
+rows of r2h-v1 and the upper bound `oracle,for=reception` (bench/results/reception.json, commit {commit}). For your method
+run `r2h-batch results reception runs/mine`.
 
 ![One trial with all hands that were tried](reception.png)
 
@@ -53,8 +53,8 @@ passes this step and all steps before it. `received`: the whole way to the easie
 
 ## Fewer grasps, effort
 
-K: how many could receive if only K grasps a side were known. The other columns describe the easiest grasp. `turn <=
-60`: percent received if the hand may turn by 60 degrees at most.
+K: percent received if the judge knew only K grasps a side. The other columns describe the easiest grasp. `turn <= 60`: percent
+received if the hand may turn by 60 degrees at most.
 
 {effort}
 

@@ -59,9 +59,8 @@ KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 HEAD = """# The same methods on four robots
 
 See how the methods do on each built-in robot. `python bench/robots.py` measured {trials} trials of each split of
-r2h-v1, motion as planned, persons placed for the robot ([robots](../robots.md#persons-and-table);
-bench/results/robots.json, which also has the first failures; commit {commits}). For your robot run `r2h-batch sweep
---robot DIR --method fc handover-va contact intent oracle`.
+r2h-v1, motion as planned, [persons](../robots.md#persons-and-table) placed for the robot (bench/results/robots.json;
+commit {commits}). For your robot run `r2h-batch sweep --robot DIR --method fc handover-va contact intent oracle`.
 
 ## Success rates
 
@@ -69,19 +68,14 @@ Percent of all trials, mean of the splits, with 95 % Wilson intervals.
 
 {rates}
 
-The grasp candidates are sampled, closed and graded with each robot's own gripper.
-
 ## Checks and speed
 
 {checks}
 
 - Trial: whole trials, half answered by the oracle and half by random, median of {repeats} runs.
-- Wrong postures: verdicts on collisions against the distances of MuJoCo C, leaving out postures within 0.1 mm of
-  contact.
-- Paths: problems with a free start and a free goal. Penetrating: paths that MuJoCo C finds to collide. OMPL had
-  {budget_s:g} s a problem.
-- IK: {targets:,} postures drawn uniformly within the joint ranges, all branches or eight postures. Missed: targets
-  without a posture. pytorch-kinematics: one posture within 1 mm and 0.01 rad, {restarts} restarts, {some:,} targets.
+- Wrong postures: verdicts on collisions that MuJoCo C contradicts. Postures within 0.1 mm of contact are left out.
+- Paths: problems with a free start and a free goal. Penetrating: paths that MuJoCo C finds to collide.
+- IK: {targets:,} postures drawn uniformly within the joint ranges. Missed: targets without a posture.
 """
 
 
@@ -280,11 +274,9 @@ def markdown(data: dict[str, Any]) -> str:
         "trial, core us": lambda r: f"{r['trials']['us']:.0f}",
         "wrong postures": lambda r: "{disagreements} of {postures:,}".format(**r["collision"]),
         "paths found; penetrating": lambda r: "{solved} of {problems}; {penetrating}".format(**r["plan"]),
-        "OMPL's paths; penetrating": lambda r: "{ompl_solved}; {ompl_penetrating}".format(**r["plan"]),
         "IK, core us": lambda r: f"{r['ik']['us']:.1f}",
         "IK missed": lambda r: str(r["ik"]["missed"]),
         "IK, largest error, um": lambda r: f"{r['ik']['position_error_um']:.1f}",
-        "pytorch-kinematics, core us": lambda r: f"{r['ik']['reference_us']:.0f}",
     }
     return HEAD.format(
         trials=data["trials"],
@@ -292,10 +284,7 @@ def markdown(data: dict[str, Any]) -> str:
         rates=markdown_table(["Method", *robots], rates),
         checks=markdown_table(["", *robots], [[k, *(f(r) for r in robots.values())] for k, f in lines.items()]),
         repeats=REPEATS,
-        budget_s=BUDGET_S,
         targets=data["targets"],
-        some=data["some"],
-        restarts=RESTARTS,
     )
 
 

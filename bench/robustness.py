@@ -26,9 +26,8 @@ TURNED_DEG = 10.0
 
 HEAD = """# Robustness: errors of execution, and weight
 
-Compare methods under [errors of execution](../choices.md#what-methods-and-planner-know): the poses that the robot
-executes differ from the requested poses. `python bench/robustness.py` measured {trials} trials of each split of
-r2h-v1, motion as planned (bench/results/robustness.json, which also has the first failures; commit {commit}). For
+Compare methods under [errors of execution](../choices.md#what-methods-and-planner-know). `python bench/robustness.py`
+measured {trials} trials of each split of r2h-v1, motion as planned (bench/results/robustness.json; commit {commit}). For
 your method run `r2h-batch sweep --method mine.py:predict --set robustness=true --out runs/robust`.
 
 ![SR over the execution error](robustness.png)
@@ -42,16 +41,18 @@ with its 95 % t interval over objects.
 
 ## Weight
 
-Two pads hold a grasp by friction: {grip:g} N each, friction {mu:g}, the whole pad in contact
-(`r2h_batch.judge.payload`). The table gives the percentage of the grasps that pass Stability and then turn or slip
-under 1 / 2 / 3 times the object's weight.
+Two pads hold a grasp by friction: {grip:g} N each, friction {mu:g}. Some grasps pass Stability and then turn or slip. The
+table gives their percentage under 1 / 2 / 3 times the object's weight (closed form, `r2h_batch.judge.payload`).
 
 {weight}
 
-The closed form assumes that the whole pad is in contact, so it is an upper bound. `bench/robustness.py` also closes
-{n} grasps in MuJoCo C, where a grasp fails if the object turns by more than {turned:g} degrees or slips by 2 cm.
-Grasps that fail in the closed form and hold in MuJoCo C: {wrong}. Grasps that hold in the closed form and fail in
-MuJoCo C: {more} under 1, 2 and 3 times the weight, because round and narrow objects touch less than the whole pad.
+The closed form assumes that the whole pad is in contact, so it is too kind to round and narrow objects. We also closed
+{n} grasps in MuJoCo C. There a grasp fails if the object turns by more than {turned:g} degrees or slips by 2 cm.
+
+| fails in | grasps |
+| --- | --: |
+| the closed form only | {wrong} |
+| MuJoCo C only, under 1, 2 and 3 times the weight | {more} |
 """
 
 

@@ -128,11 +128,10 @@ def markdown(data: dict) -> str:
     parts = [
         "# What each choice is worth",
         "See how far one choice moves the success rates. Each line changes one choice of the base"
-        f" (`{' '.join(BASE)}`, default preset, motion as planned, {data['trials']} trials a split). `make tables`"
-        f" measured it on commit {data['commit'][:12]}. `sensitivity.json` has the first failures, the single splits and"
-        " the test of each pair of methods.",
-        "SR is the mean of the splits in percent, with its change in brackets. Pairs: how many of the six pairs of"
-        " methods keep the order of the base.",
+        f" (`{' '.join(BASE)}`, default preset, motion as planned, {data['trials']} trials a split; `make tables`, commit"
+        f" {data['commit'][:12]}). `sensitivity.json` has first failures, splits and the test of each pair.",
+        "SR is the mean of the splits in percent, with its change in brackets. Pairs: of the six pairs of methods, how many keep"
+        " the order of the base.",
         markdown_table(["changed", *(TITLES[m] for m in METHODS), "pairs"], lines),
         "Options of one method ([meaning](../baselines.md#options-of-a-method)):",
         markdown_table(["changed", "SR", "pairs"], own_lines),

@@ -155,22 +155,6 @@ def plan_lines(run) -> list[str]:
     return lines
 
 
-def object_matrix(run) -> list[str]:
-    """A Markdown table: SR of each object, a column for each method."""
-    from r2h_batch.report.table import object_lines
-    from r2h_batch.report.text import short_names
-
-    rows = json.loads(object_lines(run, "json"))["rows"]
-    names = {m: n for m, n in short_names(run.methods).items() if "Handover" in n}
-    lines = ["| split | object | " + " | ".join(names.values()) + " |", "|---|---|" + "--:|" * len(names)]
-    rates = {(r["split"], r["object"], r["method"]): r for r in rows}
-    for split, name in dict.fromkeys(key[:2] for key in rates):
-        own = [rates[split, name, method] for method in names]
-        cells = " | ".join(f"{r['sr']:.1f}" for r in own)
-        lines.append(f"| {split} | {name.replace('_', ' ')} | {cells} |")
-    return lines
-
-
 def pairs_of(run) -> list[dict[str, object]]:
     """The paired test of the methods on all trials of each split and of both: who is apart from whom."""
     from r2h_batch.statistics.paired import compare, pair_up
@@ -251,19 +235,17 @@ def v1_page(published: Published, data: dict) -> str:
         f"# {published.title}",
         "See how the built-in methods do on the default benchmark: why they fail, how long motions take, and how sure the rates"
         f" are. `{made['command']}` made the rows in `{made['rows']}` (commit {made['commit'][:12]}). `{published.name}.json`"
-        " has counts, intervals of all rates, versions and digests.",
+        " has counts and all intervals.",
         "Every cell is S0 / S1; rates are percent.",
         columns_table(rates_of(data)),
         NOTES,
         columns_table(times_of(data) | intervals_of(data)),
         TIMES_NOTES,
         "## Why Plan fails",
-        "Percent of a method's Plan failures: the pair of bodies that overlap in the posture of the last IK branch, or"
-        " `ik_unreachable`.",
+        "Percent of a method's Plan failures. A column names the pair of bodies that overlap in the posture of the last IK"
+        " branch, or `ik_unreachable`.",
         "\n".join(plan_lines(run)),
-        "## By object",
-        f"SR in percent. `r2h-batch report {published.rows.as_posix()} --by-object` prints the other rates.",
-        "\n".join(object_matrix(run)),
+        f"`r2h-batch report {published.rows.as_posix()} --by-object` prints the rates of each object.",
     ]
     return "\n\n".join(parts) + "\n"
 
