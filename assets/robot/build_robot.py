@@ -3,7 +3,7 @@
     python -m r2h_batch.assets.robot.build_robot [--keep-fit]
 
 `--keep-fit` takes the primitives from the committed robot.json and renews everything else, report.json included.
-The search is seeded and needs about two minutes; another processor's rounding may give other last digits.
+The search is seeded and needs some minutes; another processor's rounding may lead to other primitives that cover as closely.
 
 Overshoot of a link: points are spread over the outer surface of the union of its primitives (1 mm apart, each weighted
 by the area it stands for; what lies inside another primitive of the link does not count), and the distance of each to
@@ -22,20 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from r2h_batch.assets.robot.primitive_search import ARM_STEP_M, RECIPES, SearchTarget, fit, read, write
 from r2h_batch.bodies import robot_visuals as visuals
-from r2h_batch.importers.robot_fit import (
-    ARM_STEP_M,
-    BOX,
-    RECIPES,
-    Array,
-    Shape,
-    box_of,
-    fit,
-    mouths_for,
-    read,
-    target,
-    write,
-)
+from r2h_batch.importers.robot_fit import BOX, Array, Shape, box_of, mouths_for
 
 HERE = Path(__file__).resolve().parent
 EE_OFFSET_M = 0.153203152  # flange to the pads' centre at half stroke
@@ -153,7 +142,7 @@ def main() -> None:
     for name in RECIPES:
         triangles = visuals.visual_triangles(name)
         box = box_of(triangles)
-        meshes[name] = target(triangles, mouths_for(name, box, box))
+        meshes[name] = SearchTarget(triangles, mouths_for(name, box, box))
     if keep:
         fitted = read_fitted(json.loads((HERE / "robot.json").read_text()))
     else:

@@ -37,9 +37,9 @@ from r2h_batch.config import Workplace
 from r2h_batch.importers.robot_fit import (
     BOX,
     Shape,
+    Target,
     box_of,
     mouths_for,
-    target,
 )
 from r2h_batch.importers.robot_hulls import Hull, boxes_of, fit_hulls
 from r2h_batch.importers.robot_pairs import contact_rates, touching
@@ -222,7 +222,7 @@ def _bodies(
         row = {"primitives": len(shapes), "mean_mm": 0.0, "worst_protrusion_mm": 0.0}
         return [*shapes], row | {"from": "shapes of the file"}
     apart = bool(link.meshed) and len(shapes) < min(most, MOST_HULLS)
-    mesh = target(link.triangles[: link.meshed] if apart else link.triangles, mouths)
+    mesh = Target(link.triangles[: link.meshed] if apart else link.triangles, mouths)
     shapes = shapes if apart else []
     given, more = list(link.collides), {}
     if given and not shapes:
@@ -288,7 +288,7 @@ def gripper_of(
     T_flange_gripper[:3, :3] = np.stack([np.cross(y, [0.0, 0.0, 1.0]), y, [0.0, 0.0, 1.0]], 1)
     turned = fingers.palm.triangles @ T_flange_gripper[:3, :3]
     shapes = boxes_of(turned, PALM_BOXES)
-    report = {fingers.palm.name: target(turned, []).report(shapes)}
+    report = {fingers.palm.name: Target(turned, []).report(shapes)}
     moves = {p.name: T_flange_gripper.T @ p.T for p in fingers.parts}  # it only turns
     pad, faces = [], []
     for sign, one in zip((1, -1), named, strict=True):

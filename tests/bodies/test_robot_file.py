@@ -97,7 +97,7 @@ def test_wrong_corners_are_refused_in_one_line(change, words, tmp_path):
 
 def test_hulls_hold_the_mesh_that_they_are_cut_from():
     ring = trimesh.creation.torus(0.06, 0.015, major_sections=24, minor_sections=12)
-    mesh = Target(ring.triangles, [], float(ring.area))
+    mesh = Target(ring.triangles, [])
     hulls = fit_hulls(mesh, lambda found: len(found) == 4, 4)
     for corners in (hull.points for hull in hulls):
         assert len(corners) <= CORNERS
