@@ -10,7 +10,7 @@ The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. 
     docs/results/table1*.{csv,json}               the tables, with intervals, counts, versions and digests
     docs/results/table1-v1.md                     what a reader needs of them
     docs/results/sensitivity.{md,json}            what each choice is worth
-    docs/results/findings.md, README.md, docs/choices.md    what follows from the tables
+    docs/results/findings.md, README.md    what follows from the tables
     docs/results/{moving,reception,ranks}.md      from the JSON of their benches, which run by themselves
     docs/*.png, docs/pictures/*.png               pictures of runs
     docs/results/made_from.json                   commit, golden's digest, digests of the pictures
@@ -24,7 +24,6 @@ import hashlib
 import io
 import json
 import os
-import re
 import shlex
 import shutil
 import subprocess
@@ -269,21 +268,6 @@ def table_files(published: Published, rows: Path) -> dict[str, str]:
     }
 
 
-def times_text(data: dict[str, dict]) -> str:
-    """The sentence of docs/choices.md on T_exec: the range of the four methods' means in both splits."""
-
-    def ends(*names: str) -> str:
-        rows = [r for n in names for r in data[n]["rows"] if r["split"] != "Avg" and "Handover" in r["method"]]
-        times = [r["t_exec_s"] for r in rows]
-        return f"{min(times):.1f} to {max(times):.1f} s"
-
-    return (
-        f"ours is {ends('table1-v1')} in r2h-v1, {ends('table1-v0')} in r2h-v0,"
-        f" {ends('table1-release')} in r2h-release with preset `release`,"
-        f" {ends('table1-v1-paper-preset')} with preset `paper`"
-    )
-
-
 def render_all() -> dict[Path, str]:
     """Every published text (path from the checkout's root), from the stored rows and docs/results/sensitivity.json."""
     files = {RESULTS / name: text for p in TABLES for name, text in table_files(p, ROOT / p.rows).items()}
@@ -298,9 +282,6 @@ def render_all() -> dict[Path, str]:
     files[RESULTS / "ranks.md"] = ranks.page()
     readme = (ROOT / "README.md").read_text()
     files[Path("README.md")] = findings.with_table(readme, findings.readme_lines(data["table1-v1"]))
-    choices = (ROOT / "docs" / "choices.md").read_text()
-    words = re.compile(r"ours is [^.]*?\d\.\d to[^;]*?with preset\s+`paper`", re.DOTALL)
-    files[Path("docs/choices.md")] = words.sub(lambda _: times_text(data), choices, count=1)
     return files
 
 
