@@ -66,8 +66,7 @@ def _of_contact() -> list[Finding]:
             CAUSES[0],
         ),
         Finding(
-            "In S1 all kinematic failures of Contact-Handover get worse: its collision cost does not transfer to functional"
-            " constraints",
+            "In S1 all kinematic failures of Contact-Handover get worse",
             tuple((f"{c} rises", rises("Contact", c)) for c in ("f_plan", "f_reach", "f_safe", "f_stab")),
             CAUSES[1],
         ),
@@ -95,7 +94,7 @@ def _of_intent() -> list[Finding]:
             CAUSES[3],
         ),
         Finding(
-            "Intent-Handover takes longest to plan (2.4 x Contact-Handover), and fails Safe in S0: it avoids a generated hand",
+            "Intent-Handover takes longest to plan, and fails Safe in S0",
             (
                 ("longest own time", extreme("Avg", "t_method_s", "Intent", 1)),
                 (
@@ -116,13 +115,12 @@ def _of_fc_and_va() -> list[Finding]:
             "FC-Handover has the lowest F_reach", (("lowest F_reach", extreme("Avg", "f_reach", "FC", -1)),), CAUSES[5]
         ),
         Finding(
-            "FC-Handover has the highest F_afford in S1, and its F_plan rises there: its orientation does not know the region",
+            "FC-Handover has the highest F_afford in S1, and its F_plan rises there",
             (("highest F_afford", extreme("S1", "f_afford", "FC", 1)), ("F_plan rises", rises("FC", "f_plan"))),
             CAUSES[6],
         ),
         Finding(
-            "Handover-VA has the lowest SR, the shortest planning and the lowest F_stab, the highest F_plan and F_safe, and drops"
-            " most from S0 to S1",
+            "Handover-VA: lowest SR, shortest planning, lowest F_stab, highest F_plan and F_safe, largest drop from S0 to S1",
             (
                 ("lowest SR", extreme("Avg", "sr", "VA", -1)),
                 ("shortest own time", extreme("Avg", "t_method_s", "VA", -1)),
@@ -239,7 +237,7 @@ def page(tables: Mapping[str, Mapping]) -> str:
         "- In preset paper the planner samples edges around the estimated hand, so the oracle loses some trials.\n"
         f"- F_safe is {safe[PAPER_PRESET][0]:.1f} to {safe[PAPER_PRESET][1]:.1f} % in preset paper, and at most {other:.1f} % in"
         " the other columns.\n"
-        "- In preset release every handover of the bowl fails Stability: the whole bowl is wider than the gripper opens.\n"
+        "- In preset release every handover of the bowl fails Stability: the bowl is wider than the gripper opens.\n"
         "- In r2h-release fingers point away from the robot. FC- and Intent-Handover place the gripper opposite to them, so Plan"
         " mostly fails.",
         "## Findings",

@@ -23,8 +23,7 @@ columns add [execution errors](robustness.md), a person who must [take](receptio
 
 These pairs change places. The numbers are differences in points, by SR and by the column.
 
-- `**`: decided for these objects and for new ones. `*`: decided for these objects.
-- p: McNemar's exact test, not corrected for the number of pairs.
+p: McNemar's exact test, not corrected for the number of pairs. `*`: decided for these objects, `**`: also for new ones.
 
 {pairs}
 """
