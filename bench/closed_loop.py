@@ -50,7 +50,6 @@ of successes, and the least distance between robot and hand.
 
 - Short motions have an advantage: some end before the hand moves.
 - With `still` a few trials succeed without SR. Their object is slow and within reach at home or on the way.
-- Servo and replan stop if the next step is not free. Servo then comes as near as it can.
 - These figures ignore arm and torso. `--receiver body` includes them.
 
 ## Cost

@@ -213,10 +213,9 @@ def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
     save_picture(PAGE.with_suffix(".png"), np.concatenate(images, axis=1))
     counts = ", ".join(f"{int(mask.sum())} {name}" for name, (mask, _) in groups.items())
     return (
-        f"Trial {int(asked.trial_id[i])} ({stored.object_model.name}): {counts} of {int(found.known[i])} hands, one in"
-        f" {SHOWN_OF} drawn (green, red, yellow); then the easiest one: waiting, 10 cm before the grasp, there, and"
-        " with the object, the gripper open and 10 cm back."
-        f" The hand turns by {float(found.turn_deg[i]):.0f} degrees."
+        f"Trial {int(asked.trial_id[i])} ({stored.object_model.name}). Left: one in {SHOWN_OF} of the {int(found.known[i])} hands"
+        f" that were tried ({counts}; green, red, yellow). Then the easiest hand: waiting, 10 cm before the grasp, at the grasp,"
+        f" and after the release. It turns by {float(found.turn_deg[i]):.0f} degrees."
     )
 
 
