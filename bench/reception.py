@@ -47,7 +47,7 @@ run `r2h-batch results reception runs/mine`.
 ## Steps
 
 Percent of the `n` trials with a held object and a goal posture. A step's column counts trials in which some grasp
-passes this step and all steps before it. `received`: the whole way to the easiest of these grasps is free too.
+passes this step and all steps before it. `received`: the whole way to one of the 8 easiest of these grasps is free too.
 
 {steps}
 
