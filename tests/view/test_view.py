@@ -268,6 +268,11 @@ def test_a_page_draws_its_scene_in_a_browser_without_server_or_network(reader, t
         "--virtual-time-budget=6000",
         f"--screenshot={png}",
         "--host-resolver-rules=MAP * ~NOTFOUND",
+        f"--user-data-dir={tmp_path}/profile",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
     ]
     subprocess.run([CHROMIUM, *flags, page.as_uri()], capture_output=True, timeout=240, check=True)
     picture = imageio.imread(png)[..., :3].astype(int)
