@@ -32,8 +32,7 @@ HEAD = """# Receivers that move
 
 See how often each method succeeds when the hand moves ([definitions](../receivers.md#receivers-that-move)). `python
 bench/closed_loop.py --trials {n}` played the shipped poses of the first {n} trials of each split of r2h-v1
-(bench/results/closed_loop.json, commit {commit}). For your method run `r2h-batch sweep --method mine=my_rules.py:predict
---receiver-motion moves --policy servo`.
+(bench/results/closed_loop.json, commit {commit}).
 
 ## Successes
 
