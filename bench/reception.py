@@ -64,7 +64,7 @@ A trial with 256 grasps takes {ms:.1f} ms of one core (the oracle's poses).
 """
 
 GROWTH = """
-Resident memory: {first} MiB after a tenth of {trials:,} trials, {last} MiB after all.
+Memory after a tenth of {trials:,} trials: {first} MiB, after all: {last} MiB.
 """
 
 
