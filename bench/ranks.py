@@ -82,7 +82,7 @@ def page() -> str:
                 said.append([c, f"{a} - {b}", f"{before:+.1f}", f"{after:+.1f}{tested(c, a, b)}"])
     sources = {name: read(name) for name in ("robustness", "reception", "closed_loop")}
     return PAGE.format(
-        commits=", ".join(f"{s['commit'][:12]}" for s in sources.values()),
+        commits=", ".join(dict.fromkeys(s["commit"][:12] for s in sources.values())),
         table=markdown_table(["Method", *found], rows),
         pairs=markdown_table(["column", "pair", "by SR", "by the column"], said),
     )
