@@ -30,13 +30,12 @@ import pytorch_kinematics
 import torch
 from _report import ROOT, made_by, markdown_table
 from _twins import Batch, checker_of, dense, ompl_solve, oracle, recheck, solve
-from scipy.spatial.transform import Rotation
 
 from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.ik import solve_ik
+from r2h_batch.judge.ik import reference_chain, solve_ik
 from r2h_batch.judge.plan import Planner
 from r2h_batch.launch.threads import on_threads
 from r2h_batch.methods import oracle as oracle_method
@@ -79,24 +78,6 @@ Percent of all trials, mean of the splits, with 95 % Wilson intervals.
 """
 
 
-def chain_of(robot: Robot) -> Any:
-    """pytorch-kinematics' chain of a robot, base to ee, from its joint frames."""
-
-    def joint(k: int, kind: str, T: np.ndarray) -> str:
-        turn, place = Rotation.from_matrix(T[:3, :3]).as_euler("xyz"), T[:3, 3]
-        rpy, xyz = (" ".join(map(repr, x.tolist())) for x in (turn, place))
-        return (
-            f'<link name="l{k + 1}"/><joint name="j{k}" type="{kind}"><parent link="l{k}"/><child link="l{k + 1}"/>'
-            f'<origin rpy="{rpy}" xyz="{xyz}"/><axis xyz="0 0 1"/><limit lower="-7" upper="7" effort="1" velocity="1"/></joint>'
-        )
-
-    n = len(robot.joints)
-    joints = [joint(k, "revolute", robot.T_parent_joint[k]) for k in range(n)]
-    joints.append(joint(n, "fixed", robot.T_wrist3_flange @ robot.T_flange_ee))
-    text = f'<robot name="{robot.name}"><link name="l0"/>{"".join(joints)}</robot>'
-    return pytorch_kinematics.build_serial_chain_from_urdf(text, f"l{n + 1}", "l0")
-
-
 def inverse_kinematics(robot: Robot, count: int, some: int) -> dict[str, float]:
     """Times, misses and errors on targets that the robot can reach."""
     q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (count, len(robot.joints)))
@@ -106,7 +87,7 @@ def inverse_kinematics(robot: Robot, count: int, some: int) -> dict[str, float]:
         start = time.process_time()
         found = solve_ik(targets, robot=robot)
         seconds = time.process_time() - start
-    chain = chain_of(robot)
+    chain = reference_chain(robot)
     few = targets[:some].contiguous()
     ours = chain.forward_kinematics(torch.from_numpy(q[:some]).float()).get_matrix()
     assert float((ours - few).abs().max()) < 1e-4, f"{robot.name}: the reference chain is another arm"

@@ -15,7 +15,9 @@ from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import ROBOTS, Robot, ee_pose, load_robot, read_robot, write_robot
 from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import solve_ik
+from r2h_batch.judge.ik_any import APART_RAD
 from r2h_batch.methods.oracle import predict
 from r2h_batch.scene.model import build_scene_model
 from r2h_batch.trials.protocol import make_trials
@@ -140,3 +142,22 @@ def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(tmp_path: Path
     assert main(line) == 0
     assert main(["results", "reevaluate", run]) == 0
     assert main(["results", "reevaluate", run, "--robot", "ur5e_2f85"]) == 2
+
+
+def test_pytorch_kinematics_finds_the_pandas_postures_by_itself():
+    robot = load_robot("panda_hand")
+    q = np.random.default_rng(5).uniform(robot.lower, robot.upper, (24, 7))
+    T = torch.from_numpy(ee_pose(robot, q).astype(np.float32))
+    T[-1, :3, 3] += 5.0
+    found, kernel = ik_jacobian.solve_ik(T, robot=robot), solve_ik(T, robot=robot)
+    assert torch.equal(found.reachable, kernel.reachable) and int(found.reachable.sum()) == 23
+    assert torch.equal(found.unreachable_proven, kernel.unreachable_proven) and bool(found.unreachable_proven[-1])
+    assert float(found.valid[:-1].sum(1).double().mean()) > 4
+    for i in range(23):
+        own = found.q[i][found.valid[i]].double().numpy()
+        assert np.abs(ee_pose(robot, own) - T[i].numpy()).max() < 2e-5
+        assert (own >= robot.lower).all() and (own <= robot.upper).all()
+        apart = np.abs(own[:, None] - own[None]).max(2) + np.eye(len(own))
+        assert apart.min() >= APART_RAD
+    some = ik_jacobian.solve_ik(T[3:5], robot=robot)
+    assert torch.equal(some.q.nan_to_num(), found.q[3:5].nan_to_num())

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Bool, Float, Int, UInt8
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot, ur_lengths
@@ -330,14 +331,18 @@ def ur_parameters(robot: Robot, home: tuple[float, ...]) -> UrParameters:
 
 
 def reference_chain(robot: Robot, **to: Any) -> Any:
-    """pytorch-kinematics' chain base_link -> ee from airo-models' URDF of the arm: reference for FK, Jacobian
-    and its own IK.
+    """pytorch-kinematics' chain base -> ee, the reference for FK, Jacobian and its own IK: of a UR from
+    airo-models' URDF, of another arm from its joint frames.
 
     Keyword arguments go to `chain.to` (dtype, device).
     """
     import airo_models
     import pytorch_kinematics
 
+    if robot.family != "ur":
+        urdf, last = _urdf_of(robot)
+        chain = pytorch_kinematics.build_serial_chain_from_urdf(urdf, last, "l0")
+        return chain.to(**to) if to else chain
     text = Path(airo_models.get_urdf_path(robot.visuals)).read_text()
     x, y, z = robot.T_flange_ee[:3, 3]
     ee = (
@@ -348,6 +353,23 @@ def reference_chain(robot: Robot, **to: Any) -> Any:
     text = re.sub(r'\sdrake:\w+="[^"]*"', "", text).replace("</robot>", ee)
     chain = pytorch_kinematics.build_serial_chain_from_urdf(text.encode(), "ee", "base_link")
     return chain.to(**to) if to else chain
+
+
+def _urdf_of(robot: Robot) -> tuple[str, str]:
+    """The chain of an arm as a URDF, and the name of its last link, the ee."""
+
+    def joint(k: int, kind: str, T: np.ndarray) -> str:
+        turn, place = Rotation.from_matrix(T[:3, :3]).as_euler("xyz"), T[:3, 3]
+        rpy, xyz = (" ".join(map(repr, x.tolist())) for x in (turn, place))
+        return (
+            f'<link name="l{k + 1}"/><joint name="j{k}" type="{kind}"><parent link="l{k}"/><child link="l{k + 1}"/>'
+            f'<origin rpy="{rpy}" xyz="{xyz}"/><axis xyz="0 0 1"/><limit lower="-7" upper="7" effort="1" velocity="1"/></joint>'
+        )
+
+    n = len(robot.joints)
+    joints = [joint(k, "revolute", robot.T_parent_joint[k]) for k in range(n)]
+    joints.append(joint(n, "fixed", robot.T_wrist3_ee))
+    return f'<robot name="arm"><link name="l0"/>{"".join(joints)}</robot>', f"l{n + 1}"
 
 
 def _cos_sin(q: np.ndarray) -> np.ndarray:

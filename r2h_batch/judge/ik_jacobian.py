@@ -4,6 +4,9 @@ batched Jacobian.
 Which branches exist is the closed form's word in both solvers (that is what makes "unreachable" a
 proof); the joint angles are this file's: damped least squares on all six joints in float64, from
 the committed seeds moved into the asked branch.
+
+Of an arm without a closed form the postures are this file's too: from the seeds of judge/ik_any.py
+that stand nearest to the target. Only the proof of "unreachable" is shared.
 """
 
 from collections.abc import Sequence
@@ -17,8 +20,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, ee_pose, load_robot
 from r2h_batch.judge import ik as fused
+from r2h_batch.judge import ik_any
+from r2h_batch.kernels.ik import any_arm
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.plan.codes import BRANCHES
 
@@ -34,6 +39,13 @@ TOLERANCE = 1e-9
 
 DAMPING, DAMPING_MIN = 0.1, 1e-12
 """lambda = DAMPING |error|^2 + DAMPING_MIN (Sugihara 2011), as in kernels/ik/step.py."""
+
+
+FIRST_SEEDS = 16
+"""Seeds of an arm without a closed form that every row tries; the others are for rows without a posture."""
+
+SEED_LEVER_M = 0.3
+"""What a radian counts for when the nearest seeds are chosen."""
 
 
 @torch.no_grad()
@@ -57,9 +69,9 @@ def solve_ik(
     robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
     home = robot.home_q if home is None else tuple(home)
     if robot.family != "ur":
-        raise ValueError(
-            f"ik.solver='pytorch-kinematics' does not solve {robot.name}, only arms of a UR's structure; use 'fused'"
-        )
+        found = fused.solve_ik(T_world_ee, active=active, robot=robot, home=home)
+        assert isinstance(found, fused.SearchedIk)
+        return _searched(robot, T_world_ee, found)
     start = fused.ik_seeds() if seeds is None else np.asarray(seeds, np.float64)
     exact = fused.solve_ik(
         T_world_ee, active=active, robot=robot, home=home, seeds=start[:0], iterations=iterations
@@ -82,6 +94,109 @@ def solve_ik(
         robot, targets, signs, torch.from_numpy(start.copy()).to(device), iterations
     )
     return _filled(robot, exact, row, column, pair, targets, q, found, steps, home)
+
+
+def _searched(
+    robot: Robot, T_world_ee: Float[Tensor, "b 4 4"], fused_found: fused.SearchedIk
+) -> fused.SearchedIk:
+    """Up to eight postures for each target that is not proven out of reach, of an arm without a
+    closed form.
+
+    A row tries its nearest seeds in order until it has eight postures, each `ik_any.APART_RAD` from
+    the others in some joint; after `FIRST_SEEDS` only rows without a posture go on.
+    """
+    rows = fused_found.unproven.nonzero(as_tuple=True)[0]
+    device, joints = T_world_ee.device, len(robot.joints)
+    targets = se3.orthonormalise(T_world_ee.double())[rows]
+    seeds, order = _nearest_seeds(robot, targets)
+    lower, upper = (torch.from_numpy(np.array(x)).to(device) for x in (robot.lower, robot.upper))
+    held = torch.full((len(rows), BRANCHES, joints), torch.nan, dtype=torch.float32, device=device)
+    error = torch.full((2, len(rows), BRANCHES), torch.inf, dtype=torch.float32, device=device)
+    count = torch.zeros(len(rows), dtype=torch.int64, device=device)
+    for k in range(ik_any.TRIED):
+        open_rows = (count < (BRANCHES if k < FIRST_SEEDS else 1)).nonzero(as_tuple=True)[0]
+        for i in range(0, len(open_rows), ROWS):
+            some = open_rows[i : i + ROWS]
+            filled = torch.cat([some, some[:1].expand(ROWS - len(some))])
+            q = _descend_within(robot, targets[filled], seeds[order[filled, k]], lower, upper)
+            q32 = q[: len(some)].float()
+            position, rotation = _residuals(robot, q32, targets[some])
+            apart = (
+                ((q32[:, None] - held[some]).abs() < ik_any.APART_RAD).all(2).any(1).logical_not()
+            )
+            good = (
+                apart
+                & (position <= fused.POSITION_TOLERANCE_M)
+                & (rotation <= fused.ROTATION_TOLERANCE_RAD)
+                & (q32.double() >= lower).all(1)
+                & (q32.double() <= upper).all(1)
+            )
+            at = (some[good], count[some[good]])
+            held[at], error[0][at], error[1][at] = (
+                q32[good], position[good].float(), rotation[good].float(),
+            )  # fmt: skip
+            count[some[good]] += 1
+    none = count == 0
+    status = torch.where(none, int(any_arm.STATUS_NOT_FOUND), int(any_arm.STATUS_SOME))
+    q_first = fused_found.q[rows, 0]
+    known = torch.isfinite(q_first).all(1) & none  # the fused kernel has come there
+    nearest, miss_m = fused_found.nearest[rows], fused_found.miss_m[rows]
+    return replace(
+        fused_found,
+        q=fused_found.q.index_put((rows,), held),
+        valid=fused_found.valid.index_put((rows,), error[0].isfinite()),
+        position_error_m=fused_found.position_error_m.index_put((rows,), error[0]),
+        rotation_error_rad=fused_found.rotation_error_rad.index_put((rows,), error[1]),
+        status=fused_found.status.index_put((rows,), status[:, None].expand(-1, 4).to(torch.uint8)),
+        nearest=fused_found.nearest.index_put(
+            (rows,),
+            torch.where(known[:, None], q_first, torch.where(none[:, None], nearest, torch.nan)),
+        ),
+        miss_m=fused_found.miss_m.index_put(
+            (rows,), torch.where(known, 0.0, torch.where(none, miss_m, torch.inf))
+        ),
+    )
+
+
+def _nearest_seeds(
+    robot: Robot, targets: Float[Tensor, "m 4 4"]
+) -> tuple[Float[Tensor, "s j"], Int[Tensor, "m k"]]:
+    """All seeds, and for each target those whose ee is nearest to it, nearest first; a radian counts
+    `SEED_LEVER_M`."""
+    q = ik_any.tables(robot, "cpu")[1].q.numpy().astype(np.float64)
+    ee = torch.from_numpy(ee_pose(robot, q)).to(targets.device)
+    order = []
+    for i in range(0, len(targets), ROWS):
+        part = targets[i : i + ROWS]
+        away = (part[:, None, :3, 3] - ee[None, :, :3, 3]).square().sum(2)
+        turned = (part[:, None, :3, :3] - ee[None, :, :3, :3]).square().sum((2, 3))
+        order.append(
+            torch.argsort(away + 0.5 * SEED_LEVER_M**2 * turned, dim=1, stable=True)[
+                :, : ik_any.TRIED
+            ]
+        )
+    found = torch.cat(order) if order else targets.new_zeros((0, ik_any.TRIED), dtype=torch.int64)
+    return torch.from_numpy(q).to(targets.device), found
+
+
+def _descend_within(
+    robot: Robot, T: Float[Tensor, "n 4 4"], q: Float[Tensor, "n j"], lower: Tensor, upper: Tensor
+) -> Float[Tensor, "n j"]:
+    """Damped least squares from seeds, joints clamped to their limits: d = J^T (J J^T + lambda 1)^-1 e."""
+    chain = _chain(robot, str(T.device))
+    unit = torch.eye(6, dtype=torch.float64, device=T.device)
+    for _ in range(2 * ITERATIONS):
+        J, now = chain.jacobian(q, ret_eef_pose=True)
+        e, _ = _error(now, T)
+        done = e.abs().amax(1) < TOLERANCE
+        if bool(done.all()):
+            break
+        Jt = J.transpose(1, 2)
+        normal = J @ Jt + (DAMPING * e.square().sum(1) + DAMPING_MIN)[:, None, None] * unit
+        d = (Jt @ torch.linalg.solve(normal, e[:, :, None]))[:, :, 0]
+        moved = (q + 2.0 * torch.atan(0.5 * d)).clamp(lower, upper)
+        q = torch.where(done[:, None], q, moved)
+    return q
 
 
 def _filled(
@@ -248,7 +363,7 @@ def _residuals(
     parts = []
     for i in range(0, len(q), ROWS):
         some = q[i : i + ROWS].double()
-        filled = torch.cat([some, some[:1].expand(ROWS - len(some), 6)])
+        filled = torch.cat([some, some[:1].expand(ROWS - len(some), some.shape[1])])
         parts.append(chain.forward_kinematics(filled).get_matrix()[: len(some)])
     e, _ = _error(torch.cat(parts), T)
     return e[:, :3].norm(dim=1), 2.0 * torch.atan(0.5 * e[:, 3:].norm(dim=1))
@@ -256,5 +371,5 @@ def _residuals(
 
 @cache
 def _chain(robot: Robot, device: str) -> Any:
-    """pytorch-kinematics' chain base_link -> ee in float64 on a device."""
+    """pytorch-kinematics' chain base -> ee in float64 on a device."""
     return fused.reference_chain(robot, dtype=torch.float64, device=device)
