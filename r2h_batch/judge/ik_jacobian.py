@@ -69,9 +69,9 @@ def solve_ik(
     robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
     home = robot.home_q if home is None else tuple(home)
     if robot.family != "ur":
-        found = fused.solve_ik(T_world_ee, active=active, robot=robot, home=home)
-        assert isinstance(found, fused.SearchedIk)
-        return _searched(robot, T_world_ee, found)
+        kernels = fused.solve_ik(T_world_ee, active=active, robot=robot, home=home)
+        assert isinstance(kernels, fused.SearchedIk)
+        return _searched(robot, T_world_ee, kernels)
     start = fused.ik_seeds() if seeds is None else np.asarray(seeds, np.float64)
     exact = fused.solve_ik(
         T_world_ee, active=active, robot=robot, home=home, seeds=start[:0], iterations=iterations
