@@ -161,3 +161,12 @@ def test_pytorch_kinematics_finds_the_pandas_postures_by_itself():
         assert apart.min() >= APART_RAD
     some = ik_jacobian.solve_ik(T[3:5], robot=robot)
     assert torch.equal(some.q.nan_to_num(), found.q[3:5].nan_to_num())
+
+
+def test_pytorch_kinematics_finds_the_branches_of_a_ur_that_was_imported():
+    robot = load_robot("ur10e_2f85")
+    q = np.random.default_rng(5).uniform(-3, 3, (6, 6))
+    T = torch.from_numpy(ee_pose(robot, q).astype(np.float32))
+    found, exact = ik_jacobian.solve_ik(T, robot=robot), solve_ik(T, robot=robot)
+    assert torch.equal(found.valid, exact.valid) and bool(found.reachable.all())
+    assert float((found.q - exact.q)[found.valid].abs().max()) < 1e-4

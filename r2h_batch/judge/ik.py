@@ -331,15 +331,15 @@ def ur_parameters(robot: Robot, home: tuple[float, ...]) -> UrParameters:
 
 
 def reference_chain(robot: Robot, **to: Any) -> Any:
-    """pytorch-kinematics' chain base -> ee, the reference for FK, Jacobian and its own IK: of a UR from
-    airo-models' URDF, of another arm from its joint frames.
+    """pytorch-kinematics' chain base -> ee, the reference for FK, Jacobian and its own IK: from airo-models'
+    URDF of the arm where it has one, else from the robot's joint frames.
 
     Keyword arguments go to `chain.to` (dtype, device).
     """
     import airo_models
     import pytorch_kinematics
 
-    if robot.family != "ur":
+    if not robot.visuals:
         urdf, last = _urdf_of(robot)
         chain = pytorch_kinematics.build_serial_chain_from_urdf(urdf, last, "l0")
         return chain.to(**to) if to else chain
