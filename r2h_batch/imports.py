@@ -43,7 +43,7 @@ def robot(
         mjcf: The arm as MuJoCo's XML, in place of --urdf. Meshes and includes lie in its folder.
         srdf: Its pairs of links are compared with those that are checked. It names postures.
         gripper: The gripper at the flange.
-        fingers: LINK,LINK: the sliding fingers of the file's own gripper, in place of --gripper.
+        fingers: LINK,LINK: the two links of the file's own gripper that grasp, in place of --gripper.
         home: Posture at the start: rad with commas, --home=-0.5,1,..., or a state's name in --srdf.
         name: Name of the robot in tables; by default the folder's and the gripper's.
         payload: What the arm carries at its flange by its data sheet, gripper included, kg.

@@ -64,7 +64,9 @@ GRIPPER_MASS_KG = 1.05
 PAYLOAD_KG = 5.0
 """Of the UR5e at its flange (data sheet): what the gripper weighs is part of it."""
 
-MOTIONS = ("fixed", "driver", "pin", "inner_knuckle", *(f"table_{k}" for k in range(8)))
+TABLE_ROWS = 8
+"""Different motions of one finger's parts, at most."""
+MOTIONS = ("fixed", "driver", "pin", "inner_knuckle", *(f"table_{k}" for k in range(TABLE_ROWS)))
 """How a part of the gripper moves: the kernels' codes count these (tests/kernels/test_codes.py).
 `table_K`: by row K of `Linkage.table`; the pads move by row 0."""
 
@@ -761,12 +763,12 @@ def _check_lengths(file: RobotFile, lengths: dict[str, int]) -> None:
 
 def _check_table(robot: Robot) -> None:
     """Raises ValueError where a table is not that of two fingers whose pads stay parallel."""
-    table, most = robot.linkage.table, len(MOTIONS) - MOTIONS.index("table_0")
+    table = robot.linkage.table
     assert table is not None
     k, samples = table.shape[:2]
-    if not (1 <= k <= most and 2 <= samples <= MAX_SAMPLES):
+    if not (1 <= k <= TABLE_ROWS and 2 <= samples <= MAX_SAMPLES):
         raise ValueError(
-            f"finger_table has {k} motions of {samples} samples; 1 to {most} of 2 to {MAX_SAMPLES} are allowed"
+            f"finger_table has {k} motions of {samples} samples; 1 to {TABLE_ROWS} of 2 to {MAX_SAMPLES} are allowed"
         )
     if np.abs(table[..., :2]).max() > 0.5 or np.abs(table[..., 2]).max() > np.pi:
         raise ValueError("finger_table moves a part by more than 0.5 m or half a turn")
@@ -832,8 +834,8 @@ def check_robot(robot: Robot) -> None:
 
 def _robot(file: RobotFile, a: dict[str, Array]) -> Robot:
     arm, own = file.arm, load_robot(DEFAULT_ROBOT)
-    said = file.model_dump(exclude={"arm": {"ik_missed", "payload_kg"}})
-    digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
+    decisive = file.model_dump(exclude={"arm": {"ik_missed", "payload_kg"}})
+    digest = hashlib.sha256(json.dumps(decisive, sort_keys=True).encode())
     for array in a.values():
         digest.update(np.ascontiguousarray(array).tobytes())
     count = [0] * len(arm.links)
@@ -912,7 +914,7 @@ def _jaws(gripper: Jaws, a: dict[str, Array]) -> dict[str, Any]:
     names = part_names(gripper.parts, side)
     ee_z = float((np.linalg.inv(a["T_flange_gripper"]) @ a["T_flange_ee"])[2, 3])
     rows = a.get("gripper_motion", np.zeros(len(side), np.int32))
-    if (side == 0).all() or not ((rows >= 0) & (rows < 8)).all():
+    if (side == 0).all() or not ((rows >= 0) & (rows < TABLE_ROWS)).all():
         raise ValueError("gripper_motion must be rows of finger_table, and some part on a side")
     table = a.get("finger_table", slide_table(gripper.closed_gap_m, gripper.open_gap_m))
     return {

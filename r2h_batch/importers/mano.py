@@ -215,7 +215,7 @@ def _check_alike(right: _Raw, left: _Raw, where: str) -> None:
                    - (left.vertices - left.regressor[0] @ left.vertices)).max()  # fmt: skip
     if apart > ALIKE_M:
         raise FileError(
-            f"{where}: its mirror image is up to {1000 * apart:.1f} mm from the right hand; the two are no pair"
+            f"{where}: its mirror image is up to {1000 * apart:.1f} mm from the right hand; the two are not a pair"
         )
 
 

@@ -188,7 +188,7 @@ def read_fingers(
     moving = {str(j.get("name")): j for j in inner if j.get("type") != "fixed"}
     carried = {_end(j, "child", shown) for j in moving.values()}
     if len(below) - 1 != len(inner) or not set(below) <= set(links):
-        raise FileError(f"{shown}: the links at {flange} are no tree")
+        raise FileError(f"{shown}: the links at {flange} do not form a tree")
     for pad in pads:
         at, way = pad, [j for j in inner if _end(j, "child", shown) == pad]
         while way and _end(way[0], "child", shown) not in carried:

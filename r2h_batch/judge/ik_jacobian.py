@@ -40,7 +40,6 @@ TOLERANCE = 1e-9
 DAMPING, DAMPING_MIN = 0.1, 1e-12
 """lambda = DAMPING |error|^2 + DAMPING_MIN (Sugihara 2011), as in kernels/ik/step.py."""
 
-
 FIRST_SEEDS = 16
 """Seeds of an arm without a closed form that every row tries; the others are for rows without a posture."""
 
@@ -138,9 +137,10 @@ def _searched(
             count[some[good]] += 1
     none = count == 0
     status = torch.where(none, int(any_arm.STATUS_NOT_FOUND), int(any_arm.STATUS_SOME))
-    q_first = fused_found.q[rows, 0]
-    known = torch.isfinite(q_first).all(1) & none  # the fused kernel has come there
-    nearest, miss_m = fused_found.nearest[rows], fused_found.miss_m[rows]
+    # where this search found nothing and the kernel did, the kernel's posture came nearest
+    reached = fused_found.valid[rows, 0]
+    nearest = torch.where(reached[:, None], fused_found.q[rows, 0], fused_found.nearest[rows])
+    miss_m = torch.where(reached, 0.0, fused_found.miss_m[rows])
     return replace(
         fused_found,
         q=fused_found.q.index_put((rows,), held),
@@ -149,12 +149,9 @@ def _searched(
         rotation_error_rad=fused_found.rotation_error_rad.index_put((rows,), error[1]),
         status=fused_found.status.index_put((rows,), status[:, None].expand(-1, 4).to(torch.uint8)),
         nearest=fused_found.nearest.index_put(
-            (rows,),
-            torch.where(known[:, None], q_first, torch.where(none[:, None], nearest, torch.nan)),
+            (rows,), torch.where(none[:, None], nearest, torch.nan)
         ),
-        miss_m=fused_found.miss_m.index_put(
-            (rows,), torch.where(known, 0.0, torch.where(none, miss_m, torch.inf))
-        ),
+        miss_m=fused_found.miss_m.index_put((rows,), torch.where(none, miss_m, torch.inf)),
     )
 
 

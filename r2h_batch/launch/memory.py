@@ -20,7 +20,7 @@ _log = logging.getLogger(__name__)
 
 
 def rows_at_once(device: str, chunk: int, row_bytes: int) -> int:
-    """Rows that a device holds at once: on a CPU `asked`, on CUDA as memory allows, `asked` at
+    """Rows that a device holds at once: on a CPU `chunk`, on CUDA as memory allows, `chunk` at
     least."""
     if device == "cpu":
         return chunk

@@ -144,7 +144,7 @@ def measure_contact(
     skins (default: ours).
 
     `about` (B, V): what the skins' distances are about. Then only the points that are nearest by it
-    are asked, quickly: contacts to look at, not to vouch for. `asked` (B, V): skin that is not is
+    are asked, quickly: contacts to look at, not to vouch for. `measured` (B, V): skin that is not is
     known to be 2 cm and more away.
     """
     n, count = vertices.shape[:2]

@@ -446,11 +446,11 @@ def _strip(
     a, b = np.append(a, a[0]), np.append(b, b[0])
     p, q, faces = 0, 0, []
     while p + 1 < len(a) or q + 1 < len(b):
-        ahead = np.linalg.norm(vertices[a[p + 1]] - vertices[b[q]]) if p + 1 < len(a) else np.inf
-        gap_m = np.linalg.norm(vertices[b[q + 1]] - vertices[a[p]]) if q + 1 < len(b) else np.inf
-        next_a = ahead <= gap_m
+        to_a = np.linalg.norm(vertices[a[p + 1]] - vertices[b[q]]) if p + 1 < len(a) else np.inf
+        to_b = np.linalg.norm(vertices[b[q + 1]] - vertices[a[p]]) if q + 1 < len(b) else np.inf
+        next_a = to_a <= to_b
         start, end = (a[p], a[p + 1]) if next_a else (b[q], b[q + 1])
-        if min(ahead, gap_m) > gap + np.linalg.norm(vertices[end] - vertices[start]):
+        if min(to_a, to_b) > gap + np.linalg.norm(vertices[end] - vertices[start]):
             return None
         faces.append((a[p], a[p + 1], b[q]) if next_a else (a[p], b[q + 1], b[q]))
         p, q = (p + 1, q) if next_a else (p, q + 1)

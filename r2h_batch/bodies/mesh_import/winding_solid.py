@@ -253,7 +253,7 @@ def _beside(cells: I64, inside: NDArray[np.bool_]) -> I64:
 
 
 def _not_in(known: I64, wanted: I64) -> I64:
-    """Those of `asked` that are not in `known`; both sorted."""
+    """Those of `wanted` that are not in `known`; both sorted."""
     if not len(known):
         return wanted
     at = np.searchsorted(known, wanted).clip(max=len(known) - 1)
