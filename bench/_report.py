@@ -1,14 +1,22 @@
-"""Benchmark lines `name value` on stdout, and the same as JSON with commit, versions and hardware."""
+"""What benches share: figures as lines and JSON with commit, versions and hardware; pages; quiet sweeps; memory; profiles."""
 
 import argparse
+import cProfile
 import json
 import os
 import platform
+import pstats
+import statistics
 import subprocess
-from collections.abc import Iterable, Sequence
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import redirect_stdout
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from io import StringIO
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
@@ -47,6 +55,58 @@ class Report:
         Path(path).write_text(json.dumps(data, indent=1) + "\n")
 
 
+def swept(folder: Path, *words: object) -> Path:
+    """Runs a sweep into a folder, or goes on with it, without its table; the folder."""
+    from r2h_batch.sweep.command import main
+
+    with redirect_stdout(StringIO()):
+        code = main([*map(str, words), "--out", str(folder)])
+    return sys.exit(code) if code else folder
+
+
+def page_from(
+    parser: argparse.ArgumentParser,
+    stored: Path,
+    page: Path,
+    measure: Callable[[argparse.Namespace], Mapping[str, Any]],
+    markdown: Callable[[Any], str],
+) -> None:
+    """Measures, stores the JSON and writes the page; `--render` writes the page again from the JSON."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--render", action="store_true", help="the page again from the JSON")
+    options = parser.parse_args()
+    if not options.render:
+        stored.write_text(json.dumps(measure(options), indent=1) + "\n")
+    page.write_text(markdown(json.loads(stored.read_text())))
+
+
+def core_ms(call: Callable[[], object], parts: Mapping[str, Any], rounds: int = 3) -> dict[str, float]:
+    """Process milliseconds of a call (median), and of the functions in it as a profiler sees them."""
+    times = []
+    for _ in range(rounds):
+        begin = time.process_time()
+        call()
+        times.append(time.process_time() - begin)
+    profile = cProfile.Profile(time.process_time)
+    profile.runcall(call)
+    seen = {key: row[3] for key, row in pstats.Stats(profile).stats.items()}  # type: ignore[attr-defined]
+    codes = {name: part.__code__ for name, part in parts.items()}
+    spent = {n: seen.get((c.co_filename, c.co_firstlineno, c.co_name), 0.0) for n, c in codes.items()}
+    return {"whole": 1e3 * statistics.median(times)} | {name: 1e3 * s for name, s in spent.items()}
+
+
+def memory_over(trials: int, some_more: Callable[[int], int]) -> dict[str, Any]:
+    """Resident MiB after each tenth of `trials` trials; `some_more` takes how many are done and says how many it did."""
+    mib: list[int] = []
+    done, begin = 0, time.process_time()
+    while done < trials:
+        done += some_more(done)
+        if done * 10 >= trials * (len(mib) + 1):
+            mib.append(round(resident_mib()))
+            print(done, mib[-1], flush=True)
+    return {"trials": done, "mib": mib, "s": time.process_time() - begin}
+
+
 def resident_mib(pid: int | None = None) -> float:
     """Resident memory of a process, MiB; None: this one. NaN where it is gone."""
     try:
@@ -56,10 +116,11 @@ def resident_mib(pid: int | None = None) -> float:
     return pages * os.sysconf("SC_PAGESIZE") / 2**20
 
 
-def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table whose columns but the first are right-aligned."""
-    rule = ["---", *["--:"] * (len(head) - 1)]
-    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in (head, rule, *rows))
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[object]], *, left: bool = False) -> str:
+    """A Markdown table whose columns but the first are right-aligned, or none of them."""
+    rule = f"|---|{'|'.join(['---' if left else '--:'] * (len(head) - 1))}|"
+    first, *lines = (f"| {' | '.join(map(str, line))} |" for line in (head, *rows))
+    return "\n".join([first, rule, *lines])
 
 
 def lines_of(text: str, head: str) -> list[list[str]]:

@@ -7,26 +7,19 @@
 
 import argparse
 import json
-import time
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, made_by, markdown_table, resident_mib
+from _report import ROOT, core_ms, made_by, markdown_table, memory_over, page_from
 
 PAGE = ROOT / "docs" / "results" / "moving.md"
 STORED = ROOT / "bench" / "results" / "closed_loop.json"
 CASES = (("still", "planned"), ("moves", "planned"), ("moves", "stop"), ("moves", "servo"), ("moves", "replan"))
 GROWN = STORED.with_name("closed_loop_growth.json")
 SIZES = (16, 80)
-PARTS = {
-    "receiver": ("r2h_batch.closed_loop.moving", "MovingHands", "pose"),
-    "distances": ("r2h_batch.closed_loop.relative", "RelativeDistance", "over_step"),
-    "observation": ("r2h_batch.closed_loop.env", "HandoverEnv", "_observe"),
-    "policy": ("r2h_batch.closed_loop.policies", "Servo", "__call__"),
-    "ends": ("r2h_batch.closed_loop.env", "HandoverEnv", "_receive"),
-}
 
 HEAD = """# Receivers that move
 
@@ -122,66 +115,46 @@ def bits(flags: np.ndarray) -> str:
 
 def cost(scores: Any) -> list[dict[str, float]]:
     """Process milliseconds a trial and step, whole and by part."""
-    from importlib import import_module
-
     from r2h_batch.closed_loop.env import HandoverEnv
     from r2h_batch.closed_loop.episodes import play
+    from r2h_batch.closed_loop.moving import MovingHands
     from r2h_batch.closed_loop.policies import Servo
+    from r2h_batch.closed_loop.relative import RelativeDistance
 
+    parts = {"receiver": MovingHands.pose, "distances": RelativeDistance.over_step, "policy": Servo.__call__}
+    parts |= {"observation": HandoverEnv._observe, "ends": HandoverEnv._receive}
     found = []
     for n in SIZES:
-        clock = dict.fromkeys(PARTS, 0.0)
-
-        def timed(name: str, call: Any, clock: dict[str, float] = clock) -> Any:
-            def run(*args: Any) -> Any:
-                begin = time.process_time()
-                made = call(*args)
-                clock[name] += time.process_time() - begin
-                return made
-
-            return run
-
         env = HandoverEnv(scores[:n], "moves", action="posture")
-        play(env, Servo)
-        owners = {name: getattr(import_module(module), owner) for name, (module, owner, _) in PARTS.items()}
-        before = {name: getattr(owners[name], function) for name, (_, _, function) in PARTS.items()}
-        for name, (_, _, function) in PARTS.items():
-            setattr(owners[name], function, timed(name, before[name]))
-        begin = time.process_time()
-        ended = play(env, Servo)
-        whole = time.process_time() - begin
-        for name, (_, _, function) in PARTS.items():
-            setattr(owners[name], function, before[name])
-        steps = float(ended.time_s.sum()) / env.step_s
+        steps = float(play(env, Servo).time_s.sum()) / env.step_s
+        spent = core_ms(partial(play, env, Servo), parts, rounds=1)
         found.append(
-            {"trials": n, "steps": steps, "s_a_trial": whole / n, "whole": 1e3 * whole / steps}
-            | {k: 1e3 * v / steps for k, v in clock.items()}
+            {"trials": n, "steps": steps, "s_a_trial": spent["whole"] / 1e3 / n}
+            | {k: v / steps for k, v in spent.items()}
         )
     return found
 
 
 def growth(trials: int) -> dict[str, Any]:
-    """Resident memory after each tenth of `trials` episodes, played by `Loop` as a sweep plays its shards."""
+    """Resident memory over so many episodes, played by `Loop` as a sweep plays its shards."""
     from r2h_batch.closed_loop.env import LoopConfig
     from r2h_batch.closed_loop.episodes import AT_ONCE, Loop
     from r2h_batch.closed_loop.moving import ReceiverMotion
 
     torch.set_num_threads(1)
     _, n, scores = answers(AT_ONCE // 2, "oracle")
-    mib: list[int] = []
-    done, begin = 0, time.process_time()
-    while done < trials:
+
+    def again(done: int) -> int:
         seed = done // n
         Loop(ReceiverMotion("moves", seed=seed), "servo", LoopConfig(seed=seed))(scores)
-        done += n
-        if done * 10 >= trials * (len(mib) + 1):
-            mib.append(round(resident_mib()))
-            print(done, mib[-1], flush=True)
-    return {"trials": done, "mib": mib, "s": time.process_time() - begin, **made_by()}
+        return n
+
+    return memory_over(trials, again) | made_by()
 
 
-def measure(trials: int) -> dict[str, Any]:
+def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All figures of the page."""
+    trials = options.trials
     names, n, scores = answers(trials)
     rows = {name: slice(k * n, (k + 1) * n) for k, name in enumerate(names)}
     methods: dict[str, Any] = {name: {"sr": bits(scores.success[r].numpy()), "cases": {}} for name, r in rows.items()}
@@ -250,17 +223,14 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def main() -> None:
-    """Measures and writes, or writes again."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=100, help="of each split")
-    parser.add_argument("--growth", type=int, metavar="N", help="measure memory over N episodes, and nothing else")
-    parser.add_argument("--render", action="store_true")
-    options = parser.parse_args()
-    if options.growth:
-        GROWN.write_text(json.dumps(growth(options.growth), indent=1) + "\n")
-    elif not options.render:
-        STORED.write_text(json.dumps(measure(options.trials), indent=1) + "\n")
-    PAGE.write_text(markdown(json.loads(STORED.read_text())))
+    parser.add_argument("--growth", type=int, metavar="N", help="memory over N episodes, and nothing else")
+    grown = parser.parse_known_args()[0].growth
+    if grown:
+        GROWN.write_text(json.dumps(growth(grown), indent=1) + "\n")
+    else:
+        page_from(parser, STORED, PAGE, measure, markdown)
 
 
 if __name__ == "__main__":

@@ -86,21 +86,19 @@ def in_order(trials: Trials) -> torch.Tensor:
     return torch.argsort(trials.object_index.long() * hands + trials.hand_index, stable=True)
 
 
-def changed(a: Scores, b: Scores) -> tuple[int, int, list[int]]:
-    """Trials whose verdict differs, those of them outside the 0.1 mm band, and the ids of the latter."""
+def report_changes(report: Report, name: str, a: Scores, b: Scores) -> None:
+    """Trials whose verdict differs, those of them outside the 0.1 mm band, and the largest difference of Safe's margins."""
     differ = a.outcome != b.outcome
     outside = differ & ~(a.borderline | b.borderline)
-    return int(differ.sum()), int(outside.sum()), a.trial_id[outside].tolist()
+    report.add(f"{name}.verdicts_that_differ", int(differ.sum()))
+    report.add(f"{name}.outside_the_band", f"{int(outside.sum())} {a.trial_id[outside].tolist()}")
+    safe = torch.nan_to_num(a.margin[:, 4] - b.margin[:, 4]).abs()
+    report.add(f"{name}.safe_margin_max_difference_m", float(safe.max()))
 
 
 def steps_of(executed: Executed) -> int:
     """Steps of all trials."""
     return int((executed.length.clamp(min=1) - 1).sum()) * ExecConfig().record_steps
-
-
-def worst_margin(a: Scores, b: Scores) -> float:
-    """Largest difference of Safe's margins, m."""
-    return float(torch.nan_to_num(a.margin[:, 4] - b.margin[:, 4]).abs().max())
 
 
 def same(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -146,10 +144,7 @@ def models(mix: Mix, report: Report) -> None:
     sway = (eb.slack_m - ea.slack_m)[moved] * 1e6
     report.add("execute.models.finger_sway_mean_um", float(sway.mean()))
     report.add("execute.models.finger_sway_max_um", float(sway.max()))
-    differ, outside, ids = changed(a, b)
-    report.add("execute.models.verdicts_that_differ", differ)
-    report.add("execute.models.outside_the_band", f"{outside} {ids}")
-    report.add("execute.models.safe_margin_max_difference_m", worst_margin(a, b))
+    report_changes(report, "execute.models", a, b)
 
 
 def auto(mix: Mix, report: Report) -> None:
@@ -170,14 +165,11 @@ def auto(mix: Mix, report: Report) -> None:
     report.add("execute.auto.in_the_scene_too", len(sa["rows"][True]))
     report.add("execute.auto.by_the_arm_alone_share", 1.0 - len(sa["rows"][True]) / int(moved.sum()))
     report.add("execute.auto.scene_time_over_auto_time", sb["execute_s"] / sa["execute_s"])
-    differ, outside, ids = changed(a, b)
-    report.add("execute.auto.verdicts_that_differ", differ)
-    report.add("execute.auto.outside_the_band", f"{outside} {ids}")
+    report_changes(report, "execute.auto", a, b)
     report.add("execute.auto.plan_reasons_that_differ", int((a.plan_reason != b.plan_reason).sum()))
     late = torch.nan_to_num(a.t_exec_s - b.t_exec_s).abs()
     report.add("execute.auto.t_exec_max_difference_s", float(late.max()))
     report.add("execute.auto.t_exec_that_differ", int((late > 0).sum()))
-    report.add("execute.auto.safe_margin_max_difference_m", worst_margin(a, b))
 
 
 def parity(mix: Mix, report: Report) -> None:
@@ -191,10 +183,7 @@ def parity(mix: Mix, report: Report) -> None:
     report.add("execute.parity.dq_max_rad", float(worst.max()))
     report.add("execute.parity.dq_p99_of_trials_rad", float(np.percentile(worst, 99)))
     report.add("execute.parity.t_exec_max_difference_s", float((a.t_exec_s - b.t_exec_s)[moved].abs().max()))
-    report.add("execute.parity.safe_margin_max_difference_m", worst_margin(a, b))
-    differ, outside, ids = changed(a, b)
-    report.add("execute.parity.verdicts_that_differ", differ)
-    report.add("execute.parity.outside_the_band", f"{outside} {ids}")
+    report_changes(report, "execute.parity", a, b)
 
 
 def batches(mix: Mix, report: Report) -> None:

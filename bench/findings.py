@@ -4,12 +4,14 @@
 part if some do. A person wrote the causes below (CAUSES has the date); all figures come from the tables.
 """
 
+import csv
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from _report import ROOT, markdown_table
+
 TABLES = {
     "table1-v1": "r2h-v1",
     "table1-v1-paper-preset": "r2h-v1, preset paper",
@@ -166,8 +168,6 @@ def cells_of(data: Mapping) -> Cells:
 
 def paper_cells() -> Cells:
     """The paper's own Table I (its planning time stands for a method's own)."""
-    import csv
-
     lines = [line for line in PAPER.read_text().splitlines() if not line.startswith("#")]
     rows = {(r["split"], SHORT[r["method"]]): r for r in csv.DictReader(lines)}
     names = {"t_method_s": "t_plan_s"}
@@ -179,42 +179,33 @@ def paper_cells() -> Cells:
     return cell
 
 
-def said(finding: Finding, cell: Cells) -> tuple[str, str]:
+def verdict(finding: Finding, cell: Cells) -> tuple[str, str]:
     """`appears`, `in part` or `no`, and the conditions that do not hold."""
     missing = [words for words, holds in finding.holds if not holds(cell)]
     word = "appears" if not missing else "no" if len(missing) == len(finding.holds) else "in part"
     return word, ", ".join(missing)
 
 
-def appearing(tables: Mapping[str, Cells]) -> list[str]:
+def appearing(tables: Mapping[str, Cells]) -> str:
     """A Markdown table: each finding, and in each table `yes`, or the conditions that fail."""
-    lines = ["| | finding | " + " | ".join(tables) + " |", "|--:|---|" + "---|" * len(tables)]
+    rows = []
     for number, finding in enumerate(findings(), 1):
-        here = [said(finding, cell) for cell in tables.values()]
-        words = [{"appears": "yes", "no": "no"}.get(word, f"not: {missing}") for word, missing in here]
-        lines.append(f"| {number} | {finding.text} | " + " | ".join(words) + " |")
-    return lines
+        verdicts = [verdict(finding, cell) for cell in tables.values()]
+        words = [{"appears": "yes", "no": "no"}.get(word, f"not: {missing}") for word, missing in verdicts]
+        rows.append([number, finding.text, *words])
+    return markdown_table(["", "finding", *tables], rows, left=True)
 
 
-def distance_line(tables: Mapping[str, Cells]) -> str:
-    """The last line of `success_lines`: mean distance of SR from the paper's, over methods and splits."""
-    paper, places = paper_cells(), [*product(("S0", "S1"), SHORT.values())]
-    cells = (sum(abs(c(s, m, "sr") - paper(s, m, "sr")) for s, m in places) / len(places) for c in tables.values())
-    return "| distance | | 0.0 | " + " | ".join(f"{x:.1f}" for x in cells) + " |"
-
-
-def success_lines(tables: Mapping[str, Cells]) -> list[str]:
-    """A Markdown table: SR of each method and split, the paper's and ours."""
-    cells = {"paper": paper_cells(), **tables}
-    lines = ["| SR | split | " + " | ".join(cells) + " |", "|---|---|" + "--:|" * len(cells)]
-    for who, split in product(SHORT.values(), ("S0", "S1")):
-        rates = " | ".join(f"{cell(split, who, 'sr'):.1f}" for cell in cells.values())
-        lines.append(f"| {who} | {split} | {rates} |")
+def success_table(tables: Mapping[str, Cells]) -> str:
+    """A Markdown table: SR of each method and split, the paper's and ours, and the mean distance from the paper's."""
+    paper, places = paper_cells(), [*product(SHORT.values(), ("S0", "S1"))]
+    every = [paper, *tables.values()]
+    rows = [[who, split, *(f"{cell(split, who, 'sr'):.1f}" for cell in every)] for who, split in places]
     for split in ("S0", "S1"):
-        lines.append(
-            f"| oracle | {split} | | " + " | ".join(f"{c(split, 'oracle', 'sr'):.1f}" for c in tables.values()) + " |"
-        )
-    return lines
+        rows.append(["oracle", split, "", *(f"{cell(split, 'oracle', 'sr'):.1f}" for cell in tables.values())])
+    away = (sum(abs(c(s, m, "sr") - paper(s, m, "sr")) for m, s in places) / len(places) for c in every)
+    rows.append(["distance", "", *(f"{x:.1f}" for x in away)])
+    return markdown_table(["SR", "split", "paper", *tables], rows)
 
 
 def page(tables: Mapping[str, Mapping]) -> str:
@@ -233,7 +224,7 @@ def page(tables: Mapping[str, Mapping]) -> str:
         "## Success rates",
         "Each column names protocol and preset. `r2h-batch report bench/rows/NAME` prints the whole table, for NAME in"
         f" {', '.join(f'`{n}`' for n in ROWS)}. Distance: mean difference in points from the paper's SR.",
-        "\n".join([*success_lines(here), distance_line(here)]),
+        success_table(here),
         "- In preset paper the planner samples edges around the estimated hand, so the oracle loses some trials.\n"
         f"- F_safe is {safe[PAPER_PRESET][0]:.1f} to {safe[PAPER_PRESET][1]:.1f} % in preset paper, and at most {other:.1f} % in"
         " the other columns.\n"
@@ -242,7 +233,7 @@ def page(tables: Mapping[str, Mapping]) -> str:
         " mostly fails.",
         "## Findings",
         "A finding is a list of conditions. `yes`: all hold. `no`: none holds. `not:` names those that do not hold.",
-        "\n".join(appearing(here)),
+        appearing(here),
         "## Causes",
         "A person read these causes from the tables. No test checks them.",
         "\n".join(f"{number}. {finding.cause}" for number, finding in enumerate(findings(), 1)),
@@ -250,19 +241,9 @@ def page(tables: Mapping[str, Mapping]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def readme_lines(default: Mapping) -> list[str]:
-    """The table of README.md: r2h-v1, default preset."""
-    cell, lines = cells_of(default), ["| | SR S0 | SR S1 |", "|---|--:|--:|"]
-    for title in dict.fromkeys(r["method"].partition(" (")[0] for r in default["rows"]):
-        rates = (f"{cell(split, SHORT.get(title, title), 'sr'):.1f}" for split in ("S0", "S1"))
-        lines.append(f"| {title} | " + " | ".join(rates) + " |")
-    return lines
-
-
-def with_table(text: str, lines: list[str]) -> str:
-    """README.md with its table exchanged: the lines from `| | SR S0` to the next that is none."""
-    before, head, rest = text.partition("| | SR S0 |")
-    after = rest.split("\n")
-    while after and (after[0].startswith("|") or after[0].endswith("|")):
-        after.pop(0)
-    return before + "\n".join([*lines, *after]) if head else text
+def readme(text: str, default: Mapping) -> str:
+    """README.md with its table exchanged: SR of r2h-v1, default preset."""
+    cell, titles = cells_of(default), dict.fromkeys(r["method"].partition(" (")[0] for r in default["rows"])
+    rows = [[t, *(f"{cell(split, SHORT.get(t, t), 'sr'):.1f}" for split in ("S0", "S1"))] for t in titles]
+    table = markdown_table(["", "SR S0", "SR S1"], rows)
+    return re.sub(r"(?m)^\|\s*\| SR S0 \|.*\n(\|.*\n)*", lambda _: table + "\n", text, count=1)

@@ -31,7 +31,7 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.levels import FORMS, planning_form
 from r2h_batch.methods import random
-from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch.trials.protocol import make_trials, trials_with_ids
 
 RANDOM_TRIALS = 2048
 MARGIN_M = 1e-4
@@ -125,26 +125,24 @@ def machine(bench: Bench) -> None:
         bench.report.add("gpu.driver", str(wp.get_cuda_driver_version()))
 
 
-FIRST_CALL = """
-import sys, torch
-from r2h_batch import Evaluator
-from r2h_batch.methods import random
-from r2h_batch.trials.protocol import make_trials
-evaluator = Evaluator(device=sys.argv[1])
-trials = make_trials(("S0", "S1"), 4, protocol="r2h-v0")
-poses = random.predict(trials, Evaluator().scene, seed=0)
-g, h, t = poses.T_obj_ee.to(sys.argv[1]), poses.T_world_ee.to(sys.argv[1]), trials.to(sys.argv[1])
-captured = evaluator.capture(8)(g, h, t)
-plain = evaluator.score(g, h, t, "pose")
-same = all(a.cpu().numpy().tobytes() == b.cpu().numpy().tobytes() for a, b in zip(captured.margin, plain.margin))
-sys.exit(0 if same and plain.margin.isfinite().any() else 3)
-"""
+FIRST_CALL = [sys.executable, __file__, "--first-call"]
+"""Ends with 0 if `capture()` gave the bits of the plain call, with 3 if not; the device follows."""
+
+
+def first_call(device: str) -> int:
+    evaluator = Evaluator(device=device)
+    trials = make_trials(("S0", "S1"), 4, protocol="r2h-v0")
+    answer = random.predict(trials, Evaluator().scene, seed=0)
+    batch = on((answer.T_obj_ee, answer.T_world_ee, trials), device)
+    captured, plain = evaluator.capture(8)(*batch).margin.cpu(), evaluator.score(*batch, "pose").margin.cpu()
+    same = captured.numpy().tobytes() == plain.numpy().tobytes()
+    return 0 if same and plain.isfinite().any() else 3
 
 
 def capture_first(bench: Bench) -> None:
     """`capture()` as the first call of a process, compilation included: the bits of the plain call?"""
     start = time.perf_counter()
-    code = bench.command("capture_first", [sys.executable, "-c", FIRST_CALL, bench.device])
+    code = bench.command("capture_first", [*FIRST_CALL, bench.device])
     bench.report.add("gpu.capture_first_call_ok", code == 0)
     bench.report.add("gpu.capture_first_call_s", time.perf_counter() - start)
     if code:
@@ -211,7 +209,7 @@ def memcheck(bench: Bench) -> None:
     if tool is None or not bench.cuda:
         bench.report.add("gpu.memcheck", "not here")
         return
-    line = [tool, "--tool", "memcheck", "--error-exitcode", "9", sys.executable, "-c", FIRST_CALL, bench.device]
+    line = [tool, "--tool", "memcheck", "--error-exitcode", "9", *FIRST_CALL, bench.device]
     code = bench.command("memcheck", line)
     bench.report.add("gpu.memcheck", {0: "clean", 124: "out of time"}.get(code, f"exit code {code}"))
 
@@ -316,12 +314,13 @@ def run(bench: Bench, parts: Sequence[Callable[[Bench], None]]) -> dict[str, str
 def main(given: Sequence[str] | None = None) -> int:
     parser = arguments(__doc__)
     parser.set_defaults(device="cuda:0")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder of gpu.json, gpu.md and the logs"
-    )
+    parser.add_argument("--first-call", metavar="DEVICE", help="one captured call in a process of its own")
+    parser.add_argument("--out", type=Path, default="runs/gpu", metavar="DIR", help="of gpu.json, gpu.md and the logs")
     parser.add_argument("--minutes", type=float, default=25.0, help="no part is started after these (default: 25)")
     parser.add_argument("--trials", type=int, default=RANDOM_TRIALS, help="of each batch; fewer for a dry run")
     options = parser.parse_args(given)
+    if options.first_call:
+        return first_call(options.first_call)
     if options.device != "cpu" and not torch.cuda.is_available():
         print("gpu.py: torch sees no CUDA device; --device cpu --trials 8 is a dry run", file=sys.stderr)
         return 2

@@ -13,6 +13,7 @@ ik.jacobian: the other solver of IkConfig, our damped least squares on pytorch-k
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytorch_kinematics
@@ -21,7 +22,7 @@ import ur_analytic_ik
 from _report import Report, arguments
 
 from r2h_batch import se3
-from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
 from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import IkResult, reference_chain, solve_ik
 from r2h_batch.kernels.ik.step import STATUS_CONVERGED, STATUS_EDGE, STATUS_SINGULAR
@@ -109,26 +110,24 @@ def jacobian_solver(report: Report, targets: torch.Tensor, fused_s: float) -> No
     report.add("ik.jacobian.rotation_error_max_rad", float(jacobian.rotation_error_rad[jacobian.valid].max()))
 
 
-def pseudo_inverse(report: Report, targets: torch.Tensor, reachable: torch.Tensor) -> dict[int, float]:
-    """Seconds per target of PseudoInverseIK by restarts; one thread, its default tolerances (1 mm and 0.01 rad)."""
-    chain = reference_chain(load_robot(), device=targets.device)
-    limits = torch.tensor([[-torch.pi, torch.pi]] * 6, device=targets.device)
-    matrices = pytorch_kinematics.Transform3d(matrix=targets)
+def pseudo_inverse(robot: Robot, targets: torch.Tensor, restarts: int) -> torch.Tensor:
+    """Whether PseudoInverseIK finds each target (N,) at its default tolerances (1 mm and 0.01 rad)."""
+    limits = torch.from_numpy(np.stack([robot.lower, robot.upper], 1)).to(targets)
+    torch.manual_seed(0)  # its seeds come from the global generator
+    solver = pytorch_kinematics.PseudoInverseIK(
+        reference_chain(robot, device=targets.device), max_iterations=30, num_retries=restarts, joint_limits=limits,
+        regularlization=1e-6, early_stopping_any_converged=True, early_stopping_no_improvement="all",
+    )  # fmt: skip
+    return solver.solve(pytorch_kinematics.Transform3d(matrix=targets)).converged_any
+
+
+def beside_pseudo_inverse(report: Report, targets: torch.Tensor, reachable: torch.Tensor) -> dict[int, float]:
+    """Seconds per target of PseudoInverseIK by restarts; one thread."""
+    clock = time.process_time if targets.device.type == "cpu" else time.perf_counter
     seconds = {}
     for restarts in (5, 20):
-        solutions: list[torch.Tensor] = []
-
-        def run(restarts: int = restarts, solutions: list = solutions) -> None:
-            torch.manual_seed(0)  # its seeds come from the global generator
-            solver = pytorch_kinematics.PseudoInverseIK(
-                chain, max_iterations=30, num_retries=restarts, joint_limits=limits, regularlization=1e-6,
-                early_stopping_any_converged=True, early_stopping_no_improvement="all",
-            )  # fmt: skip
-            solutions.append(solver.solve(matrices).converged_any)
-
-        clock = time.process_time if targets.device.type == "cpu" else time.perf_counter
-        seconds[restarts] = best_time(run, clock, repeats=3) / len(targets)
-        converged = solutions[-1]
+        run = partial(pseudo_inverse, load_robot(), targets, restarts)
+        seconds[restarts], converged = best_time(run, clock, repeats=3) / len(targets), run()
         report.add(f"ik.pytorch_kinematics_{restarts}_restarts.targets_per_s", 1 / seconds[restarts])
         report.add(
             f"ik.pytorch_kinematics_{restarts}_restarts.success", float((converged & reachable).sum() / reachable.sum())
@@ -180,7 +179,7 @@ def main() -> None:
     solvable = torch.tensor([bool(s) for s in oracle], device=targets.device)[some]
     report.add("ik.success_of_reachable", float((result.reachable[some] & solvable).sum() / solvable.sum()))
     jacobian_solver(report, targets[some].contiguous(), seconds)
-    reference = pseudo_inverse(report, targets[some].contiguous(), solvable)
+    reference = beside_pseudo_inverse(report, targets[some].contiguous(), solvable)
     report.add("ik.ratio_to_pytorch_kinematics", reference[20] / seconds)
     report.add("ik.ratio_to_pytorch_kinematics_5_restarts", reference[5] / seconds)
     report.write(args.json)

@@ -25,7 +25,7 @@ from _report import Report, arguments
 from _twins import Batch, Checker, Problems, checker_of, dense, motion_samples, ompl_solve, recheck, solve
 from numpy.typing import NDArray
 
-from r2h_batch.config import HOME_Q, EvalConfig
+from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.launch.threads import on_threads
@@ -45,7 +45,7 @@ def free_rows(scene: Scene, problems: Problems, wanted: int) -> tuple[list[int],
             break
         checker = checker_of(scene, problems, row)
         free = [q for q in problems.ik.q[row][problems.ik.valid[row]].double().cpu().numpy() if checker.valid(q)]
-        if free and checker.valid(HOME_Q):
+        if free and checker.valid(scene.robot.home_q):
             rows.append(row)
             checkers.append(checker)
             goals.append(np.array(free))

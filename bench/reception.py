@@ -6,16 +6,14 @@ one trial with all hands that were tried. `--render` writes the page again from 
 """
 
 import argparse
-import json
-import statistics
-import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, lines_of, made_by, markdown_table, resident_mib
+from _report import ROOT, core_ms, lines_of, made_by, markdown_table, memory_over, page_from
 from scipy.spatial.transform import Rotation, Slerp
 
 PAGE = ROOT / "docs" / "results" / "reception.md"
@@ -24,14 +22,8 @@ BOUND = "oracle,for=reception"
 SIZES = (64, 256, 1024)
 SHOWN_OF = 4
 GROWN_TO = 100_000
-PARTS = ("whole", "arms", "gripper", "robot", "release", "ways")
-TAKEN, BLOCKED, BEYOND, SKIN = (
-    (0.25, 0.65, 0.3, 1),
-    (0.8, 0.25, 0.2, 0.5),
-    (0.95, 0.8, 0.2, 0.35),
-    (0.87, 0.66, 0.54, 1),
-)
-OBJECT = (0.13, 0.35, 0.72, 1)
+TAKEN, BLOCKED, BEYOND = (0.25, 0.65, 0.3, 1), (0.8, 0.25, 0.2, 0.5), (0.95, 0.8, 0.2, 0.35)
+SKIN, OBJECT = (0.87, 0.66, 0.54, 1), (0.13, 0.35, 0.72, 1)
 
 HEAD = """# Reception: can the person take it?
 
@@ -97,56 +89,24 @@ def cost(scores: Any) -> list[dict[str, float]]:
     """Process milliseconds a trial, whole and by step, for growing numbers of trials."""
     from r2h_batch.judge import reception as judge
 
+    parts = {"arms": judge._arms, "gripper": judge._come, "robot": judge._beside_robot}
+    parts |= {"release": judge._let_go, "ways": judge._easiest}
     found = []
     for n in sorted({min(n, len(scores)) for n in SIZES}):
-        some = scores[:n]
-        spent: dict[str, list[float]] = {name: [] for name in PARTS}
-        parts = {
-            "arms": "_arms",
-            "gripper": "_come",
-            "robot": "_beside_robot",
-            "release": "_let_go",
-            "ways": "_easiest",
-        }
-        for _ in range(3):
-            clock = dict.fromkeys(parts, 0.0)
-
-            def timed(name: str, call: Any, clock: dict[str, float] = clock) -> Any:
-                def run(*args: Any) -> Any:
-                    begin = time.process_time()
-                    made = call(*args)
-                    clock[name] += time.process_time() - begin
-                    return made
-
-                return run
-
-            originals = {function: getattr(judge, function) for function in parts.values()}
-            for name, function in parts.items():
-                setattr(judge, function, timed(name, originals[function]))
-            begin = time.process_time()
-            judge.reception(some)
-            spent["whole"].append(time.process_time() - begin)
-            for function, call in originals.items():
-                setattr(judge, function, call)
-            for name, seconds in clock.items():
-                spent[name].append(seconds)
-        found.append({"trials": len(some)} | {k: 1e3 * statistics.median(v) / len(some) for k, v in spent.items()})
+        spent = core_ms(partial(judge.reception, scores[:n]), parts)
+        found.append({"trials": n} | {name: ms / n for name, ms in spent.items()})
     return found
 
 
 def growth(scores: Any, trials: int = GROWN_TO) -> dict[str, Any]:
-    """Resident memory after each tenth of `trials` trials: the same poses again and again."""
+    """Resident memory while the same poses are judged again and again."""
     from r2h_batch.judge.reception import reception
 
-    mib: list[int] = []
-    done, begin = 0, time.process_time()
-    while done < trials:
+    def again(_: int) -> int:
         reception(scores)
-        done += len(scores)
-        if done * 10 >= trials * (len(mib) + 1):
-            mib.append(round(resident_mib()))
-            print(done, mib[-1], flush=True)
-    return {"trials": done, "mib": mib, "s": time.process_time() - begin}
+        return len(scores)
+
+    return memory_over(trials, again)
 
 
 def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
@@ -297,27 +257,26 @@ def markdown(data: dict[str, Any]) -> str:
     return text
 
 
-def main() -> None:
-    """Measures and writes, or writes again."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trials", type=int, default=500, help="of each split")
-    parser.add_argument("--render", action="store_true")
-    options = parser.parse_args()
-    if not options.render:
-        from r2h_batch.results.reception import render
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """All figures of the page, and its picture."""
+    from r2h_batch.results.reception import render
 
-        asked, tables = judged(ROOT / "r2h_batch" / "compare" / "baselines", options.trials)
-        torch.set_num_threads(1)
-        data = {
-            "trials": options.trials,
-            "tables": render(tables),
-            "cost": cost(asked[3]),
-            "growth": growth(asked[3]),
-            "caption": draw(*asked),
-            **made_by(),
-        }
-        STORED.write_text(json.dumps(data, indent=1) + "\n")
-    PAGE.write_text(markdown(json.loads(STORED.read_text())))
+    bound, tables = judged(ROOT / "r2h_batch" / "compare" / "baselines", options.trials)
+    torch.set_num_threads(1)
+    return {
+        "trials": options.trials,
+        "tables": render(tables),
+        "cost": cost(bound[3]),
+        "growth": growth(bound[3]),
+        "caption": draw(*bound),
+        **made_by(),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=500, help="of each split")
+    page_from(parser, STORED, PAGE, measure, markdown)
 
 
 if __name__ == "__main__":

@@ -20,16 +20,15 @@ import json
 import statistics
 import time
 from collections.abc import Callable
-from contextlib import redirect_stdout
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytorch_kinematics
 import torch
-from _report import ROOT, made_by, markdown_table
-from _twins import Batch, checker_of, dense, ompl_solve, oracle, recheck, solve
+from _report import ROOT, made_by, markdown_table, page_from, swept
+from _twins import Batch, dense, ompl_solve, oracle, recheck, solve
+from ik import pseudo_inverse
+from plan import free_rows
 
 from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
@@ -87,18 +86,11 @@ def inverse_kinematics(robot: Robot, count: int, some: int) -> dict[str, float]:
         start = time.process_time()
         found = solve_ik(targets, robot=robot)
         seconds = time.process_time() - start
-    chain = reference_chain(robot)
     few = targets[:some].contiguous()
-    ours = chain.forward_kinematics(torch.from_numpy(q[:some]).float()).get_matrix()
+    ours = reference_chain(robot).forward_kinematics(torch.from_numpy(q[:some]).float()).get_matrix()
     assert float((ours - few).abs().max()) < 1e-4, f"{robot.name}: the reference chain is another arm"
-    torch.manual_seed(0)  # its seeds come from the global generator
-    limits = torch.from_numpy(np.stack([robot.lower, robot.upper], 1)).float()
-    solver = pytorch_kinematics.PseudoInverseIK(
-        chain, max_iterations=30, num_retries=RESTARTS, joint_limits=limits, regularlization=1e-6,
-        early_stopping_any_converged=True, early_stopping_no_improvement="all",
-    )  # fmt: skip
     start = time.process_time()
-    reference = solver.solve(pytorch_kinematics.Transform3d(matrix=few)).converged_any
+    reference = pseudo_inverse(robot, few, RESTARTS)
     reference_s = time.process_time() - start
     return {
         "us": 1e6 * seconds / count,
@@ -115,13 +107,8 @@ def table(robot: str, trials: int, folder: Path) -> dict[str, dict[str, Any]]:
     """Method -> the record of its mean row."""
     from r2h_batch.report.table import record, table_of
     from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.command import run
-    from r2h_batch.sweep.options import parse
 
-    words = ["--robot", robot, "--method", *METHODS, "--trials", str(trials), "--sim", "none", "--quiet"]
-    with redirect_stdout(StringIO()):
-        if code := run(parse([*words, "--out", str(folder)])):
-            raise SystemExit(code)
+    swept(folder, "--robot", robot, "--method", *METHODS, "--trials", trials, "--sim", "none", "--quiet")
     rows = table_of(load_run(folder)).rows
     return {row.method.partition(" (")[0]: record(row) for row in rows if row.split == "Avg"}
 
@@ -190,31 +177,25 @@ def paths(answered: Answered, wanted: int) -> dict[str, int]:
     """Ours and OMPL's on the first problems whose start and at least one goal are free in MuJoCo C."""
     scene = answered.evaluator.scene
     robot, problems = scene.robot, solve(scene, answered.batch, threads=1)
-    found = dict.fromkeys(("problems", "solved", "penetrating", "ompl_solved", "ompl_penetrating"), 0)
-    for row in range(len(answered.batch)):
-        if found["problems"] == wanted:
-            break
-        checker = checker_of(scene, problems, row)
-        goals = [q for q in problems.ik.q[row][problems.ik.valid[row]].double().numpy() if checker.valid(q)]
-        if not goals or not checker.valid(robot.home_q):
-            continue
-        found["problems"] += 1
+    found = dict.fromkeys(("solved", "penetrating", "ompl_solved", "ompl_penetrating"), 0)
+    chosen = free_rows(scene, problems, wanted)
+    for row, checker, goals in zip(*chosen, strict=True):
         if n := int(problems.plan.length[row]):
             found["solved"] += 1
             own = problems.plan.path[row, :n].double().numpy()
             found["penetrating"] += recheck(checker, dense(own)).penetrating > 0
-        theirs = ompl_solve(
-            checker, np.array(goals), robot.lower, robot.upper, budget_s=BUDGET_S, home=robot.home_q
-        ).path
+        theirs = ompl_solve(checker, goals, robot.lower, robot.upper, budget_s=BUDGET_S, home=robot.home_q).path
         if theirs is not None:
             wrong = recheck(checker, dense(theirs)).penetrating > 0
             found["ompl_penetrating" if wrong else "ompl_solved"] += 1
-    return found
+    return {"problems": len(chosen[0]), **found}
 
 
-def measure(options: argparse.Namespace, data: dict[str, Any]) -> None:
-    """The sections asked for, of all robots, into `data`."""
+@on_threads(1)
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """The stored data with the sections asked for measured again, of all robots."""
     torch.set_num_threads(1)
+    data = json.loads(STORED.read_text())
     data.setdefault("measured", {"table": {"commit": data.get("commit")}})
     asked, robots = options.sections, {name: load_robot(name) for name in ROBOTS}
     record = data.setdefault("robots", {})
@@ -239,7 +220,8 @@ def measure(options: argparse.Namespace, data: dict[str, Any]) -> None:
         data |= {"targets": options.targets, "some": options.reference_targets}
     if "table" in asked:
         data["trials"] = options.trials
-    data.setdefault("measured", {}).update(dict.fromkeys(asked, made_by()))
+    data["measured"].update(dict.fromkeys(asked, made_by()))
+    return data
 
 
 def markdown(data: dict[str, Any]) -> str:
@@ -270,7 +252,7 @@ def markdown(data: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "robots")
     parser.add_argument("--sections", nargs="+", choices=SECTIONS, default=list(SECTIONS))
     parser.add_argument("--trials", type=int, default=100, help="of each split, in the table")
@@ -279,14 +261,7 @@ def main() -> None:
     parser.add_argument("--postures", type=int, default=100_000)
     parser.add_argument("--targets", type=int, default=100_000)
     parser.add_argument("--reference-targets", type=int, default=500)
-    parser.add_argument("--render", action="store_true")
-    options = parser.parse_args()
-    if not options.render:
-        data = json.loads(STORED.read_text())
-        with on_threads(1):
-            measure(options, data)
-        STORED.write_text(json.dumps(data, indent=1) + "\n")
-    PAGE.write_text(markdown(json.loads(STORED.read_text())))
+    page_from(parser, STORED, PAGE, measure, markdown)
 
 
 if __name__ == "__main__":

@@ -9,14 +9,12 @@ object's weight, at its handover pose, for 1.8 s. `--render` writes the page aga
 import argparse
 import json
 from collections.abc import Sequence
-from contextlib import redirect_stdout
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import ROOT, made_by, markdown_table
+from _report import ROOT, made_by, markdown_table, page_from, swept
 
 METHODS = ("fc", "handover-va", "contact", "intent", "oracle", "random")
 PAGE = ROOT / "docs" / "results" / "robustness.md"
@@ -116,29 +114,14 @@ def in_physics(scores: Any, n: int) -> list[dict[str, Any]]:
     return found
 
 
-def measure(out: Path, trials: int, physics: int) -> dict[str, Any]:
+def measure(options: argparse.Namespace) -> dict[str, Any]:
     """The sweeps, and both views of the grasps."""
     from r2h_batch import Evaluator
     from r2h_batch.report.robustness import LEVELS, figure, render, robustness
     from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.command import run
-    from r2h_batch.sweep.options import parse
 
-    words = [
-        "--method",
-        *METHODS,
-        "--trials",
-        str(trials),
-        "--sim",
-        "none",
-        "--set",
-        "robustness=true",
-        "--out",
-        str(out),
-    ]
-    with redirect_stdout(StringIO()):
-        if code := run(parse(words)):
-            raise SystemExit(code)
+    out, trials = options.out, options.trials
+    swept(out, "--method", *METHODS, "--trials", trials, "--sim", "none", "--set", "robustness=true")
     found = robustness([load_run(out / level) for level in LEVELS])
     figure(found).savefig(PAGE.with_suffix(".png"), dpi=110)
     evaluator = Evaluator()
@@ -146,7 +129,7 @@ def measure(out: Path, trials: int, physics: int) -> dict[str, Any]:
     for curve in found.curves:
         name = curve.method.partition(" (")[0]
         scores = grasps_of(out / LEVELS[0], curve.method, evaluator)
-        weight[name], simulated[name] = closed_forms(scores), in_physics(scores, physics)
+        weight[name], simulated[name] = closed_forms(scores), in_physics(scores, options.physics)
     return {
         "trials": trials,
         "curves": json.loads(render(found, "json"))["curves"],
@@ -201,19 +184,13 @@ def markdown(data: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "robustness")
     parser.add_argument("--trials", type=int, default=500)
     parser.add_argument(
         "--physics", type=int, default=24, help="grasps of each method that are closed in the simulator"
     )
-    parser.add_argument("--render", action="store_true")
-    options = parser.parse_args()
-    stored = ROOT / "bench" / "results" / "robustness.json"
-    if not options.render:
-        data = measure(options.out, options.trials, options.physics)
-        stored.write_text(json.dumps(data, indent=1) + "\n")
-    PAGE.write_text(markdown(json.loads(stored.read_text())))
+    page_from(parser, ROOT / "bench" / "results" / "robustness.json", PAGE, measure, markdown)
 
 
 if __name__ == "__main__":

@@ -5,12 +5,13 @@
 """
 
 import json
+import re
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from _report import markdown_table
+from _report import markdown_table, swept
 
 METHODS = ("fc", "handover-va", "contact", "intent")
 TITLES = {"fc": "FC-Handover", "handover-va": "Handover-VA", "contact": "Contact-Handover", "intent": "Intent-Handover"}
@@ -140,7 +141,7 @@ def markdown(data: dict) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def measure(place: Path, trials: int, sweep: Callable[[list[str], Path], Path]) -> dict:
+def measure(place: Path, trials: int) -> dict:
     """Sweeps every variant into a folder of `place`; what docs/results/sensitivity.json holds."""
     from r2h_batch.runs.store import load_run
 
@@ -149,7 +150,7 @@ def measure(place: Path, trials: int, sweep: Callable[[list[str], Path], Path]) 
     header: dict = {}
     for variant in variants():
         line = ["--method", *variant.methods, "--trials", str(trials), "--sim", "none", *(variant.flags or BASE)]
-        folder = sweep(line, place / variant.name.replace(" ", "-").replace(",", "-").replace("=", "-"))
+        folder = swept(place / re.sub("[ ,=]", "-", variant.name), *line)
         mine = rates_of(folder)
         base_rates, header = base_rates or mine, header or load_run(folder).header
         rates = {**base_rates, **mine}

@@ -19,9 +19,7 @@ tests/test_published.py holds all of this to the present code.
 """
 
 import argparse
-import contextlib
 import hashlib
-import io
 import json
 import os
 import shlex
@@ -30,7 +28,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,8 +38,8 @@ import pictures
 import ranks
 import reception
 import sensitivity
+from _report import ROOT, markdown_table, swept
 
-ROOT = Path(__file__).resolve().parents[1]
 RESULTS = Path("docs/results")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
 KEPT = ("run.json", "methods", "manifest", "trials", "poses")
@@ -125,20 +123,7 @@ def golden_digest() -> str:
     return hashlib.sha256(json.dumps(cases, sort_keys=True).encode()).hexdigest()
 
 
-def swept(line: Sequence[str], folder: Path) -> Path:
-    """Runs (or goes on with) a sweep; its folder."""
-    from r2h_batch.sweep.command import main as sweep
-
-    begin = time.perf_counter()
-    with contextlib.redirect_stdout(io.StringIO()):
-        code = sweep([*line, "--out", str(folder)])
-    if code:
-        sys.exit(code)
-    print(f"{folder}: {time.perf_counter() - begin:.0f} s", flush=True)
-    return folder
-
-
-def plan_lines(run) -> list[str]:
+def plan_table(run) -> str:
     """A Markdown table: why Plan fails first, percent of each method's Plan failures."""
     found: dict[str, Counter] = {}
     for method in run.methods:
@@ -147,11 +132,8 @@ def plan_lines(run) -> list[str]:
         if pairs:
             found[method.partition(" (")[0]] = Counter(pairs)
     kinds = [k for k, _ in sum(found.values(), Counter()).most_common()]
-    lines = ["| method | failures | " + " | ".join(kinds) + " |", "|---|--:|" + "--:|" * len(kinds)]
-    for method, counts in found.items():
-        cells = [str(n := counts.total()), *(f"{100 * counts[k] / n:.0f}" for k in kinds)]
-        lines.append(line_of(method, cells))
-    return lines
+    shares = [[m, c.total(), *(f"{100 * c[k] / c.total():.0f}" for k in kinds)] for m, c in found.items()]
+    return markdown_table(["method", "failures", *kinds], shares)
 
 
 def pairs_of(run) -> list[dict[str, object]]:
@@ -176,11 +158,6 @@ def unsolved(run) -> dict[str, list[int]]:
     return {"oracle_unsolved": oracle, "solved_by_nobody": [t for t, who in sorted(solved.items()) if not who]}
 
 
-def line_of(head: str, cells: Sequence[str]) -> str:
-    """A line of a Markdown table."""
-    return f"| {head} | " + " | ".join(cells) + " |"
-
-
 def both_splits(data: dict, cell: Callable[[dict], str], column: str = "sr") -> dict[str, str]:
     """Method -> `S0 / S1` of its cells; the split alone where the other one has no value."""
     found: dict[str, list[str]] = {}
@@ -192,10 +169,8 @@ def both_splits(data: dict, cell: Callable[[dict], str], column: str = "sr") -> 
 
 def columns_table(columns: dict[str, dict[str, str]]) -> str:
     """A Markdown table: a line for each method."""
-    lines = [line_of("S0 / S1", list(columns)), "|---|" + "--:|" * len(columns)]
-    return "\n".join(
-        [*lines, *(line_of(m, [c.get(m, "-") for c in columns.values()]) for m in next(iter(columns.values())))]
-    )
+    methods = next(iter(columns.values()))
+    return markdown_table(["S0 / S1", *columns], [[m, *(c.get(m, "-") for c in columns.values())] for m in methods])
 
 
 def rates_of(data: dict) -> dict[str, dict[str, str]]:
@@ -243,7 +218,7 @@ def v1_page(published: Published, data: dict) -> str:
         "## Why Plan fails",
         "Percent of a method's Plan failures. A column names the pair of bodies that overlap in the posture of the last IK"
         " branch, or `ik_unreachable`.",
-        "\n".join(plan_lines(run)),
+        plan_table(run),
         f"`r2h-batch report {published.rows.as_posix()} --by-object` prints the rates of each object.",
     ]
     return "\n\n".join(parts) + "\n"
@@ -280,8 +255,7 @@ def render_all() -> dict[Path, str]:
     files[RESULTS / "moving.md"] = closed_loop.markdown(ranks.read("closed_loop"))
     files[RESULTS / "reception.md"] = reception.markdown(ranks.read("reception"))
     files[RESULTS / "ranks.md"] = ranks.page()
-    readme = (ROOT / "README.md").read_text()
-    files[Path("README.md")] = findings.with_table(readme, findings.readme_lines(data["table1-v1"]))
+    files[Path("README.md")] = findings.readme((ROOT / "README.md").read_text(), data["table1-v1"])
     return files
 
 
@@ -335,8 +309,8 @@ def main() -> None:
     pictures.browser()  # ends the program before the sweeps if there is none
     begin, commit = time.perf_counter(), clean_commit()
     place = Path("runs") / f"tables-{commit[:12]}-{given.trials}"
-    runs = [swept(p.line(given.trials), place / p.name) for p in PUBLISHED]
-    data = sensitivity.measure(place / "sensitivity", given.trials * 2 // 5, swept)
+    runs = [swept(place / p.name, *p.line(given.trials)) for p in PUBLISHED]
+    data = sensitivity.measure(place / "sensitivity", given.trials * 2 // 5)
     (place / "sensitivity.json").write_text(json.dumps(data, indent=1) + "\n")
     if clean_commit() != commit or {load_run(run).header["git_commit"] for run in runs} != {commit}:
         sys.exit("tables: files changed while the sweeps ran; run the command again")

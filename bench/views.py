@@ -7,13 +7,11 @@ same FOLDER goes on). `--render` prints the table of the JSON.
 import argparse
 import json
 import time
-from contextlib import redirect_stdout
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import ROOT, made_by, markdown_table
+from _report import ROOT, made_by, markdown_table, swept
 
 STORED = ROOT / "bench" / "results" / "views.json"
 VIEWS = {
@@ -59,8 +57,6 @@ def measure(out: Path, trials: int) -> dict[str, Any]:
     from r2h_batch.predictors.contacts import CONTACT_THRESHOLD
     from r2h_batch.report.table import record, table_of
     from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.command import run
-    from r2h_batch.sweep.options import parse
 
     evaluator = Evaluator()
     made = make_trials(trials=2 * trials)
@@ -69,10 +65,7 @@ def measure(out: Path, trials: int) -> dict[str, Any]:
     for number, (name, options) in enumerate(VIEWS.items()):
         folder = out / str(number)
         method = f"contact,{options}" if options else "contact"
-        words = ["--method", method, "--trials", str(trials), "--sim", "none", "--quiet", "--out", str(folder)]
-        with redirect_stdout(StringIO()):
-            if code := run(parse(words)):
-                raise SystemExit(code)
+        swept(folder, "--method", method, "--trials", trials, "--sim", "none", "--quiet")
         of = {row.split: record(row) for row in table_of(load_run(folder)).rows}
         found = {k: of["S1" if "S1" in heading else "Avg"][k] for k, heading in COLUMNS.items()}
         spec = {k: float(v) for k, _, v in (word.partition("=") for word in options.split(",") if word)}

@@ -16,8 +16,8 @@ def test_the_papers_own_table_shows_all_eight_findings():
     import findings
 
     paper = findings.paper_cells()
-    said = [findings.said(f, paper) for f in findings.findings()]
-    assert said == [("appears", "")] * 8 and len(findings.CAUSES) == 8
+    verdicts = [findings.verdict(f, paper) for f in findings.findings()]
+    assert verdicts == [("appears", "")] * 8 and len(findings.CAUSES) == 8
 
 
 def test_a_variants_flags_and_options_are_a_sweeps():
