@@ -66,6 +66,7 @@ KeptClear = Annotated[
 Angle = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]
 Coordinate = Annotated[float, Field(ge=-10, le=10)]
 HalfLength = Annotated[float, Field(ge=1e-3, le=10)]
+Rounds = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
 
 
 class _Checked:
@@ -166,12 +167,7 @@ class PlanConfig(_Checked):
     object_collision: Literal["hull", "pieces"] = "hull"
     hand_clearance_m: GoalClearance = 0.003
     range_rad: Positive = 1.5
-    rounds: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (
-        50,
-        500,
-        3000,
-        5000,
-    )
+    rounds: Rounds = (50, 500, 3000, 5000)
     shortcuts: Annotated[int, Field(ge=0)] = 8
     seed: int = 0
 

@@ -61,11 +61,8 @@ def uniforms(
     n, blocks = len(ids), -(-count // 4)
     words = ids.astype(np.uint64)
     counter = np.empty((4, blocks, n), np.uint64)
-    counter[0], counter[1], counter[2] = (
-        words & _LOW,
-        words >> _HALF,
-        np.asarray(attempt, np.uint64),
-    )
+    counter[0], counter[1] = words & _LOW, words >> _HALF
+    counter[2] = np.asarray(attempt, np.uint64)
     counter[3] = (np.uint64(purpose << 16) + np.arange(blocks, dtype=np.uint64))[:, None]
     random = philox4x32(counter, key).transpose(1, 0, 2).reshape(4 * blocks, n)[:count]
     return (random.astype(np.float64) + 0.5) * 2.0**-32
@@ -85,21 +82,12 @@ def rotation(u: Array) -> tuple[NDArray[np.bool_], Array]:
     scale = np.sqrt(np.where(inside, 1.0 - s, 0.0) / t)
     w, x, y, z = a, b, c * scale, d * scale
     R = np.empty((len(a), 3, 3))
-    R[:, 0, 0], R[:, 0, 1], R[:, 0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
-    )
-    R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = (
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-    )
-    R[:, 2, 0], R[:, 2, 1], R[:, 2, 2] = (
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
-    )
+    R[:, 0, 0], R[:, 0, 1] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z)
+    R[:, 0, 2] = 2 * (x * z + w * y)
+    R[:, 1, 0], R[:, 1, 1] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z)
+    R[:, 1, 2] = 2 * (y * z - w * x)
+    R[:, 2, 0], R[:, 2, 1] = 2 * (x * z - w * y), 2 * (y * z + w * x)
+    R[:, 2, 2] = 1 - 2 * (x * x + y * y)
     return inside, R
 
 

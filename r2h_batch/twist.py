@@ -23,9 +23,8 @@ def exp(twist: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
     """
     v, w = twist[..., :3], twist[..., 3:]
     a, b, c = _coefficients((w * w).sum(-1))
-    W, eye = _hat(w), _eye(twist)
-    W2 = _matmul3(W, W)
-    R = eye + a[..., None, None] * W + b[..., None, None] * W2
+    W, eye = _hat(w), torch.eye(3, dtype=twist.dtype, device=twist.device)
+    R = eye + a[..., None, None] * W + b[..., None, None] * se3.matmul(W, W)
     p = (
         v
         + b[..., None] * torch.linalg.cross(w, v)
@@ -72,7 +71,7 @@ def tangent(T: Float[Tensor, "*b 4 4"], gradient: Float[Tensor, "*b 4 4"]) -> Fl
     """
     R, G = T[..., :3, :3], gradient[..., :3, :3]
     v = (R * gradient[..., :3, 3, None]).sum(-2)
-    A = _matmul3(R.transpose(-1, -2), G)
+    A = se3.matmul(R.transpose(-1, -2), G)
     w = torch.stack(
         [A[..., 2, 1] - A[..., 1, 2], A[..., 0, 2] - A[..., 2, 0], A[..., 1, 0] - A[..., 0, 1]], -1
     )
@@ -103,61 +102,34 @@ def _rotation_vector(R: Tensor) -> Tensor:
     """Axis times angle. Through the unit quaternion of the largest diagonal element: exact up to
     half a turn."""
     d = [R[..., i, i] for i in range(3)]
+    x, y, z = (
+        R[..., (i + 2) % 3, (i + 1) % 3] - R[..., (i + 1) % 3, (i + 2) % 3] for i in range(3)
+    )
+    xy, xz, yz = (R[..., i, j] + R[..., j, i] for i, j in ((0, 1), (0, 2), (1, 2)))
     # 4 q q^T in terms of R; its row with the largest diagonal element is a quaternion (w, x, y, z)
     # up to scale
     rows = [
-        [
-            1 + d[0] + d[1] + d[2],
-            R[..., 2, 1] - R[..., 1, 2],
-            R[..., 0, 2] - R[..., 2, 0],
-            R[..., 1, 0] - R[..., 0, 1],
-        ],
-        [
-            R[..., 2, 1] - R[..., 1, 2],
-            1 + d[0] - d[1] - d[2],
-            R[..., 0, 1] + R[..., 1, 0],
-            R[..., 0, 2] + R[..., 2, 0],
-        ],
-        [
-            R[..., 0, 2] - R[..., 2, 0],
-            R[..., 0, 1] + R[..., 1, 0],
-            1 - d[0] + d[1] - d[2],
-            R[..., 1, 2] + R[..., 2, 1],
-        ],
-        [
-            R[..., 1, 0] - R[..., 0, 1],
-            R[..., 0, 2] + R[..., 2, 0],
-            R[..., 1, 2] + R[..., 2, 1],
-            1 - d[0] - d[1] + d[2],
-        ],
+        [1 + d[0] + d[1] + d[2], x, y, z],
+        [x, 1 + d[0] - d[1] - d[2], xy, xz],
+        [y, xy, 1 - d[0] + d[1] - d[2], yz],
+        [z, xz, yz, 1 - d[0] - d[1] + d[2]],
     ]
     Q = torch.stack([torch.stack(r, -1) for r in rows], -2)
     best = torch.stack([rows[i][i] for i in range(4)], -1).argmax(-1)
     q = Q.gather(-2, best[..., None, None].expand(*best.shape, 1, 4)).squeeze(-2)
     q = torch.where(q[..., :1] < 0, -q, q)
-    w, x = q[..., 0], q[..., 1:]
-    square = (x * x).sum(-1)
+    w, v = q[..., 0], q[..., 1:]
+    square = (v * v).sum(-1)
     tiny = square <= 1e-8 * w * w
     s = torch.where(tiny, torch.ones_like(square), square).sqrt()
     ratio = torch.where(
         tiny, 2 / torch.where(tiny, w, torch.ones_like(w)), 2 * torch.atan2(s, w) / s
     )
     third = square / torch.where(tiny, w, torch.ones_like(w)) ** 2 / 3
-    return x * torch.where(tiny, ratio * (1 - third), ratio)[..., None]
+    return v * torch.where(tiny, ratio * (1 - third), ratio)[..., None]
 
 
 def _hat(w: Tensor) -> Tensor:
     zero = torch.zeros_like(w[..., 0])
     x, y, z = w[..., 0], w[..., 1], w[..., 2]
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
-
-
-def _eye(like: Tensor) -> Tensor:
-    return torch.eye(3, dtype=like.dtype, device=like.device)
-
-
-def _matmul3(a: Tensor, b: Tensor) -> Tensor:
-    total = a[..., :, 0, None] * b[..., None, 0, :]
-    for k in range(1, 3):
-        total = total + a[..., :, k, None] * b[..., None, k, :]
-    return total

@@ -635,10 +635,8 @@ def single(env: HandoverEnv) -> "gymnasium.Env[Any, Any]":
 class _Single(gymnasium.Env[Any, Any]):
     def __init__(self, env: HandoverEnv) -> None:
         self.vector, self.metadata = env, {"render_modes": []}
-        self.observation_space, self.action_space = (
-            env.single_observation_space,
-            env.single_action_space,
-        )
+        self.observation_space = env.single_observation_space
+        self.action_space = env.single_action_space
 
     def reset(
         self, *, seed: int | None = None, options: Any = None

@@ -171,10 +171,8 @@ class Replan:
             with self.env.evaluator.working():
                 self._plan(observation)
         self.k += 1
-        env, rows = (
-            self.env,
-            torch.arange(len(self.path), dtype=torch.int64, device=self.path.device),
-        )
+        env = self.env
+        rows = torch.arange(len(self.path), dtype=torch.int64, device=self.path.device)
         q = observation["q"].double()
         there = (self.path[rows, self.next] - q).abs().amax(1) < self.THERE_RAD
         self.next = torch.where(there, self.next + 1, self.next).minimum(self.length - 1)

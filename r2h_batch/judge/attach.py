@@ -11,7 +11,7 @@ from r2h_batch import se3
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, close_pads, open_clearance
 from r2h_batch.kernels.judge import rows as row_kernels
-from r2h_batch.launch import launch_trials, new_outputs
+from r2h_batch.launch import over_trials
 from r2h_batch.predictors.hands import estimated_hand
 from r2h_batch.predictors.noise import PredictorNoise
 from r2h_batch.scene.person import with_person
@@ -53,47 +53,55 @@ def attach_object(
     config: EvalConfig,
 ) -> AttachedBatch:
     """B trials with the gripper closed on the object; rows with a pose that is none, or an unknown
-    body, are not active."""
-    active, (T_obj_ee, T_world_ee, T_world_hand), objects, hands = _usable(
-        scene, (T_obj_ee, T_world_ee, trials.T_world_hand), trials
+    object or hand, are not active."""
+    poses = [
+        (T.detach() if T.requires_grad else T).contiguous()
+        for T in (T_obj_ee, T_world_ee, trials.T_world_hand)
+    ]
+    # On a CPU objects and hands outside the scene were refused before any work; on CUDA looking at
+    # them would have waited.
+    usable = over_trials(row_kernels.usable_rows, len(poses[0]), scene.device, chunk=ROWS_CHUNK)(
+        objects=len(scene.objects),
+        hands=len(scene.hands.set),
+        T_obj_ee=poses[0],
+        T_world_ee=poses[1],
+        T_world_hand=poses[2],
+        object=trials.object_index.contiguous(),
+        hand=trials.hand_index.contiguous(),
+    )
+    active, objects, hands = (usable[k] for k in ("active", "object", "hand"))
+    T_obj_ee, T_world_ee, T_world_hand = (
+        usable[k] for k in ("T_obj_ee", "T_world_ee", "T_world_hand")
     )
     limits = config.thresholds
     width, opening, shift, empty = close_pads(
         scene.grasp_tables, T_obj_ee, objects, mode=config.width, known=True
     )
     cut, _ = open_clearance(scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M, known=True)
-    made = new_outputs(row_kernels.close_rows, len(active), scene.device)
     point, normal = scene.palms
-    launch_trials(
-        row_kernels.close_rows,
-        len(active),
-        inputs={
-            "w_max": limits.w_max_m,
-            "w_min": limits.w_min_m,
-            "pad_squeeze": limits.pad_squeeze_m,
-            "reach_offset": limits.reach_offset_m,
-            "palm_point": point,
-            "palm_normal": normal,
-            "T_obj_ee": T_obj_ee,
-            "T_world_ee": T_world_ee,
-            "T_world_hand": T_world_hand,
-            "hand": hands,
-            "width": width,
-            "opening": opening,
-            "shift": shift,
-            "empty": empty,
-            "cut": cut,
-        },
-        outputs=made,
-        device=scene.device,
-        chunk=ROWS_CHUNK,
+    made = over_trials(row_kernels.close_rows, len(active), scene.device, chunk=ROWS_CHUNK)(
+        w_max=limits.w_max_m,
+        w_min=limits.w_min_m,
+        pad_squeeze=limits.pad_squeeze_m,
+        reach_offset=limits.reach_offset_m,
+        palm_point=point,
+        palm_normal=normal,
+        T_obj_ee=T_obj_ee,
+        T_world_ee=T_world_ee,
+        T_world_hand=T_world_hand,
+        hand=hands,
+        width=width,
+        opening=opening,
+        shift=shift,
+        empty=empty,
+        cut=cut,
     )
     grasp = Grasp(width, opening, shift, empty, cut, made["margin"])
     attached = made["attached"]
     body_poses = scene.body_poses(objects, hands, attached, T_world_hand, opening)
     planner_poses = body_poses
     if config.plan.hand == "estimated":
-        T = _seen(scene, trials, hands, active, config)
+        T = _estimated(scene, trials, hands, active, config)
         planner_poses = scene.body_poses(objects, hands, attached, T, opening)
     if config.receiver == "body":
         assert trials.receiver is not None  # `inputs.check_receiver` has asked
@@ -114,51 +122,13 @@ def attach_object(
     )
 
 
-def _seen(
+def _estimated(
     scene: Scene, trials: Trials, hands: Tensor, active: Tensor, config: EvalConfig
 ) -> Float32[Tensor, "b 4 4"]:
     """Where the planner sees the hands stand, the identity where a row is not active."""
-    estimate, noise = config.estimate, PredictorNoise(target_errors=config.estimate.errors)
-    given = trials.T_world_hand.detach()
-    T = estimated_hand(
-        scene,
-        trials.trial_id,
-        hands,
-        given,
-        seed=estimate.seed,
-        noise=noise.scaled(estimate.factor),
-    )
+    estimate = config.estimate
+    noise = PredictorNoise(target_errors=estimate.errors).scaled(estimate.factor)
+    T_world_hand = trials.T_world_hand.detach()
+    T = estimated_hand(scene, trials.trial_id, hands, T_world_hand, seed=estimate.seed, noise=noise)
     eye = torch.eye(4, dtype=T.dtype, device=T.device)
     return se3.orthonormalise(torch.where(active[:, None, None], T, eye)).contiguous()
-
-
-def _usable(
-    scene: Scene, poses: tuple[Tensor, Tensor, Tensor], trials: Trials
-) -> tuple[Tensor, tuple[Tensor, ...], Tensor, Tensor]:
-    """Which rows are active; the poses orthonormal, the identity elsewhere; objects and hands, 0
-    where there are none such.
-
-    On a CPU bodies outside the scene were refused before any work; on CUDA looking at them would
-    have waited.
-    """
-    given = [(T.detach() if T.requires_grad else T).contiguous() for T in poses]
-    b = len(given[0])
-    made = new_outputs(row_kernels.usable_rows, b, scene.device)
-    launch_trials(
-        row_kernels.usable_rows,
-        b,
-        inputs={
-            "objects": len(scene.objects),
-            "hands": len(scene.hands.set),
-            "T_obj_ee": given[0],
-            "T_world_ee": given[1],
-            "T_world_hand": given[2],
-            "object": trials.object_index.contiguous(),
-            "hand": trials.hand_index.contiguous(),
-        },
-        outputs=made,
-        device=scene.device,
-        chunk=ROWS_CHUNK,
-    )
-    clean = tuple(made[k] for k in ("T_obj_ee", "T_world_ee", "T_world_hand"))
-    return made["active"], clean, made["object"], made["hand"]

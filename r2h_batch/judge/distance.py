@@ -3,22 +3,21 @@ arm and torso."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M
-from r2h_batch.judge.frontier.levels import Frontier, uses_frontier
+from r2h_batch.judge.frontier.levels import uses_frontier
 from r2h_batch.judge.frontier.safe import SafeFrontier
+from r2h_batch.judge.plan import path_clearances
 from r2h_batch.kernels.judge import safe as safe_kernels
 from r2h_batch.kernels.judge.goal import goal_safe_distance
-from r2h_batch.kernels.judge.overlap import hand_overlap, path_overlap
+from r2h_batch.kernels.judge.overlap import hand_overlap
 from r2h_batch.kernels.motion.worlds import WINDOW
 from r2h_batch.kernels.plan.codes import WAYPOINTS
-from r2h_batch.kernels.plan.lines import path_clearance
-from r2h_batch.launch import launch_trials, new_outputs
+from r2h_batch.launch import new_outputs, over_trials
 from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
@@ -59,52 +58,13 @@ def person_distance(
     a sampled path's margin of Plan is (kernels/judge/overlap.py).
     """
     alone = with_person(scene, body_poses, receiver, hand=False)
-    tables = {"world": alone.tables(scene), "bodies": alone.bodies}
-    motion = {"path": path.contiguous(), "length": length.contiguous()}
-    found, meets = _nearest(scene, tables, motion)
-    launch_trials(
-        scene.sized(path_overlap),
-        len(meets),
-        inputs={"hull_ball": scene.hull_balls, **tables, "row": meets, **motion},
-        outputs=found,
-        chunk=1,
-        device=scene.device,
+    rows = len(length) if path.shape[1] <= WAYPOINTS else MOVED * len(length)
+    path, length = path.contiguous(), length.contiguous()
+    distance, _, body = path_clearances(
+        scene, alone, path, length, tolerance_m=SAFE_TOLERANCE_M, rows=rows
     )
-    return found["clearance"], found["body"]
-
-
-def _nearest(
-    scene: Scene, tables: dict[str, Any], motion: dict[str, Tensor]
-) -> tuple[dict[str, Tensor], Int32[Tensor, " m"]]:
-    """Clearance, pair and body of each path, as far as bodies are apart, and the rows where they
-    meet (-1: none)."""
-    path, length = motion["path"], motion["length"]
-    b, device = len(length), path.device
-    if uses_frontier(scene.device):
-        frontier = Frontier(
-            **tables, device=scene.device, rows=b if path.shape[1] <= WAYPOINTS else MOVED * b
-        )
-        distance, pair, body = frontier.clearance(path, length, SAFE_TOLERANCE_M)
-        deep = (length > 0) & (distance < 0)
-        if path.shape[1] == 1:  # a posture fits every queue, so nothing has to be waited for
-            rows = torch.arange(b, dtype=torch.int32, device=device)
-            meets = torch.where(deep, rows, -1)
-        else:
-            meets = frontier.rows_where(deep)
-        distance = torch.where(length > 0, distance, torch.nan)
-        return {
-            "clearance": distance,
-            "pair": pair,
-            "body": torch.where(length > 0, body, -1),
-        }, meets
-    found = new_outputs(path_clearance, b, device)
-    found["clearance"].fill_(torch.nan)
-    found["body"].fill_(-1)
-    inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
-    launch_trials(
-        scene.sized(path_clearance), b, inputs=inputs, outputs=found, chunk=8, device=scene.device
-    )
-    return found, torch.nonzero((length > 0) & (found["clearance"] < 0)).flatten().to(torch.int32)
+    moves = length > 0
+    return torch.where(moves, distance, torch.nan), torch.where(moves, body, -1)
 
 
 @dataclass(frozen=True)
@@ -148,21 +108,14 @@ def hand_distance(
             meets = frontier.rows_where(moves & (distance < 0))
         else:
             inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
-            launch_trials(
-                scene.sized(safe_kernels.safe_distance), b, inputs=inputs, outputs=found, chunk=16, uneven=True,
-                device=scene.device,
-            )  # fmt: skip
+            kernel = scene.sized(safe_kernels.safe_distance)
+            over_trials(kernel, b, scene.device, outputs=found, chunk=16, uneven=True)(**inputs)
             meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
         # the search for the smallest distance ends where bodies meet: how deep is a search of its
         # own
         inputs = {**tables, "row": meets, **motion}
-        launch_trials(
-            scene.sized(hand_overlap),
-            len(meets),
-            inputs=inputs,
-            outputs=found,
-            chunk=1,
-            device=scene.device,
+        over_trials(scene.sized(hand_overlap), len(meets), scene.device, outputs=found, chunk=1)(
+            **inputs
         )
         more = (found[k] for k in ("body", "segment", "fraction", "point"))
         return torch.where(moves, distance, torch.nan), *more
@@ -251,20 +204,13 @@ def hand_distance_at(
 ) -> NearestApproach:
     """The distance of the robot from the hand at the postures `q` (rad), measured as in
     `hand_distance`; exact below `cap_m`."""
-    made = new_outputs(goal_safe_distance, len(active), scene.device)
-    launch_trials(
-        scene.sized(goal_safe_distance),
-        len(active),
-        inputs={
-            "cap": cap_m,
-            "world": scene.world,
-            "mesh": scene.hand_mesh,
-            "bodies": body_poses.bodies,
-            "active": active.contiguous(),
-            "q": q,
-        },
-        outputs=made,
-        device=scene.device,
+    made = over_trials(scene.sized(goal_safe_distance), len(active), scene.device)(
+        cap=cap_m,
+        world=scene.world,
+        mesh=scene.hand_mesh,
+        bodies=body_poses.bodies,
+        active=active.contiguous(),
+        q=q,
     )
     distance, body = made["distance"], made["body"]
     return NearestApproach(

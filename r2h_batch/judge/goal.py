@@ -12,7 +12,7 @@ from r2h_batch.judge.ik import ROTATION_LEVER_M, IkResult, SearchedIk, home_post
 from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import over_trials
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 
@@ -71,21 +71,20 @@ def judge_goals(
     goal = _unjudged(b, ik.q.shape[2], device)
     postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
 
-    launch_trials(
+    over_trials(
         scene.sized(goal_kernels.choose_goal),
         b,
-        inputs={
-            "world": body_poses.tables(scene),
-            "bodies": body_poses.bodies,
-            "home": home_posture(str(device), scene.config.workplace.home_q),
-            "singular": int(STATUS_SINGULAR),
-            "unproven": int(PlanReason.NO_PATH_IN_BUDGET),
-            "active": active,
-            "status": ik.status,
-            **postures,
-        },
+        scene.device,
         outputs={"reason": goal.reason, "pair": goal.pair, "slot": goal.slot},
-        device=scene.device,
+    )(
+        world=body_poses.tables(scene),
+        bodies=body_poses.bodies,
+        home=home_posture(str(device), scene.config.workplace.home_q),
+        singular=int(STATUS_SINGULAR),
+        unproven=int(PlanReason.NO_PATH_IN_BUDGET),
+        active=active,
+        status=ik.status,
+        **postures,
     )
     _measure(goal, scene, body_poses, T_world_ee, ik, postures, active)
     if scene.robot.family != "ur":  # of a UR the kernel knows what is proven
@@ -166,37 +165,27 @@ def _measure(
     # a posture for targets that no branch reaches ...
     if not isinstance(ik, SearchedIk):
         residual = torch.empty(b, dtype=torch.float32, device=device)
-        launch_trials(
+        over_trials(
             ik_nearest.nearest_posture,
             b,
-            inputs={
-                "ur": ur_parameters(scene.robot, scene.config.workplace.home_q),
-                "rotation_lever_m": ROTATION_LEVER_M,
-                "active": active,
-                "branches": postures["valid"],
-                "T_world_ee": T_world_ee.contiguous(),
-            },
+            scene.device,
             outputs={"q": goal.q, "residual": residual},
             chunk=256,
-            device=scene.device,
+        )(
+            ur=ur_parameters(scene.robot, scene.config.workplace.home_q),
+            rotation_lever_m=ROTATION_LEVER_M,
+            active=active,
+            branches=postures["valid"],
+            T_world_ee=T_world_ee.contiguous(),
         )
     else:
         residual = ik.miss_m
         goal.q.copy_(torch.where(active[:, None], ik.nearest, torch.nan))
     # ... and how near its bodies are to others
-    launch_trials(
+    over_trials(
         scene.sized(goal_kernels.goal_clearance),
         b,
-        inputs={
-            "cap": CLEARANCE_CAP_M,
-            "world": body_poses.tables(scene),
-            "hull_ball": scene.hull_balls,
-            "bodies": body_poses.bodies,
-            "home": home_posture(str(device), scene.config.workplace.home_q),
-            "reason": goal.reason,
-            **postures,
-            "residual": residual,
-        },
+        scene.device,
         outputs={
             "pair": goal.pair,
             "slot": goal.slot,
@@ -208,5 +197,13 @@ def _measure(
             "push": goal.push,
             "point": goal.point,
         },
-        device=scene.device,
+    )(
+        cap=CLEARANCE_CAP_M,
+        world=body_poses.tables(scene),
+        hull_ball=scene.hull_balls,
+        bodies=body_poses.bodies,
+        home=home_posture(str(device), scene.config.workplace.home_q),
+        reason=goal.reason,
+        **postures,
+        residual=residual,
     )

@@ -13,7 +13,7 @@ from r2h_batch.config import Thresholds
 from r2h_batch.kernels.grasp import region as region_kernels
 from r2h_batch.kernels.grasp import width as width_kernels
 from r2h_batch.kernels.robot import gripper as gripper_kernels
-from r2h_batch.launch import launch_trials, new_outputs
+from r2h_batch.launch import over_trials
 from r2h_batch.scene.grasp_tables import GraspTables, gripper_tables
 
 CUT_CAP_M = 0.01
@@ -85,20 +85,13 @@ def close_pads(
     """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open
     gripper cuts."""
     n = _checked(tables, T_obj_ee, object_index, known)
-    made = new_outputs(width_kernels.close_gripper, n, tables.device)
-    launch_trials(
-        width_kernels.close_gripper,
-        n,
-        inputs={
-            "gripper": tables.gripper,
-            "surfaces": tables.surfaces,
-            "open_gap": tables.open_gap_m,
-            "whole": int(mode == "whole"),
-            "T_obj_ee": T_obj_ee,
-            "object_index": object_index,
-        },
-        outputs=made,
-        device=tables.device,
+    made = over_trials(width_kernels.close_gripper, n, tables.device)(
+        gripper=tables.gripper,
+        surfaces=tables.surfaces,
+        open_gap=tables.open_gap_m,
+        whole=int(mode == "whole"),
+        T_obj_ee=T_obj_ee,
+        object_index=object_index,
     )
     return made["width"], made["opening"], made["shift"], made["empty"]
 
@@ -206,24 +199,17 @@ def _clearance(
 ) -> tuple[Tensor, Tensor]:
     n = _checked(tables, T_obj_ee, object_index, known)
     kernel, count = region_kernels.primitives_clearance, tables.gripper.kind.shape[0]
-    made = new_outputs(kernel, n, tables.device, R=count, p=count)
-    launch_trials(
-        kernel,
-        n,
-        inputs={
-            "gripper": tables.gripper,
-            "surfaces": tables.surfaces,
-            "surface_offset": surface_offset,
-            "used": used,
-            "solid": int(solid),
-            "cap": cap_m,
-            "enough": enough_m,
-            "T_obj_ee": T_obj_ee,
-            "object_index": object_index,
-            "opening": opening_m,
-        },
-        outputs=made,
-        device=tables.device,
+    made = over_trials(kernel, n, tables.device, sizes={"R": count, "p": count})(
+        gripper=tables.gripper,
+        surfaces=tables.surfaces,
+        surface_offset=surface_offset,
+        used=used,
+        solid=int(solid),
+        cap=cap_m,
+        enough=enough_m,
+        T_obj_ee=T_obj_ee,
+        object_index=object_index,
+        opening=opening_m,
     )
     return made["clearance"], made["witness"]
 
@@ -235,15 +221,9 @@ def gripper_poses(
     (m)."""
     device = str(opening_m.device)
     g = gripper_tables(robot, device)
-    count = g.kind.shape[0]
-    made = new_outputs(gripper_kernels.gripper_poses, len(opening_m), device, R=count, p=count)
-    launch_trials(
-        gripper_kernels.gripper_poses,
-        len(opening_m),
-        inputs={"gripper": g, "opening": opening_m},
-        outputs=made,
-        device=device,
-    )
+    sizes = dict.fromkeys(("R", "p"), g.kind.shape[0])
+    kernel = gripper_kernels.gripper_poses
+    made = over_trials(kernel, len(opening_m), device, sizes=sizes)(gripper=g, opening=opening_m)
     return made["R"], made["p"]
 
 

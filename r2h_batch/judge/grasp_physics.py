@@ -75,13 +75,8 @@ def close_in_physics(
     down = np.broadcast_to(down, (len(object_index), 3))
 
     def one(i: int) -> tuple[float, float, float, float]:
-        return _close(
-            robot,
-            objects[int(object_index[i])],
-            np.asarray(T_obj_ee[i], np.float64),
-            down[i] if shake else None,
-            shake_m_s2,
-        )
+        model, T = objects[int(object_index[i])], np.asarray(T_obj_ee[i], np.float64)
+        return _close(robot, model, T, down[i] if shake else None, shake_m_s2)
 
     with warnings_unwritten():
         rows = list(thread_pool(cpu_threads()).map(one, range(len(object_index))))
@@ -201,10 +196,8 @@ def _close(
         )
         mujoco.mj_step(m, data, every)
     pads = data.geom("right").xpos - data.geom("left").xpos
-    opening, moved = (
-        float(pads[1] - 2 * robot.linkage.pad_half_size[1]),
-        float(np.linalg.norm(data.qpos[n : n + 3] - start)),
-    )
+    opening = float(pads[1] - 2 * robot.linkage.pad_half_size[1])
+    moved = float(np.linalg.norm(data.qpos[n : n + 3] - start))
     if down is None or not np.isfinite(data.qpos).all():
         return opening, moved, float("nan"), float("nan")
     m.dof_damping[-6:] = 0.0
@@ -218,9 +211,5 @@ def _close(
         m.opt.gravity[:] = G * down + shake
         mujoco.mj_step(m, data, every)
     cosine = min(abs(float(turn @ data.qpos[n + 3 :])), 1.0)
-    return (
-        opening,
-        moved,
-        float(np.linalg.norm(data.qpos[n : n + 3] - at)),
-        2 * float(np.arccos(cosine)),
-    )
+    slip = float(np.linalg.norm(data.qpos[n : n + 3] - at))
+    return opening, moved, slip, 2 * float(np.arccos(cosine))

@@ -11,7 +11,7 @@ from torch import Tensor
 from r2h_batch.bodies.hand import HandModel
 from r2h_batch.bodies.robot import Robot
 from r2h_batch.kernels.methods import hand_clearance as kernels
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import over_trials
 from r2h_batch.scene.grasp_tables import gripper_tables
 
 
@@ -48,14 +48,9 @@ def posed_hand(
     struct.piece_start = wp.from_torch(start)
     struct.points = wp.from_torch(points.reshape(-1, 3), dtype=wp.vec3)
     struct.ball = wp.from_torch(ball.reshape(-1, 4), dtype=wp.vec4)
-    launch_trials(
-        kernels.enclose_pieces,
-        len(points),
-        inputs={"hands": struct},
-        outputs={"ball": struct.ball},
-        device=device,
-        chunk=64,
-    )
+    over_trials(
+        kernels.enclose_pieces, len(points), device, outputs={"ball": struct.ball}, chunk=64
+    )(hands=struct)
     return PosedHand(struct, (points, ball, start), device)
 
 
@@ -85,25 +80,17 @@ def gripper_clearance(
     Returns:
         (b, width) metres, at most `cap_m`; 0 where they meet, and from `count` on.
     """
-    n = len(hand)
-    out = torch.zeros((n, width), dtype=torch.float32, device=hand.device)
+    n, sizes = len(hand), {"clearance": width}
     if n == 0 or width == 0:
-        return out
-    launch_trials(
-        kernels.gripper_to_hand,
-        n,
-        inputs={
-            "gripper": gripper_tables(robot, hand.device),
-            "hands": hand.struct,
-            "cap": cap_m,
-            "row": row.to(torch.int32).contiguous(),
-            "count": count.to(torch.int32).contiguous(),
-            "T": T_hand_ee.contiguous(),
-            "opening": opening_m.contiguous(),
-        },
-        outputs={"clearance": out},
-        device=hand.device,
-        chunk=8,
-        width=width,
+        return torch.zeros((n, width), dtype=torch.float32, device=hand.device)
+    made = over_trials(kernels.gripper_to_hand, n, hand.device, sizes=sizes, chunk=8, width=width)(
+        gripper=gripper_tables(robot, hand.device),
+        hands=hand.struct,
+        cap=cap_m,
+        row=row.to(torch.int32).contiguous(),
+        count=count.to(torch.int32).contiguous(),
+        T=T_hand_ee.contiguous(),
+        opening=opening_m.contiguous(),
     )
-    return out
+    clearance: Tensor = made["clearance"]
+    return clearance

@@ -23,7 +23,7 @@ from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.ik.jacobian import first_branch
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.robot.fk import UrParameters, vec6d
-from r2h_batch.launch import init_warp, launch_trials, new_outputs
+from r2h_batch.launch import init_warp, over_trials
 
 ITERATIONS = 20
 """Damped least squares steps per seed; the mean is 7."""
@@ -125,68 +125,32 @@ def solve_ik(
         active = torch.ones(T_world_ee.shape[:1], dtype=torch.bool, device=device)
     init_warp()
     if robot.family != "ur":
-        found = _unsolved(len(T_world_ee), device, len(robot.joints))
-        nearest, miss_m = ik_any.solve(
-            robot,
-            T_world_ee,
-            active,
-            _written(found),
-            tolerance=(POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD),
-            rotation_lever_m=ROTATION_LEVER_M,
+        return SearchedIk(
+            *ik_any.solve(
+                robot,
+                T_world_ee,
+                active,
+                tolerance=(POSITION_TOLERANCE_M, ROTATION_TOLERANCE_RAD),
+                rotation_lever_m=ROTATION_LEVER_M,
+            )
         )
-        return SearchedIk(**vars(found), nearest=nearest, miss_m=miss_m)
     start = ik_seeds() if seeds is None else np.asarray(seeds, dtype=np.float64)
     _check(T_world_ee, active, robot, home, start, iterations)
-    n = len(T_world_ee)
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
-    result = _unsolved(n, device)
-    if n == 0:
-        return result
-    launch_trials(
-        ik_step.solve_ik_kernel,
-        n,
-        inputs={
-            "ur": ur_parameters(robot, home),
-            "iterations": iterations,
-            "position_tolerance_m": POSITION_TOLERANCE_M,
-            "rotation_tolerance_rad": ROTATION_TOLERANCE_RAD,
-            "seeds": _seed_states(place)
-            if seeds is None
-            else wp.array(_cos_sin(start), dtype=wp.float64, device=place),
-            "T_world_ee": T_world_ee.contiguous(),
-            "active": active.contiguous(),
-        },
-        outputs=_written(result),
-        device=place,
-        chunk=CHUNK,
-        width=4,
+    made = over_trials(
+        ik_step.solve_ik_kernel, len(T_world_ee), place, sizes=ik_any.sizes(6), chunk=CHUNK, width=4
+    )(
+        ur=ur_parameters(robot, home),
+        iterations=iterations,
+        position_tolerance_m=POSITION_TOLERANCE_M,
+        rotation_tolerance_rad=ROTATION_TOLERANCE_RAD,
+        seeds=_seed_states(place)
+        if seeds is None
+        else wp.array(_cos_sin(start), dtype=wp.float64, device=place),
+        T_world_ee=T_world_ee.contiguous(),
+        active=active.contiguous(),
     )
-    return result
-
-
-def _written(result: IkResult) -> dict[str, Tensor]:
-    """What a kernel writes, by its names."""
-    return {
-        "q": result.q,
-        "valid": result.valid,
-        "position_error": result.position_error_m,
-        "rotation_error": result.rotation_error_rad,
-        "status": result.status,
-        "steps": result.steps,
-    }
-
-
-def _unsolved(n: int, device: torch.device, joints: int = 6) -> IkResult:
-    """Room for n targets, all of which the kernel writes."""
-    position, rotation = torch.empty((2, n, BRANCHES), dtype=torch.float32, device=device).unbind(0)
-    return IkResult(
-        q=torch.empty((n, BRANCHES, joints), dtype=torch.float32, device=device),
-        valid=torch.empty((n, BRANCHES), dtype=torch.bool, device=device),
-        position_error_m=position,
-        rotation_error_rad=rotation,
-        status=torch.empty((n, 4), dtype=torch.uint8, device=device),
-        steps=torch.empty((n, 4), dtype=torch.int32, device=device),
-    )
+    return IkResult(*made.values())  # the kernel writes the fields in their order
 
 
 def _check(
@@ -250,20 +214,12 @@ def one_branch(
     if robot.family != "ur":  # the first posture found is that of the nearest seed
         return ik.valid & (ik.valid.cumsum(1) == 1)
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
-    made = new_outputs(first_branch, n, device)
-    launch_trials(
-        first_branch,
-        n,
-        inputs=dict(
-            iterations=JACOBIAN_STEPS,
-            **_jacobian_tables(robot, home, place),
-            T_world_ee=T_world_ee.contiguous(),
-            q=ik.q,
-            valid=ik.valid,
-        ),
-        outputs=made,
-        device=place,
-        chunk=64,
+    made = over_trials(first_branch, n, place, chunk=64)(
+        iterations=JACOBIAN_STEPS,
+        **_jacobian_tables(robot, home, place),
+        T_world_ee=T_world_ee.contiguous(),
+        q=ik.q,
+        valid=ik.valid,
     )
     # argmax of 0 and 1 is the first 1: the first valid branch (slot 0 where there is none; `&
     # ik.valid` drops it)

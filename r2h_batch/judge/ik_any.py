@@ -1,11 +1,11 @@
 """Joint angles of an arm without a closed form: damped least squares from seeds, up to eight
 postures that differ (kernels/ik/any_arm.py). What it does not find may still exist."""
 
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import torch
 import warp as wp
 from jaxtyping import Bool, Float32
 from scipy.spatial.transform import Rotation
@@ -14,7 +14,8 @@ from torch import Tensor
 
 from r2h_batch.bodies.robot import Robot, ee_pose, forward_kinematics
 from r2h_batch.kernels.ik import any_arm
-from r2h_batch.launch import launch_trials
+from r2h_batch.kernels.plan.codes import BRANCHES
+from r2h_batch.launch import over_trials
 from r2h_batch.launch.instances import of_joints
 
 SEEDS = 1024
@@ -34,55 +35,46 @@ def solve(
     robot: Robot,
     T_world_ee: Float32[Tensor, "b 4 4"],
     active: Bool[Tensor, " b"],
-    outputs: dict[str, Tensor],
     *,
     tolerance: tuple[float, float],
     rotation_lever_m: float,
-    iterations: int = ITERATIONS,
-    threads: int | None = None,
-) -> tuple[Tensor, Tensor]:
-    """Writes the postures of each target into `outputs` (the kernel's, by name).
+) -> Iterable[Tensor]:
+    """The postures of each target.
 
     Args:
         robot: any chain of turning joints.
         T_world_ee: targets, m.
         active: rows to solve.
-        outputs: `q`, `valid`, `position_error`, `rotation_error`, `status`, `steps`.
         tolerance: m and rad, of what is returned.
         rotation_lever_m: what a radian of the residual counts for.
-        iterations: steps from a seed.
-        threads: None: all cores.
 
     Returns:
-        Where nothing was found: the posture (B, J) that came nearest, and by how much it misses, m
-        (B,). NaN and inf elsewhere.
+        The fields of `judge.ik.SearchedIk`.
     """
-    b, joints, device = len(active), len(robot.joints), T_world_ee.device
+    joints, device = len(robot.joints), T_world_ee.device
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
-    nearest = torch.empty((b, joints), dtype=torch.float32, device=device)
-    residual = torch.empty(b, dtype=torch.float32, device=device)
     chain, seeds = tables(robot, place)
-    launch_trials(
-        of_joints(any_arm.solve_any, joints),
-        b,
-        inputs={
-            "chain": chain,
-            "seeds": seeds,
-            "most": TRIED,
-            "iterations": iterations,
-            "apart": APART_RAD,
-            "position_tolerance_m": tolerance[0],
-            "rotation_tolerance_rad": tolerance[1],
-            "rotation_lever_m": rotation_lever_m,
-            "T_world_ee": T_world_ee.contiguous(),
-            "active": active.contiguous(),
-        },
-        outputs={**outputs, "nearest": nearest, "residual": residual},
-        device=place,
-        threads=threads,
-        chunk=16,
+    made: dict[str, Tensor] = over_trials(
+        of_joints(any_arm.solve_any, joints), len(active), place, sizes=sizes(joints), chunk=16
+    )(
+        chain=chain,
+        seeds=seeds,
+        most=TRIED,
+        iterations=ITERATIONS,
+        apart=APART_RAD,
+        position_tolerance_m=tolerance[0],
+        rotation_tolerance_rad=tolerance[1],
+        rotation_lever_m=rotation_lever_m,
+        T_world_ee=T_world_ee.contiguous(),
+        active=active.contiguous(),
     )
-    return nearest, residual
+    return made.values()
+
+
+def sizes(joints: int) -> dict[str, Any]:
+    """Further dimensions of what the solvers' kernels write."""
+    branches = dict.fromkeys(("valid", "position_error", "rotation_error"), int(BRANCHES))
+    return {"q": (int(BRANCHES), joints), **branches, "status": 4, "steps": 4, "nearest": joints}
 
 
 @lru_cache(maxsize=16)

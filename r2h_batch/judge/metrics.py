@@ -19,7 +19,7 @@ from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
 from r2h_batch.judge.grasp_physics import DROPPED_M
 from r2h_batch.kernels.judge import reach as reach_kernels
-from r2h_batch.launch import launch_trials, new_outputs
+from r2h_batch.launch import over_trials
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
 
@@ -157,22 +157,14 @@ def reach_distance(
     point: Float32[Tensor, "b 3"],
 ) -> Float32[Tensor, " b"]:
     """Distance of points (object frame, m) from what Reach measures of these objects, 0 inside."""
-    made = new_outputs(reach_kernels.point_to_object, len(point), scene.device)
     surfaces = scene.grasp_tables.surfaces
-    launch_trials(
-        reach_kernels.point_to_object,
-        len(point),
-        inputs={
-            "cap": FARTHEST_M,
-            "mesh": scene.reach_mesh_ids,
-            "low": surfaces.low,
-            "high": surfaces.high,
-            "object": objects,
-            "point": point,
-        },
-        outputs=made,
-        device=scene.device,
-        chunk=64,
+    made = over_trials(reach_kernels.point_to_object, len(point), scene.device, chunk=64)(
+        cap=FARTHEST_M,
+        mesh=scene.reach_mesh_ids,
+        low=surfaces.low,
+        high=surfaces.high,
+        object=objects,
+        point=point,
     )
     return made["distance"]
 

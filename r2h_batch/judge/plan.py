@@ -80,9 +80,48 @@ def plan_paths(
     (Kuffner and LaValle 2000) with certified edges. Rows that are not `active` get NOT_EVALUATED.
     """
     with one_torch_thread(q.device):
-        return _paths(
-            scene, body_poses, q, valid, active, key, config, execute or ExecConfig(), start
+        b, device = len(active), q.device
+        run = Planner(scene, body_poses)
+        if start is None:
+            start = home_posture(str(device), scene.config.workplace.home_q).expand(b, -1)
+        start = start.contiguous()
+        moveit = int(config.edge_check == "moveit")
+
+        start_clear, start_pair, _ = run.check(start, active, 1)
+        goal_clear, goal_pair, clearance = run.check(
+            q.flatten(0, 1), (valid & active[:, None] & start_clear[:, None]).reshape(-1), BRANCHES
         )
+        goal_clear, goal_pair, clearance = (
+            x.view(b, BRANCHES) for x in (goal_clear, goal_pair, clearance)
+        )
+
+        # (b * 8, 6) free branches first, nearest to the start first; what lies beyond n_goals of a trial is
+        # never looked at
+        goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, start, config)
+        chosen = run.straight(start, goals, n_goals, margin, moveit)
+        path = torch.zeros((b, WAYPOINTS, q.shape[2]), dtype=torch.float32, device=device)
+        length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
+        path[:, 0] = start
+        nearest = goals.view(q.shape)[
+            torch.arange(b, dtype=torch.int64, device=device), chosen.clamp(min=0).long()
+        ]
+        path[:, 1] = torch.where((chosen >= 0)[:, None], nearest, 0.0)
+
+        Search(run, start, goals, n_goals, margin, key, config, execute or ExecConfig())(
+            path, length
+        )
+
+        least, pair, body = run.clearance(path, length)
+        if moveit:  # sampled edges may pass through things
+            _measure_overlaps(run, scene, path, length, least, pair, body)
+        elif run.frontier is not None:
+            run.frontier.refuse_if_full()
+        reason = _reasons(active, start_clear, valid, n_goals, length)
+        first_valid = valid.to(torch.int8).argmax(1)
+        blocked_by = goal_pair[torch.arange(b, dtype=torch.int64, device=device), first_valid]
+        pair = torch.where(reason == int(PlanReason.IK_IN_COLLISION), blocked_by, pair)
+        pair = torch.where(reason == int(PlanReason.START_IN_COLLISION), start_pair, pair)
+        return Plan(reason, pair, body, least, length == 2, path, length)
 
 
 def load_searches(device: str, joints: int = JOINTS) -> None:
@@ -93,103 +132,29 @@ def load_searches(device: str, joints: int = JOINTS) -> None:
         load(of_joints(kernel, joints), device)
 
 
-def _paths(
-    scene: Scene,
-    body_poses: BodyPoses,
-    q: Float32[Tensor, "b 8 6"],
-    valid: Bool[Tensor, "b 8"],
-    active: Bool[Tensor, " b"],
-    key: Int32[Tensor, " b"],
-    config: PlanConfig,
-    execute: ExecConfig,
-    start: Float32[Tensor, "b 6"] | None,
-) -> Plan:
-    """`plan_paths`, stage by stage."""
-    b, device = len(active), q.device
-    run = Planner(scene, body_poses)
-    if start is None:
-        start = home_posture(str(device), scene.config.workplace.home_q).expand(b, -1)
-    start = start.contiguous()
-    moveit = int(config.edge_check == "moveit")
-
-    start_clear, start_pair, _ = run.check(start, active, 1)
-    goal_clear, goal_pair, clearance = run.check(
-        q.flatten(0, 1), (valid & active[:, None] & start_clear[:, None]).reshape(-1), BRANCHES
-    )
-    goal_clear, goal_pair, clearance = (
-        x.view(b, BRANCHES) for x in (goal_clear, goal_pair, clearance)
-    )
-
-    # (b * 8, 6) free branches first, nearest to the start first; what lies beyond n_goals of a trial is
-    # never looked at
-    goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, start, config)
-    chosen = run.straight(start, goals, n_goals, margin, moveit)
-    path = torch.zeros((b, WAYPOINTS, q.shape[2]), dtype=torch.float32, device=device)
-    length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
-    path[:, 0] = start
-    nearest = goals.view(q.shape)[
-        torch.arange(b, dtype=torch.int64, device=device), chosen.clamp(min=0).long()
-    ]
-    path[:, 1] = torch.where((chosen >= 0)[:, None], nearest, 0.0)
-
-    Search(run, start, goals, n_goals, margin, key, config, execute)(path, length)
-
-    least, pair, body = _least_clearance(run, path, length)
-    if moveit:  # sampled edges may pass through things
-        _measure_overlaps(run, scene, path, length, least, pair, body)
-    elif run.frontier is not None:
-        run.frontier.refuse_if_full()
-    reason = _reasons(active, start_clear, valid, n_goals, length)
-    first_valid = valid.to(torch.int8).argmax(1)
-    blocked_by = goal_pair[torch.arange(b, dtype=torch.int64, device=device), first_valid]
-    pair = torch.where(reason == int(PlanReason.IK_IN_COLLISION), blocked_by, pair)
-    pair = torch.where(reason == int(PlanReason.START_IN_COLLISION), start_pair, pair)
-    return Plan(reason, pair, body, least, length == 2, path, length)
-
-
-def _least_clearance(
-    run: "Planner", path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]
-) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
-    """Smallest clearance along each path over all pairs (-inf without one), its pair and the
-    robot's body."""
-    if run.frontier is not None:
-        return run.frontier.clearance(path, length)
-    b = len(path)
-    made = new_outputs(path_clearance, b, path.device)
-    made["clearance"].fill_(-torch.inf)
-    made["body"].fill_(-1)
-    run(
-        path_clearance,
-        b,
-        inputs={
-            "cap": CLEARANCE_CAP_M,
-            "tolerance": CLEARANCE_TOLERANCE_M,
-            "path": path,
-            "length": length,
-        },
-        outputs=made,
-        chunk=8,
-    )
-    return made["clearance"], made["pair"], made["body"]
-
-
 def path_clearances(
     scene: Scene,
     body_poses: BodyPoses,
     path: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
+    *,
+    tolerance_m: float = CLEARANCE_TOLERANCE_M,
+    rows: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
-    """Smallest clearance (m) along paths that were planned elsewhere, its pair and the robot's
-    body, as in `Plan`; minus the overlap where bodies meet.
+    """Smallest clearance along paths that were planned elsewhere, its pair and the robot's body, as
+    in `Plan`; minus the overlap where bodies meet.
 
-    A row takes part of the frontier's queues in proportion to its waypoints.
+    Args:
+        scene: robot, objects, hands and table.
+        body_poses: where bodies are.
+        path: waypoints, rad.
+        length: number of waypoints; 0: no path, clearance -inf.
+        tolerance_m: of clearances above 0.
+        rows: for how many paths of WAYPOINTS the frontier has room; None: as many as the waypoints make.
     """
-    rooms = -(-path.shape[1] // WAYPOINTS) * len(path)
-    run = Planner(scene, body_poses, rows=rooms)
-    found = _least_clearance(run, path, length)
+    run = Planner(scene, body_poses, rows=rows or -(-path.shape[1] // WAYPOINTS) * len(path))
+    found = run.clearance(path, length, tolerance_m)
     _measure_overlaps(run, scene, path, length, *found)
-    if run.frontier is not None:
-        run.frontier.refuse_if_full()
     return found
 
 
@@ -204,18 +169,16 @@ def _measure_overlaps(
 ) -> None:
     """Writes how deep the bodies meet on paths whose clearance is below 0, and which they are."""
     meets = (length > 0) & (least < 0)
-    rows = (
-        torch.nonzero(meets).flatten().to(torch.int32)
-        if run.frontier is None
-        else run.frontier.rows_where(meets)
-    )
-    run(
-        path_overlap,
-        len(rows),
-        inputs={"hull_ball": scene.hull_balls, "row": rows, "path": path, "length": length},
-        outputs={"clearance": least, "pair": pair, "body": body},
-        chunk=1,
-    )
+    if run.frontier is None:
+        rows = torch.nonzero(meets).flatten().to(torch.int32)
+    elif path.shape[1] > 1:
+        rows = run.frontier.rows_where(meets)
+    else:  # a posture fits every queue, so nothing has to be waited for
+        every = torch.arange(len(path), dtype=torch.int32, device=path.device)
+        rows = torch.where(meets, every, -1)
+    inputs = {"hull_ball": scene.hull_balls, "row": rows, "path": path, "length": length}
+    outputs = {"clearance": least, "pair": pair, "body": body}
+    run(path_overlap, len(rows), inputs=inputs, outputs=outputs, chunk=1)
 
 
 def _reasons(
@@ -253,15 +216,9 @@ class Planner:
     def __call__(
         self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int
     ) -> None:
-        inputs = {**self._tables, **inputs}
+        ways: dict[str, Any] = {"device": self._device, "chunk": chunk, "uneven": True}
         launch_trials(
-            self._sized(kernel),
-            n,
-            inputs=inputs,
-            outputs=outputs,
-            device=self._device,
-            chunk=chunk,
-            uneven=True,
+            self._sized(kernel), n, inputs={**self._tables, **inputs}, outputs=outputs, **ways
         )
 
     def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -269,16 +226,24 @@ class Planner:
         posture."""
         if self.frontier is not None:
             return self.frontier.check(q.contiguous(), active, per_trial)
-        n = len(q)
-        made = new_outputs(check_postures, n, q.device)
-        self(
-            check_postures,
-            n,
-            inputs={"per_trial": per_trial, "active": active.contiguous(), "q": q.contiguous()},
-            outputs=made,
-            chunk=64,
-        )
+        made = new_outputs(check_postures, len(q), q.device)
+        inputs = {"per_trial": per_trial, "active": active.contiguous(), "q": q.contiguous()}
+        self(check_postures, len(q), inputs=inputs, outputs=made, chunk=64)
         return made["clear"], made["pair"], made["hand_clearance"]
+
+    def clearance(
+        self, path: Tensor, length: Tensor, tolerance_m: float = CLEARANCE_TOLERANCE_M
+    ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
+        """Smallest clearance along each path over all pairs (-inf without one), its pair and the
+        robot's body."""
+        if self.frontier is not None:
+            return self.frontier.clearance(path, length, tolerance_m)
+        made = new_outputs(path_clearance, len(path), path.device)
+        made["clearance"].fill_(-torch.inf)
+        made["body"].fill_(-1)
+        inputs = {"cap": CLEARANCE_CAP_M, "tolerance": tolerance_m, "path": path, "length": length}
+        self(path_clearance, len(path), inputs=inputs, outputs=made, chunk=8)
+        return made["clearance"], made["pair"], made["body"]
 
     def straight(
         self, start: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, moveit: int
@@ -287,19 +252,9 @@ class Planner:
         if self.frontier is not None:
             return self.frontier.straight(start, goals, n_goals, margin, moveit)
         chosen = torch.full_like(n_goals, -1)
-        self(
-            straight_lines,
-            len(n_goals),
-            inputs={
-                "moveit": moveit,
-                "start": start,
-                "goals": goals,
-                "n_goals": n_goals,
-                "goal_margin": margin.view(-1),
-            },
-            outputs={"chosen": chosen},
-            chunk=8,
-        )
+        inputs = {"moveit": moveit, "start": start, "goals": goals, "n_goals": n_goals}
+        inputs |= {"goal_margin": margin.view(-1)}
+        self(straight_lines, len(n_goals), inputs=inputs, outputs={"chosen": chosen}, chunk=8)
         return chosen
 
 

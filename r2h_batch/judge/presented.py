@@ -9,7 +9,7 @@ from torch import Tensor
 from r2h_batch.config import FARTHEST_M, Thresholds
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.kernels.judge import presented as kernels
-from r2h_batch.launch import launch_trials, new_outputs
+from r2h_batch.launch import over_trials
 from r2h_batch.scene.scene import Scene
 
 FACING_DEG = 90.0
@@ -36,27 +36,19 @@ def presented(
     the ball's radius of c_h."""
     meshes, center = scene.regions
     point, _ = scene.palms
-    made = new_outputs(kernels.region_presented, len(held.active), scene.device)
-    launch_trials(
-        kernels.region_presented,
-        len(held.active),
-        inputs={
-            "cap": FARTHEST_M,
-            "facing_deg": FACING_DEG,
-            "reach_radius": thresholds.reach_radius_m,
-            "mesh": meshes,
-            "center": center,
-            "palm_point": point,
-            "active": held.active,
-            "object": held.objects,
-            "hand": held.hands,
-            "attached": held.attached,
-            "T_world_ee": held.T_world_ee,
-            "T_world_hand": held.T_world_hand,
-            "ball": held.ball,
-        },
-        outputs=made,
-        device=scene.device,
-        chunk=64,
+    made = over_trials(kernels.region_presented, len(held.active), scene.device, chunk=64)(
+        cap=FARTHEST_M,
+        facing_deg=FACING_DEG,
+        reach_radius=thresholds.reach_radius_m,
+        mesh=meshes,
+        center=center,
+        palm_point=point,
+        active=held.active,
+        object=held.objects,
+        hand=held.hands,
+        attached=held.attached,
+        T_world_ee=held.T_world_ee,
+        T_world_hand=held.T_world_hand,
+        ball=held.ball,
     )
     return Presented(made["angle"], made["distance"], made["presented"])

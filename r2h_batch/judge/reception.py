@@ -25,7 +25,7 @@ from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.hand_clearance import PosedHand, posed_hand
 from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
-from r2h_batch.launch import launch_trials, new_outputs
+from r2h_batch.launch import over_trials
 from r2h_batch.receiver.held_out import GRAVITY, HeldOut, load_held_out
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene
@@ -178,8 +178,7 @@ class _Batch:
     grasps: _Grasps
     sized: Callable[[Any], Any]
     """a kernel for the arm's number of joints (`Scene.sized`)"""
-    on: dict[str, Any]
-    """where a launch runs"""
+    device: str
     tables: dict[str, Any]
     """gripper, hands and grasps, for the kernels that look at both"""
     robot: dict[str, Any]
@@ -216,9 +215,7 @@ class _Batch:
 def _reception(scores: Scores, leans_deg: tuple[float, ...]) -> Reception:
     batch = _batch_of(scores)
     arms = _arms(batch, leans_deg)
-    passes = torch.zeros(
-        (*arms["effort"].shape, len(STEPS)), dtype=torch.bool, device=batch.on["device"]
-    )
+    passes = torch.zeros((*arms["effort"].shape, len(STEPS)), dtype=torch.bool, device=batch.device)
     passes[..., 0] = arms["effort"] >= 0
     passes[..., 5] = _held(batch)
     way = _come(batch, arms, passes)
@@ -256,7 +253,7 @@ def _batch_of(scores: Scores) -> _Batch:
     return _Batch(
         grasps,
         scene.sized,
-        {"device": device},
+        device,
         {
             "gripper": gripper_tables(scene.robot, device),
             "hands": grasps.hands.struct,
@@ -286,35 +283,26 @@ def _batch_of(scores: Scores) -> _Batch:
 def _arms(batch: _Batch, leans_deg: tuple[float, ...]) -> dict[str, Tensor]:
     """Effort (-1: no posture), turn about the axis of revolution, angles and elbow of every grasp of
     every trial, (b, k, ...)."""
-    b, width, device = len(batch.known), batch.width, batch.on["device"]
+    b, width, device = len(batch.known), batch.width, batch.device
     sizes = dict.fromkeys(("effort", "turn", "angles", "elbow"), width)
-    arms = new_outputs(kernels.reach_with_arm, b, device, **sizes)
-    launch_trials(
-        batch.sized(kernels.reach_with_arm),
-        b,
-        inputs={
-            "grasps": batch.grasps.table,
-            "lean": torch.tensor(leans_deg, dtype=torch.float32, device=device),
-            "row": batch.first,
-            "count": batch.known.contiguous(),
-            "outwards": torch.where(batch.side == 0, -1.0, 1.0).float(),
-            "receiver": batch.robot["receiver"],
-            **{k: batch.of_trial[k] for k in ("object", "T_world_obj", "T_world_hand")},
-        },
-        outputs=arms,
-        width=width,
-        chunk=1,
-        **batch.on,
+    kernel = batch.sized(kernels.reach_with_arm)
+    found: dict[str, Tensor] = over_trials(kernel, b, device, sizes=sizes, width=width, chunk=1)(
+        grasps=batch.grasps.table,
+        lean=torch.tensor(leans_deg, dtype=torch.float32, device=device),
+        row=batch.first,
+        count=batch.known.contiguous(),
+        outwards=torch.where(batch.side == 0, -1.0, 1.0).float(),
+        receiver=batch.robot["receiver"],
+        **{k: batch.of_trial[k] for k in ("object", "T_world_obj", "T_world_hand")},
     )
-    return arms
+    return found
 
 
 def _launch(batch: _Batch, kernel: Any, n: int, **inputs: Any) -> dict[str, Tensor]:
     """What a kernel over n pairs writes."""
-    made = new_outputs(kernel, n, batch.on["device"])
-    sized = batch.sized(kernel)
-    launch_trials(sized, n, inputs=inputs, outputs=made, chunk=PAIRS_CHUNK, **batch.on)
-    return made
+    run = over_trials(batch.sized(kernel), n, batch.device, chunk=PAIRS_CHUNK)
+    found: dict[str, Tensor] = run(**inputs)
+    return found
 
 
 _BESIDE = ("row", "turn", "object", "attached", "opening")
@@ -328,7 +316,7 @@ def _come(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> Int32[Tenso
     beside = {n: pair[n] for n in _BESIDE}
     made = _launch(batch, kernels.come_to_object, len(trial), **batch.tables, **beside)
     passes[trial, k, 1], passes[trial, k, 2] = made["free"], made["way"] >= 0
-    way = torch.full(passes.shape[:2], -1, dtype=torch.int32, device=batch.on["device"])
+    way = torch.full(passes.shape[:2], -1, dtype=torch.int32, device=batch.device)
     way[trial, k] = made["way"]
     return way
 

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import ExecConfig, PlanConfig
-from r2h_batch.judge.frontier.search import Problem, connect_by_frontier
-from r2h_batch.judge.frontier.shortcuts import Law, shorten_by_frontier
+from r2h_batch.judge.frontier.search import connect_by_frontier
+from r2h_batch.judge.frontier.shortcuts import shorten_by_frontier
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
@@ -137,47 +137,30 @@ class Search:
         # or to be blocked; how many is not bounded, so a tree that is full ends the search
         # (`rrt_connect`)
         capacity = 4 * iterations + 16
-        if self.run.frontier is not None and self.config.edge_check != "moveit":
-            problem = Problem(self.start, kept, n_kept, margin, self.key)
-            room = _scratch_nodes(device)
-            connect_by_frontier(
-                self.run.frontier,
-                rows,
-                problem,
-                self.config,
-                iterations,
-                seed,
-                shorter,
-                path,
-                length,
-                room,
-            )
+        problem = {
+            "iterations": iterations,
+            "capacity": capacity,
+            "range_rad": self.config.range_rad,
+            "shorter": shorter,
+            "seed": seed,
+            "start": self.start,
+            "key": self.key,
+            "goals": kept.flatten(0, 1),
+            "n_goals": n_kept,
+            "margin": margin,
+        }
+        found, room = {"path": path, "length": length}, _scratch_nodes(device)
+        moveit = self.config.edge_check == "moveit"
+        if self.run.frontier is not None and not moveit:
+            connect_by_frontier(self.run.frontier, rows, problem, found, room)
             return margin
-        for part in rows.split(max(1, _scratch_nodes(device) // (2 * capacity))):
-            nodes = torch.empty(
-                (len(part) * 2 * capacity, path.shape[2] + 1), dtype=torch.float32, device=device
-            )
-            parents = torch.empty(len(part) * 2 * capacity, dtype=torch.int32, device=device)
-            self.run(
-                rrt_connect,
-                len(part),
-                inputs={
-                    "iterations": iterations,
-                    "capacity": capacity,
-                    "range_rad": self.config.range_rad,
-                    "shorter": shorter,
-                    "seed": seed,
-                    "moveit": int(self.config.edge_check == "moveit"),
-                    "start": self.start,
-                    "trial": part,
-                    "key": self.key,
-                    "goals": kept.flatten(0, 1),
-                    "n_goals": n_kept,
-                    "margin": margin,
-                },
-                outputs={"nodes": nodes, "parents": parents, "path": path, "length": length},
-                chunk=1,
-            )
+        for part in rows.split(max(1, room // (2 * capacity))):
+            size = len(part) * 2 * capacity
+            nodes = torch.empty((size, path.shape[2] + 1), dtype=torch.float32, device=device)
+            parents = torch.empty(size, dtype=torch.int32, device=device)
+            inputs = problem | {"moveit": int(moveit), "trial": part}
+            outputs = {"nodes": nodes, "parents": parents, **found}
+            self.run(rrt_connect, len(part), inputs=inputs, outputs=outputs, chunk=1)
         return margin
 
     def _shorten(
@@ -186,36 +169,20 @@ class Search:
     ) -> None:  # fmt: skip
         """Shortcuts on the paths that `rows` have, as long as they save time under the arm's
         limits; in place."""
-        law = pace(self.execute, self.run.joint_weight)
-        if self.run.frontier is not None and self.config.edge_check != "moveit":
-            shorten_by_frontier(
-                self.run.frontier,
-                rows,
-                Law(ENOUGH, law),
-                self.config.shortcuts,
-                seed,
-                self.key,
-                margin,
-                path,
-                length,
-            )
+        law = {
+            "tries": self.config.shortcuts,
+            "enough": ENOUGH,
+            "pace": pace(self.execute, self.run.joint_weight),
+            "seed": seed,
+            "key": self.key,
+            "margin": margin,
+        }
+        paths, moveit = {"path": path, "length": length}, self.config.edge_check == "moveit"
+        if self.run.frontier is not None and not moveit:
+            shorten_by_frontier(self.run.frontier, rows, law, paths)
             return
-        self.run(
-            shortcut,
-            len(rows),
-            inputs={
-                "tries": self.config.shortcuts,
-                "enough": ENOUGH,
-                "pace": law,
-                "seed": seed,
-                "moveit": int(self.config.edge_check == "moveit"),
-                "trial": rows,
-                "key": self.key,
-                "margin": margin,
-            },
-            outputs={"path": path, "length": length},
-            chunk=1,
-        )
+        inputs = law | {"moveit": int(moveit), "trial": rows}
+        self.run(shortcut, len(rows), inputs=inputs, outputs=paths, chunk=1)
 
     def _time(self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]) -> Tensor:
         """Seconds of each path."""

@@ -5,7 +5,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache, lru_cache
 from typing import Any
@@ -30,6 +30,7 @@ __all__ = [
     "launch_trials",
     "load",
     "new_outputs",
+    "over_trials",
     "thread_pool",
 ]
 
@@ -149,6 +150,37 @@ def launch_trials(
     dim = (n, width) if width > 1 else n
     block_dim = UNEVEN_BLOCK_DIM if uneven else BLOCK_DIM
     wp.launch(kernel, dim=dim, inputs=args, stream=_stream(device), block_dim=block_dim)
+
+
+def over_trials(
+    kernel: Any,
+    n: int,
+    device: str,
+    *,
+    outputs: Mapping[str, Any] | None = None,
+    sizes: Mapping[str, int | tuple[int, ...]] | None = None,
+    **options: Any,
+) -> Callable[..., Any]:
+    """`launch_trials` with the inputs as keywords: `over_trials(kernel, n, device)(cap=cap_m, q=q)`.
+
+    Args:
+        kernel: over trials.
+        n: number of trials.
+        device: where it runs.
+        outputs: what it writes to, by name; None: new memory (`new_outputs`).
+        sizes: of new memory with further dimensions.
+        options: of `launch_trials`.
+
+    Returns:
+        A function of the kernel's inputs that runs it and returns the outputs.
+    """
+
+    def run(**inputs: Any) -> Any:
+        made = new_outputs(kernel, n, device, **(sizes or {})) if outputs is None else outputs
+        launch_trials(kernel, n, inputs=inputs, outputs=made, device=device, **options)
+        return made
+
+    return run
 
 
 def _launch_on_cpu(

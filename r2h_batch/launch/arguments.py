@@ -151,7 +151,9 @@ def bind(
         raise _wrong_names(signature, inputs, outputs) from None
 
 
-def new_outputs(kernel: Any, n: int, device: Any, **sizes: int) -> dict[str, Tensor]:
+def new_outputs(
+    kernel: Any, n: int, device: Any, **sizes: int | tuple[int, ...]
+) -> dict[str, Tensor]:
     """Memory of `n` rows for each array that a kernel over trials writes and does not read, by the
     names of `bind`.
 
@@ -159,12 +161,16 @@ def new_outputs(kernel: Any, n: int, device: Any, **sizes: int) -> dict[str, Ten
         kernel: its parameters that end in `_out` (zeros) or `_scratch` (no numbers yet).
         n: rows.
         device: of torch or by name.
-        sizes: of each array with a second dimension, how large that is.
+        sizes: of each array with further dimensions, how large these are.
     """
     return {
-        name: new((n, sizes[name], *item) if further else (n, *item), dtype=dtype, device=device)
+        name: new((n, *_dims(sizes[name] if further else ()), *item), dtype=dtype, device=device)
         for name, new, further, item, dtype in _written(kernel)
     }
+
+
+def _dims(size: int | tuple[int, ...]) -> tuple[int, ...]:
+    return size if isinstance(size, tuple) else (size,)
 
 
 @cache

@@ -25,7 +25,7 @@ from r2h_batch.config import CLEARANCE_TOLERANCE_M, ExecConfig
 from r2h_batch.kernels.motion.time_law import path_deviation
 from r2h_batch.kernels.plan.lines import path_clearance
 from r2h_batch.kernels.robot.tool import settle_sample
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import new_outputs, over_trials
 from r2h_batch.motion.simulation import Job, Samples
 from r2h_batch.motion.time_law import Motion, limits, servo_law
 from r2h_batch.scene.model import TrialScenes
@@ -62,27 +62,18 @@ def nothing_pushes(
     most. Certified: the lines are walked as planned paths are, over all pairs but the hand's
     (object and table, which do not push, are counted).
     """
-    b, device = len(length), motion.device
-    clearance = torch.full((b,), -torch.inf, dtype=torch.float32, device=device)
-    pair = torch.zeros(b, dtype=torch.int32, device=device)
-    body = torch.full((b,), -1, dtype=torch.int32, device=device)
-    launch_trials(
-        scene.sized(path_clearance),
-        b,
-        inputs={
-            "cap": NEAR_M,
-            "tolerance": LOCATED_M,
-            "world": scene.world_without_hand,
-            "bodies": body_poses.bodies,
-            "path": motion.contiguous(),
-            "length": length.contiguous(),
-        },
-        outputs={"clearance": clearance, "pair": pair, "body": body},
-        device=scene.device,
-        chunk=1,
-        uneven=True,
+    kernel = scene.sized(path_clearance)
+    found = new_outputs(kernel, len(length), motion.device)
+    found["clearance"].fill_(-torch.inf)
+    over_trials(kernel, len(length), scene.device, outputs=found, chunk=1, uneven=True)(
+        cap=NEAR_M,
+        tolerance=LOCATED_M,
+        world=scene.world_without_hand,
+        bodies=body_poses.bodies,
+        path=motion.contiguous(),
+        length=length.contiguous(),
     )
-    return clearance - LOCATED_M > 2.0 * off_m
+    return found["clearance"] - LOCATED_M > 2.0 * off_m
 
 
 @dataclass(frozen=True)
@@ -142,18 +133,8 @@ def execute(
     if engine == "none":
         true = torch.ones_like(length, dtype=torch.bool)
         zero = torch.zeros_like(motion.t_exec_s)
-        return Executed(
-            path,
-            length,
-            motion.t_exec_s,
-            length > 0,
-            true,
-            zero,
-            zero,
-            zero,
-            torch.zeros_like(length),
-            None,
-        )
+        end, none = motion.t_exec_s, torch.zeros_like(length)
+        return Executed(path, length, end, length > 0, true, zero, zero, zero, none, None)
 
     def move(model: Literal["scene", "arm"], rows: Bool[Tensor, " b"]) -> Executed:
         run = _Runner(scene, body_poses, path, length, motion, replace(config, model=model), engine)
@@ -252,10 +233,8 @@ class _Runner:
         self.tables = (path_in, time_in, length_in)
         T_wrist_gripper = scene.robot.T_wrist3_flange @ scene.robot.T_flange_gripper
         T_wrist_obj = np.tile(np.eye(4), (len(length), 1, 1))
-        T_wrist_obj[:, :3, :3], T_wrist_obj[:, :3, 3] = (
-            body_poses.R_wrist_obj.cpu(),
-            body_poses.p_wrist_obj.cpu(),
-        )
+        T_wrist_obj[:, :3, :3] = body_poses.R_wrist_obj.cpu()
+        T_wrist_obj[:, :3, 3] = body_poses.p_wrist_obj.cpu()
         self.trials = TrialScenes(
             scene.objects, np.linalg.inv(T_wrist_gripper) @ T_wrist_obj, body_poses.object_index.long().cpu().numpy(),
             body_poses.hand_index.long().cpu().numpy(), body_poses.T_world_hand.double().cpu().numpy(),
@@ -305,12 +284,8 @@ class _Runner:
             (b, answer.failed_state.shape[1]), torch.nan, dtype=torch.float64, device=device
         )
         state[rows] = torch.from_numpy(answer.failed_state).to(device)
-        both = torch.maximum(
-            slack,
-            (acceleration[:, 0] * self.body_poses.object_motion_radius.to(device)).sum(-1)
-            * sample_s**2
-            / 8,
-        )
+        swing = (acceleration[:, 0] * self.body_poses.object_motion_radius.to(device)).sum(-1)
+        both = torch.maximum(slack, swing * sample_s**2 / 8)
         deviation = torch.where(length > 0, self._deviation(path, length, sample_s) + both, 0.0)
         return Executed(
             path,
@@ -356,26 +331,21 @@ class _Runner:
     def _at_rest(self, path: Tensor, length: Tensor) -> Int32[Tensor, " b"]:
         """The sample from which each motion stays at its goal."""
         b, device, config = len(length), path.device, self.config
-        goal = self.path[
-            torch.arange(b, dtype=torch.int64, device=device), (self.length - 1).clamp(min=0).long()
-        ][:, None].contiguous()
-        first = torch.zeros(b, dtype=torch.int32, device=device)
-        launch_trials(
-            self.scene.sized(settle_sample),
-            b,
-            inputs={
-                "tool": self.scene.tool,
-                "position_m": config.settle_position_m,
-                "rotation_rad": config.settle_rotation_rad,
-                "goal": goal,
-                "path": path,
-                "length": length,
-            },
-            outputs={"sample": first},
-            device=self.scene.device,
-            chunk=64,
+        rows, last = (
+            torch.arange(b, dtype=torch.int64, device=device),
+            (self.length - 1).clamp(min=0),
         )
-        return first
+        goal = self.path[rows, last.long()][:, None].contiguous()
+        kernel = self.scene.sized(settle_sample)
+        made = over_trials(kernel, b, self.scene.device, chunk=64)(
+            tool=self.scene.tool,
+            position_m=config.settle_position_m,
+            rotation_rad=config.settle_rotation_rad,
+            goal=goal,
+            path=path,
+            length=length,
+        )
+        return made["sample"]
 
     def _deviation(self, motion: Tensor, length: Tensor, sample_s: float) -> Tensor:
         """Of the lines between samples from the planned path: at the samples, and what the path
@@ -383,24 +353,17 @@ class _Runner:
         law = servo_law(self.config, self.scene.robot.joint_weight, lead_s=0.0, step_s=sample_s)
         lever = self.scene.motion_radii.float().to(motion.device).contiguous()
         held = self.body_poses.object_motion_radius
-        deviation = torch.zeros(len(length), dtype=torch.float32, device=motion.device)
         planned, time, planned_length = self.planned
-        launch_trials(
-            self.scene.sized(path_deviation),
-            len(length),
-            inputs={
-                "law": law,
-                "motion_radius": lever,
-                "object_motion_radius": held,
-                "path": planned,
-                "time": time,
-                "length": planned_length,
-                "motion": motion,
-                "motion_length": length,
-            },
-            outputs={"deviation": deviation},
-            device=self.scene.device,
-            chunk=16,
+        kernel = self.scene.sized(path_deviation)
+        made = over_trials(kernel, len(length), self.scene.device, chunk=16)(
+            law=law,
+            motion_radius=lever,
+            object_motion_radius=held,
+            path=planned,
+            time=time,
+            length=planned_length,
+            motion=motion,
+            motion_length=length,
         )
         # between two samples dt apart a joint curves off its chord by at most a dt^2 / 8 over its
         # weight, and a point by that times its lever
@@ -410,7 +373,7 @@ class _Runner:
         reach = torch.maximum(
             (lever.double() / weight).sum(1).amax(), (held.double() / weight).sum(1)
         )
-        return deviation.double() + limits(self.config)[1] * sample_s**2 / 8 * reach
+        return made["deviation"].double() + limits(self.config)[1] * sample_s**2 / 8 * reach
 
 
 def executed_time_at(

@@ -109,24 +109,16 @@ class StandingWorlds:
         njmax: int,
         naconmax: int,
     ) -> None:
-        self.scene, self.law, self.record_steps, self.device, self.nworld = (
-            scene,
-            law,
-            record_steps,
-            device,
-            nworld,
-        )
+        self.scene, self.law, self.record_steps = scene, law, record_steps
+        self.device, self.nworld = device, nworld
         host = _for_warp(scene.model)
         with wp.ScopedDevice(device):
             batched = (*BATCHED, *MESH_FIELDS) if scene.full else BATCHED
             self.model = mjw.put_model(host, batch_sizes=dict.fromkeys(batched, nworld))
             self.data = mjw.make_data(host, nworld=nworld, njmax=njmax, naconmax=naconmax)
             self.model.opt.warn_overflow = 0  # it prints to stdout; the bits are read below
-            self.fields, self.shapes, self.fingers = (
-                _fields(scene, self.model, self.data),
-                _shapes(scene),
-                _fingers(scene),
-            )
+            self.fields = _fields(scene, self.model, self.data)
+            self.shapes, self.fingers = _shapes(scene), _fingers(scene)
             self.worlds = _worlds(scene, host, nworld)
             self.motion_radii: Any = wp.array(motion_radii.astype(np.float32), dtype=wp.float32)
             self.room = (0, 0, 0)

@@ -12,7 +12,7 @@ from mujoco import rollout
 
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.kernels.motion.worlds import WINDOW
-from r2h_batch.launch import cpu_threads, launch_trials, thread_pool
+from r2h_batch.launch import cpu_threads, over_trials, thread_pool
 from r2h_batch.launch.instances import of_joints
 from r2h_batch.motion.simulation import Job, Samples, warnings_unwritten
 
@@ -46,21 +46,14 @@ def simulate(job: Job) -> Samples:
             )
             index = torch.from_numpy(job.rows[rows.start : rows.stop].astype(np.int32))
             path, time, length = job.tables
-            launch_trials(
+            over_trials(
                 of_joints(servo_commands, job.start.shape[1]),
                 len(rows),
-                inputs={
-                    "law": job.law,
-                    "trial": index,
-                    "path": path,
-                    "time": time,
-                    "length": length,
-                },
+                "cpu",
                 outputs={"command": command},
-                device="cpu",
                 chunk=1,
                 width=command.shape[1],
-            )
+            )(law=job.law, trial=index, path=path, time=time, length=length)
             todo = iter(rows)  # next() is atomic: a free thread takes the next trial
             work = partial(_work, job, simulators, todo, first, command.numpy(), steps, out)
             futures = [thread_pool(workers).submit(work) for _ in range(workers - 1)]

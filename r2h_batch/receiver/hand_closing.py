@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies.hand import HandModel
 from r2h_batch.bodies.solid import winding_of_nodes
 from r2h_batch.kernels.receiver import close_hand
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import over_trials
 from r2h_batch.receiver.hand_contact import REGIONS, THUMB, ObjectSurface
 
 F32 = NDArray[np.float32]
@@ -202,21 +202,15 @@ def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> 
         "cluster": (balls.reshape(-1, 4), wp.vec4),
     }
     for name, (value, dtype) in values.items():
-        setattr(
-            tables,
-            name,
-            wp.array(np.ascontiguousarray(value, np.float32), dtype=dtype, device="cpu"),
-        )
+        array = np.ascontiguousarray(value, np.float32)
+        setattr(tables, name, wp.array(array, dtype=dtype, device="cpu"))
     for name, counts in (
         ("cluster_first", map(len, rows)),
         ("segment_first", map(len, clusters)),
         ("open_first", map(len, open_rows)),
     ):
-        setattr(
-            tables,
-            name,
-            wp.array(np.cumsum([0, *counts]).astype(np.int32), dtype=wp.int32, device="cpu"),
-        )
+        first = np.cumsum([0, *counts]).astype(np.int32)
+        setattr(tables, name, wp.array(first, dtype=wp.int32, device="cpu"))
     return tables
 
 
@@ -284,12 +278,9 @@ def distance_field(surface: ObjectSurface) -> Any:
 
 
 def _field(value: F32, low: F32, nodes: NDArray[np.int64]) -> Any:
-    field = close_hand.Field()
-    field.origin, field.pitch, field.nodes = (
-        wp.vec3(*low.tolist()),
-        wp.float32(PITCH_M),
-        wp.vec3i(*nodes.tolist()),
-    )
+    field: Any = close_hand.Field()
+    field.origin, field.pitch = wp.vec3(*low.tolist()), wp.float32(PITCH_M)
+    field.nodes = wp.vec3i(*nodes.tolist())
     field.value = wp.array(value, dtype=wp.float32, device="cpu")
     return field
 
@@ -316,22 +307,16 @@ def come_down(
 ) -> F32:
     """How far each open hand moves from `start` along `direction` until it touches; `farthest` if
     it never does."""
-    travel = np.empty(len(family), np.float32)
-    launch_trials(
-        close_hand.approach,
-        len(family),
-        inputs={
-            "field": field,
-            "hands": families.tables,
-            "farthest": farthest,
-            "hand": np.ascontiguousarray(family),
-            "R": np.ascontiguousarray(R),
-            "start": np.ascontiguousarray(start),
-            "direction": np.ascontiguousarray(direction),
-        },
-        outputs={"travel": travel},
-        device="cpu",
+    made = over_trials(close_hand.approach, len(family), "cpu")(
+        field=field,
+        hands=families.tables,
+        farthest=farthest,
+        hand=np.ascontiguousarray(family),
+        R=np.ascontiguousarray(R),
+        start=np.ascontiguousarray(start),
+        direction=np.ascontiguousarray(direction),
     )
+    travel: F32 = made["travel"].numpy()
     return travel
 
 
@@ -344,22 +329,21 @@ def close(
     rows = np.arange(len(family))
     for wanted in (1 << THUMB, (1 << THUMB) - 1):
         bent, left = flexion[rows], gap[rows]
-        launch_trials(
+        over_trials(
             close_hand.close_fingers,
             len(rows),
-            inputs={
-                "field": field,
-                "hands": families.tables,
-                "step": STEP_RAD,
-                "deepest": DEEPEST_M,
-                "wanted": wanted,
-                "hand": np.ascontiguousarray(family[rows]),
-                "R": np.ascontiguousarray(R[rows]),
-                "p": np.ascontiguousarray(p[rows]),
-            },
+            "cpu",
             outputs={"flexion": bent, "gap": left},
-            device="cpu",
             width=len(REGIONS) - 1,
+        )(
+            field=field,
+            hands=families.tables,
+            step=STEP_RAD,
+            deepest=DEEPEST_M,
+            wanted=wanted,
+            hand=np.ascontiguousarray(family[rows]),
+            R=np.ascontiguousarray(R[rows]),
+            p=np.ascontiguousarray(p[rows]),
         )
         flexion[rows], gap[rows] = bent, left
         rows = rows[gap[rows, THUMB] < reach]
@@ -368,15 +352,8 @@ def close(
 
 def field_distance(field: Any, points: F32) -> F32:
     """(n,) distances of points (n, 3) in the field: trilinear between its nodes."""
-    distance = np.empty(len(points), np.float32)
-    inputs = {"field": field, "point": np.ascontiguousarray(points, np.float32)}
-    outputs = {"distance": distance}
-    launch_trials(
-        close_hand.field_distance,
-        len(points),
-        inputs=inputs,
-        outputs=outputs,
-        device="cpu",
-        chunk=4096,
+    made = over_trials(close_hand.field_distance, len(points), "cpu", chunk=4096)(
+        field=field, point=np.ascontiguousarray(points, np.float32)
     )
+    distance: F32 = made["distance"].numpy()
     return distance

@@ -18,7 +18,7 @@ from r2h_batch.kernels.receiver.point_mesh import (
     point_mesh_distance,
     wall_thickness,
 )
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import over_trials
 
 REGIONS = ("index", "middle", "pinky", "ring", "thumb", "palm")
 """Where a hand touches: five digits (joints 1-3, 4-6, 7-9, 10-12, 13-15) and the palm."""
@@ -57,10 +57,8 @@ class ObjectSurface:
     """An object's mesh, ready for distance queries on a CPU (frame obj)."""
 
     def __init__(self, vertices: F32, faces: NDArray[np.int32]) -> None:
-        self.vertices, self.faces = (
-            np.ascontiguousarray(vertices, np.float32),
-            np.ascontiguousarray(faces, np.int32),
-        )
+        self.vertices = np.ascontiguousarray(vertices, np.float32)
+        self.faces = np.ascontiguousarray(faces, np.int32)
         self.mesh = wp.Mesh(
             wp.array(self.vertices, dtype=wp.vec3, device="cpu"),
             wp.array(self.faces.reshape(-1), dtype=wp.int32, device="cpu"),
@@ -76,37 +74,19 @@ class ObjectSurface:
         `quick`: the sign by the nearest face's normal, not by the winding number.
         """
         flat = np.ascontiguousarray(points, np.float32).reshape(-1, 3)
-        distance, normal = np.empty(len(flat), np.float32), np.empty((len(flat), 3), np.float32)
-        face = np.empty(len(flat), np.int32)
-        launch_trials(
-            point_mesh_distance,
-            len(flat),
-            inputs={
-                "mesh": self.mesh.id,
-                "reach": reach,
-                "by_normal": int(quick),
-                "point": flat,
-            },
-            outputs={"distance": distance, "normal": normal, "face": face},
-            device="cpu",
-            chunk=2048,
+        made = over_trials(point_mesh_distance, len(flat), "cpu", chunk=2048)(
+            mesh=self.mesh.id, reach=reach, by_normal=int(quick), point=flat
         )
-        return distance, normal, face
+        return made["distance"].numpy(), made["normal"].numpy(), made["face"].numpy()
 
     def thickness(self, most: float) -> F32:
         """(F,) how thick (m) the solid is behind each face, or a face that shares a corner with it;
         `most` where it is more."""
-        behind = np.empty(len(self.faces), np.float32)
-        launch_trials(
-            wall_thickness,
-            len(behind),
-            inputs={"mesh": self.mesh.id, "most": most},
-            outputs={"thickness": behind},
-            device="cpu",
-            chunk=2048,
+        made = over_trials(wall_thickness, len(self.faces), "cpu", chunk=2048)(
+            mesh=self.mesh.id, most=most
         )
         corner = np.full(len(self.vertices), most, np.float32)
-        np.minimum.at(corner, self.faces, behind[:, None])
+        np.minimum.at(corner, self.faces, made["thickness"].numpy()[:, None])
         return np.asarray(corner[self.faces].min(axis=1))
 
 
@@ -154,19 +134,17 @@ def measure_contact(
         distance, face = np.full((n, count), REACH_M, np.float32), np.full((n, count), -1, np.int32)
         normal = np.zeros((n, count, 3), np.float32)
         low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-        around = (
-            np.zeros((n, count), bool)
-            if measured is None
-            else ((vertices < low) | (vertices > high)).any(axis=2)
-        )
-        measured = np.ones((n, count), bool) if measured is None else measured
-        # outside nobody needs a winding number
-        for mine, outside in (
-            (measured & ~around, False),
-            (measured & around, True),
-        ):
-            d, normal[mine], face[mine] = surface.distance(vertices[mine], REACH_M, quick=outside)
-            distance[mine] = np.abs(d) if outside else d
+        around = np.zeros((n, count), bool)
+        if measured is None:
+            measured = ~around
+        else:
+            around = ((vertices < low) | (vertices > high)).any(axis=2)
+        # outside of the object's box nobody needs a winding number
+        for points, outside in ((measured & ~around, False), (measured & around, True)):
+            d, normal[points], face[points] = surface.distance(
+                vertices[points], REACH_M, quick=outside
+            )
+            distance[points] = np.abs(d) if outside else d
     else:
         distance = np.minimum(about, REACH_M)
     nearest = np.stack(
@@ -226,25 +204,18 @@ def _may_be_inside(
     direction = _directions()
     along = skin[np.concatenate(pieces)].astype(np.float64) @ direction.T
     first = np.cumsum([0, *map(len, pieces)])[:-1]
-    found = np.empty(len(points), bool)
-    launch_trials(
-        may_be_in_hand,
-        len(points),
-        inputs={
-            "direction": direction.astype(np.float32),
-            "low": (np.minimum.reduceat(along, first) - BOX_M).astype(np.float32),
-            "high": (np.maximum.reduceat(along, first) + BOX_M).astype(np.float32),
-            "box_low": wp.vec3(*(skin.min(0) - BOX_M).tolist()),
-            "box_high": wp.vec3(*(skin.max(0) + BOX_M).tolist()),
-            "skin": np.ascontiguousarray(skin),
-            "off_skin": max(0.0, least - BOX_M),
-            "point": np.ascontiguousarray(points),
-        },
-        outputs={"inside": found},
-        device="cpu",
-        chunk=4096,
+    made = over_trials(may_be_in_hand, len(points), "cpu", chunk=4096)(
+        direction=direction.astype(np.float32),
+        low=(np.minimum.reduceat(along, first) - BOX_M).astype(np.float32),
+        high=(np.maximum.reduceat(along, first) + BOX_M).astype(np.float32),
+        box_low=wp.vec3(*(skin.min(0) - BOX_M).tolist()),
+        box_high=wp.vec3(*(skin.max(0) + BOX_M).tolist()),
+        skin=np.ascontiguousarray(skin),
+        off_skin=max(0.0, least - BOX_M),
+        point=np.ascontiguousarray(points),
     )
-    return found
+    inside: NDArray[np.bool_] = made["inside"].numpy()
+    return inside
 
 
 @lru_cache(maxsize=1)

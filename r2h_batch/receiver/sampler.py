@@ -149,12 +149,8 @@ class _Side:
         meshes of both.
 
         `about` (V,): the field's distances, which are the true ones or less."""
-        contact = measure_contact(
-            self.surface,
-            skin[None],
-            hand=self.hand,
-            measured=about[None] < LOOKED_AT_M,
-        )
+        looked_at = about[None] < LOOKED_AT_M
+        contact = measure_contact(self.surface, skin[None], hand=self.hand, measured=looked_at)
         if not _holds_well(self.model, contact)[0]:
             return False
         deep = hand_depth(self.points, skin[None], 0, hand=self.hand, least=THIN_DEPTH_M)
@@ -256,13 +252,8 @@ def _score(
     digits = touching[:, :PALM].sum(1) / 5 + 0.25 * touching[:, PALM]
     skin = np.minimum(contact.touch[rows] / 0.35, 1.0)
     end = _working_direction(model) * flip
-    return (
-        digits
-        + skin
-        + 0.5 * opposed
-        + 0.6 * np.clip(R[:, :, 2] @ end, -1, 0.7)
-        - 40 * contact.depth[rows]
-    )
+    towards_end = 0.6 * np.clip(R[:, :, 2] @ end, -1, 0.7)
+    return digits + skin + 0.5 * opposed + towards_end - 40 * contact.depth[rows]
 
 
 def _working_direction(model: ObjectModel) -> F64:

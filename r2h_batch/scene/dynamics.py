@@ -51,11 +51,9 @@ def quats_wxyz(R: Array) -> Array:
     d = R[:, [0, 1, 2], [0, 1, 2]]
     trace = d.sum(1)
     # the largest of the four comes from its square, the others from sums and differences over it
-    cases = np.where(
-        trace > 0,
-        0,
-        np.where((d[:, 0] > d[:, 1]) & (d[:, 0] > d[:, 2]), 1, np.where(d[:, 1] > d[:, 2], 2, 3)),
-    )
+    x_is_largest = (d[:, 0] > d[:, 1]) & (d[:, 0] > d[:, 2])
+    largest_axis = np.where(x_is_largest, 1, np.where(d[:, 1] > d[:, 2], 2, 3))
+    cases = np.where(trace > 0, 0, largest_axis)
     signs = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])[cases]
     largest = 0.5 * np.sqrt(1.0 + (signs * d).sum(1))
     over = 0.25 / largest
@@ -95,10 +93,8 @@ class PayloadTables:
         mujoco.mj_crb(bare, data)
         self.mass = np.zeros((bare.nv, bare.nv))
         mujoco.mj_fullM(bare, data, self.mass)
-        self.R, self.p = (
-            data.xmat[self.carrier].reshape(3, 3).copy(),
-            data.xpos[self.carrier].copy(),
-        )
+        self.R = data.xmat[self.carrier].reshape(3, 3).copy()
+        self.p = data.xpos[self.carrier].copy()
         # at each body's centre of mass; the last: at the carrier's origin
         self.jacobians = np.zeros((bare.nbody, 6, bare.nv))
         for body in range(bare.nbody - 1):
@@ -180,13 +176,10 @@ class Payload:
     @staticmethod
     def of(model: ObjectModel, T_gripper_obj: ArrayLike) -> "Payload":
         """The payload that an object of the scene is."""
-        T = np.asarray(T_gripper_obj, np.float64)
-        return Payload(
-            T,
-            float(model.mass),
-            np.asarray(model.com, np.float64),
-            np.asarray(model.inertia, np.float64),
+        T, com, inertia = (
+            np.asarray(x, np.float64) for x in (T_gripper_obj, model.com, model.inertia)
         )
+        return Payload(T, float(model.mass), com, inertia)
 
 
 def arm_model(robot: Robot, *, step_s: float, payload_known: bool = True) -> mujoco.MjModel:
@@ -223,14 +216,9 @@ def add_arm(spec: mujoco.MjSpec, robot: Robot, parent: mujoco.MjsBody) -> list[m
     """
     own, bodies = robot.dynamics, [parent.add_body(name=robot.links[0])]
     for i in range(len(robot.joints)):
-        body = add_body(
-            bodies[-1],
-            robot.links[i + 1],
-            robot.T_parent_joint[i],
-            float(own.mass[i]),
-            own.com[i],
-            own.inertia[i],
-        )
+        link, mass = robot.links[i + 1], float(own.mass[i])
+        T = robot.T_parent_joint[i]
+        body = add_body(bodies[-1], link, T, mass, own.com[i], own.inertia[i])
         torque = float(robot.max_torque[i])
         body.add_joint(
             name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=own.armature,

@@ -142,10 +142,8 @@ def surface_tables(
     node_points = [leaf_points[i] for i in node_first]
     nothing = np.zeros((1, 3), np.float32)
     corners = [t.reshape(-1, 3) if c and len(t) else nothing for t, c in zip(surfaces, closed)]
-    (node_sphere, node_half), (leaf_sphere, leaf_half) = (
-        _bounds(flat, node_points),
-        _bounds(flat, leaf_points),
-    )
+    (node_sphere, node_half) = _bounds(flat, node_points)
+    (leaf_sphere, leaf_half) = _bounds(flat, leaf_points)
     of_node = np.concatenate(
         [node_sphere[:, :3], node_half, node_sphere[:, 3:], flat[node_points[:-1]]], 1
     )

@@ -117,13 +117,8 @@ class SceneModel:
         hands: dict[int, NDArray[np.int64]] | None = None,
         levers: "FingerLevers | None" = None,
     ) -> None:
-        self.robot, self.model, self.shapes, self.objects, self.hands = (
-            robot,
-            model,
-            shapes or {},
-            objects,
-            hands or {},
-        )
+        self.robot, self.model, self.shapes = robot, model, shapes or {}
+        self.objects, self.hands = objects, hands or {}
         self.full = objects is not None
         self.levers = levers or FingerLevers(0.0, 0.0, 0.0, 0.0)
         self.hand_body = model.body("hand").id if self.full else -1
@@ -253,16 +248,10 @@ def scene_model(
             if arm not in _arms:
                 _arms[arm] = SceneModel.arm_only(robot, step_s=step_s, payload_known=payload_known)
             return _arms[arm]
-    wanted = set(map(int, hand_indices)) or {0}
-    key = (
-        robot.digest,
-        hands.set.digest,
-        tuple(map(id, objects)),
-        step_s,
-        payload_known,
-        object_collision,
-        workplace,
-    )
+    wanted, ids = set(map(int, hand_indices)) or {0}, tuple(map(id, objects))
+    how: dict[str, Any] = {"step_s": step_s, "payload_known": payload_known}
+    how["object_collision"] = object_collision
+    key = (robot.digest, hands.set.digest, ids, *how.values(), workplace)
     with _keeping:
         _, model = _kept.get(key, (None, None))
         if model is None or not wanted <= model.hands.keys():
@@ -270,26 +259,11 @@ def scene_model(
             # and twice as many as before, so that a long sweep compiles a few times and not for
             # each chunk
             wanted |= have
-            wanted |= set(
-                [h for h in range(len(hands.set)) if h not in wanted][
-                    : max(2 * len(have) - len(wanted), 0)
-                ]
-            )
-            model = build_scene_model(
-                robot,
-                objects,
-                hands,
-                wanted,
-                step_s=step_s,
-                payload_known=payload_known,
-                object_collision=object_collision,
-                workplace=workplace,
-            )
+            others = [h for h in range(len(hands.set)) if h not in wanted]
+            wanted |= set(others[: max(2 * len(have) - len(wanted), 0)])
+            model = build_scene_model(robot, objects, hands, wanted, **how, workplace=workplace)
             # holds the objects, so that no others get their ids
-            _kept[key] = (
-                tuple(objects),
-                model,
-            )
+            _kept[key] = (tuple(objects), model)
         _kept.move_to_end(key)
         while len(_kept) > KEPT:
             _kept.popitem(last=False)
@@ -333,19 +307,11 @@ def build_scene_model(
     links = add_arm(spec, robot, spec.worldbody)
     for k, link in enumerate(links):
         for i in np.flatnonzero(robot.arm.link == k):
-            add_primitive(
-                spec,
-                link,
-                robot.arm,
-                int(i),
-                robot.arm.T_link_prim[i],
-                *partners[k],
-                f"robot/{robot.arm.names[i]}",
-            )
+            name, T = f"robot/{robot.arm.names[i]}", robot.arm.T_link_prim[i]
+            add_primitive(spec, link, robot.arm, int(i), T, *partners[k], name)
             if not robot.visuals:
-                name = f"robot/{robot.arm.names[i]}_visual"
-                T = robot.arm.T_link_prim[i]
-                add_shown(link, robot.arm, int(i), T, name, link_color(robot.links[k]))
+                color = link_color(robot.links[k])
+                add_shown(link, robot.arm, int(i), T, f"{name}_visual", color)
         name = robot.links[k]
         if robot.visuals:
             add_visual(spec, link, f"robot/{name}_visual", robot, name, np.eye(4), name)
@@ -365,14 +331,8 @@ def build_scene_model(
     # object in any axes
     first, count = model.body_bvhadr[-1], model.body_bvhnum[-1]
     model.bvh_aabb[first : first + count] = [0, 0, 0, 2, 2, 2]
-    return SceneModel(
-        robot,
-        model,
-        _shapes(meshes, model),
-        np.array(object_rows),
-        hand_rows,
-        FingerLevers.of(robot),
-    )
+    shapes, levers = _shapes(meshes, model), FingerLevers.of(robot)
+    return SceneModel(robot, model, shapes, np.array(object_rows), hand_rows, levers)
 
 
 def _trial_meshes(

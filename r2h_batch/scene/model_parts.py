@@ -55,10 +55,8 @@ _TYPES = {
 Mesh = tuple[str, Array, Any, bool]
 """Name, vertices, faces (None: their hull's), whether it collides as a convex body."""
 
-_CONVEX, _SHELL = (
-    mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
-    mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-)
+_CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
 def link_color(link: str) -> tuple[float, float, float]:
@@ -93,16 +91,10 @@ class FingerLevers:
                 continue
             pivot = np.array([0.0, robot.gripper_side[i] * pivots[motion][0], pivots[motion][1]])
             center = robot.gripper.T_link_prim[i][:3, 3]
-            far[motion] = max(
-                far[motion],
-                float(np.linalg.norm(center - pivot) + np.linalg.norm(robot.gripper.size[i])),
-            )
-        return FingerLevers(
-            far["driver"],
-            float(np.hypot(*link.pin_from_driver_yz)),
-            far["pin"],
-            far["inner_knuckle"],
-        )
+            size = np.linalg.norm(center - pivot) + np.linalg.norm(robot.gripper.size[i])
+            far[motion] = max(far[motion], float(size))
+        pin_arm = float(np.hypot(*link.pin_from_driver_yz))
+        return FingerLevers(far["driver"], pin_arm, far["pin"], far["inner_knuckle"])
 
     def sway(self, drive: Array, fingers: Array) -> Array:
         """How far any point of the fingers is from where drive angle `drive` (...) has it, at most,
@@ -133,11 +125,9 @@ class FingerFrames:
         """`side`: +1 for the finger at +y (right), -1 for the one at -y (left)."""
         link = robot.linkage
         at = (
-            link.driver_pivot_yz,
-            link.pin_from_driver_yz,
-            link.inner_knuckle_pivot_yz,
+            link.driver_pivot_yz, link.pin_from_driver_yz, link.inner_knuckle_pivot_yz,
             link.pad_from_pin_yz,
-        )
+        )  # fmt: skip
         axis = [side, 0.0, 0.0] if link.table is None else [0.0, -side, 0.0]
         return FingerFrames(np.array(axis), *(np.array([0.0, side * yz[0], yz[1]]) for yz in at))
 
@@ -218,15 +208,12 @@ def add_fingers(
             T[:3, 3] = at
             mass = sum(FINGER_MASS_KG[m] for m in masses)
             com = np.array([0.0, 0.0, FINGER_COM_M]) if motion == "pin" else frames.pin / 2
-            body = add_body(
-                parent, f"{name}_{motion}", T, mass, com, np.eye(3) * mass * FINGER_GYRATION_M**2
-            )
-            body.add_joint(
-                name=f"{name}_{motion}",
-                type=mujoco.mjtJoint.mjJNT_HINGE,
-                axis=frames.axis,
-                armature=FINGER_ARMATURE if motion == "driver" else 1e-5,
-            )
+            inertia, joint = np.eye(3) * mass * FINGER_GYRATION_M**2, f"{name}_{motion}"
+            body = add_body(parent, joint, T, mass, com, inertia)
+            hinge, armature = mujoco.mjtJoint.mjJNT_HINGE, 1e-5
+            if motion == "driver":
+                armature = FINGER_ARMATURE
+            body.add_joint(name=joint, type=hinge, axis=frames.axis, armature=armature)
             carriers[motion, side] = (body, origin + at)
         spec.add_equality(
             type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=f"{name}_inner_knuckle",
@@ -372,12 +359,8 @@ def add_mesh(spec: mujoco.MjSpec, name: str, vertices: Array, faces: Any, *, con
     """A mesh that geoms can show; `convex`: and collide as."""
     face = {} if faces is None else {"userface": np.asarray(faces, np.int32).ravel()}
     # convex: or meshes that no geom uses yet would get no hull
-    spec.add_mesh(
-        name=name,
-        uservert=np.asarray(vertices, np.float64).ravel(),
-        inertia=_CONVEX if convex else _SHELL,
-        **face,
-    )
+    points, inertia = np.asarray(vertices, np.float64).ravel(), _CONVEX if convex else _SHELL
+    spec.add_mesh(name=name, uservert=points, inertia=inertia, **face)
 
 
 def add_mesh_geom(
@@ -463,11 +446,6 @@ def _add_sky(
     spec: mujoco.MjSpec, kind: mujoco.mjtBuiltin, top: Any, horizon: Any, width: int, height: int
 ) -> None:
     spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=kind,
-        rgb1=top,
-        rgb2=horizon,
-        width=width,
-        height=height,
-    )
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=kind, rgb1=top, rgb2=horizon,
+        width=width, height=height,
+    )  # fmt: skip

@@ -7,6 +7,7 @@ each batch gets tables of its own in which every row is a hand, the hand's own p
 these three.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -60,7 +61,7 @@ def with_person(
     """
     b, device = len(body_poses.hand_index), receiver.device
     corners, grown = piece_corners(receiver)
-    R, p = (x.double()[:, None, None] for x in (body_poses.owners[2], body_poses.owners[3]))
+    R, p = (x.double()[:, None, None] for x in (body_poses.R_hand_world, body_poses.p_hand_world))
     # in the hand's frame, where all collision work is done
     local = (se3.rotate(R, corners) + p).float()
     low, high = local.amin(2), local.amax(2)
@@ -118,7 +119,7 @@ def with_person(
     bodies = struct_of(
         scene.sized(TrialBodies), {**owners, "object_motion_radius": owners["motion_radius"]}
     )
-    return BodyPoses(bodies, body_poses.owners, world, (rows, *kept.values()))
+    return replace(body_poses, bodies=bodies, world=world, more_owners=(rows, *kept.values()))
 
 
 def _of_hands(scene: Scene, name: str, hand_index: Tensor) -> Tensor:

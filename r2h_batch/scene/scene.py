@@ -3,7 +3,7 @@ read."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, SupportsIndex
 
@@ -24,7 +24,7 @@ from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.robot.place import place_bodies
 from r2h_batch.kernels.robot.tool import Tool
 from r2h_batch.kernels.robot.world import TrialBodies, World
-from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.launch import init_warp, over_trials
 from r2h_batch.launch.arguments import struct_of
 from r2h_batch.launch.instances import Compiled, of_joints
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tables
@@ -237,27 +237,28 @@ class Scene:
         """Object surfaces, receiver regions and the gripper, for grasp.py."""
         return grasp_tables(self.objects, self.robot, self.device)
 
+    def _mesh(self, vertices: Any, faces: Any, *, closed: bool = True) -> wp.Mesh:
+        """A mesh for Warp's queries; `closed`: with winding numbers."""
+        return wp.Mesh(
+            points=wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=self.device),
+            indices=wp.array(faces.astype(np.int32).ravel(), dtype=wp.int32, device=self.device),
+            support_winding_number=closed,
+        )
+
     @cached_property
     def _object_meshes(self) -> list[wp.Mesh]:
-        return [
-            wp.Mesh(
-                points=wp.array(o.vertices.astype(np.float32), dtype=wp.vec3, device=self.device),
-                indices=wp.array(
-                    o.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self.device
-                ),
-                support_winding_number=True,
-            )
-            for o in self.objects
-        ]
+        return [self._mesh(o.vertices, o.faces) for o in self.objects]
 
     @cached_property
     def _hull_meshes(self) -> list[wp.Mesh]:
+        return [self._mesh(o.hull_vertices, o.hull_faces) for o in self.objects]
+
+    @cached_property
+    def _region_meshes(self) -> list[wp.Mesh | None]:
         return [
-            wp.Mesh(
-                points=wp.array(o.hull_vertices, dtype=wp.vec3, device=self.device),
-                indices=wp.array(o.hull_faces.ravel(), dtype=wp.int32, device=self.device),
-                support_winding_number=True,
-            )
+            self._mesh(o.vertices, o.faces[o.receiver_face], closed=False)
+            if o.receiver_face.any()
+            else None
             for o in self.objects
         ]
 
@@ -290,22 +291,6 @@ class Scene:
             wp.array(ids, dtype=wp.uint64, device=self.device),
             wp.array(np.array(center, np.float32), dtype=wp.vec3, device=self.device),
         )
-
-    @cached_property
-    def _region_meshes(self) -> list[wp.Mesh | None]:
-        return [
-            wp.Mesh(
-                points=wp.array(o.vertices.astype(np.float32), dtype=wp.vec3, device=self.device),
-                indices=wp.array(
-                    o.faces[o.receiver_face].astype(np.int32).ravel(),
-                    dtype=wp.int32,
-                    device=self.device,
-                ),
-            )
-            if o.receiver_face.any()
-            else None
-            for o in self.objects
-        ]
 
     @cached_property
     def hand_mesh(self) -> Any:
@@ -381,38 +366,23 @@ class Scene:
         """
         b, device = len(object_index), object_index.device
         gripper = gripper_tables(self.robot, self.device)
-        count = gripper.kind.shape[0]
-        sizes = (
-            (b, 3, 3),
-            (b, 3),
-            (b, count, 3, 3),
-            (b, count, 3),
-            (b, 3, 3),
-            (b, 3),
-            (b, len(self.robot.joints)),
-        )
-        shapes = dict(zip(PLACED, sizes, strict=True))
+        grip, joints = (b, gripper.kind.shape[0]), len(self.robot.joints)
+        sizes = ((b, 3, 3), (b, 3), (*grip, 3, 3), (*grip, 3), (b, 3, 3), (b, 3), (b, joints))
         out = {
-            k: torch.empty(shape, dtype=torch.float32, device=device) for k, shape in shapes.items()
+            name: torch.empty(size, dtype=torch.float32, device=device)
+            for name, size in zip(PLACED, sizes, strict=True)
         }
         objects = object_index.to(torch.int32).contiguous()
         hands = hand_index.to(torch.int32).contiguous()
-        launch_trials(
-            self.sized(place_bodies),
-            b,
-            inputs={
-                "world": self.world,
-                "gripper": gripper,
-                "R_wrist_ee": self._wrist_ee[0],
-                "p_wrist_ee": self._wrist_ee[1],
-                "object": objects,
-                "T_obj_ee": T_obj_ee.contiguous(),
-                "T_world_hand": T_world_hand.contiguous(),
-                "opening": opening_m.contiguous(),
-            },
-            outputs=out,
-            device=self.device,
-            chunk=256,
+        over_trials(self.sized(place_bodies), b, self.device, outputs=out, chunk=256)(
+            world=self.world,
+            gripper=gripper,
+            R_wrist_ee=self._wrist_ee[0],
+            p_wrist_ee=self._wrist_ee[1],
+            object=objects,
+            T_obj_ee=T_obj_ee.contiguous(),
+            T_world_hand=T_world_hand.contiguous(),
+            opening=opening_m.contiguous(),
         )
         return self._of_owners((objects, hands, *out.values(), T_world_hand, opening_m))
 
@@ -438,7 +408,7 @@ class Scene:
         """Objects, hands, `PLACED`, T_world_hand and opening as `BodyPoses`."""
         names = ("object", "hand", *PLACED[:-1], "object_motion_radius")
         bodies = struct_of(self.sized(TrialBodies), dict(zip(names, owners, strict=False)))
-        return BodyPoses(bodies, owners)
+        return BodyPoses(bodies, *owners)
 
 
 def _scene_of(
@@ -471,46 +441,26 @@ class BodyPoses:
     memory."""
 
     bodies: Any
-    owners: tuple[Tensor, ...]
-    world: Any = None
+    object_index: Int32[Tensor, " b"]
+    hand_index: Int32[Tensor, " b"]
+    R_hand_world: Float32[Tensor, "b 3 3"]
+    p_hand_world: Float32[Tensor, "b 3"]
+    R_wrist_grip: Float32[Tensor, "b g 3 3"]  # the gripper's primitives in the wrist_3 frame
+    p_wrist_grip: Float32[Tensor, "b g 3"]
+    R_wrist_obj: Float32[Tensor, "b 3 3"]  # the object there
+    p_wrist_obj: Float32[Tensor, "b 3"]
+    object_motion_radius: Float32[Tensor, "b 6"]  # bounds, m: its points from each joint's axis
+    T_world_hand: Float32[Tensor, "b 4 4"]
+    opening_m: Float32[Tensor, " b"]
+    world: Any = field(default=None, kw_only=True)
     """the tables that `bodies` index where they are not the scene's (person.py)"""
-    more_owners: tuple[Tensor, ...] = ()
+    more_owners: tuple[Tensor, ...] = field(default=(), kw_only=True)
+
+    @property
+    def owners(self) -> tuple[Tensor, ...]:
+        """The tensors, in order."""
+        return tuple(getattr(self, f.name) for f in fields(self)[1:-2])
 
     def tables(self, scene: Scene) -> Any:
         """The `World` that `bodies` index."""
         return scene.world if self.world is None else self.world
-
-    @property
-    def object_index(self) -> Int32[Tensor, " b"]:
-        """Which object is held."""
-        return self.owners[0]
-
-    @property
-    def hand_index(self) -> Int32[Tensor, " b"]:
-        """Whose hand stands there."""
-        return self.owners[1]
-
-    @property
-    def object_motion_radius(self) -> Float32[Tensor, "b 6"]:
-        """Bounds in m on the distance of the object's points from each joint's axis."""
-        return self.owners[8]
-
-    @property
-    def T_world_hand(self) -> Float32[Tensor, "b 4 4"]:
-        """Where the hand stands."""
-        return self.owners[9]
-
-    @property
-    def opening_m(self) -> Float32[Tensor, " b"]:
-        """Gap between the pads."""
-        return self.owners[10]
-
-    @property
-    def R_wrist_obj(self) -> Float32[Tensor, "b 3 3"]:
-        """How the object is turned in the wrist_3 frame."""
-        return self.owners[6]
-
-    @property
-    def p_wrist_obj(self) -> Float32[Tensor, "b 3"]:
-        """Where the object's origin is in the wrist_3 frame."""
-        return self.owners[7]

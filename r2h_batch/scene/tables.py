@@ -132,12 +132,8 @@ class WorldTables:
         object_collision: str,
         workplace: Workplace | None = None,
     ) -> None:
-        self.robot, self.hands, self.objects, self.object_collision = (
-            robot,
-            hands,
-            objects,
-            object_collision,
-        )
+        self.robot, self.hands, self.objects = robot, hands, objects
+        self.object_collision = object_collision
         self.workplace = workplace or Workplace()
 
     @cached_property

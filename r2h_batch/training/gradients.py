@@ -243,18 +243,10 @@ class MarginChanges:
         apart = first_order.carried(
             point, self.body, self.fingers, at_home, self.arm
         ) - first_order.carried(point, self.other, no_fingers, at_home, self.arm)
-        plan = torch.where(
-            self.unreachable,
-            -self._missed(T_world_ee),
-            se3.dot(self.goal.push, apart),
-        )
-        changes = {
-            "stability": stability,
-            "plan": plan,
-            "reach": reach,
-            "affordance": affordance,
-            "safe": safe,
-        }
+        missed = -self._missed(T_world_ee)
+        plan = torch.where(self.unreachable, missed, se3.dot(self.goal.push, apart))
+        changes = {"stability": stability, "plan": plan, "reach": reach}
+        changes |= {"affordance": affordance, "safe": safe}
         # a criterion without a first-order change here has the gradient 0
         out = torch.stack([changes.get(name, torch.zeros_like(safe)) for name in CRITERIA], 1)
         return torch.where(self.evaluated, out, torch.zeros_like(out))

@@ -165,10 +165,8 @@ def call(
     values = dict(
         zip(RETURNED, score_op(T_obj_ee, T_world_ee, *rows, evaluator, stages), strict=True)
     )
-    motion, motion_len = (
-        T_obj_ee.new_empty((len(T_obj_ee), 0, values["q_goal"].shape[1])),
-        torch.zeros_like(values["path_len"]),
-    )
+    motion = T_obj_ee.new_empty((len(T_obj_ee), 0, values["q_goal"].shape[1]))
+    motion_len = torch.zeros_like(values["path_len"])
     state = motion[:, :, 0].double()
     return Scores(
         trial_id=trials.trial_id, **values, motion=motion, motion_len=motion_len, failed_state=state

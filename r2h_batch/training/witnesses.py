@@ -17,7 +17,7 @@ from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.witness import closing as closing_kernels
 from r2h_batch.kernels.witness import posture as posture_kernels
 from r2h_batch.kernels.witness import surface as kernels
-from r2h_batch.launch import launch_trials, new_outputs
+from r2h_batch.launch import over_trials
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training.first_order import Arm, Closing, Contact
 
@@ -40,23 +40,16 @@ def closing(
     """What the pads met, where the evaluator found these (width NaN: nothing); `T_obj_ee` before
     the object moved."""
     kernel, b = closing_kernels.closing_witness, len(T_obj_ee)
-    made = new_outputs(kernel, b, scene.device, point=4, slope_x=4, slope_z=4)
-    tables = scene.grasp_tables
-    launch_trials(
-        kernel,
-        b,
-        inputs={
-            "gripper": tables.gripper,
-            "surfaces": tables.surfaces,
-            "open_gap": scene.robot.open_gap_m,
-            "whole": int(scene.config.width == "whole"),
-            "T_obj_ee": T_obj_ee.contiguous(),
-            "object_index": object_index.contiguous(),
-            "width": width_m.contiguous(),
-            "opening": opening_m.contiguous(),
-        },
-        outputs=made,
-        device=scene.device,
+    tables, sizes = scene.grasp_tables, {"point": 4, "slope_x": 4, "slope_z": 4}
+    made = over_trials(kernel, b, scene.device, sizes=sizes)(
+        gripper=tables.gripper,
+        surfaces=tables.surfaces,
+        open_gap=scene.robot.open_gap_m,
+        whole=int(scene.config.width == "whole"),
+        T_obj_ee=T_obj_ee.contiguous(),
+        object_index=object_index.contiguous(),
+        width=width_m.contiguous(),
+        opening=opening_m.contiguous(),
     )
     return Closing(
         T_obj_ee=T_obj_ee,
@@ -83,22 +76,15 @@ def fingers(
     the object.
     """
     b, tables = len(T_obj_ee), scene.grasp_tables
-    made = new_outputs(kernels.surface_witness, b, scene.device)
-    launch_trials(
-        kernels.surface_witness,
-        b,
-        inputs={
-            "gripper": tables.gripper,
-            "surfaces": tables.surfaces,
-            "surface_offset": tables.objects if region else 0,
-            "used": tables.moving if region else tables.every,
-            "T_obj_ee": T_obj_ee.contiguous(),
-            "object_index": object_index,
-            "opening": opening_m.contiguous(),
-            "bound": torch.where(wanted, distance_m + SLACK_M, -torch.inf),
-        },
-        outputs=made,
-        device=scene.device,
+    made = over_trials(kernels.surface_witness, b, scene.device)(
+        gripper=tables.gripper,
+        surfaces=tables.surfaces,
+        surface_offset=tables.objects if region else 0,
+        used=tables.moving if region else tables.every,
+        T_obj_ee=T_obj_ee.contiguous(),
+        object_index=object_index,
+        opening=opening_m.contiguous(),
+        bound=torch.where(wanted, distance_m + SLACK_M, -torch.inf),
     )
     return Contact(made["point"], made["normal"], made["finger"], made["part"] >= 0)
 
@@ -113,21 +99,13 @@ def nearest_to_point(
     """The point of the object's mesh nearest to `point` of some frame (object frame), and the way there (that
     frame; zero inside)."""
     x = se3.apply(se3.inverse(T_frame_obj), point).contiguous()
-    made = new_outputs(reach_kernels.point_to_object, len(x), scene.device)
-    launch_trials(
-        reach_kernels.point_to_object,
-        len(x),
-        inputs={
-            "cap": FARTHEST_M,
-            "mesh": meshes,
-            "low": scene.grasp_tables.surfaces.low,
-            "high": scene.grasp_tables.surfaces.high,
-            "object": object_index,
-            "point": x,
-        },
-        outputs=made,
-        device=scene.device,
-        chunk=256,
+    made = over_trials(reach_kernels.point_to_object, len(x), scene.device, chunk=256)(
+        cap=FARTHEST_M,
+        mesh=meshes,
+        low=scene.grasp_tables.surfaces.low,
+        high=scene.grasp_tables.surfaces.high,
+        object=object_index,
+        point=x,
     )
     distance, nearest = made["distance"], made["nearest"]
     away = se3.apply(T_frame_obj, nearest) - point
@@ -151,20 +129,8 @@ def off_region(
     """
     points, free = _sample_points(scene)
     x = T_obj_ee[:, :3, 3].clone(memory_format=torch.contiguous_format)
-    made = new_outputs(kernels.nearest_of_points, len(x), scene.device)
-    launch_trials(
-        kernels.nearest_of_points,
-        len(x),
-        inputs={
-            "point": points,
-            "counts": free,
-            "object_index": object_index,
-            "wanted": wanted.contiguous(),
-            "x": x,
-        },
-        outputs=made,
-        device=scene.device,
-        chunk=256,
+    made = over_trials(kernels.nearest_of_points, len(x), scene.device, chunk=256)(
+        point=points, counts=free, object_index=object_index, wanted=wanted.contiguous(), x=x
     )
     nearest, found = made["nearest"], made["found"]
     way = se3.apply(se3.inverse(T_obj_ee), nearest)
@@ -197,21 +163,13 @@ def hand_contact(
     distance grows.
     """
     kernel = scene.sized(posture_kernels.hand_witness)
-    made = new_outputs(kernel, len(body), scene.device)
-    launch_trials(
-        kernel,
-        len(body),
-        inputs={
-            "world": scene.world,
-            "mesh": scene.hand_mesh,
-            "bodies": body_poses.bodies,
-            "q": q.contiguous(),
-            "body": body.contiguous(),
-            "distance": distance_m.contiguous(),
-        },
-        outputs=made,
-        device=scene.device,
-        chunk=64,
+    made = over_trials(kernel, len(body), scene.device, chunk=64)(
+        world=scene.world,
+        mesh=scene.hand_mesh,
+        bodies=body_poses.bodies,
+        q=q.contiguous(),
+        body=body.contiguous(),
+        distance=distance_m.contiguous(),
     )
     return made["found"], made["point"], made["normal"]
 
@@ -223,19 +181,11 @@ def finger_motion(
     point_ee: Float32[Tensor, "b 3"],
 ) -> Float32[Tensor, "b 3"]:
     """How points of gripper primitives (-1: none) move per metre of opening, ee frame."""
-    made = new_outputs(posture_kernels.finger_velocities, len(part), scene.device)
-    launch_trials(
-        posture_kernels.finger_velocities,
-        len(part),
-        inputs={
-            "gripper": scene.grasp_tables.gripper,
-            "part": part.contiguous(),
-            "opening": opening_m.contiguous(),
-            "point": point_ee.contiguous(),
-        },
-        outputs=made,
-        device=scene.device,
-        chunk=256,
+    made = over_trials(posture_kernels.finger_velocities, len(part), scene.device, chunk=256)(
+        gripper=scene.grasp_tables.gripper,
+        part=part.contiguous(),
+        opening=opening_m.contiguous(),
+        point=point_ee.contiguous(),
     )
     return made["velocity"]
 
@@ -246,30 +196,20 @@ def arm_at(
 ) -> Arm:
     """The arm's joint axes at a posture, and its damped inverse Jacobian: of a redundant arm the
     pseudo-inverse, with joints held that stand at a limit."""
-    (b, joints), device = q.shape, q.device
-    axis, origin = (
-        torch.zeros((b, joints, 3), dtype=torch.float32, device=device),
-        torch.zeros((b, joints, 3), dtype=torch.float32, device=device),
-    )
-    inverse = torch.zeros((b, joints, 6), dtype=torch.float32, device=device)
-    ee = torch.empty((b, 4, 4), dtype=torch.float32, device=device)
+    joints = q.shape[1]
     joint_R, joint_p = _chain(scene.robot, scene.device)
-    launch_trials(
-        scene.sized(posture_kernels.arm_jacobian),
-        b,
-        inputs={
-            "damping": DAMPING,
-            "joint_R": joint_R,
-            "joint_p": joint_p,
-            "lower": scene.world.lower,
-            "upper": scene.world.upper,
-            "q": q.contiguous(),
-        },
-        outputs={"axis": axis, "origin": origin, "inverse": inverse, "ee": ee},
-        device=scene.device,
-        chunk=256,
+    sizes: dict[str, Any] = {"axis": joints, "origin": joints, "inverse": (joints, 6)}
+    made = over_trials(
+        scene.sized(posture_kernels.arm_jacobian), len(q), scene.device, sizes=sizes, chunk=256
+    )(
+        damping=DAMPING,
+        joint_R=joint_R,
+        joint_p=joint_p,
+        lower=scene.world.lower,
+        upper=scene.world.upper,
+        q=q.contiguous(),
     )
-    return Arm(axis, origin, inverse, ee)
+    return Arm(made["axis"], made["origin"], made["inverse"], made["ee"])
 
 
 @lru_cache(maxsize=4)

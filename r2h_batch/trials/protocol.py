@@ -110,13 +110,8 @@ def make_trials(
         if found.listed is not None:
             return _listed(found.listed, splits, trials).named(found.objects)
         placed = _for_persons(found)
-        objects, hand_set, robot, config, protocol = (
-            placed.objects,
-            placed.hand_set,
-            placed.robot,
-            placed.config(),
-            protocol or found.drawn,
-        )
+        objects, hand_set, robot = placed.objects, placed.hand_set, placed.robot
+        config, protocol = placed.config(), protocol or found.drawn
     plan = dict.fromkeys(splits, trials)
     ids = trial_ids(plan, 0, sum(plan.values()))
     return trials_with_ids(
@@ -281,10 +276,7 @@ class _Hands:
         self.palm_point, self.palm_normal = point.numpy(), normal.numpy()
         joints = geometry.joints.double().numpy()
         # to the middle finger's root, in the palm's plane
-        self.wrist, along = (
-            joints[:, 0],
-            joints[:, 4] - joints[:, 0],
-        )
+        self.wrist, along = joints[:, 0], joints[:, 4] - joints[:, 0]
         along = along - se3.dot(along, self.palm_normal)[:, None] * self.palm_normal
         self.along = along / np.sqrt(se3.dot(along, along))[:, None]
         # (3, H, V)
@@ -323,13 +315,8 @@ def _draw_poses(
         hand, center, R = hand_index[rows[kept]], center[kept], R[kept]
         normal = se3.rotate(R, hands.palm_normal[hand])
         faces = _faces_robot_or_up(center, normal)
-        kept, hand, center, R, normal = (
-            kept[faces],
-            hand[faces],
-            center[faces],
-            R[faces],
-            normal[faces],
-        )
+        kept, hand, center, R = kept[faces], hand[faces], center[faces], R[faces]
+        normal = normal[faces]
         T = np.zeros((len(kept), 4, 4), np.float32)
         T[:, :3, :3] = R
         T[:, :3, 3] = center - offset_m * normal - se3.rotate(R, hands.palm_point[hand])

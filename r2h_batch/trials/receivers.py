@@ -36,14 +36,7 @@ LENGTHS_MM = {
     "iliac_height": (1061.6, 52.0, 0.91, 995.7, 49.7, 0.92),
     "popliteal_height": (429.8, 24.8, 0.84, 388.2, 23.6, 0.81),
     # elbow rest height + shoulder-elbow length
-    "seated_shoulder": (
-        608.8,
-        31.6,
-        0.63,
-        566.7,
-        28.3,
-        0.61,
-    ),
+    "seated_shoulder": (608.8, 31.6, 0.63, 566.7, 28.3, 0.61),
 }
 PERCENTILES = (0.05, 0.95)
 SHOES_M = 0.025
@@ -210,17 +203,8 @@ def propose(u: Array, v: Array, side: NDArray[np.int64], table_edge_m: float) ->
     )
     torso = np.stack([x, y, 0.5 * (hips + acromion)], 1)
     half = 0.5 * np.stack([size["chest_depth"], size["chest_breadth"], acromion - hips], 1)
-    return Person(
-        shoulder,
-        elbow,
-        wrist,
-        hand,
-        palm,
-        radius.T / (2.0 * 3.141592653589793),
-        torso,
-        forward[:, :2],
-        half,
-    )
+    radius = radius.T / (2.0 * 3.141592653589793)
+    return Person(shoulder, elbow, wrist, hand, palm, radius, torso, forward[:, :2], half)
 
 
 def _lengths(woman: NDArray[np.bool_], u: Array) -> dict[str, Array]:
@@ -301,20 +285,12 @@ def sine_cosine(degrees: Array) -> tuple[Array, Array]:
 
 
 _P = (
-    -39.69683028665376,
-    220.9460984245205,
-    -275.9285104469687,
-    138.3577518672690,
-    -30.66479806614716,
+    -39.69683028665376, 220.9460984245205, -275.9285104469687, 138.3577518672690, -30.66479806614716,
     2.506628277459239,
-)
+)  # fmt: skip
 _Q = (
-    -54.47609879822406,
-    161.5858368580409,
-    -155.6989798598866,
-    66.80131188771972,
-    -13.28068155288572,
-)
+    -54.47609879822406, 161.5858368580409, -155.6989798598866, 66.80131188771972, -13.28068155288572,
+)  # fmt: skip
 
 
 def normal_quantile(p: Array) -> Array:

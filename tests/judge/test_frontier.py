@@ -14,7 +14,7 @@ from problems import Problems, assert_same, make_batch, solve
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels, safe, shortcuts
-from r2h_batch.judge.plan import Plan, Planner, _least_clearance  # of one thread, on paths that are given
+from r2h_batch.judge.plan import Plan, Planner  # of one thread, on paths that are given
 from r2h_batch.kernels.frontier.pairs import obstacle_of, shape_of
 from r2h_batch.kernels.frontier.queues import Edges, Intervals, Pairs
 from r2h_batch.kernels.geometry.gjk import gjk
@@ -43,7 +43,7 @@ def by_frontier(scene: Scene, plan: str, n: int) -> Plan:
 
 def free_paths_to_goals(scene: Scene, problems: Problems, plan: Plan, rows: torch.Tensor) -> None:
     """Paths of those rows begin at home, end in a joint solution, and keep clear of everything, as one thread sees it."""
-    least, _, _ = _least_clearance(Planner(scene, problems.body_poses, None), plan.path, plan.length)
+    least, _, _ = Planner(scene, problems.body_poses, None).clearance(plan.path, plan.length)
     assert (least[rows] > 0).all() and (least - plan.clearance_m)[rows].abs().max() <= CLEARANCE_TOLERANCE_M
     assert torch.equal(plan.path[rows, 0], torch.tensor(HOME_Q, dtype=torch.float32).expand(int(rows.sum()), 6))
     ends = plan.path[torch.arange(len(rows)), plan.length.long() - 1]

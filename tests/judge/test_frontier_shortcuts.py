@@ -173,6 +173,6 @@ def test_a_sampled_search_keeps_its_shortcuts_of_one_thread(scene: Scene) -> Non
     plan = PlanConfig(goals="one", edge_check="moveit")
     with (
         levels.planning_form("frontier"),
-        mock.patch.object(frontier_shortcuts, "_Shortcuts", side_effect=AssertionError),
+        mock.patch.object(frontier_shortcuts, "_shorten", side_effect=AssertionError),
     ):
         solve(scene, make_batch(scene, 48, random_share=0.5), plan)

@@ -101,21 +101,18 @@ class Levels:
         self.tables = tables | {"counts": struct_of(self._sized(queues.Counts), {"n": self.counts})}
 
     def launch(
-        self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Any] | None = None
+        self,
+        kernel: Any,
+        n: int,
+        inputs: dict[str, Any] | None = None,
+        outputs: dict[str, Any] | None = None,
     ) -> None:
-        """With those of the tables and queues that the kernel takes; on a CPU one thread, as its
-        additions are not atomic."""
+        """With what the kernel takes of `tables`; on a CPU one thread, as its additions are not
+        atomic. Of `lanes` threads each takes every so-manieth entry of the kernel's queue."""
         kernel = self._sized(kernel)
-        inputs = {k: v for k, v in self.tables.items() if k in _taken(kernel)} | inputs
-        launch_trials(
-            kernel,
-            n,
-            inputs=inputs,
-            outputs=outputs or {},
-            device=self.device,
-            threads=1,
-            uneven=True,
-        )
+        taken = {k: v for k, v in self.tables.items() if k in _taken(kernel)} | (inputs or {})
+        ways: dict[str, Any] = {"device": self.device, "threads": 1, "uneven": True}
+        launch_trials(kernel, n, inputs=taken, outputs=outputs or {}, **ways)
 
     def new(self, kind: Any, n: int, given: dict[str, Tensor] | None = None, **sizes: int) -> Any:
         """A struct of the kernels, with room for `n` entries (`new_struct`)."""
@@ -176,6 +173,7 @@ class Frontier(Levels):
             "frames": self.new_frames(n),
             "queue_bodies": self.new(queues.Bodies, bodies),
             "pairs": self.new(queues.Pairs, PAIRS_PER_INTERVAL * n),
+            "lanes": self.lanes,
         }
 
     def check(
@@ -183,13 +181,9 @@ class Frontier(Levels):
     ) -> tuple[Bool[Tensor, " n"], Int32[Tensor, " n"], Float32[Tensor, " n"]]:
         """As plan/lines.py `check_postures`: free or not, the pair that collides, the hand
         clearance up to CLEARANCE_CAP."""
-        room = self._room // 2
+        room, trial = self._room // 2, self._arange(len(q)) // per_trial
         parts = [
-            self._check(
-                q[i : i + room],
-                active[i : i + room],
-                self._arange(len(q))[i : i + room] // per_trial,
-            )
+            self._check(*(x[i : i + room] for x in (q, active, trial)))
             for i in range(0, len(q), room)
         ]
         clear, pair, least = (
@@ -221,13 +215,8 @@ class Frontier(Levels):
         """
         b = len(n_goals)
         rows = self._arange(b * BRANCHES)
-        lines = Lines(
-            rows // BRANCHES,
-            rows,
-            start.repeat_interleave(BRANCHES, 0),
-            goals,
-            margin.reshape(-1),
-        )
+        starts = start.repeat_interleave(BRANCHES, 0)
+        lines = Lines(rows // BRANCHES, rows, starts, goals, margin.reshape(-1))
         slot = self._arange(BRANCHES)[None]
         there = slot < n_goals[:, None]
         nearest = there & (slot == 0)
@@ -265,11 +254,8 @@ class Frontier(Levels):
                 part = path[:, first : first + at_once + 1].contiguous()
                 some = {"path": part, "length": (length - first).clamp(min=0, max=part.shape[1])}
             self.clear()
-            self.launch(
-                queue_paths,
-                b,
-                {"parity": 0, "row": b, "edges": edges, "queue": self.intervals[0], **some},
-            )
+            self.tables |= {"parity": 0, "edges": edges, "queue": self.intervals[0]}
+            self.launch(queue_paths, b, {"row": b, **some})
             self._all_frontier(edges, MAX_LEVEL, certify=0)
         least, pair, body = self._read(found)
         self._refuse_at_once()
@@ -278,7 +264,7 @@ class Frontier(Levels):
     def ask(self, track: int, tolerance: float) -> None:
         """What the next levels look for: the smallest clearance (1), to `tolerance`, or whether
         margins are kept (0)."""
-        self._asked = {"track": track, "tolerance": tolerance}
+        self.tables |= {"track": track, "tolerance": tolerance}
 
     def _refuse_at_once(self) -> None:
         """On a CPU, where asking costs nothing; on a GPU planning asks at its end."""
@@ -306,10 +292,9 @@ class Frontier(Levels):
     def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
         """Queues the edges in use, and runs all levels that they may need."""
         self.clear()
-        inputs = {"parity": 0, "mode": mode, "hand_only": hand_only, "edges": edges}
-        self.launch(
-            queue_edges, len(used), inputs | {"used": used.contiguous(), "queue": self.intervals[0]}
-        )
+        self.tables |= {"parity": 0, "edges": edges, "queue": self.intervals[0]}
+        inputs = {"mode": mode, "hand_only": hand_only, "used": used.contiguous()}
+        self.launch(queue_edges, len(used), inputs)
         single = mode in (POSTURE, SAMPLES)
         self._all_frontier(edges, 1 if single else MAX_LEVEL, certify=int(mode == CERTIFY))
 
@@ -321,20 +306,13 @@ class Frontier(Levels):
     def level(self, edges: Any, parity: int, *, certify: int) -> None:
         """One level of all intervals that are queued in `intervals[parity]`."""
         now, later = self.intervals[parity], self.intervals[1 - parity]
-        every = {"queue": now, "edges": edges}
-        self.launch_queued(interval_frames, every | {"parity": parity})
-        self.launch_queued(clear_links, every | {"parity": parity} | self._asked)
-        for kernel in (near_hand, near_pieces, near_table, near_bodies):
-            self.launch_queued(kernel, every | self._asked)
-        self.launch(pair_distances, self.lanes, every | {"track": self._asked["track"]})
-        self.launch_queued(settle_pairs, every | self._asked)
-        more = {"parity": parity, "certify": certify, "later": later, "track": self._asked["track"]}
-        self.launch_queued(halve, every | more)
-
-    def launch_queued(self, kernel: Any, inputs: dict[str, Any]) -> None:
-        """`launch` with as many threads as there may be: each takes every so-manieth entry of the
-        kernel's queue."""
-        self.launch(kernel, self.lanes, inputs | {"lanes": self.lanes})
+        self.tables |= {"edges": edges, "queue": now, "later": later}
+        self.tables |= {"parity": parity, "certify": certify}
+        for kernel in (
+            interval_frames, clear_links, near_hand, near_pieces, near_table, near_bodies,
+            pair_distances, settle_pairs, halve,
+        ):  # fmt: skip
+            self.launch(kernel, self.lanes)
 
     def _read(self, found: Int64[Tensor, " o"]) -> tuple[Tensor, Tensor, Tensor]:
         """Value, CollidingPair and body of keys."""

@@ -84,7 +84,7 @@ class SafeFrontier(levels.Levels):
                     break  # asking a GPU would wait for it; its empty levels take next to nothing
                 self._level(level & 1)
         self.note_full()
-        self.launch(safe_witness, self._rows, {}, outputs)
+        self.launch(safe_witness, self._rows, outputs=outputs)
 
     def _level(self, parity: int, *, goal: bool = False) -> None:
         now, later = self._intervals[parity], self._intervals[1 - parity]
@@ -94,4 +94,4 @@ class SafeFrontier(levels.Levels):
             safe_frames, safe_links, *bodies, hull_distances, safe_hulls, safe_corners, safe_faces,
             face_distances, safe_insides, settle_faces, safe_halves,
         ):  # fmt: skip
-            self.launch(kernel, self.lanes, {})
+            self.launch(kernel, self.lanes)

@@ -1,11 +1,10 @@
 """Shortcuts level by level (kernels/frontier/shortcuts.py): as a GPU makes paths shorter, several changes of
 each at once."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float32, Int32
+from jaxtyping import Int32
 from torch import Tensor
 
 from r2h_batch.judge.frontier.levels import PER_ROW, Frontier
@@ -17,7 +16,7 @@ from r2h_batch.kernels.plan.codes import WAYPOINTS
 ROUNDS_OF_LINES, TRIES_A_ROUND = 2, 4
 """Rounds: so many, and one more for every so many tries that one thread would have."""
 LEVELS_A_ROUND, LEVELS_MORE = 6, 15
-"""Waves: so many for each round, and so many besides. A path whose edges take longer has fewer
+"""Levels: so many for each round, and so many besides. A path whose edges take longer has fewer
 rounds."""
 LANES_AT_ONCE = 1 << 16
 """Lanes of one launch: of more paths some come after others."""
@@ -25,76 +24,50 @@ ROOM = 12
 """Intervals that a queue has room for, for each lane."""
 
 
-@dataclass(frozen=True)
-class Law:
-    """Up to how many times the time between its ends a path is left as it is; the pace that times it."""
-
-    enough: float
-    pace: Any
-
-
 def shorten_by_frontier(
-    frontier: Frontier, rows: Int32[Tensor, " r"], law: Law, tries: int, seed: int, key: Int32[Tensor, " b"],
-    margin: Float32[Tensor, " b"], path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
-) -> None:  # fmt: skip
+    planner: Frontier, rows: Int32[Tensor, " r"], law: dict[str, Any], paths: dict[str, Tensor]
+) -> None:
     """Shortcuts on the paths that `rows` have, in place; what comes of a path does not depend on
     the others.
 
-    Certified with the same `margin` to the hand as their edges are; a path never takes longer than
+    Certified with the same margin to the hand as their edges are; a path never takes longer than
     before.
+
+    Args:
+        planner: of all trials.
+        rows: problems.
+        law: inputs of plan/shortcut.py `shortcut` by name.
+        paths: `path` and `length` of all trials.
     """
+    rounds = ROUNDS_OF_LINES + -(-law["tries"] // TRIES_A_ROUND)
+    law = law | {"rounds": rounds, "changes": int(law["tries"] > 0)}
     for part in rows.split(LANES_AT_ONCE // LANES):
-        _Shortcuts(frontier, part)(
-            law, tries, {"seed": seed, "key": key}, margin, {"path": path, "length": length}
-        )
+        _shorten(planner, part, law, paths)
 
 
-class _Shortcuts:
-    def __init__(self, frontier: Frontier, rows: Tensor) -> None:
-        n, device = len(rows), rows.device
-        lanes = n * LANES
-        self._all, self._n = frontier, n
-        self._frontier = Frontier(
-            **frontier.scene, device=frontier.device, rows=-(-lanes * ROOM // PER_ROW)
-        )
-
-        new, joints = self._frontier.new, frontier.joints
-        copy = torch.empty((n, WAYPOINTS, joints), dtype=torch.float32, device=device)
-        point = torch.empty((2 * lanes, joints), dtype=torch.float32, device=device)
-        found = torch.empty(lanes, dtype=torch.int64, device=device)
-        self._edges = new(Edges, 2 * lanes, {"found": found}, a=joints, b=joints)
-        self._tables: dict[str, Any] = {
-            "edges": self._edges,
-            "paths": new(Paths, n, {"trial": rows, "copy": copy}, known=WAYPOINTS),
-            "arcs": new(Arcs, lanes, {"point": point}),
-        }
-        self._state = self._tables["paths"].tensors["state"]
-
-    def __call__(
-        self, law: Law, tries: int, drawn: dict[str, Any], margin: Tensor, inout: dict[str, Tensor]
-    ) -> None:
-        frontier, n = self._frontier, self._n
-        frontier.clear()
-        frontier.ask(0, 0.0)
-        frontier.launch(
-            begin_shortcuts, n, self._tables | {"margin": margin, "length": inout["length"]}
-        )
-        rounds = ROUNDS_OF_LINES + -(-tries // TRIES_A_ROUND)
-        pace = {"pace": law.pace}
-        take = (
-            self._tables
-            | pace
-            | {"rounds": rounds, "changes": int(tries > 0), "enough": law.enough}
-        )
-        draw = self._tables | pace | drawn | inout
-        for level in range(LEVELS_A_ROUND * rounds + LEVELS_MORE):
-            parity = level & 1
-            frontier.launch(take_arcs, n, take, inout)
-            if frontier.device == "cpu" and bool((self._state != 0).all()):
-                break  # asking a GPU would wait for it; its empty levels take next to nothing
-            frontier.launch_queued(
-                draw_arcs, draw | {"parity": parity, "queue": frontier.intervals[parity]}
-            )
-            frontier.level(self._edges, parity, certify=1)
-        frontier.note_full()
-        self._all.full |= frontier.full  # asked at the end of planning
+def _shorten(
+    planner: Frontier, rows: Tensor, law: dict[str, Any], inout: dict[str, Tensor]
+) -> None:
+    n, lanes, device = len(rows), len(rows) * LANES, rows.device
+    frontier = Frontier(**planner.scene, device=planner.device, rows=-(-lanes * ROOM // PER_ROW))
+    joints = frontier.joints
+    copy = torch.empty((n, WAYPOINTS, joints), dtype=torch.float32, device=device)
+    point = torch.empty((2 * lanes, joints), dtype=torch.float32, device=device)
+    found = torch.empty(lanes, dtype=torch.int64, device=device)
+    edges = frontier.new(Edges, 2 * lanes, {"found": found}, a=joints, b=joints)
+    paths = frontier.new(Paths, n, {"trial": rows, "copy": copy}, known=WAYPOINTS)
+    arcs = frontier.new(Arcs, lanes, {"point": point})
+    frontier.tables |= law | inout | {"edges": edges, "paths": paths, "arcs": arcs}
+    frontier.clear()
+    frontier.ask(0, 0.0)
+    frontier.launch(begin_shortcuts, n)
+    for level in range(LEVELS_A_ROUND * law["rounds"] + LEVELS_MORE):
+        parity = level & 1
+        frontier.launch(take_arcs, n, outputs=inout)
+        if frontier.device == "cpu" and bool((paths.tensors["state"] != 0).all()):
+            break  # asking a GPU would wait for it; its empty levels take next to nothing
+        frontier.tables |= {"parity": parity, "queue": frontier.intervals[parity]}
+        frontier.launch(draw_arcs, frontier.lanes)
+        frontier.level(edges, parity, certify=1)
+    frontier.note_full()
+    planner.full |= frontier.full  # asked at the end of planning
