@@ -41,7 +41,7 @@ of successes, and the least distance between robot and hand.
 {ends}
 
 - Short motions have an advantage: some end before the hand moves.
-- With `still` a few trials succeed without SR. Their object is slow and within reach at home or on the way.
+- With `still` a few trials succeed that fail in SR. Their object is slow and within reach at home or on the way.
 - These figures ignore arm and torso. `--receiver body` includes them.
 
 ## Cost
@@ -49,11 +49,6 @@ of successes, and the least distance between robot and hand.
 `moves` with `servo`, poses of the oracle, process time of one thread:
 
 {cost}
-"""
-
-GROWTH = """
-`python bench/closed_loop.py --growth {n}` played {n:,} episodes in one process. Resident memory grew from {first} to
-{last} MiB. An episode took {ms:.0f} ms (bench/results/closed_loop_growth.json, commit {commit}).
 """
 
 
@@ -199,22 +194,12 @@ def markdown(data: dict[str, Any]) -> str:
         "distance, cm",
     ]
     costs = [[r["trials"], f"{r['s_a_trial']:.2f}", f"{r['whole']:.2f}"] for r in data["cost"]]
-    text = HEAD.format(
+    return HEAD.format(
         n=data["trials"],
         commit=str(data["commit"])[:12],
         table=markdown_table(["Method", "SR", *cases], rows),
         ends=markdown_table(head, ends),
         cost=markdown_table(["trials at once", "s a trial", "ms a trial and step"], costs),
-    )
-    if not GROWN.exists():
-        return text
-    grown = json.loads(GROWN.read_text())
-    return text + GROWTH.format(
-        n=grown["trials"],
-        commit=str(grown["commit"])[:12],
-        ms=1e3 * grown["s"] / grown["trials"],
-        first=grown["mib"][0],
-        last=grown["mib"][-1],
     )
 
 

@@ -146,16 +146,16 @@ CAUSES = [
     " eight, without the object. In the default preset F_safe is 0: the planner certifies paths against the true hand.",
     "Contact-Handover's pose search ignores the function of the object, and its network never saw the object. Stability fails"
     " only with candidates as generated (preset paper).",
-    "Intent-Handover's rule knows the region. Contact-Handover's network estimates it, which suffices for the second place only"
-    " with filtered candidates.",
-    "Intent-Handover turns hand, object and gripper as one. So the gripper keeps the predicted hand's distance from the target"
-    " hand. The paper does not say what stands 15 cm above the palm.",
+    "Intent-Handover's rule knows the region. Contact-Handover's network estimates it, with enough precision for second"
+    " place only with filtered candidates.",
+    "Intent-Handover turns hand, object and gripper as one. So the gripper is as far from the target hand as from the predicted"
+    " hand on the object. The paper does not say whether object or gripper stands 15 cm above the palm.",
     "The times of stand-ins say nothing about the originals.",
     "Reach rarely fails: the object comes within a few centimetres of c_h, and the ball's radius is 10 cm.",
     "FC-Handover places the gripper opposite to the fingers, wherever they point, and knows no region"
     " ([why its plans fail](table1-v1.md#why-plan-fails)).",
-    "Handover-VA takes the first pose that the arm reaches, and checks no collision. It runs ICP while the other methods look up"
-    " hands. Only its grasps are unfiltered in the default preset, so only it fails Stability.",
+    "Handover-VA takes the first pose that the arm reaches, and checks no collision. It runs ICP, where the other methods look"
+    " hands up, so it is slower. Only its grasps are unfiltered in the default preset, so only it fails Stability.",
 ]
 """Read on 2026-11-21 from 500 trials of each split. `make tables` does not check them: a person does."""
 
@@ -222,10 +222,11 @@ def page(tables: Mapping[str, Mapping]) -> str:
         " ([baselines](../baselines.md)). So a finding that does not appear is no evidence against the paper. `make tables`"
         f" makes this page ({first['origin']['trials']} trials, commit {first['provenance']['commit'][:12]}).",
         "## Success rates",
-        "Each column names protocol and preset. `r2h-batch report bench/rows/NAME` prints the whole table, for NAME in"
-        f" {', '.join(f'`{n}`' for n in ROWS)}. Distance: mean difference in points from the paper's SR.",
+        "A column stands for a protocol and its preset (default unless named). `r2h-batch report bench/rows/NAME` prints Table I"
+        f" of a column, for NAME in {', '.join(f'`{n}`' for n in ROWS)}. The last row has the mean distance from the paper's SR,"
+        " in points.",
         success_table(here),
-        "- In preset paper the planner samples edges around the estimated hand, so the oracle loses some trials.\n"
+        "- In preset paper the planner avoids the estimated hand and samples edges, so the oracle loses some trials.\n"
         f"- F_safe is {safe[PAPER_PRESET][0]:.1f} to {safe[PAPER_PRESET][1]:.1f} % in preset paper, and at most {other:.1f} % in"
         " the other columns.\n"
         "- In preset release every handover of the bowl fails Stability: the bowl is wider than the gripper opens.\n"

@@ -15,15 +15,14 @@ CASES = ("moves, planned", "moves, stop", "moves, servo", "moves, replan")
 
 PAGE = """# Which methods change places
 
-See whether a method keeps its place when more is asked than SR. SR judges the plan for a hand that stands still. The other
-columns add [execution errors](robustness.md), a person who must [take](reception.md) the object, or a
-[hand that moves](moving.md). Those pages have the rates. (Commits {commits}.)
+See whether a method keeps its rank under harder conditions. SR assumes exact execution and a hand that stands still. The
+other columns add [execution errors](robustness.md), a person who must [take](reception.md) the object, or a
+[hand that moves](moving.md). The linked pages have the rates (commits {commits}).
 
 {table}
 
-These pairs change places. The numbers are differences in points, by SR and by the column.
-
-p: McNemar's exact test, not corrected for the number of pairs. `*`: decided for these objects, `**`: also for new ones.
+These pairs change places. A number is the first method's rate less the second's, in points. p is that of McNemar's exact
+test, not corrected for the number of pairs.{stars}
 
 {pairs}
 """
@@ -84,5 +83,6 @@ def page() -> str:
     return PAGE.format(
         commits=", ".join(dict.fromkeys(s["commit"][:12] for s in sources.values())),
         table=markdown_table(["Method", *found], rows),
+        stars=" `*`: decided for these objects, `**`: also for new ones." if any("*" in row[-1] for row in said) else "",
         pairs=markdown_table(["column", "pair", "by SR", "by the column"], said),
     )

@@ -28,7 +28,7 @@ SKIN, OBJECT = (0.87, 0.66, 0.54, 1), (0.13, 0.35, 0.72, 1)
 HEAD = """# Reception: can the person take it?
 
 See how many receivers could take the object, and how far they must turn the hand
-([definitions](../receivers.md#reception-can-this-person-take-the-object)). `python bench/reception.py` judged the shipped
+([definitions](../receivers.md#reception)). `python bench/reception.py` judged the shipped
 rows of r2h-v1 and the upper bound `oracle,for=reception` (bench/results/reception.json, commit {commit}). For your method
 run `r2h-batch results reception runs/mine`.
 
@@ -40,13 +40,14 @@ run `r2h-batch results reception runs/mine`.
 
 Percent of the `n` trials with a held object and a goal posture. A step's column counts trials in which some grasp
 passes this step and all steps before it. `received`: the whole way to one of the 8 easiest of these grasps is free too.
+`of all` and `and success` are percent of all trials: received, and received with success.
 
 {steps}
 
 ## Fewer grasps, effort
 
-K: percent received if the judge knew only K grasps a side. The other columns describe the easiest grasp. `turn <= 60`: percent
-received if the hand may turn by 60 degrees at most.
+`K=8`: percent received if only 8 grasps a side were tried. `turn <= 60`: percent received if the hand may turn by at most 60
+degrees. The other columns describe the easiest grasp.
 
 {effort}
 
@@ -56,7 +57,7 @@ A trial with 256 grasps takes {ms:.1f} ms of one core (the oracle's poses).
 """
 
 GROWTH = """
-Memory after a tenth of {trials:,} trials: {first} MiB, after all: {last} MiB.
+{trials:,} trials in one process take {last} MiB of memory, a tenth of them {first} MiB.
 """
 
 
