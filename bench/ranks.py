@@ -83,6 +83,8 @@ def page() -> str:
     return PAGE.format(
         commits=", ".join(dict.fromkeys(s["commit"][:12] for s in sources.values())),
         table=markdown_table(["Method", *found], rows),
-        stars=" `*`: decided for these objects, `**`: also for new ones." if any("*" in row[-1] for row in said) else "",
+        stars=" `*`: decided for these objects, `**`: also for new ones."
+        if any("*" in row[-1] for row in said)
+        else "",
         pairs=markdown_table(["column", "pair", "by SR", "by the column"], said),
     )

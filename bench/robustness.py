@@ -24,7 +24,7 @@ TURNED_DEG = 10.0
 
 HEAD = """# Robustness: errors of execution, and weight
 
-Compare methods under [errors of execution](../choices.md#what-is-known). `python bench/robustness.py`
+Compare methods under [errors of execution](../choices.md#errors-estimates-candidates). `python bench/robustness.py`
 measured {trials} trials of each split of r2h-v1, motion as planned (bench/results/robustness.json; commit {commit}). For
 your method run `r2h-batch sweep --method mine.py:predict --set robustness=true --out runs/robust`.
 
@@ -45,7 +45,8 @@ slips. The table has their percentage under 1 / 2 / 3 times the object's weight 
 {weight}
 
 The closed form assumes that the whole pad is in contact, so it overestimates grasps of round and narrow objects.
-We also simulated {n} grasps in MuJoCo C. There a grasp fails if the object turns by more than {turned:g} degrees or slips by 2 cm.
+We also simulated {n} grasps in MuJoCo C. There a grasp fails if the object turns by more than {turned:g} degrees or slips by
+2 cm.
 
 | fails in | grasps |
 | --- | --: |

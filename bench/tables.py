@@ -99,7 +99,7 @@ TIMES = {
 }
 NOTES = """- SR: trials that succeed. F_*: trials whose first failure is that criterion. SR and F_* add up to 100.
 - F_afford and Presented (the region faces the palm within reach; not in SR) exist in S1 only."""
-TIMES_NOTES = """- T_plan: wall time of planning a batch / its size. T_exec: mean over the trials whose arm came to rest at its goal.
+TIMES_NOTES = """- T_plan: wall time of planning a batch / its size. T_exec: mean over trials whose arm came to rest at its goal.
   T_method: the method's own time.
 - SR, 95 %: for more trials with these objects (Wilson); for new objects of the same kind (t interval over objects).
 - Arm or torso met: percent of the motions. They count in Safe only with `--receiver body`."""
@@ -207,9 +207,9 @@ def v1_page(published: Published, data: dict) -> str:
     run, made = load_run(ROOT / published.rows), data["provenance"]
     parts = [
         f"# {published.title}",
-        "See how often the built-in methods succeed on the default benchmark, why they fail, how long motions take, and how certain"
-        f" the rates are. `{made['command']}` made the rows in `{made['rows']}` (commit {made['commit'][:12]}). `{published.name}.json`"
-        " has counts and all intervals.",
+        "See how often the built-in methods succeed on the default benchmark, why they fail, how long motions take, and how"
+        f" certain the rates are. `{made['command']}` made the rows in `{made['rows']}` (commit {made['commit'][:12]})."
+        f" `{published.name}.json` has counts and all intervals.",
         "A cell has the values for S0 / S1. Rates are percent.",
         columns_table(rates_of(data)),
         NOTES,
