@@ -1,4 +1,4 @@
-"""Bounding capsules hold what they bound; direction cells never lose the farthest point."""
+"""Direction cells never lose the farthest point. (Bounding capsules: tests/kernels/test_collision.py.)"""
 
 import numpy as np
 import pytest
@@ -6,47 +6,6 @@ from scipy.spatial import ConvexHull
 
 from r2h_batch.bodies import bounds
 from r2h_batch.bodies.objects import load_objects
-from r2h_batch.bodies.robot import Kind
-
-
-def surface_of(kind: Kind, size: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Random points of a primitive."""
-    u = rng.uniform(-1, 1, (4000, 3))
-    if kind == Kind.BOX:
-        return u * size
-    angle, z = np.pi * u[:, 0], size[1] * u[:, 1]
-    ring = np.stack([size[0] * np.cos(angle), size[0] * np.sin(angle), z], 1)
-    if kind == Kind.CYLINDER:
-        return ring
-    ball = rng.normal(size=(4000, 3))
-    ball *= size[0] / np.linalg.norm(ball, axis=1, keepdims=True)
-    return np.concatenate([ring, ball + np.sign(u[:, 2:]) * np.array([0, 0, size[1]])])
-
-
-def outside(points: np.ndarray, a: np.ndarray, b: np.ndarray, radius: float) -> float:
-    d = b - a
-    t = np.clip((points - a) @ d / max(d @ d, 1e-30), 0, 1)
-    return float((np.linalg.norm(points - a - t[:, None] * d, axis=1) - radius).max())
-
-
-@pytest.mark.parametrize("kind", [Kind.CAPSULE, Kind.CYLINDER, Kind.BOX])
-def test_a_primitives_capsule_holds_it(kind: Kind) -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        size = rng.uniform(0.005, 0.2, 3)
-        axis, radius = bounds.capsule_of_primitive(int(kind), size)
-        assert outside(surface_of(kind, size, rng), -axis, axis, radius) <= 1e-9
-
-
-def test_capsules_of_balls_hold_them() -> None:
-    rng = np.random.default_rng(1)
-    for n in (1, 2, 7, 60):
-        centers, radii = rng.normal(size=(n, 3)) * [0.3, 0.02, 0.05], rng.uniform(0, 0.05, n)
-        a, b, radius = bounds.capsule_of_balls(centers, radii)
-        direction = rng.normal(size=(n, 500, 3))
-        direction /= np.linalg.norm(direction, axis=2, keepdims=True)
-        points = (centers[:, None] + radii[:, None, None] * direction).reshape(-1, 3)
-        assert outside(points, a, b, radius) <= 0
 
 
 @pytest.mark.check

@@ -9,21 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
+from refusals import one_line
 from seven import seven_joints, with_hulls, with_jaws, with_table
 
-from r2h_batch.bodies.robot import (
-    ROBOTS,
-    Dynamics,
-    Linkage,
-    Primitives,
-    Robot,
-    ee_pose,
-    load_robot,
-    read_robot,
-    robot_arrays,
-    slide_table,
-    write_robot,
-)
+from r2h_batch.bodies import robot as robots
+from r2h_batch.bodies.robot import Robot, ee_pose, load_robot, read_robot, robot_arrays, slide_table, write_robot
 from r2h_batch.importers import urdf
 from r2h_batch.importers.robot import gripper_of
 from r2h_batch.importers.robot_fit import Target
@@ -32,17 +22,9 @@ from r2h_batch.importers.robot_pairs import touching
 from r2h_batch.importers.urdf import read_chain, read_fingers
 from r2h_batch.io.read import FileError
 
-OTHERS = ROBOTS[1:]
-
-
-def with_lengths(T: np.ndarray, factor: float) -> np.ndarray:
-    scaled = T.copy()
-    scaled[:, :3, 3] *= factor
-    return scaled
-
 
 def same(a: object, b: object) -> bool:
-    if isinstance(a, (Dynamics, Linkage, Primitives)):
+    if isinstance(a, (robots.Dynamics, robots.Linkage, robots.Primitives)):
         return all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
     if isinstance(a, tuple) and a and isinstance(a[0], np.ndarray):
         return len(a) == len(b) and all(map(np.array_equal, a, b))
@@ -50,9 +32,7 @@ def same(a: object, b: object) -> bool:
 
 
 @pytest.mark.parametrize(
-    "robot",
-    [load_robot(), with_jaws(seven_joints()), with_hulls(load_robot()), with_table(seven_joints())],
-    ids=lambda r: r.name,
+    "robot", [with_jaws(seven_joints()), with_hulls(load_robot()), with_table(seven_joints())], ids=lambda r: r.name
 )
 def test_a_robot_written_and_read_is_equal_field_by_field(robot: Robot, tmp_path: Path) -> None:
     write_robot(tmp_path, robot)
@@ -62,7 +42,7 @@ def test_a_robot_written_and_read_is_equal_field_by_field(robot: Robot, tmp_path
     assert read_robot(tmp_path) == again != robot
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("name", robots.ROBOTS[1:])
 def test_a_built_in_arm_keeps_what_the_import_promises(name: str) -> None:
     robot = load_robot(name)
     report = json.loads((files("r2h_batch.assets") / "robot" / name / "report.json").read_text())
@@ -75,36 +55,14 @@ def test_a_built_in_arm_keeps_what_the_import_promises(name: str) -> None:
     assert home[2, 2] < -0.9999 and abs(home[1, 3]) < 1e-3 and not touching(robot, np.array(robot.home_q))
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda a: a.update(corners=a["corners"][:-1]), "add up to the number of corners"),
-        (lambda a: a.update(corners=0 * a["corners"]), "span no hull"),
-        (lambda a: a.update(corners=a["corners"] + 1.0), "ball about the middle"),
-        (lambda a: a.update(kind=np.ones_like(a["kind"])), "kind must be"),
-    ],
-)
-def test_wrong_corners_are_refused_in_one_line(change, words, tmp_path):
-    robot = with_hulls(load_robot())
-    write_robot(tmp_path, robot)
-    arrays = robot_arrays(robot)
-    change(arrays)
-    np.savez(tmp_path / "robot.npz", **arrays)
-    with pytest.raises(FileError, match=words) as refused:
-        read_robot(tmp_path)
-    assert "\n" not in str(refused.value)
-
-
 def test_hulls_hold_the_mesh_that_they_are_cut_from():
     ring = trimesh.creation.torus(0.06, 0.015, major_sections=24, minor_sections=12)
     mesh = Target(ring.triangles, [])
     hulls = fit_hulls(mesh, lambda found: len(found) == 4, 4)
-    for corners in (hull.points for hull in hulls):
-        assert len(corners) <= CORNERS
-    nearest = np.min([
-        trimesh.proximity.signed_distance(trimesh.convex.convex_hull(h.points), ring.vertices) * -1 for h in hulls
-    ], axis=0)  # fmt: skip
-    assert nearest.max() < 1e-5 and mesh.mean_overshoot_mm(hulls) < 12
+    assert max(len(hull.points) for hull in hulls) <= CORNERS
+    solids = [trimesh.convex.convex_hull(hull.points) for hull in hulls]
+    outside = np.min([-trimesh.proximity.signed_distance(solid, ring.vertices) for solid in solids], axis=0)
+    assert outside.max() < 1e-5 and mesh.mean_overshoot_mm(hulls) < 12
 
 
 @pytest.mark.parametrize(
@@ -112,17 +70,12 @@ def test_hulls_hold_the_mesh_that_they_are_cut_from():
     [
         (lambda y: y.update(format=2), "format"),
         (lambda y: y.update(more=1), "more"),
-        (lambda y: y["arm"].update(family="numerical"), "family"),
         (lambda y: y["arm"].update(home_rad=[0.0] * 5), "home_rad"),
-        (lambda y: y["arm"].update(home_rad=[7.0] * 6), "home_rad"),
-        (lambda y: y["arm"].update(max_velocity_rad_s=[0.0] * 6), "max_velocity_rad_s"),
         (lambda y: y["arm"].update(max_velocity_rad_s=[1e-9] * 6), "max_velocity_rad_s"),
         (lambda y: y["arm"].update(visuals="../../x"), "visuals"),
-        (lambda y: y["arm"].update(links=["a"] * 7), "called 'a'"),
         (lambda y: y["arm"]["links"].__setitem__(3, "table"), "called 'table'"),
         (lambda y: y["arm"].update(joints=["j"] * 6), "called 'j'"),
         (lambda y: y["arm"].update(upper_rad=[-6.0] * 6), "home_rad is outside"),
-        (lambda y: y["arm"].update(links=y["arm"]["links"][:-1]), "links has 6 entries; 6 joints need 7"),
         (lambda y: y.update(gripper={"law": "slide"}), "gripper"),
     ],
 )
@@ -131,45 +84,42 @@ def test_a_wrong_robot_yaml_is_refused_in_one_line(change, words, tmp_path):
     data = yaml.safe_load((tmp_path / "robot.yaml").read_text())
     change(data)
     (tmp_path / "robot.yaml").write_text(yaml.safe_dump(data))
-    with pytest.raises(FileError, match=words) as refused:
+    with one_line(words):
         read_robot(tmp_path)
-    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("hulls", "change", "words"),
     [
-        (lambda a: a.pop("com"), "has no com"),
-        (lambda a: a.update(mass=a["mass"][:5]), "mass is"),
-        (lambda a: a.update(size=np.full_like(a["size"], np.nan)), "size holds a number that is not finite"),
-        (lambda a: a.update(size=a["size"][:3]), "size is"),
-        (lambda a: a.update(link=a["link"] * 0), "every link"),
-        (lambda a: a.update(kind=a["kind"] * 0), "kind must be"),
-        (lambda a: a.update(self_pairs=a["self_pairs"] + 9), "pairs name two links"),
-        (lambda a: a.update(T_link_prim=2 * a["T_link_prim"]), "not a rigid pose"),
-        (lambda a: a.update(T_parent_joint=a["T_parent_joint"][::-1].copy()), "not that of a UR"),
-        (lambda a: a.update(mass=-a["mass"]), "above 0"),
-        (lambda a: a.update(mass=a["mass"] * 1e300), "masses to 1000 kg"),
-        (lambda a: a.update(com=a["com"] + 1e300), "masses to 1000 kg"),
-        (lambda a: a.update(inertia=a["inertia"] + np.triu(np.ones((3, 3)), 1)), "not symmetric"),
-        (lambda a: a.update(self_pairs=np.array([[3, 3]])), "pairs name two links"),
-        (lambda a: a.update(T_parent_joint=with_lengths(a["T_parent_joint"], 0)), "between 1 mm and 5 m"),
-        (lambda a: a.update(T_parent_joint=with_lengths(a["T_parent_joint"], -1)), "between 1 mm and 5 m"),
+        (0, lambda a: a.pop("com"), "has no com"),
+        (0, lambda a: a.update(size=np.full_like(a["size"], np.nan)), "size holds a number that is not finite"),
+        (0, lambda a: a.update(size=a["size"][:3]), "size is"),
+        (0, lambda a: a.update(link=a["link"] * 0), "every link"),
+        (0, lambda a: a.update(kind=a["kind"] * 0), "kind must be"),
+        (0, lambda a: a.update(self_pairs=np.array([[3, 3]])), "pairs name two links"),
+        (0, lambda a: a.update(T_link_prim=2 * a["T_link_prim"]), "not a rigid pose"),
+        (0, lambda a: a.update(T_parent_joint=a["T_parent_joint"][::-1].copy()), "not that of a UR"),
+        (0, lambda a: a.update(mass=a["mass"] * 1e300), "masses to 1000 kg"),
+        (0, lambda a: a.update(inertia=a["inertia"] + np.triu(np.ones((3, 3)), 1)), "not symmetric"),
+        (0, lambda a: a["T_parent_joint"].__setitem__((slice(None), slice(3), 3), 0), "between 1 mm and 5 m"),
+        (1, lambda a: a.update(corners=a["corners"][:-1]), "add up to the number of corners"),
+        (1, lambda a: a.update(corners=0 * a["corners"]), "span no hull"),
+        (1, lambda a: a.update(corners=a["corners"] + 1.0), "ball about the middle"),
     ],
 )
-def test_a_wrong_robot_npz_is_refused_in_one_line(change, words, tmp_path):
-    write_robot(tmp_path, load_robot())
-    arrays = robot_arrays(load_robot())
+def test_a_wrong_robot_npz_is_refused_in_one_line(hulls, change, words, tmp_path):
+    robot = with_hulls(load_robot()) if hulls else load_robot()
+    write_robot(tmp_path, robot)
+    arrays = {name: np.array(x) for name, x in robot_arrays(robot).items()}
     change(arrays)
     np.savez(tmp_path / "robot.npz", **arrays)
-    with pytest.raises(FileError, match=words) as refused:
+    with one_line(words):
         read_robot(tmp_path)
-    assert "\n" not in str(refused.value)
 
 
 URDF = """<robot name="one"><link name="base"><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link>
 <link name="hand"/><joint name="turn" type="{kind}"><parent link="base"/><child link="hand"/><axis xyz="0 0 1"/>
-<limit lower="-1" upper="1" velocity="1" effort="1"/>{more}</joint></robot>"""
+<limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
 
 
 @pytest.mark.parametrize(
@@ -178,26 +128,21 @@ URDF = """<robot name="one"><link name="base"><visual><geometry><mesh filename="
         ('<!DOCTYPE r [<!ENTITY a "b">]>' + URDF, "declares a document type"),
         (URDF.replace("<robot", '<robot xmlns:xacro="x"').replace("<axis", "<xacro:if/><axis"), "xacro"),
         (URDF.replace("{kind}", "prismatic"), "turn is prismatic"),
-        (URDF.replace("{more}", '<mimic joint="x"/>'), "mimic"),
         (URDF.replace("{mesh}", "http://x.org/a.stl"), "points outside the folder"),
         (URDF.replace("{mesh}", "../a.stl"), "points outside the folder"),
         (URDF.replace("{mesh}", "package://arm/a.stl"), "--package arm=FOLDER"),
         (URDF.replace('velocity="1"', ""), "velocity and effort above 0"),
         (URDF.replace('link="base"', 'link="hand"'), "no chain"),
         (URDF.replace("0 0 1", "0 nan 1"), "3 numbers"),
-        (URDF.replace('parent link="base"', 'parent link="x"'), "names 'x', which is not a link"),
         (URDF.replace("</robot>", 300 * '<joint name="j"/>' + "</robot>"), "301 links or joints"),
         ("<html/>", "begins with <html>"),
         ("<robot", "is not XML"),
     ],
 )
 def test_a_bad_urdf_is_refused_in_one_line(text, words, tmp_path):
-    for name, usual in (("{kind}", "revolute"), ("{mesh}", "a.stl"), ("{more}", "")):
-        text = text.replace(name, usual)
-    (tmp_path / "one.urdf").write_text(text)
-    with pytest.raises(FileError, match=words) as refused:
+    (tmp_path / "one.urdf").write_text(text.replace("{kind}", "revolute").replace("{mesh}", "a.stl"))
+    with one_line(words):
         read_chain(tmp_path / "one.urdf", "base", "hand", {})
-    assert "\n" not in str(refused.value)
 
 
 JAWS = """<robot name="jaws"><link name="flange"><visual><geometry><mesh filename="palm.stl"/></geometry></visual>{mass}</link>
@@ -262,11 +207,8 @@ def test_fingers_on_cranks_become_a_table_of_their_circle(tmp_path):
     link = gripper["linkage"]
     gap = np.linspace(-2 * link.drive_upper, -2 * link.drive_lower, link.table.shape[1])
     turn = np.arcsin((gap / 2 - 0.012 + 0.005) / 0.05)  # a crank of 50 mm, pads of 5 mm half
-    assert (
-        np.isclose(gap[0], 0.014)
-        and np.isclose(turn[-1], 0.8)
-        and gripper["gripper_motion"][-4:] == ("table_1",) * 2 + ("table_0",) * 2
-    )
+    assert np.isclose(gap[0], 0.014) and np.isclose(turn[-1], 0.8)
+    assert gripper["gripper_motion"][-4:] == ("table_1",) * 2 + ("table_0",) * 2
     assert np.abs(link.table[0, :, 1] - 0.05 * (np.cos(turn) - 1)).max() < 1e-6 and np.ptp(link.table[0, :, 2]) < 1e-9
     assert np.abs(link.table[1, :, 2] + turn).max() < 1e-4 and link.jaw_mass_kg == 0.2 and np.isclose(link.mass_kg, 0.6)
     assert np.isclose(gripper["T_flange_ee"][2, 3], np.interp(gap[-1] / 2, gap, 0.06 + 0.05 * np.cos(turn)), atol=1e-6)
@@ -280,21 +222,15 @@ def test_fingers_on_cranks_become_a_table_of_their_circle(tmp_path):
         (JAWS, {"box": ""}, "neither boxes to collide nor a visual mesh"),
         (JAWS, {"limit": ""}, "no <limit>"),
         (JAWS, {"mass": ""}, "needs a mass"),
-        (CRANKS, TURNING | {"pad": "-0.9"}, "must stay parallel"),
         (CRANKS, TURNING | {"other": "-1"}, "must open apart"),
         (CRANKS.replace('joint="one" multiplier="{pad}"', 'joint="none"'), TURNING, "not a joint that moves"),
         (CRANKS.replace('joint="one" multiplier="{other}"', 'joint="two"'), TURNING, "follows itself"),
-        (
-            CRANKS.replace('<mimic joint="one" multiplier="{pad}"/>', "{limit}"),
-            TURNING,
-            "3 joints of the gripper move by themselves",
-        ),
+        (CRANKS.replace('<mimic joint="one" multiplier="{pad}"/>', "{limit}"), TURNING, "3 joints of the gripper move"),
     ],
 )
 def test_jaws_that_are_none_are_refused_in_one_line(urdf, changes, words, tmp_path):
-    with pytest.raises(FileError, match=words) as refused:
+    with one_line(words):
         jaws_of(tmp_path, urdf, **changes)
-    assert "\n" not in str(refused.value)
 
 
 def test_the_chain_of_the_ur5es_urdf_is_the_built_in_one() -> None:
@@ -307,11 +243,9 @@ def test_the_chain_of_the_ur5es_urdf_is_the_built_in_one() -> None:
     assert replace(robot, digest="other") != robot
 
 
-def test_a_mesh_in_millimetres_and_too_many_meshes_are_refused_before_they_are_covered(
-    tmp_path: Path, monkeypatch
-) -> None:
+def test_a_mesh_in_millimetres_and_too_many_meshes_are_refused_before_they_are_covered(tmp_path, monkeypatch) -> None:
     trimesh.creation.box((100, 100, 900)).export(tmp_path / "a.stl")
-    text = URDF.format(mesh="a.stl", kind="revolute", more="")
+    text = URDF.format(mesh="a.stl", kind="revolute")
     for link, words in (("", "900 m long"), ('scale="0.001 0.001 0.001"', None), ('scale="0 0 0"', "0 m long")):
         (tmp_path / "one.urdf").write_text(text.replace('"a.stl"', f'"a.stl" {link}'))
         with pytest.raises(FileError, match=words or "link hand has no visual mesh"):

@@ -59,40 +59,34 @@ def test_graspnet_vectors_of_one_object_out_of_the_cameras_frame(tmp_path):
     assert np.abs(approach - R[mine][:, :, 0] @ camera[:3, :3].T).max() < 1e-6
 
 
-@pytest.mark.parametrize("gripper, closing, tip", [
-    ("panda-hand", 1, 0.1122), ("acronym-panda", 0, 0.1122), ("graspgen-franka", 0, 0.1122),
-    ("graspgen-2f-85", 0, 0.1422 + PAD_HALF_M), ("graspgen-2f-140", 0, 0.195 + PAD_HALF_M),
+@pytest.mark.parametrize("kind, gripper, closing, tip", [
+    ("isaac", "panda-hand", 1, 0.1122), ("poses", "acronym-panda", 0, 0.1122), ("graspgen", "graspgen-franka", 0, 0.1122),
+    ("graspgen", "graspgen-2f-85", 0, 0.1422 + PAD_HALF_M), ("isaac", "graspgen-2f-140", 0, 0.195 + PAD_HALF_M),
 ])  # fmt: skip
-@pytest.mark.parametrize("kind", ["isaac", "graspgen", "poses"])
-def test_a_file_without_a_frame_takes_the_named_grippers(tmp_path, gripper, closing, tip, kind):
+def test_a_file_without_a_frame_takes_the_named_grippers(tmp_path, kind, gripper, closing, tip):
     """Fingertips stand where GraspGen's robot files have them: pads of the open 2F-85 at z 0.1303, 0.1422 at half stroke."""
-    T, confidence = poses(12, 3), np.linspace(1, 0, 12)
+    T, confidence, path = poses(12, 3), np.linspace(1, 0, 12), tmp_path / "g"
     if kind == "isaac":
-        found, _ = read_file_of(kind, write_isaac(tmp_path / "g.yaml", T, confidence), gripper)
+        write_isaac(path, T, confidence)
     elif kind == "graspgen":
-        held = np.arange(15) % 5 > 0
+        confidence, held = np.ones(12), np.arange(15) % 5 > 0
         every = np.tile(np.eye(4), (15, 1, 1))
         every[held] = T
-        file = {
-            "object": {"file": "a.obj", "scale": 0.1},
-            "grasps": {"transforms": every.tolist(), "object_in_gripper": held.tolist()},
-        }
-        (tmp_path / "g.json").write_text(json.dumps(file))
-        found, left_out = read_file_of(kind, tmp_path / "g.json", gripper)
-        assert left_out == 3
-        confidence = np.ones(12)
+        grasps = {"transforms": every.tolist(), "object_in_gripper": held.tolist()}
+        path.write_text(json.dumps({"object": {"file": "a.obj", "scale": 0.1}, "grasps": grasps}))
     else:
-        np.save(tmp_path / "g.npy", T)
-        found, _ = read_file_of(kind, tmp_path / "g.npy", gripper)
+        np.save(path, T)
+        path = path.with_suffix(".npy")
+    found, left_out = read_file_of(kind, path, gripper)
+    assert left_out == (3 if kind == "graspgen" else 0)
     tips, approach = fingers(found.T_obj_ee.astype(np.float64))
     local = np.zeros((2, 4))
     local[:, closing], local[:, 2], local[:, 3] = (0.02, -0.02), tip, 1.0
     want = (T @ local.T).transpose(0, 2, 1)[:, :, :3]
     assert np.abs(tips - want).max() < 5e-5 and np.abs(approach - T[:, :3, 2]).max() < 1e-6
     assert np.abs(found.score - confidence).max() < 1e-6
-    assert found.gripper == ("2f-85" if gripper == "graspgen-2f-85" else gripper), (
-        "our own gripper's stay where they are"
-    )
+    own = "2f-85" if gripper == "graspgen-2f-85" else gripper
+    assert found.gripper == own, "our own gripper's stay where they are"
 
 
 def test_labels_of_graspnet_are_the_grasps_that_graspnetAPI_makes_of_them(tmp_path):
@@ -122,24 +116,18 @@ def test_labels_of_graspnet_are_the_grasps_that_graspnetAPI_makes_of_them(tmp_pa
     assert BenchmarkOverrides(grasps=(f"cup={path}",)).read().objects
 
 
-def test_our_own_gripper_needs_no_new_place(tmp_path):
-    T = poses(3, 5)
-    found, _ = read_file_of("isaac", write_isaac(tmp_path / "g.yaml", T, np.ones(3)), "ee")
+def test_our_own_gripper_and_our_own_format_need_no_new_place(tmp_path):
+    T = poses(5)
+    found, _ = read_file_of("isaac", write_isaac(tmp_path / "g.yaml", T, np.ones(5)), "ee")
     assert found.gripper == "2f-85" and np.abs(found.T_obj_ee - T).max() < 1e-6
-    robot = load_robot()
-    base = robot.T_flange_ee.copy()
-    coupling = 0.011  # the UR coupling between flange and the gripper's base
-    base[2, 3] -= coupling
-    assert np.abs(T_gripper_ee("2f-85-base")[:3, 3] - base[:3, 3]).max() < 5e-4
-    assert np.abs(T_gripper_ee("2f-85-base")[:3, :3] - base[:3, :3]).max() < 1e-6
-
-
-def test_our_own_format(tmp_path):
-    arrays = {"T_obj_ee": poses(5).astype(np.float32), "width": np.full(5, 0.03, np.float32),
+    base = load_robot().T_flange_ee.copy()
+    base[2, 3] -= 0.011  # the UR coupling between flange and the gripper's base
+    off = np.abs(T_gripper_ee("2f-85-base") - base)
+    assert off[:3, :3].max() < 1e-6 and off[:3, 3].max() < 5e-4
+    arrays = {"T_obj_ee": T.astype(np.float32), "width": np.full(5, 0.03, np.float32),
               "score": np.linspace(0, 1, 5).astype(np.float32), "part": np.arange(5, dtype=np.int32) - 1}  # fmt: skip
-    path = tmp_path / "grasps.npz"
-    np.savez(path, **arrays)
-    found = read_grasps(path)
+    np.savez(tmp_path / "grasps.npz", **arrays)
+    found = read_grasps(tmp_path / "grasps.npz")
     assert all(np.array_equal(v, arrays[k]) for k, v in found.arrays().items()) and found.gripper == "2f-85"
     np.savez(tmp_path / "few.npz", T_obj_ee=arrays["T_obj_ee"])
     few = read_grasps(tmp_path / "few.npz")
@@ -147,33 +135,26 @@ def test_our_own_format(tmp_path):
 
 
 def as_set(candidates, gripper="2f-85", T=None):
-    return GraspSet(
-        candidates.T_obj_ee if T is None else T, candidates.width, np.linspace(1, 0, len(candidates)).astype(np.float32),
-        candidates.part.astype(np.int32), gripper,
-    )  # fmt: skip
+    score = np.linspace(1, 0, len(candidates)).astype(np.float32)
+    T_obj_ee = candidates.T_obj_ee if T is None else T
+    return GraspSet(T_obj_ee, candidates.width, score, candidates.part.astype(np.int32), gripper)
 
 
-def test_candidates_given_back_as_a_users_grasps_are_the_same_candidates():
+def test_grasps_of_our_gripper_stay_and_those_of_another_are_seated_anew_or_dropped_and_counted():
     (hammer,) = load_objects(["hammer"])
     (own,) = candidates_of((hammer,))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         (found,) = candidates_of((replace(hammer, grasps=as_set(own)),))
     assert np.abs(found.T_obj_ee - own.T_obj_ee).max() < 2e-6 and np.array_equal(found.part, own.part)
-    assert np.array_equal(found.score, np.linspace(1, 0, len(own)).astype(np.float32)), "the user's scores rank"
-
-
-def test_grasps_of_another_gripper_are_seated_anew_or_dropped_and_counted():
-    (hammer,) = load_objects(["hammer"])
-    (own,) = candidates_of((hammer,))
+    assert np.array_equal(found.score, as_set(own).score), "the user's scores rank"
     T = own.T_obj_ee.copy()
     T[:, :3, 3] -= 0.012 * T[:, :3, 2]  # fingers that are 12 mm longer
     T[:10, :3, 3] += 5.0  # nowhere near
     with pytest.warns(UserWarning, match=r"of 100 grasps of the panda-hand, \d+ seated elsewhere, \d+ dropped"):
         found = seat_grasps(hammer, as_set(own, "panda-hand", T))
     assert 80 <= len(found) <= 90 and (np.diff(found.score) <= 0).all()
-    away = np.linalg.norm(found.T_obj_ee[:, :3, 3] - hammer.com, axis=1)
-    assert away.max() < 0.5
+    assert np.linalg.norm(found.T_obj_ee[:, :3, 3] - hammer.com, axis=1).max() < 0.5
     with pytest.warns(UserWarning, match="dropped"):
         kept = seat_grasps(hammer, as_set(own, T=T))
     assert len(kept) < len(found), "our own gripper's grasps stay where they are"

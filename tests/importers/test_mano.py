@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 from mano_files import mano_dictionary, mano_twin, write_mano
+from refusals import one_line
 
 from r2h_batch.bodies.hand import load_hand, load_hand_set, make_hand_set
 from r2h_batch.bodies.hand_pieces import close_holes
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.importers.mano import hand_arrays, load_mano
-from r2h_batch.io.read import FileError
 from r2h_batch.receiver import receiving
 from r2h_batch.receiver.sampler import NoHoldError
 from r2h_batch.trials.protocol import make_trials
@@ -52,7 +52,7 @@ def test_our_hand_in_manos_layout_has_the_same_meshes_and_pieces(imported):
 @pytest.fixture(scope="module")
 def benches(imported):
     """An evaluator with the built-in hand, and one with the same postures of the same hand from MANO's files."""
-    every, rows = load_hand_set(), slice(None, None, 10)
+    every, rows = load_hand_set(), slice(None, None, 20)
     numbers = [x[rows].numpy() for x in (every.pose, every.shape, every.side)]
     own, hands = (make_hand_set(model, *numbers, every.posture[rows]) for model in (load_hand(), imported.model))
     assert hands.digest != own.digest
@@ -63,7 +63,7 @@ METHODS = ("random", "oracle", "handover_va", "fc", "contact", "intent")
 
 
 @pytest.mark.parametrize("method, trials", [
-    *((m, 8) for m in METHODS), *(pytest.param(m, 500, marks=pytest.mark.slow) for m in METHODS)
+    *((m, 4) for m in METHODS), *(pytest.param(m, 500, marks=pytest.mark.slow) for m in METHODS)
 ])  # fmt: skip
 def test_our_hand_in_manos_layout_gets_the_same_verdicts(benches, method, trials):
     found = []
@@ -79,10 +79,8 @@ def test_our_hand_in_manos_layout_gets_the_same_verdicts(benches, method, trials
     assert torch.equal(mine.outcome, other.outcome) and torch.equal(mine.passed, other.passed)
     assert torch.equal(mine.plan_reason, other.plan_reason)
     if trials == 500 and method != "oracle":
-        kinds = (
-            4 if method == "random" else 3
-        )  # whoever takes candidates and keeps off the hand fails Plan and Affordance only
-        assert 50 < int(mine.success.sum()) < 450 and len(mine.outcome.unique()) >= kinds
+        # whoever takes candidates and keeps off the hand fails Plan and Affordance only
+        assert 50 < int(mine.success.sum()) < 450 and len(mine.outcome.unique()) >= (4 if method == "random" else 3)
 
 
 def test_the_same_hand_from_a_file_is_shown_the_stored_receiving_grasps_and_another_is_not(imported, monkeypatch):
@@ -125,40 +123,33 @@ def test_pose_blend_shapes_and_both_sides_follow_manos_formula(tmp_path):
         assert torch.equal(again.vertices, got.vertices[:rows])
 
 
-def test_principal_components_full_poses_and_means(imported, files):
+def test_principal_components_full_poses_and_means(imported):
     arrays = [mano_dictionary(s) for s in (0, 1)]
-    rng = np.random.default_rng(2)
     side = torch.tensor([0, 1, 1])
-    for n in (6, 15, 45):
-        some = rng.normal(size=(3, n))
-        for flat in (True, False):
-            got = imported.model.full_pose(torch.from_numpy(some), side, flat_hand_mean=flat).numpy()
-            for i, s in enumerate(side.tolist()):
-                want = some[i] @ arrays[s]["hands_components"][:n] + (0 if flat else arrays[s]["hands_mean"])
-                assert np.abs(got[i] - want).max() < 1e-6
+    for n, flat in ((6, True), (45, False)):
+        some = np.random.default_rng(2).normal(size=(3, n))
+        got = imported.model.full_pose(torch.from_numpy(some), side, flat_hand_mean=flat).numpy()
+        for i, s in enumerate(side.tolist()):
+            want = some[i] @ arrays[s]["hands_components"][:n] + (0 if flat else arrays[s]["hands_mean"])
+            assert np.abs(got[i] - want).max() < 1e-6
     with pytest.raises(ValueError, match="no principal components"):
         load_hand().full_pose(torch.zeros((1, 6)), torch.tensor([0]), flat_hand_mean=True)
 
 
-def test_one_side_alone_stands_for_the_other_too(files, imported):
-    alone = load_mano(None, files[1])
+def test_one_side_alone_an_npz_and_a_stored_hand_say_the_same_hand(files, imported, tmp_path):
     rows = random_hands(6, 4)
-    assert (posed(alone.model, *rows).vertices - posed(imported.model, *rows).vertices).abs().max() < 1e-6
+    want, mean = posed(imported.model, *rows).vertices, imported.model.pose_mean.numpy()
+    alone = load_mano(None, files[1])
+    assert (posed(alone.model, *rows).vertices - want).abs().max() < 1e-6
     assert np.abs(alone.wrist_rest - imported.wrist_rest).max() < 1e-6
-    mean = imported.model.pose_mean.numpy()
-    assert np.abs(alone.model.pose_mean.numpy()[1] - mean[1]).max() < 1e-6
-    axial = np.tile([1.0, -1.0, -1.0], 15)
-    assert np.abs(alone.model.pose_mean.numpy()[0] - mean[1] * axial).max() < 1e-6
-
-
-def test_an_npz_of_the_same_arrays_and_a_stored_hand_read_alike(imported, files, tmp_path):
+    mirrored = np.stack([mean[1] * np.tile([1.0, -1.0, -1.0], 15), mean[1]])
+    assert np.abs(alone.model.pose_mean.numpy() - mirrored).max() < 1e-6
     arrays = mano_dictionary(0)
     arrays["shapedirs"], arrays["J_regressor"] = arrays["shapedirs"][:, :, :10], arrays["J_regressor"].toarray()
     np.savez(tmp_path / "right.npz", **arrays)
-    rows = random_hands(4, 8)
-    rows[2][:] = 0
-    want = posed(imported.model, *rows).vertices
-    assert torch.equal(posed(load_mano(tmp_path / "right.npz").model, *rows).vertices, want)
+    right = rows[2] == 0
+    again = posed(load_mano(tmp_path / "right.npz").model, *rows).vertices
+    assert torch.equal(again[right], want[right])
     np.savez(tmp_path / "hand.npz", **hand_arrays(*files))
     stored = load_hand(tmp_path / "hand.npz")
     assert torch.equal(posed(stored, *rows).vertices, want) and stored.digest == imported.model.digest
@@ -174,40 +165,25 @@ def test_an_open_wrist_is_closed_and_the_pieces_hold_the_hand(tmp_path):
     assert len(closed) - len(opened) == ring - 2
     edges = {(int(a), int(b)) for f in closed for a, b in zip(f, np.roll(f, -1))}
     assert all((b, a) in edges for a, b in edges)
-    arrays = mano_dictionary(0, faces=opened)
-    hand = load_mano(write_mano(tmp_path / "open.pkl", arrays)).model
-    covered = np.zeros(len(hand.faces), bool)
-    for piece in hand.pieces:
-        covered |= np.isin(hand.faces.numpy(), piece.numpy()).all(1)
-    assert covered.all()
+    hand = load_mano(write_mano(tmp_path / "open.pkl", mano_dictionary(0, faces=opened))).model
+    assert np.any([np.isin(hand.faces.numpy(), piece.numpy()).all(1) for piece in hand.pieces], axis=0).all()
     assert hub not in hand.faces.numpy() and len(hand.vertices) == len(vertices)
 
 
 def test_a_stored_hand_or_set_that_is_none_is_refused_in_one_line(files, tmp_path):
-    arrays = hand_arrays(files[0])
-    own = load_hand_set()
-    hands = {
-        "pose": own.pose.numpy(),
-        "shape": own.shape.numpy(),
-        "side": own.side.numpy(),
-        "posture": np.array(own.posture),
-    }
+    arrays, own = hand_arrays(files[0]), load_hand_set()
+    hands = {k: getattr(own, k).numpy() for k in ("pose", "shape", "side")} | {"posture": np.array(own.posture)}
     cases = [
         (load_hand, {**arrays, "faces": arrays["faces"] + 5}, "faces names other vertices"),
         (load_hand, {**arrays, "weights": arrays["weights"] / 2}, "sum to 1"),
-        (
-            load_hand,
-            {**arrays, "vertices": arrays["vertices"] * 1000},
-            "Lengths are in metres: from millimetres multiply",
-        ),
+        (load_hand, {**arrays, "vertices": arrays["vertices"] * 1000}, "in metres: from millimetres multiply"),
         (load_hand, {k: v for k, v in arrays.items() if k != "joint_axes"}, "has no joint_axes"),
         (load_hand, {**arrays, "parents": arrays["parents"][::-1]}, "not MANO's"),
         (load_hand_set, {**hands, "pose": hands["pose"][:, :45]}, "pose is"),
-        (load_hand_set, {**hands, "shape": hands["shape"][:7]}, "shape is"),
     ]
     for k, (load, given, message) in enumerate(cases):
         np.savez(tmp_path / f"{k}.npz", **given)
-        with pytest.raises(FileError, match=message):
+        with one_line(message):
             load(tmp_path / f"{k}.npz")
     np.savez(tmp_path / "hands.npz", **{k: v[195:205] for k, v in hands.items()})
     ten = load_hand_set(tmp_path / "hands.npz")

@@ -1,6 +1,5 @@
 """Trials of the authors' release: nine of its bundled fixtures, rebuilt from their numbers, get the flags it publishes."""
 
-import copy
 import csv
 import json
 from dataclasses import replace
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from grasp_cases import Body, model_of
+from grasp_cases import model_of
 from scipy.optimize import least_squares
 from sweep_command import in_process
 
@@ -109,10 +108,15 @@ def fixture(name, variant, tool=0.0, frames=30):
     }  # fmt: skip
 
 
-def imported(folder, trials):
-    (folder / "in").mkdir()
+def written(folder, trials):
+    folder.mkdir()
     for t in trials:
-        (folder / "in" / f"{t['id']}.json").write_text(json.dumps(t))
+        (folder / f"{t['id']}.json").write_text(json.dumps(t))
+    return folder
+
+
+def imported(folder, trials):
+    written(folder / "in", trials)
     assert main(["import", "trials", str(folder / "in"), "--from", "r2handoversim", "--out", str(folder / "out")]) == 0
     with (folder / "out" / "trials.csv").open() as file:
         names = {int(row["trial_id"]): row["id"] for row in csv.DictReader(file)}
@@ -121,34 +125,35 @@ def imported(folder, trials):
     return names, benchmark, evaluator, np.load(folder / "out" / "predictions.npz")
 
 
-def judged(folder, trials):
-    names, benchmark, evaluator, poses = imported(folder, trials)
-    ids = torch.from_numpy(poses["trial_id"])
-    scores = evaluator.score(
-        torch.from_numpy(poses["T_obj_ee"]), torch.from_numpy(poses["T_world_ee"]), trials_of(benchmark, ids)
-    )
-    return {names[i]: scores[k] for k, i in enumerate(ids.tolist())}
+def swept(source, out, *more):
+    """The rows of a sweep over such files by their ids, and the run."""
+    done = in_process("--trials-from", source, "--sim", "none", "--set", "width=whole", *more, "--out", out)
+    assert done.returncode == 0, done.stderr
+    run = load_run(out)
+    return {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}, run
 
 
 def test_fixtures_get_the_margins_and_flags_that_the_release_publishes(tmp_path):
-    variants = ("intent_aware", "region_agnostic", "missed_delivery")
-    scores = judged(tmp_path, [fixture(name, variant) for name in OBJECTS for variant in variants])
-    column = {name: k for k, name in enumerate(CRITERIA)}
+    variants, column = ("intent_aware", "region_agnostic", "missed_delivery"), CRITERIA.index
+    names, benchmark, evaluator, poses = imported(tmp_path, [fixture(n, v) for n in OBJECTS for v in variants])
+    ids, *T = (torch.from_numpy(poses[k]) for k in ("trial_id", "T_obj_ee", "T_world_ee"))
+    scores = evaluator.score(*T, trials_of(benchmark, ids))
+    rows = {names[i]: scores[k] for k, i in enumerate(ids.tolist())}
     for name in OBJECTS:
         for variant in variants:
-            row, missed = scores[f"{name}_{variant}"], variant == "missed_delivery"
+            row, missed = rows[f"{name}_{variant}"], variant == "missed_delivery"
             passed, margin = row.passed.flatten(), row.margin.flatten()
-            assert passed[column["stability"]], (name, variant)
-            assert float(margin[column["reach"]]) * 1e3 == pytest.approx(REACH_MM[name][missed], abs=1.5e-3)
+            assert passed[column("stability")], (name, variant)
+            assert float(margin[column("reach")]) * 1e3 == pytest.approx(REACH_MM[name][missed], abs=1.5e-3)
             if name != "bottle":
                 # hammer from +x: the release's box fingers stand 50 mm apart (the width of the head), ours 28 mm (the handle)
-                assert bool(passed[column["affordance"]]) == (variant != "region_agnostic"), (name, variant)
+                assert bool(passed[column("affordance")]) == (variant != "region_agnostic"), (name, variant)
             if missed:
                 assert row.outcome == int(Outcome.REACH)
     # with the table that their planner knows, what is held from above at the goal is in it: their own `plan` says so too
-    assert scores["screwdriver_intent_aware"].outcome == int(Outcome.PLAN)
-    assert scores["bottle_region_agnostic"].outcome == int(Outcome.SUCCESS)
-    assert scores["screwdriver_region_agnostic"].outcome == int(Outcome.AFFORDANCE)
+    assert rows["screwdriver_intent_aware"].outcome == int(Outcome.PLAN)
+    assert rows["bottle_region_agnostic"].outcome == int(Outcome.SUCCESS)
+    assert rows["screwdriver_region_agnostic"].outcome == int(Outcome.AFFORDANCE)
 
 
 def test_twelve_fixtures_get_the_flags_and_first_failures_that_the_release_publishes(tmp_path):
@@ -157,25 +162,18 @@ def test_twelve_fixtures_get_the_flags_and_first_failures_that_the_release_publi
 
     One flag differs: the release spreads the hammer's fingers by the whole head (50 mm), ours touch the handle (28 mm).
     """
-    (tmp_path / "in").mkdir()
-    variants = ("intent_aware", "region_agnostic", "execution_deviation", "missed_delivery")
-    for name in OBJECTS:
-        for variant in variants:
-            trial = fixture(name, variant, tool=MATCHED, frames=90) | {"obstacle_boxes_world": []}
-            (tmp_path / "in" / f"{trial['id']}.json").write_text(json.dumps(trial))
-    done = in_process(
-        "--trials-from", tmp_path / "in", "--sim", "none", "--set", "width=whole", "object_collision=pieces",
-        "--out", tmp_path / "run",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    run = load_run(tmp_path / "run")
-    rows = {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}
+    variants, free = (
+        ("intent_aware", "region_agnostic", "execution_deviation", "missed_delivery"),
+        {"obstacle_boxes_world": []},
+    )
+    trials = [fixture(name, v, tool=MATCHED, frames=90) | free for name in OBJECTS for v in variants]
+    rows, _ = swept(written(tmp_path / "in", trials), tmp_path / "run", "object_collision=pieces")
     assert len(rows) == 12
     for name in OBJECTS:
         for variant in variants:
             flags = dict.fromkeys(CRITERIA, True) | {"affordance": None if name == "bottle" else True}
             failure = {"execution_deviation": "safe", "missed_delivery": "reach"}.get(variant)
-            if (name, variant) in (("screwdriver", "region_agnostic"), ("hammer", "region_agnostic")):
+            if variant == "region_agnostic" and name != "bottle":
                 failure = "affordance"  # of the hammer in our definition alone
             if failure:
                 flags[failure] = False
@@ -186,22 +184,18 @@ def test_twelve_fixtures_get_the_flags_and_first_failures_that_the_release_publi
 
 def release_fingers():
     """Our robot with the release's fingers: two boxes on slides, whose ends are our pads' ends."""
-    own = load_robot()
+    own, slides = load_robot(), slide_table(0.0, 0.085)
     T_gripper_ee = np.linalg.inv(own.T_flange_gripper) @ own.T_flange_ee
-    at = np.stack(
-        [T_gripper_ee @ trimesh.transformations.translation_matrix((0, y, TIPS - 0.022)) for y in (-0.006, 0.006)]
-    )
+    at = np.tile(T_gripper_ee @ shift(TIPS - 0.022), (2, 1, 1))
+    at[:, :3, 3] += np.outer([-0.006, 0.006], T_gripper_ee[:3, 1])
     boxes = Primitives(
-        ("left", "right"),
-        np.zeros(2, np.int32),
-        np.full(2, int(Kind.BOX), np.int32),
-        at,
+        ("left", "right"), np.zeros(2, np.int32), np.full(2, int(Kind.BOX), np.int32), at,
         np.tile((0.012, 0.006, 0.022), (2, 1)),
-    )
-    slides = table_linkage(slide_table(0.0, 0.085), 0.0, 0.085, own.linkage.pad_half_size, 0.0, 1.0, 0.1)
+    )  # fmt: skip
     return replace(
         own, gripper=boxes, gripper_part=("pad", "pad"), gripper_motion=("table_0", "table_0"),
-        gripper_side=np.array([-1, 1], np.int32), linkage=slides, digest="fingers of the release",
+        gripper_side=np.array([-1, 1], np.int32), digest="fingers of the release",
+        linkage=table_linkage(slides, 0.0, 0.085, own.linkage.pad_half_size, 0.0, 1.0, 0.1),
     )  # fmt: skip
 
 
@@ -213,12 +207,10 @@ def as_rows(boxes):
 def region_distances(regions, T_object_gripper, opening):
     """Of region i to the release's fingers at grasp i, m."""
     cube = trimesh.creation.box((0.01, 0.01, 0.01))
-    objects = [Body(**vars(model_of(cube)) | {"receiver_boxes": r}) for r in regions]
-    index = torch.arange(len(regions), dtype=torch.int32)
+    tables = grasp_tables([replace(model_of(cube), receiver_boxes=r) for r in regions], release_fingers())
     T = torch.tensor(np.array(T_object_gripper) @ shift(-TIPS), dtype=torch.float32)
-    return region_distance(
-        grasp_tables(objects, release_fingers()), T, index, torch.tensor(opening, dtype=torch.float32)
-    )[0]
+    index = torch.arange(len(regions), dtype=torch.int32)
+    return region_distance(tables, T, index, torch.tensor(opening, dtype=torch.float32))[0]
 
 
 def test_with_the_releases_fingers_usage_boxes_are_volumes_as_there():
@@ -234,23 +226,20 @@ def test_with_the_releases_fingers_usage_boxes_are_volumes_as_there():
     regions, grasps = [], []
     for _ in range(n):
         turns = [trimesh.transformations.random_rotation_matrix(rng.random(3)) for _ in range(3)]
-        many = rng.integers(1, 3)
-        regions.append(
-            np.array([[rng.normal(0, 0.02, 3), rng.uniform(0.002, 0.06, 3), *T[:3, :3]] for T in turns[:many]])
-        )
+        many = turns[: rng.integers(1, 3)]
+        regions.append(np.array([[rng.normal(0, 0.02, 3), rng.uniform(0.002, 0.06, 3), *T[:3, :3]] for T in many]))
         turns[2][:3, 3] = rng.normal(0, 0.05, 3)
         grasps.append(turns[2])
     opening = rng.uniform(0, 0.085, n)
     distance = region_distances(regions, grasps, opening).numpy()
-    met, within = np.zeros(n, bool), 0
+    met, within, size = np.zeros(n, bool), 0, (0.024, 0.012, 0.044)
     for i in range(n):
         for side in (-1, 1):
-            finger = grasps[i] @ trimesh.transformations.translation_matrix(
-                (0, side * (opening[i] / 2 + 0.006), -0.022)
-            )
-            corners = trimesh.transform_points(trimesh.creation.box((0.024, 0.012, 0.044)).vertices, finger)
+            at = trimesh.transformations.translation_matrix((0, side * (opening[i] / 2 + 0.006), -0.022))
+            finger = grasps[i] @ at
+            corners = trimesh.transform_points(trimesh.creation.box(size).vertices, finger)
             for center, half, *R in regions[i]:
-                a = fcl.CollisionObject(fcl.Box(0.024, 0.012, 0.044), fcl.Transform(finger[:3, :3], finger[:3, 3]))
+                a = fcl.CollisionObject(fcl.Box(*size), fcl.Transform(finger[:3, :3], finger[:3, 3]))
                 b = fcl.CollisionObject(fcl.Box(*2 * half), fcl.Transform(np.stack(R), center))
                 met[i] |= fcl.collide(a, b) > 0
                 within += (np.abs((corners - center) @ np.stack(R)) < half).all()
@@ -275,18 +264,11 @@ def test_usage_boxes_come_back_as_they_came(tmp_path):
 
 def test_a_sweep_judges_their_files_in_one_step_and_keeps_their_ids(tmp_path):
     """Of our gripper (`T_tcp_asset_tool`) the executed motion is judged, of another one the pose is planned to."""
-    (tmp_path / "in").mkdir()
     trials = [fixture("bottle", v, tool=MATCHED) for v in ("region_agnostic", "missed_delivery")]
-    trials = [t | {"obstacle_boxes_world": []} for t in trials]
-    for t in [*trials, {**fixture("bottle", "region_agnostic"), "id": "box_tool", "obstacle_boxes_world": []}]:
-        (tmp_path / "in" / f"{t['id']}.json").write_text(json.dumps(t))
-    line = ["--trials-from", tmp_path / "in", "--sim", "none", "--set", "width=whole"]
-    for more, planned in (([], {"box_tool"}), (["--replan"], {"box_tool", *(t["id"] for t in trials)})):
-        out = tmp_path / f"run{len(more)}"
-        done = in_process(*line, *more, "--out", out)
-        assert done.returncode == 0, done.stderr
-        run = load_run(out)
-        rows = {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}
+    trials.append(fixture("bottle", "region_agnostic") | {"id": "box_tool"})
+    source = written(tmp_path / "in", [t | {"obstacle_boxes_world": []} for t in trials])
+    for more, planned in (([], {"box_tool"}), (["--replan"], {t["id"] for t in trials})):
+        rows, run = swept(source, tmp_path / f"run{len(more)}", *more)
         assert {k for k, r in rows.items() if r["t_plan_s"] is not None} == planned
         assert {k: r["outcome"] for k, r in rows.items()} == {
             "bottle_region_agnostic": "success", "bottle_missed_delivery": "reach", "box_tool": "success"
@@ -298,26 +280,16 @@ def test_a_sweep_judges_their_files_in_one_step_and_keeps_their_ids(tmp_path):
 
 def test_obstacles_beside_the_table_stand_in_the_way_of_given_and_new_motions(tmp_path):
     """A turned box at the tool of a sample in the middle of the given motion; and one that is far from all of it."""
-    (tmp_path / "in").mkdir()
-    trial = fixture("bottle", "region_agnostic", tool=MATCHED)
+    trial, trials = fixture("bottle", "region_agnostic", tool=MATCHED), []
     ground = {"center": [-0.35, 0, 0.2], "half_extents": [0.65, 0.55, 0.035]}
     turned = trimesh.transformations.rotation_matrix(0.4, (1, 2, 3))
     middle = tcp(np.array(trial["executed_joints"])[14]) @ shift(MATCHED)
-    boxes = {"far": [1.5, 0, 2], "near": middle[:3, 3]}
-    for name, at in boxes.items():
-        turned[:3, 3] = at
-        obstacles = [box(turned, (0, 0, 0), (0.005, 0.005, 0.005)), ground]
-        (tmp_path / "in" / f"{name}.json").write_text(
-            json.dumps(trial | {"id": name, "obstacle_boxes_world": obstacles})
-        )
+    for name, turned[:3, 3] in (("far", [1.5, 0, 2]), ("near", middle[:3, 3])):
+        obstacle = box(turned, (0, 0, 0), (0.005, 0.005, 0.005))
+        trials.append(trial | {"id": name, "obstacle_boxes_world": [obstacle, ground]})
+    source = written(tmp_path / "in", trials)
     for more, near in (([], "plan"), (["--replan"], "success")):
-        out = tmp_path / f"run{len(more)}"
-        done = in_process(
-            "--trials-from", tmp_path / "in", "--sim", "none", "--set", "width=whole", *more, "--out", out
-        )
-        assert done.returncode == 0, done.stderr
-        run = load_run(out)
-        rows = {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}
+        rows, _ = swept(source, tmp_path / f"run{len(more)}", *more)
         assert {k: r["outcome"] for k, r in rows.items()} == {"far": "success", "near": near}
 
 
@@ -352,80 +324,56 @@ def scene_of(trial):
             "palm_normal": (back[:3, :3] @ trial["palm_normal_world"]).tolist(),
         },
     }  # fmt: skip
-    chosen = {
-        "schema_version": "handover.selection.v1",
-        "object_id": trial["object_id"],
-        "status": "ok",
-        "selected": "g",
-    }
-    return scene, chosen
+    return scene, {"schema_version": "handover.selection.v1", "object_id": trial["object_id"]}
 
 
 def test_selections_with_their_scenes_and_experiments_are_the_trials_that_they_mean(tmp_path, capsys):
     trials = [fixture("bottle", "region_agnostic"), fixture("screwdriver", "region_agnostic")]
+    batches, files = [], tmp_path / "files"
+    files.mkdir()
     for t in trials:
         t["planned_joints"] = t["executed_joints"] = []
-        t["id"], t["variant"] = f"{t['object_id']}_FS", "FS"
-    (tmp_path / "files").mkdir()
-    batches = []
-    for t in trials:
-        scene, chosen = scene_of(t)
         name = t["object_id"]
-        none = {
-            "schema_version": "handover.selection.v1",
-            "object_id": name,
-            "status": "no_feasible_grasp",
-            "mode": "A1",
-        }
-        for part, data in (("scene", scene), ("FS", {**chosen, "mode": "FS"}), ("A1", none)):
-            (tmp_path / "files" / f"{name}_{part}.json").write_text(json.dumps(data))
+        t["id"], t["variant"] = f"{name}_FS", "FS"
+        scene, selection = scene_of(t)
+        chosen = selection | {"status": "ok", "selected": "g", "mode": "FS"}
+        none = selection | {"status": "no_feasible_grasp", "mode": "A1"}
+        for part, data in (("scene", scene), ("FS", chosen), ("A1", none)):
+            (files / f"{name}_{part}.json").write_text(json.dumps(data))
         modes = {mode: f"{name}_{mode}.json" for mode in ("FS", "A1")}
         batches.append({"object_id": name, "scene": f"{name}_scene.json", "selections": modes})
-    (tmp_path / "plain").mkdir()
-    for t in trials:
-        (tmp_path / "plain" / f"{t['id']}.json").write_text(json.dumps(t))
-    experiment = tmp_path / "files" / "experiment.json"
+    experiment = files / "experiment.json"
 
     def read(source):
         out = tmp_path / f"out{len(list(tmp_path.glob('out*')))}"
         assert main(["import", "trials", str(source), "--from", "r2handoversim", "--out", str(out)]) == 0
         return {k: np.load(out / f"{k}.npz") for k in ("predictions", "trials")}
 
-    wanted, paired = read(tmp_path / "plain"), read(tmp_path / "files")
+    wanted, paired = read(written(tmp_path / "plain", trials)), read(files)
     assert "2 selections without a feasible grasp left out" in capsys.readouterr().out
     experiment.write_text(json.dumps({"schema_version": "handover.experiment.v1", "objects": batches}))
     for found in (paired, read(experiment)):
         assert found["trials"]["id"].tolist() == wanted["trials"]["id"].tolist() == ["bottle_FS", "screwdriver_FS"]
-        for name in ("T_world_hand", "skin"):
-            assert np.allclose(found["trials"][name], wanted["trials"][name], atol=1e-6)
-        for name in ("T_obj_ee", "T_world_ee"):
-            assert np.allclose(found["predictions"][name], wanted["predictions"][name], atol=1e-6)
-    scene = json.loads((tmp_path / "files" / "bottle_scene.json").read_text())
+        both = {"T_world_hand": "trials", "skin": "trials", "T_obj_ee": "predictions", "T_world_ee": "predictions"}
+        for name, file in both.items():
+            assert np.allclose(found[file][name], wanted[file][name], atol=1e-6)
+    scene = json.loads((files / "bottle_scene.json").read_text())
     del scene["target_T_world_object"]
-    (tmp_path / "files" / "bottle_scene.json").write_text(json.dumps(scene))
+    (files / "bottle_scene.json").write_text(json.dumps(scene))
     assert main(["import", "trials", str(experiment), "--from", "r2handoversim", "--out", str(tmp_path / "no")]) == 2
     assert "bottle_scene.json: target_T_world_object is missing" in capsys.readouterr().err
-
-
-def changed(**fields):
-    trial = copy.deepcopy(fixture("hammer", "intent_aware"))
-    trial.update(fields)
-    return {k: v for k, v in trial.items() if v is not None}
 
 
 @pytest.mark.parametrize(
     ("fields", "line"),
     [
         ({"schema_version": "handover.trial.v2"}, "schema_version is handover.trial.v2"),
-        ({"units": "mm"}, "units is mm"),
-        ({"T_object_gripper": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "T_object_gripper is"),
+        ({"T_object_gripper": np.diag([2, 1, 1, 1]).tolist()}, "T_object_gripper is"),
         ({"palm_normal_world": [0, 0, 0]}, "palm_normal_world is zero"),
         ({"usage_boxes": [{"center": [9, 9, 9], "half_extents": [1e-3] * 3}]}, "usage_boxes hold no face of the object"),
         ({"planned_joints": [[0, 0, 0]]}, "planned_joints is [[0, 0, 0]]; rows must have 6 numbers each"),
         ({"object_mesh_object": {"vertices": [[0, 0, 0]] * 4, "faces": [[0, 1, 7]] * 4}}, "names vertex 7; there are 4"),
         ({"usage_boxes": [{"center": [0, 0, 0], "half_extents": [1, -1, 1]}]}, "half_extents: row 0 is [1, -1, 1]; 1e-09 to 10"),
-        ({"usage_boxes": [{"center": [0, 0, 0], "half_extents": [1, 1, 1], "rotation": [[1, 0, 0]] * 3}]},
-         "rotation: row 0 is not a rotation, 3 x 3"),
         ({"object_mesh_object": {"vertices": [[0, 0, 0]] * 4, "faces": [[0, 1, 2]] * 4, "source_path": "o.obj",
                                  "source_sha256": "0" * 64}}, "source_sha256 is 000000000000...; "),
         ({"method_geometry_invalidated": True}, "method_geometry_invalidated is true"),
@@ -433,10 +381,9 @@ def changed(**fields):
     ],
 )  # fmt: skip
 def test_what_is_no_trial_is_refused_in_one_line_that_names_the_field(tmp_path, capsys, fields, line):
-    (tmp_path / "t.json").write_text(json.dumps(changed(**fields)))
+    (tmp_path / "t.json").write_text(json.dumps(fixture("hammer", "intent_aware") | fields))
     (tmp_path / "o.obj").write_text("v 0 0 0\n")
-    code = main(
-        ["import", "trials", str(tmp_path / "t.json"), "--from", "r2handoversim", "--out", str(tmp_path / "out")]
-    )
+    out = str(tmp_path / "out")
+    assert main(["import", "trials", str(tmp_path / "t.json"), "--from", "r2handoversim", "--out", out]) == 2
     said = capsys.readouterr().err
-    assert code == 2 and said.count("\n") == 1 and line in said and "t.json" in said, said
+    assert said.count("\n") == 1 and line in said and "t.json" in said, said

@@ -7,6 +7,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 from needs import needs
+from refusals import one_line
 from robot_files import write_mjcf, write_urdf
 
 from r2h_batch.__main__ import main
@@ -17,8 +18,6 @@ from r2h_batch.importers.robot import import_robot
 from r2h_batch.importers.robot_pairs import touching
 from r2h_batch.importers.robot_srdf import read_srdf
 from r2h_batch.importers.urdf import read_chain
-from r2h_batch.io.read import FileError
-from r2h_batch.scene.offscreen import RenderError
 
 HAND = ("left_finger", "right_finger")
 
@@ -32,13 +31,17 @@ def arm(tmp_path_factory):
     return made(write_urdf(tmp_path_factory.mktemp("arm")))
 
 
+@pytest.fixture
+def few_postures(monkeypatch):
+    """For imports whose checked pairs do not matter: these take most of the time."""
+    monkeypatch.setattr(importer, "POSTURES", 200)
+
+
 def test_a_urdf_and_an_mjcf_of_one_arm_give_one_robot(arm, tmp_path):
     by_urdf, report, _ = arm
     by_mjcf, *_ = made(write_mjcf(tmp_path))
     one, other = robot_arrays(by_urdf), robot_arrays(by_mjcf)
-    assert one.keys() == other.keys()
-    for name in one:
-        assert np.abs(one[name] - other[name]).max() < 1e-9, name
+    assert one.keys() == other.keys() and all(np.abs(one[name] - other[name]).max() < 1e-9 for name in one)
     assert robot_file(by_urdf) == robot_file(by_mjcf)
     kinds = [Kind(k).name for k in by_urdf.arm.kind]
     assert kinds == ["CYLINDER", "CYLINDER", "CAPSULE", "CYLINDER", "BOX", "HULL", "CAPSULE", "CYLINDER"]
@@ -46,43 +49,36 @@ def test_a_urdf_and_an_mjcf_of_one_arm_give_one_robot(arm, tmp_path):
 
 
 def test_an_mjcfs_frames_angles_includes_and_anchors_are_read(tmp_path):
-    turned = '<body name="l2" pos="0 0 0.18"'
     usual = read_chain(write_mjcf(tmp_path), "base", "flange", {}, bare=True)
     # the body is turned by 45 degrees, which ref takes back; its joint's anchor lies 30 mm along its z
     (tmp_path / "motors.xml").write_text('<mujoco><actuator><motor joint="j7" ctrlrange="-33 33"/></actuator></mujoco>')
-    path = write_mjcf(
-        tmp_path,
-        **{
-            turned: '<frame pos="0 0 0.1"><body name="l2" pos="0 0 0.05" euler="0 45 0"',
-            '<body name="l3"': '<body name="l3_"><body name="l3"',
-            '<joint name="j2"': '<joint name="j2" pos="0 0 0.03" ref="45"',
-            "</body></body></worldbody>": "</body></frame></body></body></worldbody>",
-            "<sensor/>": '<include file="motors.xml"/>',
-        },
-    )
+    changes = {
+        '<body name="l2" pos="0 0 0.18"': '<frame pos="0 0 0.1"><body name="l2" pos="0 0 0.05" euler="0 45 0"',
+        '<body name="l3"': '<body name="l3_"><body name="l3"',
+        '<joint name="j2"': '<joint name="j2" pos="0 0 0.03" ref="45"',
+        "</body></body></worldbody>": "</body></frame></body></body></worldbody>",
+        "<sensor/>": '<include file="motors.xml"/>',
+    }
+    path = write_mjcf(tmp_path, **changes)
     read = read_chain(path, "base", "flange", {}, bare=True)
     assert read.joints == usual.joints and read.effort[6] == 33
     assert read.T_parent_joint[1][:3, 3] == pytest.approx([0.03 * 0.5**0.5, 0, 0.15 + 0.03 * 0.5**0.5])
     assert np.abs(read.T_parent_joint[1][:3, :3] - usual.T_parent_joint[1][:3, :3]).max() < 1e-9
-    assert (
-        np.abs(read.links[2].com - usual.links[2].com + usual.T_parent_joint[1][:3, :3].T @ [0, 0, 0.03]).max() < 1e-9
-    )
+    anchor = usual.T_parent_joint[1][:3, :3].T @ [0, 0, 0.03]
+    assert np.abs(read.links[2].com - usual.links[2].com + anchor).max() < 1e-9
 
 
-def test_a_cylinder_between_two_balls_is_a_capsule_and_bad_collision_shapes_are_not_used(tmp_path):
+def test_a_cylinder_between_two_balls_is_a_capsule_and_bad_collision_shapes_are_not_used(tmp_path, few_postures):
     own = '<collision><origin xyz="0 0 0.09"/><geometry><capsule radius="0.05" length="0.12"/></geometry></collision>'
     ball = '<visual><origin xyz="0 0 {}"/><geometry><sphere radius="0.05"/></geometry></visual>'
-    tube = '<visual><origin xyz="0 0 0.09"/><geometry><capsule'
-    path = write_urdf(
-        tmp_path, **{own: own + ball.format("0.03") + ball.format("0.15"), tube: tube.replace("capsule", "cylinder")}
-    )
-    (shape,) = read_chain(path, "base", "flange", {}, bare=True).links[2].shapes
+    tube = '<visual><origin xyz="0 0 0.09"/><geometry><'
+    changes = {own: own + ball.format("0.03") + ball.format("0.15"), f"{tube}capsule": f"{tube}cylinder"}
+    (shape,) = read_chain(write_urdf(tmp_path, **changes), "base", "flange", {}, bare=True).links[2].shapes
     assert shape.kind == "capsule" and np.allclose(shape.size, [0.05, 0.06])
     mesh = '<mesh filename="parts/block.stl" scale="0.001 0.001 0.001"/></geometry></collision>'
     for side, source, note in ((0.0702, "collision shapes of the file", False), (0.06, None, True)):
         box = f'<box size="{side} 0.0702 0.1802"/></geometry></collision>'
-        arm = made(write_urdf(tmp_path, **{mesh: box}))
-        row = arm.report["links"]["l5"]
+        row = made(write_urdf(tmp_path, **{mesh: box})).report["links"]["l5"]
         assert row.get("from") == source and ("not_used" in row) == note
         assert row["mean_mm"] < 3 and row["worst_protrusion_mm"] <= 0.1
 
@@ -90,35 +86,27 @@ def test_a_cylinder_between_two_balls_is_a_capsule_and_bad_collision_shapes_are_
 BAD = {
     '<!DOCTYPE m [<!ENTITY a "b">]><mujoco model': ("<mujoco model", "declares a document type"),
     '<extension><plugin plugin="x"/></extension><compiler': ("<compiler", "<extension> is not read"),
-    '<asset><model name="o" file="o.xml"/></asset><compiler': ("<compiler", "<model> is not read"),
     '<body name="base"><replicate count="1000000000"/>': ('<body name="base" pos="0 0 0">', "<replicate> is not read"),
     '<include file="../other.xml"/><compiler': ("<compiler", "points outside the folder"),
-    '<include file="/etc/passwd"/><compiler': ("<compiler", "points outside the folder"),
     '<include file="made.xml"/><compiler': ("<compiler", "more than 16 includes"),
-    '<include file="http://x.org/a.xml"/><compiler': ("<compiler", "points outside the folder"),
     'file="/etc/block.stl"': ('file="block.stl"', "points outside the folder"),
-    'meshdir="../.."': ('meshdir="parts"', "points outside the folder"),
     'file="block.stl" refpos="1 0 0"': ('file="block.stl"', "neither refpos nor refquat"),
     'file="block.msh"': ('file="block.stl"', "is not one of"),
-    'name="j3" type="ball"': ('name="j3"', "MuJoCo: "),
     'name="j3" type="slide"': ('name="j3"', "j3 is prismatic"),
-    '<joint name="more"/><joint name="j3"': ('<joint name="j3"', "several joints"),
     '<equality><joint joint1="j3" joint2="j2"/></equality><actuator': ("<actuator", "j3 is a mimic joint"),
     '<position joint="j7"': ('<motor joint="j7"', "j7: limits"),
     2000 * "<body>" + 2000 * "</body>": ('<light pos="0 0 3"/>', "nested too deeply"),
     5000 * "<geom/>": ('<light pos="0 0 3"/>', "elements say what it is; 4096 are allowed"),
     'pos="inf 0 0"': ('pos="0 0 0.18"', "is not finite"),
     'mass="nan"': ('mass="1.5"', "MuJoCo: "),
-    'type="ellipsoid" size="0.1 0.1 0.1"': ('type="sphere" size="0.045"', "<ellipsoid> is not read"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("new", BAD, ids=lambda text: text[:40])
 def test_a_bad_mjcf_is_refused_in_one_line(new, tmp_path):
     old, words = BAD[new]
-    with pytest.raises(FileError, match=words) as refused:
+    with one_line(words):
         read_chain(write_mjcf(tmp_path, **{old: new}), "base", "flange", {}, bare=True)
-    assert "\n" not in str(refused.value)
 
 
 SRDF = """<robot name="made"><disable_collisions link1="base" link2="l3" reason="Never"/>
@@ -149,17 +137,15 @@ def test_an_srdf_is_compared_and_gives_a_posture(tmp_path):
 @pytest.mark.parametrize(
     ("home", "words"),
     [
-        ("sitting", "no state of the SRDF that has all joints; those are: ready"),
-        ("part", "no state of the SRDF that has all joints"),
+        ("part", "no state of the SRDF that has all joints; those are: ready"),
         ((0.0,) * 6, "--home has 6 numbers; .* has 7 joints"),
         ((0.0, 0.9, 0.0, 2.2, 0.0, 0.0, 0.0), "made.urdf: [^,]* and table"),
         ((0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0), "outside the joint limits"),
     ],
 )
-def test_a_home_that_cannot_be_one_is_refused_in_one_line(home, words, tmp_path):
-    with pytest.raises(FileError, match=words) as refused:
+def test_a_home_that_cannot_be_one_is_refused_in_one_line(home, words, tmp_path, few_postures):
+    with one_line(words):
         made(write_urdf(tmp_path), srdf=srdf_of(tmp_path), home=home)
-    assert "\n" not in str(refused.value)
 
 
 def test_what_overlaps_is_named_with_the_gripper_open_or_closed(arm):
@@ -172,18 +158,12 @@ def test_what_overlaps_is_named_with_the_gripper_open_or_closed(arm):
     assert touching(robot, home, Workplace(table_center=(0.0, 0.0, 0.3))) and not touching(robot, home)
 
 
-@pytest.mark.parametrize("draws", [pytest.param(True, marks=needs("gl")), False])
-def test_the_command_writes_a_robot_and_tells_what_it_is(draws, arm, tmp_path, capsys, monkeypatch):
+@needs("gl")
+def test_the_command_writes_a_robot_and_tells_what_it_is(arm, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(importer, "import_robot", lambda *_, **__: arm)
-    if not draws:
-
-        def refuse() -> None:
-            raise RenderError("nothing draws here")
-
-        monkeypatch.setattr("r2h_batch.scene.offscreen.ready", refuse)
     out = tmp_path / "made"
-    line = ["import", "robot", "--mjcf", "made.xml", "--base", "base", "--flange", "flange", "--out", str(out)]
-    assert main(line) == 0
+    line = ["import", "robot", "--base", "base", "--flange", "flange", "--out"]
+    assert main([*line, str(out), "--mjcf", "made.xml"]) == 0
     told = capsys.readouterr().out
     robot, report = read_robot(out), json.loads((out / "report.json").read_text())
     assert robot.ik_missed == (10_000, report["ik_missed"]) and report["ik_missed"] < 50
@@ -193,21 +173,11 @@ def test_the_command_writes_a_robot_and_tells_what_it_is(draws, arm, tmp_path, c
     text = (out / "robot.yaml").read_text()
     (out / "robot.yaml").write_text(text.replace(f"ik_missed: [10000, {report['ik_missed']}]", "ik_missed: [7, 1]"))
     assert read_robot(out) == robot and read_robot(out).ik_missed == (7, 1)
-    if draws:
-        image = imageio.imread(out / "home.png")
-        seen = (image < 250).any(2)
-        assert image.shape == (640, 1280, 3) and min(seen[:, :640].mean(), seen[:, 640:].mean()) > 0.02
-    else:
-        assert "no home.png: nothing draws here" in told and not (out / "home.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("flags", "words"),
-    [(["--urdf", "a.urdf", "--mjcf", "a.xml"], "--urdf FILE or as --mjcf FILE"), ([], "--urdf FILE or as --mjcf FILE")],
-)
-def test_one_file_of_the_arm_is_asked_for(flags, words, tmp_path, capsys):
-    assert main(["import", "robot", "--base", "b", "--flange", "f", "--out", str(tmp_path / "x"), *flags]) == 2
-    assert words in capsys.readouterr().err
+    image = imageio.imread(out / "home.png")
+    seen = (image < 250).any(2)
+    assert image.shape == (640, 1280, 3) and min(seen[:, :640].mean(), seen[:, 640:].mean()) > 0.02
+    assert main([*line, str(tmp_path / "x"), "--urdf", "a.urdf", "--mjcf", "a.xml"]) == 2
+    assert "--urdf FILE or as --mjcf FILE" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -217,11 +187,9 @@ def test_one_file_of_the_arm_is_asked_for(flags, words, tmp_path, capsys):
         ("<mujoco/>", "an SRDF has <robot>"),
         (SRDF.replace('link1="base"', ""), "needs link1 and link2"),
         (SRDF.replace("{joints}", '<joint name="j1" value="soon"/>'), "has no value in rad"),
-        ("<robot", "is not XML"),
     ],
 )
 def test_a_bad_srdf_is_refused_in_one_line(text, words, tmp_path):
     (tmp_path / "made.srdf").write_text(text)
-    with pytest.raises(FileError, match=words) as refused:
+    with one_line(words):
         read_srdf(tmp_path / "made.srdf")
-    assert "\n" not in str(refused.value)
