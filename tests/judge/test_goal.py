@@ -12,6 +12,7 @@ from scipy.optimize import linprog
 from staging import GOAL, batch_of, staged_evaluator
 
 from r2h_batch import se3
+from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
@@ -75,10 +76,10 @@ def compare(b: Batch, evaluator: Evaluator) -> tuple[Scores, Scores]:
 @pytest.mark.check
 def test_the_pose_stage_agrees_with_the_whole_evaluation():
     evaluator = default_evaluator().kinematic
-    b = make_batch(evaluator.scene, 384, random_share=0.4)
+    b = make_batch(evaluator.scene, 256, random_share=0.4)
     a, p = compare(b, evaluator)
     same = (a.path_len > 0) & (a.q_goal == p.q_goal).all(1)
-    assert same.sum() > 100 and a.path.shape[1] == 32 and p.path.shape == (384, 0, 6) and not p.path_len.any()
+    assert same.sum() > 60 and a.path.shape[1] == 32 and p.path.shape == (256, 0, 6) and not p.path_len.any()
     _, q = compare(perturbed(b, 1), evaluator)
     reasons = torch.cat([p.plan_reason, q.plan_reason]).tolist()
     assert {PlanReason.OK, PlanReason.IK_UNREACHABLE, PlanReason.IK_IN_COLLISION} <= {PlanReason(r) for r in reasons}
@@ -87,13 +88,14 @@ def test_the_pose_stage_agrees_with_the_whole_evaluation():
 
 @pytest.mark.parametrize("plan", [PlanConfig(goals="one"), PlanConfig(object_collision="pieces")])
 def test_other_ways_to_plan_agree_as_well(plan):
-    evaluator = Evaluator(EvalConfig(plan=plan, execute=ExecConfig(sim="none")))
+    objects = load_objects(["cup", "hammer", "pliers"])
+    evaluator = Evaluator(EvalConfig(plan=plan, execute=ExecConfig(sim="none")), objects=objects)
     compare(make_batch(evaluator.scene, 32, random_share=0.5), evaluator)
 
 
 def test_collisions_at_a_singular_wrist_prove_nothing():
     """At sin q5 = 0 solutions are a line, of which two points a pair are tried: another may be free, and some are."""
-    evaluator, robot, n = default_evaluator().kinematic, load_robot(), 1024
+    evaluator, robot, n = default_evaluator().kinematic, load_robot(), 512
     b = make_batch(evaluator.scene, n)
     rng = np.random.default_rng(2)
     q = rng.uniform([-0.9, -2.2, 0.8, -2.5, 0, -3], [0.9, -0.8, 2.0, 0.5, 0, 3], (n, 6))
@@ -103,12 +105,12 @@ def test_collisions_at_a_singular_wrist_prove_nothing():
     ).float()
     T_world_ee = torch.from_numpy(ee_pose(robot, q).astype(np.float32))
     b = Batch(replace(b.trials, T_world_hand=hand), b.T_obj_ee, T_world_ee)
-    compare(b.rows(slice(0, 48)), evaluator)
+    compare(b.rows(slice(0, 32)), evaluator)
     p = evaluator.score(b.T_obj_ee, b.T_world_ee, b.trials, "pose")
     singular = solve_ik(b.T_world_ee).singular
-    assert singular.sum() > 1000 and not (singular & (p.plan_reason == int(PlanReason.IK_IN_COLLISION))).any()
+    assert singular.sum() > 500 and not (singular & (p.plan_reason == int(PlanReason.IK_IN_COLLISION))).any()
     unproven = singular & (p.plan_reason == int(PlanReason.NO_PATH_IN_BUDGET))
-    assert unproven.sum() > 100 and (p.plan_pair[unproven] != 0).all()
+    assert unproven.sum() > 50 and (p.plan_pair[unproven] != 0).all()
     # the very posture that the target was made from is a solution: where that is free, "proven" would be false
     body_poses = attach_object(evaluator.scene, b.T_obj_ee, b.T_world_ee, b.trials, evaluator.config).body_poses
     free, _, _ = Planner(evaluator.scene, body_poses, None).check(torch.from_numpy(q.astype(np.float32)), unproven, 1)
@@ -127,28 +129,21 @@ def test_a_hundred_thousand_candidates_of_all_objects_agree():
     assert int(seen.sum()) == 100_000 and len(objects) == 16 and (seen[:4] > 0).all()
 
 
-@pytest.mark.parametrize(("depth", "flagged"), [(0.00005, True), (0.005, False)])
-def test_a_goal_that_hardly_collides_is_borderline(depth, flagged):
-    """The stick's end is in the table by less, or by more, than float32 decides. An overlap's margin bounds its depth."""
-    T = GOAL["OBJECT_TABLE"].T_world_ee.copy()
-    T[2, 3] = 0.19 - depth
-    s = staged_evaluator().score(*batch_of([GOAL["OBJECT_TABLE"].but(T_world_ee=T)]))
-    assert (int(s.outcome[0]), int(s.plan_reason[0])) == (Outcome.PLAN, PlanReason.IK_IN_COLLISION)
-    assert -depth - 2e-5 < float(s.margin[0, PLAN]) < 0 and bool(s.borderline[0]) == flagged
-
-
 def test_an_overlap_costs_more_the_deeper_it_is():
-    """The stick's end sinks into the table millimetre by millimetre: straight down, the bound falls at a fixed rate."""
+    """The stick's end sinks into the table: straight down, the bound falls at a fixed rate. Hardly in is borderline."""
     rows = []
-    for depth in np.arange(0.0005, 0.006, 0.001):
+    for depth in (0.00005, *np.arange(0.0005, 0.006, 0.001)):
         T = GOAL["OBJECT_TABLE"].T_world_ee.copy()
         T[2, 3] = 0.19 - depth  # the stick reaches 0.19 m below the fingers' centre
         rows.append(GOAL["OBJECT_TABLE"].but(T_world_ee=T))
-    rows.append(rows[0].but(T_world_ee=rows[0].T_world_ee + np.array([[0] * 4, [0] * 4, [0, 0, 0, 0.0105], [0] * 4])))
+    rows.append(rows[1].but(T_world_ee=rows[1].T_world_ee + np.array([[0] * 4, [0] * 4, [0, 0, 0, 0.0105], [0] * 4])))
     s = staged_evaluator().score(*batch_of(rows), "pose")
     m = s.margin[:, PLAN].double().numpy()
     assert m[-1] == pytest.approx(0.01, abs=1e-5) and int(s.plan_reason[-1]) == PlanReason.OK
-    assert (m[:-1] < 0).all() and np.allclose(np.diff(m[:-1]), -1e-4, atol=1e-6)  # 10 mm inside a half length of 100
+    assert (m[:-1] < 0).all() and np.allclose(np.diff(m[1:-1]), -1e-4, atol=1e-6)  # 10 mm inside a half length of 100
+    s = staged_evaluator().score(*batch_of([rows[0], rows[5]]))
+    assert (s.outcome == int(Outcome.PLAN)).all() and (s.plan_reason == int(PlanReason.IK_IN_COLLISION)).all()
+    assert s.borderline.tolist() == [True, False] and (-s.margin[:, PLAN].double().numpy() < [7e-5, 0.00452]).all()
 
 
 # --- twins ---------------------------------------------------------------------------------------------------------
@@ -186,8 +181,8 @@ def judged() -> Judged:
 
 def test_clearance_and_safe_of_free_goals_agree_with_mujoco_and_a_float64_mesh_distance(judged):
     s = judged.scores
-    rows = torch.nonzero((s.plan_reason == int(PlanReason.OK)) & (s.margin[:, PLAN] < 0.05)).flatten().tolist()[:40]
-    assert len(rows) > 25
+    rows = torch.nonzero((s.plan_reason == int(PlanReason.OK)) & (s.margin[:, PLAN] < 0.05)).flatten().tolist()[:20]
+    assert len(rows) == 20
     near = 0
     for row in rows:
         twin, q = staged(judged, row), s.q_goal[row].double().numpy()
@@ -199,7 +194,7 @@ def test_clearance_and_safe_of_free_goals_agree_with_mujoco_and_a_float64_mesh_d
         expected = scene.safe_at(hand_triangles(judged.scene, twin), q)
         assert float(s.margin[row, SAFE]) == pytest.approx(expected, abs=3e-5)
         near += expected < 0.05
-    assert near > 5
+    assert near >= 3
 
 
 def growth(a: np.ndarray, middle: np.ndarray, b: np.ndarray) -> float:
@@ -216,7 +211,7 @@ def test_overlaps_of_object_and_hand_are_growth_distances(judged):
     scene, goal = judged.scene, judged.goal
     rows = torch.nonzero(goal.reason == int(PlanReason.IK_IN_COLLISION)).flatten().tolist()
     balls, robot, decided = scene.hull_balls.numpy(), load_robot(), 0
-    for row in rows[:40]:
+    for row in rows[:30]:
         o, hand = int(judged.batch.trials.object_index[row]), int(judged.batch.trials.hand_index[row])
         ee = forward_kinematics(robot, goal.q[row].double().numpy())[6] @ scene.T_wrist_ee
         T = ee @ np.linalg.inv(judged.T_obj_ee_attached[row].double().numpy())
@@ -234,13 +229,13 @@ def test_overlaps_of_object_and_hand_are_growth_distances(judged):
             pieces = goal.pair[row]  # the pair that blocked the first branch; the witness is the deepest
             assert pieces > 0 and float(goal.clearance_m[row]) == pytest.approx(least, abs=2e-5)
             decided += 1
-    assert len(rows) > 20 and decided > 3
+    assert len(rows) > 20 and decided >= 2
 
 
 def test_no_overlap_is_said_to_be_deeper_than_it_is(judged):
     """Minus the clearance of every goal in collision is at most its pair's penetration depth, as Qhull has it."""
     scene, goal = judged.scene, judged.goal
-    rows = torch.nonzero((goal.clearance_m < 0) & (goal.body >= 0)).flatten().tolist()
+    rows = torch.nonzero((goal.clearance_m < 0) & (goal.body >= 0)).flatten().tolist()[:24]
     ratio, kinds = [], set()
     for row in rows:
         twin, pair = mujoco_scene(scene, staged(judged, row)), CollidingPair(int(goal.nearest[row]))
@@ -256,7 +251,7 @@ def test_no_overlap_is_said_to_be_deeper_than_it_is(judged):
         assert said <= depth + 1e-6, (row, mine, met, said, depth)
         ratio.append(said / depth)
         kinds.add(pair)
-    assert len(rows) > 40 and len(kinds) >= 3 and np.median(ratio) > 0.2, (len(rows), kinds, np.median(ratio))
+    assert len(rows) == 24 and len(kinds) >= 3 and np.median(ratio) > 0.2, (len(rows), kinds, np.median(ratio))
 
 
 def test_the_witness_says_how_the_clearance_changes_when_the_hand_moves(judged):
@@ -281,26 +276,12 @@ def test_the_witness_says_how_the_clearance_changes_when_the_hand_moves(judged):
         assert off.median() < 0.02 and off.quantile(0.9) < 0.1, (name, off)
 
 
-def test_unreachable_targets_are_missed_by_their_margin_with_the_hand_turned_as_asked(judged):
-    robot, s = load_robot(), judged.scores
-    rows = torch.nonzero(s.plan_reason == int(PlanReason.IK_UNREACHABLE)).flatten().tolist()
-    assert len(rows) > 10
-
-    def ee(q: np.ndarray) -> np.ndarray:
-        return np.asarray(forward_kinematics(robot, q)[6] @ judged.scene.T_wrist_ee)
-
-    for row in rows:
-        T, target = ee(s.q_goal[row].double().numpy()), judged.T_world_ee[row].double().numpy()
-        assert np.abs(T[:3, :3] - target[:3, :3]).max() < 1e-5
-        assert np.linalg.norm(T[:3, 3] - target[:3, 3]) == pytest.approx(-float(s.margin[row, PLAN]), abs=2e-6)
-
-
 def test_a_branch_that_is_free_by_a_sixth_of_a_millimetre_is_free(judged):
-    """Eight hands pushed towards the object until MuJoCo says how little is left: on either side of 0 that is the verdict."""
+    """Five hands pushed towards the object until MuJoCo says how little is left: on either side of 0 that is the verdict."""
     near = judged.goal.free & (judged.goal.nearest == int(CollidingPair.OBJECT_HAND))
-    rows = torch.nonzero(near).flatten().tolist()[:8]
+    rows = torch.nonzero(near).flatten().tolist()[:5]
     many = [len(judged.scene.objects[int(judged.batch.trials.object_index[r])].hull_vertices) for r in rows]
-    assert len(rows) == 8 and sum(n > 256 for n in many) >= 6
+    assert len(rows) == 5 and sum(n > 256 for n in many) >= 3
     ik = solve_ik(judged.T_world_ee)
 
     def found(shift: dict[int, float]) -> dict[int, tuple[float, torch.Tensor]]:
@@ -316,7 +297,7 @@ def test_a_branch_that_is_free_by_a_sixth_of_a_millimetre_is_free(judged):
 
     scenes = {row: mujoco_scene(judged.scene, staged(judged, row)) for row in rows}
     for sign in (1, -1):
-        wanted = dict(zip(rows, sign * np.linspace(1.5e-4, 4.6e-4, 8), strict=True))
+        wanted = dict(zip(rows, sign * np.linspace(1.5e-4, 4.6e-4, 5), strict=True))
         low, high = dict.fromkeys(rows, 0.0), dict.fromkeys(rows, 0.06)
         for _ in range(12):
             middle = {row: 0.5 * (low[row] + high[row]) for row in rows}

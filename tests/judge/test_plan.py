@@ -31,6 +31,7 @@ HOME = np.array(HOME_Q)
 CONTACT_M = 2e-5
 """MuJoCo's contact distances are this exact."""
 PAIRS = {"hand": 1, "table": 2, "self": 3, "object_hand": 4, "object_table": 5, "object_robot": 6}
+N = 256
 
 
 @cache
@@ -86,14 +87,14 @@ def judge_paths(p: Problems, *, every: int = 1, start: torch.Tensor | None = Non
     return len(rows)
 
 
-@pytest.mark.parametrize(("n", "every", "least"), [(512, 4, 60), pytest.param(4096, 1, 2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("n", "every", "least"), [(N, 5, 20), pytest.param(4096, 1, 2000, marks=pytest.mark.slow)])
 def test_every_timed_path_is_free_in_mujoco_keeps_its_distance_and_leads_from_home_to_the_target(n, every, least):
     assert judge_paths(problems(n), every=every) >= least
 
 
 @pytest.mark.parametrize("form", ["one_thread", "frontier"])
 def test_paths_lead_from_any_start_as_they_do_from_home(form):
-    scene, p = default_evaluator().scene, problems(512 if form == "one_thread" else 64)
+    scene, p = default_evaluator().scene, problems(N if form == "one_thread" else 64)
     last = (p.plan.length.long() - 1).clamp(min=0)
     goal = p.plan.path[torch.arange(len(last)), last]
     start = torch.where((p.plan.length > 0)[:, None], goal, torch.tensor(HOME_Q)).roll(1, 0)
@@ -102,7 +103,7 @@ def test_paths_lead_from_any_start_as_they_do_from_home(form):
             scene, p.body_poses, p.ik.q, p.ik.valid, p.ik.reachable, random_key(p.batch.trials.trial_id),
             PlanConfig(rounds=(50,)), start=start,
         )  # fmt: skip
-    assert judge_paths(replace(p, plan=plan), every=8, start=start) >= (25 if form == "one_thread" else 3)
+    assert judge_paths(replace(p, plan=plan), every=8, start=start) >= (10 if form == "one_thread" else 3)
     assert (plan.length > 2).sum() >= 3
     blocked = np.flatnonzero(plan.reason.numpy() == int(PlanReason.START_IN_COLLISION))
     assert (len(blocked) or form == "frontier") and all(
@@ -112,10 +113,10 @@ def test_paths_lead_from_any_start_as_they_do_from_home(form):
 
 def test_the_checker_agrees_with_distance_queries_in_colliding_and_free_postures():
     """The judge itself: contacts and mj_geomDistance name the same kinds of pairs."""
-    p = problems(512)
+    p = problems(N)
     rng = np.random.default_rng(0)
     seen: set[str] = set()
-    for row in range(0, 512, 64):
+    for row in range(0, N, 64):
         checker = checker_of(default_evaluator().scene, p, row)
         goal = waypoints(p, row)[-1] if p.plan.length[row] else HOME
         for _ in range(40):
@@ -131,8 +132,8 @@ def test_the_checker_agrees_with_distance_queries_in_colliding_and_free_postures
 
 
 def test_the_reported_clearance_is_the_smallest_of_the_motion():
-    p = problems(512)
-    rows = np.flatnonzero(p.plan.length.numpy() > 0)[::10]
+    p = problems(N)
+    rows = np.flatnonzero(p.plan.length.numpy() > 0)[::8]
     for row in rows:
         sampled, kind, _ = mujoco_scene(default_evaluator().scene, staged(p, row)).least_along(
             waypoints(p, row), step_rad=1 / 100, cap=CLEARANCE_CAP_M
@@ -152,10 +153,10 @@ def test_the_reported_clearance_is_the_smallest_of_the_motion():
 
 def test_goals_called_colliding_collide_in_mujoco_and_the_pair_named_is_one_that_meets():
     """IK_IN_COLLISION is called proven: every branch overlaps something (or comes within 0.1 mm of it)."""
-    p = problems(512)
+    p = problems(N)
     rows = np.flatnonzero(p.plan.reason.numpy() == PlanReason.IK_IN_COLLISION)
-    assert len(rows) > 50
-    for row in rows[:80]:
+    assert len(rows) > 25
+    for row in rows[:25]:
         twin = mujoco_scene(default_evaluator().scene, staged(p, row))
         for k, q in enumerate(p.ik.q[row][p.ik.valid[row]].numpy()):
             c = twin.clearances(q)
@@ -165,15 +166,12 @@ def test_goals_called_colliding_collide_in_mujoco_and_the_pair_named_is_one_that
                 assert c.distance[named] < 1e-4, (row, named, c.distance)
 
 
-def test_unreachable_targets_have_no_solution_and_no_pair():
-    p = problems(512)
+def test_rows_without_a_path_say_so_everywhere_and_unreachable_targets_have_no_solution_and_no_pair():
+    p = problems(N)
     rows = p.plan.reason == int(PlanReason.IK_UNREACHABLE)
     assert rows.any() and not p.ik.valid[rows].any() and p.ik.unreachable_proven[rows].all()
     assert (p.plan.pair[rows] == int(CollidingPair.NONE)).all()
-
-
-def test_rows_without_a_path_say_so_everywhere():
-    p = problems(512).plan
+    p = p.plan
     none = p.reason != int(PlanReason.OK)
     assert ((p.length == 0) == none).all()
     assert (p.clearance_m[none] == -torch.inf).all() and (p.body[none] == -1).all() and not p.straight[none].any()
@@ -201,7 +199,7 @@ def only_ompl(p: Problems, *, budget_s: float) -> list[tuple[int, float]]:
     return missed
 
 
-@pytest.mark.parametrize(("n", "budget_s"), [(512, 5.0), pytest.param(4096, 10.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("n", "budget_s"), [(N, 5.0), pytest.param(4096, 10.0, marks=pytest.mark.slow)])
 def test_almost_nothing_that_ompl_solves_is_missed(n, budget_s):
     p = problems(n)
     missed = only_ompl(p, budget_s=budget_s)
@@ -212,8 +210,8 @@ def test_almost_nothing_that_ompl_solves_is_missed(n, budget_s):
 
 def test_ompl_itself_solves_what_we_solve():
     """The comparison is not empty: OMPL with this checker finds paths on our problems too."""
-    scene, p = default_evaluator().scene, problems(512)
-    rows = np.flatnonzero(p.plan.length.numpy() > 0)[:20]
+    scene, p = default_evaluator().scene, problems(N)
+    rows = np.flatnonzero(p.plan.length.numpy() > 0)[:8]
     for row in rows:
         checker = checker_of(scene, p, row)
         goals = np.array([q for q in p.ik.q[row][p.ik.valid[row]].double().numpy() if checker.valid(q)])
@@ -227,19 +225,18 @@ def test_ompl_itself_solves_what_we_solve():
 
 def test_one_goal_is_the_branch_a_jacobian_solver_reaches_from_home():
     scene = default_evaluator().scene
-    batch = make_batch(scene, 256, random_share=0.3)
+    batch = problems(N).batch
     p = solve(scene, batch, PlanConfig(goals="one"))
     one = one_branch(p.ik, batch.T_world_ee)
     assert (one.sum(1) == p.ik.reachable.int()).all() and not (one & ~p.ik.valid).any()
-    goal_of = p.ik.q[torch.arange(256), one.to(torch.int8).argmax(1)]
+    goal_of = p.ik.q[torch.arange(N), one.to(torch.int8).argmax(1)]
     for row in np.flatnonzero(p.plan.length.numpy() > 0):
         assert torch.equal(p.plan.path[row, int(p.plan.length[row]) - 1], goal_of[row])
-    everything = solve(scene, batch)
-    assert int((p.plan.length > 0).sum()) < int((everything.plan.length > 0).sum())
+    assert int((p.plan.length > 0).sum()) < int((problems(N).plan.length > 0).sum())
 
     # the same branch as float64 NumPy damped least squares from home, where that converges
     same = checked = 0
-    for row in range(0, 256, 4):
+    for row in range(0, N, 6):
         q = jacobian_ik(scene.robot, batch.T_world_ee[row].double().numpy())
         if q is None or not p.ik.reachable[row]:
             continue
@@ -248,19 +245,18 @@ def test_one_goal_is_the_branch_a_jacobian_solver_reaches_from_home():
         same += bool(
             np.nanargmin(np.where(p.ik.valid[row].numpy(), apart, np.nan)) == int(one[row].to(torch.int8).argmax())
         )
-    assert checked > 40 and same >= 0.95 * checked
+    assert checked > 25 and same >= 0.95 * checked
 
 
 def test_moveits_edge_resolution_lets_paths_through_the_hand_and_the_exact_check_does_not():
     """Samples 0.691 rad apart (L1): only they are free. Some of these paths pass through what lies between."""
     scene = default_evaluator().scene
-    batch = make_batch(scene, 512, random_share=0.3)
-    p = solve(scene, batch, PlanConfig(edge_check="moveit", hand_clearance_m=0.0, shortcuts=0))
-    exact = problems(512)
+    exact = problems(N)
+    p = solve(scene, exact.batch, PlanConfig(edge_check="moveit", hand_clearance_m=0.0, shortcuts=0))
     differ = np.flatnonzero((p.plan.length > 0).numpy() & (p.plan.straight & ~exact.plan.straight).numpy())
     assert len(differ) >= 3, "no straight line passes at MoveIt's resolution only: nothing was compared"
     penetrating = 0
-    for row in differ[:20]:
+    for row in differ[:8]:
         checker = checker_of(scene, p, row)
         path = waypoints(p, row)
         n = int(np.ceil(np.abs(path[-1] - path[0]).sum() / 0.691))
@@ -271,11 +267,10 @@ def test_moveits_edge_resolution_lets_paths_through_the_hand_and_the_exact_check
 
 
 def test_a_larger_budget_only_adds_paths_and_the_reason_for_the_lack_of_one_is_not_proven():
-    scene = default_evaluator().scene
-    full = problems(512)
+    scene, full = default_evaluator().scene, problems(N)
     hard = torch.nonzero((full.plan.length > 0) & ~full.plan.straight).flatten()
-    assert len(hard) >= 10
-    batch = make_batch(scene, 512, random_share=0.3).rows(hard)
+    assert len(hard) >= 5
+    batch = full.batch.rows(hard)
     small = solve(scene, batch, PlanConfig(rounds=(1,))).plan
     assert (small.reason == int(PlanReason.NO_PATH_IN_BUDGET)).any()
     assert set(small.reason.tolist()) <= {int(PlanReason.OK), int(PlanReason.NO_PATH_IN_BUDGET)}
@@ -283,7 +278,7 @@ def test_a_larger_budget_only_adds_paths_and_the_reason_for_the_lack_of_one_is_n
 
 
 def test_inactive_rows_are_not_evaluated_and_leave_the_others_alone():
-    scene, p = default_evaluator().scene, problems(512)
+    scene, p = default_evaluator().scene, problems(N)
     n = len(p.batch)
     active = torch.arange(n) % 3 > 0
     some = plan_paths(

@@ -1,6 +1,7 @@
 """Reception: the arm found again from how persons are drawn, and every step against python-fcl's distances."""
 
 from functools import cache
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -74,17 +75,12 @@ def waiting(trials):
     table.R = wp.from_torch(R.float().contiguous(), dtype=wp.mat33)
     table.axis, table.axis_point = (wp.zeros(1, dtype=wp.vec3) for _ in range(2))
     outwards = torch.where(scene.hands.set.side[trials.hand_index.long()] == 0, -1.0, 1.0)
+    row, count, of = torch.arange(n, dtype=torch.int32), *torch.tensor([[1], [0]], dtype=torch.int32).expand(2, n)
     inputs = {
-        "grasps": table,
-        "lean": torch.zeros(1),
-        "row": torch.arange(n, dtype=torch.int32),
-        "count": torch.ones(n, dtype=torch.int32),
-        "object": torch.zeros(n, dtype=torch.int32),
-        "outwards": outwards,
-        "T_world_obj": torch.eye(4).repeat(n, 1, 1),
-        "T_world_hand": trials.T_world_hand,
+        "grasps": table, "lean": torch.zeros(1), "row": row, "count": count.contiguous(), "object": of.contiguous(),
+        "outwards": outwards, "T_world_obj": torch.eye(4).repeat(n, 1, 1), "T_world_hand": trials.T_world_hand,
         "receiver": trials.receiver,
-    }
+    }  # fmt: skip
     return inputs, vectors, outwards
 
 
@@ -128,14 +124,7 @@ def effort_twin(trials, vectors, outwards, i):
         u = (e - shoulder) / upper
         deg = np.degrees
         bend = deg(np.arccos(u @ f))
-        angles = (
-            deg(np.arctan2(u @ ahead, -u[2])),
-            deg(np.arcsin(u @ out)),
-            bend,
-            deg(turn),
-            deg(flexion),
-            deg(deviation),
-        )
+        angles = deg(np.arctan2(u @ ahead, -u[2])), deg(np.arcsin(u @ out)), bend, *deg([turn, flexion, deviation])
         if not all(low <= x <= high for x, (low, high) in zip(angles[2:], RANGES.values(), strict=True)):
             continue
         scale = [(180, 60), (180, 75), None, (80, 80), (80, 70), (30, 20)]
@@ -152,8 +141,8 @@ def test_the_arms_that_persons_were_drawn_with_are_found_and_have_the_twins_effo
     for name, (low, high) in RANGES.items():
         x = angles[:, ANGLES.index(name)]
         assert low <= x.min() and x.max() <= high
-    twin = np.array([effort_twin(trials, vectors, outwards, i) for i in range(0, 300, 6)])
-    assert np.abs(effort[::6] - twin).max() < 1e-4
+    twin = np.array([effort_twin(trials, vectors, outwards, i) for i in range(0, 300, 12)])
+    assert np.abs(effort[::12] - twin).max() < 1e-4
 
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
@@ -240,7 +229,7 @@ def test_hands_are_free_of_the_gripper_as_fcl_says(steps):
     batch, arms, passes, _ = steps
     within, clear = passes[..., 0], passes[..., 1]
     for mask, free in ((within & clear, True), (within & ~clear, False)):
-        for i, k in some(mask, 100):
+        for i, k in some(mask, 30):
             opening = float(batch.of_trial["opening"][i])
             gap = gap_to_gripper(batch, i, int(batch.first[i]) + k, arms["turn"][i, k], opening)
             assert gap > judge.ROOM_M - 2e-5 if free else gap < judge.ROOM_M + 2e-5, (i, k, gap)
@@ -255,10 +244,10 @@ def test_a_way_in_and_the_release_are_free_at_every_sample(steps):
         n, a = (x[row].double().numpy() for x in (table.owners[2], table.owners[1]))
         u = (n, a, (n + a) / np.linalg.norm(n + a))[int(way[i, k])]
         opening = float(batch.of_trial["opening"][i])
-        gaps = [gap_to_gripper(batch, i, row, turn, opening, -s * T[:3, :3] @ u) for s in np.linspace(0, 0.1, 12)]
+        gaps = [gap_to_gripper(batch, i, row, turn, opening, -s * T[:3, :3] @ u) for s in np.linspace(0, 0.1, 8)]
         assert min(gaps) > 0, (i, k)
         T_ee = batch.of_trial["T_world_obj"][i].double().numpy() @ batch.of_trial["attached"][i].double().numpy()
-        back = [gap_to_gripper(batch, i, row, turn, 0.085, s * T_ee[:3, 2]) for s in np.linspace(0, 0.1, 8)]
+        back = [gap_to_gripper(batch, i, row, turn, 0.085, s * T_ee[:3, 2]) for s in np.linspace(0, 0.1, 5)]
         assert min(back) > 0, (i, k)
 
 
@@ -266,7 +255,7 @@ def test_arm_and_torso_are_clear_of_the_robot_as_fcl_says(scores, steps):
     batch, arms, passes, _ = steps
     asked = passes[..., :3].all(2)
     for mask, clear in ((asked & passes[..., 3], True), (asked & ~passes[..., 3], False)):
-        for i, k in some(mask, 8):
+        for i, k in some(mask, 5):
             trial, at = torch.tensor([i]), torch.tensor([k])
             wrist = batch.wrists(batch.pairs(trial, at, arms))[0].double().numpy()
             lean, elbow = float(arms["angles"][i, k, 6]), arms["elbow"][i, k].double().numpy()
@@ -279,7 +268,7 @@ def test_the_whole_way_to_the_chosen_grasp_is_free_at_every_sample(scores, steps
     batch, arms, _, way = steps
     rows = torch.nonzero(found.received)[:, 0].tolist()
     assert len(rows) >= 20
-    for i in rows[::10]:
+    for i in rows[::14]:
         row = int(found.grasp[i])
         k = row - int(batch.first[i])
         opening = float(batch.of_trial["opening"][i])
@@ -289,15 +278,12 @@ def test_the_whole_way_to_the_chosen_grasp_is_free_at_every_sample(scores, steps
         u = (n, a, (n + a) / np.linalg.norm(n + a))[int(way[i, k])]
         target = T[:3, :3] @ wrist + T[:3, 3]
         start, before = receiver[2, :3].double().numpy(), target - 0.1 * T[:3, :3] @ u
-        R = [
-            scores.inputs.trials.T_world_hand[i, :3, :3].double().numpy(),
-            found.T_world_hand[i, :3, :3].double().numpy(),
-        ]
+        R = [T[i, :3, :3].double().numpy() for T in (scores.inputs.trials.T_world_hand, found.T_world_hand)]
         turn = Slerp([0, 1], Rotation.from_matrix(R))
         skin = hand_pieces(batch, row, T)
         lean, elbow = float(found.angles_deg[i, 6]), found.elbow[i].double().numpy()
         waits = receiver[1, :3].double().numpy()
-        for t in np.linspace(0, 2, 21):
+        for t in np.linspace(0, 2, 15):
             at = start + t * (before - start) if t < 1 else before + (t - 1) * (target - before)
             back = turn(min(t, 1.0)).as_matrix() @ R[1].T
             pieces = [hull((p - target) @ back.T + at) for p in skin]
@@ -317,14 +303,12 @@ def test_a_row_depends_on_its_own_trial_alone(scores, found):
         assert torch.equal(torch.nan_to_num(a.float(), nan=-7), torch.nan_to_num(b.float(), nan=-7)), name
 
 
-def test_counts_fall_step_by_step_and_the_easiest_grasp_is_one_that_passes(found):
+def test_counts_fall_step_by_step_the_easiest_grasp_passes_and_without_lean_fewer_arms_reach(scores, found):
     assert (found.count.diff(dim=1) <= 0).all() and (found.count[:, 0] <= found.known).all()
     assert (found.count[found.received, -1] > 0).all() and (found.known[found.evaluated] == 256).all()
     assert found.received.float().mean() > 0.8
     assert (found.rula[found.received] >= 1).all() and (found.rula[~found.received] == 0).all()
 
-
-def test_without_lean_fewer_arms_reach(scores, found):
     upright = reception(scores, leans_deg=(0.0,))
     assert (upright.count[:, 0] <= found.count[:, 0]).all() and upright.count[:, 0].sum() < found.count[:, 0].sum()
     assert (upright.angles_deg[upright.received, ANGLES.index("lean")] == 0).all()
@@ -339,13 +323,6 @@ def test_rows_that_hold_nothing_are_not_evaluated(scores):
     assert found.evaluated[4:].all()
 
 
-def test_trials_without_a_body_are_refused():
-    trials = make_trials(trials=2, protocol="r2h-v0")
-    posed = evaluator().score(torch.eye(4).repeat(4, 1, 1), torch.eye(4).repeat(4, 1, 1), trials, stages="pose")
-    with pytest.raises(ValueError, match=r"no receiver's body.*r2h-v1"):
-        reception(posed)
-
-
 def test_the_oracle_for_reception_hands_over_what_can_be_taken(scores, found):
     trials = scores.inputs.trials
     answer = oracle.predict(trials, evaluator().scene, evaluator=evaluator(), for_="reception")
@@ -357,11 +334,9 @@ def test_the_oracle_for_reception_hands_over_what_can_be_taken(scores, found):
 
 
 def test_the_chance_of_one_is_that_of_drawing_without_replacement():
-    rng = np.random.default_rng(1)
-    draws = np.array([rng.permutation(10)[:3] for _ in range(40000)])
     for passing in (0, 1, 4, 9):
-        simulated = (draws < passing).any(1).mean()
-        assert chance_of_one(np.array([passing]), np.array([10]), 3)[0] == pytest.approx(simulated, abs=0.01)
+        counted = np.mean([min(drawn) < passing for drawn in combinations(range(10), 3)])
+        assert chance_of_one(np.array([passing]), np.array([10]), 3)[0] == pytest.approx(counted, abs=1e-12)
     assert chance_of_one(np.array([0, 0]), np.array([0, 5]), 8).tolist() == [0.0, 0.0]
     curve = [chance_of_one(np.array([7]), np.array([256]), k)[0] for k in range(1, 257)]
     assert (np.diff(curve) >= -1e-12).all() and curve[-1] == 1.0
@@ -376,21 +351,6 @@ def test_held_out_grasps_are_none_of_those_that_predictors_are_shown():
     for i in range(len(objects)):
         a, b = (g.T_obj_hand[g.rows_of(i)].flatten(1) for g in (shown, own))
         assert len(b) == 512 and (torch.cdist(a, b) > 1e-5).all()
-
-
-def test_no_predictor_and_no_method_but_the_oracle_reads_them(monkeypatch):
-    import r2h_batch.receiver.held_out as held_out
-    from r2h_batch.methods import contact, fc, handover_va, intent
-
-    def read(*args, **kwargs):
-        raise AssertionError("a predictor reads the held-out grasps")
-
-    for name in ("load_held_out", "_load", "_of_object", "stored_arrays"):
-        monkeypatch.setattr(held_out, name, read)
-    monkeypatch.setattr(judge, "load_held_out", read)
-    trials = make_trials(trials=1, protocol="r2h-v1")
-    for method in (contact, fc, handover_va, intent):
-        assert len(method.predict(trials, evaluator().scene, seed=0).T_obj_ee) == 2
 
 
 def test_stored_grips_are_those_of_the_linear_program_again():
@@ -418,14 +378,6 @@ def test_a_mirrored_person_finds_the_mirrored_arm():
     assert np.abs(effort - other).max() < 1e-5 and np.abs(angles - turned).max() < 1e-2
 
 
-def test_no_hand_beyond_the_arms_length_is_reached():
-    trials = make_trials(trials=10, protocol="r2h-v1")
-    inputs, vectors, _ = waiting(trials)
-    far = (vectors[0] + torch.tensor([-0.8, 0.0, 0.0])).contiguous()
-    inputs["grasps"].wrist = wp.from_torch(far, dtype=wp.vec3)
-    assert (searched(inputs)[0] == -1).all()
-
-
 def test_rula_scores_postures_as_its_tables_do():
     good = [10, 0, 80, 0, 0, 0, 0]  # upper arm 1, lower arm 1, wrist 1, twist 1: A 1; trunk 1: B 1
     worse = [95, 40, 120, 70, 30, 20, 25]  # upper arm 5, lower arm 2, wrist 4, twist 2: A 7; trunk 3: B 3
@@ -444,7 +396,7 @@ def test_a_pinch_needs_the_grip_of_coulombs_law():
     """Two fingers from both sides of a ball carry it with friction alone: each presses with m g / (2 mu), by the pyramid."""
     inward = np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
     arm = np.array([[-0.03, 0.01, 0], [0.03, 0.01, 0], [-0.03, -0.01, 0], [0.03, -0.01, 0]])
-    from r2h_batch.receiver.held_out import CONE_EDGES, FRICTION, _edges
+    from r2h_batch.receiver.held_out import CONE_EDGES, FRICTION, _edges  # the wrenches that the forces are solved from
 
     wrench = _edges(arm, inward)
     found = linprog(np.ones(wrench.shape[1]), A_eq=wrench, b_eq=[0, 0, 1, 0, 0, 0], method="highs")

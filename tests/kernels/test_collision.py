@@ -1,6 +1,7 @@
 """Postures, edges and clearances of the planner against MuJoCo C in float64, with attached objects and both hands."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import oracle
@@ -9,13 +10,9 @@ import torch
 from convex_twin import bodies, point_to_segment
 from seven import seven_joints, with_hulls
 
-from r2h_batch.bodies.robot import (
-    Kind,
-    forward_kinematics,
-    gripper_primitives_at,
-    lever_bound_for_sphere,
-    load_robot,
-)
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.bodies.robot import Kind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere, load_robot
+from r2h_batch.config import EvalConfig, PlanConfig
 from r2h_batch.judge.plan import CLEARANCE_TOLERANCE_M, Planner
 from r2h_batch.kernels.plan.lines import path_clearance, straight_lines
 from r2h_batch.launch import launch_trials
@@ -76,46 +73,30 @@ def compare_postures(scene, trials, per_trial, seed):
     return wrong, alone, borderline
 
 
-def test_verdicts_on_10_000_postures_agree_with_mujoco_c(scene, trials=40, least=10, seed=1):
-    wrong, alone, borderline = compare_postures(scene, trials, 250, seed=seed)
+@pytest.mark.parametrize(
+    ("trials", "per_trial", "least", "seed"), [(20, 200, 5, 1), pytest.param(400, 250, 100, 2, marks=pytest.mark.slow)]
+)
+def test_verdicts_on_postures_agree_with_mujoco_c(scene, trials, per_trial, least, seed):
+    wrong, alone, borderline = compare_postures(scene, trials, per_trial, seed=seed)
     assert not wrong, wrong[:3]
     assert set(alone) == set(oracle.CLASSES) and min(alone.values()) >= least
-    assert borderline < 0.01 * trials * 250
-
-
-@pytest.mark.slow
-def test_verdicts_on_100_000_postures_agree_with_mujoco_c(scene):
-    test_verdicts_on_10_000_postures_agree_with_mujoco_c(scene, 400, 100, seed=2)
+    assert borderline < 0.01 * trials * per_trial
 
 
 @pytest.mark.parametrize(
     "robot",
-    [
-        load_robot("ur3e_2f85"),
-        load_robot("ur10e_2f85"),
-        seven_joints(),
-        with_hulls(load_robot()),
-        load_robot("panda_hand"),
-    ],
+    [*map(load_robot, ("ur3e_2f85", "ur10e_2f85", "panda_hand")), seven_joints(), with_hulls(load_robot())],
     ids=lambda r: r.name,
 )
 def test_verdicts_on_postures_of_other_arms_agree_with_mujoco_c(robot):
-    wrong, alone, _ = compare_postures(Scene(robot=robot), 12, 250, seed=4)
+    wrong, alone, _ = compare_postures(Scene(robot=robot), 6, 150, seed=4)
     assert not wrong, wrong[:3]
-    assert min(alone[c] for c in ("hand", "table", "self", "object_hand")) >= 5
+    assert min(alone[c] for c in ("hand", "table", "self", "object_hand")) >= 2
 
 
-@pytest.mark.parametrize("name", ["cup", "hammer"])
-def test_verdicts_agree_with_convex_pieces_of_objects_too(name):
-    from dataclasses import replace
-
-    from r2h_batch.bodies.objects import load_objects
-    from r2h_batch.config import EvalConfig, PlanConfig
-
-    scene = Scene(
-        config=replace(EvalConfig(), plan=PlanConfig(object_collision="pieces")), objects=load_objects([name])
-    )
-    wrong, _, _ = compare_postures(scene, 4, 100, seed=3)
+def test_verdicts_agree_with_convex_pieces_of_objects_too():
+    config = replace(EvalConfig(), plan=PlanConfig(object_collision="pieces"))
+    wrong, _, _ = compare_postures(Scene(config=config, objects=load_objects(["cup", "hammer"])), 6, 100, seed=3)
     assert not wrong, wrong[:3]
 
 
@@ -137,22 +118,15 @@ def free_edges(scene, rng, trials, hand_margin):
         count = torch.ones(8 * trials, dtype=torch.int32)
         margin = torch.full((8 * trials * 8,), hand_margin, dtype=torch.float32)
         chosen = torch.full((8 * trials,), -1, dtype=torch.int32)
-        launch_trials(
-            straight_lines,
-            8,
-            inputs={
-                "moveit": 0,
-                "world": scene.world,
-                "bodies": placed8.bodies,
-                "start": start,
-                "goals": goals.view(-1, 6),
-                "n_goals": count,
-                "goal_margin": margin,
-            },
-            outputs={"chosen": chosen},
-            first=8 * k,
-            device="cpu",
-        )
+        inputs = {
+            "moveit": 0,
+            "world": scene.world,
+            "bodies": placed8.bodies,
+            "start": start,
+            "goals": goals.view(-1, 6),
+        }
+        inputs |= {"n_goals": count, "goal_margin": margin}
+        launch_trials(straight_lines, 8, inputs=inputs, outputs={"chosen": chosen}, first=8 * k, device="cpu")
         kept = ends[chosen[8 * k : 8 * k + 8].numpy() == 0]
         result.append((stages[k], [np.stack([q[k, good[0]], e]) for e in kept], 8 - len(kept)))
     return result
@@ -170,40 +144,30 @@ def recheck_edges(scene, rng, trials, hand_margin):
             slack, name, q = twin.least_along(edge, margins=margins, cap=0.02)
             least = min(least, slack)
             assert slack > -1e-6, (staged, name, q.tolist())
-    print(
-        f"\n{certified} edges certified free ({refused} refused), least clearance beyond the margin {least * 1e3:.3f} mm"
-    )
+    print(f"\n{certified} edges certified free ({refused} refused), least beyond the margin {least * 1e3:.3f} mm")
     return certified, refused
 
 
 @pytest.mark.parametrize("hand_margin", [0.0, 0.003])
 @pytest.mark.parametrize(
-    ("trials", "seed", "least"), [(16, 4, 15), pytest.param(400, 14, 1000, marks=pytest.mark.slow)], ids=["16", "400"]
+    ("trials", "seed", "least"), [(8, 4, 7), pytest.param(400, 14, 1000, marks=pytest.mark.slow)], ids=["8", "400"]
 )
 def test_edges_certified_free_never_penetrate_when_sampled_densely(scene, hand_margin, trials, seed, least):
     certified, refused = recheck_edges(scene, np.random.default_rng(seed), trials, hand_margin)
-    assert certified >= least and refused >= 10
+    assert certified >= least and refused >= 5
 
 
-def clearance_of(scene, body_poses, paths, kernel=path_clearance):
+def clearance_of(scene, body_poses, paths):
     n = len(paths)
     width = max(len(p) for p in paths)
     path = torch.zeros((n, width, 6))
     for k, p in enumerate(paths):
         path[k, : len(p)] = torch.tensor(p, dtype=torch.float32)
     length = torch.tensor([len(p) for p in paths], dtype=torch.int32)
-    least, pair, body = (
-        torch.full((n,), -9.0),
-        torch.zeros(n, dtype=torch.int32),
-        torch.full((n,), -1, dtype=torch.int32),
-    )
-    Planner(scene, body_poses, None)(
-        kernel,
-        n,
-        inputs={"cap": CAP_M, "tolerance": CLEARANCE_TOLERANCE_M, "path": path, "length": length},
-        outputs={"clearance": least, "pair": pair, "body": body},
-        chunk=8,
-    )
+    least, (pair, body) = torch.full((n,), -9.0), torch.full((2, n), -1, dtype=torch.int32).unbind(0)
+    inputs = {"cap": CAP_M, "tolerance": CLEARANCE_TOLERANCE_M, "path": path, "length": length}
+    outputs = {"clearance": least, "pair": pair, "body": body}
+    Planner(scene, body_poses, None)(path_clearance, n, inputs=inputs, outputs=outputs, chunk=8)
     return least.numpy(), pair.numpy(), body.numpy()
 
 
@@ -215,11 +179,8 @@ def test_path_clearance_is_the_smallest_sampled_one(scene):
         steps = rng.normal(size=(2, 6)) * rng.choice([0.02, 0.1, 0.3])
         paths.append(np.stack([b, b + steps[0], b + steps[0] + steps[1]]).astype(np.float32).astype(np.float64))
     least, pair, body = clearance_of(scene, oracle.place(scene, stages), paths)
-    chosen = [
-        *np.flatnonzero((least > 0) & (least < CAP_M))[:20],
-        *np.flatnonzero(least <= 0)[:10],
-        *np.flatnonzero(least == CAP_M)[:2],
-    ]
+    kinds = ((least > 0) & (least < CAP_M), 20), (least <= 0, 8), (least == CAP_M, 2)
+    chosen = [k for rows, count in kinds for k in np.flatnonzero(rows)[:count]]
     off, pairs = [], Counter()
     for k in chosen:
         truth, name, _ = oracle.mujoco_scene(scene, stages[k]).least_along(paths[k], cap=CAP_M, step_rad=1 / 160)
@@ -238,12 +199,12 @@ def test_path_clearance_is_the_smallest_sampled_one(scene):
 
 def test_object_motion_radii_bound_every_point_and_match_the_robots_own_bound(scene):
     rng = np.random.default_rng(6)
-    stages, _ = oracle.random_stages(scene, rng, 24)
+    stages, _ = oracle.random_stages(scene, rng, 12)
     body_poses = oracle.place(scene, stages)
     motion_radius = body_poses.object_motion_radius.numpy()
     world = scene.world
     first, c0, c1, radius = (getattr(world, n).numpy() for n in ("hull_first", "hull_c0", "hull_c1", "hull_radius"))
-    q = rng.uniform(-np.pi, np.pi, (400, 6))
+    q = rng.uniform(-np.pi, np.pi, (150, 6))
     T_world_link = forward_kinematics(scene.robot, q)
     for k, staged in enumerate(stages):
         T_wrist_obj = scene.robot.T_wrist3_flange @ scene.robot.T_flange_ee @ np.linalg.inv(staged.T_obj_ee)
@@ -299,10 +260,7 @@ def test_bounding_capsules_and_motion_radii_hold_their_bodies_at_every_opening(s
                 r = z - T_world_link[:, j + 1, None, :3, 3]
                 a = T_world_link[:, j + 1, None, :3, 2]
                 away = np.linalg.norm(r - (r * a).sum(-1, keepdims=True) * a, axis=-1).max()
-                assert away <= motion_radius[b, j] + 1e-7 and motion_radius[b, j] <= link_motion_radius[link[b], j], (
-                    b,
-                    j,
-                )
+                assert away - 1e-7 <= motion_radius[b, j] <= link_motion_radius[link[b], j], (b, j)
 
 
 def test_bounding_capsules_and_balls_of_hulls_pieces_and_hands_hold_their_points(scene):
@@ -310,9 +268,8 @@ def test_bounding_capsules_and_balls_of_hulls_pieces_and_hands_hold_their_points
     points = w.points.numpy()
     start, c0, c1, radius = (getattr(w, n).numpy() for n in ("hull_start", "hull_c0", "hull_c1", "hull_radius"))
     for h in range(len(radius)):
-        assert (
-            point_to_segment(points[start[h] : start[h + 1]].astype(np.float64), c0[h], c1[h]).max() <= radius[h] + 1e-7
-        )
+        own = points[start[h] : start[h + 1]].astype(np.float64)
+        assert point_to_segment(own, c0[h], c1[h]).max() <= radius[h] + 1e-7
     start, center, ball = w.piece_start.numpy(), w.piece_center.numpy(), w.piece_radius.numpy()
     start = np.append(start, start[-1] + 16 * w.piece_blocks.numpy()[-1])
     assert np.array_equal(np.diff(start), 16 * w.piece_blocks.numpy()) and not w.piece_round.numpy().any()

@@ -57,40 +57,34 @@ FORMS = pytest.mark.parametrize("form", ["thread", "frontier"])
 
 def is_free(scene, stages, q):
     n = len(stages)
-    return [
-        x.numpy()
-        for x in Planner(scene, oracle.place(scene, stages), 1).check(
-            torch.tensor(np.array(q), dtype=torch.float32), torch.ones(n, dtype=torch.bool), 1
-        )
-    ]
+    at, rows = torch.tensor(np.array(q), dtype=torch.float32), torch.ones(n, dtype=torch.bool)
+    return [x.numpy() for x in Planner(scene, oracle.place(scene, stages), 1).check(at, rows, 1)]
 
 
 def stay(q):
     return np.stack([q, q])
 
 
-@FORMS
-@pytest.mark.parametrize("count", [60, pytest.param(240, marks=pytest.mark.slow)])
-def test_distances_at_postures_agree_with_the_exact_mesh_and_never_fall_below_the_hulls(scene, count, form):
-    rng = np.random.default_rng(1)
-    stages, base = oracle.random_stages(scene, rng, count)
-    distance, *_ = safe_of(scene, stages, [stay(q) for q in base], form=form)
+@pytest.mark.parametrize("count", [48, pytest.param(240, marks=pytest.mark.slow)])
+def test_distances_at_postures_agree_with_the_exact_mesh_and_never_fall_below_the_hulls(scene, count):
+    stages, base = oracle.random_stages(scene, np.random.default_rng(1), count)
+    found = [safe_of(scene, stages, [stay(q) for q in base], form=form)[0] for form in FORMS.args[1]]
     off, touching = [], 0
     for k, staged in enumerate(stages):
-        twin = oracle.mujoco_scene(scene, staged)
+        twin, distances = oracle.mujoco_scene(scene, staged), [x[k] for x in found]
         hull = twin.clearances(base[k], cap=CAP_M).distance["hand"]
-        assert distance[k] >= min(hull, CAP_M) - 1e-5 or hull < 0
+        assert min(distances) >= min(hull, CAP_M) - 1e-5 or hull < 0
         if hull > CAP_M:
             continue
         truth = twin.safe_at(oracle.hand_triangles(scene, staged), base[k], cap=CAP_M)
         if truth <= 0:
-            assert distance[k] <= -1e-6
+            assert max(distances) <= -1e-6
             touching += 1
         else:
-            off.append(distance[k] - truth)
-            assert abs(off[-1]) <= 1e-5 or truth >= CAP_M, (k, distance[k], truth)
-    print(f"\n{len(off)} postures apart, off by at most {np.abs(off).max():.1e} m; {touching} touching")
-    assert len(off) >= 15 and touching >= 8
+            off += [x - truth for x in distances]
+            assert np.abs(off[-2:]).max() <= 1e-5 or truth >= CAP_M, (k, distances, truth)
+    print(f"\n{len(off)} distances, off by at most {np.abs(off).max():.1e} m; {touching} touching")
+    assert len(off) >= 24 and touching >= 6
 
 
 @FORMS
@@ -98,7 +92,7 @@ def test_hulls_of_boxes_are_as_far_from_the_hand_along_paths_as_the_boxes(form):
     boxed = with_boxes(load_robot())
     scenes = Scene(robot=boxed), Scene(robot=with_hulls(boxed))
     rng = np.random.default_rng(8)
-    stages, base = oracle.random_stages(scenes[0], rng, 400)
+    stages, base = oracle.random_stages(scenes[0], rng, 300)
     paths = [np.stack([q, q + rng.normal(size=6) * 0.2]) for q in base]
     (boxes, body, *_), (hulls, *_) = (safe_of(scene, stages, paths, form=form) for scene in scenes)
     apart = (boxes > 0) & (boxes < CAP_M)
@@ -108,7 +102,7 @@ def test_hulls_of_boxes_are_as_far_from_the_hand_along_paths_as_the_boxes(form):
     assert np.abs(boxes - hulls)[apart].max() <= 2 * SAFE_TOLERANCE_M + 2e-5
 
 
-@pytest.mark.parametrize("part", [2, pytest.param(1, marks=pytest.mark.slow)], ids=["half", "all"])
+@pytest.mark.parametrize("part", [3, pytest.param(1, marks=pytest.mark.slow)], ids=["third", "all"])
 def test_the_smallest_distance_along_paths_is_the_sampled_one_and_its_witness_is_real(scene, part):
     rng = np.random.default_rng(2)
     stages, base = oracle.random_stages(scene, rng, 80)
@@ -120,7 +114,7 @@ def test_the_smallest_distance_along_paths_is_the_sampled_one_and_its_witness_is
     chosen = [
         *np.flatnonzero((distance > 0) & (distance < CAP_M))[: 12 // part],
         *np.flatnonzero(distance < 0)[: 6 // part],
-        *np.flatnonzero(distance >= CAP_M)[: 2 // part],
+        *np.flatnonzero(distance >= CAP_M)[: 3 // part],
     ]
     off = []
     for k in chosen:
@@ -185,8 +179,7 @@ def test_a_robot_wholly_inside_the_hand_is_a_collision(hand, form):
     assert twin.safe_at(oracle.hand_triangles(scene, staged), HOME) == -1.0
     clear, pair, _ = is_free(scene, [staged], [HOME])
     assert not clear[0] and pair[0] == 1
-    distance, *_ = safe_of(scene, [staged], [stay(HOME)], form=form)
-    assert distance[0] < -0.005
+    assert safe_of(scene, [staged], [stay(HOME)], form=form)[0][0] < -0.005
 
 
 @FORMS
@@ -194,7 +187,7 @@ def test_margins_of_overlaps_grow_with_the_overlap(scene, form):
     """A hand is pushed into the gripper's flat side: the margin is minus the depth, and falls all the way."""
     start = gripper_body_center(scene, HOME)
     x = ee_pose(scene.robot, HOME)[:3, 0]
-    for hand in (0, 37, 200, 301):
+    for hand in (37, 200):
         v = scene.hands.vertices[hand].numpy().astype(np.float64)
         along = v @ x
         tip = v[along.argmin()]  # the hand's point that meets the gripper first
@@ -206,6 +199,4 @@ def test_margins_of_overlaps_grow_with_the_overlap(scene, form):
         distance, *_ = safe_of(scene, stages, [stay(HOME)] * len(stages), form=form)
         assert distance[0] > 0 > distance[-1]
         assert (np.diff(distance) < 1e-5).all(), (hand, distance)
-        assert (
-            np.abs(distance + depth).max() <= 2e-4 or (distance <= 2e-4 - depth).all()
-        )  # other parts may be met deeper
+        assert (distance <= 2e-4 - depth).all()  # other parts may be met deeper

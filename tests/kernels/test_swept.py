@@ -8,14 +8,7 @@ import warp as wp
 from r2h_batch.kernels.geometry.body import swept_support
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.joints import CHANGES, FIELDS, vecq
-from r2h_batch.kernels.robot.world import (
-    World,
-    acceleration_seen_along,
-    bends,
-    forward_kinematics,
-    robot_body,
-    twists,
-)
+from r2h_batch.kernels.robot.world import World, acceleration_seen_along, bends, forward_kinematics, robot_body, twists
 from r2h_batch.launch import launch_trials
 
 wp.set_module_options(OPTIONS)

@@ -14,7 +14,6 @@ from problems import default_evaluator
 import r2h_batch.motion.execute as module
 from r2h_batch import evaluate
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, PlanConfig
-from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
 from r2h_batch.motion import sim_mujoco
 from r2h_batch.motion.execute import FINGER_GIVE_M, NEAR_M, Executed, execute, nothing_pushes
@@ -47,6 +46,8 @@ def same(a: Executed, b: Executed, i: int, j: int) -> bool:
 def test_a_row_is_the_arms_where_its_clearance_rules_contacts_out_and_the_scenes_elsewhere():
     p, arm, scene = problems(), reference_run(ARM), reference_run(SCENE)
     found = torch.nonzero(p.plan.length > 0).flatten().tolist()
+    # fingers that give way by micrometres are all that is new in the scene: no contact pushes on a certified path
+    assert torch.equal(scene.length, arm.length) and 0 < float((scene.path - arm.path).abs().max()) < 5e-6
     clearance = p.plan.clearance_m.clone()
     near, just, exact = found[:3]  # too near by far; a hair more than both bodies may be off; a hair less
     off = 2 * (arm.deviation_m + FINGER_GIVE_M) + CLEARANCE_TOLERANCE_M
@@ -74,14 +75,16 @@ def test_without_a_certified_clearance_the_motion_itself_rules_contacts_out():
     batch = problems().batch
     for plan in (PlanConfig(edge_check="moveit"), PlanConfig(hand="estimated")):
         with mock.patch.object(evaluate, "execute", wraps=execute) as moved:
-            Evaluator(EvalConfig(plan=plan)).score(batch.T_obj_ee[:2], batch.T_world_ee[:2], batch.trials[:2])
+            judge = copy.copy(default_evaluator())
+            judge.config = EvalConfig(plan=plan)
+            judge.score(batch.T_obj_ee[:2], batch.T_world_ee[:2], batch.trials[:2])
         assert moved.call_args.kwargs["clearance_m"] is None
 
 
 def test_what_is_said_not_to_push_touches_nothing_in_mujoco_and_the_rest_does():
-    """Straight motions to random postures, with the hand where it may be: MuJoCo's own contacts at 200 samples of each."""
+    """Straight motions to random postures, with the hand where it may be: MuJoCo's own contacts at 150 samples of each."""
     p, scene = problems(), default_evaluator().scene
-    rng, n, steps = np.random.default_rng(5), 40, 200
+    rng, n, steps = np.random.default_rng(5), 24, 150
     rows = torch.arange(n) % N
     trials = p.batch.trials
     body_poses = placed(rows)
@@ -113,7 +116,7 @@ def test_what_is_said_not_to_push_touches_nothing_in_mujoco_and_the_rest_does():
         touched.append(count > 0)
     assert not free[-1]
     assert [not x for x in touched] == free[:-1].tolist()
-    assert 5 < sum(touched) < n - 5
+    assert 4 < sum(touched) < n - 4
     # each body may be off by as much: none of them keeps a millimetre's half from itself for ever
     assert not nothing_pushes(scene, body_poses, path, length, torch.full((n,), 0.5 * NEAR_M)).any()
     some = nothing_pushes(scene, body_poses, path, length, torch.full((n,), 2e-4))
@@ -124,7 +127,8 @@ def test_rows_do_not_depend_on_who_else_needs_the_scene():
     clearance = problems().plan.clearance_m.clone()
     clearance[::2] = 0.0
     whole = auto(clearance)
-    for rows in (torch.arange(1), torch.arange(1, 4), torch.randperm(N, generator=torch.Generator().manual_seed(1))):
+    found = torch.nonzero(problems().plan.length > 0).flatten()
+    for rows in (found[:1], found[:5].flip(0)):
         part = auto(clearance, rows)
         for i, row in enumerate(rows.tolist()):
             assert same(part, whole, i, row) and torch.equal(part.slack_m[i], whole.slack_m[row])

@@ -1,5 +1,6 @@
 """The executed motion: what the servos are told, what is recorded, when the arm has settled, and that engines agree."""
 
+from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -23,7 +24,7 @@ from motions import (
     problems,
     reference_run,
     run,
-)
+)  # fmt: skip
 from problems import default_evaluator
 
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics
@@ -70,12 +71,9 @@ def test_servos_follow_the_time_law_with_the_speed_fed_forward():
 
 @wp.kernel(enable_backward=False)
 def durations(
-    speed: wp.float64,
-    acceleration: wp.float64,
-    distance_in: wp.array(dtype=wp.float64),
-    exact_out: wp.array(dtype=wp.float64),
-    single_out: wp.array(dtype=float),
-):
+    speed: wp.float64, acceleration: wp.float64, distance_in: wp.array(dtype=wp.float64),
+    exact_out: wp.array(dtype=wp.float64), single_out: wp.array(dtype=float),
+):  # fmt: skip
     i = wp.tid()
     exact_out[i] = duration(distance_in[i], speed, acceleration)
     single_out[i] = duration(float(distance_in[i]), float(speed), float(acceleration))
@@ -92,18 +90,12 @@ def test_servos_shortcuts_and_the_times_of_a_path_know_one_law():
     path[:, 1, 3] = torch.from_numpy(distance).float()
     distance = path[:, 1, 3].double().numpy()
     exact, single = wp.zeros(len(distance), dtype=wp.float64), wp.zeros(len(distance), dtype=float)
-    launch(
-        durations,
-        len(distance),
-        inputs={"speed": speed, "acceleration": acceleration, "distance": distance},
-        outputs={"exact": exact, "single": single},
-        device="cpu",
-    )
+    inputs = {"speed": speed, "acceleration": acceleration, "distance": distance}
+    launch(durations, len(distance), inputs=inputs, outputs={"exact": exact, "single": single}, device="cpu")
     times = time_path(path, torch.full((len(distance),), 2, dtype=torch.int32), PLANNED).time_s[:, 1]
     ramp = np.minimum(speed, np.sqrt(acceleration * distance)) / acceleration
-    np.testing.assert_allclose(
-        exact.numpy(), np.where(distance < corner, 2 * ramp, distance / speed + ramp), rtol=1e-14
-    )
+    law = np.where(distance < corner, 2 * ramp, distance / speed + ramp)
+    np.testing.assert_allclose(exact.numpy(), law, rtol=1e-14)
     np.testing.assert_allclose(times.numpy(), exact.numpy(), rtol=1e-7)
     np.testing.assert_allclose(single.numpy(), exact.numpy(), rtol=1e-6)
 
@@ -135,19 +127,18 @@ def test_a_motion_that_cannot_come_to_rest_in_time_is_run_to_the_limit_and_fails
     reference_s = float(time_path(p.plan.path, p.plan.length, tight).t_exec_s[row])
     assert int(e.length[row]) == int(np.ceil((reference_s + 1.5) / e.sample_s)) + 1
 
-    evaluator, batch = default_evaluator(), problems().batch
-    strict = Evaluator(EvalConfig(execute=tight, thresholds=Thresholds(reach_radius_m=5.0)))
-    usual = Evaluator(EvalConfig(execute=ARM, thresholds=Thresholds(reach_radius_m=5.0)))
+    batch, strict, usual = problems().batch, copy(default_evaluator()), copy(default_evaluator())
+    strict.config, usual.config = (
+        EvalConfig(execute=x, thresholds=Thresholds(reach_radius_m=5.0)) for x in (tight, ARM)
+    )
     bad, good = (x.score(batch.T_obj_ee, batch.T_world_ee, batch.trials) for x in (strict, usual))
     moved = good.plan_reason == int(PlanReason.OK)
     assert moved.sum() >= 8 and (bad.plan_reason[moved] == int(PlanReason.NOT_SETTLED)).all()
     assert torch.equal(bad.plan_reason[~moved], good.plan_reason[~moved])
-    assert (
-        (bad.margin[moved, 1] == -torch.inf).all() and not bad.passed[moved, 1].any() and bad.evaluated[moved, 1].all()
-    )
+    assert (bad.margin[moved, 1] == -torch.inf).all()
+    assert not bad.passed[moved, 1].any() and bad.evaluated[moved, 1].all()
     held = moved & good.passed[:, 0]
     assert (bad.outcome[held] == int(Outcome.PLAN)).all() and torch.isnan(bad.t_exec_s[moved]).all()
-    assert evaluator.config.execute.sim == "auto"
 
 
 @pytest.mark.parametrize("sim", ["none", "mujoco"])
@@ -211,9 +202,8 @@ def test_a_motion_that_is_held_up_keeps_its_margin_at_every_step_of_mujoco(besid
     monkeypatch.setattr(SceneModel, "fingers", lambda self, trial, q: states.append((self, q)) or seen(self, trial, q))
     e = run(BRIEF, path, length)
     model, q = states[-1]
-    assert (
-        len(q) == 4 * int(e.length[row] - 1) + 1 and float(e.slack_m[row]) > 1e-3
-    )  # as one part: no bound worth having
+    assert len(q) == 4 * int(e.length[row] - 1) + 1
+    assert float(e.slack_m[row]) > 1e-3  # as one part: no bound worth having
 
     trials = p.batch.trials
     hand = torch.eye(4).repeat(N, 1, 1)  # its palm beside the pads, where they come to rest
@@ -249,7 +239,8 @@ def test_a_motion_that_is_held_up_keeps_its_margin_at_every_step_of_mujoco(besid
 )
 def test_rows_do_not_depend_on_their_batch(config):
     p, whole = problems(), reference_run(config)
-    for rows in (torch.arange(1), torch.arange(7), torch.randperm(N, generator=torch.Generator().manual_seed(0))):
+    found = torch.nonzero(p.plan.length > 0).flatten()
+    for rows in (found[:1], found[:5].flip(0)):
         path, length = p.plan.path[rows], p.plan.length[rows]
         motion = time_path(path, length, config)
         with on_threads(1):
@@ -275,24 +266,13 @@ def test_both_engines_move_the_arm_the_same_way(engines):
     assert lag > (0.1 if engines[0] is ARM else 0.01)  # it moved
 
 
-def test_the_scene_around_the_arm_does_not_change_what_a_free_arm_does():
-    """Fingers that give way by micrometres are all that is new; no contact pushes on a certified path."""
-    scene, arm = reference_run(MUJOCO), reference_run(ARM)
-    assert torch.equal(scene.length, arm.length) and torch.equal(
-        torch.nan_to_num(scene.t_exec_s), torch.nan_to_num(arm.t_exec_s)
-    )
-    assert 0 < float((scene.path - arm.path).abs().max()) < 5e-6
-    sway = (scene.slack_m - arm.slack_m)[scene.length > 0]
-    assert float(sway.min()) > 0 and float(sway.max()) < 1e-5
-
-
 def test_the_deviation_bounds_how_far_any_body_was_from_its_plan():
     """Against the robot's and the object's own points, at every recorded time and at times between."""
     p, e, evaluator = problems(), reference_run(MUJOCO), default_evaluator()
     motion = time_path(p.plan.path, p.plan.length, MUJOCO)
     n = e.path.shape[1]
     reference = commands(p.plan.path, p.plan.length, motion, 2 * n, lead=0.0, step_s=e.sample_s / 2)
-    robot, rows = evaluator.scene.robot, torch.nonzero(p.plan.length > 0).flatten().tolist()
+    robot, rows = evaluator.scene.robot, torch.nonzero(p.plan.length > 0).flatten().tolist()[:5]
     share = []
     for row in rows:
         k = int(e.length[row]) - 1
@@ -300,11 +280,8 @@ def test_the_deviation_bounds_how_far_any_body_was_from_its_plan():
         between = np.stack([q[:-1], (q[:-1] + q[1:]) / 2], 1).reshape(-1, 6)
         T = [forward_kinematics(robot, x) for x in (between, reference[row, : 2 * k])]
         o = evaluator.scene.objects[int(p.batch.trials.object_index[row])]
-        T_gripper_obj = (
-            np.linalg.inv(robot.T_flange_gripper)
-            @ robot.T_flange_ee
-            @ np.linalg.inv(p.T_obj_ee_attached[row].double().numpy())
-        )
+        T_gripper_ee = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee
+        T_gripper_obj = T_gripper_ee @ np.linalg.inv(p.T_obj_ee_attached[row].double().numpy())
         held = T_gripper_obj @ np.c_[o.hull_vertices, np.ones(len(o.hull_vertices))].T
         worst = np.linalg.norm((T[0][:, 7] @ held - T[1][:, 7] @ held)[:, :3], axis=1).max()
         for link in range(7):
@@ -313,23 +290,10 @@ def test_the_deviation_bounds_how_far_any_body_was_from_its_plan():
             worst = max(worst, np.linalg.norm((T[0][:, link] @ points - T[1][:, link] @ points)[:, :3], axis=1).max())
         assert worst <= float(e.deviation_m[row]) + 1e-6
         share.append(worst / float(e.deviation_m[row]))
-        assert float(e.deviation_m[row]) < 2e-3
+        assert 1e-6 < worst < 1e-3 and float(e.deviation_m[row]) < 2e-3
     assert max(share) > 0.3  # it is no bound out of thin air
     certified = (e.deviation_m < p.plan.clearance_m - 1e-4)[rows]
     assert certified.float().mean() > 0.5
-
-
-def test_the_motion_follows_the_reference_within_a_fraction_of_a_millimetre():
-    p, e = problems(), reference_run(MUJOCO)
-    motion = time_path(p.plan.path, p.plan.length, MUJOCO)
-    reference = commands(p.plan.path, p.plan.length, motion, e.path.shape[1], lead=0.0, step_s=e.sample_s)
-    worst = 0.0
-    for row in torch.nonzero(p.plan.length > 0).flatten().tolist():
-        n = int(e.length[row])
-        both = e.path[row, :n].double().numpy(), reference[row, :n]
-        a, b = (ee_pose(default_evaluator().scene.robot, q)[:, :3, 3] for q in both)
-        worst = max(worst, np.linalg.norm(a - b, axis=1).max())
-    assert worst < 5e-4 and worst > 1e-6
 
 
 @pytest.mark.gpu

@@ -1,24 +1,26 @@
 """When a simulator fails or meets what it should not: each fault has its outcome, and the neighbours keep their bits."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import torch
-from motions import ARM, BRIEF, BRIEF_WARP, MJWARP, MUJOCO, N, into_the_table, placed, problems, reference_run, run
+from motions import ARM, BRIEF, BRIEF_WARP, MJWARP, N, into_the_table, placed, problems, reference_run, run
 from problems import default_evaluator
 
 from r2h_batch import se3
 from r2h_batch.bodies.robot import forward_kinematics
-from r2h_batch.config import EvalConfig
+from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import hand_distance
 from r2h_batch.motion import sim_mjwarp, sim_mujoco
-from r2h_batch.motion.execute import execute
+from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.simulation import Job, Samples
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.types import Outcome
 
 
-@pytest.mark.parametrize("config", [BRIEF, BRIEF_WARP, MJWARP], ids=["mujoco", "mjwarp", "mjwarp-arm"])
+@pytest.mark.parametrize("config", [BRIEF, BRIEF_WARP], ids=["mujoco", "mjwarp"])
 @pytest.mark.parametrize("where", ["start", "goal"])
 def test_a_world_with_nan_is_not_valid_and_its_neighbours_are_bitwise_unchanged(config, where):
     p, whole = problems(), reference_run(config)
@@ -36,11 +38,9 @@ def test_a_world_with_nan_is_not_valid_and_its_neighbours_are_bitwise_unchanged(
         assert torch.equal(e.path[i, : int(e.length[i])], whole.path[i, : int(e.length[i])])
 
 
-@pytest.mark.parametrize("config", [ARM, MJWARP], ids=["mujoco", "mjwarp"])
-def test_what_the_simulator_failed_on_is_invalid_sim_and_not_scored(config, monkeypatch):
-    engine = {"mujoco": sim_mujoco, "mjwarp": sim_mjwarp}[config.sim]
-    batch = problems().batch
-    evaluator = Evaluator(EvalConfig(execute=config))
+def test_what_the_simulator_failed_on_is_invalid_sim_and_not_scored(monkeypatch):
+    batch, engine = problems().batch, sim_mujoco
+    evaluator = Evaluator(EvalConfig(execute=ARM))
     good = evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
     honest, hit = engine.simulate, []
 
@@ -57,9 +57,8 @@ def test_what_the_simulator_failed_on_is_invalid_sim_and_not_scored(config, monk
     assert int(bad.outcome[row]) == Outcome.INVALID_SIM and not bad.success[row]
     assert not bad.evaluated[row].any() and not bad.passed[row].any() and torch.isnan(bad.margin[row]).all()
     assert torch.isnan(bad.t_exec_s[row]) and torch.isnan(bad.witness_time_s[row])
-    assert (
-        torch.isfinite(bad.motion[row, :5]).all() and torch.isnan(bad.motion[row, 5 : int(bad.motion_len[row])]).all()
-    )
+    assert torch.isfinite(bad.motion[row, :5]).all()
+    assert torch.isnan(bad.motion[row, 5 : int(bad.motion_len[row])]).all()
     assert bad.motion_len[row] > 5 and (bad.motion_len > 0).sum() == 1 and good.motion.shape[1] == 0
     keep = torch.arange(N) != row
     assert torch.equal(bad.outcome[keep], good.outcome[keep])
@@ -85,42 +84,22 @@ def test_without_memory_for_all_worlds_half_as_many_give_the_same_motion(monkeyp
         run(MJWARP)
 
 
-def test_more_contacts_than_there_is_room_for_are_noticed_by_their_count(monkeypatch):
-    """Contacts are pooled over worlds and the simulator may stay silent: every trial of the pool is run again."""
-    honest, sizes, whole = sim_mjwarp._fields, [], reference_run(MJWARP)
-    sim_mjwarp.forget_worlds()  # theirs are read when they are built
-
-    def crowded(scene, model, data):
-        fields = honest(scene, model, data)
-        sizes.append(data.naconmax)
-        if len(sizes) < 3:
-            fields.naconmax = -1  # less than the 0 contacts there are
-        return fields
-
-    monkeypatch.setattr(sim_mjwarp, "_fields", crowded)
-    e = run(MJWARP)
-    sim_mjwarp.forget_worlds()
-    assert sizes == [sizes[0] * 4**k for k in range(3)] and e.valid.all() and torch.equal(e.path, whole.path)
-    monkeypatch.setattr(sim_mjwarp, "TRIES", 2)
-    sizes.clear()
-    assert run(MJWARP).valid.tolist() == (problems().plan.length == 0).tolist()
-    sim_mjwarp.forget_worlds()
+@cache
+def crash(config: ExecConfig) -> Executed:
+    """The first paths, of which one goes into the table."""
+    return run(config, *into_the_table()[:2])
 
 
 def test_the_table_stops_the_gripper_and_nobody_else_notices():
     path, length, row = into_the_table()
-    with_crash = {c: run(c, path, length) for c in (BRIEF, BRIEF_WARP)}
+    with_crash = {c: crash(c) for c in (BRIEF, BRIEF_WARP)}
     clear = path.clone()
     clear[row, 1] = path[row, 0] + 0.01
     for config, e in with_crash.items():
         assert e.valid.all() and not e.settled[row]
         n = int(e.length[row])
-        low = forward_kinematics(default_evaluator().scene.robot, e.path[row, n - 1].double().numpy())[7] @ [
-            0,
-            0,
-            0.1,
-            1,
-        ]
+        T = forward_kinematics(default_evaluator().scene.robot, e.path[row, n - 1].double().numpy())[7]
+        low = T @ [0, 0, 0.1, 1]
         assert 0.03 < low[2] < 0.08  # pads near the top; the reference is 13 cm below
         assert float(e.deviation_m[row]) > 0.1
         other = run(config, clear, length)
@@ -133,7 +112,7 @@ def test_the_table_stops_the_gripper_and_nobody_else_notices():
 def test_contacts_beyond_the_pool_are_noticed_and_run_again(monkeypatch):
     """Contacts are pooled over worlds: all trials of the pool run again, and then nothing has changed for anybody."""
     path, length, _ = into_the_table()
-    enough = run(BRIEF_WARP, path, length)
+    enough = crash(BRIEF_WARP)
     honest, calls = sim_mjwarp._run, []
 
     def counted(job, todo, worlds, njmax, naconmax):
@@ -155,7 +134,7 @@ def test_contacts_beyond_the_pool_are_noticed_and_run_again(monkeypatch):
 
 def test_constraints_beyond_a_worlds_room_concern_that_world_alone(monkeypatch):
     path, length, row = into_the_table()
-    enough = run(BRIEF_WARP, path, length)
+    enough = crash(BRIEF_WARP)
     monkeypatch.setattr(sim_mjwarp, "NJMAX", 9)  # seven hold the fingers together, a contact takes four
     again = run(BRIEF_WARP, path, length)
     assert again.valid.all() and torch.equal(again.path, enough.path)
@@ -168,9 +147,9 @@ def test_constraints_beyond_a_worlds_room_concern_that_world_alone(monkeypatch):
         assert torch.equal(hopeless.path[i, : int(hopeless.length[i])], enough.path[i, : int(enough.length[i])])
 
 
-@pytest.mark.parametrize("config", [MUJOCO, BRIEF_WARP], ids=["mujoco", "mjwarp"])
-def test_a_hand_wholly_inside_the_arm_is_touched_and_does_not_change_the_motion(config):
-    evaluator, p, e = default_evaluator(), problems(), reference_run(config)
+def test_a_hand_wholly_inside_the_arm_is_touched_and_does_not_change_the_motion():
+    evaluator, p, config = default_evaluator(), problems(), BRIEF
+    e = reference_run(config)
     row = int(torch.nonzero(p.plan.length > 0).flatten()[0])
     trials = p.batch.trials
     T_world_hand = se3.orthonormalise(trials.T_world_hand).clone()

@@ -18,14 +18,7 @@ from r2h_batch.bodies.hand import load_hand
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.launch import init_warp
 from r2h_batch.receiver.hand_closing import DEEPEST_M, distance_field, field_distance
-from r2h_batch.receiver.hand_contact import (
-    REGIONS,
-    THUMB,
-    ObjectSurface,
-    hand_depth,
-    measure_contact,
-    palmar_region,
-)
+from r2h_batch.receiver.hand_contact import REGIONS, THUMB, ObjectSurface, hand_depth, measure_contact, palmar_region
 from r2h_batch.receiver.instructions import intents_of
 from r2h_batch.receiver.receiving import CONTACT_M, PENETRATION_M, load_receiving, receiving_digest
 from r2h_batch.receiver.sampler import sample_receiving
