@@ -86,8 +86,8 @@ def test_palm_normal_points_out_of_the_palm_on_both_sides():
 def test_the_pieces_enclose_skin_and_inside_in_every_posture(i):
     vertices = posed().vertices[i].double().numpy()
     faces = HAND.faces_by_side[int(HANDS.side[i])].numpy()
-    skin = sample_surface(vertices, faces, 4000, seed=i)
-    inside = sample_inside(vertices, faces, 300, seed=i)
+    skin = sample_surface(vertices, faces, 2000, seed=i)
+    inside = sample_inside(vertices, faces, 100, seed=i)
     depth = np.full(len(skin) + len(inside), np.inf)
     offsets = HANDS.hull_offsets.tolist()
     for k, piece in enumerate(HAND.pieces):

@@ -141,7 +141,7 @@ def test_overlapping_bodies_are_united_and_a_cavity_stays():
     assert not model.occupancy[32, 32, 32]
 
 
-@pytest.mark.parametrize("subdivisions", [6, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("subdivisions", [5, pytest.param(8, marks=pytest.mark.slow)])
 def test_up_to_a_million_faces_are_decimated_and_the_shape_stays(subdivisions):
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.05)
     model, said = built(mesh)

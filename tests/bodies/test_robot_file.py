@@ -14,7 +14,7 @@ from seven import seven_joints, with_hulls, with_jaws, with_table
 
 from r2h_batch.bodies import robot as robots
 from r2h_batch.bodies.robot import Robot, ee_pose, load_robot, read_robot, robot_arrays, slide_table, write_robot
-from r2h_batch.importers import urdf
+from r2h_batch.importers import robot_fit, urdf
 from r2h_batch.importers.robot import gripper_of
 from r2h_batch.importers.robot_fit import Target
 from r2h_batch.importers.robot_hulls import CORNERS, fit_hulls
@@ -158,6 +158,12 @@ USUAL = {
     "axis": "0 1 0",
     "limit": '<limit lower="0" upper="0.04" velocity="1" effort="1"/>',
 }
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """Of a palm that is a box few samples say enough."""
+    monkeypatch.setattr(robot_fit, "PROTRUSION_SPACING_M", 2e-3)
 
 
 def jaws_of(folder: Path, urdf: str = JAWS, **changes: str):

@@ -14,32 +14,37 @@ from r2h_batch.__main__ import main
 from r2h_batch.bodies.robot import Kind, ee_pose, read_robot, robot_arrays, robot_file
 from r2h_batch.config import Workplace
 from r2h_batch.importers import robot as importer
+from r2h_batch.importers import robot_fit
 from r2h_batch.importers.robot import import_robot
 from r2h_batch.importers.robot_pairs import touching
 from r2h_batch.importers.robot_srdf import read_srdf
 from r2h_batch.importers.urdf import read_chain
 
 HAND = ("left_finger", "right_finger")
+READY = (0.0, -0.9, 0.0, 2.3, 0.0, -1.74, 0.0)
 
 
 def made(path: Path, **more):
     return import_robot(path, name="made", base="base", flange="flange", packages={}, fingers=HAND, **more)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def coarse():
+    """Of plain shapes few samples say enough."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(importer, "POSTURES", 500)
+        patch.setattr(robot_fit, "PROTRUSION_SPACING_M", 2e-3)
+        yield
+
+
 @pytest.fixture(scope="module")
-def arm(tmp_path_factory):
+def arm(coarse, tmp_path_factory):
     return made(write_urdf(tmp_path_factory.mktemp("arm")))
-
-
-@pytest.fixture
-def few_postures(monkeypatch):
-    """For imports whose checked pairs do not matter: these take most of the time."""
-    monkeypatch.setattr(importer, "POSTURES", 200)
 
 
 def test_a_urdf_and_an_mjcf_of_one_arm_give_one_robot(arm, tmp_path):
     by_urdf, report, _ = arm
-    by_mjcf, *_ = made(write_mjcf(tmp_path))
+    by_mjcf, *_ = made(write_mjcf(tmp_path), home=by_urdf.home_q)
     one, other = robot_arrays(by_urdf), robot_arrays(by_mjcf)
     assert one.keys() == other.keys() and all(np.abs(one[name] - other[name]).max() < 1e-9 for name in one)
     assert robot_file(by_urdf) == robot_file(by_mjcf)
@@ -68,7 +73,7 @@ def test_an_mjcfs_frames_angles_includes_and_anchors_are_read(tmp_path):
     assert np.abs(read.links[2].com - usual.links[2].com + anchor).max() < 1e-9
 
 
-def test_a_cylinder_between_two_balls_is_a_capsule_and_bad_collision_shapes_are_not_used(tmp_path, few_postures):
+def test_a_cylinder_between_two_balls_is_a_capsule_and_bad_collision_shapes_are_not_used(tmp_path):
     own = '<collision><origin xyz="0 0 0.09"/><geometry><capsule radius="0.05" length="0.12"/></geometry></collision>'
     ball = '<visual><origin xyz="0 0 {}"/><geometry><sphere radius="0.05"/></geometry></visual>'
     tube = '<visual><origin xyz="0 0 0.09"/><geometry><'
@@ -78,7 +83,7 @@ def test_a_cylinder_between_two_balls_is_a_capsule_and_bad_collision_shapes_are_
     mesh = '<mesh filename="parts/block.stl" scale="0.001 0.001 0.001"/></geometry></collision>'
     for side, source, note in ((0.0702, "collision shapes of the file", False), (0.06, None, True)):
         box = f'<box size="{side} 0.0702 0.1802"/></geometry></collision>'
-        row = made(write_urdf(tmp_path, **{mesh: box})).report["links"]["l5"]
+        row = made(write_urdf(tmp_path, **{mesh: box}), home=READY).report["links"]["l5"]
         assert row.get("from") == source and ("not_used" in row) == note
         assert row["mean_mm"] < 3 and row["worst_protrusion_mm"] <= 0.1
 
@@ -112,7 +117,6 @@ def test_a_bad_mjcf_is_refused_in_one_line(new, tmp_path):
 SRDF = """<robot name="made"><disable_collisions link1="base" link2="l3" reason="Never"/>
 <disable_collisions link1="l6" link2="left_finger" reason="Adjacent"/><disable_collisions link1="other" link2="l3"/>
 <group_state name="ready" group="arm">{joints}</group_state><group_state name="part" group="arm"/></robot>"""
-READY = (0.0, -0.9, 0.0, 2.3, 0.0, -1.74, 0.0)
 
 
 def srdf_of(folder: Path, posture=READY) -> Path:
@@ -143,7 +147,7 @@ def test_an_srdf_is_compared_and_gives_a_posture(tmp_path):
         ((0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0), "outside the joint limits"),
     ],
 )
-def test_a_home_that_cannot_be_one_is_refused_in_one_line(home, words, tmp_path, few_postures):
+def test_a_home_that_cannot_be_one_is_refused_in_one_line(home, words, tmp_path):
     with one_line(words):
         made(write_urdf(tmp_path), srdf=srdf_of(tmp_path), home=home)
 
