@@ -24,12 +24,10 @@ OBJECTS = load_objects()
 
 def judged(kind):
     """How many of an object's candidates pass Stability, for each object."""
-    scene = default_evaluator().scene
-    counts = []
+    scene, counts = default_evaluator().scene, []
     for i, c in enumerate(candidates_of(scene.objects, kind)):
         T, index = torch.from_numpy(c.T_obj_ee), torch.full((len(c),), i, dtype=torch.int32)
-        held = close_gripper(scene.grasp_tables, T, index)
-        counts.append(int((held.margin_m >= 0).sum()))
+        counts.append(int((close_gripper(scene.grasp_tables, T, index).margin_m >= 0).sum()))
     return counts
 
 
@@ -37,8 +35,7 @@ def test_methods_can_fail_stability_with_grasps_as_generated_and_not_with_filter
     report = json.loads((resources.files("r2h_batch.assets.objects") / "grasps_as_generated_report.json").read_text())
     assert judged("filtered") == [100] * 16
     raw = judged("as-generated")
-    assert raw == [report["objects"][o.name]["pass_stability"] for o in OBJECTS]
-    assert 1400 < sum(raw) < 1600
+    assert raw == [report["objects"][o.name]["pass_stability"] for o in OBJECTS] and 1400 < sum(raw) < 1600
     assert arrays_digest(stored_arrays("objects", "grasps_as_generated.npz")) == report["digest"]
 
 
@@ -47,8 +44,7 @@ def test_no_cloud_point_lies_in_the_boxes_of_the_open_gripper():
     for model, c in zip(OBJECTS[::5], candidates_of(OBJECTS, "as-generated")[::5], strict=True):
         for T in c.T_obj_ee.astype(np.float64)[::9]:
             p = (model.points.astype(np.float64) - T[:3, 3]) @ T[:3, :3]
-            mirrored = p * [1, -1, 1]
-            for x, a, b in ((p, low, high), (mirrored, low, high), (p, rest_low, rest_high)):
+            for x, a, b in ((p, low, high), (p * [1, -1, 1], low, high), (p, rest_low, rest_high)):
                 assert not ((x > a + 1e-5) & (x < b - 1e-5)).all(1).any()
 
 
@@ -60,11 +56,10 @@ def test_the_stored_ones_are_made_again():
 
 
 def test_a_users_own_grasps_are_taken_as_they_are():
-    hammer = OBJECTS[6]
     T = np.tile(np.eye(4, dtype=np.float32), (3, 1, 1))
     T[:, 2, 3] = [0.3, 0.0, 0.1]  # the first holds nothing at all
     own = GraspSet(T, np.zeros(3, np.float32), np.array([0.2, 0.9, 0.5], np.float32), np.full(3, -1, np.int32))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        (found,) = candidates_of((replace(hammer, grasps=own),), "as-generated")
+        (found,) = candidates_of((replace(OBJECTS[6], grasps=own),), "as-generated")
     assert np.array_equal(found.T_obj_ee[:, 2, 3], np.float32([0.0, 0.1, 0.3])) and found.score[0] == np.float32(0.9)

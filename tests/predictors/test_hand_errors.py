@@ -44,20 +44,18 @@ def test_what_is_drawn_is_one_of_the_stored_frames_in_the_hands_own_directions(s
 
 def test_left_and_right_hands_have_the_same_errors_in_their_own_directions(scene, trials):
     """The same draw for both sides, by taking the same trials on a hand of the other side."""
-    side = scene.hands.set.side
+    side, B, one = scene.hands.set.side, scene.hands.directions, trials[:40]
     right, left = (int(torch.nonzero(side == s)[0]) for s in (0, 1))
-    one = trials[:40]
     on = [replace(one, hand_index=torch.full_like(one.hand_index, k)) for k in (right, left)]
     both = [errors_of(scene, trials, FRAMES) for trials in on]
     assert np.abs(both[0][0] - both[1][0]).max() < 1e-4 and np.abs(both[0][1] - both[1][1]).max() < 1e-6
-    B = scene.hands.directions
     assert (torch.linalg.det(B[side == 0]) > 0.999).all() and (torch.linalg.det(B[side == 1]) < -0.999).all()
 
 
-def test_a_trial_has_its_error_in_any_batch_and_none_at_factor_0(scene, trials):
-    for errors in ("frames", "tails"):
-        noise = PredictorNoise(target_errors=errors)
-        every = predict_target(trials[:50], scene, noise=noise).T_world_hand
-        assert torch.equal(predict_target(trials[17:18], scene, noise=noise).T_world_hand, every[17:18])
-        exact = predict_target(trials[:50], scene, noise=noise.scaled(0)).T_world_hand
-        assert torch.equal(exact, trials[:50].T_world_hand)
+@pytest.mark.parametrize("errors", ["frames", "tails"])
+def test_a_trial_has_its_error_in_any_batch_and_none_at_factor_0(scene, trials, errors):
+    noise = PredictorNoise(target_errors=errors)
+    every = predict_target(trials[:50], scene, noise=noise).T_world_hand
+    assert torch.equal(predict_target(trials[17:18], scene, noise=noise).T_world_hand, every[17:18])
+    exact = predict_target(trials[:50], scene, noise=noise.scaled(0)).T_world_hand
+    assert torch.equal(exact, trials[:50].T_world_hand)

@@ -18,7 +18,7 @@ from r2h_batch.predictors import PredictorNoise, TargetHand
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions, Trials
 
-N = 16
+N = 8
 NOISE = PredictorNoise()
 
 
