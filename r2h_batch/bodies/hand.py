@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -82,35 +83,16 @@ class HandModel:
         """The model from arrays named as in ``hand.npz``; those of a left hand of its own start
         with ``left_``."""
 
-        def tensor(name: str) -> Tensor:
-            return torch.from_numpy(np.array(arrays[name], order="C"))
-
-        of_left = {k.removeprefix("left_"): v for k, v in arrays.items() if k.startswith("left_")}
-        left = (
-            {**{k: v for k, v in arrays.items() if not k.startswith("left_")}, **of_left}
-            if of_left
-            else None
-        )
-
-        return cls(
-            vertices=tensor("vertices"),
-            faces=tensor("faces"),
-            weights=tensor("weights"),
-            joints_rest=tensor("joints_rest"),
-            shape_basis=tensor("shape_basis"),
-            joint_shape_basis=tensor("joint_shape_basis"),
-            parents=tuple(int(p) for p in arrays["parents"]),
-            joint_axes=tensor("joint_axes"),
-            piece_vertices=tensor("piece_vertices"),
-            piece_offsets=tensor("piece_offsets"),
-            piece_names=tuple(str(n) for n in arrays["piece_names"]),
-            tip_vertices=tensor("tip_vertices"),
-            shape_names=tuple(str(n) for n in arrays["shape_names"]),
-            pose_basis=tensor("pose_basis") if "pose_basis" in arrays else None,
-            pose_mean=tensor("pose_mean") if "pose_mean" in arrays else None,
-            pose_components=tensor("pose_components") if "pose_components" in arrays else None,
-            left=None if left is None else cls.from_arrays(left),
-        )
+        left = {k.removeprefix("left_"): v for k, v in arrays.items() if k.startswith("left_")}
+        rights = {k: v for k, v in arrays.items() if not k.startswith("left_")}
+        values: dict[str, Any] = {}
+        for name in {f.name for f in fields(cls)} & rights.keys():
+            if name.endswith("_names"):
+                values[name] = tuple(str(n) for n in rights[name])
+            else:
+                values[name] = torch.from_numpy(np.array(rights[name], order="C"))
+        values["parents"] = tuple(int(p) for p in rights["parents"])
+        return cls(**values, left=cls.from_arrays({**rights, **left}) if left else None)
 
     @cached_property
     def faces_by_side(self) -> Int[Tensor, "2 F 3"]:

@@ -10,6 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 
 Tick = Callable[[float], None] | None
+F64 = NDArray[np.float64]
 
 POINTS_AT_ONCE = 2048
 """Points measured between two looks at the clock, each on its own."""
@@ -35,9 +36,7 @@ class Surface:
             support_winding_number=True,
         )
 
-    def signed(
-        self, points: NDArray[np.float64], tick: Tick = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def signed(self, points: F64, tick: Tick = None) -> tuple[F64, F64]:
         """(N,) distance, negative where the winding number is above 0.5; (N, 3) closest points.
 
         `tick` is told the share that is done, every now and then; it may raise to end the work.
@@ -51,9 +50,7 @@ class Surface:
         distance = self._ask(kernel, points, reach, tick, closest=closest)
         return distance, closest.numpy().astype(np.float64) + self.center
 
-    def within(
-        self, points: NDArray[np.float64], reach: float, tick: Tick = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def within(self, points: F64, reach: float, tick: Tick = None) -> tuple[F64, NDArray[np.int64]]:
         """(N,) distance without a sign, `reach` where nothing is nearer; (N,) the face there, -1
         for none."""
         import warp as wp
@@ -64,9 +61,7 @@ class Surface:
         distance = self._ask(kernel, points, reach, tick, face=face)
         return distance, face.numpy().astype(np.int64)
 
-    def _ask(
-        self, kernel: Any, points: NDArray[np.float64], reach: float, tick: Tick, **more: Any
-    ) -> NDArray[np.float64]:
+    def _ask(self, kernel: Any, points: F64, reach: float, tick: Tick, **more: Any) -> F64:
         import warp as wp
 
         from r2h_batch.launch import launch
@@ -89,9 +84,7 @@ class Surface:
         return np.asarray(distance.numpy(), np.float64)
 
 
-def signed_distance(
-    mesh: trimesh.Trimesh, points: NDArray[np.float64], tick: Tick = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def signed_distance(mesh: trimesh.Trimesh, points: F64, tick: Tick = None) -> tuple[F64, F64]:
     """`Surface.signed` of a mesh that is used once."""
     return Surface(mesh).signed(points, tick)
 
@@ -103,7 +96,7 @@ def winding_number(solid: trimesh.Trimesh, count: int) -> NDArray[np.int64]:
 
 
 def winding_of_nodes(
-    triangles: NDArray[np.float64], low: NDArray[np.float64], pitch: float, shape: Sequence[int]
+    triangles: F64, low: F64, pitch: float, shape: Sequence[int]
 ) -> NDArray[np.int64]:
     """Winding number of a closed surface (F, 3, 3) at the nodes `low` + `pitch` (i, j, k) of a grid
     of this shape."""
@@ -115,15 +108,15 @@ def winding_of_nodes(
     return np.cumsum(above, axis=2)[: shape[0], : shape[1], : shape[2]]
 
 
-def _grid(solid: trimesh.Trimesh, count: int) -> tuple[NDArray[np.float64], float]:
+def _grid(solid: trimesh.Trimesh, count: int) -> tuple[F64, float]:
     low, high = solid.bounds
     pitch = float((high - low).max() / (count - 2.5))  # more than one voxel to spare on each side
     return (low + high) / 2 - pitch * count / 2, pitch
 
 
 def _column_crossings(
-    triangles: NDArray[np.float64], origin: NDArray[np.float64], pitch: float, count: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    triangles: F64, origin: F64, pitch: float, count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], F64, NDArray[np.int64]]:
     """(i, j, z, sign): where vertical lines through the centres of a count x count grid's columns
     cross the triangles.
 
@@ -144,9 +137,7 @@ def _column_crossings(
     p = first + pitch * np.stack([i, j], axis=1)
     a, b, c = triangles[face, 0], triangles[face, 1], triangles[face, 2]
 
-    def area(
-        u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def area(u: F64, v: F64, w: F64) -> F64:
         return (v[:, 0] - u[:, 0]) * (w[:, 1] - u[:, 1]) - (v[:, 1] - u[:, 1]) * (w[:, 0] - u[:, 0])
 
     wa, wb, wc = area(b, c, p), area(c, a, p), area(a, b, p)
@@ -156,9 +147,7 @@ def _column_crossings(
     return i[hit], j[hit], z, -np.sign(total[hit]).astype(np.int64)
 
 
-def solid_occupancy(
-    solid: trimesh.Trimesh, count: int
-) -> tuple[NDArray[np.bool_], NDArray[np.float64], float]:
+def solid_occupancy(solid: trimesh.Trimesh, count: int) -> tuple[NDArray[np.bool_], F64, float]:
     """((n, n, n) bool, lowest corner, pitch): a voxel is full when its centre is inside the closed
     surface or the surface passes through it. The grid is a cube around the bounding box with one
     empty voxel to spare on each side."""
@@ -168,102 +157,64 @@ def solid_occupancy(
     return full, origin, pitch
 
 
-def _surface_voxels(
-    triangles: NDArray[np.float64], origin: NDArray[np.float64], pitch: float, count: int
-) -> NDArray[np.bool_]:
-    """(n, n, n) bool: the voxels that a triangle touches (separating axis test of triangle and
-    cube)."""
+def _surface_voxels(triangles: F64, origin: F64, pitch: float, count: int) -> NDArray[np.bool_]:
+    """(n, n, n) bool: the voxels that a triangle touches. Of large cells that one touches, the small
+    ones are tried."""
     full = np.zeros((count,) * 3, bool)
     corners = (triangles - origin) / pitch
-    low = np.floor(corners.min(axis=1)).astype(np.int64).clip(0, count - 1)
-    span = np.floor(corners.max(axis=1)).astype(np.int64).clip(0, count - 1) - low + 1
-    cells = span.prod(axis=1)
-    full[tuple(low[cells == 1].T)] = True
     edges = np.roll(corners, -1, axis=1) - corners
-    normal = np.cross(edges[:, 0], edges[:, 1])
-    more = np.flatnonzero(cells > 1)
-    for block in np.array_split(more, max(1, int(cells[more].sum() // 2_000_000))):
-        face, cell = _cells_at_planes(block, normal, corners, low, span)
-        n = normal[face]
-        height = np.einsum("ij,ij->i", n, corners[face, 0] - (cell + 0.5))
-        # of the axes, the one that rules out most
-        rows = np.flatnonzero(np.abs(height) <= 0.5 * np.abs(n).sum(axis=1))
-        rows = rows[~full[tuple(cell[rows].T)]]
-        face, cell = face[rows], cell[rows]
-        t, edge = corners[face] - (cell + 0.5)[:, None, :], edges[face]
-        for axis in range(3):  # with each edge: edge x unit vector = u e_v - v e_u
-            u, v = (axis + 1) % 3, (axis + 2) % 3
-            for k in range(3):
-                along, across = edge[:, k, v], edge[:, k, u]
-                a, b, c = (along * t[:, i, u] - across * t[:, i, v] for i in range(3))
-                radius = 0.5 * (np.abs(along) + np.abs(across))
-                touches = np.minimum(np.minimum(a, b), c) <= radius
-                touches &= np.maximum(np.maximum(a, b), c) >= -radius
-                cell, t, edge = cell[touches], t[touches], edge[touches]
-        hit = cell
-        full[hit[:, 0], hit[:, 1], hit[:, 2]] = True
+    low, high = (
+        np.floor(x).astype(np.int64).clip(0, count - 1)
+        for x in (corners.min(axis=1), corners.max(axis=1))
+    )
+    first = low // LARGE
+    span = high // LARGE - first + 1
+    cells = span.prod(axis=1)
+    inner = np.stack(np.meshgrid(*[np.arange(LARGE)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    for block in np.array_split(np.arange(len(cells)), max(1, int(cells.sum()) // 30_000)):
+        face = np.repeat(block, cells[block])
+        rank = np.arange(len(face)) - np.repeat(
+            np.cumsum(cells[block]) - cells[block], cells[block]
+        )
+        x, yz = np.divmod(rank, span[face, 1] * span[face, 2])
+        large = first[face] + np.stack([x, *np.divmod(yz, span[face, 2])], axis=1)
+        # a little too large: rounding must not lose a small cell at its rim
+        rows = _touching(corners[face] - LARGE * (large + 0.5)[:, None], edges[face], LARGE + 1e-6)
+        face = np.repeat(face[rows], LARGE**3)
+        cell = (LARGE * large[rows, None] + inner).reshape(-1, 3)
+        near = ((cell >= low[face]) & (cell <= high[face])).all(axis=1)
+        face, cell = face[near], cell[near]
+        open_rows = np.flatnonzero(~full[tuple(cell.T)])
+        face, cell = face[open_rows], cell[open_rows]
+        hit = cell[_touching(corners[face] - (cell + 0.5)[:, None], edges[face], 1.0)]
+        full[tuple(hit.T)] = True
     return full
 
 
-def _cells_at_planes(
-    block: NDArray[np.int64],
-    normal: NDArray[np.float64],
-    corners: NDArray[np.float64],
-    low: NDArray[np.int64],
-    span: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(n,) faces of `block` and (n, 3) cells of their bounding boxes: all that the faces meet, and
-    some beside these.
-
-    Columns of cells stand along the axis that a plane is the most across. Left out are those that
-    pass a face by, and of the others all but the few cells in which they meet the face's plane.
-    """
-    axes = (np.abs(normal[block]).argmax(axis=1)[:, None] + np.arange(3)) % 3
-    n = np.take_along_axis(normal[block], axes, 1)
-    first, width = (np.take_along_axis(x[block], axes, 1) for x in (low, span))
-    # (faces, corner, 2) as the columns see them
-    flat = np.take_along_axis(corners[block], axes[:, None, 1:], 2)
-    edge = np.roll(flat, -1, axis=1) - flat
-    columns = width[:, 1] * width[:, 2]
-    row = np.repeat(np.arange(len(block)), columns)
-    rank = np.arange(len(row)) - np.repeat(np.cumsum(columns) - columns, columns)
-    at = (first[row, 1:] + np.stack([rank // width[row, 2], rank % width[row, 2]], axis=1)).astype(
-        np.float64
-    ) + 0.5
-    for k in range(3):
-        along, across = edge[row, k, 1], edge[row, k, 0]
-        a, b, c = (
-            along * (flat[row, i, 0] - at[:, 0]) - across * (flat[row, i, 1] - at[:, 1])
-            for i in range(3)
-        )
-        radius = 0.5 * (np.abs(along) + np.abs(across)) + 1e-6
-        meets = (np.minimum(np.minimum(a, b), c) <= radius) & (
-            np.maximum(np.maximum(a, b), c) >= -radius
-        )
-        row, at = row[meets], at[meets]
-    height = np.einsum("ij,ij->i", normal[block], corners[block, 0])
-    begin, end = first[row, 0], first[row, 0] + width[row, 0] - 1
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = 0.5 * np.abs(n).sum(axis=1) / np.abs(n[:, 0]) + 1e-3
-        middle = (height[row] - (n[row, 1:] * at).sum(axis=1)) / n[row, 0] - 0.5
-        # a face without area is in no plane: all its cells
-        sure = np.isfinite(middle) & np.isfinite(reach[row])
-        begin = np.where(sure, np.maximum(begin, np.floor(middle - reach[row])), begin)
-        end = np.where(sure, np.minimum(end, np.ceil(middle + reach[row])), end)
-    count = np.maximum(end - begin + 1, 0).astype(np.int64)
-    column = np.repeat(np.arange(len(row)), count)
-    along_column = (
-        begin[column] + np.arange(len(column)) - np.repeat(np.cumsum(count) - count, count)
-    )
-    cell = np.empty((len(column), 3), np.int64)
-    found = np.concatenate([along_column[:, None], at[column] - 0.5], axis=1)
-    np.put_along_axis(cell, axes[row[column]], np.round(found).astype(np.int64), 1)
-    return block[row[column]], cell
+LARGE = 4
+"""Small cells along the side of a large one."""
 
 
-def sample_surface(
-    solid: trimesh.Trimesh, count: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _touching(t: F64, edges: F64, side: float) -> NDArray[np.int64]:
+    """Rows of the triangles (N, 3, 3) with these edges that touch the cube of this side about the
+    origin, where bounding boxes meet (separating axis test)."""
+    normal = np.cross(edges[:, 0], edges[:, 1])
+    height = np.einsum("ij,ij->i", normal, t[:, 0])
+    # of the axes, the one that rules out most
+    rows = np.flatnonzero(np.abs(height) <= 0.5 * side * np.abs(normal).sum(axis=1))
+    for axis in range(3):  # with each edge: edge x unit vector = u e_v - v e_u
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for k in range(3):
+            along, across = edges[rows, k, v], edges[rows, k, u]
+            a, b, c = (along * t[rows, i, u] - across * t[rows, i, v] for i in range(3))
+            radius = 0.5 * side * (np.abs(along) + np.abs(across))
+            touches = np.minimum(np.minimum(a, b), c) <= radius
+            touches &= np.maximum(np.maximum(a, b), c) >= -radius
+            rows = rows[touches]
+    return rows
+
+
+def sample_surface(solid: trimesh.Trimesh, count: int) -> tuple[F64, NDArray[np.int64]]:
     """(count, 3) points and their faces: systematic over the area, so that every part gets its
     share. Fixed seed."""
     rng = np.random.Generator(np.random.Philox(key=20482048))
