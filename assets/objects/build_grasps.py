@@ -20,9 +20,7 @@ from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.judge.grasp import close_gripper, region_distance, squeezed
 from r2h_batch.methods.candidates import STORED
-from r2h_batch.methods.grasps.candidate_set import Candidates
-from r2h_batch.methods.grasps.diverse import REGION_CLEARANCE_M
-from r2h_batch.methods.grasps.sample import COUNT, generate_grasps, sample_grasps
+from r2h_batch.methods.grasps import COUNT, REGION_CLEARANCE_M, Candidates, generate_grasps, sample_grasps
 from r2h_batch.scene.scene import Scene
 
 HERE = Path(__file__).resolve().parent

@@ -12,9 +12,8 @@ from typing import Literal, Self
 import numpy as np
 
 from r2h_batch.benchmark.trials_file import LISTED, Labels
-from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set, neutral_hand_set
-from r2h_batch.bodies.objects import ObjectModel, load_objects, without_region
+from r2h_batch.bodies.objects import ObjectModel, checked_objects, load_objects, without_region
 from r2h_batch.bodies.robot import Robot, load_robot
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE

@@ -346,17 +346,12 @@ class HandSet:
 def load_hand(path: str | Path | None = None) -> HandModel:
     """The default hand (one object, however many others are loaded), or one stored in the format of
     ``hand.npz``."""
-    return _default_hand() if path is None else _stored_hand(path)
+    return _default_hand() if path is None else HandModel.from_arrays(read_hand(path))
 
 
 @lru_cache(maxsize=1)
 def _default_hand() -> HandModel:
     return HandModel.from_arrays(read_arrays(asset("hand", "hand.npz")))
-
-
-@lru_cache(maxsize=4)
-def _stored_hand(path: str | Path) -> HandModel:
-    return HandModel.from_arrays(read_hand(path))
 
 
 def load_hand_set(path: str | Path | None = None, model: HandModel | None = None) -> HandSet:

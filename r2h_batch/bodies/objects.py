@@ -12,7 +12,7 @@ import inspect
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from importlib import resources
@@ -33,6 +33,7 @@ from r2h_batch.bodies.mesh_import.region import part_of_faces, receiver_region, 
 from r2h_batch.bodies.solid import sample_surface, solid_occupancy
 from r2h_batch.io.cache import is_cached
 from r2h_batch.io.read import printable
+from r2h_batch.validate import describe_value
 
 if TYPE_CHECKING:
     from r2h_batch.benchmark.vocabulary import Thing
@@ -142,6 +143,30 @@ def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
             f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(BUILT_IN_NAMES)}"
         )
     return tuple(_load(n) for n in wanted)
+
+
+def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel, ...]:
+    """The given objects, the built-in ones for None; no two of one name: rows name their object,
+    and statistics go by it."""
+    if objects is None:
+        return load_objects()
+    if isinstance(objects, (str, ObjectModel)) or not isinstance(objects, Iterable):
+        what = repr(objects.name) if isinstance(objects, ObjectModel) else describe_value(objects)
+        raise TypeError(
+            f"objects is {what}; it must be a sequence of ObjectModel, such as load_objects(['cup'])"
+        )
+    found = tuple(objects)
+    for i, o in enumerate(found):
+        if not isinstance(o, ObjectModel):
+            raise TypeError(
+                f"objects[{i}] is {describe_value(o)}; it must be an ObjectModel, such as load_objects(['cup'])[0]"
+            )
+    names = [o.name for o in found]
+    if twice := [n for n in names if names.count(n) > 1]:
+        raise ValueError(
+            f"two objects are called {twice[0]!r}; rows name their object, so give each its own name"
+        )
+    return found
 
 
 def is_built_in(model: ObjectModel) -> bool:

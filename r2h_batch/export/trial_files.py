@@ -22,7 +22,7 @@ from r2h_batch.bodies.hand import HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel, object_digest
 from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.methods.grasps.candidate_set import Candidates
+from r2h_batch.methods.grasps import Candidates
 from r2h_batch.trials.protocol import TRIALS, make_trials, trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS

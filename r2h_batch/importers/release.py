@@ -47,10 +47,11 @@ from r2h_batch.importers.release_files import (
     Own,
     TrialFile,
     box_faces,
+    experiment_trials,
+    paired_trials,
     transform_points,
     validated,
 )
-from r2h_batch.importers.release_scenes import experiment_trials, paired_trials
 from r2h_batch.io.read import FileError, path_within, printable, read_file, read_json
 from r2h_batch.io.write import csv_cell, write_npz, write_text
 from r2h_batch.runs.store import IMPORTED

@@ -34,15 +34,17 @@ from r2h_batch.bodies.robot import (
 )
 from r2h_batch.bodies.robot_visuals import ARM_LINKS, visual_triangles
 from r2h_batch.config import Workplace
-from r2h_batch.importers.robot_fit import (
+from r2h_batch.importers.robot_pairs import contact_rates, touching
+from r2h_batch.importers.robot_shapes import (
     BOX,
+    Hull,
     Shape,
     Target,
     box_of,
+    boxes_of,
+    fit_hulls,
     mouths_for,
 )
-from r2h_batch.importers.robot_hulls import Hull, boxes_of, fit_hulls
-from r2h_batch.importers.robot_pairs import contact_rates, touching
 from r2h_batch.importers.robot_srdf import compared, home_of, read_srdf
 from r2h_batch.importers.urdf import Box, Chain, Fingers, Link, read_chain, read_fingers
 from r2h_batch.io.read import FileError, printable

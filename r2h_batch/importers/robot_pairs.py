@@ -1,13 +1,6 @@
-"""Which links of the robot can touch: a table of contact rates per pair of links, measured with MuJoCo C.
+"""Which links of a robot touch: contact rates per pair of links in random postures, measured with
+MuJoCo C (gripper open and closed, both present)."""
 
-    python -m r2h_batch.importers.robot_pairs [--configurations 20000]
-
-Prints, for each pair of links, the joints between them, the share of random configurations in which their primitives
-overlap (gripper at 85 mm and closed, both present) and the smallest distance seen. Pairs at 1 are neighbours in their
-sockets: not checked. Pairs at 0 are not checked either if the distance stays well above 0.
-"""
-
-import argparse
 from itertools import combinations
 
 import mujoco
@@ -15,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.robot import Kind, Robot, corners_of, gripper_primitives_at, load_robot
+from r2h_batch.bodies.robot import Kind, Robot, corners_of, gripper_primitives_at
 from r2h_batch.config import Workplace
 
 FAR_M = 0.05
@@ -80,10 +73,7 @@ def contact_rates(
     limits = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     size = (configurations, len(robot.joints))
     for q in np.random.default_rng(seed).uniform(*limits, size):
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_collision(model, data)
+        _collide(model, data, q)
         pairs = np.sort(owner[data.contact.geom], axis=1)
         np.minimum.at(nearest, (pairs[:, 0], pairs[:, 1]), data.contact.dist)
         hit = np.unique(pairs[data.contact.dist <= 0.0], axis=0)
@@ -94,14 +84,18 @@ def contact_rates(
     }
 
 
-def touching(robot: Robot, q: NDArray[np.float64], table: Workplace | None = None) -> list[str]:
-    """Checked pairs of links, and links and table, that overlap at a posture, gripper open or closed."""
-    model = mujoco.MjModel.from_xml_string(mjcf(robot, table))
-    data = mujoco.MjData(model)
+def _collide(model: mujoco.MjModel, data: mujoco.MjData, q: NDArray[np.float64]) -> None:
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
+
+
+def touching(robot: Robot, q: NDArray[np.float64], table: Workplace | None = None) -> list[str]:
+    """Checked pairs of links, and links and table, that overlap at a posture, gripper open or closed."""
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, table))
+    data = mujoco.MjData(model)
+    _collide(model, data, q)
     names = [*robot.links, "table"]
     checked = {tuple(sorted(pair)) for pair in robot.self_pairs.tolist()}
     checked |= {(k, len(robot.links)) for k in range(robot.table_from, len(robot.links))}
@@ -134,21 +128,3 @@ def _pose(T: NDArray[np.float64]) -> str:
 
 def _text(numbers: NDArray[np.float64]) -> str:
     return " ".join(repr(float(n)) for n in numbers)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description="Contact rates of the robot's links with each other."
-    )
-    parser.add_argument("--configurations", type=int, default=20_000)
-    robot = load_robot()
-    checked = {tuple(robot.links[i] for i in pair) for pair in robot.self_pairs}
-    for (a, b), (rate, distance) in contact_rates(
-        robot, parser.parse_args().configurations
-    ).items():
-        state = "checked" if (a, b) in checked else "-"
-        print(f"{a:10s} {b:10s} contact {rate:7.4f}  nearest {1e3 * distance:7.2f} mm  {state}")
-
-
-if __name__ == "__main__":
-    main()

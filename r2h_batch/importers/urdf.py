@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
-from r2h_batch.importers.robot_fit import CAPSULE, CYLINDER, Shape
 from r2h_batch.importers.robot_mjcf import as_urdf
+from r2h_batch.importers.robot_shapes import CAPSULE, CYLINDER, Shape
 from r2h_batch.io.read import FileError, path_within, printable, read_file
 
 Array = NDArray[np.float64]

@@ -19,10 +19,16 @@ from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, s
 from r2h_batch.bodies.robot import Robot
 from r2h_batch.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.judge.grasp import close_gripper
-from r2h_batch.methods.grasps.candidate_set import Candidates, NoGraspError, carrier
-from r2h_batch.methods.grasps.own import own_grasps, seat_grasps
-from r2h_batch.methods.grasps.sample import ENOUGH as SAMPLED
-from r2h_batch.methods.grasps.sample import generate_grasps, sample_grasps
+from r2h_batch.methods.grasps import ENOUGH as SAMPLED
+from r2h_batch.methods.grasps import (
+    Candidates,
+    NoGraspError,
+    carrier,
+    generate_grasps,
+    own_grasps,
+    sample_grasps,
+    seat_grasps,
+)
 from r2h_batch.scene.scene import Scene
 
 Kind = Literal["filtered", "as-generated", "narrow"]
@@ -34,7 +40,6 @@ STORED: dict[Kind, str] = {"filtered": "grasps.npz", "as-generated": "grasps_as_
 
 CODE = (
     "r2h_batch.methods",
-    "r2h_batch.methods.grasps",
     "r2h_batch.judge",
     "r2h_batch.scene",
 ) + tuple(f"r2h_batch.kernels.{k}" for k in ("methods", "grasp", "robot", "geometry"))

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
-from r2h_batch.bodies.objects import ObjectModel, load_objects
+from r2h_batch.bodies.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh

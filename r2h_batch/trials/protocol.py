@@ -27,9 +27,8 @@ from r2h_batch.benchmark.benchmark import Benchmark, built_in
 from r2h_batch.benchmark.build import read_benchmark
 from r2h_batch.benchmark.trials_file import listed_with_ids
 from r2h_batch.bodies.bounds import capsule_of_shape
-from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, palm_frame
-from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.objects import ObjectModel, checked_objects
 from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE, assign_hands, assign_objects, trial_ids

@@ -16,9 +16,8 @@ from r2h_batch.bodies import robot as robots
 from r2h_batch.bodies.robot import Robot, ee_pose, load_robot, read_robot, robot_arrays, slide_table, write_robot
 from r2h_batch.importers import robot_fit, urdf
 from r2h_batch.importers.robot import gripper_of
-from r2h_batch.importers.robot_fit import Target
-from r2h_batch.importers.robot_hulls import CORNERS, fit_hulls
 from r2h_batch.importers.robot_pairs import touching
+from r2h_batch.importers.robot_shapes import CORNERS, Target, fit_hulls
 from r2h_batch.importers.urdf import read_chain, read_fingers
 from r2h_batch.io.read import FileError
 

@@ -17,7 +17,7 @@ from r2h_batch.bodies.robot import load_robot
 from r2h_batch.importers.grasp_files import PAD_HALF_M, T_gripper_ee, read_file_of
 from r2h_batch.io.read import FileError
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.methods.grasps.own import seat_grasps
+from r2h_batch.methods.grasps import seat_grasps
 
 RNG = np.random.default_rng(4)
 

@@ -17,7 +17,7 @@ from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.box_grasps import three_boxes
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.methods.grasps.sample import generate_grasps
+from r2h_batch.methods.grasps import generate_grasps
 
 OBJECTS = load_objects()
 

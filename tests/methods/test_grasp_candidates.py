@@ -16,8 +16,7 @@ from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, s
 from r2h_batch.bodies.robot import Kind, Robot, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
 from r2h_batch.launch.threads import on_threads
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.methods.grasps.antipodal import FRICTION
-from r2h_batch.methods.grasps.sample import sample_grasps
+from r2h_batch.methods.grasps import FRICTION, sample_grasps
 
 BAND = 1e-4
 ROBOT, PANDA, STEP = load_robot(), load_robot("panda_hand"), 50
