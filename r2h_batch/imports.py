@@ -41,12 +41,13 @@ def robot(
         out: A new or empty folder.
         urdf: The arm. Its meshes are .obj, .stl, .ply or .glb, beside it or in a --package.
         mjcf: The arm as MuJoCo's XML, in place of --urdf. Meshes and includes lie in its folder.
-        srdf: Its pairs of links are compared with those that are checked. It names postures.
+        srdf: Names postures, and pairs of links that never collide. The report compares these pairs with
+            the command's own.
         gripper: The gripper at the flange.
         fingers: LINK,LINK: the two links of the file's own gripper that grasp, in place of --gripper.
-        home: Posture at the start: rad with commas, --home=-0.5,1,..., or a state's name in --srdf.
+        home: Posture at the start: rad with commas, as --home=-0.5,1,..., or the name of a state in --srdf.
         name: Name of the robot in tables; by default the folder's and the gripper's.
-        payload: What the arm carries at its flange by its data sheet, gripper included, kg.
+        payload: Payload of the arm in its data sheet, gripper included, kg.
         package: NAME=FOLDER: the folder that package://NAME/ means.
     """
     from dataclasses import replace

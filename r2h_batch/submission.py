@@ -42,7 +42,7 @@ def submit(
     Args:
         run: a run folder with poses, as `r2h-batch sweep --out` writes it.
         out: the file to write; RUN.zip by default.
-        rows: rows of each method that are judged again first.
+        rows: rows of each method that the command judges again before it writes.
         benchmark: the flags that the sweep had.
         overwrite: replace a file of this name.
     """
@@ -145,12 +145,12 @@ def leaderboard(
     benchmark: BenchmarkFlags = BUILT_IN,
     overwrite: bool = False,
 ) -> int:
-    """Write a static page of submissions: each is verified, and a sample of its rows judged again.
+    """Judge a sample of each submission's rows again, and write a static page of all submissions.
 
     `(submitted)` marks methods that the command cannot ask again. The command names and leaves out
-    submissions that fail, and those of another configuration than the shipped rows (or, without
-    them, than most others).
-    Exit code 0: all are listed. Exit code 1: some are left out.
+    submissions that fail. It also leaves out those whose configuration differs from the shipped rows,
+    or from most submissions if no rows are shipped. Exit code 0: all are listed. Exit code 1: some
+    are left out.
 
     Args:
         submissions: files of `submit`, run folders, folders of these, or the word baselines.

@@ -10,7 +10,7 @@ def show(*, builtin: bool = False) -> int:
     """Print the schema of a benchmark file (JSON Schema).
 
     Args:
-        builtin: print the built-in benchmark as such a file instead (YAML): a start for your own.
+        builtin: print the built-in benchmark as a file (YAML) that you can edit.
     """
     import json
 

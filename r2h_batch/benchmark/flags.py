@@ -15,7 +15,7 @@ class BenchmarkFlags:
     hand_model: str = ""
     """A hand: MANO_RIGHT.pkl, or .npz of import hand."""
     objects: str = ""
-    """Your objects instead: a folder of meshes, or a benchmark.yaml."""
+    """Objects in place of the built-in ones: a folder of meshes, or a benchmark.yaml."""
     object_mesh: tuple[str, ...] = ()
     """More objects, FILE[:S0|S1[:REGION]]."""
     grasps: tuple[str, ...] = ()
@@ -25,7 +25,7 @@ class BenchmarkFlags:
     robot: str = ""
     """A built-in robot, or a folder of import robot."""
     persons: Literal["", "for-robot", "as-for-ur5e"] = ""
-    """Where persons stand: for that robot (default), or where they do for the UR5e."""
+    """Where persons stand: scaled by the robot's reach (default), or as for the UR5e."""
 
     def flags(self) -> list[str]:
         """The flags that are given, as one would type them again."""

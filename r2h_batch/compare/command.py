@@ -53,16 +53,16 @@ def compare(
 ) -> int:
     """Compare the methods of run folders on the trials that they share.
 
-    It compares all pairs of methods; with `baselines` only the pairs that have a method of yours.
+    The command compares all pairs of methods. With `baselines` it compares only pairs that have one of
+    your methods.
 
     Args:
         runs: run folders, as `r2h-batch sweep --out` writes them; one with several methods is
             enough. The word baselines stands for the built-in methods' rows of r2h-v1, which ship
-            with the package; in a checkout for those of the run's protocol and preset. Runs of
-            different size are compared on the trials that they share.
+            with the package. In a checkout it stands for rows of the run's protocol and preset.
         seed: seed of the bootstrap that gives the ranks.
         format: md, latex, csv or json.
-        method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
+        method: only these methods, by the sweep's word (fc) or the table's name; by default all.
         all_pairs: also compare the baselines with each other.
         across_robots: also pair runs of several robots, by the number of the trial.
     """

@@ -24,16 +24,16 @@ def scene(
     render: Path | None = None,
     overwrite: bool = False,
 ) -> int:
-    """Write one stored trial as MJCF.
+    """Write one stored trial as a folder that plain MuJoCo opens.
 
     Args:
         run: run folder of a sweep; what it does not store is computed again.
-        trial: trial id, or the text that its owner gave it (ids.csv of the run).
+        trial: trial id, or your name of the trial (ids.csv of the run).
         out: folder to write, new or empty.
         method: the sweep's word (fc) or the table's name; needed where the run has several.
         benchmark: the flags that the sweep had; none for the built-in benchmark.
-        render: also a picture (.png, .jpg): start, middle and goal; of a failed Plan home and the
-            target with what collides.
+        render: also draw this picture (.png, .jpg): start, middle and goal, or for a failed Plan home and
+            target with the colliding pair.
         overwrite: write into a folder that has something in it, and replace the picture.
     """
     check_output_folder(out, overwrite=overwrite)
@@ -69,10 +69,10 @@ def trials(
         out: a new or empty folder.
         protocol: r2h-v1 (with the receivers' bodies), r2h-v0 (hands alone) or r2h-release; by default the
             benchmark's.
-        trials: of each split, 1 or more.
+        trials: trials of each split, 1 or more.
         splits: S0 free handover, S1 functional.
         benchmark: your own, as in r2h-batch sweep; by default the built-in one.
-        open_formats: also as OBJ and JSON in OUT/open, for methods in any language.
+        open_formats: also write OBJ and JSON into OUT/open, for methods in any language.
     """
     check_range("--trials", trials, 1, MOST_TRIALS, ": all are held in memory")
     if not splits:
@@ -103,15 +103,17 @@ def export(
     trials: int = 100,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
-    """Write trials of a run as files of the authors' release, which replays and judges them, and the
-    run's verdicts as its results.json, results.csv and paper_table.
+    """Write trials of a run, and its verdicts, as files of the authors' release.
+
+    The release replays and judges the trials. The verdicts are results.json, results.csv and
+    paper_table.
 
     Args:
         run: run folder of a sweep; what it does not store is computed again.
-        to: whose files: r2handoversim (handover.trial.v1).
+        to: format: r2handoversim (handover.trial.v1).
         out: a new or empty folder.
         method: the sweep's word (fc) or the table's name; needed where the run has several.
-        trials: of each split, from the first on.
+        trials: the first trials of each split.
         benchmark: the flags that the sweep had; none for the built-in benchmark.
     """
     check_range("--trials", trials, 1, MOST_TRIALS, "")

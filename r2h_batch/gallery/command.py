@@ -42,16 +42,16 @@ def report(
             baselines stands for the built-in methods' rows, which ship with the package.
         format: md, latex, csv or json; html: one page with figures and a search over trials, no
             network needed.
-        by_object: each object's rates instead of Table I; in md also the criteria that fail
+        by_object: print the rates of each object instead of Table I; in md also which criteria fail
             together. The html page has both.
-        columns: latex: all of Table I over both columns of a page (2), or each split's SR in one
-            (1).
+        columns: latex: width of the table in columns of the page: 2 for all of Table I, 1 for the SR
+            of each split.
         intervals: latex: 95 % intervals below the rates; the other formats always have them.
         method: only these methods, by the sweep's word (fc) or the table's name; all by default.
-        gallery: html: pictures of this many successes and failures of each kind and method, each
-            with a page of its trial in three dimensions in a folder beside --out.
-        perceived: what the run measures beside how people rated the paper's four methods, instead of
-            Table I; md. Each pose is tried with 256 receiving grasps, 8 ms a trial.
+        gallery: html: draw this many successes and failures of each kind and method. Each picture leads
+            to a page of its trial in three dimensions, in a folder beside --out.
+        perceived: print the run's measures beside people's ratings of the paper's four methods,
+            instead of Table I; md only. It tries 256 receiving grasps for each pose: 8 ms a trial.
         out: the file to write instead of printing.
         overwrite: replace what is there under these names.
         benchmark: the flags that the sweep had; none for the built-in benchmark.

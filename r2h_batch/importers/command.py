@@ -33,7 +33,7 @@ def hand(
     """Write MANO's own files as one hand model.
 
     Args:
-        out: The hand model to write, .npz. It holds MANO's data: its licence forbids to pass it on.
+        out: The hand model to write, .npz. MANO's licence forbids you to pass it on.
         mano_right: MANO_RIGHT.pkl, or the same arrays as .npz.
         mano_left: MANO_LEFT.pkl. A side without a file is the other's mirror image.
         negate_left_shape: Change the sign of the left file's shapedirs[:, 0]. Only for data that
@@ -80,15 +80,15 @@ def hands(
         source: Name of each folder's data set; built-in: this project's own postures.
         out: The hand set to write, .npz; the motions go beside it as NAME_motion.npz.
         frame: Which frame of a sequence: aperture (the widest grip of the last second before the
-            object moves), first, middle, last, or a number (-1: the last). For
-            oakink, aperture takes the receivers' hands, the others take all.
+            object moves), first, middle, last, or a number (-1: the last). In oakink, aperture
+            takes receivers' hands only.
         mano_right: MANO_RIGHT.pkl, for data relative to MANO's mean hand or in its components
             (arctic, dexycb), for shapes of subjects (grab) and for the wrist's exact place.
         mano_left: MANO_LEFT.pkl.
         negate_left_shape: The same as in `import hand`.
         smplx: A folder with SMPLX_MALE.npz, SMPLX_FEMALE.npz, SMPLX_NEUTRAL.npz, for the arms of
             bodies (grab, arctic). Receivers of r2h-v1 keep these arms.
-        idle: Keep hands that never carry the object. By default the command leaves them out and counts
+        idle: Keep hands that do not carry the object. By default the command leaves them out and counts
             them.
         strict: Refuse a data set with a file that cannot be read, instead of skipping it.
         overwrite: Replace files that are there.
@@ -199,13 +199,12 @@ def objects(
         folder: The data set as its owners give it: OakInk's with shape/metaV2 or image/obj;
             OakBase's parts anywhere below it.
         source: Data set: oakink.
-        out: A new or empty folder. It holds the data set's meshes: its licence says who may have
-            them.
+        out: A new or empty folder. It will hold the data set's meshes: mind their licence.
         only: Names or IDs of the objects to take; else all.
         grasps: A folder of grasps in files called after the objects, in formats of `import grasps`.
         gripper: Gripper in whose frame the grasps are, if the files do not say it.
-        hands: Also enter hand.npz and this many hands of each side of hands.npz into benchmark.yaml;
-            write both files there with `import hand` and `import hands`.
+        hands: Also enter hand.npz and this many hands of each side of hands.npz into benchmark.yaml.
+            `import hand` and `import hands` write these files.
         strict: Refuse a data set with an object that cannot be read, instead of skipping it.
     """
 

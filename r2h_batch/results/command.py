@@ -18,7 +18,7 @@ LISTED = 200
 
 
 def verify(folder: Path, /) -> int:
-    """Find truncated, flipped and foreign shards and mark them for rerun.
+    """Find damaged and foreign shards and mark them for rerun.
 
     Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
     some shards again.
@@ -67,15 +67,15 @@ def reevaluate(
     """Verify a run folder, then judge a random sample of its rows again from their stored poses.
 
     A forged row gets another verdict, even if receipt and sha256 agree with it. Built-in methods
-    answer the same trials again, so the poses of another method are found, and built-in policies
-    play the episodes of closed loops again; your own methods and policies do not run. Exit code 0:
-    no row differs. Exit code 1: a row differs, or a shard must be scored again.
+    answer the same trials again: that finds poses of another method. Built-in policies play closed
+    loops again. Your own methods and policies do not run. Exit code 0: no row differs. Exit code 1:
+    a row differs, or a shard must be scored again.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
-        rows: rows of each method.
+        rows: rows of each method that the command judges again.
         method: only these methods, by the sweep's word (fc) or the table's name.
-        seed: of the random sample; a new one each time unless given.
+        seed: seed of the random sample; by default a new one each time.
         benchmark: the flags that the sweep had.
         device: cpu, cuda or cuda:N.
     """
@@ -130,9 +130,9 @@ def reception(
 ) -> int:
     """Print how many receivers could take the object, and how easily; write RUN/reception/METHOD.parquet.
 
-    Each stored pose is tried with 256 receiving grasps that no predictor knows: the person's arm must
-    bring the hand there, past the gripper and clear of the robot. No part of the success rate. Trials
-    need a receiver's body (r2h-v1).
+    The command tries 256 receiving grasps for each stored pose; no predictor knows these grasps. The
+    person's arm must bring the hand to a grasp, past the gripper and clear of the robot. The success
+    rate does not depend on it. Trials need a receiver's body (r2h-v1).
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.

@@ -103,7 +103,7 @@ def rethreshold(
         reach_radius: r_h in metres, A,B,... or LOW:HIGH:STEP.
         w_max: widest material that the gripper holds, at most the run's own.
         safe_margin: distance that the robot must keep from the hand, at most 0.0499.
-        method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
+        method: only these methods, by the sweep's word (fc) or the table's name; by default all.
     """
     from r2h_batch.runs.store import load_run
     from r2h_batch.statistics import thresholds

@@ -49,7 +49,7 @@ def trials(
     benchmark: BenchmarkFlags = BUILT_IN,
     device: str = "cpu",
 ) -> int:
-    """Write the trials of a run with poses, receivers and measures as CSV: what to show to people.
+    """Write the trials of a run with poses, receivers and measures as CSV, to show them to people.
 
     Args:
         run: a run folder with poses; its trials need a receiver's body (r2h-v1).

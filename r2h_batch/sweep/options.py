@@ -63,8 +63,10 @@ class Options:
     motions: tuple[str, ...] = _option(
         (), _METHODS, "files of joint motions, judged as they are: .npz, .parquet"
     )
-    seed: int = _option(0, _METHODS, "seed of the methods; trials have their own")
-    trials_from: str = _option("", _TRIALS, "trials and motions of the authors' release")
+    seed: int = _option(0, _METHODS, "seed of the methods; it does not change the trials")
+    trials_from: str = _option(
+        "", _TRIALS, "judge trials and motions of the authors' release: a folder or file"
+    )
     trials: int = _option(500, _TRIALS, "trials of each split")
     splits: tuple[Literal["S0", "S1"], ...] = _option(
         ("S0", "S1"), _TRIALS, "S0: free handover; S1: functional handover"
@@ -96,15 +98,15 @@ class Options:
     persons: Literal["", "for-robot", "as-for-ur5e"] = _option(
         "",
         _CONFIG,
-        "where persons stand: for-robot (default): scaled by the robot's reach; as-for-ur5e",
+        "where persons stand. for-robot (default): scaled by the robot's reach; as-for-ur5e: as for the UR5e",
     )
     hands: str = _option("", _TRIALS, "another hand set: .npz of import hands")
     hand_model: str = _option("", _CONFIG, "MANO_RIGHT.pkl, or .npz of import hand")
     preset: Literal["default", "paper", "release"] = _option(
         "default",
         _VERDICT,
-        "default: certified planning to any branch; paper: one goal, samples; release: definitions"
-        " of the authors' release",
+        "default: certified planning to any IK branch; paper: one goal, sampled edges, as in the paper;"
+        " release: the rules of the authors' release",
     )
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = _option(
         "auto",
@@ -125,7 +127,9 @@ class Options:
     address: str = _option("", _CONFIG, "Ray cluster to join: auto or HOST:PORT")
 
     replan: bool = _option(
-        False, _CONFIG, "with trials_from: plan every motion anew instead of judging theirs"
+        False,
+        _CONFIG,
+        "with trials_from: plan every motion anew instead of judging that of the file",
     )
     predictor: str = _option(
         "",
@@ -136,8 +140,8 @@ class Options:
     trust_code: bool = _option(
         False,
         _CONFIG,
-        "also accept a TorchScript file as --predictor: a program, which can write any file"
-        " (--trust-code; not in --config)",
+        "also accept a TorchScript file as predictor; such a program can write any file. A --config"
+        " file cannot set this: use --trust-code",
     )
     predictor_noise: float = _option(
         1.0, _CONFIG, "factor on the error model of what the methods see; 0: they see the truth"
@@ -196,8 +200,8 @@ class Options:
     plan_hand: Literal["preset", "true", "estimated"] = _option(
         "preset",
         _CONFIG,
-        "hand that paths keep clear of: the true one, or the one that the methods see; the true one"
-        " is judged. preset: true, with preset paper estimated",
+        "hand that planned paths avoid: the true hand, or the estimated hand that methods see. Safe"
+        " judges the true hand. preset: true, with preset paper estimated",
     )
     ik: Literal["fused", "pytorch-kinematics"] = _option(
         "fused", _CONFIG, "inverse kinematics: a Warp kernel, or pytorch-kinematics (slower)"
@@ -211,9 +215,9 @@ class Options:
     execution_error: str = _option(
         "",
         _CONFIG,
-        "errors of the executed poses, standard deviation per axis. 5mm,1deg: of the camera's"
-        " calibration and of the object in the gripper, drawn in every trial; camera:5mm,1deg or"
-        " object:5mm,1deg: one of the two; bias:5mm,1deg: the camera's, drawn once",
+        "errors of the executed poses as standard deviations per axis. 5mm,1deg: both the camera's"
+        " calibration and the object in the gripper err anew in every trial; camera:5mm,1deg or"
+        " object:5mm,1deg: one of both errs; bias:5mm,1deg: one error of the camera for all trials",
     )
     robustness: bool = _option(
         False,
@@ -231,14 +235,16 @@ class Options:
     policy: str = _option(
         "planned",
         _CONFIG,
-        "policy that moves the arm in closed loop: planned, stop, servo, replan, or package.module:function of an"
-        " observation of HandoverEnv",
+        "policy that moves the arm in closed loop: planned, stop, servo, replan, or your package.module:function,"
+        " which takes an observation of HandoverEnv",
     )
     log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = _option(
         "", _CONFIG, "also write the table's numbers into a logger, in the run folder (offline)"
     )
     no_poses: bool = _option(
-        False, _CONFIG, "do not store the scored poses: 51 to 81 bytes a trial less, no reevaluate"
+        False,
+        _CONFIG,
+        "do not store the scored poses: saves 51 to 81 bytes a trial; reevaluate needs them",
     )
     verbose: bool = _option(
         False, _CONFIG, "print every step and shard on stderr; log.txt always has them"
@@ -292,7 +298,7 @@ def help_text(prog: str) -> str:
 def options_text() -> str:
     """The options that only `--set` and `--config` take."""
     chosen = [f for f in fields(Options) if f.metadata["group"] == _CONFIG]
-    head = "Options for --set NAME=VALUE or a file of --config, which takes the flags' names too:"
+    head = "Options for --set NAME=VALUE. A --config file takes these and the flags by name:"
     return "\n".join([head, "", *_described(chosen, "")]) + "\n"
 
 

@@ -37,8 +37,8 @@ def view(
 
     Args:
         run: run folder of a sweep; what it does not store is computed again.
-        method: the sweep's word (fc) or the table's name; needed where the run has several. The
-            browser and a page show two side by side.
+        method: the sweep's word (fc) or the table's name; needed if the run has several methods. The browser
+            and a page show two side by side.
         trial: trial id to show, or to start with in the browser.
         html: write the trial as one page that opens without a server.
         video: write the trial as a film (.mp4, .webm, .gif), methods beside each other.
