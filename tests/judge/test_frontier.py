@@ -141,16 +141,9 @@ def test_rows_do_not_depend_on_their_batch_their_place_or_the_number_of_lanes(sc
 
 @wp.kernel
 def gjk_of_pairs(
-    first: int,
-    world: World,
-    bodies: TrialBodies,
-    edges: Edges,
-    queue: Intervals,
-    pairs: Pairs,
-    lower_out: wp.array(dtype=float),
-    upper_out: wp.array(dtype=float),
-    v_out: wp.array(dtype=wp.vec3),
-):
+    first: int, world: World, bodies: TrialBodies, edges: Edges, queue: Intervals, pairs: Pairs,
+    lower_out: wp.array(dtype=float), upper_out: wp.array(dtype=float), v_out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     i = first + wp.tid()
     trial = edges.trial[queue.edge[pairs.interval[i]]]
     a = shape_of(world, bodies, trial, pairs.body[i])

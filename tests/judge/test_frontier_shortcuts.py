@@ -11,10 +11,9 @@ import pytest
 import torch
 from problems import make_batch, solve
 
-from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels
-from r2h_batch.judge.frontier import shortcuts as frontier_shortcuts
 from r2h_batch.judge.search import ENOUGH, Search
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY
 from r2h_batch.kernels.plan.lines import straight_lines
@@ -37,12 +36,12 @@ class Asked:
     path_of_one: torch.Tensor
     length_of_one: torch.Tensor
 
-    def by_frontier(self, **config: object) -> tuple[torch.Tensor, torch.Tensor]:
+    def by_frontier(self) -> tuple[torch.Tensor, torch.Tensor]:
         path, length = self.path.clone(), self.length.clone()
         with levels.planning_form("frontier"):
             run = copy(self.search.run)
             run.frontier = levels.Frontier(**run._tables, device="cpu", rows=len(length))
-            search = replace(self.search, run=run, config=replace(self.search.config, **config))
+            search = replace(self.search, run=run)
             search._shorten(self.rows, self.seed, self.margin, path, length)
         return path, length
 
@@ -141,17 +140,6 @@ def test_they_are_about_as_good_in_two_thousand_trials(scene: Scene, method: Mod
         assert all_certified(one, *one.by_frontier(), less=1e-5)
 
 
-def test_without_tries_waypoints_are_left_out_and_nothing_else(first: Asked) -> None:
-    path, length = first.by_frontier(shortcuts=0)
-    shorter = 0
-    for row in first.rows.tolist():
-        there = first.path[row, : first.length[row]]
-        at = [int((there == q).all(1).nonzero()[0, 0]) for q in path[row, : length[row]]]
-        assert at[0] == 0 and at[-1] == len(there) - 1 and at == sorted(set(at))
-        shorter += len(at) < len(there)
-    assert shorter >= len(first.rows) // 4
-
-
 def test_a_path_that_is_full_of_waypoints_stays_within_its_array(scene: Scene, first: Asked) -> None:
     """Points on the segments of short paths, as many as there is room for: all of it is shortened, nothing runs over."""
     path, length = first.path.clone(), first.length.clone()
@@ -167,12 +155,3 @@ def test_a_path_that_is_full_of_waypoints_stays_within_its_array(scene: Scene, f
     saved = full.times(found, n) / full.times(path, length)
     assert (n <= path.shape[1]).all() and saved.max() < 1.0 and saved.median() < 0.5
     assert all_certified(full, found, n, less=1e-5)
-
-
-def test_a_sampled_search_keeps_its_shortcuts_of_one_thread(scene: Scene) -> None:
-    plan = PlanConfig(goals="one", edge_check="moveit")
-    with (
-        levels.planning_form("frontier"),
-        mock.patch.object(frontier_shortcuts, "_shorten", side_effect=AssertionError),
-    ):
-        solve(scene, make_batch(scene, 48, random_share=0.5), plan)

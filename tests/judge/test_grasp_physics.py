@@ -68,10 +68,8 @@ def test_rigid_convex_parts_stop_the_fingers_at_their_geometric_width(off_m, rob
 def test_without_an_object_between_them_the_pads_close_to_the_linkages_end():
     far = frame(Z, Y, np.array([0.0, 0.0, 0.5]))  # the part is half a metre behind the gripper
     closed = close_in_physics(parts(), np.array([0]), far[None], load_robot())
-    assert (
-        closed.opening_m[0] == pytest.approx(float(gap_from_drive(load_robot(), 0.8)), abs=5e-4)
-        and closed.moved_m[0] < 1e-9
-    )
+    assert closed.opening_m[0] == pytest.approx(float(gap_from_drive(load_robot(), 0.8)), abs=5e-4)
+    assert closed.moved_m[0] < 1e-9
 
 
 @pytest.mark.parametrize("robot", [load_robot(), JAWS, TABLE], ids=lambda r: r.name)
@@ -109,11 +107,8 @@ def test_stability_by_physics_fails_what_drops_and_tells_the_slip_in_its_margin(
     plain = Evaluator(replace(config, stability="geometric"), objects=objects).score(T, T, trials)
     shaken = Evaluator(config, objects=objects).score(T, T, trials)
     assert plain.passed[:, 0].tolist() == [True, True, False]
-    assert shaken.passed[:, 0].tolist() == [True, False, False] and shaken.evaluated[:, 0].tolist() == [
-        True,
-        True,
-        False,
-    ]
+    assert shaken.passed[:, 0].tolist() == [True, False, False]
+    assert shaken.evaluated[:, 0].tolist() == [True, True, False]
     slip = shaken.slip_m
     assert 0 <= slip[0] < 0.001 and slip[1] > 0.05
     expected = torch.minimum(plain.margin[:2, 0], 0.02 - slip[:2])  # geometry's margin counts 1 cm at most

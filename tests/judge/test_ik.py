@@ -13,7 +13,7 @@ from r2h_batch.launch.threads import on_threads
 PI = np.pi
 HOME = np.array(HOME_Q)
 UR = ur_parameters(load_robot(), HOME_Q)
-N = 10_000
+N = 4_000
 
 
 def random_targets(n, seed):
@@ -97,8 +97,8 @@ def test_every_branch_of_the_closed_form_is_found(targets, result, oracle):
         for s in solutions:
             total += 1
             lost += not (np.abs(wrapped(mine - s)).max(1) < 1e-3).any()
-    assert total > 100_000
-    assert lost <= 10, f"{lost} of {total} branches lost"  # the oracle doubles or shifts branches next to singularities
+    assert total > 40_000
+    assert lost <= 4, f"{lost} of {total} branches lost"  # the oracle doubles or shifts branches next to singularities
 
 
 def test_residuals_hold_for_an_independent_forward_kinematics(targets, result):
@@ -153,9 +153,9 @@ def test_targets_out_of_reach_or_inside_the_shoulder_cylinder_are_unreachable():
 
 def test_where_sin_q5_is_zero_points_of_the_line_are_given():
     rng = np.random.default_rng(5)
-    q = rng.uniform(-PI, PI, (2000, 6))
-    q[:, 2] = rng.uniform(0.3, 2.6, 2000)
-    q[:, 4] = np.where(rng.random(2000) < 0.5, 0.0, PI)
+    q = rng.uniform(-PI, PI, (1000, 6))
+    q[:, 2] = rng.uniform(0.3, 2.6, 1000)
+    q[:, 4] = np.where(rng.random(1000) < 0.5, 0.0, PI)
     T = ee_pose(load_robot(), q).astype(np.float32)
     answer = solve_ik(torch.from_numpy(T))
     assert answer.reachable.all() and answer.singular.float().mean() > 0.9
@@ -163,7 +163,7 @@ def test_where_sin_q5_is_zero_points_of_the_line_are_given():
     position, rotation = errors(answer.q.numpy()[valid], T[np.nonzero(valid)[0]])
     assert position.max() <= 1e-5 and rotation.max() <= 1e-5
     nearly = q.copy()
-    nearly[:, 4] += 10.0 ** rng.uniform(-5, -2, 2000)
+    nearly[:, 4] += 10.0 ** rng.uniform(-5, -2, 1000)
     answer = solve_ik(torch.from_numpy(ee_pose(load_robot(), nearly).astype(np.float32)))
     assert answer.reachable.all()
 
@@ -199,7 +199,7 @@ def test_where_arm_and_wrist_are_straight_together_rounding_the_target_does_not_
     assert position.max() <= 2e-6 and rotation.max() <= 3e-6
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, 33, 2048])
+@pytest.mark.parametrize("n", [0, 1, 2048])
 def test_rows_do_not_depend_on_batch_order_or_threads(n, targets, result):
     order = np.random.default_rng(n).permutation(len(targets))[:n]
     for threads in (1, 3):

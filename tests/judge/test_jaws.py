@@ -32,7 +32,7 @@ def test_jaws_stand_where_numpy_has_them_and_their_pads_are_the_gap_apart():
 
 
 def test_jaws_close_to_the_extent_of_what_is_between_them():
-    T, index = random_grasps(120, seed=4)
+    T, index = random_grasps(70, seed=4)
     tables = grasp_tables([model_of(m) for m in shapes().values()], JAWS)
     grasp, meshes, seen = close_gripper(tables, T, index), list(shapes().values()), 0
     for i in range(len(T)):
@@ -44,7 +44,7 @@ def test_jaws_close_to_the_extent_of_what_is_between_them():
         seen += 1
         assert width.min() - 3e-5 <= float(grasp.opening_m[i]) <= width.max() + 3e-5, i
         assert abs(float(grasp.shift_m[i]) - (low[1] + high[1]) / 2) <= 3e-5 + np.ptp(low) + np.ptp(high), i
-    assert seen > 30
+    assert seen > 15
 
 
 @pytest.mark.parametrize("robot", [JAWS, TABLE], ids=lambda r: r.name)
@@ -52,12 +52,13 @@ def test_the_whole_scene_with_jaws_moves_as_the_arm_alone_and_the_engines_agree(
     """Jaws that give way by micrometres are all that is new, as of the 2F-85."""
     scene = Evaluator(robot=robot).scene
     p = solve(scene, make_batch(scene, 6, seed=3))
+    length = torch.where(torch.cumsum(p.plan.length > 0, 0) <= 2, p.plan.length, 0)
     whole, alone, brief, warp = (
-        execute(scene, p.body_poses, p.plan.path, p.plan.length, time_path(p.plan.path, p.plan.length, config), config)
+        execute(scene, p.body_poses, p.plan.path, length, time_path(p.plan.path, length, config), config)
         for config in (MUJOCO, ARM, BRIEF, BRIEF_WARP)
     )
     rows = whole.length > 0
-    assert rows.sum() >= 3 and torch.equal(whole.length, alone.length) and bool(whole.valid.all())
+    assert rows.sum() == 2 and torch.equal(whole.length, alone.length) and bool(whole.valid.all())
     assert 0 < float((whole.path - alone.path).abs().max()) < 5e-6
     sway = (whole.slack_m - alone.slack_m)[rows]
     assert float(sway.min()) > 0 and float(sway.max()) < FINGER_GIVE_M
@@ -75,13 +76,13 @@ def test_a_table_of_the_linkage_moves_its_parts_as_the_linkage_does():
 
 
 def test_fingers_of_a_table_close_where_the_linkage_does():
-    T, index = random_grasps(300, seed=6)
+    T, index = random_grasps(150, seed=6)
     objects = [model_of(m) for m in shapes().values()]
     found, exact = (close_gripper(grasp_tables(objects, robot), T, index) for robot in (TABLE, LINKAGE))
     off = (found.opening_m - exact.opening_m).abs().nan_to_num(0.0)
     # the pads' height is off by micrometres: on a slope or at a step of the object this is as much again
     assert torch.equal(found.width_m.isnan(), exact.width_m.isnan()) and float(off.quantile(0.95)) < 3e-5
-    assert float(off.max()) < 2e-3 and int((exact.opening_m < 0.08).sum()) > 60
+    assert float(off.max()) < 2e-3 and int((exact.opening_m < 0.08).sum()) > 30
 
 
 def test_derivatives_of_a_table_are_those_of_the_linkage():

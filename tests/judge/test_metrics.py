@@ -67,9 +67,6 @@ def test_touching_passes_where_the_paper_says_so():
     everywhere = torch.ones(3, dtype=torch.bool)
     assert metrics.Criterion.of("reach", margin, everywhere).passed.tolist() == [True, True, False]
     assert metrics.Criterion.of("safe", margin, everywhere).passed.tolist() == [False, True, False]
-
-
-def test_a_margin_that_is_not_a_number_never_passes():
     c = metrics.Criterion.of("reach", torch.tensor([torch.nan]), torch.tensor([True]))
     assert not c.passed[0]
 
@@ -97,9 +94,8 @@ def test_stability_is_the_least_of_aperture_less_width_and_the_open_grippers_cle
     assert torch.equal(metrics.stability(evidence(torch.ones(N, dtype=torch.bool), grasp=grasp)).margin, grasp.margin_m)
     held = ~grasp.empty & (grasp.cut_m > 0)
     assert held.sum() > 0.9 * N
-    spare, _ = open_clearance(
-        default_evaluator().scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index, cap_m=CUT_CAP_M
-    )
+    tables = default_evaluator().scene.grasp_tables
+    spare, _ = open_clearance(tables, batch.T_obj_ee, batch.trials.object_index, cap_m=CUT_CAP_M)
     limit = torch.minimum(torch.minimum(Thresholds().w_max_m - s.width_m, s.width_m - Thresholds().w_min_m), spare)
     torch.testing.assert_close(s.margin[held, STABILITY], limit[held], atol=1e-6, rtol=0)
     assert (spare[held] < CUT_CAP_M).sum() > 0.2 * N
@@ -113,17 +109,15 @@ def test_reach_is_the_balls_radius_less_its_centres_distance_to_the_solid():
     scene = default_evaluator().scene
     _, _, center = scene.palm(batch.trials.hand_index, batch.trials.T_world_hand)
     inside = 0
-    for row in range(0, N, 2):
-        T_world_obj = batch.T_world_ee[row].double().numpy() @ np.linalg.inv(
-            problems.T_obj_ee_attached[row].double().numpy()
-        )
-        x = np.linalg.inv(T_world_obj) @ np.append(center[row].double().numpy(), 1.0)
+    for row in range(0, N, 3):
+        T_obj_ee, T_world_ee = (T[row].double().numpy() for T in (problems.T_obj_ee_attached, batch.T_world_ee))
+        x = T_obj_ee @ np.linalg.inv(T_world_ee) @ np.append(center[row].double().numpy(), 1.0)
         mesh = of_object(row)
         distance = float(trimesh.proximity.closest_point_naive(mesh, x[None, :3])[1][0])
         if abs(winding_number(x[:3], mesh.triangles)) > 0.5:
             distance, inside = 0.0, inside + 1
         assert float(s.margin[row, REACH]) == pytest.approx(0.10 - distance, abs=3e-5), row
-    assert inside >= 5
+    assert inside >= 3
 
 
 def test_the_balls_centre_is_twelve_centimetres_out_of_the_palm():
@@ -141,9 +135,8 @@ def test_the_balls_centre_is_twelve_centimetres_out_of_the_palm():
     np.testing.assert_allclose(normal.numpy(), n, atol=2e-6)
     np.testing.assert_allclose(center.numpy(), roots.mean(1) + 0.12 * n, atol=2e-6)
     # out of the palm: relaxed fingers curl to this side
-    tips = (
-        scene.hands.vertices[batch.trials.hand_index.long()].double().numpy()[:, scene.hands.model.tip_vertices.numpy()]
-    )
+    skin = scene.hands.vertices[batch.trials.hand_index.long()].double().numpy()
+    tips = skin[:, scene.hands.model.tip_vertices.numpy()]
     tips = np.einsum("nij,nkj->nki", T[:, :3, :3], tips) + T[:, None, :3, 3]
     along = np.einsum("nki,ni->nk", tips - roots.mean(1)[:, None], n).mean(1)
     assert (along > -0.02).all() and along.mean() > 0.01
@@ -169,7 +162,7 @@ def test_affordance_is_the_closed_fingers_distance_to_the_region_and_only_asked_
     for row in range(N):
         model = scene.objects[int(batch.trials.object_index[row])]
         assert bool(s.evaluated[row, AFFORDANCE]) is (model.split == "S1")
-        if model.split == "S0" or row % 4 != 1:
+        if model.split == "S0" or row % 8 != 1:
             continue
         region = model.vertices.astype(np.float64)[model.faces[model.receiver_face]]
         opening = max(float(problems.opening_m[row]) - 0.001, 0.0)
@@ -185,7 +178,7 @@ def test_affordance_is_the_closed_fingers_distance_to_the_region_and_only_asked_
             assert float(s.margin[row, AFFORDANCE]) <= 1e-6
         else:
             assert float(s.margin[row, AFFORDANCE]) == pytest.approx(least, abs=2e-5), row
-    assert compared >= 25 and met >= 3
+    assert compared >= 12 and met >= 2
 
 
 def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
@@ -225,7 +218,7 @@ def test_safe_is_the_smallest_distance_of_the_timed_motion_and_the_witness_says_
     evaluator = default_evaluator()
     near = torch.nonzero((s.path_len > 0) & (s.margin[:, SAFE] < CLEARANCE_CAP_M)).flatten().tolist()
     assert len(near) >= 20
-    for row in near[:6]:
+    for row in near[:4]:
         twin = oracle.mujoco_scene(evaluator.scene, staged(problems, row))
         triangles = oracle.hand_triangles(evaluator.scene, twin.staged)
         k = int(s.path_len[row])

@@ -18,15 +18,15 @@ SAMPLED = PlanConfig(goals="one", edge_check="moveit", hand_clearance_m=0.0)
 @pytest.fixture(scope="module")
 def sampled() -> Problems:
     scene = default_evaluator().scene
-    return solve(scene, make_batch(scene, 256, random_share=0.3), SAMPLED)
+    return solve(scene, make_batch(scene, 192, random_share=0.3), SAMPLED)
 
 
 def test_a_sampled_path_says_how_deep_it_passes_through_things(sampled):
     plan, scene = sampled.plan, default_evaluator().scene
     through = torch.nonzero((plan.length > 0) & (plan.clearance_m < 0)).flatten().tolist()
-    assert len(through) >= 10
+    assert len(through) >= 6
     deep, ratio = [], []
-    for row in through[:5]:
+    for row in through[:4]:
         twin = mujoco_scene(scene, staged(sampled, row))
         path = plan.path[row, : int(plan.length[row])].double().numpy()
         depth = deepest_along(twin.model, twin.data, twin.pairs, path)
@@ -42,10 +42,8 @@ def test_a_sampled_path_says_how_deep_it_passes_through_things(sampled):
 def test_safe_says_how_deep_the_hand_is_in_the_robot(sampled):
     scene, plan = default_evaluator().scene, sampled.plan
     n = len(plan.length)
-    free = torch.zeros(n)
-    moved = Executed(
-        plan.path, plan.length, free, plan.length > 0, plan.length >= 0, free, free, free, plan.length, None
-    )
+    free, found = torch.zeros(n), plan.length > 0
+    moved = Executed(plan.path, plan.length, free, found, plan.length >= 0, free, free, free, plan.length, None)
     touch = hand_distance(scene, sampled.body_poses, moved, torch.ones(n, dtype=torch.bool))
     rows = torch.nonzero(touch.distance_m < 0).flatten().tolist()
     assert len(rows) >= 2

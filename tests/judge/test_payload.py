@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from problems import make_batch
+from problems import default_evaluator, make_batch
 from staging import frame
 
 from r2h_batch.bodies.objects import build_object
@@ -19,7 +19,7 @@ from r2h_batch.launch import init_warp
 from r2h_batch.trials.protocol import trials_with_ids
 
 X, Y, Z = np.eye(3)
-MASSES = (0.5, 1.0, 1.5, 2.0, 3.0)
+MASSES = (0.5, 1.5, 3.0)
 LEVERS = (0.0, 0.03, 0.06)
 
 
@@ -76,17 +76,16 @@ def test_a_simulator_holds_what_the_closed_form_holds_and_turns_what_it_turns(ba
     """A pad's pressure lies on the corners of its contact there: it holds up to 1.7 times the moment."""
     factor = payload(scored(bars, DOWN)).payload_factor
     every = np.arange(len(bars))
-    closed = close_in_physics(
-        bars, every, np.tile(np.eye(4), (len(bars), 1, 1)), load_robot(), shake=True, shake_m_s2=0.0
-    )
+    T = np.tile(np.eye(4), (len(bars), 1, 1))
+    closed = close_in_physics(bars, every, T, load_robot(), shake=True, shake_m_s2=0.0)
     stays = (np.degrees(closed.turned_rad) < 5) & closed.held
-    assert stays[factor > 1].all() and (factor > 1).sum() >= 6
-    assert not stays[factor < 1 / 1.7].any() and (factor < 1 / 1.7).sum() >= 4
+    assert stays[factor > 1].all() and (factor > 1).sum() >= 3
+    assert not stays[factor < 1 / 1.7].any() and (factor < 1 / 1.7).sum() >= 2
 
 
-def test_rows_that_hold_nothing_have_no_payload(bars):
-    batch = make_batch(Evaluator(EvalConfig()).scene, 4)
-    judge = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+def test_rows_that_hold_nothing_have_no_payload():
+    judge = default_evaluator()
+    batch = make_batch(judge.scene, 4)
     grasp = batch.T_obj_ee.clone()
     grasp[1, 0, 0] = torch.nan
     found = payload(judge.score(grasp, batch.T_world_ee, batch.trials, "pose"))

@@ -22,14 +22,9 @@ wp.set_module_options(OPTIONS)
 
 @wp.kernel
 def angles(
-    first: int,
-    x_in: wp.array(dtype=float),
-    y_in: wp.array(dtype=float),
-    sine_out: wp.array(dtype=float),
-    cosine_out: wp.array(dtype=float),
-    angle_out: wp.array(dtype=float),
-    arc_out: wp.array(dtype=float),
-):
+    first: int, x_in: wp.array(dtype=float), y_in: wp.array(dtype=float), sine_out: wp.array(dtype=float),
+    cosine_out: wp.array(dtype=float), angle_out: wp.array(dtype=float), arc_out: wp.array(dtype=float),
+):  # fmt: skip
     i = first + wp.tid()
     s, c = sin_cos(x_in[i])
     sine_out[i] = s

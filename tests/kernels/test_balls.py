@@ -18,19 +18,10 @@ STEPS = 32
 
 @wp.kernel
 def settled_and_samples(
-    first: int,
-    world: World,
-    count: int,
-    moving: int,
-    body_in: wp.array(dtype=int),
-    q_in: wp.array2d(dtype=float),
-    d_in: wp.array2d(dtype=float),
-    target_in: wp.array(dtype=float),
-    center_in: wp.array(dtype=wp.vec3),
-    radius_in: wp.array(dtype=float),
-    least_out: wp.array2d(dtype=float),
-    near_out: wp.array2d(dtype=wp.bool),
-):
+    first: int, world: World, count: int, moving: int, body_in: wp.array(dtype=int), q_in: wp.array2d(dtype=float),
+    d_in: wp.array2d(dtype=float), target_in: wp.array(dtype=float), center_in: wp.array(dtype=wp.vec3),
+    radius_in: wp.array(dtype=float), least_out: wp.array2d(dtype=float), near_out: wp.array2d(dtype=wp.bool),
+):  # fmt: skip
     """For an arm body's capsule: which balls it may come near, and its least distance to each at samples of the interval."""
     row = first + wp.tid()
     b = body_in[row]

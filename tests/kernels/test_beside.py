@@ -58,15 +58,8 @@ def _asked(kernel: wp.Kernel, inputs: dict) -> np.ndarray:
 def _segments(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> np.ndarray:
     """Distance of segments: at an end of one of them, or inside both, where it is square to both."""
     a0, a1, b0, b1 = np.broadcast_arrays(a0, a1, b0, b1)
-    least = np.min(
-        [
-            point_to_segment(a0, b0, b1),
-            point_to_segment(a1, b0, b1),
-            point_to_segment(b0, a0, a1),
-            point_to_segment(b1, a0, a1),
-        ],
-        0,
-    )
+    at_an_end = [(a0, b0, b1), (a1, b0, b1), (b0, a0, a1), (b1, a0, a1)]
+    least = np.min([point_to_segment(*x) for x in at_an_end], 0)
     u, v, r = a1 - a0, b1 - b0, a0 - b0
     uu, vv, uv, ur, vr = ((x * y).sum(-1) for x, y in ((u, u), (v, v), (u, v), (u, r), (v, r)))
     denom = np.maximum(uu * vv - uv * uv, 1e-30)

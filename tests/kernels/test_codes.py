@@ -37,9 +37,6 @@ def test_parts_of_a_gripper_move_by_the_same_numbers() -> None:
     assert MOTIONS[gripper.TABLE :] == tuple(f"table_{k}" for k in range(len(MOTIONS) - gripper.TABLE))
 
 
-def test_hulls_are_sorted_into_as_many_cells_as_are_read() -> None:
+def test_hulls_are_sorted_into_as_many_cells_and_cut_into_as_large_blocks_as_are_read() -> None:
     assert bounds.CELLS_PER_EDGE == body.CELLS_PER_EDGE
-
-
-def test_hulls_are_cut_into_blocks_of_as_many_points_as_are_read() -> None:
     assert bounds.BLOCK_POINTS == body.BLOCK_POINTS

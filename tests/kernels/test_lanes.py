@@ -215,18 +215,9 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     """native_lanes.cpp as a library, without Warp."""
     library = tmp_path_factory.mktemp("native") / "lanes.so"
     compiler = shutil.which("g++") or shutil.which("clang++") or pytest.fail("needs() lets no other machine in")
-    command = [
-        compiler,
-        "-std=c++17",
-        "-O1",
-        "-Wall",
-        "-Werror",
-        "-ffp-contract=off",
-        "-shared",
-        "-fPIC",
-        f"-I{NATIVE}",
-    ]
-    subprocess.run([*command, "-o", library, Path(__file__).with_name("native_lanes.cpp")], check=True)
+    options = ["-std=c++17", "-O1", "-Wall", "-Werror", "-ffp-contract=off", "-shared", "-fPIC", f"-I{NATIVE}"]
+    source = Path(__file__).with_name("native_lanes.cpp")
+    subprocess.run([compiler, *options, "-o", library, source], check=True)
     return ctypes.CDLL(str(library))
 
 
@@ -245,8 +236,3 @@ def test_one_lane_at_a_time_has_the_bits_of_eight_at_once(asked: SimpleNamespace
     compiled.ask(*arguments, *(ctypes.c_void_p(x.ctypes.data) for x in got))
     for a, b in zip(expected, got, strict=True):
         assert (a.view(np.int32) == b.view(np.int32)).all()
-
-
-@needs("clang-format")
-def test_the_headers_are_formatted() -> None:
-    subprocess.run(["clang-format", "--dry-run", "--Werror", *NATIVE.glob("*.h")], check=True)

@@ -13,7 +13,7 @@ from r2h_batch.judge.ik import solve_ik, ur_parameters
 from r2h_batch.kernels.ik.nearest import nearest_posture
 from r2h_batch.launch import launch_trials
 
-COUNT = 320
+COUNT = 160
 
 
 @pytest.fixture(scope="module")
@@ -33,25 +33,13 @@ def missed() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     T[:, :3, 3] = rng.uniform(-1, 1, (COUNT, 3)) * np.where(np.arange(COUNT) % 4 == 0, 0.3, 1.5)[:, None]
     target = torch.from_numpy(T).float()
     valid = solve_ik(target).valid
-    q = torch.empty((COUNT, 6), dtype=torch.float32, device="cpu")
-    residual = torch.empty(COUNT, dtype=torch.float32, device="cpu")
-    launch_trials(
-        nearest_posture,
-        COUNT,
-        inputs={
-            "ur": ur_parameters(load_robot(), HOME_Q),
-            "rotation_lever_m": 0.1,
-            "active": torch.ones(COUNT, dtype=torch.bool, device="cpu"),
-            "branches": valid,
-            "T_world_ee": target,
-        },
-        outputs={"q": q, "residual": residual},
-        device="cpu",
-        threads=1,
-        chunk=256,
-    )
+    q, residual = torch.empty((COUNT, 6)), torch.empty(COUNT)
+    inputs = {"ur": ur_parameters(load_robot(), HOME_Q), "rotation_lever_m": 0.1, "T_world_ee": target}
+    inputs |= {"active": torch.ones(COUNT, dtype=torch.bool), "branches": valid}
+    outputs = {"q": q, "residual": residual}
+    launch_trials(nearest_posture, COUNT, inputs=inputs, outputs=outputs, device="cpu", threads=1, chunk=256)
     rows = ~valid.any(1)
-    assert rows.sum() > 200
+    assert rows.sum() > 100
     return target[rows].double().numpy(), q[rows].double().numpy(), residual[rows].double().numpy()
 
 
@@ -70,7 +58,7 @@ def test_no_general_solver_comes_nearer(missed) -> None:
     def ee(at: np.ndarray) -> np.ndarray:
         return np.asarray(forward_kinematics(robot, at)[6] @ T_wrist_ee)
 
-    for i in range(0, len(T), 4):
+    for i in range(0, len(T), 6):
         there = ee(q[i])
         assert np.abs(there[:3, :3] - T[i, :3, :3]).max() < 1e-5
         assert np.linalg.norm(there[:3, 3] - T[i, :3, 3]) == pytest.approx(residual[i], abs=2e-6)

@@ -18,18 +18,11 @@ STEPS = 64
 
 @wp.kernel
 def bound_and_samples(
-    first: int,
-    world: World,
-    body_in: wp.array(dtype=int),
-    other_in: wp.array(dtype=int),
-    q_in: wp.array2d(dtype=float),
-    d_in: wp.array2d(dtype=float),
-    n_in: wp.array(dtype=wp.vec3),
-    bound_out: wp.array(dtype=float),
-    least_out: wp.array(dtype=float),
-    middle_out: wp.array(dtype=float),
+    first: int, world: World, body_in: wp.array(dtype=int), other_in: wp.array(dtype=int),
+    q_in: wp.array2d(dtype=float), d_in: wp.array2d(dtype=float), n_in: wp.array(dtype=wp.vec3),
+    bound_out: wp.array(dtype=float), least_out: wp.array(dtype=float), middle_out: wp.array(dtype=float),
     third_out: wp.array(dtype=float),
-):
+):  # fmt: skip
     """For an arm body seen from another link, which n is fixed to: the swept bound, and the least n . x of samples."""
     row = first + wp.tid()
     b = body_in[row]
@@ -88,13 +81,8 @@ def test_no_body_comes_lower_than_its_swept_bound_and_short_intervals_lose_littl
     n = rng.normal(size=(count, 3))
     n = (n / np.linalg.norm(n, axis=1, keepdims=True)).astype(np.float32)
     out = {name: torch.zeros(count) for name in ("bound", "least", "middle", "third")}
-    launch_trials(
-        bound_and_samples,
-        count,
-        inputs={"world": scene.world, "body": body, "other": other, "q": q, "d": d, "n": n},
-        outputs=out,
-        device="cpu",
-    )
+    inputs = {"world": scene.world, "body": body, "other": other, "q": q, "d": d, "n": n}
+    launch_trials(bound_and_samples, count, inputs=inputs, outputs=out, device="cpu")
     bound, least, middle, third = (out[k].double().numpy() for k in ("bound", "least", "middle", "third"))
     assert (bound <= least + 5e-6).all()
     # What is lost: the third order at both ends, and the curvature, which is counted at its worst though not the middle's

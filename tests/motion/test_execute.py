@@ -44,14 +44,10 @@ def passing_times(
     """Times (S, F) at which a row's path passes fractions of its segments."""
     n = int(length[row]) - 1
     k = n * len(fractions)
-    at = time_at(
-        path[row].expand(k, -1, -1),
-        length[row].expand(k),
-        Motion(motion.time_s[row].expand(k, -1), motion.t_exec_s[row].expand(k)),
-        torch.arange(n, dtype=torch.int32).repeat_interleave(len(fractions)),
-        torch.from_numpy(np.tile(fractions, n).astype(np.float32)),
-        config,
-    )
+    timed = Motion(motion.time_s[row].expand(k, -1), motion.t_exec_s[row].expand(k))
+    segment = torch.arange(n, dtype=torch.int32).repeat_interleave(len(fractions))
+    fraction = torch.from_numpy(np.tile(fractions, n).astype(np.float32))
+    at = time_at(path[row].expand(k, -1, -1), length[row].expand(k), timed, segment, fraction, config)
     return at.numpy().reshape(n, len(fractions))
 
 
@@ -96,14 +92,6 @@ def test_time_at_is_when_the_integrated_motion_passes_a_point():
             np.testing.assert_allclose(at[k], expected, rtol=2e-6, atol=2e-5)
         assert np.array_equal(at[:, 0], motion.time_s[row, : len(d)].numpy())
         assert (np.diff(at, axis=1) >= 0).all()
-
-
-def test_time_at_is_nan_without_a_path():
-    path, length = torch.zeros(2, 4, 6), torch.tensor([0, 2], dtype=torch.int32)
-    path[1, 1] = 1.0
-    motion = time_path(path, length, LAW)
-    at = time_at(path, length, motion, torch.tensor([-1, 0], dtype=torch.int32), torch.tensor([0.5, 0.5]), LAW)
-    assert torch.isnan(at[0]) and float(at[1]) == pytest.approx(float(motion.t_exec_s[1]) / 2, rel=1e-6)
 
 
 @pytest.mark.parametrize("scale", [0.1, 0.5, 1.0])

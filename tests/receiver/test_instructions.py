@@ -51,12 +51,9 @@ def test_an_objects_own_instruction_asks_for_the_receivers_region() -> None:
     ("text", "index", "message"),
     [
         ("pass me the hamer", None, "did you mean 'hammer'.*known are game controller, bowl"),
-        ("something to drink from", None, "names no object; cup, wineglass and bottle would do"),
         ("the knife and the cup", None, "names knife and cup; name one object"),
         ("hand me the hammer by its head", None, "takes handle, not head; name one of these, or only the object"),
-        ("the scissors' blades", None, "takes loops, not blade"),
         ("the hammer handle", 0, "is about hammer, but this trial's object is game_controller"),
-        ("", None, "names no object; known are"),
     ],
 )
 def test_what_cannot_be_answered_is_refused_with_what_is_allowed(text: str, index: int | None, message: str) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import trimesh
 from oracle import Staged, hand_triangles, mujoco_scene
 from planning_twins import jacobian_ik
 from problems import assert_same, default_evaluator
@@ -126,7 +125,7 @@ def changes_in_float64(rows: Any) -> tuple[MarginChanges, torch.Tensor, torch.Te
     return changes, changes.held.T_obj_ee, changes.held.T_world_ee
 
 
-@pytest.mark.parametrize("n", [6, 100, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [100, pytest.param(1000, marks=pytest.mark.slow)])
 def test_gradcheck_in_float64(n):
     changes, T_obj_ee, T_world_ee = changes_in_float64(candidates(default_evaluator(), n, seed=5))
     xi = torch.zeros(n, 12, dtype=torch.float64, requires_grad=True)
@@ -134,13 +133,7 @@ def test_gradcheck_in_float64(n):
     def margins(xi: torch.Tensor) -> torch.Tensor:
         return changes(twist.retract(T_obj_ee, xi[:, :6]), twist.retract(T_world_ee, xi[:, 6:]))
 
-    assert torch.autograd.gradcheck(margins, xi, eps=1e-7, atol=1e-5, fast_mode=n > 8)
-
-
-def rows_of(scores: Any, wanted: torch.Tensor, count: int) -> list[int]:
-    rows = torch.nonzero(wanted).flatten().tolist()
-    assert len(rows) >= count, f"{len(rows)} rows to look at"
-    return rows[:count]
+    assert torch.autograd.gradcheck(margins, xi, eps=1e-7, atol=1e-5, fast_mode=True)
 
 
 def slopes_of(f: Any, T: np.ndarray, step: float = 1e-5) -> np.ndarray:
@@ -158,25 +151,6 @@ def attachment(scores: Any, rows: Any, i: int) -> np.ndarray:
     T = rows.T_obj_ee[i].double().numpy().copy()
     T[:3, 3] += T[:3, 1] * float(scores.grasp_shift_m[i])
     return T
-
-
-def test_reach_moves_as_the_exact_mesh_in_float64(batch):
-    evaluator, scene = default_evaluator(), default_evaluator().scene
-    scores, slopes = gradients(evaluator, batch)
-    _, _, ball = scene.palm(batch.trials.hand_index, batch.trials.T_world_hand)
-    wrong = 0
-    rows = rows_of(scores, (scores.margin[:, REACH] < 0.099), 12)
-    for i in rows:
-        mesh = scene.objects[int(batch.trials.object_index[i])].mesh
-        T_ee_obj = np.linalg.inv(attachment(scores, batch, i))
-
-        def reach(T_world_ee: np.ndarray, mesh=mesh, T_ee_obj=T_ee_obj, i=i) -> float:
-            x = np.linalg.inv(T_world_ee @ T_ee_obj) @ np.append(ball[i].double().numpy(), 1.0)
-            return 0.10 - float(trimesh.proximity.closest_point(mesh, x[None, :3])[1][0])
-
-        expected = slopes_of(reach, batch.T_world_ee[i].double().numpy())
-        wrong += np.abs(expected - slopes[i, REACH, 6:].numpy()).max() > 2e-3
-    assert wrong <= 1  # the nearest of two points changes within the step
 
 
 def stays(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -200,18 +174,13 @@ def check_postures(evaluator: Evaluator, batch: Any, criterion: int, count: int)
     assert len(rows) == count
     right, at_limit = 0, 0
     for i in rows:
+        trial, held = batch.trials, attachment(scores, batch, i)
         staged = Staged(
-            int(batch.trials.object_index[i]),
-            int(batch.trials.hand_index[i]),
-            attachment(scores, batch, i),
-            batch.trials.T_world_hand[i].double().numpy(),
+            int(trial.object_index[i]), int(trial.hand_index[i]), held, trial.T_world_hand[i].double().numpy(),
             float(scores.opening_m[i]),
-        )
-        twin, triangles, q0 = (
-            mujoco_scene(scene, staged),
-            hand_triangles(scene, staged),
-            scores.q_goal[i].double().numpy(),
-        )
+        )  # fmt: skip
+        twin, triangles = mujoco_scene(scene, staged), hand_triangles(scene, staged)
+        q0 = scores.q_goal[i].double().numpy()
 
         def margin(T_world_ee: np.ndarray, twin=twin, triangles=triangles, q0=q0) -> float:
             q = jacobian_ik(scene.robot, T_world_ee, q0, within=1e-9, held=stays(scene.robot, q0))
@@ -231,9 +200,8 @@ def check_postures(evaluator: Evaluator, batch: Any, criterion: int, count: int)
 @pytest.mark.parametrize(
     ("robot", "n", "seed", "counts"),
     [
-        ("ur5e_2f85", 96, 3, (10, 5)),
-        ("panda_hand", 96, 3, (10, 5)),
-        ("without a closed form", 96, 3, (6, 3)),
+        ("panda_hand", 96, 3, (6, 4)),
+        ("without a closed form", 96, 3, (5, 3)),
         pytest.param("ur5e_2f85", 600, 9, (100, 25), marks=pytest.mark.slow),
         pytest.param("panda_hand", 600, 9, (100, 25), marks=pytest.mark.slow),
     ],
@@ -258,15 +226,9 @@ def test_a_redundant_arm_follows_by_the_least_motion_and_joints_at_a_limit_stay(
     rates = arm_at(scene, torch.from_numpy(q).float()).inverse.double().numpy()
     checked = 0
     for x, hold, found in zip(q, held, rates, strict=True):
-        ends = [ee_pose(robot, x + s * h) for h in 1e-6 * np.eye(7) for s in (1, -1)]
-        turns = [
-            Rotation.from_matrix(a[:3, :3] @ b[:3, :3].T).as_rotvec()
-            for a, b in zip(ends[::2], ends[1::2], strict=True)
-        ]
-        J = (
-            np.stack([np.r_[a[:3, 3] - b[:3, 3], t] for a, b, t in zip(ends[::2], ends[1::2], turns, strict=True)], 1)
-            / 2e-6
-        )
+        ahead, behind = (np.stack([ee_pose(robot, x + h) for h in s * np.eye(7)]) for s in (1e-6, -1e-6))
+        turns = Rotation.from_matrix(ahead[:, :3, :3] @ behind[:, :3, :3].swapaxes(1, 2)).as_rotvec()
+        J = np.concatenate([ahead[:, :3, 3] - behind[:, :3, 3], turns], 1).T / 2e-6
         J = np.where(hold, 0.0, J)
         if np.linalg.svd(J)[1].min() > 0.05:  # the rates are damped by 1e-3
             checked += 1
@@ -288,42 +250,6 @@ def test_a_target_that_was_not_found_comes_nearer_along_the_gradient():
     after = evaluator.score(batch.T_obj_ee[rows], T_world_ee, batch.trials[rows], stages="pose")
     share = float((after.margin[:, PLAN] > margin).float().mean())
     assert share > 0.9, share
-
-
-def step_along_the_gradient(n: int, seed: int, criterion: int, pose: int) -> tuple[float, int]:
-    """Share of candidates whose margin rises by 1 mm +-5 % when the pose goes as far along its gradient as should give 1 mm.
-
-    Candidates with a slope of at least 0.5 along the translation, a margin that is not within 1 mm of its end, and (for
-    Affordance) no overlap, whose depth is a bound.
-    """
-    evaluator = default_evaluator()
-    batch = candidates(evaluator, n, seed=seed)
-    scores, slopes = gradients(evaluator, batch)
-    uphill = slopes[:, criterion, 6 * pose : 6 * pose + 3]
-    square = uphill.square().sum(1)
-    margin = scores.margin[:, criterion].detach()
-    end = 0.099 if criterion == REACH else 0.049
-    rows = torch.nonzero((square > 0.25) & (margin < end) & ((margin > 0) | (criterion == REACH))).flatten()
-    xi = torch.zeros(len(rows), 6)
-    xi[:, :3] = 1e-3 * uphill[rows] / square[rows, None]
-    poses = [batch.T_obj_ee[rows], batch.T_world_ee[rows]]
-    poses[pose] = twist.retract(poses[pose], xi).contiguous()
-    moved = evaluator.score(*poses, batch.trials[rows], stages="pose").margin[:, criterion] - margin[rows]
-    return float(((moved - 1e-3).abs() <= 5e-5).float().mean()), len(rows)
-
-
-@pytest.mark.parametrize(
-    ("n", "seed", "criterion", "pose", "least", "right"),
-    [
-        (150, 21, REACH, 1, 60, 0.98),
-        (300, 22, AFFORDANCE, 0, 12, 0.85),
-        pytest.param(1500, 23, REACH, 1, 800, 0.99, marks=pytest.mark.slow),
-        pytest.param(3000, 24, AFFORDANCE, 0, 150, 0.93, marks=pytest.mark.slow),
-    ],
-)
-def test_a_millimetre_along_the_gradient_is_a_millimetre_of_margin(n, seed, criterion, pose, least, right):
-    share, count = step_along_the_gradient(n, seed, criterion, pose)
-    assert count > least and share > right, (share, count)
 
 
 def test_rows_that_are_no_poses_have_no_gradient_and_leave_the_others_alone(batch):
@@ -373,9 +299,8 @@ def test_an_overlap_of_hand_and_robot_is_left_along_the_gradient(robot):
     evaluator = evaluator_of(robot)
     batch = candidates(evaluator, 300, seed=13)
     scores, slopes = gradients(evaluator, batch)
-    reached = (scores.plan_reason != int(PlanReason.IK_UNREACHABLE)) & (
-        scores.plan_reason != int(PlanReason.IK_NOT_FOUND)
-    )
+    missed = [int(PlanReason.IK_UNREACHABLE), int(PlanReason.IK_NOT_FOUND)]
+    reached = ~torch.isin(scores.plan_reason, torch.tensor(missed, dtype=torch.int8))
     met = (scores.margin[:, SAFE] < -1e-3) & reached
     rows = torch.nonzero(met).flatten()
     uphill = slopes[rows, SAFE, 6:]

@@ -1,6 +1,6 @@
 """Scoring inside torch programs: compiled, captured, without gradients; on CUDA without a word from the host."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 import torch
@@ -24,11 +24,8 @@ def test_the_operator_is_correct_and_its_shapes_are_what_it_returns(batch, stage
     t = batch.trials
     arguments = (batch.T_obj_ee, batch.T_world_ee, t.trial_id, t.object_index, t.hand_index, t.T_world_hand)
     handle = default_evaluator().kinematic.handle
-    torch.library.opcheck(
-        torch_op.score_op,
-        (*arguments, handle, stages),
-        test_utils=("test_schema", "test_faketensor", "test_autograd_registration"),
-    )
+    checks = "test_schema", "test_faketensor", "test_autograd_registration"
+    torch.library.opcheck(torch_op.score_op, (*arguments, handle, stages), test_utils=checks)
     direct = default_evaluator().kinematic.score(batch.T_obj_ee, batch.T_world_ee, t, stages)
     assert_same(torch_op.call(handle, batch.T_obj_ee, batch.T_world_ee, t, stages), direct)
 
@@ -60,10 +57,7 @@ def test_wrong_inputs_of_a_compiled_call_are_refused(batch):
     evaluator = default_evaluator()
     compiled = torch.compile(lambda g, h, t: evaluator.score(g, h, t, "pose").success, backend="eager")
     with pytest.raises(Exception, match="object_index"):
-        bad = Trials(
-            batch.trials.trial_id, batch.trials.object_index + 99, batch.trials.hand_index, batch.trials.T_world_hand
-        )
-        compiled(batch.T_obj_ee, batch.T_world_ee, bad)
+        compiled(batch.T_obj_ee, batch.T_world_ee, replace(batch.trials, object_index=batch.trials.object_index + 99))
 
 
 @pytest.mark.parametrize("stages", ["pose", "all"])

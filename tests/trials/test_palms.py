@@ -85,11 +85,8 @@ def test_objects_hands_table_and_home_are_the_releases_by_flag_in_a_file_and_in_
     assert own.digest == by_flag.digest == read_benchmark(tmp_path / "b.yaml").digest
     assert [sum(o.split == s for o in own.objects) for s in ("S0", "S1")] == [8, 8]
     bottle = next(o for o in own.objects if o.name == "bottle")
-    assert (
-        bottle.split == "S0"
-        and not bottle.receiver_face.any()
-        and bottle.instruction == "hand over the bottle to human"
-    )
+    assert bottle.split == "S0" and not bottle.receiver_face.any()
+    assert bottle.instruction == "hand over the bottle to human"
     assert len(candidates_of((bottle,))[0]) == 100 and load_objects(["bottle"])[0].split == "S1"
     assert own.hand_set.side.tolist() == [0, 1] and not own.hand_set.pose.any()
     assert own.config().workplace.home_q == (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
