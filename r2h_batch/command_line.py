@@ -79,9 +79,8 @@ def read(
         words = [a for a in arguments if not a.startswith("-")]
         completing = bool(arguments) and arguments[0].startswith("--tyro-")
         if words and words[0] not in command and not completing:
-            raise UsageError(
-                f"unknown subcommand {words[0]!r}{nearest(words[0], list(command))}; allowed are {', '.join(command)}"
-            )
+            what = f"unknown subcommand {words[0]!r}{nearest(words[0], list(command))}"
+            raise UsageError(f"{what}; allowed are {', '.join(command)}")
         chosen = command.get(words[0]) if words else None
         deferred = {name: _deferred(f) for name, f in command.items()}
         parse = partial(tyro.extras.subcommand_cli_from_dict, deferred)
@@ -102,18 +101,18 @@ def read(
             raise  # --help, or a shell completion
         flags = [*more_flags, *(_flags(chosen) if chosen is not None else ())]
         raise UsageError(_one_line(box.getvalue(), arguments, flags)) from None
-    given = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
-    for flag in _lists(chosen) if chosen is not None else ():
-        if given.count(flag) > 1:  # the last would silently replace the others
-            raise UsageError(
-                f"{flag} is given twice; write its values one after another: {flag} A B"
-            )
+    typed = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
+    kinds = get_type_hints(chosen) if chosen is not None else {}
+    for name in (name for name, kind in kinds.items() if get_origin(kind) is tuple):
+        flag = f"--{name.replace('_', '-')}"
+        if typed.count(flag) > 1:  # the last would silently replace the others
+            how = f"write its values one after another: {flag} A B"
+            raise UsageError(f"{flag} is given twice; {how}")
     try:
         _check_text(os.getcwd(), "work in another folder")
     except OSError as error:
-        raise UsageError(
-            f"the current folder is gone or closed ({error.strerror}); cd to an existing folder"
-        ) from None
+        what = f"the current folder is gone or closed ({error.strerror})"
+        raise UsageError(f"{what}; cd to an existing folder") from None
     return found
 
 
@@ -188,7 +187,7 @@ def answer(name: str, work: Callable[[], int]) -> int:
         return refuse(name, "standard output is closed; give it a terminal, a file or a pipe", 1)
     kept, code, stopped = _Kept(sys.stdout), 0, None
     try:
-        with contextlib.redirect_stdout(kept), _told_warnings(name):
+        with contextlib.redirect_stdout(kept), _warnings_in_a_line(name):
             code = work()
     except (UsageError, FileError) as error:
         code = refuse(name, error)
@@ -200,15 +199,14 @@ def answer(name: str, work: Callable[[], int]) -> int:
         code = refuse(name, "interrupted", 130)
     except SystemExit as stop:  # --help
         stopped = stop
+    text = kept.getvalue()
     try:
-        sys.stdout.write(
-            printable(kept.getvalue(), keep="\n\t") if stopped is None else kept.getvalue()
-        )
+        sys.stdout.write(printable(text, keep="\n\t") if stopped is None else text)
         sys.stdout.flush()
     except UnicodeEncodeError as error:
         shown = error.object[error.start : error.start + 1].encode("unicode_escape").decode()
-        words = f"standard output takes {error.encoding} only, the answer has {shown}; set PYTHONIOENCODING=utf-8"
-        return refuse(name, words, 1)
+        what = f"standard output takes {error.encoding} only, the answer has {shown}"
+        return refuse(name, f"{what}; set PYTHONIOENCODING=utf-8", 1)
     except (OSError, ValueError) as error:
         _silence(sys.stdout)
         why = error.strerror if isinstance(error, OSError) else error
@@ -219,17 +217,11 @@ def answer(name: str, work: Callable[[], int]) -> int:
 
 
 @contextlib.contextmanager
-def _told_warnings(name: str) -> Iterator[None]:
+def _warnings_in_a_line(name: str) -> Iterator[None]:
     """Warnings as one line each, without the source that Python shows; those of libraries only with
     --verbose, and in the log."""
 
-    def told(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        line: str | None = None,
-    ) -> str:
+    def one_line(message: Warning | str, category: type[Warning], *_: Any) -> str:
         text = f"{name}: {printable(' '.join(str(message).split()))}"
         if issubclass(category, UserWarning):
             LOG.info(text)
@@ -237,7 +229,8 @@ def _told_warnings(name: str) -> Iterator[None]:
             LOG.debug(f"{text} ({category.__name__})")
         return ""
 
-    before, warnings.formatwarning = warnings.formatwarning, told
+    library: Any = warnings
+    before, library.formatwarning = library.formatwarning, one_line
     try:
         yield
     finally:
@@ -290,7 +283,10 @@ def counted(number: int, things: str) -> str:
 
 class _Stderr(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
-        _print(record.getMessage())
+        try:
+            print(printable(record.getMessage(), keep="\n"), file=sys.stderr, flush=True)
+        except (OSError, ValueError):
+            _silence(sys.stderr)
 
 
 class _LogFile(logging.Handler):
@@ -348,13 +344,6 @@ def is_quiet() -> bool:
     return _stderr.level > logging.INFO
 
 
-def _print(text: object) -> None:
-    try:
-        print(printable(text, keep="\n"), file=sys.stderr, flush=True)
-    except (OSError, ValueError):
-        _silence(sys.stderr)
-
-
 def _silence(stream: TextIO) -> None:
     """What is left in a stream that takes no more goes nowhere: Python flushes once more when it
     ends, and would fail."""
@@ -383,7 +372,7 @@ def _say_defaults(owner: Any) -> None:
     None)`."""
     import tyro
 
-    def said(default: str) -> str:
+    def hint(default: str) -> str:
         return "" if default in ("None", "False", "", "''") else f"(default: {default})"
 
     hints = owner.__annotations__
@@ -392,7 +381,7 @@ def _say_defaults(owner: Any) -> None:
             _say_defaults(kind)
         elif name != "return" and "_say_defaults" not in str(kind):
             shown = _metavar(kind)
-            hints[name] = Annotated[kind, tyro.conf.arg(metavar=shown, help_behavior_hint=said)]
+            hints[name] = Annotated[kind, tyro.conf.arg(metavar=shown, help_behavior_hint=hint)]
 
 
 def _metavar(kind: Any) -> str | None:
@@ -408,20 +397,12 @@ def _metavar(kind: Any) -> str | None:
     return " ".join(part.__name__.upper() for part in parts)
 
 
-def _lists(command: Command) -> list[str]:
-    """The flags that take several values."""
-    kinds = get_type_hints(command).items()
-    return ["--" + k.replace("_", "-") for k, kind in kinds if get_origin(kind) is tuple]
-
-
 def _flags(command: Command) -> list[str]:
     if is_dataclass(command):
         names = [f.name for f in fields(command)]
     else:
-        keywords = [
-            p for p in inspect.signature(command).parameters.values() if p.kind is p.KEYWORD_ONLY
-        ]
-        names = [name for p in keywords for name in _names(p)]
+        parameters = inspect.signature(command).parameters.values()
+        names = [n for p in parameters if p.kind is p.KEYWORD_ONLY for n in _names(p)]
     return ["--" + name.removeprefix("--").replace("_", "-") for name in names]
 
 
@@ -430,8 +411,9 @@ def _names(parameter: inspect.Parameter) -> list[str]:
     parameter); of a dataclass of flags those of its fields."""
     if is_dataclass(parameter.annotation):
         return [f.name for f in fields(parameter.annotation)]
-    said = (getattr(m, "name", None) for m in getattr(parameter.annotation, "__metadata__", ()))
-    return [next((name for name in said if isinstance(name, str)), parameter.name)]
+    metadata = getattr(parameter.annotation, "__metadata__", ())
+    names = [name for m in metadata if isinstance(name := getattr(m, "name", None), str)]
+    return names[:1] or [parameter.name]
 
 
 _NUMBERS = {"INT": "a whole number in decimal digits", "FLOAT": "a number in decimal digits"}
@@ -441,11 +423,8 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     """tyro's box as one line; a misspelt flag or value with its nearest match."""
     for argument in arguments:
         name = argument.partition("=")[0].replace("_", "-")
-        if (
-            name.startswith("-")
-            and name not in (*flags, "-h", "--help")
-            and not name[1:].replace(".", "").isdigit()
-        ):
+        is_number = name[1:].replace(".", "").isdigit()
+        if name.startswith("-") and name not in (*flags, "-h", "--help") and not is_number:
             allowed = f"allowed are {', '.join(flags)}" if flags else "it has none but --help"
             return f"unknown flag {name}{nearest(name, flags)}; {allowed}"
     lines = [line.strip("\u2502| \n") for line in box.splitlines()]
@@ -458,11 +437,8 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     text = " ".join(lines[i] for i in message).rstrip(" .").removeprefix("Error parsing ")
     if found := re.search(r"no type matching (.*) could be instantiated from \['(.*)'\]", text):
         choices = re.findall(r"\{(.*?)\}|(INT|FLOAT)", found[1])
-        kinds = [
-            _NUMBERS.get(kind) or words.replace(",", ", ")
-            for words, kind in choices
-            if words != "None"
-        ]
+        some = [(words, kind) for words, kind in choices if words != "None"]
+        kinds = [_NUMBERS.get(kind) or words.replace(",", ", ") for words, kind in some]
         text = f"{text[: found.start()]}{found[2]!r}; it must be {' or '.join(kinds)}"
     if found := re.search(r"invalid choice '([^']*)'.*Expected one of \((.*)\)", text):
         text += nearest(found[1], re.findall(r"'([^']*)'", found[2]))

@@ -59,11 +59,8 @@ def _robots() -> Iterator[Line]:
 
     for name in ROBOTS:
         robot = load_robot(name)
-        yield (
-            name,
-            f"reach {1e3 * robot.reach_m:.0f} mm",
-            f"open gap {1e3 * robot.open_gap_m:.0f} mm",
-        )
+        sizes = {"reach": robot.reach_m, "open gap": robot.open_gap_m}
+        yield name, *(f"{word} {1e3 * size:.0f} mm" for word, size in sizes.items())
 
 
 def _protocols() -> Iterator[Line]:

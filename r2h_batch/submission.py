@@ -3,6 +3,7 @@ have been judged again."""
 
 import contextlib
 import json
+import shutil
 import tempfile
 import zipfile
 from collections.abc import Sequence
@@ -57,7 +58,12 @@ def submit(
     except ValueError as error:
         raise ValueError(f"{run}: {error}; the run cannot be submitted") from None
     write_summary(stored)
-    files = _files(stored)
+    files = ["run.json", "README.md", "table.md", "results.json"]  # what a run is read from
+    for entry in stored.entries:
+        files.append(f"methods/{entry.slug}.json")
+        for number, receipt in sorted(entry.receipts.items()):
+            files.append(f"manifest/{entry.slug}/{number:06d}.json")
+            files += [file["path"] for file in receipt["files"].values()]
     digests = {m: stored.digest(m) for m in stored.methods}
     about = {"format": 1, "rows": digests, "versions": stored.header["versions"]}
     about["built_in"] = built_in
@@ -68,17 +74,6 @@ def submit(
     held = counted(len(digests), "methods")
     print(f"{out}: {held}, {len(files)} files, {out.stat().st_size:,} bytes")
     return 0
-
-
-def _files(run: "Run") -> list[str]:
-    """What a run is read from, relative to its folder."""
-    files = ["run.json", "README.md", "table.md", "results.json"]
-    for entry in run.entries:
-        files.append(f"methods/{entry.slug}.json")
-        for number, receipt in sorted(entry.receipts.items()):
-            files.append(f"manifest/{entry.slug}/{number:06d}.json")
-            files += [file["path"] for file in receipt["files"].values()]
-    return files
 
 
 def _judged_again(
@@ -104,15 +99,6 @@ def _judged_again(
         if method.differences:
             raise ValueError(f"{method.method}: {method.differences[0]}")
     return [method.method for method in found if method.built_in]
-
-
-def _marked(run: "Run", built_in: Sequence[str]) -> "Run":
-    """The run with `(submitted)` behind the names of all methods but the built-in ones: a name says
-    nothing of who answered."""
-    entries = (
-        e if e.name in built_in else replace(e, name=f"{e.name} (submitted)") for e in run.entries
-    )
-    return replace(run, entries=tuple(entries))
 
 
 def _largest(runs: "Sequence[Run]") -> "list[Run]":
@@ -171,20 +157,29 @@ def leaderboard(
     held: dict[str, Run] = {}
     left_out = 0
     with tempfile.TemporaryDirectory() as place:
-        for number, given in enumerate(_each(submissions)):
+        each: list[Path] = []
+        for path in submissions:  # a folder that is no run folder holds several
+            several = path.is_dir() and not (path / "run.json").exists()
+            inside = sorted(path.iterdir()) if several else []
+            each += [p for p in inside if p.suffix == ".zip" or p.is_dir()] if several else [path]
+        for number, path in enumerate(each):
             try:
-                shipped = str(given) == BASELINES and not given.exists()
-                folder = baselines_for() if shipped else _unpacked(given, Path(place) / str(number))
+                shipped = str(path) == BASELINES and not path.exists()
+                folder = baselines_for() if shipped else _unpacked(path, Path(place) / str(number))
                 stored = load_run(folder)
-                built_in = (
-                    stored.methods if shipped else _judged_again(stored, rows, judges, benchmark)
-                )
-                stored = _marked(stored, built_in)
+                built_in = stored.methods
+                if not shipped:
+                    built_in = tuple(_judged_again(stored, rows, judges, benchmark))
+                entries = []
+                for e in stored.entries:  # a name says nothing of who answered
+                    mark = "" if e.name in built_in else " (submitted)"
+                    entries.append(replace(e, name=e.name + mark))
+                stored = replace(stored, entries=tuple(entries))
                 join([*held.values(), stored])  # refuses a second run and method of one name
-                held[printable(given)] = stored
+                held[printable(path)] = stored
             except (ValueError, MemoryError) as error:
                 left_out += 1
-                LOG.info(f"leaderboard: {printable(given)} is left out: {error}")
+                LOG.info(f"leaderboard: {printable(path)} is left out: {error}")
         if not held:
             return refuse("leaderboard", "no submission passed; no file is written", 1)
         try:
@@ -196,27 +191,12 @@ def leaderboard(
                 LOG.info(f"leaderboard: {name}: {', '.join(run.methods)}")
             else:
                 left_out += 1
-                LOG.info(
-                    f"leaderboard: {name} is left out: it was not judged as the {len(listed)} listed"
-                )
+                words = f"it was not judged as the {len(listed)} listed"
+                LOG.info(f"leaderboard: {name} is left out: {words}")
         text = page(join(listed), common=common_trials(listed, proven=stored_rows()))
     write_text(out, text)
     print(out)
     return 1 if left_out else 0
-
-
-def _each(given: Sequence[Path]) -> list[Path]:
-    """The submissions: what a folder holds that is no run folder itself."""
-    found: list[Path] = []
-    for path in given:
-        inside = path.is_dir() and not (path / "run.json").exists()
-        held = (
-            [p for p in sorted(path.iterdir()) if p.suffix == ".zip" or p.is_dir()]
-            if inside
-            else []
-        )
-        found += held if inside else [path]
-    return found
 
 
 def _unpacked(path: Path, place: Path) -> Path:
@@ -231,13 +211,10 @@ def _unpacked(path: Path, place: Path) -> Path:
             if member.filename == BUNDLE:
                 continue
             if parts[:1] != ("run",) or member.is_dir():
-                name = printable(member.filename)[:80]
-                raise FileError(
-                    f"{printable(path)}: member {name!r}; r2h-batch submit writes run/..."
-                )
+                what = f"member {printable(member.filename)[:80]!r}"
+                raise FileError(f"{printable(path)}: {what}; r2h-batch submit writes run/...")
             target = folder.joinpath(*parts[1:])
             target.parent.mkdir(parents=True, exist_ok=True)
             with archive.open(member) as source, target.open("wb") as file:
-                while piece := source.read(1 << 20):
-                    file.write(piece)
+                shutil.copyfileobj(source, file)
     return folder

@@ -26,9 +26,8 @@ def share(part: int, whole: int) -> str:
 def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table as notebooks show it; everything is escaped."""
     top = "".join(f"<th>{escape(word)}</th>" for word in head)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(word)}</td>" for word in row) + "</tr>" for row in rows
-    )
+    cells = ["".join(f"<td>{escape(word)}</td>" for word in row) for row in rows]
+    body = "".join(f"<tr>{row}</tr>" for row in cells)
     thead = f"<thead><tr>{top}</tr></thead>" if head else ""
     return f"<p><b>{escape(title)}</b></p><table>{thead}<tbody>{body}</tbody></table>"
 
@@ -61,15 +60,8 @@ def scores_table(
             f"{1e3 * float(np.quantile(finite, q)):.1f}" if len(finite) else "none"
             for q in (0.05, 0.5)
         )
-        rows.append(
-            (
-                name,
-                f"{int(column.sum()):,}",
-                share(int(p[column, k].sum()), int(column.sum())),
-                middle,
-                low,
-            )
-        )
+        n = int(column.sum())
+        rows.append((name, f"{n:,}", share(int(p[column, k].sum()), n), middle, low))
     return rows
 
 
@@ -130,9 +122,8 @@ def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
         "borderline": names("borderline"),
     }
     for k, name in enumerate(CRITERIA):
-        columns[f"passed_{name}"] = [
-            bool(p) if e else None for p, e in zip(passed[:, k], evaluated[:, k])
-        ]
+        judged = zip(passed[:, k], evaluated[:, k])
+        columns[f"passed_{name}"] = [bool(p) if e else None for p, e in judged]
         columns[f"margin_{name}_m"] = margin[:, k]
         columns[f"margin_kind_{name}"] = [MarginKind(int(i)).name.lower() for i in kind[:, k]]
     times = ("t_plan_s", "t_exec_s", "width_m", "opening_m", "grasp_shift_m")

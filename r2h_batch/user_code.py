@@ -81,9 +81,7 @@ def _import_file(file: Path) -> ModuleType:
     file = file.resolve()
     if not file.is_file():
         raise ImportError(f"{file}: no such file")
-    taken = (
-        getattr(sys.modules.get(file.stem), "__file__", None) if file.stem in sys.modules else file
-    )
+    taken = getattr(sys.modules[file.stem], "__file__", None) if file.stem in sys.modules else file
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
     name = file.stem if taken and Path(taken) == file else f"{file.stem}_{digest}"
     if name in sys.modules:
@@ -92,15 +90,11 @@ def _import_file(file: Path) -> ModuleType:
     for imported in set(_imported(name, file)):
         candidates = [file.parent / f"{imported}.py", file.parent / imported / "__init__.py"]
         loaded = getattr(sys.modules.get(imported), "__file__", None)
-        if (
-            loaded
-            and any(p.is_file() for p in candidates)
-            and Path(loaded).resolve() not in candidates
-        ):
-            raise ImportError(
-                f"{file.name} imports {imported}, and {loaded} is loaded under that name; rename one of them, or score"
-                " the two in sweeps of their own"
-            )
+        own = any(p.is_file() for p in candidates)
+        if loaded and own and Path(loaded).resolve() not in candidates:
+            what = f"{file.name} imports {imported}, and {loaded} is loaded under that name"
+            how = "rename one of them, or score the two in sweeps of their own"
+            raise ImportError(f"{what}; {how}")
     found = importlib.util.spec_from_file_location(name, file)
     assert found is not None and found.loader is not None
     module = sys.modules[name] = importlib.util.module_from_spec(found)

@@ -174,7 +174,7 @@ MUTATIONS = (
     ),
     Mutation(
         "statistics: a criterion that was not evaluated fails",
-        "r2h_batch/runs/columns.py",
+        "r2h_batch/statistics/tally.py",
         "failed = PATTERNS == FAILED",
         "failed = PATTERNS <= FAILED",
         ("tests/statistics/test_breakdown.py::test_the_outcome_of_every_pattern_is_its_first_failure_and_never_a_success_that_was_not_fully_judged",),

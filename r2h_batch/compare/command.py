@@ -75,23 +75,21 @@ def compare(
     common = common_trials(stored, proven=stored_rows(), across_robots=across_robots)
     paired = statistics.pair_up(stored, common)
     shipped = [stored[k].folder in FOLDERS for k in paired.runs]
-    mine = [n for n, s in zip(paired.names, shipped, strict=True) if not s]
+    not_shipped = [n for n, s in zip(paired.names, shipped, strict=True) if not s]
     some = any(shipped) and not all_pairs
-    comparisons = statistics.compare(paired, mine=mine if some else (), seed=seed)
+    comparisons = statistics.compare(paired, mine=not_shipped if some else (), seed=seed)
     header = stored[0].header
+    folders = (BASELINES if r.folder in stored_rows() else r.folder.name for r in stored)
     origin = {
-        "runs": ", ".join(
-            BASELINES if r.folder in stored_rows() else r.folder.name for r in stored
-        ),
+        "runs": ", ".join(folders),
         "protocol": str(header["protocol"]),
         "trials": ", ".join(f"{n} {split}" for split, n in common.trials.items()),
         "r2h_batch": str(header["versions"]["r2h_batch"]),
     }
     for note in paired.notes if format in ("csv", "json") else ():
         LOG.info(f"compare: {note}")
-    sys.stdout.write(
-        render(comparisons, format, origin=origin, notes=(*common.notes, *paired.notes))
-    )
+    notes = (*common.notes, *paired.notes)
+    sys.stdout.write(render(comparisons, format, origin=origin, notes=notes))
     return 0
 
 
@@ -108,15 +106,11 @@ def load_runs(words: Sequence[Path], method: Sequence[str] = ()) -> "list[Run]":
     for word in map(str, words):
         if not Path(word).exists() and word != BASELINES and (hint := nearest(word, [BASELINES])):
             raise ValueError(f"{printable(word)}: no such folder{hint}")
-    own = {r: load_run(r) for r in words if not _is_shipped(r)}
+    # a folder of the word's name comes before the shipped baselines
+    own = {r: load_run(r) for r in words if str(r) != BASELINES or r.exists()}
     like = next(iter(own.values())).header if own else None
     stored = [own[r] if r in own else load_run(baselines_for(like)) for r in words]
     return _chosen(stored, method) if method else stored
-
-
-def _is_shipped(folder: Path) -> bool:
-    """Whether this is the word for the shipped baselines: a folder of that name comes first."""
-    return str(folder) == BASELINES and not folder.exists()
 
 
 def _chosen(runs: "list[Run]", words: Sequence[str]) -> "list[Run]":

@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-import numpy as np
-
 from r2h_batch.report.text import (
     NA,
     aligned,
@@ -74,9 +72,11 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
             lines.append([*names, *cells, f"{pair.p_holm:.2g}", pair.verdict])
         parts.append(aligned(head, lines, 2))
         if c.rank is not None:
-            ranks = dict(zip(c.ranked, c.rank, strict=True))
+            shares = [[f"{100 * p:.0f} %" for p in row] for row in c.rank]
+            ranks = dict(zip(c.ranked, shares, strict=True))
+            bound = ["bound", *[""] * (len(c.ranked) - 1)]
             table = [
-                [plain(short[name]), f"{rate:.1f}", *_ranks(ranks.get(name), len(c.ranked))]
+                [plain(short[name]), f"{rate:.1f}", *ranks.get(name, bound)]
                 for name, rate in zip(c.names, c.rates, strict=True)
             ]
             places = [f"#{i + 1}" for i in range(len(c.ranked))]
@@ -84,10 +84,6 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
     columns = "A-B: difference of SR in points. #1: how often a method has that rank."
     parts.append(notes_list([*map(plain, legend(short)), *notes, columns, *NOTES]))
     return "\n\n".join(parts) + "\n"
-
-
-def _ranks(row: np.ndarray | None, n: int) -> list[str]:
-    return ["bound", *[""] * (n - 1)] if row is None else [f"{100 * p:.0f} %" for p in row]
 
 
 def _latex(
@@ -111,17 +107,8 @@ def _latex(
         groups.append(rows)
     signed = tex_number(3, 1).replace("3.1", "+3.1")
     spec = ["l", "l", "l", signed, "c", "r", "r", tex_number(1, 3), "l"]
-    head = [
-        "",
-        "$A$",
-        "$B$",
-        "{$A-B$}",
-        r"95\,\%",
-        "only $A$",
-        "only $B$",
-        "{$p$ (Holm)}",
-        "$A$ is",
-    ]
+    head = ["", "$A$", "$B$", "{$A-B$}", r"95\,\%", "only $A$", "only $B$"]
+    head += ["{$p$ (Holm)}", "$A$ is"]
     decided = f"bold: decided for new objects too, alpha {ALPHA}"
     comments = tex_comments(origin, [*legend(short), *notes, *NOTES, decided])
     return "\n".join([*comments, *tex_table(spec, head, groups)]) + "\n"

@@ -83,10 +83,10 @@ def trials(
     from r2h_batch.verdicts import SPLITS
 
     chosen = [s for s in SPLITS if s in splits]
-    given = BenchmarkOverrides.of(benchmark, protocol=protocol)
-    found = given.read()
+    overrides = BenchmarkOverrides.of(benchmark, protocol=protocol)
+    found = overrides.read()
     digest = write_trials(
-        out, chosen, trials, benchmark=found, open_formats=open_formats, flags=given.flags()
+        out, chosen, trials, benchmark=found, open_formats=open_formats, flags=overrides.flags()
     )
     print(
         f"{found.protocol}: {counted(trials, 'trials')} each of {', '.join(chosen)} in {out}, digest {digest}"

@@ -169,9 +169,13 @@ class Drawing:
         if stored.row["outcome"] == "stability":
             return None
         reason, pair = (stored.row.get(k) for k in ("plan_reason", "plan_pair"))
+        if stored.moves and stored.row["outcome"] == "affordance":
+            # the part of the gripper that is nearest to the receiver's part, or deepest in its hull
+            region = int(self.model.geom(REGION).id)
+            pairs = [(g, region, "affordance") for g in self._collision_geoms()["gripper"]]
+            return self._nearest(stored.target_q, pairs)
         if stored.moves:
-            seen = {"reach": self._gap, "affordance": self._finger_on_region}
-            return seen[stored.row["outcome"]]() if stored.row["outcome"] in seen else None
+            return self._gap() if stored.row["outcome"] == "reach" else None
         if reason in ("ik_unreachable", "ik_not_found"):
             data = self.at(stored.target_q)
             line = np.stack([data.site("ee").xpos, data.site("target").xpos])
@@ -240,12 +244,6 @@ class Drawing:
         point, distance = points[apart.argmin()], float(apart.min())
         end = center + radius / distance * (point - center)
         return Witness((), "reach", distance - radius, np.stack([point, end]))
-
-    def _finger_on_region(self) -> Witness | None:
-        """The part of the gripper that is nearest to the receiver's part, or deepest in its hull."""
-        region = int(self.model.geom(REGION).id)
-        pairs = [(g, region, "affordance") for g in self._collision_geoms()["gripper"]]
-        return self._nearest(self.stored.target_q, pairs)
 
     def surface(self, geom: int) -> Surface:
         """A geom of the model in the frame of its body."""
@@ -429,10 +427,8 @@ def view_of(
     at = points @ axes.T
     middle = (at.min(0) + at.max(0)) / 2
     right, up, forward = (at - middle).T
-    distance = max(
-        (np.abs(right) / (half * aspect) - forward).max(), (np.abs(up) / half - forward).max()
-    )
-    return View(middle @ axes, azimuth, ELEVATION_DEG, float(distance))
+    needed = np.maximum(np.abs(right) / (half * aspect), np.abs(up) / half) - forward
+    return View(middle @ axes, azimuth, ELEVATION_DEG, float(needed.max()))
 
 
 def _axes(azimuth_deg: float, elevation_deg: float) -> Array:

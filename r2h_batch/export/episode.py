@@ -87,26 +87,21 @@ def episode_of(
     T_obj_ee, T_world_ee = (
         torch.from_numpy(T[None]).float() for T in (stored.T_obj_ee, stored.T_world_ee)
     )
-    scores = reader.evaluator.kinematic.score(
-        T_obj_ee, T_world_ee, trials_of(reader.benchmark, ids)
-    )
-    env = HandoverEnv(
-        scores,
-        ReceiverMotion.parse(motion, seed),
-        config=LoopConfig(seed=seed),
-        action=kind_of_action(act),  # type: ignore[arg-type]
-    )
+    trials = trials_of(reader.benchmark, ids)
+    scores = reader.evaluator.kinematic.score(T_obj_ee, T_world_ee, trials)
+    moving, config = ReceiverMotion.parse(motion, seed), LoopConfig(seed=seed)
+    kind: Any = kind_of_action(act)
+    env = HandoverEnv(scores, moving, config=config, action=kind)
     found = play(env, act)
     q, hands = (x[0].double().numpy() for x in env.trace())
     bodies = None
     if env.trials.receiver is not None:
         made = (env.hands.body(torch.from_numpy(T[None]).float()) for T in hands)
         bodies = np.stack([x[0].double().numpy() for x in made if x is not None])
-    who = ""
     end = End(int(found.end[0]))
-    if end == End.CONTACT:
-        who = ", by the robot" if bool(found.robot_touched[0]) else ", by the hand"
-    words = f"{policy}, {motion}: {end.name.lower().replace('_', ' ')}{who} after {float(found.time_s[0]):.1f} s"
+    who = ", by the robot" if bool(found.robot_touched[0]) else ", by the hand"
+    how = f"{end.name.lower().replace('_', ' ')}{who if end == End.CONTACT else ''}"
+    words = f"{policy}, {motion}: {how} after {float(found.time_s[0]):.1f} s"
     drawing = EpisodeDrawing(stored, q, hands, bodies, env.step_s)
     drawing.ended = words, end == End.SUCCESS
     return drawing

@@ -18,8 +18,7 @@ until `<option actuatorgroupdisable>` says otherwise.
 
 import ctypes
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib.resources import files
 from itertools import combinations
@@ -31,7 +30,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.hand import HandSet, load_hand_set
+from r2h_batch.bodies.hand import load_hand_set
 from r2h_batch.bodies.robot import (
     Kind,
     Robot,
@@ -75,6 +74,7 @@ CAMERAS = {
     "above": (0.35, -0.01, 2.1),
 }
 """Fixed cameras and where they stand (m, world); all look at the middle of the scene."""
+_posed = lru_cache(maxsize=2)(Hands.posed)  # all hands of a set, once
 DIGITS = 17
 """Of numbers in scene.xml: they read back to the same bits. MuJoCo writes 6 by default."""
 MESHES = "meshes"
@@ -88,12 +88,8 @@ MARK_COLORS = {
 }  # fmt: skip
 _BOX, _MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH
 _SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
-_TYPES = {
-    Kind.SPHERE: _SPHERE,
-    Kind.CAPSULE: _CAPSULE,
-    Kind.CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER,
-    Kind.BOX: _BOX,
-}
+_CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
+_TYPES = {Kind.SPHERE: _SPHERE, Kind.CAPSULE: _CAPSULE, Kind.CYLINDER: _CYLINDER, Kind.BOX: _BOX}
 _CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
 _SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 _SEEN: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0}
@@ -153,20 +149,16 @@ def posture_at(stored: StoredTrial, t: Array) -> Array:
     speed, gain = _limits(stored)
     ends, d = _waypoint_times(stored), np.diff(stored.q, axis=0)
     k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(d) - 1)
-    whole, total, passed = (
-        (np.abs(d) * stored.robot.joint_weight).max(1)[k],
-        np.diff(ends)[k],
-        t - ends[k],
-    )
+    whole = (np.abs(d) * stored.robot.joint_weight).max(1)[k]
+    total, passed = np.diff(ends)[k], t - ends[k]
     # a trapezoid of speed is symmetric: count from the nearer end
     near = np.minimum(passed, total - passed).clip(0)
     ramp = np.minimum(speed / gain, total / 2)
     s = np.where(near <= ramp, gain * near**2 / 2, gain * ramp**2 / 2 + speed * (near - ramp))
     s = np.where(passed <= total / 2, s, whole - s)
     share = np.divide(s, whole, out=np.zeros_like(s), where=whole > 0).clip(0, 1)
-    return np.where(
-        passed[:, None] >= total[:, None], stored.q[k + 1], stored.q[k] + share[:, None] * d[k]
-    )
+    between = stored.q[k] + share[:, None] * d[k]
+    return np.where(passed[:, None] >= total[:, None], stored.q[k + 1], between)
 
 
 def _waypoint_times(stored: StoredTrial) -> Array:
@@ -233,22 +225,15 @@ def write_scene(folder: Path, spec: mujoco.MjSpec) -> Path:
     for name, content in spec.assets.items():
         (meshes / name).write_bytes(content)
     path = folder / "scene.xml"
-    with _all_digits():
-        path.write_text(spec.to_xml(), encoding="utf-8")
-    return path
-
-
-@contextmanager
-def _all_digits() -> Iterator[None]:
-    """Makes MuJoCo write all digits of a number, where its library has the private switch for it;
-    without it the file has six."""
+    # all digits of a number, where MuJoCo has the private switch for it; without it the file has six
     library = next(str(f) for f in sorted(Path(mujoco.__file__).parent.glob("libmujoco*")))
     set_digits = getattr(ctypes.CDLL(library), "_mjPRIVATE__set_xml_precision", lambda _: None)
     set_digits(DIGITS)
     try:
-        yield
+        path.write_text(spec.to_xml(), encoding="utf-8")
     finally:
         set_digits(6)
+    return path
 
 
 def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
@@ -297,12 +282,6 @@ def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
     for name, q in {**keys, "target": np.asarray(stored.target_q, np.float64)}.items():
         spec.add_key(name=name, qpos=q, ctrl=q)
     return spec
-
-
-@lru_cache(maxsize=2)
-def _posed(hand_set: HandSet) -> Hands:
-    """All hands of a set, posed once."""
-    return Hands.posed(hand_set)
 
 
 def checked_pairs(robot: Robot) -> dict[frozenset[str], str]:
@@ -473,14 +452,11 @@ def _add_receiver(spec: mujoco.MjSpec, receiver: Array, *, collides: bool) -> No
     shoulder, elbow, wrist = receiver[:3, :3]
     middle, half, x, y = receiver[3, :3], receiver[4, :3], receiver[3, 3], receiver[4, 3]
     turn = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
-    limbs = (
-        ("upper_arm", shoulder, elbow, receiver[0, 3]),
-        ("forearm", elbow, wrist, receiver[1, 3]),
-    )
+    limbs = (("upper_arm", shoulder, elbow), ("forearm", elbow, wrist))
     # torso and upper arm may stand before what a picture shows
     seen_through: dict[str, Any] = {"rgba": (*color[:3], 0.35)}
     for ending, how in kinds:
-        for limb, a, b, radius in limbs:
+        for (limb, a, b), radius in zip(limbs, receiver[:2, 3], strict=True):
             name, size = f"receiver/{limb}{ending}", [radius, 0, 0]
             look = how if limb == "forearm" else how | seen_through
             body.add_geom(name=name, type=_CAPSULE, fromto=[*a, *b], size=size, **look)
@@ -521,15 +497,9 @@ def _add_gripper_visuals(
 
 
 def _add_part(
-    spec: mujoco.MjSpec,
-    body: mujoco.MjsBody,
-    name: str,
-    robot: Robot,
-    part: str,
-    T: Array,
-    color: str,
-    **how: Any,
-) -> None:
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, robot: Robot, part: str, T: Array,
+    color: str, **how: Any,
+) -> None:  # fmt: skip
     """A part of the robot as airo-models shows it."""
     shape = trimesh.Trimesh(*visual_mesh(robot.visuals, part), process=False)
     arm = robot.visuals

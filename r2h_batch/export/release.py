@@ -67,6 +67,11 @@ def release_trial(stored: StoredTrial, name: str, variant: str) -> dict[str, Any
     skin = trimesh.transform_points(skin, T_release_hand)
     executed = _frames(stored)
     place, moves = stored.workplace, stored.moves
+    planned = stored.planned_q
+    if planned is None:
+        planned = stored.q if moves else executed
+    table = trimesh.transform_points([place.table_center], to_release)[0]
+    failed = {"status": "failed", "planner": "r2h_batch"}
     own: dict[str, Any] = {}
     if stored.hand_set.skin is None:  # what the release has no field for
         own = {
@@ -104,7 +109,7 @@ def release_trial(stored: StoredTrial, name: str, variant: str) -> dict[str, Any
             "vertices": skin.tolist(),
             "faces": hand.faces_by_side[side].tolist(),
         },
-        "obstacle_boxes_world": [_table(place, to_release)],
+        "obstacle_boxes_world": [_box(table, np.array(place.table_half), "table")],
         "palm_position_world": T_release_palm[:3, 3].tolist(),
         "palm_normal_world": T_release_palm[:3, 2].tolist(),
         "reach_offset_m": limits_of["reach_offset_m"],
@@ -115,7 +120,7 @@ def release_trial(stored: StoredTrial, name: str, variant: str) -> dict[str, Any
         "stability_width_m": float(np.ptp(model.vertices @ stored.T_obj_ee[:3, 1])),
         "stability_width_rule": "whole object along the closing axis",
         "dt_s": FRAME_S,
-        "planned_joints": _planned(stored, executed).tolist(),
+        "planned_joints": planned.tolist(),
         "executed_joints": executed.tolist(),
         "receiver": {
             "id": f"hand_{int(rows[0])}",
@@ -128,22 +133,11 @@ def release_trial(stored: StoredTrial, name: str, variant: str) -> dict[str, Any
             "source": "r2h_batch",
         },
         # a record of a success would have the release check the edges again, on boxes
-        **({} if moves else {"planning": _failed(row["plan_reason"])}),
+        **({} if moves else {"planning": failed | {"reason": row["plan_reason"]}}),
         "provenance": {
             "r2h_batch": {"trial_id": row["trial_id"], "outcome": row["outcome"], **own}
         },
     }
-
-
-def _failed(reason: str) -> dict[str, Any]:
-    return {"status": "failed", "planner": "r2h_batch", "reason": reason}
-
-
-def _planned(stored: StoredTrial, executed: Array) -> Array:
-    """(P, 6) the plan."""
-    if stored.planned_q is not None:
-        return stored.planned_q
-    return stored.q if stored.moves else executed
 
 
 def _frames(stored: StoredTrial) -> Array:
@@ -183,17 +177,8 @@ def _cells(points: Array, n: int, label: str) -> list[dict[str, Any]]:
 
 
 def _box(center: Array, half: Array, label: str, R: Array = NOT_TURNED) -> dict[str, Any]:
-    return {
-        "center": center.tolist(),
-        "half_extents": half.tolist(),
-        "rotation": R.tolist(),
-        "label": label,
-    }
-
-
-def _table(place: Any, to_release: Array) -> dict[str, Any]:
-    center = trimesh.transform_points([place.table_center], to_release)[0]
-    return _box(center, np.array(place.table_half), "table")
+    sides = {"center": center.tolist(), "half_extents": half.tolist()}
+    return {**sides, "rotation": R.tolist(), "label": label}
 
 
 def release_name(method: str, trial_id: int) -> str:
@@ -239,9 +224,7 @@ def write_release_results(
 
 def _result(row: Mapping[str, Any], name: str, variant: str) -> dict[str, Any]:
     metrics = {c: row[k] for c, k in _FLAGS.items()}
-    if (
-        metrics["safe"] is None
-    ):  # without a path the arm stays at home, which the release calls safe
+    if metrics["safe"] is None:  # the arm stays at home, which the release calls safe
         metrics["safe"] = True
     plan_s, exec_s = row["t_plan_s"], row["t_exec_s"]
     total_s = None if plan_s is None or exec_s is None else plan_s + exec_s
@@ -288,11 +271,8 @@ def _table_row(variant: str, split: str, results: Sequence[Mapping[str, Any]]) -
     def mean(values: Sequence[Any]) -> float | None:
         if None in values:
             return None
-        by_object = [
-            np.mean([float(v) for v, r in zip(values, results) if r["object_id"] == name])
-            for name in objects
-        ]
-        return float(np.mean(by_object))
+        pairs = [(float(v), r["object_id"]) for v, r in zip(values, results)]
+        return float(np.mean([np.mean([v for v, o in pairs if o == name]) for name in objects]))
 
     times = {k: mean([r[name] for r in results]) for k, name in _TIMES_OF.items()}
     failures = {

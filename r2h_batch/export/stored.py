@@ -28,7 +28,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.io.read import FileError
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
-from r2h_batch.runs.store import Entry, Run, load_run
+from r2h_batch.runs.store import Run, load_run
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
@@ -71,9 +71,7 @@ class StoredTrial:
     receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
     asked_q: Array | None = None  # (joints,) rad at the target, or the nearest to it; None: q[-1]
     asked_clearance_m: float | None = None  # of that posture, where there is no path
-    planned_q: Array | None = (
-        None  # (P, joints) rad, where q is what was executed; None: q is the plan
-    )
+    planned_q: Array | None = None  # (P, joints) rad where q was executed; None: q is the plan
     note: str = ""  # where what was computed again is not what is stored
 
     @property
@@ -137,7 +135,15 @@ class Reader:
             RunError: the run folder is damaged.
         """
         name, stored = self.method(method), self.run.header["stored"]
-        row = _row(self.rows(name), trial_id, f"{self.where}: method {name!r}")
+        found = _rows(self.rows(name), trial_id)
+        if not found:
+            ids = self.rows(name)["trial_id"].to_pylist()
+            more = f", ... up to {max(ids)}" if len(ids) > 10 else ""
+            some = f"{len(ids)}: {', '.join(map(str, ids[:10])) or 'none'}{more}"
+            raise ExportError(
+                f"{self.where}: method {name!r} has no trial {trial_id}; it has {some}"
+            )
+        row = found[0]
         if row["outcome"] in UNJUDGED:
             words = f"was not judged ({row['outcome']}): there is nothing to show"
             raise ExportError(f"trial {trial_id} of {name!r} {words}")
@@ -159,9 +165,13 @@ class Reader:
             return _stored(self.run.header, name, row, path[0], trial, answer, *place)
         try:
             header, evaluator = self.run.header, self.evaluator
-            answer = answer or _answer_again(header, self.run.entry(name), trial, evaluator)
-        except ExportError as error:
-            raise ExportError(f"{self.where}: {error}") from error
+            source = self.run.entry(name).source
+            answer = answer or job_of_run(header, source, evaluator).predict(trial, None)
+        except (UsageError, AnswerError) as error:
+            words = (
+                f"are not stored, and it cannot answer again ({error}); sweep without --no-poses"
+            )
+            raise ExportError(f"{self.where}: the poses of {name!r} {words}") from error
         return judged_again(evaluator, trial, answer, name, row=row, header=header)
 
     @cached_property
@@ -176,7 +186,15 @@ class Reader:
             benchmark = benchmark_of_run(header, self.given, self.where)
         except FileError as error:
             raise ExportError(str(error)) from None
-        _check_trials(header, benchmark, self.where)
+        # the run's trials once more, as far as that is cheap
+        counts = header["trials"]
+        listed = benchmark.listed is not None or len(set(counts.values())) == 1
+        if sum(counts.values()) <= CHECKED_TRIALS and listed:
+            trials = make_trials(list(counts), max(counts.values()), benchmark=benchmark)
+            if trials_digest(trials, objects=benchmark.objects) != header["digests"]["trials"]:
+                version, commit = header["versions"].get("r2h_batch"), header.get("git_commit")
+                words = f"was made with other trials: use r2h_batch {version} at commit {commit}"
+                raise ExportError(f"{self.where}: {words}")
         return benchmark
 
     @cached_property
@@ -283,17 +301,6 @@ def _stored(
     )  # fmt: skip
 
 
-def _answer_again(
-    header: dict[str, Any], entry: Entry, trial: Trials, evaluator: Evaluator
-) -> Predictions:
-    """What a built-in method of a run folder answers to one trial."""
-    try:
-        return job_of_run(header, entry.source, evaluator).predict(trial, None)
-    except (UsageError, AnswerError) as error:
-        words = f"are not stored, and it cannot answer again ({error}); sweep without --no-poses"
-        raise ExportError(f"the poses of {entry.name!r} {words}") from error
-
-
 def _rows(table: Any, trial_id: int) -> list[dict[str, Any]]:
     if trial_id >= 1 << 63:  # no id is, and Arrow compares no such number
         return []
@@ -308,31 +315,9 @@ def _possible(poses: Sequence[Mapping[str, Any]], paths: Sequence[Mapping[str, A
         q, time_s = (np.array(row[k], np.float64) for k in ("q", "time_s"))
         every = [q, time_s, np.array(row["executed_q"] or 0.0)]
         found &= len(q) == len(time_s) > 0 and all(bool(np.isfinite(x).all()) for x in every)
-        found &= bool(
-            (np.diff(time_s, prepend=0.0) >= 0).all() and time_s.max(initial=0.0) <= MOST_SECONDS
-        )
+        found &= bool((np.diff(time_s, prepend=0.0) >= 0).all())
+        found &= bool(time_s.max(initial=0.0) <= MOST_SECONDS)
     return found
-
-
-def _row(table: Any, trial_id: int, where: str) -> dict[str, Any]:
-    rows = _rows(table, trial_id)
-    if not rows:
-        ids = table["trial_id"].to_pylist()
-        some = ", ".join(map(str, ids[:10])) + (f", ... up to {max(ids)}" if len(ids) > 10 else "")
-        raise ExportError(f"{where} has no trial {trial_id}; it has {len(ids)}: {some or 'none'}")
-    return rows[0]
-
-
-def _check_trials(header: dict[str, Any], benchmark: Benchmark, run: str) -> None:
-    """Makes the run's trials again, as far as that is cheap, and compares their digest."""
-    counts = header["trials"]
-    listed = benchmark.listed is not None or len(set(counts.values())) == 1
-    if sum(counts.values()) <= CHECKED_TRIALS and listed:
-        trials = make_trials(list(counts), max(counts.values()), benchmark=benchmark)
-        if trials_digest(trials, objects=benchmark.objects) != header["digests"]["trials"]:
-            version, commit = header["versions"].get("r2h_batch"), header.get("git_commit")
-            words = f"was made with other trials: use r2h_batch {version} at commit {commit}"
-            raise ExportError(f"{run}: {words}")
 
 
 def _tensor(values: Any, dtype: torch.dtype) -> torch.Tensor:

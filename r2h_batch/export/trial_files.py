@@ -85,14 +85,9 @@ def write_trials(
     (folder / "objects").mkdir(parents=True)
     for name, arrays in files.items():
         np.savez_compressed(folder / name, **{k: v for k, (v, _) in arrays.items()})  # type: ignore[arg-type]
-    described = {
-        name: _described(arrays)
-        for name, arrays in files.items()
-        if not name.startswith("objects/")
-    }
-    described["objects/NAME.npz"] = _described(
-        next(a for n, a in files.items() if n.startswith("objects/")), rows=False
-    )
+    described = {name: _described(files[name]) for name in ("trials.npz", "hands.npz")}
+    of_object = files[f"objects/{objects[chosen[0]].name}.npz"]
+    described["objects/NAME.npz"] = _described(of_object, rows=False)
     manifest = {**header, "arrays": described}
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
     sizes = [] if benchmark.listed is not None else [f"--trials {trials}"]
@@ -108,6 +103,7 @@ def _header(
     benchmark: Benchmark, planned: Trials, splits: Sequence[str], chosen: Sequence[int], digest: str
 ) -> dict[str, Any]:
     """What the manifest says before the arrays."""
+    shown = ("name", "split", "instruction")
     return {
         "format": 1,
         "protocol": benchmark.protocol,
@@ -123,12 +119,7 @@ def _header(
         "thresholds": asdict(benchmark.thresholds),
         "workplace": asdict(benchmark.workplace),
         "objects": [
-            {
-                "object_index": i,
-                "name": benchmark.objects[i].name,
-                "split": benchmark.objects[i].split,
-                "instruction": benchmark.objects[i].instruction,
-            }
+            {"object_index": i, **{k: getattr(benchmark.objects[i], k) for k in shown}}
             for i in chosen
         ],
     }
@@ -154,13 +145,6 @@ def _hand_arrays(hands: HandSet) -> Arrays:
     }
 
 
-def _in_world(T_world_hand: torch.Tensor, point: Any, normal: Any) -> tuple[Any, Any]:
-    """Palm points and normals (B, 3) of hands at T_world_hand (B, 4, 4)."""
-    turn = T_world_hand.clone()
-    turn[:, :3, 3] = 0.0
-    return se3.apply(T_world_hand, point), se3.apply(turn, normal)
-
-
 def _trial_arrays(trials: Trials, benchmark: Benchmark, hands: Arrays) -> Arrays:
     objects = [benchmark.objects[i] for i in trials.object_index.tolist()]
     row, T = trials.hand_index.long().numpy(), trials.T_world_hand
@@ -168,7 +152,9 @@ def _trial_arrays(trials: Trials, benchmark: Benchmark, hands: Arrays) -> Arrays
     of_hand = {name: torch.from_numpy(np.asarray(array)[row]) for name, (array, _) in hands.items()
                if name in ("joints", "palm_point", "palm_normal")}  # fmt: skip
     joints = se3.apply(T[:, None], of_hand["joints"]).numpy()
-    point, normal = _in_world(T, of_hand["palm_point"], of_hand["palm_normal"])
+    turn = T.clone()
+    turn[:, :3, 3] = 0.0
+    point, normal = se3.apply(T, of_hand["palm_point"]), se3.apply(turn, of_hand["palm_normal"])
     center = (point + offset_m * normal).numpy()
     words = {
         "split": ([o.split for o in objects], "S0 free handover, S1 functional"),
@@ -231,16 +217,10 @@ def _object_arrays(o: ObjectModel, grasps: Candidates) -> Arrays:
     }
 
 
-FIXED_ROWS = [
-    "points",
-    "normals",
-    "point_part",
-    "point_receiver",
-    "occupancy",
-    "voxel_origin",
-    "com",
-    "inertia",
-]
+FIXED_ROWS = (
+    *("points", "normals", "point_part", "point_receiver"),
+    *("occupancy", "voxel_origin", "com", "inertia"),
+)
 """Arrays of an object whose number of rows does not depend on the object."""
 
 
@@ -276,16 +256,10 @@ def _readme(manifest: dict, sweep: str) -> str:
         "All arrays load with `np.load(FILE)`; `None` in a shape depends on the object.",
     ]
     for file, arrays in manifest["arrays"].items():
-        lines += [
-            "",
-            f"## {file}",
-            "",
-            "| array | type | shape | meaning |",
-            "| --- | --- | --- | --- |",
-        ]
-        lines += [
-            f"| {k} | {a['dtype']} | {a['shape']} | {a['meaning']} |" for k, a in arrays.items()
-        ]
+        head = ("| array | type | shape | meaning |", "| --- | --- | --- | --- |")
+        lines += ["", f"## {file}", "", *head]
+        for k, a in arrays.items():
+            lines.append(f"| {k} | {a['dtype']} | {a['shape']} | {a['meaning']} |")
     return "\n".join(lines) + "\n"
 
 

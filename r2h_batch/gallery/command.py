@@ -2,17 +2,12 @@
 work."""
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import LOG, UsageError
 from r2h_batch.io.write import check_output_file, check_output_folder, write_text
-
-if TYPE_CHECKING:
-    from r2h_batch.runs.store import Run
-    from r2h_batch.statistics.common import Common
 
 MOST = 20
 """Pictures of one method and outcome in a gallery."""
@@ -59,16 +54,15 @@ def report(
     if not 0 <= gallery <= MOST:
         raise UsageError(f"--gallery is {gallery}; it must be 0 to {MOST}")
     if gallery and (format != "html" or out is None):
-        raise UsageError(
-            "--gallery needs --format html and --out FILE.html, for the pages of its trials"
-        )
+        words = "--format html and --out FILE.html, for the pages of its trials"
+        raise UsageError(f"--gallery needs {words}")
     if perceived and (format != "md" or len(runs) > 1 or by_object):
         raise UsageError("--perceived prints one run as md; leave --format and --by-object out")
     if out is not None:
         check_output_file(out, overwrite=overwrite)
     if gallery and out is not None:
         check_output_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
-    from r2h_batch.compare.command import load_runs
+    from r2h_batch.compare.command import load_runs, stored_rows
     from r2h_batch.runs.store import join
 
     loaded = load_runs(runs, method)
@@ -79,11 +73,27 @@ def report(
         raise ValueError("--gallery shows one run; give one, or leave --gallery out")
     if format == "html":
         from r2h_batch.report.page import page
+        from r2h_batch.statistics.common import common_trials
 
-        pictures = (
-            _gallery_of(runs[0], method, gallery, out, benchmark) if gallery and out else None
-        )
-        text = page(stored, pictures, common=_common(loaded))
+        pictures, common = None, None
+        if gallery and out:
+            from r2h_batch.benchmark.build import BenchmarkOverrides
+            from r2h_batch.export.stored import Reader
+            from r2h_batch.gallery.pictures import gallery as draw
+            from r2h_batch.scene.offscreen import ready
+
+            ready()
+            if _pages(out).is_symlink():
+                what = f"{out.stem}_trials beside {out.name} is a link"
+                raise UsageError(f"{what}; its pages would be written elsewhere")
+            reader = Reader(runs[0], BenchmarkOverrides.of(benchmark))
+            own = reader.run.only(method)
+            pictures = draw(own, reader, gallery, _pages(out), out.parent)
+        try:
+            common = common_trials(loaded, proven=stored_rows())
+        except ValueError as error:
+            LOG.info(f"report: not compared with each other: {error}")
+        text = page(stored, pictures, common=common)
     elif perceived:
         from r2h_batch.results.reception import tables_of_run
         from r2h_batch.study.perceived import measured_trials, of_the_paper
@@ -110,39 +120,9 @@ def report(
     return 1 if stored.unfinished else 0
 
 
-def _common(runs: "Sequence[Run]") -> "Common | None":
-    """The trials that runs share; None, said in a line, where they cannot be compared."""
-    from r2h_batch.compare.command import stored_rows
-    from r2h_batch.statistics.common import common_trials
-
-    try:
-        return common_trials(runs, proven=stored_rows())
-    except ValueError as error:
-        LOG.info(f"report: not compared with each other: {error}")
-        return None
-
-
 def _pages(out: Path) -> Path:
     """The folder of a gallery's pages."""
     return out.parent / f"{out.stem}_trials"
-
-
-def _gallery_of(
-    run: Path, method: Sequence[str], n: int, out: Path, benchmark: BenchmarkFlags
-) -> dict[str, list[dict[str, str]]]:
-    """The pictures of each method, with a page of each trial."""
-    from r2h_batch.benchmark.build import BenchmarkOverrides
-    from r2h_batch.export.stored import Reader
-    from r2h_batch.gallery.pictures import gallery
-    from r2h_batch.scene.offscreen import ready
-
-    ready()
-    if _pages(out).is_symlink():
-        raise UsageError(
-            f"{out.stem}_trials beside {out.name} is a link; its pages would be written elsewhere"
-        )
-    reader = Reader(run, BenchmarkOverrides.of(benchmark))
-    return gallery(reader.run.only(method), reader, n, _pages(out), out.parent)
 
 
 def figures(

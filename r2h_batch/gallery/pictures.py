@@ -5,6 +5,7 @@ import io
 import re
 import textwrap
 from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -49,13 +50,9 @@ def first_of_each_outcome(run: Run, method: str, n: int) -> dict[str, list[int]]
         seen += len(table)
         if seen >= LOOKED_AT:
             break
-    return {o: _in_turn(list(by.values()), n) for o, by in found.items() if by}
-
-
-def _in_turn(lists: Sequence[Sequence[int]], n: int) -> list[int]:
-    """The first of each list, then the second of each, and so on: `n` in all."""
-    longest = max(map(len, lists), default=0)
-    return [one[k] for k in range(longest) for one in lists if k < len(one)][:n]
+    # the first of each object, then the second of each, and so on
+    turns = {o: zip_longest(*by.values()) for o, by in found.items() if by}
+    return {o: [t for turn in by for t in turn if t is not None][:n] for o, by in turns.items()}
 
 
 def shared_trial(run: Run, methods: Sequence[str]) -> int:
@@ -91,6 +88,8 @@ def gallery(
     Returns:
         Method -> trial, src, alt, caption, href and command of each picture.
     """
+    from PIL import Image as Pillow
+
     found: dict[str, list[dict[str, str]]] = {}
     shown = {method: first_of_each_outcome(run, method, n) for method in run.methods}
     for method in run.methods:
@@ -101,26 +100,20 @@ def gallery(
                 page = write_page(stored, pages / f"{slug}-{trial}.html")
                 words = headline(stored.row)
                 image = image_at_end(Drawing(stored), THUMBNAIL, close=outcome in CLOSE)
-                found[method].append(
-                    {
-                        "trial": str(trial),
-                        "command": f"{run.view_command(method)} {trial}",
-                        "src": _data_url(image),
-                        "alt": f"trial {trial} of {method}: {words}",
-                        "caption": f"{trial} {stored.row['object'].replace('_', ' ')}: {words}",
-                        "href": quote(page.relative_to(base).as_posix()),
-                    }
-                )
+                box, name = io.BytesIO(), stored.row["object"].replace("_", " ")
+                Pillow.fromarray(image).save(box, "JPEG", quality=QUALITY, optimize=True)
+                data = base64.b64encode(box.getvalue()).decode("ascii")
+                picture = {
+                    "trial": str(trial),
+                    "command": f"{run.view_command(method)} {trial}",
+                    "src": f"data:image/jpeg;base64,{data}",
+                    "alt": f"trial {trial} of {method}: {words}",
+                    "caption": f"{trial} {name}: {words}",
+                    "href": quote(page.relative_to(base).as_posix()),
+                }
+                found[method].append(picture)
             LOG.info(f"report: {method}: {len(trials)} of {WORDS[outcome]}")
     return found
-
-
-def _data_url(image: Image) -> str:
-    from PIL import Image as Pillow
-
-    box = io.BytesIO()
-    Pillow.fromarray(image).save(box, "JPEG", quality=QUALITY, optimize=True)
-    return f"data:image/jpeg;base64,{base64.b64encode(box.getvalue()).decode('ascii')}"
 
 
 def protocol(run: Run, reader: Reader, method: str, trial: int | None) -> tuple[Any, str]:
@@ -156,12 +149,11 @@ def methods_over_time(
     short, drawings = short_names(methods), [Drawing(reader.trial(trial, m)) for m in methods]
     view = view_of(drawings, SIZE[0] / SIZE[1])
     rows: list[list[Panel]] = []
-    for drawing in drawings:
+    names = []
+    for method, drawing in zip(methods, drawings, strict=True):
         rows.append([*images(drawing, SIZE, MOMENTS, view)])
         rows[-1] += [(None, "")] * (MOMENTS - len(rows[-1]))
-    names = [
-        f"{short[m]}\n{headline(d.stored.row)}" for m, d in zip(methods, drawings, strict=True)
-    ]
+        names.append(f"{short[method]}\n{headline(drawing.stored.row)}")
     return _grid(rows, names), f"trial {trial}"
 
 

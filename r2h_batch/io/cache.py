@@ -64,13 +64,13 @@ def matches(arrays: Mapping[str, NDArray[Any]], specs: Mapping[str, ArraySpec]) 
         for n, k in zip(a.shape, spec.shape, strict=True):
             if n != (length.setdefault(k, n) if isinstance(k, str) else k):
                 return False
-    return all(_in_bounds(arrays[name], spec, length) for name, spec in specs.items())
-
-
-def _in_bounds(a: NDArray[Any], spec: ArraySpec, length: Mapping[str, int]) -> bool:
-    if a.dtype.kind == "f":
-        return not np.isinf(a).any() if spec.gaps else bool(np.isfinite(a).all())
-    return not spec.below or not a.size or (a.min() >= 0 and a.max() < length[spec.below])
+    for name, spec in specs.items():
+        a = arrays[name]
+        if a.dtype.kind == "f" and not (~np.isinf(a) if spec.gaps else np.isfinite(a)).all():
+            return False
+        if spec.below and a.size and not (a.min() >= 0 and a.max() < length[spec.below]):
+            return False
+    return True
 
 
 def cache_folder() -> Path | None:

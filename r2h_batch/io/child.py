@@ -111,9 +111,8 @@ def answer_parent(read: Callable[[bytes, dict[str, Any]], Sequence[Any]]) -> int
     except FileError as error:
         message = str(error)
     except Exception as error:  # readers raise whatever their parser meets
-        message = (
-            f"cannot be read: {type(error).__name__}: {' '.join(printable(error).split())[:300]}"
-        )
+        words = " ".join(printable(error).split())[:300]
+        message = f"cannot be read: {type(error).__name__}: {words}"
     sys.stderr.write(f"\n{message}")
     return REFUSED
 

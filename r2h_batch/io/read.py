@@ -143,9 +143,8 @@ def path_within(folder: str | Path, name: str) -> Path:
     """
     shown, parts = repr(printable(name)), PurePosixPath(name.replace("\\", "/"))
     if ":" in name and "://" not in name and name[1:2] != ":":
-        raise FileError(
-            f"{shown}: contains a colon, which is not allowed in this name; rename the file"
-        )
+        words = "contains a colon, which is not allowed in this name"
+        raise FileError(f"{shown}: {words}; rename the file")
     if not name or ".." in parts.parts or parts.is_absolute() or ":" in name or "\0" in name:
         raise FileError(f"{shown}: points outside the folder; give a plain name beside the file")
     base = Path(folder).resolve()
@@ -187,10 +186,8 @@ def open_archive(path: str | Path, most: int) -> Iterator[zipfile.ZipFile]:
                 careful.limit = None
                 yield archive
         except _DAMAGED_ARCHIVE as error:
-            why = printable(error)
-            raise FileError(
-                f"{printable(path)}: truncated or damaged archive ({why}); write or copy it again"
-            ) from error
+            what = f"truncated or damaged archive ({printable(error)})"
+            raise FileError(f"{printable(path)}: {what}; write or copy it again") from error
 
 
 def archive_members(
@@ -294,9 +291,8 @@ def read_npz(
             name, size = member.orig_filename, member.file_size
             key = name.removesuffix(".npy")
             if name == key:
-                raise FileError(
-                    f"{shown}: member {name!r} is not an .npy array (is this a pickle?)"
-                )
+                words = "is not an .npy array (is this a pickle?)"
+                raise FileError(f"{shown}: member {name!r} {words}")
             if size > most_each:
                 raise FileError(f"{shown}: {name!r} has {size} bytes; {most_each} are allowed")
             with archive.open(member) as stream:
@@ -370,18 +366,18 @@ def read_json(path: Path, *, most: int = MAX_JSON_BYTES) -> Any:
     return found
 
 
+def _once(pairs: list[tuple[str, Any]]) -> None:
+    names = [name for name, _ in pairs]
+    if len(set(names)) != len(names):
+        raise ValueError(f"duplicate key {max(names, key=names.count)!r}")
+
+
 def _keys(value: Any) -> int:
     """How many keys a JSON value has, those in lists that do not begin with an object left out."""
     if isinstance(value, dict):
         return len(value) + sum(_keys(v) for v in value.values())
     listed = isinstance(value, list) and value and isinstance(value[0], dict)
     return sum(_keys(v) for v in value) if listed else 0
-
-
-def _once(pairs: list[tuple[str, Any]]) -> None:
-    names = [name for name, _ in pairs]
-    if len(set(names)) != len(names):
-        raise ValueError(f"duplicate key {max(names, key=names.count)!r}")
 
 
 _DECIMAL = re.compile(

@@ -40,10 +40,9 @@ def read_csv_arrays(path: Path, columns: Mapping[str, tuple[str, int]]) -> dict[
     }
     kinds = {part: columns[name][0] for name, own in parts.items() for part in own}
     with open_file(path, MAX_CSV_BYTES) as stream:
+        options = pc.ConvertOptions(column_types=kinds, null_values=[""])
         try:
-            table = pc.read_csv(
-                stream, convert_options=pc.ConvertOptions(column_types=kinds, null_values=[""])
-            )
+            table = pc.read_csv(stream, convert_options=options)
         except (pa.ArrowException, UnicodeDecodeError) as error:
             why = printable(error)[:200]
             how = "save it as CSV UTF-8, with commas"

@@ -139,10 +139,8 @@ def packed_json(data: Any, indent: int = 0) -> str:
     if len(whole) + indent <= JSON_WIDTH or not isinstance(data, (dict, list)):
         return whole
     if isinstance(data, dict):
-        names, (first, last) = [f"{json.dumps(key)}: " for key in data], "{}"
-        entries = [
-            name + packed_json(v, indent + 1) for name, v in zip(names, data.values(), strict=True)
-        ]
+        first, last = "{}"
+        entries = [f"{json.dumps(k)}: {packed_json(v, indent + 1)}" for k, v in data.items()]
     else:
         entries, (first, last) = [packed_json(v, indent + 1) for v in data], "[]"
     lines = [entries[0]]

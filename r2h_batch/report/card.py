@@ -15,7 +15,7 @@ TABLE, RESULTS, CARD = "table.md", "results.json", "README.md"
 _BODY = """
 # {title}
 
-Verdicts on robot-to-human handovers by r2h_batch {version}, protocol {protocol}: {trials}.
+Verdicts on robot-to-human handovers by r2h_batch {r2h_batch}, protocol {protocol}: {trials}.
 
 {table}
 
@@ -54,13 +54,8 @@ def write_summary(run: Run) -> None:
         ],
     }
     body = _BODY.format(
-        title=plain(run.folder.absolute().name),
-        version=table.origin["r2h_batch"],
-        protocol=table.origin["protocol"],
-        trials=table.origin["trials"],
-        table=text.split("\n\n")[2],
-        results=RESULTS,
-        table_file=TABLE,
-    )
+        **table.origin, title=plain(run.folder.absolute().name), table=text.split("\n\n")[2],
+        results=RESULTS, table_file=TABLE,
+    )  # fmt: skip
     front = yaml.safe_dump(head, sort_keys=False, allow_unicode=True)
     write_text(run.folder / CARD, f"---\n{front}---\n{body}")

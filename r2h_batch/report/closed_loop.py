@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.report.text import aligned, notes_list, plain, short_names
-from r2h_batch.runs.rows import ENDS
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics.aggregate import wilson_interval
 
@@ -29,10 +28,8 @@ def render(run: Run) -> str:
     short = short_names(run.methods)
     ends, went = [], []
     for name in run.methods:
-        rows = {
-            k: run.episodes(name)[k].to_numpy(zero_copy_only=False)
-            for k in run.episodes(name).column_names
-        }
+        episodes = run.episodes(name)
+        rows = {k: episodes[k].to_numpy(zero_copy_only=False) for k in episodes.column_names}
         verdicts = run.trials(name, ["outcome"])["outcome"].to_numpy(zero_copy_only=False)
         n, label = len(verdicts), plain(short[name])
         touched = rows["end"] == "contact"
@@ -40,19 +37,11 @@ def render(run: Run) -> str:
         won = rows["end"] == "success"
         shares = [_percent(rows["end"] == end, n) for end in SHOWN[1:]]
         touches = [_percent(by_robot, n), _percent(touched & ~by_robot, n)]
-        ends.append(
-            [label, str(n), _rate(verdicts == "success", n), _rate(won, n), *touches, *shares]
-        )
+        rates = [_rate(verdicts == "success", n), _rate(won, n)]
+        ends.append([label, str(n), *rates, *touches, *shares])
         went.append([label, *_numbers(rows, won)])
-    head = [
-        "Method",
-        "n",
-        "SR",
-        "closed loop",
-        "contact by robot",
-        "by hand",
-        *(ENDS_SHORT[e] for e in SHOWN[1:]),
-    ]
+    head = ["Method", "n", "SR", "closed loop", "contact by robot", "by hand"]
+    head += [end.replace("_", " ") for end in SHOWN[1:]]
     how = [
         "Method", "time, s", "least, cm", "slack, cm", "near speed, cm/s", "PFL", "SSM, s", "robot idle", "human idle",
         "both move", "delay",
@@ -63,9 +52,6 @@ def render(run: Run) -> str:
         notes_list(NOTES),
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
-
-
-ENDS_SHORT = {name: name.replace("_", " ") for name in ENDS}
 
 
 def _percent(hits: np.ndarray, n: int) -> str:
@@ -92,10 +78,5 @@ def _numbers(rows: dict[str, np.ndarray], won: np.ndarray) -> list[str]:
         f"{np.mean(rows[k][lived]):.2f}"
         for k in ("robot_idle", "human_idle", "concurrent", "delay")
     ]
-    return [
-        time,
-        *cm,
-        f"{rows['pfl_share'][lived].max():.2f}",
-        f"{np.mean(rows['ssm_s'][lived]):.1f}",
-        *shares,
-    ]
+    pfl, ssm = rows["pfl_share"][lived].max(), np.mean(rows["ssm_s"][lived])
+    return [time, *cm, f"{pfl:.2f}", f"{ssm:.1f}", *shares]

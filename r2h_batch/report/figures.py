@@ -83,14 +83,8 @@ def svg(figure: "Figure", title: str) -> str:
     """The figure as one <svg> element in the page's colours, as wide as its place; screen readers
     say the title."""
     text = io.StringIO()
-    figure.savefig(
-        text,
-        format="svg",
-        transparent=True,
-        bbox_inches="tight",
-        pad_inches=0.03,
-        metadata={"Date": None},
-    )
+    how: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.03, "metadata": {"Date": None}}
+    figure.savefig(text, format="svg", transparent=True, **how)
     # A tree, not a pattern over the text: only attributes get the page's colours, whatever a name
     # says.
     root = ElementTree.fromstring(text.getvalue())
@@ -117,25 +111,12 @@ def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> None:
     left = np.zeros(len(bars))
     for outcome in used:
         share = 100 * np.array([counts[outcome] for _, counts in bars]) / totals
-        axes.barh(
-            range(len(bars)),
-            share,
-            left=left,
-            height=0.7,
-            color=COLORS[outcome],
-            label=WORDS[outcome],
-        )
+        color, label = COLORS[outcome], WORDS[outcome]
+        axes.barh(range(len(bars)), share, left=left, height=0.7, color=color, label=label)
         for row, (x, width) in enumerate(zip(left, share, strict=True)):
             if width >= 9:
-                axes.text(
-                    x + width / 2,
-                    row,
-                    f"{width:.0f}",
-                    ha="center",
-                    va="center",
-                    color="#ffffff",
-                    fontsize=8,
-                )
+                how: Any = {"ha": "center", "va": "center", "color": "#ffffff", "fontsize": 8}
+                axes.text(x + width / 2, row, f"{width:.0f}", **how)
         left += share
     axes.set_yticks(range(len(bars)), [label for label, _ in bars])
     axes.set_ylim(len(bars) - 0.5, -0.5)
@@ -172,9 +153,8 @@ def ridges(
         for row, (_, h) in enumerate(known.items()):
             x = scale * (h.edges[:-1] + h.edges[1:]) / 2
             height = 0.85 * h.counts / h.counts.max()
-            axes.fill_between(
-                x, row, row - height, step="mid", color=RIDGE, alpha=0.75, linewidth=0
-            )
+            look: Any = {"step": "mid", "color": RIDGE, "alpha": 0.75, "linewidth": 0}
+            axes.fill_between(x, row, row - height, **look)
             axes.axhline(row, color=FAINT, linewidth=0.6, zorder=0)
         if zero:
             axes.axvline(0, color=INK, linewidth=0.8, linestyle=(0, (3, 3)))

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from r2h_batch.report import figures
 from r2h_batch.report.table import (
@@ -34,13 +35,8 @@ TRIALS_SHOWN = 20_000
 """Trials of all methods together that a page holds. Of a larger run it holds the first trials of
 each outcome."""
 
-MARKS = {
-    "better": "\u25b2",
-    "better here": "\u25b3",
-    "tied": "=",
-    "worse here": "\u25bd",
-    "worse": "\u25bc",
-}
+_VERDICTS = ("better", "better here", "tied", "worse here", "worse")
+MARKS = dict(zip(_VERDICTS, "\u25b2\u25b3=\u25bd\u25bc", strict=True))
 """A verdict of `compare` as one sign."""
 
 
@@ -67,13 +63,22 @@ def page(
     table = table_of(run, counted=counted)
     short = short_names(run.methods)
     runs = run.runs
+    used = [o for o in OUTCOME_NAMES if any(row.counts[o] for row in table.rows)]
+    rows = [row for row in table.rows if row.split != "Avg"]
+    bars = {m: [(row.split, row.counts) for row in rows if row.method == m] for m in run.methods}
+    found = {short[m]: breakdown.margin_histograms(run, m) for m in run.methods}
+    margins = [
+        figures.ridges(
+            c.capitalize(), {m: h[c] for m, h in found.items()}, scale=1000, unit="mm", zero=True
+        )
+        for c in CRITERIA
+    ]
+    times = breakdown.time_histograms(run, "t_exec_s")
     comparable = len(run.methods) > 1 and not (len(runs) > 1 and common is None)
     compared = compare(pair_up([run], common)) if comparable else ()
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("r2h_batch.report", "."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-    )
+    loader = jinja2.PackageLoader("r2h_batch.report", ".")
+    strict = jinja2.StrictUndefined
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=strict)
     return environment.get_template("page.html").render(
         title=", ".join(r.folder.resolve().name for r in runs),
         origin=table.origin,
@@ -82,10 +87,10 @@ def page(
         splits=list(dict.fromkeys(row.split for row in table.rows)),
         matrices=[_matrix(c) for c in compared],
         heat=_heat(counted, run.methods),
-        failures=[figures.failure_bars(short[m], _bars(table, m)) for m in run.methods],
-        legend=[(figures.WORDS[o], figures.COLORS[o]) for o in _used(table)],
-        margins=_margins(run, short),
-        times=_times(run, short),
+        failures=[figures.failure_bars(short[m], bars[m]) for m in run.methods],
+        legend=[(figures.WORDS[o], figures.COLORS[o]) for o in used],
+        margins=[figure for figure in margins if figure],
+        times=figures.ridges("T_exec", {short[m]: h for m, h in times.items()}, scale=1, unit="s"),
         co_failures=_co_failures(counted, short),
         gallery=gallery or {},
         table=_table(table),
@@ -94,15 +99,6 @@ def page(
         facts=_all_facts(runs),
         trials=_trials(run, gallery or {}),
     )
-
-
-def _bars(table: Table, method: str) -> list[tuple[str, Mapping[str, int]]]:
-    rows = [row for row in table.rows if row.method == method and row.split != "Avg"]
-    return [(row.split, row.counts) for row in rows]
-
-
-def _used(table: Table) -> list[str]:
-    return [o for o in OUTCOME_NAMES if any(row.counts[o] for row in table.rows)]
 
 
 def _cell(text: str, value: float | None, low: str = "", high: str = "", best: bool = False) -> Any:
@@ -143,9 +139,8 @@ def _rank(c: Comparison, method: str) -> dict[str, Any]:
         return {"text": NA, "value": len(c.names)}
     share = c.rank[c.ranked.index(method)]
     likely = [i + 1 for i in np.flatnonzero(share >= 0.05).tolist()]
-    text = (
-        str(likely[0]) if len(likely) == 1 else f"{likely[0]}\u2013{likely[-1]}" if likely else NA
-    )
+    ends = dict.fromkeys((likely[0], likely[-1]) if likely else (NA,))
+    text = "\u2013".join(map(str, ends))
     return {"text": text, "value": round(float((share * np.arange(1, len(share) + 1)).sum()), 4)}
 
 
@@ -181,20 +176,6 @@ def _heat(counted: Sequence[Tally], methods: Sequence[str]) -> list[dict[str, An
         }
         for split, name in sorted(places)
     ]
-
-
-def _margins(run: Run, short: Mapping[str, str]) -> list[str]:
-    found = {m: breakdown.margin_histograms(run, m) for m in run.methods}
-    drawn = []
-    for c in CRITERIA:
-        own = {short[m]: h[c] for m, h in found.items()}
-        drawn.append(figures.ridges(c.capitalize(), own, scale=1000, unit="mm", zero=True))
-    return [figure for figure in drawn if figure]
-
-
-def _times(run: Run, short: Mapping[str, str]) -> str:
-    found = breakdown.time_histograms(run, "t_exec_s")
-    return figures.ridges("T_exec", {short[m]: h for m, h in found.items()}, scale=1.0, unit="s")
 
 
 def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dict[str, Any]]:
@@ -237,18 +218,14 @@ def _trials(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]]) -> dic
     """The trials as columns of one JSON block, which the page's script filters, with the page of a
     trial and the command that shows one; the notes name the methods of which it holds a part."""
     each = max(1, TRIALS_SHOWN // len(run.methods))
-    data: dict[str, Any] = {
-        "columns": list(breakdown.SHOWN),
-        "methods": {},
-        "view": {},
-        "pages": {},
-    }
+    data: dict[str, Any] = {"columns": list(breakdown.SHOWN)}
+    data |= {name: {} for name in ("methods", "view", "pages")}
     notes = []
     for method in run.methods:
         data["view"][method] = run.view_command(method)
         data["pages"][method] = {p["trial"]: p["href"] for p in gallery.get(method, ())}
         table, total = breakdown.examples(run, method, each)
-        data["methods"][method] = [_column(table[c].to_pylist()) for c in breakdown.SHOWN]
+        data["methods"][method] = [_numbers(table[c]) for c in breakdown.SHOWN]
         if len(table) < total:
             notes.append(f"{method}: {len(table)} of {total} trials, the first of each outcome.")
     # "<" is escaped because a "</script>" in a method's name would end the block
@@ -256,10 +233,11 @@ def _trials(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]]) -> dic
     return {"block": block, "notes": notes}
 
 
-def _column(values: list[Any]) -> list[Any]:
-    if any(isinstance(v, float) for v in values):
-        return [None if v is None or not np.isfinite(v) else round(v, 5) for v in values]
-    return values
+def _numbers(column: pa.ChunkedArray) -> list[Any]:
+    values = column.to_pylist()
+    if not pa.types.is_floating(column.type):
+        return values
+    return [None if v is None or not np.isfinite(v) else round(v, 5) for v in values]
 
 
 FACTS = (

@@ -3,7 +3,7 @@ the methods paired at each level."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -93,44 +93,29 @@ def robustness(runs: Sequence[Run]) -> Robustness:
         weight[i : i + 2] += gap / 2
     counted = [{name: tally(run, name) for name in run.methods} for run in runs]
     names = [name for name in runs[0].methods if all(name in level for level in counted)]
-    lines = []
-    for run, tallies in zip(runs, counted, strict=True):
-        rows = table_of(run, counted=[tallies[name] for name in names]).rows
-        lines.append(
-            {row.method: row for row in rows}
-        )  # the last of a method: Avg, or its only split
+    # the last row of a method: Avg, or its only split
+    lines = [
+        {row.method: row for row in table_of(run, counted=[level[name] for name in names]).rows}
+        for run, level in zip(runs, counted, strict=True)
+    ]
     curves = []
     for name in names:
         own = [level[name] for level in lines]
         cells = [_by_object(level[name]) for level in counted]
-        trials = [n for _, n in cells[0]]
-        hits = [
-            np.array([level[k][0] for level in cells]) for k in range(len(trials))
-        ]  # (levels, K)
-        curves.append(
-            Curve(
-                name,
-                tuple(_known(row.rates["sr"]) for row in own),
-                tuple(
-                    _estimate([(h[0] - h[i], n) for h, n in zip(hits, trials, strict=True)])
-                    for i in range(len(runs))
-                ),
-                tuple({key: row.rates[key] for key in FAILURES} for row in own),
-                _estimate(
-                    [(weight @ h / weight.sum(), n) for h, n in zip(hits, trials, strict=True)]
-                ),
-            )
-        )
+        # (levels, K) successes and (K,) trials of each split
+        splits = [
+            (np.array([level[k][0] for level in cells]), n) for k, (_, n) in enumerate(cells[0])
+        ]
+        sr = tuple(rate for row in own if (rate := row.rates["sr"]))  # a run has trials
+        lost = [_estimate([(h[0] - h[i], n) for h, n in splits]) for i in range(len(runs))]
+        failures = tuple({key: row.rates[key] for key in FAILURES} for row in own)
+        area = _estimate([(weight @ h / weight.sum(), n) for h, n in splits])
+        curves.append(Curve(name, sr, tuple(lost), failures, area))
     pairs: tuple[tuple[Pair, ...], ...] = ((),) * len(runs)
     if len(names) > 1:
         pairs = tuple(compare(pair_up([run.only(names)]))[-1].pairs for run in runs)
     labels = tuple(f"{a:g} mm, {b:g} deg" for a, b in zip(mm, degrees, strict=True))
     return Robustness(labels, tuple(mm), tuple(curves), pairs)
-
-
-def _known(rate: Rate | None) -> Rate:
-    assert rate is not None  # a run has trials
-    return rate
 
 
 def _by_object(counted: Tally) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -164,24 +149,16 @@ def render(found: Robustness, fmt: str = "md") -> str:
     if fmt == "json":
         return json_text(asdict(found))
     if fmt == "csv":
-        return csv_text(
-            [
-                {
-                    "method": c.method,
-                    "error": level,
-                    "sr": c.sr[i].percent,
-                    "sr_low": c.sr[i].low,
-                    "sr_high": c.sr[i].high,
-                    **{key: rate and rate.percent for key, rate in c.failures[i].items()},
-                    "area": c.area.value,
-                }
-                for c in found.curves
-                for i, level in enumerate(found.levels)
-            ]
-        )
+        records = []
+        for c in found.curves:
+            for level, sr, failed in zip(found.levels, c.sr, c.failures, strict=True):
+                rates: dict[str, Any] = {"sr": sr.percent, "sr_low": sr.low, "sr_high": sr.high}
+                rates |= {key: rate and rate.percent for key, rate in failed.items()}
+                records.append({"method": c.method, "error": level, **rates, "area": c.area.value})
+        return csv_text(records)
     short = short_names([c.method for c in found.curves])
     names = [plain(short[c.method]) for c in found.curves]
-    sr = [
+    rows = [
         [name, *(f"{r.percent:.1f} [{r.low:.0f}, {r.high:.0f}]" for r in c.sr), _points(c.area)]
         for name, c in zip(names, found.curves, strict=True)
     ]
@@ -193,7 +170,7 @@ def render(found: Robustness, fmt: str = "md") -> str:
     ]
     parts = [
         "SR",
-        aligned(["Method", *found.levels, "area"], sr, 1),
+        aligned(["Method", *found.levels, "area"], rows, 1),
         "Points of SR lost",
         aligned(["Method", *found.levels[1:]], lost, 1),
         "First failures",
@@ -228,9 +205,8 @@ def figure(found: Robustness) -> "Figure":
             y = np.array([r.percent for r in c.sr])
             ends = np.array([[r.percent - r.low, r.high - r.percent] for r in c.sr]).T
             label = f"{short[c.method]} ({c.area.value:.0f})"
-            axes.errorbar(
-                found.millimetres, y, ends, marker=marker, ms=4, lw=1.2, capsize=2, label=label
-            )
+            look: Any = {"marker": marker, "ms": 4, "lw": 1.2, "capsize": 2, "label": label}
+            axes.errorbar(found.millimetres, y, ends, **look)
         ticks = [level.replace(" mm, ", "\n").removesuffix(" deg") for level in found.levels]
         axes.set_xticks(found.millimetres, ticks)
         axes.set_ylim(0, 102)

@@ -25,7 +25,7 @@ from r2h_batch.report.text import (
 )
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import FAILURES, RATES, TIMES, Mean, Rate, Row, summarise
+from r2h_batch.statistics.aggregate import FAILURES, RATES, TIMES, Rate, Row, summarise
 from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA, SPLITS
 
@@ -97,16 +97,13 @@ def table_of(run: Run, counted: Sequence[Tally] | None = None) -> Table:
     """
     tallies = [tally(run, method) for method in run.methods] if counted is None else counted
     runs = run.runs
-    robots = {
-        r.robot for r in runs if "robot" in r.header["digests"]
-    }  # none: all have the usual one
+    robots = any("robot" in r.header["digests"] for r in runs)  # else all have the usual one
     named = [(r, {"robot": r.robot} if robots else {}) for r in runs]
     origin = _joined([(r.folder.absolute().name, robot | _origin(r.header)) for r, robot in named])
-    averages = {str(r.header["configuration"].get("averages", "trials")) for r in runs}
+    configurations = [r.header["configuration"] for r in runs]
+    averages = {str(c.get("averages", "trials")) for c in configurations}
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials")
-    if all(
-        (r.header["configuration"].get("plan") or {}).get("edge_check") != "moveit" for r in runs
-    ):
+    if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
     return Table(rows, origin, shlex.join(str(r.folder) for r in runs), tuple(misses))
@@ -185,26 +182,21 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
         return csv_text([record(row) | origin for row in table.rows])
     if fmt == "json":
         rows = list(map(record, table.rows))
-        return json_text(
-            {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": table.notes}
-        )
+        about = {"format": 1, "origin": dict(table.origin)}
+        return json_text({**about, "rows": rows, "notes": table.notes})
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
 
 def cell(row: Row, column: str) -> str:
-    """One cell of Table I: rates with one decimal, seconds with two or more."""
-    if column in TIMES:
-        return _seconds(row.times[column])
-    rate = row.rates[column]
-    return NA if rate is None else f"{rate.percent:.1f}"
-
-
-def _seconds(mean: Mean) -> str:
-    """Two decimals, or two digits below 0.1 s: amortised planning takes less than a millisecond."""
-    if mean.value is None:
+    """One cell of Table I: rates with one decimal, seconds with two, or two digits below 0.1 s:
+    amortised planning takes less than a millisecond."""
+    if column in RATES:
+        rate = row.rates[column]
+        return NA if rate is None else f"{rate.percent:.1f}"
+    if (value := row.times[column].value) is None:
         return NA
-    decimals = 2 if mean.value >= 0.1 or mean.value == 0 else 1 - floor(log10(mean.value))
-    return f"{mean.value:.{decimals}f}"
+    decimals = 2 if value >= 0.1 or value == 0 else 1 - floor(log10(value))
+    return f"{value:.{decimals}f}"
 
 
 def invalid(row: Row) -> int:
@@ -363,11 +355,8 @@ def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
         if intervals:
             lines.append(" & ".join(["", "", *(_ends(row, c) for c in HEADINGS)]) + r" \\[2pt]")
     decimals = max([len(cell(r, "t_plan_s").partition(".")[2]) for r in table.rows], default=2)
-    spec = ["l", "l"]
-    for c in HEADINGS:
-        spec.append(
-            tex_number(3, 1) if c in RATES else tex_number(2, decimals if c == "t_plan_s" else 2)
-        )
+    sizes = [(3, 1) if c in RATES else (2, decimals if c == "t_plan_s" else 2) for c in HEADINGS]
+    spec = ["l", "l", *(tex_number(*size) for size in sizes)]
     times, failures = (sum(c in of for c in HEADINGS) for of in (TIMES, FAILURES))
     first_failure = 4 + times  # the split, the method and SR stand before the times
     top = [
@@ -424,9 +413,8 @@ def object_lines(run: Run, fmt: str = "md") -> str:
 
 
 def _objects_md(counted: Sequence[Tally], lines: Sequence[tuple[str, Row]]) -> str:
-    short = {
-        method: plain(name) for method, name in short_names([t.method for t in counted]).items()
-    }
+    names = short_names([t.method for t in counted])
+    short = {method: plain(name) for method, name in names.items()}
     shown = [c for c in HEADINGS if c in RATES]
     rows = []
     for name, row in lines:
@@ -434,7 +422,7 @@ def _objects_md(counted: Sequence[Tally], lines: Sequence[tuple[str, Row]]) -> s
         rows.append([row.split, name, short[row.method], str(row.n), *cells])
     head = ["Split", "Object", "Method", "N", *(HEADINGS[c] for c in shown), "SR 95 %"]
     parts = [aligned(head, rows, 3)]
-    if shortened := legend(short_names([t.method for t in counted])):
+    if shortened := legend(names):
         parts.append(notes_list(map(plain, shortened)))
     for t in counted:
         for split in t.splits:

@@ -112,11 +112,7 @@ def _parts(run: Run, method: str) -> Iterator[dict[str, pa.Table]]:
         ids = stored["poses"]["trial_id"].to_numpy()
         for i in range(0, len(ids), ROWS):
             own = pa.array(ids[i : i + ROWS])
-            yield {k: _of(table, own) for k, table in stored.items()}
-
-
-def _of(table: pa.Table, ids: pa.Array) -> pa.Table:
-    return table.filter(pc.is_in(table["trial_id"], ids))
+            yield {k: t.filter(pc.is_in(t["trial_id"], own)) for k, t in stored.items()}
 
 
 def _rows(stored: dict[str, pa.Table], judge: Judge) -> pa.Table:
@@ -184,27 +180,18 @@ def render(tables: dict[str, pa.Table]) -> str:
         label = plain(short[name])
         last = row[f"n_{STEPS[-1]}"]
         steps = [_percent((row[f"n_{step}"] > 0)[judged]) for step in STEPS]
-        both = _percent(got & row["success"])
-        funnel.append(
-            [label, str(int(judged.sum())), *steps, _percent(got[judged]), _percent(got), both]
-        )
+        shares = [*steps, _percent(got[judged]), _percent(got), _percent(got & row["success"])]
+        funnel.append([label, str(int(judged.sum())), *shares])
         chances = [chance_of_one(last[judged], row["known"][judged], k) for k in CURVE_K]
         turned = [np.nan_to_num(row["turn_deg"][judged], nan=np.inf) <= t for t in TURNS_DEG]
-        curve.append(
-            [
-                label,
-                *(f"{100 * c.mean():.1f}" if len(c) else "-" for c in chances),
-                *map(_percent, turned),
-            ]
-        )
+        curve.append([label, *map(_percent, chances), *map(_percent, turned)])
         effort.append([label, *_means(row, got)])
+    curve_head = [*(f"K={k}" for k in CURVE_K), *(f"{t} deg" for t in TURNS_DEG)]
     parts = [
         "Received, by step",
         aligned(["Method", "n", *STEPS, "received", "of all", "and success"], funnel, 1),
         "With fewer known grasps, and with less turn of the hand",
-        aligned(
-            ["Method", *(f"K={k}" for k in CURVE_K), *(f"{t} deg" for t in TURNS_DEG)], curve, 1
-        ),
+        aligned(["Method", *curve_head], curve, 1),
         "Means of the easiest grasp",
         aligned(["Method", "turn, deg", "travel, cm", "lean, deg", "effort", "RULA"], effort, 1),
         notes_list(NOTES),

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import torch
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from r2h_batch.benchmark.build import BenchmarkOverrides, benchmark_of_run
 from r2h_batch.benchmark.trials_file import LISTED
@@ -122,10 +122,8 @@ class Judge:
         optional(instance_of(BenchmarkOverrides, "flags of the benchmark"))("given", given)
         header, where = run.header, run.folder
         if header["protocol"] not in (*PROTOCOLS, LISTED):
-            known = ", ".join(PROTOCOLS)
-            raise RunError(
-                f"{where}: protocol {header['protocol']!r}; this version makes the trials of {known}"
-            )
+            words = f"this version makes the trials of {', '.join(PROTOCOLS)}"
+            raise RunError(f"{where}: protocol {header['protocol']!r}; {words}")
         config = configuration(header["configuration"], str(where))
         self.benchmark = benchmark_of_run(header, given or BenchmarkOverrides(), str(where))
         self.evaluator = Evaluator.from_benchmark(self.benchmark, config, device=device)
@@ -140,13 +138,9 @@ class Judge:
         return trials_of(self.benchmark, ids).to(self.evaluator.scene.device)
 
     def tables(
-        self,
-        trial_id: Any,
-        T_obj_ee: Any,
-        T_world_ee: Any,
-        motions: Motions | None = None,
+        self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any, motions: Motions | None = None,
         stored: Sequence[str] = (),
-    ) -> dict[str, pa.Table]:
+    ) -> dict[str, pa.Table]:  # fmt: skip
         """Tables of (N,) trials answered with (N, 4, 4) poses, or with grasps and motions, and of
         the kinds `stored`: as the sweep stores them."""
         scene, trials = self.evaluator.scene, self.trials(trial_id)
@@ -156,11 +150,10 @@ class Judge:
         )
         answers = Predictions(trials.trial_id, grasp, handover)
         every = torch.arange(len(trials), dtype=torch.int64, device="cpu")
-        given = None if motions is None else motions.padded(every, scene.device)
+        padded = None if motions is None else motions.padded(every, scene.device)
+        names = TrialNames.of(scene)
         with planning_form(self.form):
-            return judged_tables(
-                self.evaluator, trials, answers, given, stored, TrialNames.of(scene), self.loop
-            )
+            return judged_tables(self.evaluator, trials, answers, padded, stored, names, self.loop)
 
 
 def _loop_of(identity: Any, run: Run) -> tuple["Loop | None", str]:
@@ -182,29 +175,22 @@ def _loop_of(identity: Any, run: Run) -> tuple["Loop | None", str]:
 def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
     """The `EvalConfig` of a run.json; `RunError` where this version has other fields, or one is out
     of bounds."""
+    kind = TypeAdapter(EvalConfig)
     try:
-        config = TypeAdapter(EvalConfig).validate_json(json.dumps(data), strict=True)
-    except (ValidationError, ValueError) as error:
+        config = kind.validate_json(json.dumps(data), strict=True)
+    except ValueError as error:  # pydantic's ValidationError is one
         what = " ".join(str(error).split())[:200]
-        raise RunError(
-            f"{where}: its configuration cannot be judged by this version ({what})"
-        ) from None
-    again = json.loads(TypeAdapter(EvalConfig).dump_json(config))
-    data = _with_later(json.loads(json.dumps(data)))
-    if again != data:
-        odd = [k for k in {**again, **data} if again.get(k) != data.get(k)]
+        words = f"its configuration cannot be judged by this version ({what})"
+        raise RunError(f"{where}: {words}") from None
+    again, now = (json.loads(kind.dump_json(c)) for c in (config, EvalConfig()))
+    older: dict[str, Any] = json.loads(json.dumps(data))
+    if isinstance(older.get("plan"), dict):  # options that came later say what there was before
+        older["plan"] = {"hand": now["plan"]["hand"], **older["plan"]}
+    older = {k: now[k] for k in LATER_OPTIONS} | older
+    if again != older:
+        odd = [k for k in {**again, **older} if again.get(k) != older.get(k)]
         raise RunError(f"{where}: its configuration is of another version: {', '.join(odd)[:200]}")
     return config
-
-
-def _with_later(data: dict[str, Any]) -> dict[str, Any]:
-    """A run.json's configuration with the options that came later, at the value that says what
-    there was before."""
-    now = json.loads(TypeAdapter(EvalConfig).dump_json(EvalConfig()))
-    plan = data.get("plan")
-    if isinstance(plan, dict):
-        data = {**data, "plan": {"hand": now["plan"]["hand"], **plan}}
-    return {**{k: now[k] for k in LATER_OPTIONS}, **data}
 
 
 def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
@@ -267,18 +253,17 @@ def reevaluate(
         stored = {k: table.filter(pc.is_in(table["trial_id"], ids)) for k, table in stored.items()}
         if job is not None:
             differences += _other_answers(job, ids.to_numpy(), stored["poses"], judge)
-        given = entry.source.get("kind") == "motions"
-        differences += _other_rows(run, stored, given, judge)
+        as_motions = entry.source.get("kind") == "motions"
+        differences += _other_rows(run, stored, as_motions, judge)
     unequal = {d.trial_id for d in differences}
     if judge.other:
         differences = [d for d in differences if not _close(d)]
         loose = [d for d in differences if d.column.rpartition(" ")[2] in CHOICES]
         if len({d.trial_id for d in loose}) <= MOST_OTHER_CHOICES * len(chosen):
             differences = [d for d in differences if d not in loose]
-    equal = len(chosen) - len(unequal)
-    return Reevaluation(
-        method, total, len(chosen), equal, tuple(differences), job is not None, asked + judge.played
-    )
+    counts = (total, len(chosen), len(chosen) - len(unequal))
+    asked += judge.played
+    return Reevaluation(method, *counts, tuple(differences), job is not None, asked)
 
 
 def _who_answers(run: Run, entry: Entry, judge: Judge) -> tuple[Job | None, str]:
@@ -321,14 +306,14 @@ def _other_answers(job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge) -> 
 
 
 def _other_rows(
-    run: Run, stored: Mapping[str, pa.Table], given: bool, judge: Judge
+    run: Run, stored: Mapping[str, pa.Table], as_motions: bool, judge: Judge
 ) -> Iterator[Difference]:
-    """Every stored value that the evaluator does not give again bit for bit; `given`: of a file of
+    """Every stored value that the evaluator does not give again bit for bit; `as_motions`: of a file of
     motions. A motion was judged as it is where nothing was planned."""
     again: dict[str, dict[int, dict[str, Any]]] = {kind: {} for kind in COMPARED}
     poses, rows = stored["poses"], stored["trials"]
     groups: list[tuple[pa.Table, Motions | None]] = [(poses, None)]
-    if given:
+    if as_motions:
         unplanned = rows.filter(pc.is_null(rows["t_plan_s"]))["trial_id"]
         paths = stored["paths"].filter(pc.is_in(stored["paths"]["trial_id"], unplanned))
         moved = pc.is_in(poses["trial_id"], paths["trial_id"])

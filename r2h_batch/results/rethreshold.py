@@ -31,14 +31,12 @@ def values(text: str, name: str) -> tuple[float, ...]:
             low, high, step = map(parse_number, text.split(":"))
             if not (step > 0 and high >= low and (high - low) / step < MAX_POINTS):
                 raise ValueError
-            return tuple(
-                round(low + i * step, 12) for i in range(int((high - low) / step + 1e-9) + 1)
-            )
+            steps = int((high - low) / step + 1e-9)
+            return tuple(round(low + i * step, 12) for i in range(steps + 1))
         return tuple(parse_number(part.strip()) for part in text.split(","))
     except ValueError:
-        raise ValueError(
-            f"--{name} is {text!r}; it must be METRES, A,B,... or LOW:HIGH:STEP in plain decimal digits"
-        ) from None
+        allowed = "METRES, A,B,... or LOW:HIGH:STEP in plain decimal digits"
+        raise ValueError(f"--{name} is {text!r}; it must be {allowed}") from None
 
 
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
@@ -58,13 +56,9 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
                     for rate, entry in FAILURES.items():
                         failed = 100 * counts[list(RATES[rate])].sum() / n
                         rates.append(f"{failed:.1f}" if SPLITS[k] in entry.splits else NA)
-                    key = [
-                        f"{v:.4g}"
-                        for v in (point.reach_radius_m, point.w_max_m, point.safe_margin_m)
-                    ]
-                    lines.append(
-                        [short[method], SPLITS[k], *key, *rates, str(point.undecided[method])]
-                    )
+                    at = (point.reach_radius_m, point.w_max_m, point.safe_margin_m)
+                    cells = [*(f"{v:.4g}" for v in at), *rates, str(point.undecided[method])]
+                    lines.append([short[method], SPLITS[k], *cells])
     parts = [
         "Rates in percent of all planned trials, thresholds in metres, computed from stored margins.",
         aligned(["Method", "Split", "r_h", "w_max", "safe", *shown, "undecided"], lines, 2),

@@ -16,16 +16,8 @@ import r2h_batch
 from r2h_batch.io.read import open_file
 
 PACKAGES = (
-    "mujoco",
-    "mujoco-warp",
-    "numpy",
-    "pyarrow",
-    "pytorch-kinematics",
-    "scikit-learn",
-    "scipy",
-    "torch",
-    "trimesh",
-    "warp-lang",
+    *("mujoco", "mujoco-warp", "numpy", "pyarrow", "pytorch-kinematics", "scikit-learn"),
+    *("scipy", "torch", "trimesh", "warp-lang"),
 )
 """Packages whose version can change a verdict or a time."""
 
@@ -43,19 +35,8 @@ def versions() -> dict[str, str]:
 
 
 ONLY_READ_ROWS = (
-    "statistics",
-    "report",
-    "export",
-    "study",
-    "compare",
-    "results",
-    "gallery",
-    "imports.py",
-    "ls.py",
-    "submission.py",
-    "loggers.py",
-    "command_line.py",
-    "__main__.py",
+    *("statistics", "report", "export", "study", "compare", "results", "gallery", "imports.py"),
+    *("ls.py", "submission.py", "loggers.py", "command_line.py", "__main__.py"),
 )
 """Folders and modules of the package that look at rows or at command lines: no row depends on
 them."""
@@ -80,9 +61,7 @@ def code_digest() -> str:
         files = {key: p for key, p in files.items() if key.parts[0] != name}
         if folder is not None:
             files |= {p.relative_to(folder): p for p in _sources(folder / name, kinds)}
-    judging = [
-        key for key in files if key.parts[0] not in ONLY_READ_ROWS and key.name != "__main__.py"
-    ]
+    judging = (k for k in files if k.parts[0] not in ONLY_READ_ROWS and k.name != "__main__.py")
     return file_digest(files[key] for key in sorted(judging))
 
 
@@ -98,11 +77,8 @@ def file_digest(paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
         with open_file(path, MAX_BYTES) as file:  # a user may name a pipe
-            digest.update(
-                path.name.encode()
-                + b"\0"
-                + hashlib.file_digest(cast(io.BufferedReader, file), "sha256").digest()
-            )
+            content = hashlib.file_digest(cast(io.BufferedReader, file), "sha256")
+            digest.update(path.name.encode() + b"\0" + content.digest())
     return digest.hexdigest()
 
 
@@ -112,20 +88,11 @@ def git_commit() -> str | None:
     root = Path(r2h_batch.__file__).resolve().parent.parent
     if not (root / ".git").exists():
         return None
-    command = [
-        "git",
-        "-C",
-        str(root),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=40",
-        "--exclude=*",
-    ]
+    describe = ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    command = ["git", "-C", str(root), *describe]
     try:
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=10, check=True
-        ).stdout.strip()
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
+        return done.stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None
 

@@ -75,12 +75,8 @@ TRIAL_SCHEMA = pa.schema(
 )
 LATER_COLUMNS = (
     *(f"margin_kind_{c}" for c in CRITERIA),
-    "nearest_pair",
-    "width_m",
-    "presented",
-    "presented_angle_deg",
-    "presented_distance_m",
-    "body_m",
+    *("nearest_pair", "width_m", "presented", "presented_angle_deg"),
+    *("presented_distance_m", "body_m"),
 )
 """Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""
 
@@ -210,6 +206,12 @@ def _trial_columns(trials: "Trials", names: TrialNames) -> dict[str, Any]:
     }
 
 
+_SCORE_FLOATS = (
+    *("width_m", "presented_angle_deg", "presented_distance_m"),
+    *("t_plan_s", "t_exec_s", "body_m"),
+)
+
+
 def score_rows(
     trials: "Trials", scores: "Scores", names: TrialNames, t_method_s: Any = None
 ) -> pa.Table:
@@ -224,30 +226,22 @@ def score_rows(
     pair, has_path = _array(scores.plan_pair).astype(np.int32), _array(scores.path_len) > 0
     pairs = [p.name.lower() for p in CollidingPair]
     seconds = np.full(len(ids), np.nan, np.float32) if t_method_s is None else t_method_s
+    nowhere = np.isnan(_array(scores.presented_angle_deg))
     columns = {
         **_trial_columns(trials, names),
         "outcome": _named(scores.outcome, OUTCOME_NAMES),
-        **{
-            f"passed_{c}": pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
-            for i, c in enumerate(CRITERIA)
-        },
-        **{f"margin_{c}_m": _floats(margin[:, i]) for i, c in enumerate(CRITERIA)},
-        **{f"margin_kind_{c}": _named(kind[:, i] - 1, KINDS) for i, c in enumerate(CRITERIA)},
         "plan_reason": _named(scores.plan_reason, [r.name.lower() for r in PlanReason]),
         "plan_pair": _named(np.where(has_path | (pair == CollidingPair.NONE), -1, pair), pairs),
         "nearest_pair": _named(np.where(has_path & (pair != CollidingPair.NONE), pair, -1), pairs),
-        "width_m": _floats(scores.width_m),
         "borderline": pa.array(_array(scores.borderline), pa.bool_()),
-        "presented": pa.array(
-            _array(scores.presented), pa.bool_(), mask=np.isnan(_array(scores.presented_angle_deg))
-        ),
-        "presented_angle_deg": _floats(scores.presented_angle_deg),
-        "presented_distance_m": _floats(scores.presented_distance_m),
-        "t_plan_s": _floats(scores.t_plan_s),
-        "t_exec_s": _floats(scores.t_exec_s),
+        "presented": pa.array(_array(scores.presented), pa.bool_(), mask=nowhere),
         "t_method_s": _floats(seconds),
-        "body_m": _floats(scores.body_m),
+        **{name: _floats(getattr(scores, name)) for name in _SCORE_FLOATS},
     }
+    for i, c in enumerate(CRITERIA):
+        columns[f"passed_{c}"] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
+        columns[f"margin_{c}_m"] = _floats(margin[:, i])
+        columns[f"margin_kind_{c}"] = _named(kind[:, i] - 1, KINDS)
     return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
 
 

@@ -29,7 +29,7 @@ import socket
 import stat
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -44,6 +44,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
+from r2h_batch.command_line import nearest
 from r2h_batch.io.read import FileError, kind_of, open_file, printable, read_file
 from r2h_batch.io.read import read_json as read_any_json
 from r2h_batch.io.tables import check_decoded_size
@@ -77,15 +78,8 @@ SCHEMAS = {
 """Kind of table (and folder) -> its columns, for an arm of six joints."""
 
 IDENTITY = (
-    "format",
-    "protocol",
-    "trials",
-    "configuration",
-    "digests",
-    "seed",
-    "device",
-    "versions",
-    "stored",
+    *("format", "protocol", "trials", "configuration", "digests"),
+    *("seed", "device", "versions", "stored"),
 )
 """Fields of run.json that two sweeps must share to use one folder; of `device` only the kind."""
 
@@ -208,13 +202,8 @@ def _open_own(path: Path, flags: int) -> int:
 _claims: set[BinaryIO] = set()  # open files of this process that may hold a lock
 
 
-def _leave_claims_to_the_parent() -> None:
-    """A fork shares its parent's locks, and would hold them after the parent's death."""
-    while _claims:
-        _claims.pop().close()
-
-
-os.register_at_fork(after_in_child=_leave_claims_to_the_parent)
+# A fork shares its parent's locks, and would hold them after the parent's death.
+os.register_at_fork(after_in_child=lambda: [_claims.pop().close() for _ in list(_claims)])
 
 
 @contextmanager
@@ -227,7 +216,13 @@ def claim(path: Path) -> Iterator[bool]:
     with open(_open_own(path, os.O_RDWR), "r+b", buffering=0) as lock:
         _claims.add(lock)
         try:
-            own = _locked(lock)
+            own = True
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                own = error.errno in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
+                if not own and not isinstance(error, BlockingIOError):
+                    raise
             if own:
                 with suppress(OSError):  # a full disk, or a pipe: only the name is missing
                     os.ftruncate(lock.fileno(), 0)
@@ -235,17 +230,6 @@ def claim(path: Path) -> Iterator[bool]:
             yield own
         finally:
             _claims.discard(lock)
-
-
-def _locked(lock: BinaryIO) -> bool:
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError as error:
-        if error.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
-            raise
-    return True
 
 
 def in_the_way(path: Path, *, folder: bool = False) -> str:
@@ -262,10 +246,10 @@ def in_the_way(path: Path, *, folder: bool = False) -> str:
 
 def trouble_in(folder: Path, error: OSError) -> str:
     """One line about an error while the folder was written: the file and what to do; or empty."""
-    for name in (error.filename2, error.filename):
-        if not isinstance(name, (str, bytes, os.PathLike)):
-            continue
-        place = Path(os.path.abspath(os.fsdecode(name)))
+    names = [
+        n for n in (error.filename2, error.filename) if isinstance(n, (str, bytes, os.PathLike))
+    ]
+    for place in (Path(os.path.abspath(os.fsdecode(name))) for name in names):
         if not place.is_relative_to(folder):
             continue
         place = place.with_name(re.sub(r"^\.(.+)\.[0-9a-f]{32}\.tmp$", r"\1", place.name))
@@ -318,9 +302,8 @@ class _Device(_Open):
     name: Text
 
 
-class _Versions(BaseModel):
-    model_config = ConfigDict(strict=True, extra="allow")
-    __pydantic_extra__: dict[str, Text]
+class _Versions(_Open):
+    __pydantic_extra__: dict[str, Text]  # type: ignore[assignment]
     r2h_batch: Text
 
 
@@ -534,18 +517,17 @@ MOST_NEAR = 1000
 def _near(folder: Path) -> str:
     """The run that a path that is none may mean: the newest one inside it, or one of nearly its
     name beside it; empty where there is none."""
-
-    def runs_in(place: Path) -> list[Path]:
+    runs: list[list[Path]] = []
+    for place in (folder, folder.parent):
+        names: list[str] = []
         with suppress(OSError):
-            names = itertools.islice(os.scandir(place), MOST_NEAR)
-            return [place / e.name for e in names if (place / e.name / "run.json").is_file()]
-        return []
-
-    if inside := runs_in(folder):
+            names = [e.name for e in itertools.islice(os.scandir(place), MOST_NEAR)]
+        runs.append([place / n for n in names if (place / n / "run.json").is_file()])
+    inside, beside = runs
+    if inside:
         return str(max(inside, key=lambda p: (p / "run.json").stat().st_mtime))
-    siblings = {p.name: p for p in runs_in(folder.parent)}
-    close = difflib.get_close_matches(folder.name, list(siblings), n=1)
-    return str(siblings[close[0]]) if close else ""
+    close = difflib.get_close_matches(folder.name, [p.name for p in beside], n=1)
+    return str(folder.parent / close[0]) if close else ""
 
 
 def read_header(folder: Path) -> dict[str, Any]:
@@ -556,8 +538,8 @@ def read_header(folder: Path) -> dict[str, Any]:
         raise RunError(f"{printable(folder)}: no run.json, so it is not a run folder{near}")
     data = read_json(path)
     if data.get("format") != FORMAT:
-        given = f"{printable(data.get('format'))!r:.40}"
-        raise RunError(f"{path}: format {given}; this version reads format {FORMAT}")
+        shown = f"{printable(data.get('format'))!r:.40}"
+        raise RunError(f"{path}: format {shown}; this version reads format {FORMAT}")
     header = _check_header(data, path)
     if header["hash"] != run_hash(header):
         words = "restore it, or sweep into another --out"
@@ -745,9 +727,8 @@ def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
     if pa.types.is_dictionary(field.type):
         for chunk in column.chunks:
             words = chunk.dictionary.to_pylist()[: MAX_WORDS + 1]
-            if len(words) > MAX_WORDS or not all(
-                w and len(w) <= 200 and w.isprintable() for w in words
-            ):
+            names = all(w and len(w) <= 200 and w.isprintable() for w in words)
+            if len(words) > MAX_WORDS or not names:
                 return "holds an entry that is not a name; sweep again"
             if field.name == "outcome" and (odd := set(words) - set(OUTCOME_NAMES)):
                 return f"holds {min(odd)!r}; known are {', '.join(OUTCOME_NAMES)}"
@@ -785,11 +766,6 @@ def write_labels(folder: Path, labels: Mapping[int, tuple[str, str]]) -> None:
         rows = csv.writer(file)
         rows.writerow(["trial_id", "id", "variant"])
         rows.writerows([i, *map(csv_cell, pair)] for i, pair in labels.items())
-
-
-def _plain_cell(text: str) -> str:
-    """The text that `csv_cell` made safe for spreadsheets."""
-    return text[1:] if csv_cell(text[1:]) == text else text
 
 
 # Reading.
@@ -838,13 +814,14 @@ class Run:
         path = self.folder / LABELS
         if not path.exists():
             return {}
+
+        def cell(text: str) -> str:
+            return text[1:] if csv_cell(text[1:]) == text else text  # safe for spreadsheets
+
         with open_file(path, MAX_LABELS_BYTES) as stream:
             rows = csv.DictReader(TextIOWrapper(stream, encoding="utf-8", newline=""), strict=True)
             try:
-                return {
-                    int(r["trial_id"]): (_plain_cell(r["id"]), _plain_cell(r["variant"]))
-                    for r in rows
-                }
+                return {int(r["trial_id"]): (cell(r["id"]), cell(r["variant"])) for r in rows}
             except (KeyError, TypeError, ValueError, csv.Error):
                 words = "needs the columns trial_id, id, variant; run the sweep again to write it"
                 raise RunError(f"{path}: {words}") from None
@@ -880,10 +857,8 @@ class Run:
         if found:
             words = f"{word!r} answered several times: {', '.join(found)}; give one of these names"
             raise RunError(f"{self.folder}: {words}")
-        close = difflib.get_close_matches(word, names, n=1)
-        hint = f", did you mean {close[0]}?" if close else ""
         has = ", ".join(names) or "none"
-        raise RunError(f"{self.folder}: no method {word!r}{hint}; it has {has}")
+        raise RunError(f"{self.folder}: no method {word!r}{nearest(word, names)}; it has {has}")
 
     def only(self, words: Sequence[str]) -> "Run":
         """The same run with these methods alone (see `named`), in stored order; empty: all."""
@@ -903,9 +878,9 @@ class Run:
         with suppress(RunError):
             name = word if run.named(word) == name else name
         flags = (entry.header.get("benchmark") or {}).get("flags") or []
-        given = [f.split() for f in flags if not f.startswith(("--protocol", "--receiver"))]
+        own_flags = [f.split() for f in flags if not f.startswith(("--protocol", "--receiver"))]
         words = ["r2h-batch", "view", str(entry.folder), "--method", name]
-        return shlex.join([*words, *itertools.chain(*given), "--trial"])
+        return shlex.join([*words, *itertools.chain(*own_flags), "--trial"])
 
     def planned(self, method: str) -> dict[str, int]:
         """Split -> trials that a method was asked."""
@@ -997,8 +972,8 @@ class Run:
             table = entry.table("trials", receipt, columns)
             for name in table.column_names:
                 column = table[name].combine_chunks()
-                given = column.is_valid().to_numpy(zero_copy_only=False)
-                hashes[name, "given"].update(given.tobytes())
+                valid = column.is_valid().to_numpy(zero_copy_only=False)
+                hashes[name, "valid"].update(valid.tobytes())
                 hashes[name, "value"].update(_plain(column).tobytes())
         return hashlib.sha256(b"".join(h.digest() for h in hashes.values())).hexdigest()
 
@@ -1097,7 +1072,7 @@ def problems_of(entry: Entry, number: int, files: Sequence[Path]) -> list[Proble
             for kind, stored in receipt["files"].items():
                 file = entry.folder / stored["path"]
                 known.add(file)
-                if what := _damage(file, stored) or _wrong_rows(entry.header, receipt, kind, file):
+                if what := _damage(file, stored) or _wrong_rows(entry, receipt, kind, file):
                     found.append(Problem(entry.name, shard, file, what))
     foreign = [f for f in files if f not in known]
     return found + [Problem(entry.name, None, f, "foreign: no receipt names it") for f in foreign]
@@ -1125,34 +1100,23 @@ def _damage(file: Path, stored: Mapping[str, Any]) -> str:
     return "" if sha256_of(file) == stored["sha256"] else "flipped bits: differs from its sha256"
 
 
-def _wrong_rows(
-    header: Mapping[str, Any], receipt: Mapping[str, Any], kind: str, file: Path
-) -> str:
+def _wrong_rows(entry: Entry, receipt: Mapping[str, Any], kind: str, file: Path) -> str:
     """What is wrong with the trials of a stored file; empty: nothing.
 
     sha256 finds damage; this finds rows of other trials that somebody stored with a sha256 to
     match. `results reevaluate` finds a forged verdict.
     """
-    first, last, every = receipt["first"], receipt["last"], kind == "trials"
+    try:
+        table = entry.table(kind, receipt, ["trial_id"])
+    except RunError as error:
+        return str(error).removeprefix(f"{file}: ")
+    first, last = receipt["first"], receipt["last"]
     exact = last - first
     if kind in ("details", "poses", "episodes"):  # a row of each trial that was answered
         exact -= sum(counts.get("missing", 0) for counts in receipt["outcomes"].values())
-    try:
-        with pq.ParquetFile(file) as stored:
-            rows = stored.metadata.num_rows
-            if rows > exact or (
-                kind in ("trials", "details", "poses", "episodes") and rows != exact
-            ):
-                return f"holds {rows} rows, planned were {exact}"
-            if "trial_id" not in stored.schema_arrow.names:
-                return "column 'trial_id' is missing"
-            check_decoded_size(stored, _most_decoded(kind, last - first), "its rows", ["trial_id"])
-            table = stored.read(columns=["trial_id"])
-    except (FileError, OSError, pa.ArrowException) as error:
-        return f"cannot be read ({printable(error)[:300]})"
-    if what := _wrong_column(table["trial_id"], SCHEMAS[kind].field("trial_id")):
-        return f"column 'trial_id' {what}"
-    return _not_as_planned(header, first, last, table, every=every)
+    if len(table) > exact or (kind not in ("paths", "failures") and len(table) != exact):
+        return f"holds {len(table)} rows, planned were {exact}"
+    return _not_as_planned(entry.header, first, last, table, every=kind == "trials")
 
 
 def _not_as_planned(
@@ -1360,9 +1324,8 @@ class RunFolder:
         if found != planned:
             raise RunError(f"{where} has {found} rows, planned were {planned}")
         for kind, table in tables.items():
-            if what := _not_as_planned(
-                self.header, shard.first, shard.last, table, every=kind == "trials"
-            ):
+            first, last, every = shard.first, shard.last, kind == "trials"
+            if what := _not_as_planned(self.header, first, last, table, every=every):
                 raise RunError(f"{where}, {kind}: {what}; nothing was stored")
         failed = ["failures"] if len(tables["failures"]) else []
         files: dict[str, dict[str, Any]] = {}
@@ -1370,32 +1333,27 @@ class RunFolder:
             for kind in ("trials", *self.header["stored"], *failed):
                 files[kind] = self._file(kind, entry.slug, shard, tables[kind], method)
             receipt = {
-                "run": self.header["hash"],
-                "method": method,
-                "first": shard.first,
-                "last": shard.last,
-                "outcomes": outcomes,
-                "files": files,
-                "seconds": round(seconds, 3),
-                "host": socket.gethostname(),
+                "run": self.header["hash"], "method": method,
+                "first": shard.first, "last": shard.last,
+                "outcomes": outcomes, "files": files,
+                "seconds": round(seconds, 3), "host": socket.gethostname(),
                 "written": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-            }
+            }  # fmt: skip
             won = write_json_once(entry.receipt_path(shard), receipt)
         except BaseException:
-            self._remove(files, keep=())
+            self._remove(files)
             raise
         if not won:
-            winner = read_json(entry.receipt_path(shard))
-            self._remove(files, keep=[f["path"] for f in winner["files"].values()])
+            winner = read_json(entry.receipt_path(shard))["files"]
+            kept = [f["path"] for f in winner.values()]
+            self._remove({k: f for k, f in files.items() if f["path"] not in kept})
         for path in (entry.quarantine_path(shard), self._begun(method, shard)):
             path.unlink(missing_ok=True)
         return won
 
-    def _remove(self, files: Mapping[str, Mapping[str, Any]], keep: Collection[str]) -> None:
-        """Delete stored tables that no receipt names."""
+    def _remove(self, files: Mapping[str, Mapping[str, Any]]) -> None:
         for file in files.values():
-            if file["path"] not in keep:
-                (self.folder / file["path"]).unlink(missing_ok=True)
+            (self.folder / file["path"]).unlink(missing_ok=True)
 
     def _file(
         self, kind: str, slug: str, shard: Shard, table: pa.Table, method: str
@@ -1407,27 +1365,18 @@ class RunFolder:
         base = self.folder / kind / slug / shard.name
         base.parent.mkdir(parents=True, exist_ok=True)
         temporary = temporary_name(base)
-        metadata = {
-            "r2h_batch.format": str(FORMAT),
-            "r2h_batch.method": method,
-            "r2h_batch.run": self.header["hash"],
-        }
+        metadata = {"format": str(FORMAT), "method": method, "run": self.header["hash"]}
+        metadata = {f"r2h_batch.{name}": value for name, value in metadata.items()}
         fields = list(SCHEMAS[kind])
         floats = [f.name for f in fields if f.type == pa.float32() and f.name not in TIMING]
         words = [f.name for f in fields if pa.types.is_dictionary(f.type) or f.name in TIMING]
+        encoding = {"trial_id": "DELTA_BINARY_PACKED"} | dict.fromkeys(floats, "BYTE_STREAM_SPLIT")
         try:
             pq.write_table(
-                table.replace_schema_metadata(metadata),
-                temporary,
-                row_group_size=max(len(table), 1),
-                compression="zstd",
-                compression_level=6,
-                use_dictionary=words,
-                column_encoding={
-                    "trial_id": "DELTA_BINARY_PACKED",
-                    **dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
-                },
-            )
+                table.replace_schema_metadata(metadata), temporary,
+                row_group_size=max(len(table), 1), compression="zstd", compression_level=6,
+                use_dictionary=words, column_encoding=encoding,
+            )  # fmt: skip
             sync_file(temporary)
             sha256, size = sha256_of(temporary), temporary.stat().st_size
             name = f"{kind}/{slug}/{shard.name}-{sha256[:16]}.parquet"
@@ -1493,8 +1442,6 @@ def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = Tru
         words = f"another run, which differs in {', '.join(fields)}"
         raise RunError(f"{folder}: {words}; {OTHER_OUT}")
     if exact and wanted and wanted != old["shard_trials"]:
-        words = (
-            f"has shards of {old['shard_trials']} trials; the command wants {wanted}; {OTHER_OUT}"
-        )
-        raise RunError(f"{folder}: {words}")
+        words = f"has shards of {old['shard_trials']} trials; the command wants {wanted}"
+        raise RunError(f"{folder}: {words}; {OTHER_OUT}")
     return RunFolder(folder, old, header.get("command", ()))

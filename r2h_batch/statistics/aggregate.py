@@ -227,17 +227,15 @@ def group_row(counted: Tally, split: str, name: str | None = None) -> Row:
     for rate, entry in FAILURES.items():
         if split not in entry.splits:
             if failed := sum(counts[o] for o in RATES[rate]):
-                raise ValueError(
-                    f"{counted.method}: {failed} {split} trials failed {entry.name.capitalize()}, which {split} skips"
-                )
+                what = f"trials failed {entry.name.capitalize()}, which {split} skips"
+                raise ValueError(f"{counted.method}: {failed} {split} {what}")
             rates[rate] = None
     sums = {key: float(counted.sums[key][inside].sum()) for key in SUMMED}
     known = {key: int(counted.counts[key][inside].sum()) for key in SUMMED}
-    means = {
-        key: Mean(sums[key] / known[key] if known[key] else None, known[key]) for key in SECONDS
-    }
+    means = {k: Mean(sums[k] / known[k] if known[k] else None, known[k]) for k in SECONDS}
     plan, execution = means["t_plan_s"], means["t_exec_s"]
     total = None if plan.value is None or execution.value is None else plan.value + execution.value
+    means["t_tot_s"] = Mean(total, execution.count)
     total_by_object = np.bincount(counted.object[inside], count)
     success_by_object = np.bincount(counted.object[inside], count * (outcome == Outcome.SUCCESS))
     return Row(
@@ -248,12 +246,8 @@ def group_row(counted: Tally, split: str, name: str | None = None) -> Row:
         rates=rates,
         sr_new_objects=clustered_rate(success_by_object, total_by_object),
         n_objects=int((total_by_object > 0).sum()),
-        times={
-            key: Mean(total, execution.count) if key == "t_tot_s" else means[key] for key in TIMES
-        },
-        presented=_rate(round(sums["presented"]), known["presented"]),
-        body_met=_rate(round(sums["body_met"]), known["body_met"]),
-        through=_rate(round(sums["through"]), known["through"]),
+        times={k: means[k] for k in TIMES},
+        **{k: _rate(round(sums[k]), known[k]) for k in ("presented", "body_met", "through")},
     )
 
 

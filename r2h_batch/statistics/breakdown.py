@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.runs.columns import FAILED, PATTERNS, UNEVALUATED, codes
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics.aggregate import Row, group_row
-from r2h_batch.statistics.tally import Tally
+from r2h_batch.statistics.tally import FAILED, PATTERNS, UNEVALUATED, Tally, codes
 from r2h_batch.verdicts import CRITERIA, SPLITS
 
 
@@ -29,15 +28,10 @@ class CoFailures:
 
 def co_failures(counted: Tally, split: str | None = None) -> CoFailures:
     """Which criteria fail together among the trials of a split, or among all."""
-    inside = (
-        np.ones(len(counted.n), bool) if split is None else counted.split == SPLITS.index(split)
-    )
-    pattern, n = PATTERNS[counted.pattern[inside]], counted.n[inside]
-    failed, evaluated = pattern == FAILED, pattern != UNEVALUATED
-    return CoFailures(
-        np.einsum("k,ki,kj->ij", n, failed, failed),
-        np.einsum("k,ki,kj->ij", n, evaluated, evaluated),
-    )
+    n = counted.n if split is None else counted.n * (counted.split == SPLITS.index(split))
+    pattern = PATTERNS[counted.pattern]
+    both = [np.einsum("k,ki,kj->ij", n, x, x) for x in (pattern == FAILED, pattern != UNEVALUATED)]
+    return CoFailures(*both)
 
 
 def by_object(counted: Tally) -> tuple[tuple[str, Row], ...]:
@@ -122,9 +116,8 @@ def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
             kept.append(table)
             continue
         outcome = codes(table, "outcome", OUTCOME_NAMES)
-        rows = np.concatenate(
-            [np.flatnonzero(outcome == k)[: max(each - counts[k], 0)] for k in range(MISSING + 1)]
-        )
+        room = np.maximum(each - counts, 0)
+        rows = np.concatenate([np.flatnonzero(outcome == k)[:n] for k, n in enumerate(room)])
         counts += np.bincount(outcome[rows], minlength=MISSING + 1)
         kept.append(table.take(pa.array(np.sort(rows))))
     return pa.concat_tables(kept).unify_dictionaries(), total

@@ -55,21 +55,17 @@ def common_trials(
         if what := _differing(first, run, proven, across_robots):
             advice = "sweep both methods with the same version and options"
             if {first.folder, run.folder} & set(proven):
-                advice = (
-                    "the shipped baselines have the default options and protocol, with --sim mujoco"
-                    " and with --sim none: sweep like that"
-                )
+                shipped = "the shipped baselines have the default options and protocol"
+                advice = f"{shipped}, with --sim mujoco and with --sim none: sweep like that"
             if what.startswith("robot"):
                 advice = "compare --across-robots takes a trial's number for the same trial"
-            raise ValueError(
-                f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired; {advice}"
-            )
+            found = f"{first.folder} and {run.folder} differ in {what}"
+            raise ValueError(f"{found}: their trials cannot be paired; {advice}")
     plans = [run.header["trials"] for run in runs]
     trials = {s: min(p[s] for p in plans) for s in SPLITS if all(p.get(s) for p in plans)}
     if not trials:
-        raise ValueError(
-            f"{' and '.join(str(r.folder) for r in runs)} share no split; sweep the same --splits"
-        )
+        folders = " and ".join(str(r.folder) for r in runs)
+        raise ValueError(f"{folders} share no split; sweep the same --splits")
     if any({s: n for s, n in p.items() if n} != trials for p in plans):
         shared = ", ".join(f"{n} {s}" for s, n in trials.items())
         notes.append(

@@ -10,11 +10,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from r2h_batch.io.read import printable
-from r2h_batch.runs.columns import codes
 from r2h_batch.runs.store import Run, robot_words
 from r2h_batch.statistics.aggregate import ratio
 from r2h_batch.statistics.common import Common, common_trials
-from r2h_batch.statistics.tally import check_planned
+from r2h_batch.statistics.tally import check_planned, codes
 from r2h_batch.validate import array, check_arguments, instance_of, integer, optional, sequence_of
 from r2h_batch.verdicts import SPLITS, Outcome
 
@@ -186,9 +185,8 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
     streams = []
     for run in runs:
         if run.unfinished:
-            raise ValueError(
-                f"{run.folder}: {run.unfinished[0]!r} is not complete; run its sweep again to go on"
-            )
+            words = f"{run.unfinished[0]!r} is not complete; run its sweep again to go on"
+            raise ValueError(f"{run.folder}: {words}")
         streams += [_Stream(run, method, common.trials) for method in run.methods]
     if len(streams) < 2:
         only = ", ".join(s.method for s in streams) or "none"
@@ -196,16 +194,14 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
     paired = _counted(streams)
     once = _once(streams, paired)
     if len(once) < 2:
-        raise ValueError(
-            f"{streams[0].method!r} is given {len(streams)} times ({', '.join(str(s.run.folder) for s in streams)}): "
-            "one method is nothing to compare; give a second one"
-        )
+        folders = ", ".join(str(s.run.folder) for s in streams)
+        what = f"{streams[0].method!r} is given {len(streams)} times ({folders})"
+        raise ValueError(f"{what}: one method is nothing to compare; give a second one")
     left_out = [s for i, s in enumerate(streams) if i not in once]
     names = _names([streams[i] for i in once])
     if len(set(names)) != len(names):
-        raise ValueError(
-            f"two runs of one name hold {next(n for n in names if names.count(n) > 1)!r}; rename a folder"
-        )
+        twice = max(names, key=names.count)
+        raise ValueError(f"two runs of one name hold {twice!r}; rename a folder")
     notes = [f"{s.run.folder}: {s.method} is given twice, and counted once." for s in left_out]
     kept = paired.only[:, once][:, :, once]
     places = tuple(next(k for k, run in enumerate(runs) if run is streams[i].run) for i in once)
@@ -222,16 +218,20 @@ def _counted(streams: Sequence["_Stream"]) -> Paired:
     groups = []
     # every stream says at its end whether it had as many rows as planned
     for pieces in zip(*(s.pieces() for s in streams), strict=True):
-        _check_same_trials(streams, pieces)
+        for stream, rows in zip(streams[1:], pieces[1:], strict=True):
+            first, other = streams[0].method, stream.method
+            if not pieces[0]["trial_id"].equals(rows["trial_id"]):
+                words = f"{other!r} has other trial ids than {first!r}"
+                raise ValueError(f"{stream.run.folder}: {words}")
+            if not pieces[0]["object"].equals(rows["object"]):
+                raise ValueError(f"{other} and {first} have other objects in the same trials")
         objects |= dict.fromkeys(pc.unique(pieces[0]["object"]).to_pylist())
         columns = {key: pieces[0][key] for key in ("split", "object")}
         columns |= {i: piece["success"] for i, piece in zip(solved, pieces)}
-        groups.append(
-            pa.table(columns).group_by(keys, use_threads=False).aggregate([([], "count_all")])
-        )
-    whole = (
-        pa.concat_tables(groups).group_by(keys, use_threads=False).aggregate([("count_all", "sum")])
-    )
+        group = pa.table(columns).group_by(keys, use_threads=False)
+        groups.append(group.aggregate([([], "count_all")]))
+    whole = pa.concat_tables(groups).group_by(keys, use_threads=False)
+    whole = whole.aggregate([("count_all", "sum")])
     place = {name: i for i, name in enumerate(objects)}
     return Paired.of(
         [s.method for s in streams],
@@ -247,12 +247,8 @@ def _once(streams: Sequence["_Stream"], paired: Paired) -> list[int]:
     before it (the run was copied, or is a part of a longer one)."""
     kept: list[int] = []
     for i, stream in enumerate(streams):
-        again = (
-            j
-            for j in kept
-            if streams[j].source == stream.source and not paired.only[:, [i, j], [j, i]].any()
-        )
-        if next(again, None) is None:
+        alike = [j for j in kept if streams[j].source == stream.source]
+        if not any(not paired.only[:, [i, j], [j, i]].any() for j in alike):
             kept.append(i)
     return kept
 
@@ -315,18 +311,6 @@ class _Stream:
             yield waiting
 
 
-def _check_same_trials(streams: Sequence[_Stream], pieces: Sequence[pa.Table]) -> None:
-    for stream, rows in zip(streams[1:], pieces[1:], strict=True):
-        if not pieces[0]["trial_id"].equals(rows["trial_id"]):
-            raise ValueError(
-                f"{stream.run.folder}: {stream.method!r} has other trial ids than {streams[0].method!r}"
-            )
-        if not pieces[0]["object"].equals(rows["object"]):
-            raise ValueError(
-                f"{stream.method} and {streams[0].method} have other objects in the same trials"
-            )
-
-
 @check_arguments(
     paired=instance_of(Paired, "what pair_up(RUNS) gives"), draws=integer(1, 10**7), seed=integer(0)
 )
@@ -375,10 +359,8 @@ def _compare(
             word = "tied"
         elif low is None or high is None or low <= 0 <= high:
             word += " here"
-        pair = Pair(
-            names[i], names[j], difference, low, high, only_i, only_j, raw, float(adjusted), word
-        )
-        lines.append(pair)
+        own = (names[i], names[j], difference, low, high, only_i, only_j, raw)
+        lines.append(Pair(*own, float(adjusted), word))
     rates = tuple(float(100 * (hits / n)) for hits in paired.hits[splits].sum((0, 2)))
     places = [i for i, name in enumerate(names) if name not in paired.bounds]
     ranked = tuple(names[i] for i in places)

@@ -12,10 +12,10 @@ import numpy as np
 import pyarrow as pa
 
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, FARTHEST_M
-from r2h_batch.runs.columns import FAILED, PASSED, codes, pattern, pattern_outcomes, states
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics.paired import rank_probabilities
+from r2h_batch.statistics.tally import FAILED, PASSED, codes, pattern, pattern_outcomes, states
 from r2h_batch.validate import array, check_arguments, instance_of, sequence_of
 from r2h_batch.verdicts import REGISTRY, SPLITS, Outcome
 
@@ -96,15 +96,13 @@ def rethreshold(
     ):
         axes.append(tuple(map(float, values)) or (base[key],))
         if bad := [v for v in axes[-1] if not 0 <= v <= high]:
-            flag = key.removesuffix("_m").replace("_", "-")
-            raise ValueError(
-                f"--{flag} {bad[0]:g} cannot be rescored exactly; allowed is 0 to {high:g}: sweep again"
-            )
+            flag = f"--{key.removesuffix('_m').replace('_', '-')} {bad[0]:g}"
+            allowed = f"allowed is 0 to {high:g}: sweep again"
+            raise ValueError(f"{flag} cannot be rescored exactly; {allowed}")
     grid = list(product(*axes))
     if len(grid) > MAX_POINTS:
-        raise ValueError(
-            f"{len(grid)} combinations of thresholds; at most {MAX_POINTS} are allowed"
-        )
+        words = f"at most {MAX_POINTS} are allowed"
+        raise ValueError(f"{len(grid)} combinations of thresholds; {words}")
     points = [Point(r_h, w_max, safe, {}, {}) for r_h, w_max, safe in grid]
     for method in run.methods:
         for point in points:
@@ -135,15 +133,13 @@ class _Margins:
         # older runs have no such column; where a grasp passes, its margin is w_max - width
         older = np.float32(base["w_max_m"]).astype(np.float64) - margin("stability")
         self.width = np.where(np.isnan(width), older, width)
-        odd = (self.state["stability"] == PASSED) & ~(
-            (self.width >= 0) & (self.width <= older + WIDTH_ROUNDING_M)
-        )
+        agree = (self.width >= 0) & (self.width <= older + WIDTH_ROUNDING_M)
+        odd = (self.state["stability"] == PASSED) & ~agree
         if odd.any():
             row = int(odd.argmax())
-            raise ValueError(
-                f"trial {table['trial_id'][row].as_py()}: width_m is {width[row]:g}, its margin of Stability says at most "
-                f"{older[row]:g}; `r2h-batch results reevaluate` scores it again"
-            )
+            where = f"trial {table['trial_id'][row].as_py()}: width_m is {width[row]:g}"
+            what = f"its margin of Stability says at most {older[row]:g}"
+            raise ValueError(f"{where}, {what}; `r2h-batch results reevaluate` scores it again")
         self.clearance = margin("safe") + np.float32(base["safe_margin_m"]).astype(np.float64)
         self.base = base
 
@@ -168,13 +164,11 @@ class _Margins:
         outcome = pattern_outcomes()[self.split, pattern(state)].astype(np.int64)
         outcome = np.where(self.outcome < Outcome.INVALID_INPUT, outcome, self.outcome)
         if (outcome < 0).any():
-            raise ValueError(
-                f"{int((outcome < 0).sum())} rows pass, but a criterion was not evaluated"
-            )
-        counts = np.bincount(
-            self.split * (MISSING + 1) + outcome, minlength=len(SPLITS) * (MISSING + 1)
-        )
-        return counts.reshape(len(SPLITS), MISSING + 1), int(near.sum())
+            count = int((outcome < 0).sum())
+            raise ValueError(f"{count} rows pass, but a criterion was not evaluated")
+        counts = np.zeros((len(SPLITS), MISSING + 1), np.int64)
+        np.add.at(counts, (self.split, outcome), 1)
+        return counts, int(near.sum())
 
 
 @check_arguments(

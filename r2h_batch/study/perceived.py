@@ -24,9 +24,8 @@ from r2h_batch.report.text import aligned, csv_text, notes_list, plain, short_na
 from r2h_batch.results.reception import table_of as reception_table
 from r2h_batch.results.reevaluation import Judge
 from r2h_batch.runs.store import Run
-from r2h_batch.study.report import RATING_COLUMNS, paper_table, read_counts
-from r2h_batch.study.stats import DRAWS, SCALE, StudyError
-from r2h_batch.study.table_file import LINE, NAME, number, read_table
+from r2h_batch.study.report import DRAWS, RATING_COLUMNS, SCALE, paper_table, read_counts
+from r2h_batch.study.table_file import LINE, NAME, StudyError, number, read_table
 from r2h_batch.types import Trials
 
 POSES = {"T_obj_ee": 16, "T_world_ee": 16, "T_world_hand": 16, "receiver": 20}
@@ -125,9 +124,8 @@ def measured_trials(run: Run, method: str, judge: Judge) -> pa.Table:
         "T_world_hand": trials.T_world_hand.cpu().numpy().reshape(-1, 16),
         "receiver": _receiver(trials).cpu().numpy().reshape(-1, 20),
     }
-    found: dict[str, Any] = {
-        k: column[k] for k in ("trial_id", "object", "split", "side", "outcome")
-    }
+    names = ("trial_id", "object", "split", "side", "outcome")
+    found: dict[str, Any] = {name: column[name] for name in names}
     found |= {k: pa.array(np.asarray(v, float), from_pandas=True) for k, v in measures.items()}
     found |= {f"{name}_{i}": v for name, x in arrays.items() for i, v in enumerate(x.T)}
     return pa.table({"trial_id": found.pop("trial_id"), "method": [method] * len(ids), **found})
@@ -170,10 +168,8 @@ def _seen_by_the_person(trials: Trials, poses: pa.Table, judge: Judge) -> dict[s
     head[:, :2] += ahead * facing
     head[:, 2] = shoulder[:, 2] + HEAD_UP_M
     gap = middle - head
-    return {
-        "finger_palm": at_palm.numpy().astype(float),
-        "head_m": se3.dot(gap, gap).sqrt().numpy(),
-    }
+    head_m = se3.dot(gap, gap).sqrt().numpy()
+    return {"finger_palm": at_palm.numpy().astype(float), "head_m": head_m}
 
 
 def _closing_speed(trials: Trials, poses: pa.Table, judge: Judge) -> NDArray[np.float64]:
@@ -181,11 +177,9 @@ def _closing_speed(trials: Trials, poses: pa.Table, judge: Judge) -> NDArray[np.
     NaN where there is no motion or none so near."""
     evaluator = judge.evaluator.kinematic
     scene, execute = evaluator.scene, evaluator.config.execute
+    stored = (poses[k].to_pylist() for k in ("T_obj_ee", "T_world_ee"))
     grasp, ee = (
-        torch.tensor(poses[k].to_pylist(), dtype=torch.float32, device=scene.device).reshape(
-            -1, 4, 4
-        )
-        for k in ("T_obj_ee", "T_world_ee")
+        torch.tensor(T, dtype=torch.float32, device=scene.device).reshape(-1, 4, 4) for T in stored
     )
     scores = evaluator.score(grasp, ee, trials)
     length, weight = scores.path_len, scene.robot.joint_weight
@@ -250,25 +244,18 @@ def perceived(tables: Mapping[str, pa.Table]) -> str:
         for dimension, of in ratings.items()
     ]
     for key, measure in MEASURES.items():
-        values = [_mean(tables[name][key]) for name in names]
-        taus = [
-            _tau(values, [of[name] for name in names], measure.better) for of in ratings.values()
-        ]
-        shown = [
-            f"{measure.scale * v:.{measure.digits}f}" if np.isfinite(v) else "-" for v in values
-        ]
+        columns = [tables[name][key].to_numpy() for name in names]
+        values = [float(np.nanmean(x)) if np.isfinite(x).any() else np.nan for x in columns]
+        means = [[of[name] for name in names] for of in ratings.values()]
+        taus = [_tau(values, mean, measure.better) for mean in means]
+        digits = f".{measure.digits}f"
+        shown = [f"{measure.scale * v:{digits}}" if np.isfinite(v) else "-" for v in values]
         lines.append([measure.heading, *shown, *taus])
     short = short_names(names)
     head = ["Measure", *(plain(short[n]) for n in names), *(f"tau {d}" for d in ratings)]
     counted = {"count": len(MEASURES), "dimensions": len(ratings)}
-    return (
-        aligned(head, lines, 1) + "\n\n" + notes_list([n.format(**counted) for n in NOTES]) + "\n"
-    )
-
-
-def _mean(column: pa.ChunkedArray) -> float:
-    values = column.to_numpy()
-    return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
+    notes = notes_list([note.format(**counted) for note in NOTES])
+    return f"{aligned(head, lines, 1)}\n\n{notes}\n"
 
 
 def _tau(measure: Sequence[float], ratings: Sequence[float], better: int) -> str:
@@ -310,15 +297,12 @@ def rated(ratings: Path, trials: Path) -> tuple[str, str]:
     rows, seen = [], set()
     for r in read_table(ratings, columns):
         key = (r["method"], r["trial_id"])
+        where, what = f"{ratings}: line {r[LINE]}", f"trial {r['trial_id']} of {r['method']}"
         if key not in measured:
-            raise StudyError(
-                f"{ratings}: line {r[LINE]}: {trials.name} has no trial {r['trial_id']} of {r['method']}"
-            )
+            raise StudyError(f"{where}: {trials.name} has no {what}")
         if (once := (r["participant"], r["dimension"], *key)) in seen:
-            raise StudyError(
-                f"{ratings}: line {r[LINE]}: participant {r['participant']} rates trial {r['trial_id']} of {r['method']}"
-                f" twice for {r['dimension']}"
-            )
+            words = f"{r['participant']} rates {what} twice for {r['dimension']}"
+            raise StudyError(f"{where}: participant {words}")
         seen.add(once)
         known = measured[key]
         joined = {k: r[k] for k in columns} | {k: known[k] for k in ("object", *MEASURES)}

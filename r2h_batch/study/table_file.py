@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from r2h_batch.io.read import printable, read_file
-from r2h_batch.study.stats import StudyError
 from r2h_batch.validate import parse_number, parse_whole_number
 
 MAX_BYTES = 64 << 20
@@ -14,6 +13,10 @@ MAX_CELL = 200
 """Characters of a cell; no name of a person or a method is longer."""
 LINE = "line"
 """Key of a row's line in the file, for errors that come later."""
+
+
+class StudyError(ValueError):
+    """A file that cannot be used: the message names it, the line and what is allowed."""
 
 
 class Column(NamedTuple):

@@ -44,7 +44,7 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
     start = time.perf_counter()
     try:
         with own_streams(name):
-            given = call(copied)
+            answer = call(copied)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit too; other methods go on
@@ -52,13 +52,22 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
             raise  # not the method's fault: no other one would fare better
         where = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{type(error).__name__}: {printable(' '.join(str(error).split()))[:300]}"
-        raise AnswerError(
-            f"method {name}: {what} ({printable(where.filename)}, line {where.lineno})"
-        ) from error
+        place = f"{printable(where.filename)}, line {where.lineno}"
+        raise AnswerError(f"method {name}: {what} ({place})") from error
     if torch.cuda.is_available():
         torch.cuda.synchronize()
     seconds = (time.perf_counter() - start) / max(len(trials), 1)
-    T_obj_ee, T_world_ee, own, trial_id = _parts(name, given)
+    own, trial_id = None, None
+    if isinstance(answer, Predictions):
+        T_obj_ee, T_world_ee = answer.T_obj_ee, answer.T_world_ee
+        own, trial_id = answer.t_method_s, answer.trial_id
+    elif isinstance(answer, (tuple, list)) and len(answer) in (2, 3):
+        T_obj_ee, T_world_ee, own = (*answer, None)[:3]
+    else:
+        size = f" of {len(answer)}" if isinstance(answer, (tuple, list)) else ""
+        allowed = "r2h_batch.Predictions or (T_obj_ee, T_world_ee[, t_method_s])"
+        what = f"its answer is a {type(answer).__name__}{size}; it must be {allowed}"
+        raise AnswerError(f"method {name}: {what}")
     n, home = len(trials), trials.trial_id.device
     if trial_id is not None:
         ids = _checked(name, "trial_id", trial_id, (n,), (torch.int64,)).to(home)
@@ -74,27 +83,10 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
     else:
         t_method_s = _checked(name, "t_method_s", own, (n,)).to(torch.float32)
         if bool((odd := (t_method_s < 0) | (t_method_s > MOST_SECONDS)).any()):
-            raise AnswerError(
-                f"method {name}: t_method_s is {float(t_method_s[odd][0]):g}; 0 to {MOST_SECONDS:g} seconds are allowed, "
-                "NaN where it was not measured"
-            )
+            found = f"t_method_s is {float(t_method_s[odd][0]):g}"
+            allowed = f"0 to {MOST_SECONDS:g} seconds are allowed, NaN where it was not measured"
+            raise AnswerError(f"method {name}: {found}; {allowed}")
     return Predictions(trials.trial_id, grasp, handover, t_method_s, name)
-
-
-def _parts(name: str, given: Any) -> tuple[Any, Any, Any, Any]:
-    """T_obj_ee, T_world_ee, t_method_s or None, trial_id or None."""
-    if isinstance(given, Predictions):
-        return given.T_obj_ee, given.T_world_ee, given.t_method_s, given.trial_id
-    if isinstance(given, (tuple, list)) and len(given) in (2, 3):
-        return given[0], given[1], given[2] if len(given) == 3 else None, None
-    what = (
-        f"{type(given).__name__} of {len(given)}"
-        if isinstance(given, (tuple, list))
-        else type(given).__name__
-    )
-    raise AnswerError(
-        f"method {name}: its answer is a {what}; it must be r2h_batch.Predictions or (T_obj_ee, T_world_ee[, t_method_s])"
-    )
 
 
 def _checked(
@@ -141,9 +133,8 @@ class MethodCoverage:
 
     def answer(self, trials: Trials, call: Callable[[Trials], Predictions]) -> Predictions:
         """The method's answers to the trials that it can answer; NaN poses for the others."""
-        rows = self.answers[
-            trials.object_index.cpu().long(), self.side[trials.hand_index.cpu().long()]
-        ]
+        side = self.side[trials.hand_index.cpu().long()]
+        rows = self.answers[trials.object_index.cpu().long(), side]
         if bool(rows.all()):
             return call(trials)
         n, home = len(trials), trials.trial_id.device
@@ -153,11 +144,11 @@ class MethodCoverage:
         seconds, method = torch.full((n,), torch.nan, dtype=torch.float32, device=home), ""
         rows = rows.to(home)
         if bool(rows.any()):
-            given = call(trials[rows])
-            T_obj_ee[rows], T_world_ee[rows] = given.T_obj_ee.to(home), given.T_world_ee.to(home)
-            if given.t_method_s is not None:
-                seconds[rows] = given.t_method_s.to(home)
-            method = given.method
+            part = call(trials[rows])
+            T_obj_ee[rows], T_world_ee[rows] = part.T_obj_ee.to(home), part.T_world_ee.to(home)
+            if part.t_method_s is not None:
+                seconds[rows] = part.t_method_s.to(home)
+            method = part.method
         return Predictions(trials.trial_id, T_obj_ee, T_world_ee, seconds, method)
 
 
@@ -172,9 +163,8 @@ def check_grasps(scene: "Scene", allow_empty: bool) -> None:
             f"{'it' if len(empty) == 1 else 'them'} out, give --grasps, or --allow-empty-candidates to count as failures"
         )
     if len(empty) == len(scene.objects):
-        raise UsageError(
-            "no object has a grasp candidate: there is nothing for a built-in method to choose from"
-        )
+        words = "there is nothing for a built-in method to choose from"
+        raise UsageError(f"no object has a grasp candidate: {words}")
 
 
 def coverage_of(
@@ -189,16 +179,15 @@ def coverage_of(
     lines = []
     for i in without_candidates(scene):
         answers[i] = False
-        lines.append(
-            f"{name}: no grasp candidate of {scene.objects[i].name}: its trials count as failures"
-        )
+        what = f"no grasp candidate of {scene.objects[i].name}"
+        lines.append(f"{name}: {what}: its trials count as failures")
     if "receiving" in sees and (seen is None or seen.receiving is None):
         sides = set(scene.hands.set.side.tolist())
         for i, side in without_receiving(scene.objects, scene.hands.model):
             if bool(answers[i, side]) and side in sides:
+                what = f"no {SIDES[side]} hand was found that can hold {scene.objects[i].name}"
                 lines.append(
-                    f"{name}: no {SIDES[side]} hand was found that can hold {scene.objects[i].name}: its trials with "
-                    f"{SIDES[side]} hands count as failures"
+                    f"{name}: {what}: its trials with {SIDES[side]} hands count as failures"
                 )
             answers[i, side] = False
     return MethodCoverage(answers, scene.hands.set.side.cpu().long(), tuple(lines))
@@ -217,9 +206,8 @@ def device_trouble(error: BaseException) -> str | None:
     """The first line of an error that speaks of the GPU; None for every other error."""
     text = str(error).strip()
     of_torch = isinstance(error, (torch.OutOfMemoryError, torch.AcceleratorError))
-    if not of_torch and not (
-        isinstance(error, (RuntimeError, AssertionError)) and _OF_DEVICE.search(text)
-    ):
+    says_so = isinstance(error, (RuntimeError, AssertionError)) and _OF_DEVICE.search(text)
+    if not of_torch and not says_so:
         return None
     return text.partition("\n")[0][:300] or type(error).__name__
 

@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -20,11 +20,11 @@ from typing import Any
 
 from r2h_batch.command_line import LOG, refuse
 from r2h_batch.io.read import printable
-from r2h_batch.runs.store import TRIES, RunFolder, Shard, ShardWriter, differing
+from r2h_batch.runs.store import TRIES, Shard, ShardWriter, differing
 from r2h_batch.sweep import jobs as sweep_jobs
 from r2h_batch.sweep.answers import AnswerError
-from r2h_batch.sweep.engine import Log, Stopped, progress, score_shard, warm_up
-from r2h_batch.sweep.jobs import Job, Setting
+from r2h_batch.sweep.engine import Stopped, Work, progress, score_shard, warm_up
+from r2h_batch.sweep.jobs import Setting
 from r2h_batch.sweep.options import Options
 
 STARTS = 5
@@ -52,7 +52,10 @@ def reach(address: str, timeout_s: float) -> None:
     Tried in a process of its own: Ray waits for minutes for a cluster that is gone, and cannot be
     interrupted.
     """
-    _show_token()
+    # A token that is there is shown, as `ray start` does: without the mode Ray's own `init` leaves it.
+    named = os.environ.get("RAY_AUTH_TOKEN") or os.environ.get("RAY_AUTH_TOKEN_PATH")
+    if named or os.path.isfile(os.path.expanduser("~/.ray/auth_token")):
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
     where = f"at --address {printable(address)}"
     todo = "start one with `ray start --head`, or leave --address out for one on this machine"
     with tempfile.TemporaryFile() as stderr:
@@ -62,17 +65,12 @@ def reach(address: str, timeout_s: float) -> None:
         )
         end, text = time.monotonic() + timeout_s, ""
         try:
-            while (
-                process.poll() is None
-                and time.monotonic() < end
-                and not any(w in text for w in NO_TOKEN)
-            ):
+            while (code := process.poll()) is None and time.monotonic() < end:
                 time.sleep(0.05)
                 text = os.pread(stderr.fileno(), 1 << 20, 0).decode(errors="replace")
-            code, text = (
-                process.poll(),
-                os.pread(stderr.fileno(), 1 << 20, 0).decode(errors="replace"),
-            )
+                if any(word in text for word in NO_TOKEN):
+                    break
+            text = os.pread(stderr.fileno(), 1 << 20, 0).decode(errors="replace")
         finally:
             process.kill()
             process.wait()
@@ -84,19 +82,10 @@ def reach(address: str, timeout_s: float) -> None:
             " RAY_AUTH_TOKEN_PATH (or RAY_AUTH_TOKEN) here and on every node alike, docs/sweeps.md has the steps"
         )
     if code is None:
-        raise ClusterError(
-            f"no Ray cluster answered {where} within {timeout_s:g} s (--ray-timeout); {todo}"
-        )
+        within = f"within {timeout_s:g} s (--ray-timeout)"
+        raise ClusterError(f"no Ray cluster answered {where} {within}; {todo}")
     why = printable((text.strip().splitlines() or ["it ended without a word"])[-1])[:200]
     raise ClusterError(f"no Ray cluster {where} ({why}); {todo}")
-
-
-def _show_token() -> None:
-    """A token that is there is shown, as `ray start` does: without the mode Ray's own `init` leaves
-    it where it is."""
-    named = os.environ.get("RAY_AUTH_TOKEN") or os.environ.get("RAY_AUTH_TOKEN_PATH")
-    if named or os.path.isfile(os.path.expanduser("~/.ray/auth_token")):
-        os.environ.setdefault("RAY_AUTH_MODE", "token")
 
 
 @contextlib.contextmanager
@@ -124,7 +113,7 @@ class Head:
     """
 
     def __init__(self, address: str, timeout_s: float) -> None:
-        self.address, self.timeout_s, self.lost, self.said = address, timeout_s, "", False
+        self.address, self.timeout_s, self.lost, self.reported = address, timeout_s, "", False
         self.over = threading.Event()
         if address:
             threading.Thread(target=self._watch, daemon=True).start()
@@ -132,7 +121,7 @@ class Head:
     def check(self) -> None:
         """Raises `ClusterError` where it has taken none for as long as `--ray-timeout`."""
         if self.lost:
-            self.said = True
+            self.reported = True
             raise ClusterError(self.lost)
 
     def _watch(self) -> None:
@@ -140,9 +129,8 @@ class Head:
         heard = time.monotonic()
         while not self.over.wait(HEAD_EVERY_S):
             with contextlib.suppress(OSError):
-                socket.create_connection(
-                    (host.strip("[]"), int(port)), timeout=HEAD_EVERY_S
-                ).close()
+                place = (host.strip("[]"), int(port))
+                socket.create_connection(place, timeout=HEAD_EVERY_S).close()
                 heard = time.monotonic()
             if time.monotonic() - heard > self.timeout_s:
                 break
@@ -154,7 +142,7 @@ class Head:
         )
         # for the main thread to say so and to leave, unless it hangs in a call of Ray's
         time.sleep(GRACE_S)
-        if not self.said:
+        if not self.reported:
             LOG.info(f"sweep: {self.lost}")
         sys.stderr.flush()
         os._exit(1)  # shards appear whole or not at all, so nothing can be left half done
@@ -217,14 +205,7 @@ def _lost(error: Exception) -> ClusterError:
     )
 
 
-def score_on_ray(
-    setting: Setting,
-    jobs: list[Job],
-    folder: RunFolder,
-    options: Options,
-    stopping: Callable[[], bool],
-    log: Log,
-) -> list[str]:
+def score_on_ray(work: Work) -> list[str]:
     """Every job's shards of this part through a pool of actors; only this process writes to the run
     folder.
 
@@ -235,56 +216,42 @@ def score_on_ray(
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     import ray
 
-    for job in jobs:  # compiles the kernels once, before several processes would at the same time
-        warm_up(job, setting)
-    todo = deque((j.name, s) for j in jobs for s in folder.todo(j.name, setting.part))
+    for job in work.jobs:  # compiles the kernels once, before several processes would
+        warm_up(job, work.setting)
+    folder, part = work.folder, work.setting.part
+    todo = deque((j.name, s) for j in work.jobs for s in folder.todo(j.name, part))
     if not todo:
         return []
     for name, shard in todo:
         folder.give_another_try(name, shard)
     with contextlib.redirect_stdout(sys.stderr):  # Ray's threads print; stdout is for the table
-        sources = {job.name: job.source for job in jobs}
-        return _on_cluster(ray, setting, todo, folder, options, stopping, log, sources)
+        return _on_cluster(ray, work, todo)
 
 
-def _on_cluster(
-    ray: Any,
-    setting: Setting,
-    todo: "deque[Task]",
-    folder: RunFolder,
-    options: Options,
-    stopping: Callable[[], bool],
-    log: Log,
-    sources: Mapping[str, Mapping[str, str]],
-) -> list[str]:
+def _on_cluster(ray: Any, work: Work, todo: "deque[Task]") -> list[str]:
+    options = work.options
     handlers = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     # local: a cluster of its own; without an address Ray would join whatever a file in /tmp or the
     # environment names
     own = {} if options.address else {"include_dashboard": False}
     try:
         with contextlib.nullcontext() if options.address else _own_token():
-            ray.init(
-                address=options.address or "local",
-                log_to_driver=False,
-                logging_level="ERROR",
-                **own,
-            )
+            address = options.address or "local"
+            ray.init(address=address, log_to_driver=False, logging_level="ERROR", **own)
     except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
-        raise ClusterError(
-            f"no Ray cluster could be started or joined: {printable(error)[:300]}"
-        ) from None
+        words = f"could be started or joined: {printable(error)[:300]}"
+        raise ClusterError(f"no Ray cluster {words}") from None
     # Ray puts its own in their place, which end the driver at once
-    for (
-        number,
-        handler,
-    ) in handlers.items():
+    for number, handler in handlers.items():
         signal.signal(number, handler)
     # a Ray client (ray://) has no head of its own to ask
     watched = options.address and "://" not in options.address
     head = Head(ray.get_runtime_context().gcs_address if watched else "", options.ray_timeout)
     try:
         gpus = options.gpus_per_worker or (1.0 if options.device != "cpu" else 0.0)
-        size = options.workers or _devices(ray, gpus)
+        there = ray.cluster_resources()
+        devices = there.get("GPU", 0) / gpus if gpus else there.get("CPU", 1) / 4
+        size = options.workers or max(1, int(devices))
         # an actor sees its own GPUs only, as cuda:0; max_restarts 0: the pool replaces actors
         # itself
         on_node = replace(options, device="cuda" if options.device != "cpu" else "cpu")
@@ -292,8 +259,8 @@ def _on_cluster(
         pool = Pool(ray, partial(remote.remote, sweep_jobs.prepare, on_node), head.check)
         try:
             total = sum(s.last - s.first for _, s in todo)
-            with progress("all methods", total, log=log) as advance:
-                return _feed(pool, size, todo, folder, setting, stopping, advance, sources)
+            with progress("all methods", total, log=work.log) as advance:
+                return _feed(pool, size, todo, work, advance)
         finally:
             if not head.lost:
                 pool.stop()
@@ -303,26 +270,14 @@ def _on_cluster(
             ray.shutdown()
 
 
-def _devices(ray: Any, gpus: float) -> int:
-    resources = ray.cluster_resources()
-    return max(1, int(resources.get("GPU", 0) / gpus if gpus else resources.get("CPU", 1) / 4))
-
-
 def _feed(
-    pool: Pool,
-    size: int,
-    todo: "deque[Task]",
-    folder: RunFolder,
-    setting: Setting,
-    stopping: Callable[[], bool],
-    advance: Callable[[int], None],
-    sources: Mapping[str, Mapping[str, str]],
+    pool: Pool, size: int, todo: "deque[Task]", work: Work, advance: Callable[[int], None]
 ) -> list[str]:
     refused: list[str] = []
     errors: dict[Task, list[str]] = {}
     while todo or pool.busy:
         pool.check()
-        if stopping():
+        if work.stopping():
             todo.clear()  # what is being scored is stored, nothing new is begun
         try:
             while pool.idle and todo:
@@ -334,7 +289,7 @@ def _feed(
             raise _lost(error) from error
         for ref in done:
             if ref in pool.starting:
-                _came_up(pool, ref, setting, sources)
+                _came_up(pool, ref, work)
                 continue
             actor, task = pool.busy.pop(ref)
             name, shard = task
@@ -356,45 +311,40 @@ def _feed(
                 if len(errors[task]) < TRIES:
                     todo.append(task)
                 else:
-                    folder.quarantine(name, shard, errors[task])
+                    work.folder.quarantine(name, shard, errors[task])
                     LOG.info(f"{name}: shard {shard.index} failed {TRIES} times")
                 continue
             except OSError as error:
                 raise _lost(error) from error
             pool.idle.append(actor)
             # no other sweep takes the files for foreign ones meanwhile
-            with folder.claim(name, shard):
-                folder.commit(name, shard, writer, seconds)
+            with work.folder.claim(name, shard):
+                work.folder.commit(name, shard, writer, seconds)
             advance(shard.last - shard.first)
-    if stopping():
+    if work.stopping():
         raise Stopped
     return refused
 
 
-def _came_up(
-    pool: Pool, ref: Any, setting: Setting, sources: Mapping[str, Mapping[str, str]]
-) -> None:
+def _came_up(pool: Pool, ref: Any, work: Work) -> None:
     actor = pool.starting.pop(ref)
     try:
         header = pool.ray.get(ref)
     except pool.ray.exceptions.RayError as error:
         pool.deaths += 1
         if pool.deaths >= STARTS:
-            raise ClusterError(
-                f"{STARTS} Ray actors died before their first shard: {error}"
-            ) from error
+            words = f"{STARTS} Ray actors died before their first shard: {error}"
+            raise ClusterError(words) from error
         return
     except OSError as error:
         raise _lost(error) from error
     pool.deaths = 0
+    sources, own = {job.name: job.source for job in work.jobs}, work.setting.header
     others = [n for n, source in header.get("sources", {}).items() if source != sources[n]]
     if others:
-        raise ClusterError(
-            f"a Ray worker has another {others[0]} (its module, its imports or its files); copy the"
-            " same files to every node"
-        )
-    if fields := differing(setting.header, {**header, "format": setting.header.get("format")}):
-        raise ClusterError(
-            f"a Ray worker differs in {', '.join(fields)}; install the same version on every node"
-        )
+        what = f"another {others[0]} (its module, its imports or its files)"
+        raise ClusterError(f"a Ray worker has {what}; copy the same files to every node")
+    if fields := differing(own, {**header, "format": own.get("format")}):
+        words = "install the same version on every node"
+        raise ClusterError(f"a Ray worker differs in {', '.join(fields)}; {words}")
     pool.idle.append(actor)

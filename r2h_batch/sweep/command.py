@@ -17,15 +17,15 @@ from r2h_batch.sweep.options import Options, UsageError, parse
 # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
 if TYPE_CHECKING:
     from r2h_batch.loggers import LoggerName
-    from r2h_batch.runs.store import Run, RunFolder
-    from r2h_batch.sweep.jobs import Job, Setting
+    from r2h_batch.runs.store import Run
+    from r2h_batch.sweep.engine import Work
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.sweep") -> int:
     """Exit code of the command: 0 done, 1 failed on the way, 2 refused before any work, 130
     interrupted."""
-    given = sys.argv[1:] if arguments is None else arguments
-    return answer("sweep", lambda: _main(given, prog))
+    words = sys.argv[1:] if arguments is None else arguments
+    return answer("sweep", lambda: _main(words, prog))
 
 
 def _main(arguments: Sequence[str], prog: str) -> int:
@@ -34,11 +34,8 @@ def _main(arguments: Sequence[str], prog: str) -> int:
         with stop_signals() as stopping:
             return run(options, stopping)
     except KeyboardInterrupt:
-        return refuse(
-            "sweep",
-            "interrupted; shards that were complete are stored, run the same command to go on",
-            130,
-        )
+        words = "shards that were complete are stored, run the same command to go on"
+        return refuse("sweep", f"interrupted; {words}", 130)
     except OSError as error:
         return failed("sweep", error, "writing the run folder")
     except (RuntimeError, AssertionError) as error:
@@ -108,10 +105,10 @@ def _robustness(
 def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path], None]) -> int:
     from importlib.util import find_spec
 
-    from r2h_batch.runs.store import RunError, write_labels
+    from r2h_batch.runs.store import RunError, open_run, write_labels
     from r2h_batch.sweep import jobs as sweep_jobs
     from r2h_batch.sweep.cluster import ClusterError, reach
-    from r2h_batch.sweep.engine import Stopped
+    from r2h_batch.sweep.engine import Log, Stopped, Work, shard_size
 
     try:
         for module, flag, extra in (
@@ -124,19 +121,20 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
         if options.address:
             reach(options.address, options.ray_timeout)
         # a method may change the directory, when it is imported or asked
-        options = replace(
-            options, out=os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
-        )
-        options = sweep_jobs.with_trials(options)
+        out = os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
+        options = sweep_jobs.with_trials(replace(options, out=out))
         files = sweep_jobs.load_files(options)
         sweep_jobs.resolve(options)
         start = time.perf_counter()
         setting = sweep_jobs.prepare(options)
-        LOG.debug(
-            f"ready in {time.perf_counter() - start:.1f} s: {setting.evaluator!r}, {counted(setting.planned, 'trials')}"
-        )
+        planned, seconds = counted(setting.planned, "trials"), time.perf_counter() - start
+        LOG.debug(f"ready in {seconds:.1f} s: {setting.evaluator!r}, {planned}")
         jobs = sweep_jobs.make_jobs(options, files, setting)
-        folder = _open(options, setting, jobs)
+        new = not (Path(options.out) / "run.json").exists()
+        size = options.shard_trials or (shard_size(setting, jobs) if new else 0)
+        # the first of two sweeps that start together decides the shard size; the other takes it
+        header = {**setting.header, "shard_trials": size}
+        folder = open_run(options.out, header, exact=bool(options.shard_trials))
         log_to(folder.folder / setting.own_file("log.txt"))
         if setting.labels:
             write_labels(folder.folder, setting.labels)
@@ -150,14 +148,13 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
     except OSError as error:
         return _failed(error, Path(options.out))
     try:
-        return _score(options, setting, jobs, folder, stopping)
+        log = Log(folder.folder / setting.own_file("progress.json"))
+        return _score(Work(setting, jobs, folder, options, stopping, log))
     except OSError as error:
         return _failed(error, folder.folder)
     except Stopped:
         raise KeyboardInterrupt from None
-    except ClusterError as error:
-        return refuse("sweep", error, 1)
-    except RunError as error:  # somebody changed the folder meanwhile, or it came from somebody
+    except (ClusterError, RunError) as error:  # RunError: somebody changed the folder meanwhile
         return refuse("sweep", error, 1)
 
 
@@ -169,40 +166,18 @@ def _failed(error: OSError, folder: Path) -> int:
     return failed("sweep", error, "writing the run folder")
 
 
-def _score(
-    options: Options,
-    setting: "Setting",
-    jobs: "list[Job]",
-    folder: "RunFolder",
-    stopping: Callable[[], bool],
-) -> int:
+def _score(work: "Work") -> int:
     """Score what is missing or damaged, in this process or on a cluster; the exit code."""
     from r2h_batch.runs.store import mark_for_rerun
-    from r2h_batch.sweep.engine import Log, score_local
+    from r2h_batch.sweep.cluster import score_on_ray
+    from r2h_batch.sweep.engine import score_local
 
+    folder, options = work.folder, work.options
     for line in mark_for_rerun(folder.folder, folder.header):
         LOG.info(line)
-    log = Log(folder.folder / setting.own_file("progress.json"))
-    if options.engine == "ray":
-        from r2h_batch.sweep.cluster import score_on_ray
-
-        refused = score_on_ray(setting, jobs, folder, options, stopping, log)
-    else:
-        refused = score_local(setting, jobs, folder, stopping, log)
-    code = _finish(options, [j.name for j in jobs if j.name not in refused])
+    refused = (score_on_ray if options.engine == "ray" else score_local)(work)
+    code = _finish(options, [j.name for j in work.jobs if j.name not in refused])
     return 2 if refused else code
-
-
-def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "RunFolder":
-    """The run folder of the options: new, or the one to go on with."""
-    from r2h_batch.runs.store import open_run
-    from r2h_batch.sweep.engine import shard_size
-
-    new = not (Path(options.out) / "run.json").exists()
-    size = options.shard_trials or (shard_size(setting, jobs) if new else 0)
-    # the first of two sweeps that start together decides the shard size; the other takes it
-    header = {**setting.header, "shard_trials": size}
-    return open_run(options.out, header, exact=bool(options.shard_trials))
 
 
 def _log(stored: "Run", kind: "LoggerName") -> None:
@@ -228,8 +203,7 @@ def _finish(options: Options, names: list[str]) -> int:
     stored = results.load_run(options.out)
     code = 0
     for name in names:
-        bad = [str(s.index) for s in stored.quarantined(name)]
-        if bad:
+        if bad := [str(s.index) for s in stored.quarantined(name)]:
             LOG.info(f"{name}: quarantined after three tries: shards {', '.join(bad)}")
             code = 1
     left = {name: len(stored.missing(name)) for name in names if stored.missing(name)}

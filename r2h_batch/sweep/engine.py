@@ -6,9 +6,9 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,7 +17,6 @@ import torch
 from r2h_batch.command_line import LOG, counted, is_quiet, refuse
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
-from r2h_batch.predictions import Motions
 from r2h_batch.runs.rows import (
     TrialNames,
     detail_rows,
@@ -31,7 +30,8 @@ from r2h_batch.runs.rows import (
 from r2h_batch.runs.store import SHARD_TRIALS, TRIES, RunFolder, Shard, ShardWriter, replace_json
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import CPU_CHUNK, Job, Setting
-from r2h_batch.types import Outcome, Predictions, Scores, Trials
+from r2h_batch.sweep.options import Options
+from r2h_batch.types import Outcome, Predictions, Trials
 
 if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
@@ -69,9 +69,8 @@ class Log:
         now = time.monotonic()
         if done == total or now - self._written >= LOG_EVERY_S:
             state: dict[str, Any] = {"updated": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
-            with contextlib.suppress(
-                FileNotFoundError
-            ):  # another sweep began and took it for a rest
+            # another sweep may have begun and taken it for a rest
+            with contextlib.suppress(FileNotFoundError):
                 replace_json(self.path, {**state, "methods": self.methods})
             self._written = now
 
@@ -92,22 +91,12 @@ def progress(
             log.say(name, done, total, time.perf_counter() - start)
 
     if sys.stderr.isatty() and not is_quiet() and os.environ.get("TERM", "dumb") != "dumb":
+        from rich import progress as rich
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeRemainingColumn,
-        )
 
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-        )
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        kinds = (rich.BarColumn, rich.MofNCompleteColumn, rich.TimeRemainingColumn)
+        columns = (rich.TextColumn("{task.description}"), *(kind() for kind in kinds))
+        with rich.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(name, total=total)
 
             def move(n: int) -> None:
@@ -123,33 +112,38 @@ def progress(
             now = time.perf_counter()
             if now - printed >= plain_every_s:
                 rate = done / (now - start)
-                line = f"{name}: {done}/{total} trials, {rate:.1f} trials/s, {(total - done) / rate:.0f} s left"
-                LOG.info(line)
+                left = f"{rate:.1f} trials/s, {(total - done) / rate:.0f} s left"
+                LOG.info(f"{name}: {done}/{total} trials, {left}")
                 printed = now
 
         yield speak
     seconds = time.perf_counter() - start
-    LOG.info(
-        f"{name}: {counted(total, 'trials')} in {seconds:.1f} s, {total / seconds:.1f} trials/s"
-    )
+    rate = f"{total / seconds:.1f} trials/s"
+    LOG.info(f"{name}: {counted(total, 'trials')} in {seconds:.1f} s, {rate}")
 
 
-def score_local(
-    setting: Setting,
-    jobs: list[Job],
-    folder: RunFolder,
-    stopping: Callable[[], bool],
-    log: Log,
-) -> list[str]:
+@dataclass(frozen=True)
+class Work:
+    """What a process scores: setting, jobs, the folder for rows, options, and what stops it."""
+
+    setting: Setting
+    jobs: Sequence[Job]
+    folder: RunFolder
+    options: Options
+    stopping: Callable[[], bool]
+    log: Log
+
+
+def score_local(work: Work) -> list[str]:
     """Every job's shards of this part into the run folder, sharing them with other sweeps that work
     on it.
 
     Returns the methods whose answers cannot be scored: each is said in one line, and the others go
     on.
     """
-    refused = []
-    for job in jobs:
-        todo = folder.todo(job.name, setting.part)
+    refused, folder = [], work.folder
+    for job in work.jobs:
+        todo = folder.todo(job.name, work.setting.part)
         if not todo:
             LOG.info(f"{job.name}: already in the run folder, reused")
             continue
@@ -160,23 +154,17 @@ def score_local(
         todo = sorted(todo, key=lambda s: folder.deaths(job.name, s))
         LOG.info(f"{job.name}: warming up (kernels are compiled on first use)")
         try:
-            warm_up(job, setting)
-            with progress(job.name, sum(s.last - s.first for s in todo), log=log) as advance:
-                _score_job(job, todo, setting, folder, stopping, advance)
+            warm_up(job, work.setting)
+            with progress(job.name, sum(s.last - s.first for s in todo), log=work.log) as advance:
+                _score_job(work, job, todo, advance)
         except AnswerError as error:
             refuse("sweep", error)
             refused.append(job.name)
     return refused
 
 
-def _score_job(
-    job: Job,
-    todo: list[Shard],
-    setting: Setting,
-    folder: RunFolder,
-    stopping: Callable[[], bool],
-    advance: Callable[[int], None],
-) -> None:
+def _score_job(work: Work, job: Job, todo: list[Shard], advance: Callable[[int], None]) -> None:
+    folder, stopping = work.folder, work.stopping
     since, printed = time.monotonic(), ""
     while todo:
         left = []
@@ -191,10 +179,9 @@ def _score_job(
                 elif claimed:
                     start = time.perf_counter()
                     with folder.attempt(job.name, shard), folder.write(job.name, shard) as writer:
-                        score_shard(job, shard, writer, setting, stopping, advance)
-                    LOG.debug(
-                        f"{job.name}: shard {shard.index} stored after {time.perf_counter() - start:.1f} s"
-                    )
+                        score_shard(job, shard, writer, work.setting, stopping, advance)
+                    seconds = time.perf_counter() - start
+                    LOG.debug(f"{job.name}: shard {shard.index} stored after {seconds:.1f} s")
                 else:
                     left.append(shard)
         if stopping():
@@ -241,13 +228,21 @@ def _score_chunk(
     moved = ~every  # whose answer is a motion
     if rows is not None and job.motions is not None:
         moved = answered & (job.motions.length[rows] > 0)
-    names = TrialNames.of(setting.evaluator.scene)
+    evaluator = setting.evaluator
+    names = TrialNames.of(evaluator.scene)
     parts: list[dict[str, pa.Table]] = []
     for chosen in (answered & ~moved, moved):
         if chosen.any():
             own = None if rows is None else rows[chosen]
-            motions = job.motions if chosen is moved else None
-            parts.append(_scored(job, trials[chosen], own, motions, setting, names))
+            part = trials[chosen].to(evaluator.scene.device)
+            answers = job.predict(part, own).to(part.trial_id.device)
+            motions = None
+            if chosen is moved and job.motions is not None and own is not None:
+                motions = job.motions.padded(own, evaluator.scene.device)
+            stored = setting.header["stored"]
+            parts.append(
+                judged_tables(evaluator, part, answers, motions, stored, names, setting.loop)
+            )
     if not answered.all():
         parts.append({"trials": missing_rows(trials[~answered], names)})
     kinds = dict.fromkeys(kind for part in parts for kind in part)
@@ -255,39 +250,22 @@ def _score_chunk(
     return {k: _in_order(t.unify_dictionaries(), trials.trial_id.numpy()) for k, t in whole.items()}
 
 
-def _scored(
-    job: Job,
-    part: Trials,
-    rows: torch.Tensor | None,
-    motions: Motions | None,
-    setting: Setting,
-    names: TrialNames,
-) -> dict[str, pa.Table]:
-    """Tables of answered trials; `motions`: judged as they are, else poses are planned to."""
-    device = setting.evaluator.scene.device
-    part = part.to(device)
-    answers = job.predict(part, rows).to(device)
-    given = None if motions is None else motions.padded(cast(torch.Tensor, rows), device)
-    stored = setting.header["stored"]
-    return judged_tables(setting.evaluator, part, answers, given, stored, names, setting.loop)
-
-
 def judged_tables(
     evaluator: Evaluator,
     part: Trials,
     answers: Predictions,
-    given: dict[str, torch.Tensor] | None,
+    motions: dict[str, torch.Tensor] | None,
     stored: Sequence[str],
     names: TrialNames,
     loop: "Loop | None" = None,
 ) -> dict[str, pa.Table]:
     """Tables of trials and of the kinds `stored`, as a run folder has them.
 
-    `given`: motions in place of the handover poses, as `Evaluator.score_motion` takes them. `loop`: how
+    `motions`: motions in place of the handover poses, as `Evaluator.score_motion` takes them. `loop`: how
     `episodes` are played.
     """
-    if given is not None:
-        scores = evaluator.score_motion(answers.T_obj_ee, trials=part, **given)
+    if motions is not None:
+        scores = evaluator.score_motion(answers.T_obj_ee, trials=part, **motions)
         assert scores.inputs is not None
         answers = replace(answers, T_world_ee=scores.inputs.T_world_ee)
     else:
@@ -305,23 +283,17 @@ def judged_tables(
         elif kind == "poses":
             tables[kind] = pose_rows(answers)
         elif kind == "paths":
-            tables[kind] = path_rows(*_paths(scores, given or {}))
+            plan, moved = None, scores
+            if motions is not None:  # one beyond the joint limits has no path, but is judged again
+                own = {name: value.cpu() for name, value in motions.items()}
+                path, time_s, length = own["q"], own["time_s"], own["length"].int()
+                moved = replace(scores, path=path, path_time_s=time_s, path_len=length)
+                if "planned_q" in own:
+                    plan = (own["planned_q"], own["planned_length"])
+            tables[kind] = path_rows(moved, plan)
         elif kind == "episodes" and played is not None:
             tables[kind] = episode_rows(part.trial_id, played)
     return tables
-
-
-def _paths(
-    scores: Scores, given: dict[str, torch.Tensor]
-) -> tuple[Scores, tuple[torch.Tensor, torch.Tensor] | None]:
-    """Scores with the motions that were given, and their plans: one beyond the joint limits has no
-    path, but can be judged again."""
-    if not given:
-        return scores, None
-    on_cpu = {name: value.cpu() for name, value in given.items()}
-    path, time_s, length = on_cpu["q"], on_cpu["time_s"], on_cpu["length"].int()
-    plan = (on_cpu["planned_q"], on_cpu["planned_length"]) if "planned_q" in on_cpu else None
-    return replace(scores, path=path, path_time_s=time_s, path_len=length), plan
 
 
 def _in_order(table: pa.Table, trial_id: np.ndarray) -> pa.Table:
@@ -333,19 +305,14 @@ def _in_order(table: pa.Table, trial_id: np.ndarray) -> pa.Table:
 
 def warm_up(job: Job, setting: Setting, trials: int = WARM_TRIALS) -> None:
     """Compile what the job will use; the poses do not matter, and a user's method is not asked."""
-    few = setting.trials(setting.ids(0, min(trials, setting.planned))).to(
-        setting.evaluator.scene.device
-    )
+    scene = setting.evaluator.scene
+    few = setting.trials(setting.ids(0, min(trials, setting.planned))).to(scene.device)
+    T_world_ee = few.T_world_hand.clone()
+    T_obj_ee = torch.eye(4, dtype=torch.float32, device=T_world_ee.device).expand_as(T_world_ee)
     if job.warm:
         answers = job.predict(few, None)
         T_obj_ee, T_world_ee = answers.T_obj_ee, answers.T_world_ee
-    else:
-        T_obj_ee = torch.eye(4, dtype=torch.float32, device=few.T_world_hand.device).repeat(
-            len(few), 1, 1
-        )
-        T_world_ee = few.T_world_hand.clone()
-    setting.evaluator.score(T_obj_ee, T_world_ee, few)
-    scene = setting.evaluator.scene
+    setting.evaluator.score(T_obj_ee.contiguous(), T_world_ee, few)
     load_searches(scene.device, len(scene.robot.joints))  # none of these few may have needed them
 
 

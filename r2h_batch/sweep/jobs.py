@@ -34,7 +34,7 @@ from r2h_batch.sweep.options import (
     execution_error,
     options_of,
     own_name,
-    said_options,
+    text_of_options,
 )
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.user_code import HOW, UserFunction, load_function, user_files
@@ -119,23 +119,29 @@ def prepare(options: Options) -> Setting:
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 
     if options.device != "cpu" and not torch.cuda.is_available():
-        raise UsageError(
-            f"--device {options.device}: torch sees no CUDA device ({why_no_cuda()}); use --device cpu"
-        )
-    given = given_of(options)
-    if there := given.said_splits():
-        _check_splits(options, there)
+        what = f"torch sees no CUDA device ({why_no_cuda()})"
+        raise UsageError(f"--device {options.device}: {what}; use --device cpu")
+    overrides = BenchmarkOverrides(
+        **{f.name: getattr(options, f.name) for f in fields(BenchmarkOverrides)}
+    )
+    if splits := overrides.said_splits():
+        _check_splits(options, splits)
     # a convex decomposition takes up to a minute: only where it is used
-    benchmark = given.read(pieces=options.object_collision == "pieces")
+    benchmark = overrides.read(pieces=options.object_collision == "pieces")
     loop = loop_of(options)
     config, objects = benchmark.config(_configuration(options)), benchmark.objects
     plan = _plan(options, benchmark)
-    first_trials = make_trials(
-        list(plan), min(max(plan.values()), DIGEST_TRIALS), benchmark=benchmark
-    )
-    evaluator = Evaluator.from_benchmark(
-        benchmark, config, device=options.device, threads=options.threads
-    )
+    count, where = min(max(plan.values()), DIGEST_TRIALS), options.device
+    first_trials = make_trials(list(plan), count, benchmark=benchmark)
+    evaluator = Evaluator.from_benchmark(benchmark, config, device=where, threads=options.threads)
+    robot, execute = benchmark.robot, config.execute
+    about_robot: dict[str, Any] = {"name": robot.name, "digest": robot.digest}
+    if robot.ik_missed and robot.family != "ur":
+        about_robot["ik_missed"] = list(robot.ik_missed)
+    motion = {"engine": execute.sim, **dict.fromkeys(("model", "step_s", "sample_s"))}
+    if execute.sim != "none":
+        motion |= {"model": execute.model, "step_s": execute.step_s}
+        motion["sample_s"] = execute.step_s * execute.record_steps
     header = {
         "protocol": benchmark.protocol,
         "trials": plan,
@@ -147,31 +153,16 @@ def prepare(options: Options) -> Setting:
             "hand_set": evaluator.scene.hands.set.digest,
             "code": provenance.code_digest(),
             # what there was before robots could be chosen keeps its digests
-            **({} if benchmark.robot == load_robot() else {"robot": benchmark.robot.digest}),
+            **({} if robot == load_robot() else {"robot": robot.digest}),
             **({} if loop is None else {"closed_loop": loop.identity}),
         },
-        "robot": {
-            "name": benchmark.robot.name,
-            "digest": benchmark.robot.digest,
-            **(
-                {"ik_missed": list(missed)}
-                if (missed := benchmark.robot.ik_missed) and benchmark.robot.family != "ur"
-                else {}
-            ),
-        },
-        "motion": {
-            "engine": config.execute.sim,
-            "model": config.execute.model if config.execute.sim != "none" else None,
-            "step_s": config.execute.step_s if config.execute.sim != "none" else None,
-            "sample_s": config.execute.step_s * config.execute.record_steps
-            if config.execute.sim != "none"
-            else None,
-        },
-        "objects": [_said_of(o) for o in objects],
+        "robot": about_robot,
+        "motion": motion,
+        "objects": [_about_object(o) for o in objects],
         "hands": [
             [SIDES[s], len(list(g))] for s, g in groupby(evaluator.scene.hands.set.side.tolist())
         ],
-        "benchmark": {"flags": given.flags()},
+        "benchmark": {"flags": overrides.flags()},
         "seed": options.seed,
         "predictors": _predictors(options),
         "stored": options.stored,
@@ -196,7 +187,7 @@ def prepare(options: Options) -> Setting:
     )  # fmt: skip
 
 
-def _said_of(model: "ObjectModel") -> dict[str, Any]:
+def _about_object(model: "ObjectModel") -> dict[str, Any]:
     """What run.json says of an object: a repaired mesh with what was done, and what came of it."""
     from r2h_batch.bodies.objects import object_digest, stored_key
 
@@ -209,11 +200,10 @@ def _said_of(model: "ObjectModel") -> dict[str, Any]:
     return fields if model.repair is None else {**fields, "repair": asdict(model.repair)}
 
 
-def _check_splits(options: Options, there: set[str]) -> None:
-    if missing := [s for s in SPLITS if s in options.splits and s not in there]:
-        raise UsageError(
-            f"no object belongs to split {missing[0]}; give at least one, or --splits {' '.join(sorted(there))}"
-        )
+def _check_splits(options: Options, known: set[str]) -> None:
+    if missing := [s for s in SPLITS if s in options.splits and s not in known]:
+        how = f"give at least one, or --splits {' '.join(sorted(known))}"
+        raise UsageError(f"no object belongs to split {missing[0]}; {how}")
 
 
 def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
@@ -223,20 +213,12 @@ def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
         _check_splits(options, {o.split for o in benchmark.objects})
         return dict.fromkeys(splits, options.trials)
     if options.trials != Options.trials:
-        raise UsageError(
-            "--trials sets how many trials the protocol draws; a trials file has its own number, so leave --trials out"
-        )
+        words = "a trials file has its own number, so leave --trials out"
+        raise UsageError(f"--trials sets how many trials the protocol draws; {words}")
     counts = {s: int((benchmark.listed.trial_id % 2 == SPLITS.index(s)).sum()) for s in splits}
     if not any(counts.values()):
         raise UsageError(f"the trials file has none of --splits {' '.join(splits)}")
     return {s: n for s, n in counts.items() if n}
-
-
-def given_of(options: Options) -> BenchmarkOverrides:
-    """What the options say of the benchmark."""
-    return BenchmarkOverrides(
-        **{f.name: getattr(options, f.name) for f in fields(BenchmarkOverrides)}
-    )
 
 
 def _configuration(options: Options) -> "EvalConfig":
@@ -246,9 +228,8 @@ def _configuration(options: Options) -> "EvalConfig":
     config = EvalConfig.preset(options.preset)
     edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
     hand = config.plan.hand if options.plan_hand == "preset" else options.plan_hand
-    plan = replace(
-        config.plan, object_collision=options.object_collision, edge_check=edge_check, hand=hand
-    )
+    collision = options.object_collision
+    plan = replace(config.plan, object_collision=collision, edge_check=edge_check, hand=hand)
     # what nothing is judged by says nothing: two runs that differ in it can be compared
     estimate = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
     sim = config.execute.sim if options.sim == "auto" else options.sim
@@ -281,25 +262,23 @@ def _noise(options: Options) -> "PredictorNoise":
 
 
 def _predictors(options: Options) -> dict[str, Any]:
-    """What the methods see: the error model, and which contact network."""
+    """What the methods see: the error model, which contact network (its file, or the files of its
+    Python module), and the files of networks' answers."""
+    contact: dict[str, Any] = {"built_in": "VoxNet"}
+    if spec := options.predictor:
+        files = [Path(spec)] if Path(spec).is_file() else load_function(spec).files().values()
+        contact = {"file": spec, "sha256": provenance.file_digest(files)}
+    networks = {
+        name: {"file": file, "sha256": provenance.file_digest([Path(file)])}
+        for name in SEEN_BY
+        if (file := getattr(options, name))
+    }
     return {
         "noise_factor": options.predictor_noise,
         "noise": asdict(_noise(options)),
-        "contact": _network(options.predictor) if options.predictor else {"built_in": "VoxNet"},
-        **_seen_files(options),
+        "contact": contact,
+        **networks,
     }
-
-
-def _network(spec: str) -> dict[str, str]:
-    """A user's contact network: its file, or the files of its Python module."""
-    files = [Path(spec)] if Path(spec).is_file() else load_function(spec).files().values()
-    return {"file": spec, "sha256": provenance.file_digest(files)}
-
-
-def _seen_files(options: Options) -> dict[str, Any]:
-    """Names and digests of the networks' answers; nothing where there are none."""
-    given = {name: getattr(options, name) for name in SEEN_BY if getattr(options, name)}
-    return {k: {"file": v, "sha256": provenance.file_digest([Path(v)])} for k, v in given.items()}
 
 
 def with_trials(options: Options) -> Options:
@@ -348,21 +327,24 @@ def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     jobs = [_method_job(name, setting.evaluator, options, seen) for name in options.method]
     for path, digest, answers in files:
         planned, answers = setting.ids(0, setting.planned), answers.named(setting.names, path)
-        given, motions = answers.predictions, answers.motions
+        predictions, motions = answers.predictions, answers.motions
         robot = setting.evaluator.scene.robot
         if motions is not None and motions.q.shape[1] != len(robot.joints) and len(motions.q):
             words = f"motions of {motions.q.shape[1]} joints; {robot.name} has {len(robot.joints)}"
             raise PredictionsError(f"{path}: {words}; name their robot with --robot")
-        rows = align(given, planned, source=path, allow_missing=options.allow_missing)
+        rows = align(predictions, planned, source=path, allow_missing=options.allow_missing)
         kind = "predictions" if motions is None else "motions"
         source = {"kind": kind, "file": path, "sha256": digest}
-        jobs.append(Job(given.method, source, partial(_stored, given), rows, motions))
+        jobs.append(Job(predictions.method, source, partial(_rows_of, predictions), rows, motions))
     names = [job.name for job in jobs]
     if twice := sorted({n for n in names if names.count(n) > 1}):
-        raise UsageError(
-            f"two methods are called {twice[0]!r}; give each predictions file its own method name"
-        )
+        how = "give each predictions file its own method name"
+        raise UsageError(f"two methods are called {twice[0]!r}; {how}")
     return jobs
+
+
+def _rows_of(predictions: Predictions, _: Trials, rows: torch.Tensor | None) -> Predictions:
+    return predictions if rows is None else predictions[rows]
 
 
 def _check_postures(options: Options, evaluator: "Evaluator") -> None:
@@ -373,19 +355,14 @@ def _check_postures(options: Options, evaluator: "Evaluator") -> None:
     if evaluator.config.plan.hand == "estimated":
         needing.append("plan_hand=estimated")
     if needing:
-        raise UsageError(
-            f"{needing[0]} needs the hands' postures, and these trials have meshes of hands; take"
-            " another method, or --set plan_hand=true"
-        )
+        what = "needs the hands' postures, and these trials have meshes of hands"
+        raise UsageError(f"{needing[0]} {what}; take another method, or --set plan_hand=true")
 
 
 def _seen(options: Options, setting: Setting) -> "Observations | None":
     """What networks of the user's saw, checked against the plan; None where no file is given."""
-    files = {
-        name.removeprefix("predicted_"): getattr(options, name)
-        for name in SEEN_BY
-        if getattr(options, name)
-    }
+    named = {name.removeprefix("predicted_"): getattr(options, name) for name in SEEN_BY}
+    files = {name: file for name, file in named.items() if file}
     if not files:
         return None
     from r2h_batch.predictors import read_observations
@@ -397,10 +374,6 @@ def _seen(options: Options, setting: Setting) -> "Observations | None":
     if seen.parts is not None:
         seen.check_parts(setting.trials(planned), scene.objects)
     return seen
-
-
-def _stored(predictions: Predictions, _: Trials, rows: torch.Tensor | None) -> Predictions:
-    return predictions if rows is None else predictions[rows]
 
 
 @dataclass(frozen=True)
@@ -450,65 +423,53 @@ def _function_of(word: str) -> str:
     return f"r2h_batch.methods.{word.replace('-', '_')}:predict"
 
 
-def _built_in(word: str) -> UserFunction:
-    spec = _function_of(word)
-    module = import_module(spec.partition(":")[0])
-    return UserFunction(module.predict, module, spec)
-
-
 def _method(argument: str) -> _Method:
     name = base_of(argument)
     built_in = name in METHODS
     form = f"it must be {HOW}; the function takes (trials, scene, *, seed)"
     try:
         with own_streams(f"--method {name}"):
-            found = _built_in(name) if built_in else load_function(name)
+            if built_in:
+                spec = _function_of(name)
+                module = import_module(spec.partition(":")[0])
+                found = UserFunction(module.predict, module, spec)
+            else:
+                found = load_function(name)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a user's module runs when it is imported
         kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
-        raise UsageError(
-            f"--method {name}: {kind}{' '.join(str(error).split())}; {form}"
-        ) from error
+        words = f"{kind}{' '.join(str(error).split())}; {form}"
+        raise UsageError(f"--method {name}: {words}") from error
     function = found.function
-    given = options_of(argument, function, known=built_in) if callable(function) else {}
+    chosen = options_of(argument, function, known=built_in) if callable(function) else {}
     try:
         signature = inspect.signature(function)
-        more = {
-            k: None
-            for k in ("evaluator", "noise", "predictor", "seen")
-            if k in signature.parameters
-        }
-        signature.bind(None, None, seed=0, **more, **given)
+        more = {"evaluator", "noise", "predictor", "seen"} & signature.parameters.keys()
+        signature.bind(None, None, seed=0, **dict.fromkeys(more), **chosen)
     except (TypeError, ValueError) as error:
         raise UsageError(f"--method {name}: {error}; {form}") from error
-    return _Method(built_in, found, signature.parameters, given)
-
-
-def _files_of(method: _Method) -> dict[str, Path]:
-    """Name -> file of what decides a user's answers: modules, `METHOD_FILES`, files that its
-    options name."""
-    values = [v for v in method.options.values() if isinstance(v, str)]
-    return method.found.files() | {v: Path(v) for v in values if Path(v).is_file()}
+    return _Method(built_in, found, signature.parameters, chosen)
 
 
 def _method_job(
     name: str, evaluator: "Evaluator", options: Options, seen: "Observations | None" = None
 ) -> Job:
-    method, options_text = _method(name), said_options(name)
+    method, options_text = _method(name), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
-    extra: dict[str, Any] = {
-        **method.options,
-        **({"evaluator": evaluator} if "evaluator" in takes else {}),
-    }
+    extra = dict(method.options)
+    if "evaluator" in takes:
+        extra["evaluator"] = evaluator
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)
     title = f"{base} ({options_text})" if options_text and not own_name(name) else base
-    source = {
-        "kind": "method",
-        "function": method.found.spec,
-        **({"options": options_text} if options_text else {}),
-    }
-    files = {"": Path(str(module.__file__))} if built_in else _files_of(method)
+    source = {"kind": "method", "function": method.found.spec}
+    if options_text:
+        source["options"] = options_text
+    if built_in:
+        files = {"": Path(str(module.__file__))}
+    else:  # modules, `METHOD_FILES`, and files that its options name
+        texts = [v for v in method.options.values() if isinstance(v, str)]
+        files = method.found.files() | {v: Path(v) for v in texts if Path(v).is_file()}
     source["sha256"] = provenance.file_digest(files.values())
     if not built_in:
         source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
@@ -524,52 +485,39 @@ def _method_job(
         if built_in:
             stand_in = Path(own).name or module.STAND_IN
             shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in module.SEES}
+            noise, errors = options.predictor_noise, _errors(options)
             title = table_name(
-                module.TITLE,
-                stand_in,
-                options.predictor_noise,
-                shown,
-                module.SEES,
-                options_text,
-                errors=_errors(options),
+                module.TITLE, stand_in, noise, shown, module.SEES, options_text, errors=errors
             )
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
     def answer(trials: Trials) -> Predictions:
         before = set(sys.modules)
         with on_threads(evaluator.threads):
-            answer = answer_of(
-                title,
-                trials,
-                lambda mine: method.found.function(
-                    mine, evaluator.scene, seed=options.seed, **extra
-                ),
-            )
+            function = partial(method.found.function, seed=options.seed, **extra)
+            answer = answer_of(title, trials, lambda copied: function(copied, evaluator.scene))
         late = user_files(sys.modules.keys() - before)
         for k in late.keys() - files.keys() if not built_in else ():
-            LOG.info(
-                f"{title}: imported {k} when it was called; a resume does not notice its changes"
-            )
+            words = "a resume does not notice its changes"
+            LOG.info(f"{title}: imported {k} when it was called; {words}")
         return answer
 
     if not built_in:
-        words = ""
-        if not hasattr(module, "METHOD_FILES"):
-            others = counted(len(files) - 1, "modules")
-            more = f" or {others} that it imports" if len(files) > 1 else ""
-            words = (
-                f"{title}: a resume is refused once {module.__name__}{more} changes; other files"
-                f" (weights, data) are not compared: name them in METHOD_FILES of the module"
-            )
-        return Job(title, source, lambda trials, _: answer(trials), lines=(words,) if words else ())
+        others = f" or {counted(len(files) - 1, 'modules')} that it imports"
+        changes = f"{module.__name__}{others if len(files) > 1 else ''} changes"
+        words = (
+            "other files (weights, data) are not compared: name them in METHOD_FILES of the module"
+        )
+        lines: tuple[str, ...] = (f"{title}: a resume is refused once {changes}; {words}",)
+        if hasattr(module, "METHOD_FILES"):
+            lines = ()
+        return Job(title, source, lambda trials, _: answer(trials), lines=lines)
     coverage = coverage_of(name, getattr(module, "SEES", ()), evaluator.scene, seen)
-    return Job(
-        title,
-        source,
-        lambda trials, _: coverage.answer(trials, answer),
-        warm=True,
-        lines=coverage.lines,
-    )
+
+    def covered(trials: Trials, _: Any) -> Predictions:
+        return coverage.answer(trials, answer)
+
+    return Job(title, source, covered, warm=True, lines=coverage.lines)
 
 
 class NotBuiltIn(UsageError):
@@ -605,41 +553,33 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         named, allowed = str(errors)[:40], ", ".join(get_args(Errors))
         raise UsageError(f"run.json names the error model {named!r}; allowed are {allowed}")
     options_text = source.get("options", "")
+    noise_factor = predictors.get("noise_factor", 1.0)
     options = Options(
-        method=(f"{word},{options_text}" if options_text else word,),
-        seed=header["seed"],
-        predictor_noise=predictors.get("noise_factor", 1.0),
-        hand_errors=cast(Errors, errors),
-        allow_empty_candidates=True,
-    )
+        method=(f"{word},{options_text}" if options_text else word,), seed=header["seed"],
+        predictor_noise=noise_factor, hand_errors=cast(Errors, errors), allow_empty_candidates=True,
+    )  # fmt: skip
     return _method_job(options.method[0], evaluator, check(options))
 
 
-SAID = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}
+SHOWN_AS = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}
 """What a method is shown, as its name in tables says it."""
 
 
 def table_name(
-    title: str,
-    stand_in: str,
-    noise: float,
-    shown: Mapping[str, str] | None = None,
-    sees: Sequence[str] = (),
-    said: str = "",
-    *,
-    errors: "Errors" = "normal",
-) -> str:
+    title: str, stand_in: str, noise: float, shown: Mapping[str, str] | None = None,
+    sees: Sequence[str] = (), options: str = "", *, errors: "Errors" = "normal",
+) -> str:  # fmt: skip
     """A method's name in tables: what stood in for the original network, the error model it was
     given, its options.
 
     `shown`: kind -> the network whose prediction it saw, of all the kinds that it `sees`; what no
-    network gave is named too. `said`: the options that were given with its name.
+    network gave is named too. `options`: those that were given with its name.
     """
-    more = f"; {said}" if said else ""
+    more = f"; {options}" if options else ""
     kind = {"normal": "", "frames": " of frames", "tails": " with tails"}[errors]
     added = "" if noise == 0 else f" + noise{kind}" if noise == 1 else f" + {noise:g} x noise{kind}"
     if not shown:
         return f"{title} ({stand_in}{added}{more})"
     # the built-in contact network sees no noise: it is asked about the object alone
     stood = dict.fromkeys(sees, f"oracle{added}") | {"contacts": stand_in.partition(",")[0]}
-    return f"{title} ({', '.join(f'{SAID[k]}: {shown.get(k, stood[k])}' for k in sees)}{more})"
+    return f"{title} ({', '.join(f'{SHOWN_AS[k]}: {shown.get(k, stood[k])}' for k in sees)}{more})"

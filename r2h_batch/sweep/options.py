@@ -10,7 +10,8 @@ import sys
 import textwrap
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
@@ -40,227 +41,171 @@ MOST = 10**12
 """Largest count: a larger number is a slip that something else would refuse much later."""
 
 
-def _option(default: Any, group: str, words: str) -> Any:
-    """A field of `Options`; `group` "": not a flag of the help, but of --set and --config."""
-    return field(default=default, metadata={"group": group, "help": words})
-
-
-_METHODS, _TRIALS, _VERDICT = "methods", "trials", "verdict"
-_OUTPUT, _WORK, _CONFIG = "output", "work", ""
+GROUPS = {
+    "methods": "method predictions motions seed",
+    "trials": "trials_from trials splits protocol receiver trials_file benchmark objects object_mesh"
+    " grasps robot hands",
+    "verdict": "preset sim",
+    "output": "out format save_paths quiet",
+    "work": "device threads shard engine",
+}
+"""Flags by the groups of the help; the other options belong to `--set` and `--config`."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Score handover methods on the benchmark's trials and print Table I."""
+    """Score handover methods on the benchmark's trials and print Table I.
 
-    method: tuple[str, ...] = _option(
-        (),
-        _METHODS,
-        "fc, handover-va, contact, intent, random, oracle; your own: package.module:function,"
-        " FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik",
-    )
-    predictions: tuple[str, ...] = _option((), _METHODS, "files of poses: .npz, .csv, .json")
-    motions: tuple[str, ...] = _option(
-        (), _METHODS, "files of joint motions, judged as they are: .npz, .parquet"
-    )
-    seed: int = _option(0, _METHODS, "seed of the methods; it does not change the trials")
-    trials_from: str = _option(
-        "", _TRIALS, "judge trials and motions of the authors' release: a folder or file"
-    )
-    trials: int = _option(500, _TRIALS, "trials of each split")
-    splits: tuple[Literal["S0", "S1"], ...] = _option(
-        ("S0", "S1"), _TRIALS, "S0: free handover; S1: functional handover"
-    )
-    protocol: Literal["", "r2h-v0", "r2h-v1", "r2h-release"] = _option(
-        "",
-        _TRIALS,
-        "r2h-v1 (default): hands of people who reach; r2h-v0: hands alone; r2h-release: palms,"
-        " objects and table of the authors' release",
-    )
-    receiver: Literal["", "hand", "body"] = _option(
-        "", _TRIALS, "what planning and Safe see: hand (default), or body (with r2h-v1)"
-    )
-    trials_file: str = _option("", _TRIALS, "your own trials, .npz or .parquet")
-    benchmark: str = _option("", _TRIALS, "your benchmark.yaml (r2h-batch benchmark show)")
-    objects: str = _option("", _TRIALS, "other objects: folder, or benchmark.yaml")
-    object_mesh: tuple[str, ...] = _option(
-        (),
-        _TRIALS,
-        "more objects, FILE[:S0|S1[:REGION]]; REGION, the receiver's part: its name, a plane such"
-        " as z<0.3, or an .npy of faces",
-    )
-    grasps: tuple[str, ...] = _option(
-        (), _TRIALS, "grasp candidates: NAME=FILE, a file, or a folder"
-    )
-    robot: str = _option(
-        "", _TRIALS, "ur5e_2f85 (default), another of ls robots, or a folder of import robot"
-    )
-    persons: Literal["", "for-robot", "as-for-ur5e"] = _option(
-        "",
-        _CONFIG,
-        "where persons stand. for-robot (default): scaled by the robot's reach; as-for-ur5e: as for the UR5e",
-    )
-    hands: str = _option("", _TRIALS, "another hand set: .npz of import hands")
-    hand_model: str = _option("", _CONFIG, "MANO_RIGHT.pkl, or .npz of import hand")
-    preset: Literal["default", "paper", "release"] = _option(
-        "default",
-        _VERDICT,
-        "default: certified planning to any IK branch; paper: one goal, sampled edges, as in the paper;"
-        " release: the rules of the authors' release",
-    )
-    sim: Literal["auto", "none", "mujoco", "mjwarp"] = _option(
-        "auto",
-        _VERDICT,
-        "engine that moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset release",
-    )
-    out: str = _option("", _OUTPUT, "run folder; the same command continues it")
-    format: Literal["md", "latex", "csv", "json"] = _option("md", _OUTPUT, "format of the table")
-    save_paths: bool = _option(
-        False, _OUTPUT, "store waypoints, goals, grasps and witnesses, for r2h-batch scene"
-    )
-    quiet: bool = _option(False, _OUTPUT, "print only errors on stderr")
-    device: str = _option("cpu", _WORK, "cpu, cuda or cuda:N")
-    threads: int | None = _option(None, _WORK, "CPU threads; default: all cores")
-    shard: str = _option("1/1", _WORK, "I/N: part I of N, for job arrays with one --out")
-    shard_trials: int = _option(0, _CONFIG, "trials of a shard; 0: a minute of work")
-    engine: Literal["local", "ray"] = _option("local", _WORK, "this process, or a Ray cluster")
-    address: str = _option("", _CONFIG, "Ray cluster to join: auto or HOST:PORT")
+    Args:
+        method: fc, handover-va, contact, intent, random, oracle; your own: package.module:function,
+            FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik
+        predictions: files of poses: .npz, .csv, .json
+        motions: files of joint motions, judged as they are: .npz, .parquet
+        seed: seed of the methods; it does not change the trials
+        trials_from: judge trials and motions of the authors' release: a folder or file
+        trials: trials of each split
+        splits: S0: free handover; S1: functional handover
+        protocol: r2h-v1 (default): hands of people who reach; r2h-v0: hands alone; r2h-release:
+            palms, objects and table of the authors' release
+        receiver: what planning and Safe see: hand (default), or body (with r2h-v1)
+        trials_file: your own trials, .npz or .parquet
+        benchmark: your benchmark.yaml (r2h-batch benchmark show)
+        objects: other objects: folder, or benchmark.yaml
+        object_mesh: more objects, FILE[:S0|S1[:REGION]]; REGION, the receiver's part: its name, a
+            plane such as z<0.3, or an .npy of faces
+        grasps: grasp candidates: NAME=FILE, a file, or a folder
+        robot: ur5e_2f85 (default), another of ls robots, or a folder of import robot
+        persons: where persons stand. for-robot (default): scaled by the robot's reach; as-for-ur5e:
+            as for the UR5e
+        hands: another hand set: .npz of import hands
+        hand_model: MANO_RIGHT.pkl, or .npz of import hand
+        preset: default: certified planning to any IK branch; paper: one goal, sampled edges, as in
+            the paper; release: the rules of the authors' release
+        sim: engine that moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset
+            release
+        out: run folder; the same command continues it
+        format: format of the table
+        save_paths: store waypoints, goals, grasps and witnesses, for r2h-batch scene
+        quiet: print only errors on stderr
+        device: cpu, cuda or cuda:N
+        threads: CPU threads; default: all cores
+        shard: I/N: part I of N, for job arrays with one --out
+        shard_trials: trials of a shard; 0: a minute of work
+        engine: this process, or a Ray cluster
+        address: Ray cluster to join: auto or HOST:PORT
+        replan: with trials_from: plan every motion anew instead of judging that of the file
+        predictor: contact network of method contact: .onnx, VoxNet weights as .safetensors, or
+            package.module:function or FILE.py:function; default: the built-in VoxNet
+        trust_code: also accept a TorchScript file as predictor; such a program can write any file.
+            A --config file cannot set this: use --trust-code
+        predictor_noise: factor on the error model of what the methods see; 0: they see the truth
+        predicted_hands: hands of your own network instead of the error model, .npz; fc,
+            handover-va, contact and intent see them
+        predicted_parts: part labels or affordances of your own network; handover-va sees them
+        predicted_contacts: contact probabilities of your own network; contact sees them
+        hand_errors: error model of the target hand. normal: no outliers; frames: errors of
+            published estimators in single frames; tails: both; preset: normal, with preset paper
+            tails
+        candidates: grasps that methods choose from. filtered: those that this gripper can hold;
+            as-generated: all that the sampler proposes; narrow: those across which the whole object
+            fits; preset: filtered, with preset paper as-generated, with preset release narrow
+        width: Stability measures the material between the pads, or the whole object's extent along
+            the closing axis; preset: pads, with preset release whole
+        reach: Reach measures the object, or its convex hull; preset: solid, with preset release
+            hull
+        stability: physics: friction must also hold the object against its weight and a shake along
+            three axes
+        object_collision: the attached object in planning: its convex hull (as in the paper), or its
+            convex decomposition
+        edge_check: edges of a path: certified, or sampled at MoveIt's resolution
+        plan_hand: hand that planned paths avoid: the true hand, or the estimated hand that methods
+            see. Safe judges the true hand. preset: true, with preset paper estimated
+        ik: inverse kinematics: a Warp kernel, or pytorch-kinematics (slower)
+        sim_model: scene: simulate everything, with contacts; arm: a rigid gripper, no contacts;
+            auto: the arm, and the scene for each trial in which a contact is possible
+        execution_error: errors of the executed poses as standard deviations per axis. 5mm,1deg:
+            both the camera's calibration and the object in the gripper err anew in every trial;
+            camera:5mm,1deg or object:5mm,1deg: one of both errs; bias:5mm,1deg: one error of the
+            camera for all trials
+        robustness: sweep without and with each of four execution errors, into folders of --out, and
+            print how SR falls
+        receiver_motion: also play every handover in closed loop; the receiver's hand: still, moves,
+            reaches, hesitates, withdraws or takes, with a size such as moves:100mm,20deg; or
+            replay:NAME_motion.npz of import hands (needs the extra env)
+        policy: policy that moves the arm in closed loop: planned, stop, servo, replan, or your
+            package.module:function, which takes an observation of HandoverEnv
+        log: also write the table's numbers into a logger, in the run folder (offline)
+        no_poses: do not store the scored poses: saves 51 to 81 bytes a trial; reevaluate needs them
+        verbose: print every step and shard on stderr; log.txt always has them
+        allow_empty_candidates: count trials of objects without a grasp as failures of built-in
+            methods
+        allow_missing: count trials that a predictions file leaves out as failures
+        chunk: trials scored at once; 0: 256 on a CPU, 2048 on a GPU
+        ray_timeout: seconds after which a Ray cluster that does not answer counts as lost
+        workers: Ray actors; 0: one for each GPU, or for each 4 CPUs
+        gpus_per_worker: GPUs of each actor; 0: 1 with device cuda
+    """
 
-    replan: bool = _option(
-        False,
-        _CONFIG,
-        "with trials_from: plan every motion anew instead of judging that of the file",
-    )
-    predictor: str = _option(
-        "",
-        _CONFIG,
-        "contact network of method contact: .onnx, VoxNet weights as .safetensors, or"
-        " package.module:function or FILE.py:function; default: the built-in VoxNet",
-    )
-    trust_code: bool = _option(
-        False,
-        _CONFIG,
-        "also accept a TorchScript file as predictor; such a program can write any file. A --config"
-        " file cannot set this: use --trust-code",
-    )
-    predictor_noise: float = _option(
-        1.0, _CONFIG, "factor on the error model of what the methods see; 0: they see the truth"
-    )
-    predicted_hands: str = _option(
-        "",
-        _CONFIG,
-        "hands of your own network instead of the error model, .npz; fc,"
-        " handover-va, contact and intent see them",
-    )
-    predicted_parts: str = _option(
-        "", _CONFIG, "part labels or affordances of your own network; handover-va sees them"
-    )
-    predicted_contacts: str = _option(
-        "", _CONFIG, "contact probabilities of your own network; contact sees them"
-    )
-    hand_errors: Literal["preset", "normal", "frames", "tails"] = _option(
-        "preset",
-        _CONFIG,
-        "error model of the target hand. normal: no outliers; frames: errors of published"
-        " estimators in single frames; tails: both; preset: normal, with preset paper tails",
-    )
-    candidates: Literal["preset", "filtered", "as-generated", "narrow"] = _option(
-        "preset",
-        _CONFIG,
-        "grasps that methods choose from. filtered: those that this gripper can hold; as-generated:"
-        " all that the sampler proposes; narrow: those across which the whole object fits; preset:"
-        " filtered, with preset paper as-generated, with preset release narrow",
-    )
-    width: Literal["preset", "pads", "whole"] = _option(
-        "preset",
-        _CONFIG,
-        "Stability measures the material between the pads, or the whole object's extent along the"
-        " closing axis; preset: pads, with preset release whole",
-    )
-    reach: Literal["preset", "solid", "hull"] = _option(
-        "preset",
-        _CONFIG,
-        "Reach measures the object, or its convex hull; preset: solid, with preset release hull",
-    )
-    stability: Literal["geometric", "physics"] = _option(
-        "geometric",
-        _CONFIG,
-        "physics: friction must also hold the object against its weight and a shake along three"
-        " axes",
-    )
-    object_collision: Literal["hull", "pieces"] = _option(
-        "hull",
-        _CONFIG,
-        "the attached object in planning: its convex hull (as in the paper), or its convex"
-        " decomposition",
-    )
-    edge_check: Literal["preset", "exact", "moveit"] = _option(
-        "preset", _CONFIG, "edges of a path: certified, or sampled at MoveIt's resolution"
-    )
-    plan_hand: Literal["preset", "true", "estimated"] = _option(
-        "preset",
-        _CONFIG,
-        "hand that planned paths avoid: the true hand, or the estimated hand that methods see. Safe"
-        " judges the true hand. preset: true, with preset paper estimated",
-    )
-    ik: Literal["fused", "pytorch-kinematics"] = _option(
-        "fused", _CONFIG, "inverse kinematics: a Warp kernel, or pytorch-kinematics (slower)"
-    )
-    sim_model: Literal["auto", "scene", "arm"] = _option(
-        "auto",
-        _CONFIG,
-        "scene: simulate everything, with contacts; arm: a rigid gripper, no contacts; auto: the"
-        " arm, and the scene for each trial in which a contact is possible",
-    )
-    execution_error: str = _option(
-        "",
-        _CONFIG,
-        "errors of the executed poses as standard deviations per axis. 5mm,1deg: both the camera's"
-        " calibration and the object in the gripper err anew in every trial; camera:5mm,1deg or"
-        " object:5mm,1deg: one of both errs; bias:5mm,1deg: one error of the camera for all trials",
-    )
-    robustness: bool = _option(
-        False,
-        _CONFIG,
-        "sweep without and with each of four execution errors, into folders of --out, and print"
-        " how SR falls",
-    )
-    receiver_motion: str = _option(
-        "",
-        _CONFIG,
-        "also play every handover in closed loop; the receiver's hand: still, moves, reaches, hesitates, withdraws"
-        " or takes, with a size such as moves:100mm,20deg; or replay:NAME_motion.npz of import hands (needs the"
-        " extra env)",
-    )
-    policy: str = _option(
-        "planned",
-        _CONFIG,
-        "policy that moves the arm in closed loop: planned, stop, servo, replan, or your package.module:function,"
-        " which takes an observation of HandoverEnv",
-    )
-    log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = _option(
-        "", _CONFIG, "also write the table's numbers into a logger, in the run folder (offline)"
-    )
-    no_poses: bool = _option(
-        False,
-        _CONFIG,
-        "do not store the scored poses: saves 51 to 81 bytes a trial; reevaluate needs them",
-    )
-    verbose: bool = _option(
-        False, _CONFIG, "print every step and shard on stderr; log.txt always has them"
-    )
-    allow_empty_candidates: bool = _option(
-        False, _CONFIG, "count trials of objects without a grasp as failures of built-in methods"
-    )
-    allow_missing: bool = _option(
-        False, _CONFIG, "count trials that a predictions file leaves out as failures"
-    )
-    chunk: int = _option(0, _CONFIG, "trials scored at once; 0: 256 on a CPU, 2048 on a GPU")
-    ray_timeout: float = _option(
-        30.0, _CONFIG, "seconds after which a Ray cluster that does not answer counts as lost"
-    )
-    workers: int = _option(0, _CONFIG, "Ray actors; 0: one for each GPU, or for each 4 CPUs")
-    gpus_per_worker: float = _option(0.0, _CONFIG, "GPUs of each actor; 0: 1 with device cuda")
+    method: tuple[str, ...] = ()
+    predictions: tuple[str, ...] = ()
+    motions: tuple[str, ...] = ()
+    seed: int = 0
+    trials_from: str = ""
+    trials: int = 500
+    splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1")
+    protocol: Literal["", "r2h-v0", "r2h-v1", "r2h-release"] = ""
+    receiver: Literal["", "hand", "body"] = ""
+    trials_file: str = ""
+    benchmark: str = ""
+    objects: str = ""
+    object_mesh: tuple[str, ...] = ()
+    grasps: tuple[str, ...] = ()
+    robot: str = ""
+    persons: Literal["", "for-robot", "as-for-ur5e"] = ""
+    hands: str = ""
+    hand_model: str = ""
+    preset: Literal["default", "paper", "release"] = "default"
+    sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
+    out: str = ""
+    format: Literal["md", "latex", "csv", "json"] = "md"
+    save_paths: bool = False
+    quiet: bool = False
+    device: str = "cpu"
+    threads: int | None = None
+    shard: str = "1/1"
+    shard_trials: int = 0
+    engine: Literal["local", "ray"] = "local"
+    address: str = ""
+    replan: bool = False
+    predictor: str = ""
+    trust_code: bool = False
+    predictor_noise: float = 1.0
+    predicted_hands: str = ""
+    predicted_parts: str = ""
+    predicted_contacts: str = ""
+    hand_errors: Literal["preset", "normal", "frames", "tails"] = "preset"
+    candidates: Literal["preset", "filtered", "as-generated", "narrow"] = "preset"
+    width: Literal["preset", "pads", "whole"] = "preset"
+    reach: Literal["preset", "solid", "hull"] = "preset"
+    stability: Literal["geometric", "physics"] = "geometric"
+    object_collision: Literal["hull", "pieces"] = "hull"
+    edge_check: Literal["preset", "exact", "moveit"] = "preset"
+    plan_hand: Literal["preset", "true", "estimated"] = "preset"
+    ik: Literal["fused", "pytorch-kinematics"] = "fused"
+    sim_model: Literal["auto", "scene", "arm"] = "auto"
+    execution_error: str = ""
+    robustness: bool = False
+    receiver_motion: str = ""
+    policy: str = "planned"
+    log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = ""
+    no_poses: bool = False
+    verbose: bool = False
+    allow_empty_candidates: bool = False
+    allow_missing: bool = False
+    chunk: int = 0
+    ray_timeout: float = 30.0
+    workers: int = 0
+    gpus_per_worker: float = 0.0
 
     @property
     def stored(self) -> list[str]:
@@ -279,41 +224,39 @@ class Options:
 
 def help_text(prog: str) -> str:
     """The flags in groups, each with its meaning."""
-    lines = [
-        f"usage: {prog} [--config FILE.yaml] [--set NAME=VALUE ...] [FLAGS]",
-        "",
-        str(Options.__doc__),
-    ]
-    for group in (_METHODS, _TRIALS, _VERDICT, _OUTPUT, _WORK):
-        chosen = [f for f in fields(Options) if f.metadata["group"] == group]
-        lines += ["", f"{group}:", *_described(chosen, "--")]
-    words = (
-        "a YAML file with any option; a flag wins over it",
-        "any option; `--set help` lists them",
+    usage = f"usage: {prog} [--config FILE.yaml] [--set NAME=VALUE ...] [FLAGS]"
+    lines = [usage, "", str(Options.__doc__).partition("\n")[0]]
+    for group, names in GROUPS.items():
+        lines += ["", f"{group}:", *_described(names.split(), "--")]
+    config = (
+        ("--config FILE", "a YAML file with any option; a flag wins over it"),
+        ("--set NAME=VALUE ...", "any option; `--set help` lists them"),
     )
-    config = [("--config FILE", words[0]), ("--set NAME=VALUE ...", words[1])]
     return "\n".join([*lines, "", "more options:", *_columns(config)]) + "\n"
 
 
 def options_text() -> str:
     """The options that only `--set` and `--config` take."""
-    chosen = [f for f in fields(Options) if f.metadata["group"] == _CONFIG]
+    flags = " ".join(GROUPS.values()).split()
+    chosen = [f.name for f in fields(Options) if f.name not in flags]
     head = "Options for --set NAME=VALUE. A --config file takes these and the flags by name:"
     return "\n".join([head, "", *_described(chosen, "")]) + "\n"
 
 
-def _described(chosen: Sequence[Any], dashes: str) -> list[str]:
-    rows = []
-    for f in chosen:
-        kind, more = f.type, ""
+def _described(names: Sequence[str], dashes: str) -> list[str]:
+    rows, kinds = [], {f.name: typing.cast(Any, f.type) for f in fields(Options)}
+    meanings = re.findall(r"^ {8}(\w+): (.+(?:\n {12}.+)*)", str(Options.__doc__), re.MULTILINE)
+    helps = {name: " ".join(words.split()) for name, words in meanings}
+    for name in names:
+        kind, more = kinds[name], ""
         if get_origin(kind) is tuple:
             kind, more = get_args(kind)[0], " ..."
         if get_origin(kind) is Literal:
             value = "|".join(v for v in get_args(kind) if v)
         else:
             value = {bool: "", str: "TEXT", float: "NUMBER"}.get(kind, "INT")
-        name = f.name.replace("_", "-") if dashes else f.name
-        rows.append((f"{dashes}{name} {value}{more}".rstrip(), f.metadata["help"]))
+        shown = name.replace("_", "-") if dashes else name
+        rows.append((f"{dashes}{shown} {value}{more}".rstrip(), helps[name]))
     return _columns(rows)
 
 
@@ -329,118 +272,97 @@ def _columns(rows: Sequence[tuple[str, str]]) -> list[str]:
     return lines
 
 
+EXCLUDED = (
+    ("save_paths", ("no_poses",), "stores all that a trial can be opened by"),
+    (
+        "robustness",
+        ("execution_error", "motions", "trials_from"),
+        "sweeps its own execution errors",
+    ),
+    (
+        "receiver_motion",
+        ("motions", "trials_from", "execution_error", "robustness"),
+        "plays handovers from poses without errors",
+    ),
+    (
+        "execution_error",
+        ("motions", "trials_from"),
+        "changes poses, and motions are judged as they are",
+    ),
+)
+"""Options that exclude others, and why."""
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
 def check(options: Options) -> Options:
     """The options, or a `UsageError` about the first that cannot be."""
     if not (options.method or options.predictions or options.motions or options.trials_from):
-        raise UsageError(
-            f"nothing to score: give --method {' '.join(METHODS)}, --predictions FILE, --motions FILE"
-            " or --trials-from FILE"
-        )
+        flags = "--predictions FILE, --motions FILE or --trials-from FILE"
+        raise UsageError(f"nothing to score: give --method {' '.join(METHODS)}, {flags}")
     bases = [base_of(name) for name in options.method]
-    for name in bases:
-        if name not in METHODS and ":" not in name:
-            raise UsageError(
-                f"unknown method {name!r}{nearest(name, METHODS)}; allowed are {', '.join(METHODS)}"
-                f" or your own {HOW}"
-            )
-    for name in filter(own_name, options.method):
-        if base_of(name) in METHODS:
-            raise UsageError(
-                f"--method {name}: {base_of(name)} is built in and keeps its name in tables; leave"
-                f" {own_name(name)}= out"
-            )
-    least = {
-        "trials": 1,
-        "threads": 1,
-        "shard_trials": 0,
-        "chunk": 0,
-        "workers": 0,
-        "gpus_per_worker": 0,
-    }
-    for name, low in least.items():
-        value = getattr(options, name)
+    for name, base in zip(options.method, bases, strict=True):
+        if base not in METHODS and ":" not in base:
+            allowed = f"allowed are {', '.join(METHODS)} or your own {HOW}"
+            raise UsageError(f"unknown method {base!r}{nearest(base, METHODS)}; {allowed}")
+        if base in METHODS and own_name(name):
+            words = f"{base} is built in and keeps its name in tables; leave {own_name(name)}= out"
+            raise UsageError(f"--method {name}: {words}")
+    least = {"trials": 1, "threads": 1, "shard_trials": 0, "chunk": 0, "workers": 0}
+    for name, low in {**least, "gpus_per_worker": 0}.items():
+        value, flag = getattr(options, name), _flag(name)
         if value is not None and not value >= low:
-            raise UsageError(f"--{name.replace('_', '-')} is {value}; it must be {low} or more")
+            raise UsageError(f"{flag} is {value}; it must be {low} or more")
         if value is not None and value > MOST:
-            raise UsageError(
-                f"--{name.replace('_', '-')} is {str(value)[:40]}; it must be {MOST} or less"
-            )
+            raise UsageError(f"{flag} is {str(value)[:40]}; it must be {MOST} or less")
     if not -(1 << 63) <= options.seed < 1 << 63:
         raise UsageError(f"--seed is {str(options.seed)[:40]}; it must fit 64 bits")
-    if options.no_poses and options.save_paths:
-        raise UsageError(
-            "--save-paths stores all that a trial can be opened by; leave --no-poses out"
-        )
     for name in ("method", "splits", "predictions", "motions"):
-        given = getattr(options, name)
-        if twice := [g for g in given if given.count(g) > 1]:
+        values = getattr(options, name)
+        if twice := [v for v in values if values.count(v) > 1]:
             raise UsageError(f"--{name} {twice[0]} is given twice; once is enough")
     if not (math.isfinite(options.predictor_noise) and options.predictor_noise >= 0):
-        raise UsageError(
-            f"--predictor-noise is {options.predictor_noise}; it must be 0 (the truth) or more, 1 is the default"
-        )
-    if options.robustness:
-        others = ("execution_error", "motions", "trials_from")
-        for name in (name for name in others if getattr(options, name)):
-            flag = name.replace("_", "-")
-            raise UsageError(f"--robustness sweeps its own execution errors; leave --{flag} out")
-        if options.format == "latex":
-            raise UsageError("--robustness writes --format md, csv or json, not latex")
-    if options.policy != Options.policy and not options.receiver_motion:
-        raise UsageError(
-            "--policy moves the arm in closed loop; add --receiver-motion, such as moves or still"
-        )
-    if options.receiver_motion:
-        unfit = ("motions", "trials_from", "execution_error", "robustness")
-        for name in (name for name in unfit if getattr(options, name)):
-            raise UsageError(
-                f"--receiver-motion plays handovers from poses without errors; leave --{name.replace('_', '-')} out"
-            )
+        words = "it must be 0 (the truth) or more, 1 is the default"
+        raise UsageError(f"--predictor-noise is {options.predictor_noise}; {words}")
     if options.execution_error:
         execution_error(options.execution_error)
-        if options.motions or options.trials_from:
-            raise UsageError(
-                "--execution-error changes poses, and motions are judged as they are; leave one out"
-            )
+    for name, others, why in EXCLUDED:
+        for other in others if getattr(options, name) else ():
+            if getattr(options, other):
+                raise UsageError(f"{_flag(name)} {why}; leave {_flag(other)} out")
+    if options.robustness and options.format == "latex":
+        raise UsageError("--robustness writes --format md, csv or json, not latex")
+    if options.policy != Options.policy and not options.receiver_motion:
+        words = "add --receiver-motion, such as moves or still"
+        raise UsageError(f"--policy moves the arm in closed loop; {words}")
     if options.predictor and "contact" not in bases:
-        raise UsageError(
-            "--predictor is the contact network of --method contact; add that method, or leave it out"
-        )
+        words = "add that method, or leave it out"
+        raise UsageError(f"--predictor is the contact network of --method contact; {words}")
     for name, users in SEEN_BY.items():
         if getattr(options, name) and not any(m in users or ":" in m for m in bases):
-            raise UsageError(
-                f"--{name.replace('_', '-')} is seen by --method {', '.join(users)}; add one, or leave it out"
-            )
-    if (
-        options.predicted_hands
-        and (options.plan_hand == "estimated" or options.preset == "paper")
-        and options.plan_hand != "true"
-    ):
-        raise UsageError(
-            "--predicted-hands: paths are planned against the error model's hand or the true one; add --plan-hand true"
-        )
+            words = f"is seen by --method {', '.join(users)}; add one, or leave it out"
+            raise UsageError(f"{_flag(name)} {words}")
+    estimated = {"estimated": True, "true": False, "preset": options.preset == "paper"}
+    if options.predicted_hands and estimated[options.plan_hand]:
+        words = "paths are planned against the error model's hand or the true one"
+        raise UsageError(f"--predicted-hands: {words}; add --plan-hand true")
     if not options.splits:
         raise UsageError("--splits names no split; allowed are S0, S1")
-    if options.device not in ("cpu", "cuda") and not (
-        options.device.startswith("cuda:")
-        and options.device[5:].isascii()
-        and options.device[5:].isdigit()
-    ):
+    if not re.fullmatch(r"cpu|cuda(:\d+)?", options.device, re.ASCII):
         raise UsageError(f"--device is {options.device!r}; allowed are cpu, cuda, cuda:N")
-    i, slash, n = options.shard.partition("/")
-    if not (slash and _count(i) and _count(n) and 1 <= int(i) <= int(n)):
-        raise UsageError(
-            f"--shard is {options.shard!r}; it must be I/N with I from 1 to N, such as 2/8"
-        )
+    part = re.fullmatch(r"(\d{1,9})/(\d{1,9})", options.shard, re.ASCII)
+    if not part or not 1 <= int(part[1]) <= int(part[2]):
+        words = "it must be I/N with I from 1 to N, such as 2/8"
+        raise UsageError(f"--shard is {options.shard!r}; {words}")
     if options.part[1] > 1 and not options.out:
         raise UsageError("--shard needs --out: all parts write to one folder")
     if not 0 < options.ray_timeout <= 86400:
-        raise UsageError(
-            f"--ray-timeout is {options.ray_timeout:g}; it must be more than 0 and at most 86400 seconds"
-        )
-    if options.engine == "local" and (
-        options.workers or options.address or options.gpus_per_worker
-    ):
+        words = "it must be more than 0 and at most 86400 seconds"
+        raise UsageError(f"--ray-timeout is {options.ray_timeout:g}; {words}")
+    of_ray = options.workers or options.address or options.gpus_per_worker
+    if options.engine == "local" and of_ray:
         raise UsageError("--workers, --address and --gpus-per-worker belong to --engine ray")
     return options
 
@@ -454,10 +376,8 @@ def execution_error(text: str, seed: int = 0) -> "ExecutionError":
     number = r"(\d+\.?\d*|\.\d+)"
     found = re.fullmatch(rf"(?:(camera|object|bias):)?{number}mm,{number}deg", text, re.ASCII)
     if not found:
-        raise UsageError(
-            f"--execution-error is {text!r}; it must be such as 5mm,1deg or camera:5mm,1deg,"
-            " object:5mm,1deg, bias:5mm,1deg"
-        )
+        allowed = "5mm,1deg or camera:5mm,1deg, object:5mm,1deg, bias:5mm,1deg"
+        raise UsageError(f"--execution-error is {text!r}; it must be such as {allowed}")
     part, size, none = found[1], (float(found[2]) / 1000, float(found[3])), (0.0, 0.0)
     camera = none if part == "object" else size
     held = none if part in ("camera", "bias") else size
@@ -467,12 +387,6 @@ def execution_error(text: str, seed: int = 0) -> "ExecutionError":
         return error if error.any else ExecutionError()
     except ValueError as error:
         raise UsageError(f"--execution-error: {error}") from None
-
-
-def _count(text: str) -> bool:
-    """Whether the text is a plain number of at most nine digits (superscripts are digits to Python,
-    but no numbers)."""
-    return text.isascii() and text.isdigit() and len(text) < 10
 
 
 def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") -> Options:
@@ -507,9 +421,8 @@ def load_config(path: Path) -> Options:
         data = read_yaml(path)
         _check_names(str(path), "field", data)
         if data.get("trust_code"):  # the file may come from whoever made the network
-            raise UsageError(
-                f"{path}: trust_code is not an option of a file; add the flag --trust-code"
-            )
+            words = "trust_code is not an option of a file"
+            raise UsageError(f"{path}: {words}; add the flag --trust-code")
         text = json.dumps(data, default=str)
         options = pydantic.TypeAdapter(Options).validate_json(text, strict=True)
         return replace(options, **{k: _expanded(v) for k, v in asdict(options).items()})
@@ -527,9 +440,7 @@ def _check_names(where: str, kind: str, names: Iterable[Any]) -> None:
     for name in names:
         if name not in allowed:
             hint = nearest(str(name), allowed)
-            raise UsageError(
-                f"{where}: unknown {kind} {name!r}{hint}; allowed are {', '.join(allowed)}"
-            )
+            raise UsageError(f"{where}: unknown {kind} {name!r}{hint}; see --set help")
 
 
 def _expanded(value: Any) -> Any:
@@ -582,8 +493,6 @@ GIVEN = ("trials", "scene", "seed", "evaluator", "noise", "predictor", "seen", "
 """Arguments of a method that the sweep passes; its other keyword arguments are its options:
 `--method contact,gate=ik`."""
 
-_WORDS = {"true": True, "false": False}
-
 
 def base_of(method: str) -> str:
     """A built-in method or where the user's function is: without a name for tables, without
@@ -596,7 +505,7 @@ def own_name(method: str) -> str:
     return method.partition(",")[0].rpartition("=")[0]
 
 
-def said_options(method: str) -> str:
+def text_of_options(method: str) -> str:
     """What stands after the name, for tables and run folders: `gate=ik, height_m=0.12`; empty
     without options."""
     return ", ".join(part.strip() for part in method.split(",")[1:])
@@ -624,9 +533,8 @@ def options_of(method: str, function: Callable[..., Any], *, known: bool) -> dic
         name += "_" if keyword.iskeyword(name) else ""  # oracle,for=reception: parameter for_
         if name not in allowed:
             takes = f"allowed are {', '.join(allowed)}" if allowed else "it takes none"
-            raise UsageError(
-                f"--method {base}: unknown option {name!r}{nearest(name, list(allowed))}; {takes}"
-            )
+            hint = nearest(name, list(allowed))
+            raise UsageError(f"--method {base}: unknown option {name!r}{hint}; {takes}")
         if not equals or not text:
             raise UsageError(f"--method {base}: option {name} has no value; say {name}=VALUE")
         if name in found:
@@ -637,14 +545,10 @@ def options_of(method: str, function: Callable[..., Any], *, known: bool) -> dic
 
 def _allowed(function: Callable[..., Any]) -> dict[str, Any]:
     """Option -> its type (None: not said)."""
-    hints: Mapping[str, Any]
-    try:
+    hints: Mapping[str, Any] = {}
+    # a user's annotations may name what is missing when it runs
+    with suppress(NameError, TypeError):
         hints = typing.get_type_hints(function)
-    except (
-        NameError,
-        TypeError,
-    ):  # a user's annotations may name what is missing when it runs
-        hints = {}
     takes = inspect.signature(function).parameters.values()
     keywords = [p for p in takes if p.kind is p.KEYWORD_ONLY and p.name not in GIVEN]
     return {p.name: hints.get(p.name) for p in keywords}
@@ -654,17 +558,13 @@ def _value(method: str, name: str, text: str, kind: Any, known: bool) -> Any:
     """The text as the option's type."""
     if type(None) in get_args(kind):  # `float | None`: a text is the float
         kind = next(k for k in get_args(kind) if k is not type(None))
-    if get_origin(kind) is Literal:
-        words = get_args(kind)
+    refused = f"--method {method}: {name} is {text!r}"
+    words = ("true", "false") if kind is bool else ()
+    if words := get_args(kind) if get_origin(kind) is Literal else words:
         if text not in words:
-            raise UsageError(
-                f"--method {method}: {name} is {text!r}{nearest(text, words)}; allowed are {', '.join(words)}"
-            )
-        return text
-    if kind is bool:
-        if text not in _WORDS:
-            raise UsageError(f"--method {method}: {name} is {text!r}; allowed are true, false")
-        return _WORDS[text]
+            hint = nearest(text, words)
+            raise UsageError(f"{refused}{hint}; allowed are {', '.join(words)}")
+        return text == "true" if kind is bool else text
     if kind in (int, float):
         try:
             number = kind(text)
@@ -672,7 +572,7 @@ def _value(method: str, name: str, text: str, kind: Any, known: bool) -> Any:
             number = math.nan
         if not math.isfinite(number):
             what = "a whole number" if kind is int else "a number"
-            raise UsageError(f"--method {method}: {name} is {text!r}; it must be {what}")
+            raise UsageError(f"{refused}; it must be {what}")
         return number
     if kind is None and not known:
         try:

@@ -1,7 +1,6 @@
 """The command `view`: trials in a browser, as a page, a film or strips. Imports little until it
 knows what to do."""
 
-from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -54,16 +53,30 @@ def view(
         overwrite: replace files that are there.
         benchmark: the flags that the sweep had; none for the built-in benchmark.
     """
-    _check(method, trial, html, video, strips, size, frames, fps, port)
-    if receiver_motion and (html or not (video or strips)):
+    outputs: Any = ((html, "--html", ()), (video, "--video", FILMS), (strips, "--strips", STRIPS))
+    pictures = bool(video or strips)
+    for file, flag, _ in outputs:
+        if file is not None and trial is None:
+            raise UsageError(f"{flag} needs --trial ID: which one to write")
+    if trial is not None and trial < 0:
+        raise UsageError(f"--trial is {trial}; it must be 0 or more")
+    if len(method) > 2 and not pictures:
+        raise UsageError(f"--method names {len(method)} methods; two can be seen side by side")
+    check_range("--port", port, 0, 65535, "; 0 takes any free one")
+    check_range("--frames", frames, 2, 50)
+    check_range("--fps", fps, 1, 60)
+    for length, most in zip(size or (), LARGEST, strict=False):
+        if not 16 <= length <= most or length % 2:
+            allowed = f"even numbers from 16 to {LARGEST[0]} and {LARGEST[1]}"
+            raise UsageError(f"--size is {' '.join(map(str, size or ()))}; it must be {allowed}")
+    if receiver_motion and (html or not pictures):
         raise UsageError("--receiver-motion is played in --video and --strips; give one of them")
     if receiver_motion and find_spec("gymnasium") is None:
         raise UsageError("--receiver-motion needs gymnasium: pip install 'r2h_batch[env]'")
-    outputs: Any = ((html, "--html", ()), (video, "--video", FILMS), (strips, "--strips", STRIPS))
     for file, flag, endings in outputs:
         if file is not None:
             check_output_file(file, overwrite=overwrite, flag=flag, endings=endings)
-    if video or strips:
+    if pictures:
         from r2h_batch.scene.offscreen import ready
 
         ready()
@@ -71,75 +84,36 @@ def view(
     from r2h_batch.export.stored import Reader
 
     reader = Reader(run, BenchmarkOverrides.of(benchmark))
-    if trial is None or not (html or video or strips):
+    if trial is None or not (html or pictures):
         from r2h_batch.view.server import serve
 
         serve(reader, list(method), trial, port)
-    elif receiver_motion:
+        return 0
+    drawings: list[Any] = []
+    if receiver_motion:
         from r2h_batch.export.episode import episode_of
 
         try:
-            played = [
-                episode_of(reader, trial, m, receiver_motion, policy) for m in method or [None]
-            ]
+            for m in method or [None]:
+                drawings.append(episode_of(reader, trial, m, receiver_motion, policy))
         except (ValueError, ImportError) as error:
             raise UsageError(str(error)) from None
-        for drawing in played:
-            print(f"{drawing.stored.method}: {drawing.ended[0] if drawing.ended else ''}")
-        _draw(played, video, strips, size, frames, fps)
+        for drawing in drawings:
+            print(f"{drawing.stored.method}: {drawing.ended[0]}")
     else:
         shown = [reader.trial(trial, m) for m in method or [None]]
-        _write(shown, html, video, strips, size, frames, fps)
-    return 0
+        if html is not None:
+            from r2h_batch.view.page import write_page
 
+            print(write_page(shown, html))
+        if not pictures:
+            return 0
+        from r2h_batch.export.captions import headline
+        from r2h_batch.export.drawing import Drawing
 
-def _check(
-    method: Sequence[str], trial: int | None, html: Path | None, video: Path | None,
-    strips: Path | None, size: tuple[int, int] | None, frames: int, fps: int, port: int,
-) -> None:  # fmt: skip
-    """Refuses what cannot be shown before anything slow starts: raises `UsageError`."""
-    for flag, file in (("--html", html), ("--video", video), ("--strips", strips)):
-        if file is not None and trial is None:
-            raise UsageError(f"{flag} needs --trial ID: which one to write")
-    if trial is not None and trial < 0:
-        raise UsageError(f"--trial is {trial}; it must be 0 or more")
-    if len(method) > 2 and not (video or strips):
-        raise UsageError(f"--method names {len(method)} methods; two can be seen side by side")
-    check_range("--port", port, 0, 65535, "; 0 takes any free one")
-    check_range("--frames", frames, 2, 50)
-    check_range("--fps", fps, 1, 60)
-    if size is not None and not all(
-        16 <= s <= most and s % 2 == 0 for s, most in zip(size, LARGEST, strict=True)
-    ):
-        allowed = f"even numbers from 16 to {LARGEST[0]} and {LARGEST[1]}"
-        raise UsageError(f"--size is {size[0]} {size[1]}; it must be {allowed}")
-
-
-def _write(
-    shown: Sequence[Any], html: Path | None, video: Path | None, strips: Path | None,
-    size: tuple[int, int] | None, frames: int, fps: int,
-) -> None:  # fmt: skip
-    """Writes the trials and prints where."""
-    if html is not None:
-        from r2h_batch.view.page import write_page
-
-        print(write_page(shown, html))
-    if video is None and strips is None:
-        return
-    from r2h_batch.export.captions import headline
-    from r2h_batch.export.drawing import Drawing
-
-    if strips is not None:
-        for s in shown:
+        for s in shown if strips is not None else ():
             print(f"{s.method}: {headline(s.row)}")
-    _draw([Drawing(s) for s in shown], video, strips, size, frames, fps)
-
-
-def _draw(
-    drawings: Sequence[Any], video: Path | None, strips: Path | None, size: tuple[int, int] | None,
-    frames: int, fps: int,
-) -> None:  # fmt: skip
-    """Writes films and strips and prints where."""
+        drawings += map(Drawing, shown)
     from r2h_batch.export.pictures import write_film, write_strips
 
     if video is not None:
@@ -148,3 +122,4 @@ def _draw(
     if strips is not None:
         write_strips(drawings, strips, n=frames, size=size or (480, 400))
         print(strips)
+    return 0

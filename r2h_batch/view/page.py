@@ -42,10 +42,8 @@ class Drawn:
         self.root = scene.add_frame(name, show_axes=False, position=(0.0, offset_m, 0.0))
         model = drawing.model
         names = [str(model.body(i).name) for i in range(model.nbody)]
-        self.bodies = {
-            i: scene.add_frame(f"{name}/{body}", show_axes=False)
-            for i, body in enumerate(names[1:], 1)
-        }
+        frames = (scene.add_frame(f"{name}/{body}", show_axes=False) for body in names[1:])
+        self.bodies = dict(enumerate(frames, 1))
         self._pose(drawing.stored.target_q, list(self.bodies))
         self.moving = [i for i in self.bodies if names[i] not in FIXED]
         for g in drawing.visual_geoms():
@@ -71,23 +69,14 @@ class Drawn:
         for handle in self.marks[group]:
             handle.visible = shown
 
-    def remove(self) -> None:
-        """Takes the trial out of the scene."""
-        self.root.remove()
-
     def _add_surface(self, path: str, geom: int, rgba: Any = None, **how: Any) -> Any:
         made = self.drawing.surface(geom)
         *rgb, alpha = made.rgba if rgba is None else rgba
         return self.scene.add_mesh_simple(
-            path,
-            made.vertices,
-            made.faces,
-            color=_rgb(rgb),
-            flat_shading=len(made.faces) < SMOOTH_FACES,
-            opacity=None if alpha >= 1 else alpha,
-            cast_shadow=alpha >= 1,
+            path, made.vertices, made.faces, color=_rgb(rgb), cast_shadow=alpha >= 1,
+            flat_shading=len(made.faces) < SMOOTH_FACES, opacity=None if alpha >= 1 else alpha,
             **how,
-        )
+        )  # fmt: skip
 
     def _add_mark(self, path: str, mark: Mark) -> None:
         scene, handles, color = self.scene, self.marks[mark.group], _rgb(mark.rgba)
@@ -96,17 +85,9 @@ class Drawn:
         if mark.points is None:
             return
         if len(mark.points) == 1:
-            handles.append(
-                scene.add_icosphere(
-                    path,
-                    radius=mark.radius_m,
-                    color=color,
-                    opacity=mark.rgba[3],
-                    position=mark.points[0],
-                    cast_shadow=False,
-                    receive_shadow=False,
-                )
-            )
+            shadows = {"cast_shadow": False, "receive_shadow": False}
+            look = {"radius": mark.radius_m, "color": color, "opacity": mark.rgba[3], **shadows}
+            handles.append(scene.add_icosphere(path, position=mark.points[0], **look))
         elif mark.arrow:
             r = mark.radius_m
             sizes = {"shaft_radius": r, "head_radius": 2.7 * r, "head_length": 6.7 * r}
@@ -223,10 +204,8 @@ def new_server(port: int) -> Any:
         sockets.serve = before  # type: ignore[misc]
     if server.get_port() not in guarded:
         stop_server(server)
-        raise UsageError(
-            f"viser {viser.__version__} does not let the viewer refuse pages of others;"
-            " install the version in constraints.txt"
-        )
+        words = f"viser {viser.__version__} does not let the viewer refuse pages of others"
+        raise UsageError(f"{words}; install the version in constraints.txt")
     return server
 
 
@@ -290,9 +269,8 @@ def show(scores: Scores, *, height: int = 640) -> Shown:
         why = "captured, compiled, joined or loaded"
         raise ValueError(f"these scores hold no inputs ({why}); score again")
     if bool((scores.opening_m != scores.opening_m).any()):
-        raise ValueError(
-            "this row was not judged (its answer is not a pose): there is nothing to show"
-        )
+        why = "its answer is not a pose"
+        raise ValueError(f"this row was not judged ({why}): there is nothing to show")
     evaluator = inputs.evaluator
     trial = inputs.trials.named(evaluator.scene.objects)
     answer = Predictions(trial.trial_id, inputs.T_obj_ee, inputs.T_world_ee, method="shown")

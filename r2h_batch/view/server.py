@@ -174,7 +174,7 @@ class Viewer:
         """Draws the chosen trial, of one method or of two."""
         with self.lock:
             for drawn in self.drawn:
-                drawn.remove()
+                drawn.root.remove()
             self.drawn, self.motions, words = [], [], []
             trial, drawings = self.listed.get(self.list.value), []
             for name in dict.fromkeys((self.method.value, self.beside.value)):

@@ -17,7 +17,7 @@ DECIDE = (
 READ = (
     "r2h_batch/report/figures.py", "r2h_batch/report/page.html", "r2h_batch/statistics/paired.py",
     "r2h_batch/results/rethreshold.py",
-    "r2h_batch/export/mjcf.py", "r2h_batch/study/stats.py", "r2h_batch/compare/command.py", "r2h_batch/__main__.py",
+    "r2h_batch/export/mjcf.py", "r2h_batch/study/report.py", "r2h_batch/compare/command.py", "r2h_batch/__main__.py",
     "r2h_batch/command_line.py", "r2h_batch/results/command.py", "assets/objects/build_objects.py", "assets/SOURCES.md",
 )  # fmt: skip
 

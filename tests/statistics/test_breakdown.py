@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from made_runs import OBJECTS, write_run
 
-from r2h_batch.runs.columns import FAILED, PASSED, PATTERNS, pattern_outcomes
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import group_row
-from r2h_batch.statistics.tally import tally
+from r2h_batch.statistics.tally import FAILED, PASSED, PATTERNS, pattern_outcomes, tally
 from r2h_batch.types import CRITERIA, Outcome
 
 OUTCOMES = np.random.default_rng(3).choice([0, 0, 0, 1, 2, 3, 5, 6, 8], 120)

@@ -11,7 +11,6 @@ from statsmodels.stats.multitest import multipletests
 
 from r2h_batch.__main__ import main
 from r2h_batch.study import report as study
-from r2h_batch.study import stats as study_stats
 
 METHODS = ("w", "x", "y", "z")
 
@@ -20,7 +19,7 @@ def test_rank_correlation_is_scipys_with_its_exact_p_value():
     random = np.random.default_rng(0)
     for n in (3, 4, 5):
         x, y = random.random(n), np.round(random.random(n), 1)
-        found = study_stats.spearman(x, y, counts=(500, 150))
+        found = study.spearman(x, y, counts=(500, 150))
         assert found.rho == pytest.approx(stats.spearmanr(x, y).statistic)
         exact = stats.permutation_test(
             (x,), lambda a, y=y: stats.spearmanr(a, y).statistic, permutation_type="pairings", n_resamples=np.inf
@@ -29,14 +28,14 @@ def test_rank_correlation_is_scipys_with_its_exact_p_value():
 
 
 def test_the_interval_for_measuring_again_narrows_with_trials():
-    few = study_stats.spearman([50, 60, 70, 80], [52, 58, 72, 81], counts=(50, 50)).measured
-    many = study_stats.spearman([50, 60, 70, 80], [52, 58, 72, 81], counts=(50_000, 50_000)).measured
+    few = study.spearman([50, 60, 70, 80], [52, 58, 72, 81], counts=(50, 50)).measured
+    many = study.spearman([50, 60, 70, 80], [52, 58, 72, 81], counts=(50_000, 50_000)).measured
     assert few[0] < many[0] == many[1] == 1
 
 
 def test_rating_tests_are_scipys_and_statsmodels():
     rows = np.random.default_rng(2).integers(1, 6, (30, 4)) + np.array([0, 0, 0, 1])
-    found = study_stats.rating_tests(rows.clip(1, 5), METHODS)
+    found = study.rating_tests(rows.clip(1, 5), METHODS)
     expected = stats.friedmanchisquare(*rows.clip(1, 5).T)
     assert (found.chi2, found.p) == pytest.approx((expected.statistic, expected.pvalue))
     raw = [stats.wilcoxon(*rows.clip(1, 5)[:, pair].T).pvalue for pair in combinations(range(4), 2)]
@@ -45,7 +44,7 @@ def test_rating_tests_are_scipys_and_statsmodels():
 
 
 def test_ratings_that_do_not_differ_are_no_effect_and_no_nan():
-    found = study_stats.rating_tests(np.full((5, 3), 4), METHODS[:3])
+    found = study.rating_tests(np.full((5, 3), 4), METHODS[:3])
     assert (found.chi2, found.p) == (0.0, 1.0) and all(p == 1 for *_, p in found.pairs)
 
 

@@ -43,7 +43,8 @@ def test_a_worker_whose_method_has_other_files_is_refused():
     ray = SimpleNamespace(get=lambda _: answer, exceptions=SimpleNamespace(RayError=OSError))
     pool = cluster.Pool(ray, lambda: None, starting={0: "actor"})
     with pytest.raises(cluster.ClusterError, match="a Ray worker has another mine"):
-        cluster._came_up(pool, 0, SimpleNamespace(header={}), {"mine": {"sha256": "a"}})
+        job = SimpleNamespace(name="mine", source={"sha256": "a"})
+        cluster._came_up(pool, 0, SimpleNamespace(setting=SimpleNamespace(header={}), jobs=[job]))
 
 
 def test_a_cluster_that_breaks_off_is_no_trouble_of_the_run_folder(tmp_path):
@@ -55,11 +56,10 @@ def test_a_cluster_that_breaks_off_is_no_trouble_of_the_run_folder(tmp_path):
     ray = SimpleNamespace(wait=broken, kill=broken, exceptions=SimpleNamespace(RayError=KeyError))
     pool = cluster.Pool(ray, lambda: SimpleNamespace(header=SimpleNamespace(remote=object)))
     todo = deque([("mine", store.Shard(0, 0, 10))])
-    rest = (SimpleNamespace(), SimpleNamespace(), lambda: False, print, {})
     with pytest.raises(
         cluster.ClusterError, match=r"does not answer any more .Broken pipe.*the same command continues"
     ):
-        cluster._feed(pool, 1, todo, *rest)
+        cluster._feed(pool, 1, todo, SimpleNamespace(stopping=lambda: False), print)
     pool.stop()
 
 

@@ -68,7 +68,7 @@ BILLION = "a: &a [1,1]\nb: &b [*a,*a]\n"
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        ("trails: 3", ["unknown field 'trails'", "did you mean trials?", "save_paths"]),
+        ("trails: 3", ["unknown field 'trails'", "did you mean trials?", "see --set help"]),
         ("trials: many", ["trials is 'many'", "whole number"]),
         ("splits: [S0, S2]", ["splits.1 is 'S2'", "'S0' or 'S1'"]),
         ("preset: fast", ["preset is 'fast'", "'default', 'paper' or 'release'"]),
