@@ -1,6 +1,6 @@
 """The Evaluator: a batch of handovers in, verdicts with margins and reasons out.
 
-`_score_planned`, `_score_pose` and `_score_given` call the stages in order; the rest is inputs, chunks
+`_score_planned`, `_score_pose` and `_score_trace` call the stages in order; the rest is inputs, chunks
 and memory.
 """
 
@@ -152,9 +152,9 @@ class Evaluator:
             pieces = config is not None and config.plan.object_collision == "pieces"
             benchmark = read_benchmark(benchmark, pieces=pieces)
         instance_of(Benchmark, "a file's path, or read_benchmark(FILE)")("benchmark", benchmark)
-        own = benchmark.config(config)
+        merged = benchmark.config(config)
         return cls(
-            own,
+            merged,
             device=device,
             objects=benchmark.objects,
             hand_set=benchmark.hand_set,
@@ -305,12 +305,12 @@ class Evaluator:
 
         def part(first: int, last: int) -> Scores:
             rows = slice(first, last)
-            own = trace[rows]
-            return self._score_given(
+            motion = trace[rows]
+            return self._score_trace(
                 T_obj_ee[rows],
                 T_world_ee[rows],
-                own if plan is trace else plan[rows],
-                own,
+                motion if plan is trace else plan[rows],
+                motion,
                 trials[rows],
             )
 
@@ -393,8 +393,8 @@ class Evaluator:
         )
         order = None
         if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
-            bodies = trials.object_index.long() * len(self.scene.hands.set) + trials.hand_index
-            order = torch.argsort(bodies, stable=True)
+            pairs = trials.object_index.long() * len(self.scene.hands.set) + trials.hand_index
+            order = torch.argsort(pairs, stable=True)
             T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
 
         def part(first: int, last: int) -> Scores:
@@ -480,7 +480,7 @@ class Evaluator:
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
         )  # fmt: skip
 
-    def _score_given(
+    def _score_trace(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: Trace, trace: Trace, trials: Trials
     ) -> Scores:
         """As `_score_planned`, with the plan and the motion given."""
@@ -496,8 +496,8 @@ class Evaluator:
         touch = hand_distance(scene, held.body_poses, executed, active)
         person = self._person_distance(trials, held.body_poses, executed.path, executed.length)
         if plan is not trace:
-            own = plan_of_trace(scene, poses, plan, active)
-            planned = worse_plan(own, planned, touch.distance_m <= 0)
+            free_plan = plan_of_trace(scene, poses, plan, active)
+            planned = worse_plan(free_plan, planned, touch.distance_m <= 0)
         free = planned.reason == int(PlanReason.OK)
         shared, touch = self._judge(
             held, free, moves, planned.clearance_m, planned.reason, touch, person, executed.valid
@@ -535,14 +535,14 @@ class Evaluator:
         clearance_m: Tensor,
         reason: Tensor,
         touch: NearestApproach,
-        body: tuple[Tensor, Tensor],
+        person: tuple[Tensor, Tensor],
         valid: Tensor | None,
     ) -> tuple[dict[str, Tensor], NearestApproach]:
         """The fields of `Scores` that need no path, and where the robot is nearest to the
         receiver; arguments as in `Evidence` and `verdict`."""
         scene, config = self.scene, self.config
         if config.receiver == "body":
-            touch = nearer_of(touch, *body)
+            touch = nearer_of(touch, *person)
         slip_m = None
         if config.stability == "physics":
             rows = held.active & (held.grasp.margin_m >= 0)

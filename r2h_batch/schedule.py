@@ -55,14 +55,14 @@ def assign_objects(
     """
     object_index, side = np.zeros_like(ids), np.zeros_like(ids)
     for k, split in enumerate(SPLITS):
-        own = (ids & 1) == k
+        of_split = (ids & 1) == k
         members = np.array([i for i, s in enumerate(splits) if s == split], np.int64)
-        if not own.any():
+        if not of_split.any():
             continue
         if not len(members):
             how = "give at least one, or leave the split out"
             raise ValueError(f"no object belongs to split {split}; {how}")
-        rows = slice(None) if own.all() else own  # most shards are of one split
+        rows = slice(None) if of_split.all() else of_split  # most shards are of one split
         place = ids[rows] >> 1
         turn = place // len(members)  # divmod is slower: numpy divides faster than it takes rests
         place = place - turn * len(members)

@@ -89,7 +89,7 @@ class _Rows:
             return value
 
         # in the order in which they are put back; what stands beside the rows goes along
-        self._changed(seen)
+        self._changed(collect)
         devices = {value.device.type for value in every}
         if device.type == "cpu" and devices - {"cpu"}:
             copied = iter(in_one_copy(every))

@@ -10,7 +10,7 @@ from ..robot.joints import JOINTS, vecq
 from ..robot.posture import Pace, load, load_waypoint
 from ..robot.world import World
 from .intervals import add_edge
-from .queues import ASKED, NOTHING, Counts, Edges, Intervals
+from .queues import NOTHING, REQUESTS, Counts, Edges, Intervals
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -59,7 +59,7 @@ class Arcs:
     n: wp.array(dtype=int)  # points in between
     point: wp.array2d(dtype=float)  # (P * LANES * 2, JOINTS)
     time: wp.array(dtype=float)  # from lo to hi, s
-    asking: wp.array(dtype=int)  # queue of lanes whose edges have to be made
+    requests: wp.array(dtype=int)  # queue of lanes whose edges have to be made
 
 
 @wp.func
@@ -137,24 +137,15 @@ def _draw(
 # A change that saves no time is drawn again, DRAWS times in all. This costs nothing, because no edge is checked.
 @wp.kernel
 def draw_arcs(
-    first: int,
-    lanes: int,
-    parity: int,
-    pace: Pace,
-    seed: int,
-    world: World,
-    edges: Edges,
-    queue: Intervals,
-    counts: Counts,
-    paths: Paths,
-    arcs: Arcs,
+    first: int, lanes: int, parity: int, pace: Pace, seed: int, world: World, edges: Edges, queue: Intervals,
+    counts: Counts, paths: Paths, arcs: Arcs,
     key_in: wp.array(dtype=int),  # (B,)
     path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
-):
+):  # fmt: skip
     """The lines of what each lane proposes, queued; changes are drawn first, and have to save time."""
-    for i in range(first + wp.tid(), wp.min(counts.n[ASKED], arcs.asking.shape[0]), lanes):
-        lane = arcs.asking[i]
+    for i in range(first + wp.tid(), wp.min(counts.n[REQUESTS], arcs.requests.shape[0]), lanes):
+        lane = arcs.requests[i]
         problem = lane / LANES
         trial = paths.trial[problem]
         if arcs.kind[lane] != LINE:

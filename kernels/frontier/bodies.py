@@ -31,7 +31,7 @@ from .queues import (
     NOW,
     PAIRS,
     PIECES,
-    Bodies,
+    BodyQueue,
     Counts,
     Edges,
     Frames,
@@ -70,7 +70,7 @@ def query_of(edges: Edges, frames: Frames, s: int, edge: int, track: int, tolera
 
 
 @wp.func
-def put_body(queue: Bodies, counts: Counts, kind: int, s: int, b: int, links: int):
+def queue_body(queue: BodyQueue, counts: Counts, kind: int, s: int, b: int, links: int):
     """Queues a body for one kind of pair."""
     capacity = queue.interval.shape[0] / KINDS
     row = take(counts, BODIES + kind, capacity)
@@ -91,19 +91,9 @@ def put_body(queue: Bodies, counts: Counts, kind: int, s: int, b: int, links: in
 # An interval whose owner is done is skipped: something blocks it already, or bodies meet on it.
 @wp.kernel
 def clear_links(
-    first: int,
-    lanes: int,
-    parity: int,
-    track: int,
-    tolerance: float,
-    world: World,
-    bodies: TrialBodies,
-    edges: Edges,
-    queue: Intervals,
-    frames: Frames,
-    queue_bodies: Bodies,
-    counts: Counts,
-):
+    first: int, lanes: int, parity: int, track: int, tolerance: float, world: World, bodies: TrialBodies,
+    edges: Edges, queue: Intervals, frames: Frames, body_queue: BodyQueue, counts: Counts,
+):  # fmt: skip
     """Each link as a whole against hand, table and other links; queues the bodies of links that are not clear."""
     if first + wp.tid() == 0:
         counts.n[NOW + 1 - parity] = 0
@@ -156,11 +146,11 @@ def clear_links(
         for b in range(lo, hi):
             bit = bit_of(world, b)
             if on_hand and (queue.look[s, HAND] & bit) != wp.int64(0):
-                put_body(queue_bodies, counts, HAND, s, b, 0)
+                queue_body(body_queue, counts, HAND, s, b, 0)
             if on_table and (queue.look[s, TABLE] & bit) != wp.int64(0):
-                put_body(queue_bodies, counts, TABLE, s, b, 0)
+                queue_body(body_queue, counts, TABLE, s, b, 0)
             if on_self and (queue.look[s, SELF] & bit) != wp.int64(0):
-                put_body(queue_bodies, counts, SELF, s, b, with_links)
+                queue_body(body_queue, counts, SELF, s, b, with_links)
 
 
 @wp.func
@@ -190,23 +180,14 @@ def stays_open(frames: Frames, s: int, kind: int, bit: wp.int64):
 
 @wp.kernel
 def near_hand(
-    first: int,
-    lanes: int,
-    track: int,
-    tolerance: float,
-    world: World,
-    bodies: TrialBodies,
-    edges: Edges,
-    queue: Intervals,
-    frames: Frames,
-    queue_bodies: Bodies,
-    counts: Counts,
-):
+    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    queue: Intervals, frames: Frames, body_queue: BodyQueue, counts: Counts,
+):  # fmt: skip
     """Whether each queued body may come near to the ball around the whole hand; queues it for the pieces, if so."""
-    capacity = queue_bodies.interval.shape[0] / KINDS
+    capacity = body_queue.interval.shape[0] / KINDS
     for i in range(first + wp.tid(), wp.min(counts.n[BODIES + HAND], capacity), lanes):
-        s = queue_bodies.interval[i]
-        b = queue_bodies.body[i]
+        s = body_queue.interval[i]
+        b = body_queue.body[i]
         edge = queue.edge[s]
         trial = edges.trial[edge]
         key = edges.found[edges.owner[edge]]
@@ -219,30 +200,20 @@ def near_hand(
         if halved:
             stays_open(frames, s, HAND, bit_of(world, b))
         if near:
-            put_body(queue_bodies, counts, PIECES, s, b, 0)
+            queue_body(body_queue, counts, PIECES, s, b, 0)
 
 
 @wp.kernel
 def near_pieces(
-    first: int,
-    lanes: int,
-    track: int,
-    tolerance: float,
-    world: World,
-    bodies: TrialBodies,
-    edges: Edges,
-    queue: Intervals,
-    frames: Frames,
-    queue_bodies: Bodies,
-    pairs: Pairs,
-    counts: Counts,
-):
+    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    queue: Intervals, frames: Frames, body_queue: BodyQueue, pairs: Pairs, counts: Counts,
+):  # fmt: skip
     """Pieces of the hand that each body near to the hand may come near to."""
     obstacle = wp.zeros(shape=MAX_OBSTACLES, dtype=int)
-    capacity = queue_bodies.interval.shape[0] / KINDS
+    capacity = body_queue.interval.shape[0] / KINDS
     for i in range(first + wp.tid(), wp.min(counts.n[BODIES + PIECES], capacity), lanes):
-        s = queue_bodies.interval[PIECES * capacity + i]
-        b = queue_bodies.body[PIECES * capacity + i]
+        s = body_queue.interval[PIECES * capacity + i]
+        b = body_queue.body[PIECES * capacity + i]
         edge = queue.edge[s]
         trial = edges.trial[edge]
         key = edges.found[edges.owner[edge]]
@@ -266,25 +237,15 @@ def near_pieces(
 
 @wp.kernel
 def near_table(
-    first: int,
-    lanes: int,
-    track: int,
-    tolerance: float,
-    world: World,
-    bodies: TrialBodies,
-    edges: Edges,
-    queue: Intervals,
-    frames: Frames,
-    queue_bodies: Bodies,
-    pairs: Pairs,
-    counts: Counts,
-):
+    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    queue: Intervals, frames: Frames, body_queue: BodyQueue, pairs: Pairs, counts: Counts,
+):  # fmt: skip
     """Whether each queued body may come near to the table."""
     obstacle = wp.zeros(shape=MAX_OBSTACLES, dtype=int)
-    capacity = queue_bodies.interval.shape[0] / KINDS
+    capacity = body_queue.interval.shape[0] / KINDS
     for i in range(first + wp.tid(), wp.min(counts.n[BODIES + TABLE], capacity), lanes):
-        s = queue_bodies.interval[TABLE * capacity + i]
-        b = queue_bodies.body[TABLE * capacity + i]
+        s = body_queue.interval[TABLE * capacity + i]
+        b = body_queue.body[TABLE * capacity + i]
         edge = queue.edge[s]
         trial = edges.trial[edge]
         key = edges.found[edges.owner[edge]]
@@ -306,25 +267,15 @@ def near_table(
 
 @wp.kernel
 def near_bodies(
-    first: int,
-    lanes: int,
-    track: int,
-    tolerance: float,
-    world: World,
-    bodies: TrialBodies,
-    edges: Edges,
-    queue: Intervals,
-    frames: Frames,
-    queue_bodies: Bodies,
-    pairs: Pairs,
-    counts: Counts,
-):
+    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    queue: Intervals, frames: Frames, body_queue: BodyQueue, pairs: Pairs, counts: Counts,
+):  # fmt: skip
     """The robot's own bodies that each queued body may come near to."""
     obstacle = wp.zeros(shape=MAX_OBSTACLES, dtype=int)
-    capacity = queue_bodies.interval.shape[0] / KINDS
+    capacity = body_queue.interval.shape[0] / KINDS
     for i in range(first + wp.tid(), wp.min(counts.n[BODIES + SELF], capacity), lanes):
-        s = queue_bodies.interval[SELF * capacity + i]
-        b = queue_bodies.body[SELF * capacity + i]
+        s = body_queue.interval[SELF * capacity + i]
+        b = body_queue.body[SELF * capacity + i]
         edge = queue.edge[s]
         trial = edges.trial[edge]
         key = edges.found[edges.owner[edge]]
@@ -333,7 +284,7 @@ def near_bodies(
         moving = wp.dot(query.d, query.d) > 0.0
         target = target_of(track, tolerance, key, query.other_margin)
         found = bodies_near(
-            world, bodies, trial, query, target, body, queue_bodies.links[SELF * capacity + i], moving, 0,
+            world, bodies, trial, query, target, body, body_queue.links[SELF * capacity + i], moving, 0,
             frames.R[s], frames.p[s], frames.w[s], frames.v[s], 0, obstacle,
         )  # fmt: skip
         if found.open == 1:

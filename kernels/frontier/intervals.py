@@ -11,7 +11,6 @@ from ..robot.joints import JOINTS, vecq
 from ..robot.posture import load
 from ..robot.world import TrialBodies, World, forward_kinematics, twists
 from .queues import (
-    ASKED,
     BODIES,
     EDGES,
     NOTHING,
@@ -19,6 +18,7 @@ from .queues import (
     PAIRS,
     PIECES,
     POSTURE_LEVEL,
+    REQUESTS,
     TAKEN,
     Counts,
     Edges,
@@ -44,7 +44,7 @@ def parts_of(a: vecq, b: vecq, step: float):
 @wp.func
 def add_interval(
     queue: Intervals, row: int, edge: int, part: int, level: int, index: int,
-    hand: wp.int64, table: wp.int64, own: wp.int64,
+    hand: wp.int64, table: wp.int64, self_bits: wp.int64,
 ):  # fmt: skip
     """Writes an interval to its row."""
     queue.edge[row] = edge
@@ -53,7 +53,7 @@ def add_interval(
     queue.index[row] = index
     queue.look[row, HAND] = hand
     queue.look[row, TABLE] = table
-    queue.look[row, SELF] = own
+    queue.look[row, SELF] = self_bits
 
 
 @wp.func
@@ -87,16 +87,12 @@ def add_edge(
 
 @wp.kernel
 def queue_edges(
-    first: int,
-    parity: int,
+    first: int, parity: int,
     mode: int,  # CERTIFY, CLEARANCE, SAMPLES or POSTURE (plan/codes.py)
-    hand_only: int,
-    world: World,
-    edges: Edges,
-    queue: Intervals,
+    hand_only: int, world: World, edges: Edges, queue: Intervals,
     used_in: wp.array(dtype=wp.bool),  # (E,) edges to be checked
     counts: Counts,
-):
+):  # fmt: skip
     """Queues the first intervals of all edges in use."""
     i = first + wp.tid()
     edges.left[i] = 0
@@ -106,16 +102,13 @@ def queue_edges(
 
 @wp.kernel
 def queue_paths(
-    first: int,
-    parity: int,
+    first: int, parity: int,
     row: int,  # of the first edge that is not in use
-    world: World,
-    edges: Edges,
-    queue: Intervals,
+    world: World, edges: Edges, queue: Intervals,
     path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     counts: Counts,
-):
+):  # fmt: skip
     """Makes an edge of every segment of each path, for its smallest clearance, and queues it."""
     trial = first + wp.tid()
     for k in range(length_in[trial] - 1):
@@ -132,16 +125,9 @@ def queue_paths(
 
 @wp.kernel
 def interval_frames(
-    first: int,
-    lanes: int,
-    parity: int,
-    world: World,
-    bodies: TrialBodies,
-    edges: Edges,
-    queue: Intervals,
-    frames: Frames,
-    counts: Counts,
-):
+    first: int, lanes: int, parity: int, world: World, bodies: TrialBodies, edges: Edges, queue: Intervals,
+    frames: Frames, counts: Counts,
+):  # fmt: skip
     """Link frames in the middle of each interval, and their twists along it; opens an empty round of the other queues."""
     if first + wp.tid() == 0:
         counts.n[BODIES + HAND] = 0
@@ -150,7 +136,7 @@ def interval_frames(
         counts.n[BODIES + PIECES] = 0
         counts.n[PAIRS] = 0
         counts.n[TAKEN] = 0
-        counts.n[ASKED] = 0
+        counts.n[REQUESTS] = 0
     for s in range(first + wp.tid(), wp.min(counts.n[NOW + parity], queue.edge.shape[0]), lanes):
         for k in range(3):
             frames.open[s, k] = wp.int64(0)
@@ -175,33 +161,34 @@ def interval_frames(
 
 @wp.kernel
 def halve(
-    first: int,
-    lanes: int,
-    parity: int,
-    track: int,
+    first: int, lanes: int, parity: int, track: int,
     certify: int,  # 1: an interval that is open on the finest level blocks; 0: it counts as settled
-    edges: Edges,
-    queue: Intervals,
-    later: Intervals,
-    frames: Frames,
-    counts: Counts,
-):
+    edges: Edges, queue: Intervals, later: Intervals, frames: Frames, counts: Counts,
+):  # fmt: skip
     """Queues both halves of open intervals for the next level."""
     for s in range(first + wp.tid(), wp.min(counts.n[NOW + parity], queue.edge.shape[0]), lanes):
         edge = queue.edge[s]
         owner = edges.owner[edge]
         hand = frames.open[s, HAND]
         table = frames.open[s, TABLE]
-        own = frames.open[s, SELF]
+        self_bits = frames.open[s, SELF]
         level = queue.level[s]
         more = int(-1)
-        if level >= 0 and (hand | table | own) != wp.int64(0) and not is_done(track, edges.found[owner]):
+        if level >= 0 and (hand | table | self_bits) != wp.int64(0) and not is_done(track, edges.found[owner]):
             if level + 1 < MAX_LEVEL:
                 for half in range(2):
                     row = take(counts, NOW + 1 - parity, later.edge.shape[0])
                     if row >= 0:
                         add_interval(
-                            later, row, edge, queue.part[s], level + 1, 2 * queue.index[s] + half, hand, table, own
+                            later,
+                            row,
+                            edge,
+                            queue.part[s],
+                            level + 1,
+                            2 * queue.index[s] + half,
+                            hand,
+                            table,
+                            self_bits,
                         )
                 more = 1
             elif certify == 1:

@@ -6,7 +6,7 @@ The iteration is that of geometry/gjk.py, which says why it is certified; the sa
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import ROUNDING_M
+from r2h_batch.kernels.geometry.shape import ROUNDING_M
 from r2h_batch.kernels.geometry.simplex import ALL_OF_IT, nearest_on_edge, nearest_on_face, nearest_on_tetrahedron
 from r2h_batch.kernels.options import OPTIONS
 

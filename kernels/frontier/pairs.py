@@ -6,13 +6,13 @@ A lane takes the next pair as soon as its own is done.
 import warp as wp
 
 from r2h_batch.kernels.frontier.iteration import first_direction, iterate
-from r2h_batch.kernels.geometry.body import BOX, ROUNDING_M, Body, support
 from r2h_batch.kernels.geometry.gjk import MAX_ITERATIONS
+from r2h_batch.kernels.geometry.shape import BOX, ROUNDING_M, Shape, support
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND, SELF, TABLE
 
 from ..robot.posture import load
-from ..robot.world import TrialBodies, World, object_body, piece_body, robot_body
+from ..robot.world import TrialBodies, World, object_shape, piece_shape, robot_shape
 from .queues import PAIRS, TAKEN, Counts, Edges, Frames, Intervals, Pairs, key_of, order_of
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
@@ -21,29 +21,29 @@ wp.set_module_options(OPTIONS | {"max_unroll": 0})
 @wp.func
 def shape_of(world: World, bodies: TrialBodies, trial: int, b: int):
     """The shape of a body of the robot, or of a hull of the trial's object."""
-    out = Body()
+    out = Shape()
     if b < world.n_robot:
-        out = robot_body(world, b)
+        out = robot_shape(world, b)
     else:
-        out = object_body(world, world.hull_first[bodies.object[trial]] + b - world.n_robot)
+        out = object_shape(world, world.hull_first[bodies.object[trial]] + b - world.n_robot)
     return out
 
 
 @wp.func
 def obstacle_of(world: World, bodies: TrialBodies, trial: int, other: int):
     """The shape of an obstacle, and the point of it that GJK starts from."""
-    out = Body()
+    out = Shape()
     center = wp.vec3(0.0, 0.0, 0.0)
     kind = other / 256
     if kind == HAND:
         piece = bodies.hand[trial] * world.n_pieces + other
-        out = piece_body(world, piece)
+        out = piece_shape(world, piece)
         center = world.piece_center[piece]
     elif kind == TABLE:
         out.kind = BOX
         out.size = world.table_half
     else:
-        out = robot_body(world, other - 256 * SELF)
+        out = robot_shape(world, other - 256 * SELF)
     return out, center
 
 
@@ -73,22 +73,15 @@ def note_distance(
 # Keys are not read here: what GJK has to prove was written with the pair, so a distance does not depend on who came first.
 @wp.kernel
 def pair_distances(
-    first: int,
-    track: int,
-    world: World,
-    bodies: TrialBodies,
-    edges: Edges,
-    queue: Intervals,
-    frames: Frames,
-    pairs: Pairs,
-    counts: Counts,
-):
+    first: int, track: int, world: World, bodies: TrialBodies, edges: Edges, queue: Intervals, frames: Frames,
+    pairs: Pairs, counts: Counts,
+):  # fmt: skip
     """Distance of each queued pair: certified lower bound, estimate, and the vector between the nearest points."""
     n_pairs = wp.min(counts.n[PAIRS], pairs.interval.shape[0])
     i = int(-1)
     fresh = bool(True)
-    a = Body()
-    b = Body()
+    a = Shape()
+    b = Shape()
     R = wp.mat33()
     p = wp.vec3()
     gap = float(0.0)

@@ -30,7 +30,7 @@ TAKEN = wp.constant(6)  # pairs that a lane has taken
 FULL = wp.constant(7)  # 1: some queue was too short, and nothing counts
 EDGES = wp.constant(8)  # edges of paths
 PAIRS = wp.constant(9)
-ASKED = wp.constant(10)  # lanes that ask for an edge
+REQUESTS = wp.constant(10)  # lanes that ask for an edge
 COUNTS = wp.constant(11)
 
 POSTURE_LEVEL = wp.constant(-1)
@@ -84,7 +84,7 @@ class Frames:
 
 
 @wp.struct
-class Bodies:
+class BodyQueue:
     """Bodies to be checked (KINDS M,), a part for each kind of pair, and one for those near to the hand."""
 
     interval: wp.array(dtype=int)

@@ -2,11 +2,11 @@
 
 import warp as wp
 
-from r2h_batch.kernels.frontier.safe_queues import BODIES, PIECES, Bodies, Moments, Nearest, Pieces
+from r2h_batch.kernels.frontier.safe_queues import BODIES, PIECES, BodyQueue, Moments, Nearest, Pieces
 from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
-from r2h_batch.kernels.geometry.body import from_ball
-from r2h_batch.kernels.geometry.closest import held, rounded
+from r2h_batch.kernels.geometry.closest import inscribed, rounded
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
+from r2h_batch.kernels.geometry.shape import from_ball
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND
 
@@ -42,18 +42,9 @@ def bits_between(lo: int, hi: int):
 
 @wp.kernel
 def safe_links(
-    first: int,
-    lanes: int,
-    parity: int,
-    tolerance: float,
-    world: World,
-    bodies: TrialBodies,
-    nearest: Nearest,
-    queue: Moments,
-    frames: Frames,
-    queue_bodies: Bodies,
-    counts: Counts,
-):
+    first: int, lanes: int, parity: int, tolerance: float, world: World, bodies: TrialBodies, nearest: Nearest,
+    queue: Moments, frames: Frames, body_queue: BodyQueue, counts: Counts,
+):  # fmt: skip
     """Each link as a whole against the ball about the hand; queues the bodies of links that are not clear."""
     if first + wp.tid() == 0:
         counts.n[NOW + 1 - parity] = 0
@@ -74,13 +65,13 @@ def safe_links(
             continue
         for b in range(world.link_first[link], world.link_first[link + 1]):
             if (left >> wp.int64(b)) & wp.int64(1) == wp.int64(1):
-                row = take(counts, BODIES, queue_bodies.interval.shape[0])
+                row = take(counts, BODIES, body_queue.interval.shape[0])
                 if row >= 0:
-                    queue_bodies.interval[row] = s
-                    queue_bodies.body[row] = b
-                    queue_bodies.known[row] = known
-                    queue_bodies.meets[row] = 0
-                    queue_bodies.nearest[row] = FAR
+                    body_queue.interval[row] = s
+                    body_queue.body[row] = b
+                    body_queue.known[row] = known
+                    body_queue.meets[row] = 0
+                    body_queue.nearest[row] = FAR
 
 
 @wp.func
@@ -96,25 +87,17 @@ def pieces_left(world: World, body: MovingBody, hand: int, known: float, allowed
 
 @wp.kernel
 def safe_first_points(
-    first: int,
-    lanes: int,
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
-    nearest: Nearest,
-    queue: Moments,
-    frames: Frames,
-    queue_bodies: Bodies,
-    counts: Counts,
-):
+    first: int, lanes: int, world: World, mesh: HandMesh, bodies: TrialBodies, nearest: Nearest, queue: Moments,
+    frames: Frames, body_queue: BodyQueue, counts: Counts,
+):  # fmt: skip
     """How near the first corner of each piece is to a queued body: the hand is no farther, and most pieces are."""
-    for i in range(first + wp.tid(), wp.min(counts.n[BODIES], queue_bodies.interval.shape[0]), lanes):
-        s = queue_bodies.interval[i]
+    for i in range(first + wp.tid(), wp.min(counts.n[BODIES], body_queue.interval.shape[0]), lanes):
+        s = body_queue.interval[i]
         trial = queue.trial[s]
         hand = bodies.hand[trial]
-        known = queue_bodies.known[i]
-        body = moving_body_of(world, bodies, frames, s, trial, queue_bodies.body[i])
-        shape = held(body.shape)
+        known = body_queue.known[i]
+        body = moving_body_of(world, bodies, frames, s, trial, body_queue.body[i])
+        shape = inscribed(body.shape)
         above = float(FAR)
         for piece in range(world.n_pieces):
             x = mesh.vertices[hand * mesh.n_vertices + mesh.faces[mesh.piece_face[piece], 0]]
@@ -127,25 +110,16 @@ def safe_first_points(
 # one by one. They compare with the distance so far (`compared_with`), which no thread changes meanwhile.
 @wp.kernel
 def safe_pieces(
-    first: int,
-    lanes: int,
-    tolerance: float,
-    world: World,
-    bodies: TrialBodies,
-    nearest: Nearest,
-    queue: Moments,
-    frames: Frames,
-    queue_bodies: Bodies,
-    pieces: Pieces,
-    counts: Counts,
-):
+    first: int, lanes: int, tolerance: float, world: World, bodies: TrialBodies, nearest: Nearest,
+    queue: Moments, frames: Frames, body_queue: BodyQueue, pieces: Pieces, counts: Counts,
+):  # fmt: skip
     """Pieces of the hand that each queued body may come near to."""
-    for i in range(first + wp.tid(), wp.min(counts.n[BODIES], queue_bodies.interval.shape[0]), lanes):
-        s = queue_bodies.interval[i]
-        b = queue_bodies.body[i]
+    for i in range(first + wp.tid(), wp.min(counts.n[BODIES], body_queue.interval.shape[0]), lanes):
+        s = body_queue.interval[i]
+        b = body_queue.body[i]
         trial = queue.trial[s]
         hand = bodies.hand[trial]
-        known = compared_with(tolerance, queue_bodies.known[i], nearest.above[trial])
+        known = compared_with(tolerance, body_queue.known[i], nearest.above[trial])
         allowed = allowed_of(tolerance, known)
         body = moving_body_of(world, bodies, frames, s, trial, b)
         core = rounded(body.shape.kind, body.shape.size)
@@ -166,10 +140,10 @@ def safe_pieces(
                     if row >= 0:
                         pieces.of[row] = i
                         pieces.piece[row] = piece
-        queue_bodies.R[i] = body.R
-        queue_bodies.p[i] = body.p
-        queue_bodies.travel[i] = body.travel
-        queue_bodies.known[i] = known
-        queue_bodies.waits[i] = waits
+        body_queue.R[i] = body.R
+        body_queue.p[i] = body.p
+        body_queue.travel[i] = body.travel
+        body_queue.known[i] = known
+        body_queue.waits[i] = waits
         if waits == 1:
             stays_open(frames, s, HAND, wp.int64(1) << wp.int64(b))

@@ -10,21 +10,21 @@ from r2h_batch.kernels.frontier.safe_queues import (
     SET,
     SETS,
     TAKEN,
-    Bodies,
+    BodyQueue,
     Faces,
     Moments,
     Nearest,
     Pieces,
     Sets,
 )
-from r2h_batch.kernels.geometry.body import from_ball
-from r2h_batch.kernels.geometry.closest import TOUCH_M, held
+from r2h_batch.kernels.geometry.closest import TOUCH_M, inscribed
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh
+from r2h_batch.kernels.geometry.shape import from_ball
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import HAND
 
 from ..judge.hand_bounds import ASK, WAITS, allowed_of, bound_of_face, bound_of_hull
-from ..robot.world import TrialBodies, World, robot_body
+from ..robot.world import TrialBodies, World, robot_shape
 from .bodies import moving_body_of, stays_open
 from .queues import Counts, Frames, take
 from .safe_bodies import FAR, compared_with
@@ -36,39 +36,29 @@ wp.set_module_options(OPTIONS | {"max_unroll": 0})
 # an overlap is known and all of the piece is clear of the core grown by it. One that does not: the plane between the two.
 @wp.kernel
 def safe_hulls(
-    first: int,
-    lanes: int,
-    tolerance: float,
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
-    queue: Moments,
-    frames: Frames,
-    queue_bodies: Bodies,
-    pieces: Pieces,
-    sets: Sets,
-    counts: Counts,
-):
+    first: int, lanes: int, tolerance: float, world: World, mesh: HandMesh, bodies: TrialBodies, queue: Moments,
+    frames: Frames, body_queue: BodyQueue, pieces: Pieces, sets: Sets, counts: Counts,
+):  # fmt: skip
     """Settles pieces of the hand over whole intervals from GJK's distances; queues the faces of the others, in sets."""
     if first + wp.tid() == 0:
         counts.n[TAKEN] = 0
     for i in range(first + wp.tid(), wp.min(counts.n[PIECES], pieces.of.shape[0]), lanes):
         m = pieces.of[i]
-        s = queue_bodies.interval[m]
-        b = queue_bodies.body[m]
+        s = body_queue.interval[m]
+        b = body_queue.body[m]
         trial = queue.trial[s]
-        known = queue_bodies.known[m]
+        known = body_queue.known[m]
         allowed = allowed_of(tolerance, known)
         n = wp.vec3(0.0, 0.0, 0.0)
         beyond = float(-FAR)
         if pieces.meets[i] == 1:
-            if known < 0.0 and pieces.lower[i] >= known - allowed + queue_bodies.travel[m]:
+            if known < 0.0 and pieces.lower[i] >= known - allowed + body_queue.travel[m]:
                 continue
-            queue_bodies.meets[m] = 1
+            body_queue.meets[m] = 1
         else:
             body = moving_body_of(world, bodies, frames, s, trial, b)
             bound, n, beyond = bound_of_hull(
-                world, body, pieces.piece[i], pieces.lower[i], pieces.v[i], known, allowed, queue_bodies.waits[m]
+                world, body, pieces.piece[i], pieces.lower[i], pieces.v[i], known, allowed, body_queue.waits[m]
             )
             if bound == WAITS:
                 stays_open(frames, s, HAND, wp.int64(1) << wp.int64(b))
@@ -94,58 +84,40 @@ def is_behind(sets: Sets, i: int, ball: wp.vec4, distance: float):
 
 @wp.kernel
 def safe_corners(
-    first: int,
-    lanes: int,
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
-    nearest: Nearest,
-    queue: Moments,
-    queue_bodies: Bodies,
-    sets: Sets,
-    counts: Counts,
-):
+    first: int, lanes: int, world: World, mesh: HandMesh, bodies: TrialBodies, nearest: Nearest, queue: Moments,
+    body_queue: BodyQueue, sets: Sets, counts: Counts,
+):  # fmt: skip
     """How near the queued faces' first corners are: the hand is no farther, and most faces are."""
     for i in range(first + wp.tid(), wp.min(counts.n[SETS], sets.of.shape[0]), lanes):
         m = sets.of[i]
-        trial = queue.trial[queue_bodies.interval[m]]
+        trial = queue.trial[body_queue.interval[m]]
         base = bodies.hand[trial] * mesh.n_vertices
-        shape = held(robot_body(world, queue_bodies.body[m]))
-        back = wp.transpose(queue_bodies.R[m])
+        shape = inscribed(robot_shape(world, body_queue.body[m]))
+        back = wp.transpose(body_queue.R[m])
         above = float(FAR)
         for face in range(sets.first[i], sets.last[i]):
             x = mesh.vertices[base + mesh.faces[face, 0]]
-            above = wp.min(above, wp.length(from_ball(shape, back * (x - queue_bodies.p[m]))))
-        if above < queue_bodies.known[m]:
+            above = wp.min(above, wp.length(from_ball(shape, back * (x - body_queue.p[m]))))
+        if above < body_queue.known[m]:
             wp.atomic_min(nearest.above, trial, above)
 
 
 @wp.kernel
 def safe_faces(
-    first: int,
-    lanes: int,
-    tolerance: float,
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
-    nearest: Nearest,
-    queue: Moments,
-    frames: Frames,
-    queue_bodies: Bodies,
-    sets: Sets,
-    faces: Faces,
+    first: int, lanes: int, tolerance: float, world: World, mesh: HandMesh, bodies: TrialBodies,
+    nearest: Nearest, queue: Moments, frames: Frames, body_queue: BodyQueue, sets: Sets, faces: Faces,
     counts: Counts,
-):
+):  # fmt: skip
     """Faces that each queued body may come near to."""
     for i in range(first + wp.tid(), wp.min(counts.n[SETS], sets.of.shape[0]), lanes):
         m = sets.of[i]
-        s = queue_bodies.interval[m]
-        b = queue_bodies.body[m]
+        s = body_queue.interval[m]
+        b = body_queue.body[m]
         trial = queue.trial[s]
         hand = bodies.hand[trial]
-        known = compared_with(tolerance, queue_bodies.known[m], nearest.above[trial])
+        known = compared_with(tolerance, body_queue.known[m], nearest.above[trial])
         allowed = allowed_of(tolerance, known)
-        waits = queue_bodies.waits[m]
+        waits = body_queue.waits[m]
         body = moving_body_of(world, bodies, frames, s, trial, b)
         for face in range(sets.first[i], sets.last[i]):
             ball = mesh.face_ball[hand * mesh.n_faces + face]
@@ -168,31 +140,23 @@ def safe_faces(
 # here, as other threads write it: only what was known when the level began, and the body's own faces.
 @wp.kernel
 def safe_insides(
-    first: int,
-    lanes: int,
-    mesh: HandMesh,
-    bodies: TrialBodies,
-    nearest: Nearest,
-    queue: Moments,
-    frames: Frames,
-    queue_bodies: Bodies,
-    faces: Faces,
-    counts: Counts,
-):
+    first: int, lanes: int, mesh: HandMesh, bodies: TrialBodies, nearest: Nearest, queue: Moments,
+    frames: Frames, body_queue: BodyQueue, faces: Faces, counts: Counts,
+):  # fmt: skip
     """Adds bodies that are wholly inside the hand to the queue of faces, as deep as their nearest face is far."""
     tri = wp.zeros(shape=3, dtype=wp.vec3)
-    for i in range(first + wp.tid(), wp.min(counts.n[BODIES], queue_bodies.interval.shape[0]), lanes):
-        if queue_bodies.meets[i] == 0:
+    for i in range(first + wp.tid(), wp.min(counts.n[BODIES], body_queue.interval.shape[0]), lanes):
+        if body_queue.meets[i] == 0:
             continue
-        distance = wp.min(queue_bodies.known[i], queue_bodies.nearest[i])
+        distance = wp.min(body_queue.known[i], body_queue.nearest[i])
         if distance <= 0.0:
             continue
-        s = queue_bodies.interval[i]
+        s = body_queue.interval[i]
         trial = queue.trial[s]
-        if inside_mesh(mesh, bodies.hand[trial], queue_bodies.p[i], tri):
+        if inside_mesh(mesh, bodies.hand[trial], body_queue.p[i], tri):
             value = wp.min(-distance, -TOUCH_M)
             wp.atomic_min(nearest.distance, trial, value)
-            stays_open(frames, s, HAND, wp.int64(1) << wp.int64(queue_bodies.body[i]))
+            stays_open(frames, s, HAND, wp.int64(1) << wp.int64(body_queue.body[i]))
             row = take(counts, FACES, faces.of.shape[0])
             if row >= 0:
                 faces.of[row] = i

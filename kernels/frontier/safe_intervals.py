@@ -40,7 +40,7 @@ def put_interval(queue: Moments, row: int, trial: int, segment: int, part: int, 
 
 
 @wp.func
-def everybody(world: World):
+def all_bodies(world: World):
     """Bits of all robot bodies."""
     return (wp.int64(1) << wp.int64(world.n_robot)) - wp.int64(1)
 
@@ -64,14 +64,10 @@ def interval_of(
 
 @wp.kernel
 def queue_goals(
-    first: int,
-    cap: float,
-    world: World,
-    queue: Moments,
-    nearest: Nearest,
+    first: int, cap: float, world: World, queue: Moments, nearest: Nearest,
     length_in: wp.array(dtype=int),  # (B,)
     counts: Counts,
-):
+):  # fmt: skip
     """Nothing nearer than `cap` is known of any trial; queues the last posture of each motion."""
     trial = first + wp.tid()
     nearest.distance[trial] = cap
@@ -80,19 +76,16 @@ def queue_goals(
     if length_in[trial] > 0:
         row = take(counts, NOW, queue.trial.shape[0])
         if row >= 0:
-            put_interval(queue, row, trial, wp.max(length_in[trial] - 2, 0), 0, GOAL_LEVEL, 0, everybody(world))
+            put_interval(queue, row, trial, wp.max(length_in[trial] - 2, 0), 0, GOAL_LEVEL, 0, all_bodies(world))
 
 
 @wp.kernel
 def queue_segments(
-    first: int,
-    block: int,
-    world: World,
-    queue: Moments,
+    first: int, block: int, world: World, queue: Moments,
     path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     counts: Counts,
-):
+):  # fmt: skip
     """Queues all parts of a segment; SEGMENTS threads a trial, for the segments of one block."""
     i = first + wp.tid()
     trial = i / SEGMENTS
@@ -103,21 +96,15 @@ def queue_segments(
         for part in range(parts_of(a, b, PART_RAD)):
             row = take(counts, NOW, queue.trial.shape[0])
             if row >= 0:
-                put_interval(queue, row, trial, segment, part, 0, 0, everybody(world))
+                put_interval(queue, row, trial, segment, part, 0, 0, all_bodies(world))
 
 
 @wp.kernel
 def safe_frames(
-    first: int,
-    lanes: int,
-    parity: int,
-    world: World,
-    bodies: TrialBodies,
-    queue: Moments,
-    frames: Frames,
+    first: int, lanes: int, parity: int, world: World, bodies: TrialBodies, queue: Moments, frames: Frames,
     path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     counts: Counts,
-):
+):  # fmt: skip
     """Link frames in the middle of each interval, and their twists along it; opens an empty round of the other queues."""
     if first + wp.tid() == 0:
         counts.n[BODIES] = 0

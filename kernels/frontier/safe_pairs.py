@@ -6,16 +6,16 @@ As pairs.py does for planning. Where a body meets a piece or face, a second GJK 
 import warp as wp
 
 from r2h_batch.kernels.frontier.iteration import first_direction, iterate
-from r2h_batch.kernels.frontier.safe_queues import FACES, PIECES, TAKEN, Bodies, Faces, Moments, Nearest, Pieces
-from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, support
+from r2h_batch.kernels.frontier.safe_queues import FACES, PIECES, TAKEN, BodyQueue, Faces, Moments, Nearest, Pieces
 from r2h_batch.kernels.geometry.closest import TOUCH_M, rounded
 from r2h_batch.kernels.geometry.gjk import MAX_ITERATIONS
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
+from r2h_batch.kernels.geometry.shape import ROUNDING_M, Shape, support
 from r2h_batch.kernels.options import OPTIONS
 
 from ..judge.hand_bounds import HULL_GAP, allowed_of
 from ..judge.hand_distance import face_distance, is_edged
-from ..robot.world import TrialBodies, World, piece_body, robot_body
+from ..robot.world import TrialBodies, World, piece_shape, robot_shape
 from .queues import Counts
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
@@ -43,16 +43,16 @@ def farthest_corner(x: wp.vec3, y: wp.vec3, z: wp.vec3, d: wp.vec3):
 #    then only deeper pieces count. The lane keeps its pair and starts afresh;
 # 4. else the distance is written. What it means for the interval says safe_faces.py.
 #
-# The trial's distance is read as it was when the level began (`Bodies.known`).
+# The trial's distance is read as it was when the level began (`BodyQueue.known`).
 @wp.kernel
-def hull_distances(first: int, tolerance: float, world: World, queue_bodies: Bodies, pieces: Pieces, counts: Counts):
+def hull_distances(first: int, tolerance: float, world: World, body_queue: BodyQueue, pieces: Pieces, counts: Counts):
     """Distance of each queued body to a piece's hull: whether they meet, a certified lower bound, the vector between them."""
     n_pairs = wp.min(counts.n[PIECES], pieces.of.shape[0])
     i = int(-1)
     fresh = bool(True)
     cored = int(0)
-    a = Body()
-    b = Body()
+    a = Shape()
+    b = Shape()
     R = wp.mat33()
     p = wp.vec3()
     center = wp.vec3()
@@ -75,13 +75,13 @@ def hull_distances(first: int, tolerance: float, world: World, queue_bodies: Bod
                 if i >= n_pairs:
                     break
                 m = pieces.of[i]
-                a = robot_body(world, queue_bodies.body[m])
-                R = queue_bodies.R[m]
-                p = queue_bodies.p[m]
-                b = piece_body(world, pieces.piece[i])
+                a = robot_shape(world, body_queue.body[m])
+                R = body_queue.R[m]
+                p = body_queue.p[m]
+                b = piece_shape(world, pieces.piece[i])
                 center = world.piece_center[pieces.piece[i]]
-                known = queue_bodies.known[m]
-                limit = known - allowed_of(tolerance, known) + queue_bodies.travel[m]
+                known = body_queue.known[m]
+                limit = known - allowed_of(tolerance, known) + body_queue.travel[m]
                 needed = wp.max(limit, known)
             v = first_direction(p, center)
             best_v = v
@@ -120,24 +120,16 @@ def hull_distances(first: int, tolerance: float, world: World, queue_bodies: Bod
 #    distance does not depend on who came first: what it has to prove was written with the face.
 @wp.kernel
 def face_distances(
-    first: int,
-    tolerance: float,
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
-    nearest: Nearest,
-    queue: Moments,
-    queue_bodies: Bodies,
-    faces: Faces,
-    counts: Counts,
-):
+    first: int, tolerance: float, world: World, mesh: HandMesh, bodies: TrialBodies, nearest: Nearest,
+    queue: Moments, body_queue: BodyQueue, faces: Faces, counts: Counts,
+):  # fmt: skip
     """Signed distance of each queued body to a face, and the smallest of each trial and of each body."""
     n_pairs = wp.min(counts.n[FACES], faces.of.shape[0])
     i = int(-1)
     fresh = bool(True)
     again = int(0)
     cored = int(0)
-    a = Body()
+    a = Shape()
     R = wp.mat33()
     p = wp.vec3()
     center = wp.vec3()
@@ -161,11 +153,11 @@ def face_distances(
                 if i >= n_pairs:
                     break
                 m = faces.of[i]
-                hand = bodies.hand[queue.trial[queue_bodies.interval[m]]]
+                hand = bodies.hand[queue.trial[body_queue.interval[m]]]
                 face = faces.face[i]
-                a = robot_body(world, queue_bodies.body[m])
-                R = queue_bodies.R[m]
-                p = queue_bodies.p[m]
+                a = robot_shape(world, body_queue.body[m])
+                R = body_queue.R[m]
+                p = body_queue.p[m]
                 base = hand * mesh.n_vertices
                 x = mesh.vertices[base + mesh.faces[face, 0]]
                 y = mesh.vertices[base + mesh.faces[face, 1]]
@@ -173,7 +165,7 @@ def face_distances(
                 ball = mesh.face_ball[hand * mesh.n_faces + face]
                 center = wp.vec3(ball[0], ball[1], ball[2])
                 known = faces.known[i]
-                travel = queue_bodies.travel[m]
+                travel = body_queue.travel[m]
                 needed = wp.max(known - allowed_of(tolerance, known) + travel, known)
                 cored = 0
                 if travel == 0.0 and known < 0.0 and is_edged(a):
@@ -204,5 +196,5 @@ def face_distances(
                 faces.value[i] = value
                 faces.v[i] = best_v
                 m = faces.of[i]
-                wp.atomic_min(queue_bodies.nearest, m, value)
-                wp.atomic_min(nearest.distance, queue.trial[queue_bodies.interval[m]], value)
+                wp.atomic_min(body_queue.nearest, m, value)
+                wp.atomic_min(nearest.distance, queue.trial[body_queue.interval[m]], value)

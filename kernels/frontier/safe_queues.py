@@ -57,7 +57,7 @@ class Moments:
 
 
 @wp.struct
-class Bodies:
+class BodyQueue:
     """Bodies on intervals (M,)."""
 
     interval: wp.array(dtype=int)
@@ -126,20 +126,8 @@ def bits_of(place: wp.int64, first: int, count: int):
 
 
 @wp.func
-def place_face(place: wp.int64):
-    """The face of a place."""
-    return bits_of(place, 0, 15)
-
-
-@wp.func
-def place_body(place: wp.int64):
-    """The robot's body of a place."""
-    return bits_of(place, 15, 6)
-
-
-@wp.func
-def place_interval(place: wp.int64):
-    """Segment, level, part and index of a place."""
+def parts_of_place(place: wp.int64):
+    """Segment, level, part and index of a place, its robot body and its face."""
     segment = SEGMENTS * bits_of(place, 50, 13) + bits_of(place, 41, 5)
     level = MAX_LEVEL - 1 - bits_of(place, 46, 4)
-    return segment, level, bits_of(place, 35, 6), bits_of(place, 21, 14)
+    return segment, level, bits_of(place, 35, 6), bits_of(place, 21, 14), bits_of(place, 15, 6), bits_of(place, 0, 15)

@@ -19,18 +19,9 @@ wp.set_module_options(OPTIONS | {"max_unroll": 0})
 # alone says whether it is free.
 @wp.kernel
 def settle_pairs(
-    first: int,
-    lanes: int,
-    track: int,
-    tolerance: float,
-    world: World,
-    bodies: TrialBodies,
-    edges: Edges,
-    queue: Intervals,
-    frames: Frames,
-    pairs: Pairs,
-    counts: Counts,
-):
+    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    queue: Intervals, frames: Frames, pairs: Pairs, counts: Counts,
+):  # fmt: skip
     """Notes which pairs do not keep their margin on the whole interval (`settle_pair`)."""
     for i in range(first + wp.tid(), wp.min(counts.n[PAIRS], pairs.interval.shape[0]), lanes):
         s = pairs.interval[i]

@@ -16,7 +16,7 @@ from r2h_batch.kernels.plan.codes import WAYPOINTS
 from ..plan.shortcut import LEAST_SAVED_S, segment_time, time_of
 from ..robot.posture import Pace, load, load_waypoint, store_waypoint
 from .arcs import CHANGE, IDLE, LANES, LINE, OVER, RUNNING, Arcs, Paths
-from .queues import ASKED, NOTHING, Counts, Edges, take
+from .queues import NOTHING, REQUESTS, Counts, Edges, take
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -34,13 +34,10 @@ def _is_known(paths: Paths, problem: int, i: int, j: int):
 
 @wp.kernel
 def begin_shortcuts(
-    first: int,
-    edges: Edges,
-    paths: Paths,
-    arcs: Arcs,
+    first: int, edges: Edges, paths: Paths, arcs: Arcs,
     margin_in: wp.array(dtype=float),  # (B,)
     length_in: wp.array(dtype=int),  # (B,)
-):
+):  # fmt: skip
     """Lanes without a proposal. Paths with two waypoints or none are over."""
     problem = first + wp.tid()
     trial = paths.trial[problem]
@@ -126,14 +123,14 @@ def _take_quickest(
         m += 1
     for i in range(1, m):
         store_waypoint(path, trial, i, load_waypoint(paths.copy, problem, i))
-    seen = wp.zeros(shape=WAYPOINTS, dtype=wp.int64)
+    checked = wp.zeros(shape=WAYPOINTS, dtype=wp.int64)
     for i in range(m - 1):
-        seen[i] = _bit(i + 1)
+        checked[i] = _bit(i + 1)
         for j in range(i + 2, m):
             if was[i] >= 0 and was[j] >= 0 and _is_known(paths, problem, wp.max(was[i], 0), wp.max(was[j], 0)):
-                seen[i] = seen[i] | _bit(j)
+                checked[i] = checked[i] | _bit(j)
     for i in range(m - 1):
-        paths.known[problem, i] = seen[i]
+        paths.known[problem, i] = checked[i]
     return m
 
 
@@ -149,26 +146,26 @@ def _propose_lines(paths: Paths, arcs: Arcs, problem: int, path: wp.array3d(dtyp
     rank = wp.zeros(shape=LANES, dtype=float)
     for h in range(1, n):
         to[h] = 1.0e30
-        here = load_waypoint(path, trial, h)
+        waypoint = load_waypoint(path, trial, h)
         for i in range(h):
             if h == i + 1 or not _is_known(paths, problem, i, h):
-                t = segment_time(load_waypoint(path, trial, i), here, pace)
+                t = segment_time(load_waypoint(path, trial, i), waypoint, pace)
                 to[h] = wp.min(to[h], to[i] + t)
     for back in range(1, n):
         i = n - 1 - back
         on[i] = 1.0e30
-        here = load_waypoint(path, trial, i)
+        waypoint = load_waypoint(path, trial, i)
         for h in range(i + 1, n):
             if h == i + 1 or not _is_known(paths, problem, i, h):
-                t = segment_time(here, load_waypoint(path, trial, h), pace)
+                t = segment_time(waypoint, load_waypoint(path, trial, h), pace)
                 on[i] = wp.min(on[i], on[h] + t)
     least = time_of(path, trial, n, pace) - LEAST_SAVED_S
     found = int(0)
     for i in range(n - 2):
-        here = load_waypoint(path, trial, i)
+        waypoint = load_waypoint(path, trial, i)
         for h in range(i + 2, n):
             if not _is_known(paths, problem, i, h):
-                t = segment_time(here, load_waypoint(path, trial, h), pace)
+                t = segment_time(waypoint, load_waypoint(path, trial, h), pace)
                 way = to[i] + t + on[h]
                 if way < least and (found < LANES or way < rank[LANES - 1]):
                     k = wp.min(found, LANES - 1)
@@ -206,18 +203,13 @@ def _move(arcs: Arcs, a: int, b: int):
 # 3. lanes get unchecked lines, the others changes; `draw_arcs` (arcs.py) makes their edges.
 @wp.kernel
 def take_arcs(
-    first: int,
-    rounds: int,
+    first: int, rounds: int,
     changes: int,  # 0: lines alone
     enough: float,  # a path that takes at most this times the straight line between its ends is left as it is
-    pace: Pace,
-    edges: Edges,
-    paths: Paths,
-    arcs: Arcs,
-    counts: Counts,
+    pace: Pace, edges: Edges, paths: Paths, arcs: Arcs, counts: Counts,
     path_inout: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_inout: wp.array(dtype=int),  # (B,)
-):
+):  # fmt: skip
     """Takes what the settled arcs of each problem save, and says what its lanes propose next."""
     problem = first + wp.tid()
     if paths.state[problem] == OVER:
@@ -247,6 +239,6 @@ def take_arcs(
         arcs.number[lane] = k - lines
     for k in range(LANES):
         if arcs.kind[problem * LANES + k] != IDLE:
-            row = take(counts, ASKED, arcs.asking.shape[0])
+            row = take(counts, REQUESTS, arcs.requests.shape[0])
             if row >= 0:
-                arcs.asking[row] = problem * LANES + k
+                arcs.requests[row] = problem * LANES + k

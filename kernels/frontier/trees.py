@@ -29,7 +29,7 @@ from ..robot.joints import JOINTS
 from ..robot.posture import load
 from ..robot.world import World
 from .intervals import add_edge
-from .queues import ASKED, NOTHING, Counts, Edges, Intervals, key_of, order_in, take
+from .queues import NOTHING, REQUESTS, Counts, Edges, Intervals, key_of, order_in, take
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -61,7 +61,7 @@ class Growers:
 
     phase: wp.array(dtype=int)
     grow: wp.array(dtype=int)  # the tree that grows
-    asking: wp.array(dtype=int)  # queue of lanes whose next edge has to be made
+    requests: wp.array(dtype=int)  # queue of lanes whose next edge has to be made
     nearest: wp.array(dtype=wp.int64)  # key (distance, node) of the nearest node so far
     number: wp.array(dtype=int)  # of its random posture
     near: wp.array(dtype=int)  # the node that the edge begins at
@@ -74,19 +74,13 @@ class Growers:
 
 @wp.kernel
 def plant_trees(
-    first: int,
-    capacity: int,
-    range_rad: float,
-    lanes_each: int,
-    edges: Edges,
-    trees: Trees,
-    growers: Growers,
+    first: int, capacity: int, range_rad: float, lanes_each: int, edges: Edges, trees: Trees, growers: Growers,
     start_in: wp.array2d(dtype=float),  # (B, JOINTS)
     goals_in: wp.array2d(dtype=float),  # (B * 8, JOINTS)
     n_goals_in: wp.array(dtype=int),  # (B,)
     margin_in: wp.array(dtype=float),  # (B,)
     length_in: wp.array(dtype=int),  # (B,) a trial that has a path is passed over
-):
+):  # fmt: skip
     """Each problem's trees with their roots alone, and lanes without an edge."""
     problem = first + wp.tid()
     trial = trees.trial[problem]
@@ -118,19 +112,11 @@ def plant_trees(
 # The search is over as well when a tree is full, or all random postures are drawn and no lane waits for an edge.
 @wp.kernel
 def enter_edges(
-    first: int,
-    iterations: int,
-    capacity: int,
-    range_rad: float,
-    shorter: float,
-    lanes_each: int,
-    edges: Edges,
-    trees: Trees,
-    growers: Growers,
-    counts: Counts,
+    first: int, iterations: int, capacity: int, range_rad: float, shorter: float, lanes_each: int, edges: Edges,
+    trees: Trees, growers: Growers, counts: Counts,
     path_out: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_out: wp.array(dtype=int),  # (B,)
-):
+):  # fmt: skip
     """Adds the nodes that settled edges lead to, and says what each lane does next."""
     problem = first + wp.tid()
     if trees.state[problem] == OVER:
@@ -183,29 +169,23 @@ def enter_edges(
         growers.phase[e] = next_phase
         if next_phase != IDLE:
             busy += 1
-            row = take(counts, ASKED, growers.asking.shape[0])
+            row = take(counts, REQUESTS, growers.requests.shape[0])
             if row >= 0:
-                growers.asking[row] = e
+                growers.requests[row] = e
     if busy == 0:
         trees.state[problem] = OVER
 
 
 @wp.kernel
 def draw_targets(
-    first: int,
-    lanes: int,
-    seed: int,
-    lanes_each: int,
-    world: World,
-    counts: Counts,
-    trees: Trees,
+    first: int, lanes: int, seed: int, lanes_each: int, world: World, counts: Counts, trees: Trees,
     growers: Growers,
     start_in: wp.array2d(dtype=float),  # (B, JOINTS)
     key_in: wp.array(dtype=int),  # (B,)
-):
+):  # fmt: skip
     """The random posture of each lane that asks for one, of a problem that is not over."""
-    for i in range(first + wp.tid(), wp.min(counts.n[ASKED], growers.asking.shape[0]), lanes):
-        e = growers.asking[i]
+    for i in range(first + wp.tid(), wp.min(counts.n[REQUESTS], growers.requests.shape[0]), lanes):
+        e = growers.requests[i]
         problem = e / lanes_each
         growers.nearest[e] = (wp.int64(NOTHING) << wp.int64(32)) | wp.int64(NOTHING)
         if growers.phase[e] == EXTEND and trees.state[problem] != OVER:
@@ -221,8 +201,8 @@ def nearest_nodes(
     first: int, lanes: int, capacity: int, lanes_each: int, counts: Counts, trees: Trees, growers: Growers
 ):
     """The node of the growing tree that is nearest to each target (of equal ones the first), SLICES threads a lane."""
-    for i in range(first + wp.tid(), SLICES * wp.min(counts.n[ASKED], growers.asking.shape[0]), lanes):
-        e = growers.asking[i / SLICES]
+    for i in range(first + wp.tid(), SLICES * wp.min(counts.n[REQUESTS], growers.requests.shape[0]), lanes):
+        e = growers.requests[i / SLICES]
         problem = e / lanes_each
         if growers.phase[e] != CONNECT_ON and trees.state[problem] != OVER:
             grow = growers.grow[e]
@@ -242,22 +222,12 @@ def nearest_nodes(
 
 @wp.kernel
 def next_edges(
-    first: int,
-    lanes: int,
-    parity: int,
-    capacity: int,
-    range_rad: float,
-    lanes_each: int,
-    world: World,
-    edges: Edges,
-    queue: Intervals,
-    counts: Counts,
-    trees: Trees,
-    growers: Growers,
-):
+    first: int, lanes: int, parity: int, capacity: int, range_rad: float, lanes_each: int, world: World,
+    edges: Edges, queue: Intervals, counts: Counts, trees: Trees, growers: Growers,
+):  # fmt: skip
     """The edge that each lane asks for: one step from the nearest node towards its target; queued."""
-    for i in range(first + wp.tid(), wp.min(counts.n[ASKED], growers.asking.shape[0]), lanes):
-        e = growers.asking[i]
+    for i in range(first + wp.tid(), wp.min(counts.n[REQUESTS], growers.requests.shape[0]), lanes):
+        e = growers.requests[i]
         problem = e / lanes_each
         if trees.state[problem] == OVER:
             continue

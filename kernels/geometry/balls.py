@@ -17,8 +17,8 @@ def lowest_bit(bits: wp.uint64) -> int:
     ...
 
 
-@wp.func_native("return r2h::balls_beside(centers.data + first, radii.data + first, count, c0, c1, radius, reach);")
-def balls_beside(
+@wp.func_native("return r2h::balls_within(centers.data + first, radii.data + first, count, c0, c1, radius, reach);")
+def balls_within(
     centers: wp.array(dtype=wp.vec3), radii: wp.array(dtype=float), first: int, count: int,
     c0: wp.vec3, c1: wp.vec3, radius: float, reach: float,
 ) -> wp.uint64:  # fmt: skip
@@ -26,8 +26,8 @@ def balls_beside(
     ...
 
 
-@wp.func_native("return r2h::capsules_beside(ends0.data, ends1.data, radii.data, count, c0, c1, radius, reach);")
-def capsules_beside(
+@wp.func_native("return r2h::capsules_within(ends0.data, ends1.data, radii.data, count, c0, c1, radius, reach);")
+def capsules_within(
     ends0: wp.array(dtype=wp.vec3), ends1: wp.array(dtype=wp.vec3), radii: wp.array(dtype=float), count: int,
     c0: wp.vec3, c1: wp.vec3, radius: float, reach: float,
 ) -> wp.uint64:  # fmt: skip
@@ -62,7 +62,7 @@ def balls_in_reach(
 ) -> wp.uint64:  # fmt: skip
     """Balls (centre, radius) that may be within `limit` (m) of a primitive at R, p and have points n . x > beyond - known.
 
-    kind, size, radius: those of a `Body` that is not a hull (body.py).
+    kind, size, radius: those of a `Shape` that is not a hull (shape.py).
     """
     ...
 
@@ -79,5 +79,5 @@ def nearest_ball(
 def nearest_center(
     balls: wp.array(dtype=wp.vec4), first: int, count: int, kind: int, size: wp.vec3, R: wp.mat33, p: wp.vec3
 ) -> int:
-    """The number of the ball whose centre is nearest to the core of a primitive at R, p; kind, size: those of its `Body`."""
+    """The number of the ball whose centre is nearest to the core of a primitive at R, p; kind, size: those of its `Shape`."""
     ...

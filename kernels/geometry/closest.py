@@ -5,7 +5,7 @@ Primitives have MuJoCo's sizes, each in its own frame: sphere (radius), capsule 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BLOCKS, BOX, CAPSULE, CYLINDER, ROUNDING_M, SPHERE, Body
+from r2h_batch.kernels.geometry.shape import BLOCKS, BOX, CAPSULE, CYLINDER, ROUNDING_M, SPHERE, Shape
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -70,7 +70,7 @@ def swept_capsule(
     c0: wp.vec3, c1: wp.vec3, radius: float, n: wp.vec3, w: wp.vec3, v: wp.vec3, g: wp.vec3, c: float,
     second: float, third: float,
 ):  # fmt: skip
-    """Lower bound of n . x over a capsule that moves: `swept_support` (body.py) says how."""
+    """Lower bound of n . x over a capsule that moves: `swept_support` (shape.py) says how."""
     rest = 0.5 * second
     if third < 3.0 * second:
         least = c + wp.min(wp.dot(g, c0), wp.dot(g, c1)) - radius * wp.length(g)
@@ -162,38 +162,38 @@ def inner_radius(kind: int, size: wp.vec3) -> float:
 
 
 @wp.func
-def eroded(kind: int, size: wp.vec3, depth: float) -> Body:
+def eroded(kind: int, size: wp.vec3, depth: float) -> Shape:
     """The primitive's points at least `depth` deep, as a GJK body (capsule, sphere: their axis, grown by the rest)."""
-    body = Body()
-    body.kind = kind
-    body.size = size
+    shape = Shape()
+    shape.kind = kind
+    shape.size = size
     if kind == BOX:
-        body.size = wp.vec3(wp.max(size[0] - depth, 0.0), wp.max(size[1] - depth, 0.0), wp.max(size[2] - depth, 0.0))
+        shape.size = wp.vec3(wp.max(size[0] - depth, 0.0), wp.max(size[1] - depth, 0.0), wp.max(size[2] - depth, 0.0))
     elif kind == CYLINDER:
-        body.size = wp.vec3(wp.max(size[0] - depth, 0.0), wp.max(size[1] - depth, 0.0), 0.0)
+        shape.size = wp.vec3(wp.max(size[0] - depth, 0.0), wp.max(size[1] - depth, 0.0), 0.0)
     elif kind == BLOCKS:  # the ball in it stands for the hull
-        body.kind = SPHERE
-        body.radius = wp.max(size[2] - depth, 0.0)
+        shape.kind = SPHERE
+        shape.radius = wp.max(size[2] - depth, 0.0)
     else:
-        body.radius = wp.max(size[0] - depth, 0.0)
-    return body
+        shape.radius = wp.max(size[0] - depth, 0.0)
+    return shape
 
 
 @wp.func
-def rounded(kind: int, size: wp.vec3) -> Body:
+def rounded(kind: int, size: wp.vec3) -> Shape:
     """All balls of the inner radius that the primitive holds: its deepest points, grown by their depth.
 
     Capsules and spheres are such bodies already; boxes and cylinders lose their edges. Erosion by t, then growth by t
     (an opening by a ball). Inside, the GJK distance to the core less t measures how deep two bodies meet.
     """
     t = inner_radius(kind, size)
-    body = eroded(kind, size, t)
-    body.radius = t
-    return body
+    shape = eroded(kind, size, t)
+    shape.radius = t
+    return shape
 
 
 @wp.func
-def held(shape: Body) -> Body:
+def inscribed(shape: Shape) -> Shape:
     """A primitive in a robot's body, no nearer to anything than that: itself, or the ball in a hull."""
     out = shape
     if shape.kind == BLOCKS:

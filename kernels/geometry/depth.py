@@ -9,7 +9,7 @@ here in float64, and a hull that does not hold the origin yet grows in the same 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, support
+from r2h_batch.kernels.geometry.shape import ROUNDING_M, Shape, support
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
@@ -33,7 +33,7 @@ class Polytope:
 
 
 @wp.func
-def _farthest(a: Body, R: wp.mat33, p: wp.vec3, b: Body, points: wp.array(dtype=wp.vec3), d: wp.vec3d) -> wp.vec3d:
+def _farthest(a: Shape, R: wp.mat33, p: wp.vec3, b: Shape, points: wp.array(dtype=wp.vec3), d: wp.vec3d) -> wp.vec3d:
     """The point of the difference that is farthest along d."""
     n = wp.vec3(d)
     x = R * support(a, points, wp.transpose(R) * n) + p - support(b, points, -n)
@@ -80,7 +80,7 @@ def _open_edge(size: Polytope, i: int, j: int, edge: wp.array(dtype=wp.vec2i)):
 
 
 @wp.func
-def core_depth(a: Body, R: wp.mat33, p: wp.vec3, b: Body, points: wp.array(dtype=wp.vec3)) -> float:
+def core_depth(a: Shape, R: wp.mat33, p: wp.vec3, b: Shape, points: wp.array(dtype=wp.vec3)) -> float:
     """A lower bound of the penetration depth (m) of the cores of a at (R, p) and b, both in b's frame; 0 where none is known.
 
     Within 1 % of the depth unless 64 corners do not do. Flat differences (of two segments) have no depth.

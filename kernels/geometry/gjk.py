@@ -7,7 +7,7 @@ Every x of D has v . x >= v . w, so D lies beyond a plane square to v at the dis
     v . w / |v|  <=  distance  <=  |v|.
 
 Both sides meet as v converges. The left one holds in every iteration, whatever came before (van den Bergen 1999), so the
-largest of them counts. Bodies are cores grown by a radius (body.py): the radii are taken off at the end.
+largest of them counts. Bodies are cores grown by a radius (shape.py): the radii are taken off at the end.
 
 `lower` is that bound less the radii and a rounding allowance: in float32 it was never above the true distance in 80,000
 pairs, while |v| itself can collapse to 0 between separated thin bodies.
@@ -15,7 +15,7 @@ pairs, while |v| itself can collapse to 0 between separated thin bodies.
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, support
+from r2h_batch.kernels.geometry.shape import ROUNDING_M, Shape, support
 from r2h_batch.kernels.geometry.simplex import ALL_OF_IT, nearest_on_edge, nearest_on_face, nearest_on_tetrahedron
 from r2h_batch.kernels.options import OPTIONS
 
@@ -46,16 +46,9 @@ class Distance:
 # It stays one function, for all its length: inlined at each call, and the cost of a split could not be told from noise.
 @wp.func(inline=False)
 def gjk(
-    a: Body,
-    R: wp.mat33,
-    p: wp.vec3,
-    a_points: wp.array(dtype=wp.vec3),
-    b: Body,
-    b_points: wp.array(dtype=wp.vec3),
-    center_b: wp.vec3,
-    needed: float,
-    relative_gap: float,
-):
+    a: Shape, R: wp.mat33, p: wp.vec3, a_points: wp.array(dtype=wp.vec3), b: Shape,
+    b_points: wp.array(dtype=wp.vec3), center_b: wp.vec3, needed: float, relative_gap: float,
+):  # fmt: skip
     """Distance of body a at (R, p) to body b, both in b's frame.
 
     Stops when the lower bound reaches `needed`, or when it is within `relative_gap` (and 1e-6 m) of the estimate.

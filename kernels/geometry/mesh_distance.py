@@ -9,12 +9,9 @@ wp.set_module_options(OPTIONS)
 
 @wp.kernel
 def signed_distance(
-    mesh: wp.uint64,
-    reach: wp.float32,
-    points_in: wp.array(dtype=wp.vec3),
-    distance_out: wp.array(dtype=wp.float32),
-    closest_out: wp.array(dtype=wp.vec3),
-):
+    mesh: wp.uint64, reach: wp.float32, points_in: wp.array(dtype=wp.vec3),
+    distance_out: wp.array(dtype=wp.float32), closest_out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """distance_out: negative where the winding number is above 0.5; +reach where nothing is nearer than that."""
     i = wp.tid()
     p = points_in[i]
@@ -30,12 +27,9 @@ def signed_distance(
 
 @wp.kernel
 def nearest_face(
-    mesh: wp.uint64,
-    reach: wp.float32,
-    points_in: wp.array(dtype=wp.vec3),
-    distance_out: wp.array(dtype=wp.float32),
-    face_out: wp.array(dtype=wp.int32),
-):
+    mesh: wp.uint64, reach: wp.float32, points_in: wp.array(dtype=wp.vec3),
+    distance_out: wp.array(dtype=wp.float32), face_out: wp.array(dtype=wp.int32),
+):  # fmt: skip
     """distance_out: without a sign; +reach and face -1 where nothing is nearer than that."""
     i = wp.tid()
     p = points_in[i]

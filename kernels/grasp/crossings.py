@@ -52,16 +52,9 @@ def _of_leaf(
 
 @wp.func(inline=False)
 def crossings(
-    surfaces: Surfaces,
-    s: int,
-    R: wp.mat33,
-    t: wp.vec3,
-    x: float,
-    z: float,
-    y_end: float,
-    ys: wp.array(dtype=float),
-    signs: wp.array(dtype=int),
-):
+    surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: float, z: float, y_end: float,
+    ys: wp.array(dtype=float), signs: wp.array(dtype=int),
+):  # fmt: skip
     """How often the line (x, ., z) of the ee frame crosses surface s, and its winding number at y_end (0: outside).
 
     Also the y (unsorted) and the signs of up to MAX_RUNS crossings. R, t: object to ee frame.
@@ -97,15 +90,9 @@ def crossings(
 
 @wp.func
 def solid_along_line(
-    surfaces: Surfaces,
-    s: int,
-    R: wp.mat33,
-    t: wp.vec3,
-    x: float,
-    z: float,
-    low: wp.array(dtype=float),
+    surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: float, z: float, low: wp.array(dtype=float),
     high: wp.array(dtype=float),
-) -> int:
+) -> int:  # fmt: skip
     """The y at which the line (x, ., z) of the ee frame lies inside closed surface s, as runs. R, t: object to ee frame.
 
     From one end to the other the winding number changes by each crossing's sign; where it is not 0, there is solid.

@@ -36,11 +36,11 @@ def _add_corners(
 ):
     """Grows `cut` by the triangles' points on the prism's corner lines, asked of the bits of `at` (`cut_to_prism`)."""
     for i in range(4):
-        here = (at >> (8 * i)) & 255
+        lanes = (at >> (8 * i)) & 255
         x, z = corner(i, half_x, z_low, z_high)
-        while here != 0:
-            lane = first_lane(here)
-            here = here & (here - 1)
+        while lanes != 0:
+            lane = first_lane(lanes)
+            lanes = lanes & (lanes - 1)
             hit, y = line_hit(
                 lane_point(corners, 0, lane), lane_point(corners, 3, lane), lane_point(corners, 6, lane), x, z
             )

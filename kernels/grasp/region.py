@@ -7,7 +7,6 @@ minus the primitive's inner radius. Depths are thus lower bounds on how far the 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BOX, SPHERE
 from r2h_batch.kernels.geometry.closest import inner_radius, signed_distance
 from r2h_batch.kernels.geometry.lanes import (
     BOX_M,
@@ -21,6 +20,7 @@ from r2h_batch.kernels.geometry.lanes import (
     points_near,
     triangles_near,
 )
+from r2h_batch.kernels.geometry.shape import BOX, SPHERE
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose
 from r2h_batch.kernels.grasp.crossings import crossings
 from r2h_batch.kernels.grasp.triangle import GJK_M, apart, bounding_half, triangle_clearance
@@ -31,7 +31,7 @@ wp.set_module_options(OPTIONS)
 
 UNASKED = wp.constant(-1.0e29)
 GROUPS = wp.constant(7)
-"""Bits of the three groups of primitives: the gripper's body, the finger at -y, the finger at +y."""
+"""Bits of the three groups of primitives: the palm, the finger at -y, the finger at +y."""
 POINT_ROW = wp.constant(7)
 """Where a group of nodes has their points (`NODE_ROWS`)."""
 
@@ -79,23 +79,14 @@ def _box_half(kind: int, size: wp.vec3, R: wp.mat33) -> wp.vec3:
 
 @wp.func
 def _place_primitives(
-    gripper: Gripper,
-    used: int,
-    drive: float,
-    R_ee_obj: wp.mat33,
-    t_ee_obj: wp.vec3,
-    trial: int,
-    R_out: wp.array2d(dtype=wp.mat33),
-    p_out: wp.array2d(dtype=wp.vec3),
-    low_out: wp.array(dtype=wp.vec3),
-    high_out: wp.array(dtype=wp.vec3),
-    group_low_out: wp.array(dtype=wp.vec3),
-    group_high_out: wp.array(dtype=wp.vec3),
-    mask_out: wp.array(dtype=int),
-):
+    gripper: Gripper, used: int, drive: float, R_ee_obj: wp.mat33, t_ee_obj: wp.vec3, trial: int,
+    R_out: wp.array2d(dtype=wp.mat33), p_out: wp.array2d(dtype=wp.vec3), low_out: wp.array(dtype=wp.vec3),
+    high_out: wp.array(dtype=wp.vec3), group_low_out: wp.array(dtype=wp.vec3),
+    group_high_out: wp.array(dtype=wp.vec3), mask_out: wp.array(dtype=int),
+):  # fmt: skip
     """Writes each primitive's pose (object to primitive frame) and the box about it (ee frame).
 
-    And of the body and each finger the box about its primitives and their bits.
+    And of the palm and each finger the box about its primitives and their bits.
     """
     for g in range(3):
         group_low_out[g] = wp.vec3(1.0e30, 1.0e30, 1.0e30)
@@ -116,16 +107,9 @@ def _place_primitives(
 
 @wp.func
 def _most_buried(
-    gripper: Gripper,
-    used: int,
-    low: wp.array(dtype=wp.vec3),
-    high: wp.array(dtype=wp.vec3),
-    surfaces: Surfaces,
-    s: int,
-    R_ee_obj: wp.mat33,
-    t_ee_obj: wp.vec3,
-    best: float,
-):
+    gripper: Gripper, used: int, low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3),
+    surfaces: Surfaces, s: int, R_ee_obj: wp.mat33, t_ee_obj: wp.vec3, best: float,
+):  # fmt: skip
     """`best` or, when less, minus the inner radius of a primitive whose middle lies in the solid; which one, or -1."""
     witness = int(-1)
     for i in range(gripper.kind.shape[0]):
@@ -233,33 +217,24 @@ def _points_clearance(
 #
 # 1. primitives that lie in the solid: the depth of their cores (`_most_buried`);
 # 2. one vertex of every node: an upper bound that spares most triangles;
-# 3. nodes by groups of primitives (chassis, each finger) with a box about each, then by primitive, then their leaves. A box
+# 3. nodes by groups of primitives (palm, each finger) with a box about each, then by primitive, then their leaves. A box
 #    about a leaf or a triangle, along the primitive's axes, says sooner than a sphere that something flat is too far away;
-#    GJK is asked of what neither rules out.
+#    GJK decides what neither rules out.
 #
 # A primitive's frame (object to primitive) is needed for every sphere: it is written once to the scratch arrays.
 @wp.kernel
 def primitives_clearance(
     first: int,
     # tables
-    gripper: Gripper,
-    surfaces: Surfaces,
-    surface_offset: int,
-    used: int,
-    solid: int,
-    cap: float,
-    enough: float,
+    gripper: Gripper, surfaces: Surfaces, surface_offset: int, used: int, solid: int, cap: float, enough: float,
     # trials
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    object_index_in: wp.array(dtype=wp.int32),
+    T_obj_ee_in: wp.array(dtype=wp.mat44), object_index_in: wp.array(dtype=wp.int32),
     opening_in: wp.array(dtype=wp.float32),
     # scratch: (B, G) object to primitive frame
-    R_scratch: wp.array2d(dtype=wp.mat33),
-    p_scratch: wp.array2d(dtype=wp.vec3),
+    R_scratch: wp.array2d(dtype=wp.mat33), p_scratch: wp.array2d(dtype=wp.vec3),
     # out
-    clearance_out: wp.array(dtype=wp.float32),
-    witness_out: wp.array(dtype=wp.int32),
-):
+    clearance_out: wp.array(dtype=wp.float32), witness_out: wp.array(dtype=wp.int32),
+):  # fmt: skip
     """Least clearance (m) of the primitives in bit mask `used` at each trial's opening, and which one has it.
 
     Exact between `enough` and `cap`; `cap` and -1 beyond; something below `enough` where it is less than that (who only asks
@@ -275,7 +250,7 @@ def primitives_clearance(
     drive = drive_from_gap(gripper, opening_in[trial])
     best = float(cap)
     witness = int(-1)
-    # boxes (ee frame) about the primitives, as many as a bit mask has room for, and about the body's and each finger's:
+    # boxes (ee frame) about the primitives, as many as a bit mask has room for, and about the palm's and each finger's:
     # most of the surface is far from all three
     low = wp.zeros(shape=31, dtype=wp.vec3)
     high = wp.zeros(shape=31, dtype=wp.vec3)

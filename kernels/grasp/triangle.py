@@ -6,9 +6,9 @@ inside.
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, HULL, SPHERE, Body
 from r2h_batch.kernels.geometry.closest import TOUCH_M, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.shape import BOX, CAPSULE, CYLINDER, SPHERE, Shape, triangle_shape
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -40,7 +40,7 @@ def apart(kind: int, size: wp.vec3, low: wp.vec3, high: wp.vec3) -> float:
 
 
 @wp.func
-def _parted(b: Body, x: wp.vec3, u: wp.vec3, v: wp.vec3, w: wp.vec3, distance: float) -> bool:
+def _parted(b: Shape, x: wp.vec3, u: wp.vec3, v: wp.vec3, w: wp.vec3, distance: float) -> bool:
     """Whether a plane, square to the way from a primitive to the point x, keeps triangle uvw `distance` or more away from it.
 
     With h(g) the primitive's support along g, no point of the triangle is nearer than (min g . (u, v, w) - h(g)) / |g|.
@@ -96,10 +96,7 @@ def triangle_clearance(
         b = eroded(kind, size, probe)
         if _parted(b, middle, u, v, w, wp.max(clearance, 0.0) + GJK_M):
             return clearance
-        a = Body()
-        a.kind = HULL
-        a.start = 3 * tri
-        a.count = 3
+        a = triangle_shape(3 * tri)
         d = gjk(a, R, p, points, b, points, p - middle, wp.max(clearance, 0.0), 0.0)
         if d.upper > TOUCH_M:
             if probe == 0.0:

@@ -158,19 +158,13 @@ def extent_along_y(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3):
 def close_gripper(
     first: int,
     # tables
-    gripper: Gripper,
-    surfaces: Surfaces,
-    open_gap: float,
-    whole: int,
+    gripper: Gripper, surfaces: Surfaces, open_gap: float, whole: int,
     # trials
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    object_index_in: wp.array(dtype=wp.int32),
+    T_obj_ee_in: wp.array(dtype=wp.mat44), object_index_in: wp.array(dtype=wp.int32),
     # out
-    width_out: wp.array(dtype=wp.float32),
-    opening_out: wp.array(dtype=wp.float32),
-    shift_out: wp.array(dtype=wp.float32),
-    empty_out: wp.array(dtype=wp.bool),
-):
+    width_out: wp.array(dtype=wp.float32), opening_out: wp.array(dtype=wp.float32),
+    shift_out: wp.array(dtype=wp.float32), empty_out: wp.array(dtype=wp.bool),
+):  # fmt: skip
     """Width, opening, shift (m) of each trial's grasp; empty: NaN, open gap, 0; too wide: w, open gap, 0.
 
     `whole` judges the width of the whole object; what the pads close on is the same.

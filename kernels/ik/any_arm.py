@@ -171,27 +171,22 @@ def is_new(q: wp.array(dtype=float), q_out: wp.array3d(dtype=float), trial: int,
 def solve_any(
     first: int,
     # tables
-    chain: Chain,
-    seeds: Seeds,
+    chain: Chain, seeds: Seeds,
     most: int,  # seeds that are tried, at most MOST_SEEDS
     iterations: int,  # of a seed
     apart: float,  # rad
-    position_tolerance_m: wp.float64,
-    rotation_tolerance_rad: wp.float64,
-    rotation_lever_m: wp.float64,
+    position_tolerance_m: wp.float64, rotation_tolerance_rad: wp.float64, rotation_lever_m: wp.float64,
     # trials
-    T_world_ee_in: wp.array3d(dtype=wp.float32),
-    active_in: wp.array(dtype=wp.bool),
+    T_world_ee_in: wp.array3d(dtype=wp.float32), active_in: wp.array(dtype=wp.bool),
     # out
     q_out: wp.array3d(dtype=float),  # (B, K, JOINTS)
-    valid_out: wp.array2d(dtype=wp.bool),
-    position_error_out: wp.array2d(dtype=wp.float32),
+    valid_out: wp.array2d(dtype=wp.bool), position_error_out: wp.array2d(dtype=wp.float32),
     rotation_error_out: wp.array2d(dtype=wp.float32),
     status_out: wp.array2d(dtype=wp.uint8),  # (B, 4), all alike
     steps_out: wp.array2d(dtype=int),  # (B, 4): the first holds all, the second how many seeds were tried
     nearest_out: wp.array2d(dtype=float),  # (B, JOINTS) where nothing was found: the posture that came nearest
     residual_out: wp.array(dtype=float),  # and by how much it misses: metres + rotation_lever_m radians
-):
+):  # fmt: skip
     """Up to K postures of each target, `apart` from each other, in the order in which they were found."""
     trial = first + wp.tid()
     for k in range(q_out.shape[1]):

@@ -77,19 +77,13 @@ def joint_rate(axis: wp.vec3d, linear: wp.vec3d, y: vec6d):
 
 @wp.func
 def solve_from(
-    start: int,
-    iterations: int,
-    joint_R: wp.array(dtype=wp.mat33d),
-    joint_p: wp.array(dtype=wp.vec3d),
-    lower: wp.array(dtype=wp.float64),
-    upper: wp.array(dtype=wp.float64),
-    starts: wp.array2d(dtype=wp.float64),
-    goal_R: wp.mat33d,
-    goal_p: wp.vec3d,
+    start: int, iterations: int, joint_R: wp.array(dtype=wp.mat33d), joint_p: wp.array(dtype=wp.vec3d),
+    lower: wp.array(dtype=wp.float64), upper: wp.array(dtype=wp.float64), starts: wp.array2d(dtype=wp.float64),
+    goal_R: wp.mat33d, goal_p: wp.vec3d,
     q: wp.array(dtype=wp.float64),  # (6,) out
     axes: wp.array(dtype=wp.vec3d),  # (6,) scratch
     linear: wp.array(dtype=wp.vec3d),
-):
+):  # fmt: skip
     """Whether damped least squares from a start come to the goal within the joint limits; the angles, in `q`.
 
     A step is dq = J^T y with (J J^T + lambda 1) y = e (Levenberg-Marquardt: Wampler 1986, Nakamura and Hanafusa 1986),
@@ -145,9 +139,7 @@ def first_branch(
     # tables
     iterations: int,
     joint_R: wp.array(dtype=wp.mat33d),  # (7,) parent link to joint at q = 0; the last: wrist_3 to ee
-    joint_p: wp.array(dtype=wp.vec3d),
-    lower: wp.array(dtype=wp.float64),
-    upper: wp.array(dtype=wp.float64),
+    joint_p: wp.array(dtype=wp.vec3d), lower: wp.array(dtype=wp.float64), upper: wp.array(dtype=wp.float64),
     # trials
     starts_in: wp.array2d(dtype=wp.float64),  # (S, 6) tried in this order
     T_world_ee_in: wp.array(dtype=wp.mat44),
@@ -155,7 +147,7 @@ def first_branch(
     valid_in: wp.array2d(dtype=wp.bool),
     # out
     slot_out: wp.array(dtype=int),
-):
+):  # fmt: skip
     """The slot of the branch that the solver reaches; -1 where it reaches none."""
     trial = first + wp.tid()
     slot_out[trial] = -1

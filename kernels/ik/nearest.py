@@ -170,15 +170,11 @@ def nearest_state(ur: UrParameters, R: wp.mat33d, p5: wp.vec3d) -> vec12d:
 
 @wp.kernel
 def nearest_posture(
-    first: int,
-    ur: UrParameters,
-    rotation_lever_m: wp.float64,
-    active_in: wp.array(dtype=wp.bool),
+    first: int, ur: UrParameters, rotation_lever_m: wp.float64, active_in: wp.array(dtype=wp.bool),
     branches_in: wp.array2d(dtype=wp.bool),  # (B, 8) that reach the target
-    T_world_ee_in: wp.array(dtype=wp.mat44),
-    q_out: wp.array2d(dtype=wp.float32),
+    T_world_ee_in: wp.array(dtype=wp.mat44), q_out: wp.array2d(dtype=wp.float32),
     residual_out: wp.array(dtype=wp.float32),
-):
+):  # fmt: skip
     """The nearest posture of each target that no branch reaches, and its residual: metres, plus `rotation_lever_m` x radians.
 
     NaN where a branch does, or the trial is not active.

@@ -207,14 +207,9 @@ def read_target(T_world_ee: wp.array3d(dtype=wp.float32), trial: int):
 
 @wp.func
 def solve_pair(
-    ur: UrParameters,
-    seeds: wp.array2d(dtype=wp.float64),
-    iterations: int,
-    R: wp.mat33d,
-    p5: wp.vec3d,
-    shoulder: wp.float64,
-    wrist: wp.float64,
-):
+    ur: UrParameters, seeds: wp.array2d(dtype=wp.float64), iterations: int, R: wp.mat33d, p5: wp.vec3d,
+    shoulder: wp.float64, wrist: wp.float64,
+):  # fmt: skip
     """The state with sin q3 >= 0 of one (shoulder, wrist) pair, its STATUS_*, and all steps that were taken.
 
     Damped least squares from one seed after the other; a result on the other side of the shoulder does not count.
@@ -258,22 +253,15 @@ def solve_pair(
 def solve_ik_kernel(
     first: int,
     # tables
-    ur: UrParameters,
-    iterations: int,
-    position_tolerance_m: wp.float64,
-    rotation_tolerance_rad: wp.float64,
+    ur: UrParameters, iterations: int, position_tolerance_m: wp.float64, rotation_tolerance_rad: wp.float64,
     # trials
-    seeds_in: wp.array2d(dtype=wp.float64),
-    T_world_ee_in: wp.array3d(dtype=wp.float32),
+    seeds_in: wp.array2d(dtype=wp.float64), T_world_ee_in: wp.array3d(dtype=wp.float32),
     active_in: wp.array(dtype=wp.bool),
     # out
-    q_out: wp.array3d(dtype=wp.float32),
-    valid_out: wp.array2d(dtype=wp.bool),
-    position_error_out: wp.array2d(dtype=wp.float32),
-    rotation_error_out: wp.array2d(dtype=wp.float32),
-    status_out: wp.array2d(dtype=wp.uint8),
-    steps_out: wp.array2d(dtype=wp.int32),
-):
+    q_out: wp.array3d(dtype=wp.float32), valid_out: wp.array2d(dtype=wp.bool),
+    position_error_out: wp.array2d(dtype=wp.float32), rotation_error_out: wp.array2d(dtype=wp.float32),
+    status_out: wp.array2d(dtype=wp.uint8), steps_out: wp.array2d(dtype=wp.int32),
+):  # fmt: skip
     """Branches 4 shoulder + 2 elbow + wrist of one target; thread (target, pair), pair = 2 shoulder + wrist."""
     item, pair = wp.tid()
     trial = first + item

@@ -70,8 +70,7 @@ def _nearest_untried(q_in: wp.array2d(dtype=float), trial: int, home: vecq, trie
 def choose_goal(
     first: int,
     # tables
-    world: World,
-    bodies: TrialBodies,
+    world: World, bodies: TrialBodies,
     singular: int,  # the status of such a pair (kernels/ik/step.py)
     unproven: int,  # the reason in place of REASON_IK_IN_COLLISION where branches are points of a line of solutions
     home_in: wp.array2d(dtype=float),  # (1, JOINTS)
@@ -81,10 +80,8 @@ def choose_goal(
     status_in: wp.array2d(dtype=wp.uint8),  # (B, 4) of pairs of branches
     q_in: wp.array2d(dtype=float),  # (B * 8, JOINTS)
     # out
-    reason_out: wp.array(dtype=int),
-    pair_out: wp.array(dtype=int),
-    slot_out: wp.array(dtype=int),
-):
+    reason_out: wp.array(dtype=int), pair_out: wp.array(dtype=int), slot_out: wp.array(dtype=int),
+):  # fmt: skip
     """PlanReason as far as it is known without a path, the pair that blocks, and the free branch nearest to home (or -1).
 
     Branches are tried in the planner's order until one is free; the test is the planner's own (check.py).
@@ -170,12 +167,9 @@ def _branch_or_home(q_in: wp.array2d(dtype=float), first: int, step: int, home_i
 
 @wp.kernel
 def goal_clearance(
-    first: int,
-    cap: float,
+    first: int, cap: float,
     # tables
-    world: World,
-    hull_ball: wp.array(dtype=wp.vec4),
-    bodies: TrialBodies,
+    world: World, hull_ball: wp.array(dtype=wp.vec4), bodies: TrialBodies,
     home_in: wp.array2d(dtype=float),  # (1, JOINTS)
     # trials
     reason_in: wp.array(dtype=int),  # (B,)
@@ -188,11 +182,10 @@ def goal_clearance(
     q_goal_inout: wp.array2d(dtype=float),  # (B, JOINTS) unreachable targets: the nearest posture, already here
     clearance_out: wp.array(dtype=float),
     nearest_out: wp.array(dtype=int),  # the nearest pair, of colliding goals too
-    body_out: wp.array(dtype=int),
-    other_out: wp.array(dtype=int),
+    body_out: wp.array(dtype=int), other_out: wp.array(dtype=int),
     push_out: wp.array(dtype=wp.vec3),  # world frame
     point_out: wp.array(dtype=wp.vec3),
-):
+):  # fmt: skip
     """Clearance of the goal posture (a start in collision: of home), its witness, and the goal posture itself.
 
     Above 0 exactly where the reason is REASON_OK; unreachable targets have minus their residual.
@@ -221,26 +214,26 @@ def goal_clearance(
     best.other = -1
     settled = bool(False)
     for step in range(BRANCHES + 1):  # the last one is home, for starts in collision
-        here = opaque(trial)
+        row = opaque(trial)
         wanted = step == chosen
         if step < BRANCHES and chosen < 0:
-            wanted = valid_in[here, step] and not settled
+            wanted = valid_in[row, step] and not settled
         floor = best.clearance + TIE_M
         if step == BRANCHES:
             wanted = reason == REASON_START_IN_COLLISION
             floor = float(-1.0e30)
-        q = _branch_or_home(q_in, here * BRANCHES, step, home_in)
+        q = _branch_or_home(q_in, row * BRANCHES, step, home_in)
         # a first look for something deeper than the best branch's margin, then everything
         attempt = wp.where(floor > -1.0e29 and floor < 0.0, 0, 1)
         while wanted and attempt < 2:
             look = wp.where(attempt == 0, floor, cap)
-            found = posture_clearance(world, hull_ball, bodies, here, q, look, floor, R, p)
+            found = posture_clearance(world, hull_ball, bodies, row, q, look, floor, R, p)
             wanted = found.clearance >= look or attempt == 1
             attempt += 1
             if wanted and attempt == 2 and (found.clearance > floor or step == BRANCHES):
                 best = found
                 if step < BRANCHES:
-                    slot_inout[here] = step
+                    slot_inout[row] = step
                 # bodies on the wrist meet hand and table in the same way in every branch: none can be better
                 if best.clearance < 0.0 and best.pair % PAIR_SELF != 0 and best.body >= world.link_first[LAST_LINK]:
                     settled = True
@@ -271,19 +264,14 @@ def goal_clearance(
 # that only touch (their witness is where GJK stopped).
 @wp.kernel
 def goal_safe_distance(
-    first: int,
-    cap: float,
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
+    first: int, cap: float, world: World, mesh: HandMesh, bodies: TrialBodies,
     # trials
     active_in: wp.array(dtype=wp.bool),  # (B,)
     q_in: wp.array2d(dtype=float),  # (B, JOINTS)
     # out
-    distance_out: wp.array(dtype=float),
-    body_out: wp.array(dtype=int),
+    distance_out: wp.array(dtype=float), body_out: wp.array(dtype=int),
     point_out: wp.array(dtype=wp.vec3),  # world frame
-):
+):  # fmt: skip
     """Signed distance of the robot to the hand's exact mesh at one posture: exact below `cap`, an overlap bound below 0."""
     trial = first + wp.tid()
     distance_out[trial] = cap

@@ -7,14 +7,14 @@ plan/edge.py, with what is known less the tolerance in place of the margin.
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import Body, from_ball, support
 from r2h_batch.kernels.geometry.closest import TOUCH_M, from_point, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.shape import Shape, from_ball, support
 from r2h_batch.kernels.options import OPTIONS
 
 from ..plan.obstacles import MovingBody, least_rest, swept_body
 from ..robot.joints import vecq
-from ..robot.world import World, motion, piece_body
+from ..robot.world import World, motion, piece_shape
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -127,7 +127,7 @@ def bound_of_hull(
     if apart > 0.0:
         n = v / wp.length(v)
         beyond = swept_body(world, body, n, body.second, body.third)
-        low = wp.max(low, beyond - wp.dot(n, support(piece_body(world, piece), world.points, n)))
+        low = wp.max(low, beyond - wp.dot(n, support(piece_shape(world, piece), world.points, n)))
     if low >= distance - tolerance and apart >= distance:
         return SETTLED, n, beyond
     if apart >= distance and apart < distance - tolerance + rest:
@@ -137,7 +137,7 @@ def bound_of_hull(
 
 @wp.func
 def bound_of_piece(
-    world: World, body: MovingBody, core: Body, hand: int, i: int, distance: float, tolerance: float, waits: int
+    world: World, body: MovingBody, core: Shape, hand: int, i: int, distance: float, tolerance: float, waits: int
 ):
     """SETTLED, WAITS, ASK or MEETS, from the piece's ball, then from its hull, which holds all its faces.
 
@@ -151,7 +151,7 @@ def bound_of_piece(
         return bound, n, beyond
     limit = distance - tolerance + body.travel
     center = world.piece_center[piece]
-    hull = piece_body(world, piece)
+    hull = piece_shape(world, piece)
     h = gjk(body.shape, body.R, body.p, world.points, hull, world.points, center, wp.max(limit, distance), HULL_GAP)
     if h.upper <= TOUCH_M:  # GJK's bound says nothing of how deep: the faces have to
         if distance < 0.0:  # unless the whole piece is no deeper than what is known

@@ -2,11 +2,11 @@
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.balls import balls_beside, balls_in_reach, balls_near, lowest_bit
-from r2h_batch.kernels.geometry.body import BLOCKS, BOX, CYLINDER, HULL, Body, support
+from r2h_batch.kernels.geometry.balls import balls_in_reach, balls_near, balls_within, lowest_bit
 from r2h_batch.kernels.geometry.closest import TOUCH_M, rounded
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
+from r2h_batch.kernels.geometry.shape import BLOCKS, BOX, CYLINDER, Shape, support, triangle_shape
 from r2h_batch.kernels.options import OPTIONS
 
 from ..plan.obstacles import MovingBody, moving_body, swept_body
@@ -30,16 +30,7 @@ class HandDistance:
 
 
 @wp.func
-def triangle_body():
-    """A triangle whose corners are an array's first three."""
-    b = Body()
-    b.kind = HULL
-    b.count = 3
-    return b
-
-
-@wp.func
-def is_edged(shape: Body):
+def is_edged(shape: Shape):
     """Whether a body has edges, which its `rounded` core has not: a capsule or a ball is its own core."""
     return shape.kind == BOX or shape.kind == CYLINDER or shape.kind == BLOCKS
 
@@ -71,7 +62,7 @@ def face_may_come_nearer(
     if value > 0.0 and low < distance - tolerance:
         n_hat = v / wp.length(v)
         low = swept_body(world, body, n_hat, body.second, body.third)
-        low = low - wp.dot(n_hat, support(triangle_body(), tri, n_hat))
+        low = low - wp.dot(n_hat, support(triangle_shape(0), tri, n_hat))
     return wp.where(low < distance - tolerance, 1, 0)
 
 
@@ -88,17 +79,9 @@ def face_may_come_nearer(
 #    the plane that GJK found (plan/edge.py), whose slack falls with the square of the interval's length.
 @wp.func
 def nearest_to_mesh(
-    world: World,
-    mesh: HandMesh,
-    body: MovingBody,
-    hand: int,
-    piece: int,
-    n: wp.vec3,
-    beyond: float,
-    best: float,
-    tolerance: float,
-    tri: wp.array(dtype=wp.vec3),
-):
+    world: World, mesh: HandMesh, body: MovingBody, hand: int, piece: int, n: wp.vec3, beyond: float,
+    best: float, tolerance: float, tri: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """Signed distance of a body to the triangles of one piece when below `best`, and the hand's nearest point.
 
     Separated: GJK's lower bound. A box or cylinder that a triangle meets is asked once more as its `rounded` core, grown
@@ -106,7 +89,7 @@ def nearest_to_mesh(
     """
     out = HandDistance()
     out.distance = best
-    b = triangle_body()
+    b = triangle_shape(0)
     shape = body.shape
     edged = is_edged(shape)
     # 64 faces at a time: most are settled all at once
@@ -169,13 +152,7 @@ def nearest_to_mesh(
 # hull that is clear of all faces stands in a hollow of the hand, or wholly within it, which a ray decides (`inside_mesh`).
 @wp.func
 def posture_distance(
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
-    trial: int,
-    q: vecq,
-    d: vecq,
-    best: float,
+    world: World, mesh: HandMesh, bodies: TrialBodies, trial: int, q: vecq, d: vecq, best: float,
     tolerance: float,
     mask: wp.array(dtype=wp.uint64),  # bit b: robot body b may come nearer within q +- d; cleared here
     R: wp.array(dtype=wp.mat33),  # (7,) scratch: link frames
@@ -183,7 +160,7 @@ def posture_distance(
     w: wp.array(dtype=wp.vec3),  # (FIELDS,) scratch: link twists and how they change
     v: wp.array(dtype=wp.vec3),
     tri: wp.array(dtype=wp.vec3),  # (3,) scratch: a face
-):
+):  # fmt: skip
     """Improves the smallest distance with posture q; `mask` keeps the bodies that may come nearer within q +- d.
 
     A link, then a body against the ball around the hand; a body against each piece, ball and hull; against each face of
@@ -224,7 +201,7 @@ def posture_distance(
                 # most pieces are settled all at once
                 left = wp.uint64(0)
                 if body.travel == 0.0:  # a posture alone
-                    left = balls_beside(
+                    left = balls_within(
                         world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
                         body.c0, body.c1, body.radius, out.distance - tolerance,
                     )  # fmt: skip

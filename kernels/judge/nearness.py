@@ -3,13 +3,13 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.balls import nearest_ball, nearest_center
-from r2h_batch.kernels.geometry.body import from_ball
-from r2h_batch.kernels.geometry.closest import closest_on_triangle, from_point, held
+from r2h_batch.kernels.geometry.closest import closest_on_triangle, from_point, inscribed
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
+from r2h_batch.kernels.geometry.shape import from_ball
 from r2h_batch.kernels.options import OPTIONS
 
 from ..robot.joints import OBJECT
-from ..robot.world import TrialBodies, World, body_pose, link_frame, robot_body
+from ..robot.world import TrialBodies, World, body_pose, link_frame, robot_shape
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -23,15 +23,11 @@ PROJECTIONS = wp.constant(3)
 # Whatever these choices are, the last is a distance between two points of hand and robot.
 @wp.func
 def guessed_distance(
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
-    trial: int,
-    cap: float,
+    world: World, mesh: HandMesh, bodies: TrialBodies, trial: int, cap: float,
     R: wp.array(dtype=wp.mat33),  # (7,) link frames
     p: wp.array(dtype=wp.vec3),
     tri: wp.array(dtype=wp.vec3),  # (3,) scratch: a face
-):
+):  # fmt: skip
     """At least the robot's distance to the hand, 0 for an overlap (m); above `cap` where bounding volumes keep that apart."""
     hand = bodies.hand[trial]
     center = world.hand_center[hand]
@@ -59,7 +55,7 @@ def guessed_distance(
                 piece = int(found[1])
     guess = cap + NEARER
     if body >= 0:
-        shape = held(robot_body(world, body))
+        shape = inscribed(robot_shape(world, body))
         Rb, pb = body_pose(world, bodies, trial, R, p, body)
         start = mesh.piece_face[piece]
         face = start + nearest_center(

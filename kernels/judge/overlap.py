@@ -6,11 +6,11 @@ a verdict. Here the deepest posture is looked for: every STEP_RAD along a path, 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BLOCKS, ROUNDING_M
 from r2h_batch.kernels.geometry.closest import signed_distance
 from r2h_batch.kernels.geometry.depth import core_depth
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
+from r2h_batch.kernels.geometry.shape import BLOCKS, ROUNDING_M
 from r2h_batch.kernels.grasp.triangle import triangle_clearance
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import PAIR_HAND, PAIR_OF_OBJECT
@@ -84,18 +84,14 @@ def _deepest_pair(
 def path_overlap(
     first: int,
     # tables
-    world: World,
-    hull_ball: wp.array(dtype=wp.vec4),
-    bodies: TrialBodies,
+    world: World, hull_ball: wp.array(dtype=wp.vec4), bodies: TrialBodies,
     # rows
     row_in: wp.array(dtype=int),  # (n,) trials whose path meets something; -1: none
     path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     # out, (B,): written for these rows where an overlap is found
-    clearance_out: wp.array(dtype=float),
-    pair_out: wp.array(dtype=int),
-    body_out: wp.array(dtype=int),
-):
+    clearance_out: wp.array(dtype=float), pair_out: wp.array(dtype=int), body_out: wp.array(dtype=int),
+):  # fmt: skip
     """Minus a lower bound of the deepest penetration depth along each path, its pair and the robot's body.
 
     The search looks for ever larger growth distances (plan/posture.py), which is quick. Of the pairs and postures on its way
@@ -138,9 +134,9 @@ def path_overlap(
             best = found.clearance
             at = wp.clamp(s, 0.0, float(last))
             body, obstacle = _deepest_pair(world, hull_ball, bodies, trial, found, R, p)
-            here = wp.max(_pair_depth(world, body, obstacle), -best)
-            if here > depth:
-                depth = here
+            pair_depth = wp.max(_pair_depth(world, body, obstacle), -best)
+            if pair_depth > depth:
+                depth = pair_depth
                 clearance_out[trial] = -depth
                 pair_out[trial] = found.pair
                 body_out[trial] = found.body
@@ -173,20 +169,16 @@ def path_overlap(
 def hand_overlap(
     first: int,
     # tables
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
+    world: World, mesh: HandMesh, bodies: TrialBodies,
     # rows
     row_in: wp.array(dtype=int),  # (n,) trials whose motion meets the hand
     path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     # in and out, (B,)
-    distance_inout: wp.array(dtype=float),
-    body_inout: wp.array(dtype=int),
-    segment_inout: wp.array(dtype=int),
+    distance_inout: wp.array(dtype=float), body_inout: wp.array(dtype=int), segment_inout: wp.array(dtype=int),
     fraction_inout: wp.array(dtype=float),
     point_inout: wp.array(dtype=wp.vec3),  # world frame
-):
+):  # fmt: skip
     """The depth of the hand's deepest point in a robot primitive near the moment that is known, by halving in time.
 
     `point`: near the deepest one. Exact for what the mesh's faces reach (grasp/region.py); where that is not deeper than

@@ -29,24 +29,17 @@ def _turned_back(T: wp.mat44, v: wp.vec3):
 
 @wp.kernel
 def region_presented(
-    first: int,
-    cap: float,
-    facing_deg: float,
-    reach_radius: float,
+    first: int, cap: float, facing_deg: float, reach_radius: float,
     mesh_in: wp.array(dtype=wp.uint64),  # the region of each object as a mesh; 0: it has none
     center_in: wp.array(dtype=wp.vec3),  # the region's centre, object frame
     palm_point_in: wp.array(dtype=wp.vec3),  # of each hand, hand frame
-    active_in: wp.array(dtype=wp.bool),
-    object_in: wp.array(dtype=int),
-    hand_in: wp.array(dtype=int),
+    active_in: wp.array(dtype=wp.bool), object_in: wp.array(dtype=int), hand_in: wp.array(dtype=int),
     attached_in: wp.array(dtype=wp.mat44),  # T_obj_ee once the pads have met the object
-    T_world_ee_in: wp.array(dtype=wp.mat44),
-    T_world_hand_in: wp.array(dtype=wp.mat44),
+    T_world_ee_in: wp.array(dtype=wp.mat44), T_world_hand_in: wp.array(dtype=wp.mat44),
     ball_in: wp.array(dtype=wp.vec3),  # c_h, object frame
-    presented_out: wp.array(dtype=wp.bool),
-    angle_out: wp.array(dtype=float),
+    presented_out: wp.array(dtype=wp.bool), angle_out: wp.array(dtype=float),
     distance_out: wp.array(dtype=float),
-):
+):  # fmt: skip
     """Angle at the TCP between the region's centre and the palm's (degrees), distance from c_h to the region (m), and whether
     both are within their limits. NaN and False without a region, and in rows that are not active.
 

@@ -9,16 +9,13 @@ wp.set_module_options(OPTIONS)
 
 @wp.kernel
 def point_to_object(
-    first: int,
-    cap: float,
+    first: int, cap: float,
     mesh_in: wp.array(dtype=wp.uint64),  # one mesh id per object
     low_in: wp.array(dtype=wp.vec3),  # and its bounding box
-    high_in: wp.array(dtype=wp.vec3),
-    object_in: wp.array(dtype=int),
+    high_in: wp.array(dtype=wp.vec3), object_in: wp.array(dtype=int),
     point_in: wp.array(dtype=wp.vec3),  # object frame
-    distance_out: wp.array(dtype=float),
-    nearest_out: wp.array(dtype=wp.vec3),
-):
+    distance_out: wp.array(dtype=float), nearest_out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """Distance from a point to the object (0 inside it) and the object's nearest point, object frame.
 
     The winding number says what is inside; outside the bounding box it is not needed.

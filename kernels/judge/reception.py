@@ -8,9 +8,9 @@ angle of its own, and all its work is done in the object's frame turned by it.
 import warp as wp
 
 from r2h_batch.kernels.geometry.angles import angle_of, arc_cosine, sin_cos
-from r2h_batch.kernels.geometry.body import BOX, CAPSULE, Body
 from r2h_batch.kernels.geometry.closest import from_segment
 from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.shape import BOX, CAPSULE, Shape
 from r2h_batch.kernels.geometry.surface import inverse_pose
 from r2h_batch.kernels.methods.hand_clearance import PosedHands, gripper_distance
 from r2h_batch.kernels.options import OPTIONS
@@ -18,7 +18,7 @@ from r2h_batch.kernels.receiver.grasps import Receiving, about_axis, unit, way_d
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap
 
 from ..robot.joints import FRAMES, GRIPPER, vecq
-from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, link_frame, robot_body
+from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, link_frame, robot_shape
 
 wp.set_module_options(OPTIONS)
 
@@ -199,26 +199,26 @@ class Swivels:
     across: float  # b r / (U L)
     normal: wp.vec3  # along t, h, a
     along: wp.vec3
-    beside: wp.vec3  # along x normal, times `outwards`
+    thumb: wp.vec3  # along x normal, times `outwards`
     slant: float  # along . normal
 
 
 @wp.func
 def swivels_of(
     to: wp.vec3, hanging: wp.vec3, aside: wp.vec3, normal: wp.vec3, along: wp.vec3, outwards: float, r: float,
-    middle: float, beside: float, upper: float, lower: float,
+    middle: float, offset: float, upper: float, lower: float,
 ) -> Swivels:  # fmt: skip
     w = Swivels()
     w.f_t = (r - middle) / lower
-    w.f_p = beside / lower
+    w.f_p = offset / lower
     w.u_t = middle / upper
-    w.u_p = beside / upper
+    w.u_p = offset / upper
     w.u_f = (r * r - upper * upper - lower * lower) / (2.0 * upper * lower)
-    w.across = beside * r / (upper * lower)
+    w.across = offset * r / (upper * lower)
     frame = wp.matrix_from_rows(to, hanging, aside)
     w.normal = frame * normal
     w.along = frame * along
-    w.beside = outwards * (frame * wp.cross(along, normal))
+    w.thumb = outwards * (frame * wp.cross(along, normal))
     w.slant = wp.dot(along, normal)
     return w
 
@@ -231,7 +231,7 @@ def swivel_may_turn(w: Swivels, s: float, c: float):
     ahead = w.u_f * n_f - (w.u_t * w.normal[0] + w.u_p * n_p)
     inwards = w.across * (s * w.normal[1] - c * w.normal[2])
     # the wrist's deviation has the tangent y / x: `arm_angles`' axis aside is outwards * normal x f, but for its length
-    y = w.f_p * (c * w.beside[1] + s * w.beside[2]) - w.f_t * w.beside[0]
+    y = w.f_p * (c * w.thumb[1] + s * w.thumb[2]) - w.f_t * w.thumb[0]
     x = w.f_t * w.along[0] - w.f_p * (c * w.along[1] + s * w.along[2]) - n_f * w.slant
     return (
         n_f >= MOST_FLEXED - ROUNDING
@@ -275,19 +275,14 @@ def reach_with_arm(
     grasps: Receiving,
     lean_in: wp.array(dtype=float),  # degrees, the leans that are tried
     # trials
-    row_in: wp.array(dtype=int),
-    count_in: wp.array(dtype=int),
-    object_in: wp.array(dtype=int),
+    row_in: wp.array(dtype=int), count_in: wp.array(dtype=int), object_in: wp.array(dtype=int),
     outwards_in: wp.array(dtype=float),  # -1 of right arms, 1 of left ones
-    T_world_obj_in: wp.array(dtype=wp.mat44),
-    T_world_hand_in: wp.array(dtype=wp.mat44),
+    T_world_obj_in: wp.array(dtype=wp.mat44), T_world_hand_in: wp.array(dtype=wp.mat44),
     receiver_in: wp.array2d(dtype=wp.vec4),
     # out
-    effort_out: wp.array2d(dtype=float),
-    turn_out: wp.array2d(dtype=float),
-    angles_out: wp.array2d(dtype=vec7),
+    effort_out: wp.array2d(dtype=float), turn_out: wp.array2d(dtype=float), angles_out: wp.array2d(dtype=vec7),
     elbow_out: wp.array2d(dtype=wp.vec3),
-):
+):  # fmt: skip
     """The posture of least effort that brings the hand to grasp k of each trial; effort -1 where no posture does.
 
     Leans and swivels of the elbow about the line from shoulder to wrist are tried; the rest follows. Every second grasp of an
@@ -332,16 +327,16 @@ def reach_with_arm(
         if r < upper + lower and r > wp.abs(upper - lower) and square(lean_in[j] / 60.0) < best:
             to = to / r
             middle = (upper * upper - lower * lower + r * r) / (2.0 * r)
-            beside = wp.sqrt(wp.max(upper * upper - middle * middle, 0.0))
+            offset = wp.sqrt(wp.max(upper * upper - middle * middle, 0.0))
             down = wp.vec3(0.0, 0.0, -1.0)
             hanging = unit(down - wp.dot(down, to) * to)
             aside = outwards * wp.cross(to, hanging)
-            all_of = swivels_of(to, hanging, aside, normal, along, outwards, r, middle, beside, upper, lower)
+            all_of = swivels_of(to, hanging, aside, normal, along, outwards, r, middle, offset, upper, lower)
             for swivel in range(SWIVELS):
                 s = turns[swivel][0]
                 c = turns[swivel][1]
                 if swivel_may_turn(all_of, s, c):
-                    out = middle * to + beside * (c * hanging + s * aside)
+                    out = middle * to + offset * (c * hanging + s * aside)
                     arm.elbow = arm.shoulder + out
                     if forearm_may_turn(out / upper, (wrist - arm.elbow) / lower, outwards, normal):
                         a = arm_angles(arm, outwards, along, normal)
@@ -388,20 +383,14 @@ def in_turned_object(grasps: Receiving, obj: int, turn: float, attached: wp.mat4
 def come_to_object(
     first: int,
     # tables
-    gripper: Gripper,
-    hands: PosedHands,
-    grasps: Receiving,
-    eps: float,
+    gripper: Gripper, hands: PosedHands, grasps: Receiving, eps: float,
     # pairs
-    row_in: wp.array(dtype=int),
-    turn_in: wp.array(dtype=float),
-    object_in: wp.array(dtype=int),
+    row_in: wp.array(dtype=int), turn_in: wp.array(dtype=float), object_in: wp.array(dtype=int),
     attached_in: wp.array(dtype=wp.mat44),  # of each pair's trial, as are the openings
     opening_in: wp.array(dtype=float),
     # out
-    free_out: wp.array(dtype=wp.bool),
-    way_out: wp.array(dtype=int),
-):
+    free_out: wp.array(dtype=wp.bool), way_out: wp.array(dtype=int),
+):  # fmt: skip
     """Whether each pair's hand is clear of the closed gripper, and the first direction from which it can come; -1: none."""
     pair = first + wp.tid()
     row = row_in[pair]
@@ -422,19 +411,11 @@ def come_to_object(
 
 @wp.kernel
 def let_go(
-    first: int,
-    gripper: Gripper,
-    hands: PosedHands,
-    grasps: Receiving,
-    eps: float,
-    open_gap: float,
-    row_in: wp.array(dtype=int),
-    turn_in: wp.array(dtype=float),
-    object_in: wp.array(dtype=int),
-    attached_in: wp.array(dtype=wp.mat44),
-    opening_in: wp.array(dtype=float),
+    first: int, gripper: Gripper, hands: PosedHands, grasps: Receiving, eps: float, open_gap: float,
+    row_in: wp.array(dtype=int), turn_in: wp.array(dtype=float), object_in: wp.array(dtype=int),
+    attached_in: wp.array(dtype=wp.mat44), opening_in: wp.array(dtype=float),
     release_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """Whether, with the object in each pair's hand, the fingers can open (looked at in three openings) and back off."""
     pair = first + wp.tid()
     row = row_in[pair]
@@ -478,19 +459,19 @@ def limb_gap(arm: Arm, limb: int, c0: wp.vec3, c1: wp.vec3):
 
 
 @wp.func
-def limb_body(arm: Arm, limb: int):
+def limb_shape(arm: Arm, limb: int):
     """A limb as a shape, and its frame: R, p."""
-    body = Body()
+    shape = Shape()
     if limb == 2:
-        body.kind = BOX
-        body.size = arm.half
-        return body, arm.axes, arm.torso
+        shape.kind = BOX
+        shape.size = arm.half
+        return shape, arm.axes, arm.torso
     a = wp.where(limb == 0, arm.elbow, arm.shoulder)
     b = wp.where(limb == 0, arm.wrist, arm.elbow)
-    body.kind = CAPSULE
-    body.radius = wp.where(limb == 0, arm.lower_radius, arm.upper_radius)
-    body.size = wp.vec3(body.radius, 0.5 * wp.length(b - a), 0.0)
-    return body, frame_along(unit(b - a)), 0.5 * (a + b)
+    shape.kind = CAPSULE
+    shape.radius = wp.where(limb == 0, arm.lower_radius, arm.upper_radius)
+    shape.size = wp.vec3(shape.radius, 0.5 * wp.length(b - a), 0.0)
+    return shape, frame_along(unit(b - a)), 0.5 * (a + b)
 
 
 @wp.func
@@ -508,14 +489,14 @@ def arm_distance(
         l1 = R[k] * world.link_c1[link] + p[k]
         for limb in range(3):
             if best > 0.0 and limb_gap(arm, limb, l0, l1) - world.link_radius[link] < best:
-                other, frame, middle = limb_body(arm, limb)
+                other, frame, middle = limb_shape(arm, limb)
                 inverse = wp.transpose(frame)
                 for b in range(world.link_first[link], world.link_first[link + 1]):
                     Rb, pb = body_pose(world, bodies, trial, R, p, b)
                     axis = Rb * world.cap_axis[b]
                     if best > 0.0 and limb_gap(arm, limb, pb - axis, pb + axis) - world.cap_radius[b] < best:
                         d = gjk(
-                            robot_body(world, b), inverse * Rb, inverse * (pb - middle), world.points,
+                            robot_shape(world, b), inverse * Rb, inverse * (pb - middle), world.points,
                             other, world.points, none, best, 0.0,
                         )  # fmt: skip
                         best = wp.min(best, wp.max(d.lower, 0.0))
@@ -534,18 +515,11 @@ def into_hand_frame(arm: Arm, R: wp.mat33, p: wp.vec3) -> Arm:
 
 
 @wp.kernel
-def arm_beside_robot(
-    first: int,
-    world: World,
-    bodies: TrialBodies,
-    receiver: wp.array2d(dtype=wp.vec4),
-    q: wp.array(dtype=vecq),
-    trial_in: wp.array(dtype=int),
-    lean_in: wp.array(dtype=float),
-    elbow_in: wp.array(dtype=wp.vec3),
-    wrist_in: wp.array(dtype=wp.vec3),
-    clear_out: wp.array(dtype=wp.bool),
-):
+def arm_clears_robot(
+    first: int, world: World, bodies: TrialBodies, receiver: wp.array2d(dtype=wp.vec4), q: wp.array(dtype=vecq),
+    trial_in: wp.array(dtype=int), lean_in: wp.array(dtype=float), elbow_in: wp.array(dtype=wp.vec3),
+    wrist_in: wp.array(dtype=wp.vec3), clear_out: wp.array(dtype=wp.bool),
+):  # fmt: skip
     """Whether the robot at its goal meets neither arm nor torso of each pair's posture."""
     pair = first + wp.tid()
     trial = trial_in[pair]
@@ -563,29 +537,17 @@ def arm_beside_robot(
 def way_to_grasp(
     first: int,
     # tables
-    world: World,
-    bodies: TrialBodies,
-    gripper: Gripper,
-    hands: PosedHands,
-    grasps: Receiving,
-    receiver: wp.array2d(dtype=wp.vec4),
-    q: wp.array(dtype=vecq),
-    eps: float,
+    world: World, bodies: TrialBodies, gripper: Gripper, hands: PosedHands, grasps: Receiving,
+    receiver: wp.array2d(dtype=wp.vec4), q: wp.array(dtype=vecq), eps: float,
     # pairs
-    trial_in: wp.array(dtype=int),
-    row_in: wp.array(dtype=int),
-    turn_in: wp.array(dtype=float),
-    way_in: wp.array(dtype=int),
-    object_in: wp.array(dtype=int),
-    attached_in: wp.array(dtype=wp.mat44),
-    opening_in: wp.array(dtype=float),
-    T_world_obj_in: wp.array(dtype=wp.mat44),
-    T_world_hand_in: wp.array(dtype=wp.mat44),
-    lean_in: wp.array(dtype=float),
+    trial_in: wp.array(dtype=int), row_in: wp.array(dtype=int), turn_in: wp.array(dtype=float),
+    way_in: wp.array(dtype=int), object_in: wp.array(dtype=int), attached_in: wp.array(dtype=wp.mat44),
+    opening_in: wp.array(dtype=float), T_world_obj_in: wp.array(dtype=wp.mat44),
+    T_world_hand_in: wp.array(dtype=wp.mat44), lean_in: wp.array(dtype=float),
     elbow_in: wp.array(dtype=wp.vec3),
     # out
     free_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """Whether hand and arm come from where they wait to the grasp without meeting gripper and robot.
 
     The wrist goes straight to 10 cm before the grasp while the hand turns about one axis, then straight in (`way_direction`);

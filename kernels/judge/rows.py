@@ -14,8 +14,6 @@ wp.set_module_options(OPTIONS)
 ROTATION_TOLERANCE = wp.constant(1.0e-3)
 """As `r2h_batch.se3.ROTATION_TOLERANCE`."""
 
-CRITERIA = wp.constant(5)
-
 
 @wp.func
 def column(T: wp.mat44, k: int) -> wp.vec3:
@@ -85,21 +83,13 @@ def orthonormal(T: wp.mat44) -> wp.mat44:
 
 @wp.kernel
 def usable_rows(
-    first: int,
-    objects: int,
-    hands: int,
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    T_world_ee_in: wp.array(dtype=wp.mat44),
-    T_world_hand_in: wp.array(dtype=wp.mat44),
-    object_in: wp.array(dtype=wp.int32),
-    hand_in: wp.array(dtype=wp.int32),
-    active_out: wp.array(dtype=wp.bool),
-    T_obj_ee_out: wp.array(dtype=wp.mat44),
-    T_world_ee_out: wp.array(dtype=wp.mat44),
-    T_world_hand_out: wp.array(dtype=wp.mat44),
-    object_out: wp.array(dtype=wp.int32),
+    first: int, objects: int, hands: int, T_obj_ee_in: wp.array(dtype=wp.mat44),
+    T_world_ee_in: wp.array(dtype=wp.mat44), T_world_hand_in: wp.array(dtype=wp.mat44),
+    object_in: wp.array(dtype=wp.int32), hand_in: wp.array(dtype=wp.int32), active_out: wp.array(dtype=wp.bool),
+    T_obj_ee_out: wp.array(dtype=wp.mat44), T_world_ee_out: wp.array(dtype=wp.mat44),
+    T_world_hand_out: wp.array(dtype=wp.mat44), object_out: wp.array(dtype=wp.int32),
     hand_out: wp.array(dtype=wp.int32),
-):
+):  # fmt: skip
     """Rows whose three poses are poses, of bodies that there are, and these poses orthonormal; the identity, 0 elsewhere."""
     row = first + wp.tid()
     o = object_in[row]
@@ -175,27 +165,15 @@ def squeezed(width: float, opening: float, w_max: float, pad_squeeze: float) -> 
 
 @wp.kernel
 def close_rows(
-    first: int,
-    w_max: float,
-    w_min: float,
-    pad_squeeze: float,
-    reach_offset: float,
-    palm_point: wp.array(dtype=wp.vec3),
-    palm_normal: wp.array(dtype=wp.vec3),
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    T_world_ee_in: wp.array(dtype=wp.mat44),
-    T_world_hand_in: wp.array(dtype=wp.mat44),
-    hand_in: wp.array(dtype=wp.int32),
-    width_in: wp.array(dtype=wp.float32),
-    opening_in: wp.array(dtype=wp.float32),
-    shift_in: wp.array(dtype=wp.float32),
-    empty_in: wp.array(dtype=wp.bool),
-    cut_in: wp.array(dtype=wp.float32),
-    margin_out: wp.array(dtype=wp.float32),
-    squeezed_out: wp.array(dtype=wp.float32),
-    attached_out: wp.array(dtype=wp.mat44),
-    ball_out: wp.array(dtype=wp.vec3),
-):
+    first: int, w_max: float, w_min: float, pad_squeeze: float, reach_offset: float,
+    palm_point: wp.array(dtype=wp.vec3), palm_normal: wp.array(dtype=wp.vec3),
+    T_obj_ee_in: wp.array(dtype=wp.mat44), T_world_ee_in: wp.array(dtype=wp.mat44),
+    T_world_hand_in: wp.array(dtype=wp.mat44), hand_in: wp.array(dtype=wp.int32),
+    width_in: wp.array(dtype=wp.float32), opening_in: wp.array(dtype=wp.float32),
+    shift_in: wp.array(dtype=wp.float32), empty_in: wp.array(dtype=wp.bool), cut_in: wp.array(dtype=wp.float32),
+    margin_out: wp.array(dtype=wp.float32), squeezed_out: wp.array(dtype=wp.float32),
+    attached_out: wp.array(dtype=wp.mat44), ball_out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """What closing leaves: Stability's margin, the fingers' opening, the grasp once the pads have met the object (moved by
     `shift` along y), and the receiver's ball in that frame."""
     row = first + wp.tid()

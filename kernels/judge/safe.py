@@ -26,23 +26,17 @@ wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrow
 #    Overlaps are located to half their size only: how deep is asked for a slope, not for a verdict.
 @wp.kernel
 def safe_distance(
-    first: int,
-    cap: float,
-    tolerance: float,
+    first: int, cap: float, tolerance: float,
     # tables
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
+    world: World, mesh: HandMesh, bodies: TrialBodies,
     # trials
     path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     # out
-    distance_out: wp.array(dtype=float),
-    body_out: wp.array(dtype=int),
-    segment_out: wp.array(dtype=int),
+    distance_out: wp.array(dtype=float), body_out: wp.array(dtype=int), segment_out: wp.array(dtype=int),
     fraction_out: wp.array(dtype=float),
     point_out: wp.array(dtype=wp.vec3),  # world frame
-):
+):  # fmt: skip
     """Smallest signed robot-hand distance along each path: exact to `tolerance` (or 0.2 %) below `cap`, a lower bound above.
 
     The goal posture comes first: it is usually the nearest, and prunes the rest. Overlaps are negative and grow with the

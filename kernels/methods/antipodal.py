@@ -26,18 +26,13 @@ def _first_hit(mesh: wp.uint64, start: wp.vec3, d: wp.vec3, far: float):
 def opposite_points(
     first: int,
     # tables
-    mesh: wp.uint64,
-    friction_cosine: float,
-    widest: float,
+    mesh: wp.uint64, friction_cosine: float, widest: float,
     # trials
-    point_in: wp.array(dtype=wp.vec3),
-    normal_in: wp.array(dtype=wp.vec3),
-    random_in: wp.array(dtype=wp.vec3),
+    point_in: wp.array(dtype=wp.vec3), normal_in: wp.array(dtype=wp.vec3), random_in: wp.array(dtype=wp.vec3),
     # out
-    center_out: wp.array(dtype=wp.vec3),
-    axis_out: wp.array(dtype=wp.vec3),
+    center_out: wp.array(dtype=wp.vec3), axis_out: wp.array(dtype=wp.vec3),
     thickness_out: wp.array(dtype=wp.float32),
-):
+):  # fmt: skip
     """From each surface point a line into the solid, within the friction cone; one of the opposite points within reach.
 
     An opposite point is where the line leaves the solid, again within the cone. random: tilt, turn, choice in [0, 1).
@@ -86,20 +81,14 @@ def opposite_points(
 def pad_contact(
     first: int,
     # tables
-    mesh: wp.uint64,
-    face_part: wp.array(dtype=wp.uint8),
-    half_x: float,
-    half_z: float,
-    reach: float,
+    mesh: wp.uint64, face_part: wp.array(dtype=wp.uint8), half_x: float, half_z: float, reach: float,
     # trials
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    pad_z_in: wp.array(dtype=wp.float32),
+    T_obj_ee_in: wp.array(dtype=wp.mat44), pad_z_in: wp.array(dtype=wp.float32),
     width_in: wp.array(dtype=wp.float32),
     # out
-    contact_out: wp.array(dtype=wp.float32),
-    alignment_out: wp.array(dtype=wp.float32),
+    contact_out: wp.array(dtype=wp.float32), alignment_out: wp.array(dtype=wp.float32),
     part_out: wp.array(dtype=wp.int32),
-):
+):  # fmt: skip
     """Share of the lesser pad that has surface within `reach` of it, mean cosine of those surfaces to the closing axis,
     and the part that the pads touch most. The pads stand `width` apart at height pad_z in the ee frame."""
     i = first + wp.tid()

@@ -9,14 +9,10 @@ wp.set_module_options(OPTIONS | {"fuse_fp": True})
 
 @wp.kernel
 def approach_hits(
-    first: int,
-    back_off: float,
-    reach: float,
+    first: int, back_off: float, reach: float,
     mesh_in: wp.array(dtype=wp.uint64),  # one mesh id per object
-    object_in: wp.array(dtype=int),
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    face_out: wp.array(dtype=int),
-):
+    object_in: wp.array(dtype=int), T_obj_ee_in: wp.array(dtype=wp.mat44), face_out: wp.array(dtype=int),
+):  # fmt: skip
     """The face that the ray along ee's z axis hits first, from `back_off` (m) behind its origin; -1 within `reach`: none."""
     row = first + wp.tid()
     T = T_obj_ee_in[row]

@@ -14,16 +14,13 @@ wp.set_module_options(OPTIONS | {"fuse_fp": True})
 def points_near_gripper(
     first: int,
     # tables
-    gripper: Gripper,
-    radius: float,
+    gripper: Gripper, radius: float,
     points: wp.array2d(dtype=wp.vec3),  # (O, P) object frame
     # trials
-    object_in: wp.array(dtype=int),
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    opening_in: wp.array(dtype=float),
+    object_in: wp.array(dtype=int), T_obj_ee_in: wp.array(dtype=wp.mat44), opening_in: wp.array(dtype=float),
     # out
     near_out: wp.array2d(dtype=wp.uint8),  # (M, P)
-):
+):  # fmt: skip
     """Whether each point of grasp m's object is nearer than `radius` to the gripper."""
     i, k = wp.tid()
     row = first + i
@@ -40,14 +37,12 @@ def points_near_gripper(
 
 @wp.kernel
 def blocked_contact(
-    first: int,
-    threshold: float,
+    first: int, threshold: float,
     near_in: wp.array2d(dtype=wp.uint8),  # (M, P)
-    row_in: wp.array(dtype=int),
-    count_in: wp.array(dtype=int),
+    row_in: wp.array(dtype=int), count_in: wp.array(dtype=int),
     contact_in: wp.array2d(dtype=float),  # (B, P) probabilities
     blocked_out: wp.array2d(dtype=float),
-):
+):  # fmt: skip
     """Sum of the contact probabilities at or above `threshold` of the points near_in grasp k of each trial."""
     i, k = wp.tid()
     trial = first + i

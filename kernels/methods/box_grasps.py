@@ -33,9 +33,8 @@ def voxel_means(
     object_in: wp.array(dtype=int),
     role_in: wp.array2d(dtype=wp.uint8),  # (B, P)
     # out
-    seed_out: wp.array2d(dtype=wp.vec3),
-    used_out: wp.array2d(dtype=wp.uint8),
-):
+    seed_out: wp.array2d(dtype=wp.vec3), used_out: wp.array2d(dtype=wp.uint8),
+):  # fmt: skip
     """Mean of the points of each voxel whose role is not `avoid`; used_out says where there are any."""
     i, voxel = wp.tid()
     trial = first + i
@@ -68,17 +67,11 @@ def collides(boxes: Boxes, x: float, y: float, z: float):
 
 @wp.func
 def finger_room(
-    boxes: Boxes,
-    seeds: wp.array2d(dtype=wp.vec3),
-    used: wp.array2d(dtype=wp.uint8),
-    trial: int,
-    own: int,
-    turn: wp.vec2,
-    depth: float,
-    most: float,
-):
+    boxes: Boxes, seeds: wp.array2d(dtype=wp.vec3), used: wp.array2d(dtype=wp.uint8), trial: int, number: int,
+    turn: wp.vec2, depth: float, most: float,
+):  # fmt: skip
     """Distance (m, at most `most`) from the nearer finger's centre to the nearest other seed."""
-    seed = seeds[trial, own]
+    seed = seeds[trial, number]
     middle = 0.5 * (boxes.finger_low + boxes.finger_high)
     down = wp.vec3(0.0, 0.0, -(middle[2] + depth))
     side = middle[1] * wp.vec3(turn[0], turn[1], 0.0)
@@ -86,7 +79,7 @@ def finger_room(
     right = seed - side + down
     nearest = float(most * most)
     for j in range(seeds.shape[1]):
-        if j != own and used[trial, j] != wp.uint8(0):
+        if j != number and used[trial, j] != wp.uint8(0):
             nearest = wp.min(
                 nearest, wp.min(wp.length_sq(seeds[trial, j] - left), wp.length_sq(seeds[trial, j] - right))
             )
@@ -116,14 +109,9 @@ def azimuths_hit(
 
 @wp.func
 def free_depths(
-    boxes: Boxes,
-    points: wp.array2d(dtype=wp.vec3),
-    depths: wp.array(dtype=float),
-    crop: float,
-    o: int,
-    seed: wp.vec3,
-    t: wp.vec2,
-):
+    boxes: Boxes, points: wp.array2d(dtype=wp.vec3), depths: wp.array(dtype=float), crop: float, o: int,
+    seed: wp.vec3, t: wp.vec2,
+):  # fmt: skip
     """How many of the depths, from the first on, the gripper reaches at one azimuth without meeting a point."""
     free = int(depths.shape[0])
     for k in range(points.shape[1]):
@@ -151,23 +139,21 @@ def top_down_grasps(
     seed_in: wp.array2d(dtype=wp.vec3),  # (B, S)
     used_in: wp.array2d(dtype=wp.uint8),
     # out
-    score_out: wp.array2d(dtype=float),
-    turn_out: wp.array2d(dtype=int),
-    depth_out: wp.array2d(dtype=int),
-):
+    score_out: wp.array2d(dtype=float), turn_out: wp.array2d(dtype=int), depth_out: wp.array2d(dtype=int),
+):  # fmt: skip
     """For each seed: the free azimuth with most finger room, its feasible depths, their summed finger room as score.
 
     depth_out is the middle of the feasible depths; score -1 where nothing is feasible.
     """
-    i, own = wp.tid()
+    i, number = wp.tid()
     trial = first + i
     o = object_in[trial]
-    score_out[trial, own] = -1.0
-    turn_out[trial, own] = 0
-    depth_out[trial, own] = 0
-    if used_in[trial, own] == wp.uint8(0):
+    score_out[trial, number] = -1.0
+    turn_out[trial, number] = 0
+    depth_out[trial, number] = 0
+    if used_in[trial, number] == wp.uint8(0):
         return
-    seed = seed_in[trial, own]
+    seed = seed_in[trial, number]
     hit = azimuths_hit(boxes, points, turns, crop, o, seed)
     count = turns.shape[0]
     if hit == (1 << count) - 1:
@@ -176,7 +162,7 @@ def top_down_grasps(
     turn = int(-1)
     for a in range(count):
         if (hit >> a) & 1 == 0:
-            room = finger_room(boxes, seed_in, used_in, trial, own, turns[a], 0.0, crop)
+            room = finger_room(boxes, seed_in, used_in, trial, number, turns[a], 0.0, crop)
             if room > best:
                 best = room
                 turn = a
@@ -186,7 +172,7 @@ def top_down_grasps(
         return
     total = float(0.0)
     for j in range(free):
-        total += finger_room(boxes, seed_in, used_in, trial, own, t, depths[j], crop)
-    score_out[trial, own] = total
-    turn_out[trial, own] = turn
-    depth_out[trial, own] = free // 2
+        total += finger_room(boxes, seed_in, used_in, trial, number, t, depths[j], crop)
+    score_out[trial, number] = total
+    turn_out[trial, number] = turn
+    depth_out[trial, number] = free // 2

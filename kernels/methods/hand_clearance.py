@@ -5,9 +5,9 @@ The same pieces and the same distance as the planner's: what keeps clear here ke
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import CAPSULE, HULL, Body
 from r2h_batch.kernels.geometry.closest import eroded, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.shape import CAPSULE, HULL, Shape
 from r2h_batch.kernels.geometry.surface import inverse_pose
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
@@ -51,7 +51,7 @@ def gripper_distance(
     """Distance (m) of the gripper from a hand: `cap` at most, 0 where they overlap. R_ee, p_ee: from the hand points' frame
     to ee."""
     best = float(cap)
-    a = Body()
+    a = Shape()
     a.kind = HULL
     for g in range(gripper.kind.shape[0]):
         if best > 0.0:
@@ -83,17 +83,13 @@ def gripper_distance(
 def gripper_to_hand(
     first: int,
     # tables
-    gripper: Gripper,
-    hands: PosedHands,
-    cap: float,
+    gripper: Gripper, hands: PosedHands, cap: float,
     # trials
-    row_in: wp.array(dtype=int),
-    count_in: wp.array(dtype=int),
-    T_in: wp.array(dtype=wp.mat44),
+    row_in: wp.array(dtype=int), count_in: wp.array(dtype=int), T_in: wp.array(dtype=wp.mat44),
     opening_in: wp.array(dtype=float),
     # out
     clearance_out: wp.array2d(dtype=float),
-):
+):  # fmt: skip
     """Distance (m) of gripper k of each trial to its hand: `cap` at most, 0 where they overlap.
 
     Gripper k of a trial stands at row row_in + k of `T_in` (ee in the hand points' frame) and `opening_in`.

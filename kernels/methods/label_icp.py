@@ -12,14 +12,9 @@ wp.set_module_options(OPTIONS | {"fuse_fp": True})
 
 @wp.func
 def nearest_labelled(
-    points: wp.array2d(dtype=wp.vec3),
-    o: int,
-    role_in: wp.array2d(dtype=wp.uint8),
-    trial: int,
-    x: wp.vec3,
-    role: wp.uint8,
-    label_m: float,
-):
+    points: wp.array2d(dtype=wp.vec3), o: int, role_in: wp.array2d(dtype=wp.uint8), trial: int, x: wp.vec3,
+    role: wp.uint8, label_m: float,
+):  # fmt: skip
     """The point of object o nearest to x, another role than `role` counting `label_m` more across; squared distance."""
     best = float(1.0e30)
     at = int(0)
@@ -47,24 +42,17 @@ def align(
     first: int,
     # tables
     points: wp.array2d(dtype=wp.vec3),  # (O, P)
-    shape: wp.array(dtype=wp.vec3),
-    shape_role: wp.array(dtype=wp.uint8),
+    shape: wp.array(dtype=wp.vec3), shape_role: wp.array(dtype=wp.uint8),
     shape_first: wp.array(dtype=int),  # template t has rows shape_first[t] .. shape_first[t + 1]
-    label_m: float,
-    iterations: int,
-    tolerance: wp.float64,
+    label_m: float, iterations: int, tolerance: wp.float64,
     # trials
-    object_in: wp.array(dtype=int),
-    which_in: wp.array(dtype=int),
-    scale_in: wp.array(dtype=float),
+    object_in: wp.array(dtype=int), which_in: wp.array(dtype=int), scale_in: wp.array(dtype=float),
     start_in: wp.array(dtype=wp.vec3),
     role_in: wp.array2d(dtype=wp.uint8),  # (B, P)
     # out
-    R_out: wp.array(dtype=wp.mat33d),
-    p_out: wp.array(dtype=wp.vec3d),
-    error_out: wp.array(dtype=wp.float64),
+    R_out: wp.array(dtype=wp.mat33d), p_out: wp.array(dtype=wp.vec3d), error_out: wp.array(dtype=wp.float64),
     steps_out: wp.array(dtype=int),
-):
+):  # fmt: skip
     """R, p of the template (scaled) in the cloud's frame, from the identity at `start`; mean distance, steps taken.
 
     Stops when the mean distance changes by less than `tolerance` (m).
@@ -117,13 +105,9 @@ def align(
 
 @wp.kernel
 def role_means(
-    first: int,
-    points: wp.array2d(dtype=wp.vec3),
-    wanted: int,
-    object_in: wp.array(dtype=int),
-    role_in: wp.array2d(dtype=wp.uint8),
-    mean_out: wp.array(dtype=wp.vec3),
-):
+    first: int, points: wp.array2d(dtype=wp.vec3), wanted: int, object_in: wp.array(dtype=int),
+    role_in: wp.array2d(dtype=wp.uint8), mean_out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """Mean of the points with a role; the mean of all points where there are none."""
     trial = first + wp.tid()
     o = object_in[trial]

@@ -18,29 +18,25 @@ MOST_POINTS = 256
 #
 # A union's distance is the least of its parts', so each point keeps the least so far (`nearest`, never above the zone) and
 # parts that cannot lower it are not asked: the object only within its bounding box grown by the zone, the gripper only
-# where the point is near the interval of the z axis about which the gripper lies at any opening (`beside`). Inside a part
+# where the point is near the interval of the z axis about which the gripper lies at any opening (`near_points`). Inside a part
 # d is negative: deep points count as more than the zone is wide. Sums run over h in order: the same bits on every device.
 @wp.kernel
 def pose_cost(
     first: int,
     # tables
-    gripper: Gripper,
-    zone: float,
+    gripper: Gripper, zone: float,
     axis_low: float,  # the gripper at any opening lies within axis_radius of this interval of ee's z axis
-    axis_high: float,
-    axis_radius: float,
+    axis_high: float, axis_radius: float,
     # trials
     mesh_in: wp.array(dtype=wp.uint64),  # one per object
     low_in: wp.array(dtype=wp.vec3),  # (O,) bounding boxes, object frame
-    high_in: wp.array(dtype=wp.vec3),
-    object_in: wp.array(dtype=int),
-    opening_in: wp.array(dtype=float),
+    high_in: wp.array(dtype=wp.vec3), object_in: wp.array(dtype=int), opening_in: wp.array(dtype=float),
     T_obj_ee_in: wp.array(dtype=wp.mat44),
     T_world_ee_in: wp.array2d(dtype=wp.mat44),  # (B, R)
     hand_in: wp.array2d(dtype=wp.vec3),  # (B, H) points of the hand, world
     # out
     cost_out: wp.array2d(dtype=float),
-):
+):  # fmt: skip
     """Mean over the hand's points of max(0, zone - distance to gripper or object) (m); depths count as more than zone."""
     i, r = wp.tid()
     trial = first + i
@@ -55,14 +51,14 @@ def pose_cost(
     drive = drive_from_gap(gripper, opening_in[trial])
     total = float(0.0)
     nearest = wp.zeros(shape=256, dtype=float)
-    beside = wp.zeros(shape=256, dtype=int)
+    near_points = wp.zeros(shape=256, dtype=int)
     count = int(0)
     # the object first, and which points are near enough to the gripper at any opening to be asked again
     for h in range(hand_in.shape[1]):
         y = R_ee * hand_in[trial, h] + p_ee
         off = y - wp.vec3(0.0, 0.0, wp.clamp(y[2], axis_low, axis_high))
         if wp.length(off) < axis_radius + zone:
-            beside[count] = h
+            near_points[count] = h
             count += 1
         x = R_obj * y + p_obj
         d = float(zone)
@@ -76,7 +72,7 @@ def pose_cost(
         R, p = finger_pose(gripper, g, drive)
         Rt = wp.transpose(R)
         for i_h in range(count):
-            h = beside[i_h]
+            h = near_points[i_h]
             x = Rt * (R_ee * hand_in[trial, h] + p_ee - p)
             nearest[h] = wp.min(nearest[h], signed_distance(gripper.kind[g], gripper.size[g], x))
     for h in range(hand_in.shape[1]):

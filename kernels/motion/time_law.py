@@ -28,13 +28,9 @@ class Law:
 
 @wp.func
 def servo_command(
-    law: Law,
-    path: wp.array3d(dtype=float),
-    time: wp.array2d(dtype=float),
-    length: wp.array(dtype=int),
-    trial: int,
-    t: wp.float64,
-):
+    law: Law, path: wp.array3d(dtype=float), time: wp.array2d(dtype=float), length: wp.array(dtype=int),
+    trial: int, t: wp.float64,
+):  # fmt: skip
     """q_ref + qd_ref kv / kp at time t of a trial's path (r2h_batch.motion.execute.time_path, in float64)."""
     n = length[trial]
     out = vecqd()
@@ -77,14 +73,10 @@ def servo_command(
 
 @wp.kernel
 def servo_commands(
-    first: int,
-    law: Law,
-    trial_in: wp.array(dtype=int),
-    path_in: wp.array3d(dtype=float),
-    time_in: wp.array2d(dtype=float),
-    length_in: wp.array(dtype=int),
+    first: int, law: Law, trial_in: wp.array(dtype=int), path_in: wp.array3d(dtype=float),
+    time_in: wp.array2d(dtype=float), length_in: wp.array(dtype=int),
     command_out: wp.array3d(dtype=wp.float64),  # (rows, steps, JOINTS or more): the arm's come first
-):
+):  # fmt: skip
     """Commands of every step of the listed trials."""
     tid, step = wp.tid()
     row = first + tid
@@ -101,14 +93,11 @@ def path_deviation(
     motion_radius: wp.array2d(dtype=float),  # (bodies, JOINTS)
     # trials
     object_motion_radius_in: wp.array2d(dtype=float),  # (B, JOINTS)
-    path_in: wp.array3d(dtype=float),
-    time_in: wp.array2d(dtype=float),
-    length_in: wp.array(dtype=int),
-    motion_in: wp.array3d(dtype=float),
-    motion_length_in: wp.array(dtype=int),
+    path_in: wp.array3d(dtype=float), time_in: wp.array2d(dtype=float), length_in: wp.array(dtype=int),
+    motion_in: wp.array3d(dtype=float), motion_length_in: wp.array(dtype=int),
     # out
     deviation_out: wp.array(dtype=float),
-):
+):  # fmt: skip
     """How far any point of robot and object was, at most, from where the path has it at a sample's time (m)."""
     trial = first + wp.tid()
     worst = float(0.0)

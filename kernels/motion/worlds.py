@@ -290,16 +290,10 @@ def finger_sway(fingers: Fingers, queue: Queue, slot: int, fields: Fields, w: in
 
 @wp.kernel
 def finish_step(
-    record_steps: int,
-    step_s: float,
-    fingers: Fingers,
+    record_steps: int, step_s: float, fingers: Fingers,
     motion_radius: wp.array2d(dtype=float),  # (bodies, JOINTS)
-    worlds_inout: Worlds,
-    queue: Queue,
-    shapes: Shapes,
-    fields_inout: Fields,
-    record_out: Record,
-):
+    worlds_inout: Worlds, queue: Queue, shapes: Shapes, fields_inout: Fields, record_out: Record,
+):  # fmt: skip
     """After a step: record, note what went wrong, refill the world when its trial is over."""
     w = wp.tid()
     slot = worlds_inout.slot[w]

@@ -477,7 +477,7 @@ R2H_FUNCTION float squared_distance(const Segment &of, Point x) {
 }
 
 // Balls within `reach` of the capsule c0-c1 of `radius`.
-R2H_FUNCTION bits64 balls_beside(const wp::vec3 *centers, const float *radii, int count, const wp::vec3 &c0,
+R2H_FUNCTION bits64 balls_within(const wp::vec3 *centers, const float *radii, int count, const wp::vec3 &c0,
                                  const wp::vec3 &c1, float radius, float reach) {
     Segment capsule = segment(c0, c1);
     float around = reach + radius + rounding();
@@ -492,7 +492,7 @@ R2H_FUNCTION bits64 balls_beside(const wp::vec3 *centers, const float *radii, in
 // The sums are those of `from_segment` (closest.py). It returns the distance of two points of
 // the segments: where that is `reach` or more, so is this one, but for 10 um of rounding.
 // Segments that are nearly parallel keep their bit: `from_segment` also looks at the ends there.
-R2H_FUNCTION bits64 capsules_beside(const wp::vec3 *ends0, const wp::vec3 *ends1, const float *radii, int count,
+R2H_FUNCTION bits64 capsules_within(const wp::vec3 *ends0, const wp::vec3 *ends1, const float *radii, int count,
                                     const wp::vec3 &c0, const wp::vec3 &c1, float radius, float reach) {
     Point u = xyz(c1) - xyz(c0);
     float a = dot(u, u);
@@ -516,8 +516,8 @@ R2H_FUNCTION bits64 capsules_beside(const wp::vec3 *ends0, const wp::vec3 *ends1
         t = unit_interval(t);
         Point x = r + s * u - t * v;
         float far = around + radii[i];
-        int beside = (far > 0.0f) & (dot(x, x) <= far * far);
-        return beside | (denom < 1.0e-3f * a * e);
+        int within_reach = (far > 0.0f) & (dot(x, x) <= far * far);
+        return within_reach | (denom < 1.0e-3f * a * e);
     });
 }
 
@@ -565,7 +565,7 @@ R2H_FUNCTION bits64 balls_near(const wp::vec3 *centers, const float *radii, int 
     });
 }
 
-// The core of a primitive in its own frame, by its kind (geometry/body.py): a sphere is a point, a
+// The core of a primitive in its own frame, by its kind (geometry/shape.py): a sphere is a point, a
 // capsule a segment of half length size[1], both grown by `radius`; a cylinder has radius size[0]
 // and half length size[1], as has the cylinder that holds a robot's hull (kind 6); a box has half
 // sides size.
@@ -583,7 +583,7 @@ R2H_FUNCTION Point folded(Point x, const wp::mat33 &R, const wp::vec3 &p) {
 // Balls (rows: centre, radius) that may be within `limit` of a primitive at R, p and that do not
 // lie behind the plane n . x = beyond - known, where the primitive has n . x <= known.
 //
-// The distance is that of `from_ball` (body.py). It says nothing for a centre inside the
+// The distance is that of `from_ball` (shape.py). It says nothing for a centre inside the
 // primitive, so centres within 10 um count as near.
 R2H_FUNCTION bits64 balls_in_reach(const wp::vec4 *balls, int count, int kind, const wp::vec3 &size, float radius,
                                    const wp::mat33 &R, const wp::vec3 &p, float limit, const wp::vec3 &n, float beyond,
@@ -776,7 +776,7 @@ R2H_FUNCTION wp::vec3 farthest_in_blocks(const wp::vec3 *points, int count, cons
     return wp::vec3(p[0], p[16], p[32]);
 }
 
-// The cell of a CELLS body (geometry/body.py) that a direction falls into: the cube's face is that
+// The cell of a CELLS body (geometry/shape.py) that a direction falls into: the cube's face is that
 // of the largest coordinate; u and v, the other two, are cut into 6 cells each.
 R2H_FUNCTION int direction_cell(const wp::vec3 &d) {
     float ax = fabsf(d.c[0]), ay = fabsf(d.c[1]), az = fabsf(d.c[2]);

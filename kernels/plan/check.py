@@ -18,8 +18,8 @@ then on only pairs that may meet in the middle are checked (MAY_MEET), because t
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BLOCKS, BOX, Body
 from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.shape import BLOCKS, BOX, Shape
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import (
     BLOCKED,
@@ -36,7 +36,7 @@ from r2h_batch.kernels.plan.codes import (
 )
 
 from ..robot.joints import CHANGES, LINKS, OBJECT
-from ..robot.world import TrialBodies, World, block_count, body_pose, forward_kinematics, link_frame, twists
+from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, link_frame, twists
 from .obstacles import (
     MAY_MEET,
     Near,
@@ -95,10 +95,7 @@ def _target(query: Query, best: float, margin: float, with_hand: bool):
 # 5. the link's bits in the masks become the open ones. A caller that halves the interval goes on with these masks.
 @wp.func
 def check_interval(
-    world: World,
-    bodies: TrialBodies,
-    trial: int,
-    query: Query,
+    world: World, bodies: TrialBodies, trial: int, query: Query,
     moving: bool,  # whether query.d is not zero: a caller that knows leaves out what moves
     best: float,
     masks: wp.array(dtype=wp.uint64),  # hand, table, self: bit = body still to be settled; cleared here
@@ -107,7 +104,7 @@ def check_interval(
     w: wp.array(dtype=wp.vec3),  # (FIELDS,) scratch: link twists and how they change
     v: wp.array(dtype=wp.vec3),
     obstacle: wp.array(dtype=int),  # (MAX_OBSTACLES,) scratch
-):
+):  # fmt: skip
     """FREE, BLOCKED by a pair or OPEN, after a look at the interval's middle; the masks keep the open bodies.
 
     A pair has to keep `target`: its margin, or with `track` the smallest clearance so far less the tolerance. It blocks when
@@ -159,20 +156,9 @@ def check_interval(
             if hand_on:
                 target = _target(query, out.best, query.hand_margin, True)
                 if link_clears_hand(
-                    world,
-                    query,
-                    target,
-                    hand_center,
-                    hand_radius,
-                    link,
-                    c0,
-                    c1,
-                    w[k],
-                    v[k],
-                    w[CHANGES + k],
-                    v[CHANGES + k],
-                    moving,
-                ):
+                    world, query, target, hand_center, hand_radius, link, c0, c1,
+                    w[k], v[k], w[CHANGES + k], v[CHANGES + k], moving,
+                ):  # fmt: skip
                     hand_on = False
                     masks[0] = masks[0] & ~bits
             target = _target(query, out.best, query.other_margin, False)
@@ -238,7 +224,7 @@ def check_interval(
                         continue
                 # the pair as its obstacle sees it: the moving body's pose in the obstacle's frame, what the pair may travel.
                 # Values that differ between branches are no struct: Warp would write it to memory and read it back in each
-                shape = Body()
+                shape = Shape()
                 center = wp.vec3(0.0, 0.0, 0.0)
                 pair_R = body.R
                 pair_p = body.p
@@ -254,7 +240,7 @@ def check_interval(
                     kept = query.hand_margin
                     shape.kind = BLOCKS
                     shape.start = world.piece_start[piece]
-                    shape.count = block_count(world, piece)
+                    shape.count = world.piece_blocks[piece]
                     shape.radius = world.piece_round[piece]
                 elif i < n_table:
                     kind = TABLE

@@ -39,17 +39,10 @@ MOVEIT_SEGMENT_RAD = wp.constant(0.691)
 
 @wp.func
 def edge(
-    world: World,
-    bodies: TrialBodies,
-    trial: int,
-    a: vecq,
-    b: vecq,
-    hand_margin: float,
-    other_margin: float,
-    best: float,
-    tolerance: float,
+    world: World, bodies: TrialBodies, trial: int, a: vecq, b: vecq, hand_margin: float, other_margin: float,
+    best: float, tolerance: float,
     mode: int,  # CERTIFY, SAMPLES, CLEARANCE (below `best`) or POSTURE (a alone)
-):
+):  # fmt: skip
     """FREE or BLOCKED for the straight joint-space edge a-b; with CLEARANCE the smallest clearance along it.
 
     CERTIFY: bisection of each part of PART_RAD; FREE when every interval is, BLOCKED as soon as one middle is, or when a

@@ -17,19 +17,16 @@ CLEARANCE_CAP = wp.constant(0.0065)
 
 @wp.kernel
 def check_postures(
-    first: int,
-    per_trial: int,
+    first: int, per_trial: int,
     # tables
-    world: World,
-    bodies: TrialBodies,
+    world: World, bodies: TrialBodies,
     # postures
     active_in: wp.array(dtype=wp.bool),  # (B * per_trial,)
     q_in: wp.array2d(dtype=float),  # (B * per_trial, 6)
     # out
-    clear_out: wp.array(dtype=wp.bool),
-    pair_out: wp.array(dtype=int),
+    clear_out: wp.array(dtype=wp.bool), pair_out: wp.array(dtype=int),
     hand_clearance_out: wp.array(dtype=float),
-):
+):  # fmt: skip
     """Is each posture free of all pairs, what does it collide with, and its hand clearance up to CLEARANCE_CAP."""
     row = first + wp.tid()
     trial = row / per_trial
@@ -48,8 +45,7 @@ def straight_lines(
     first: int,
     moveit: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
-    world: World,
-    bodies: TrialBodies,
+    world: World, bodies: TrialBodies,
     # trials
     start_in: wp.array2d(dtype=float),  # (B, JOINTS)
     goals_in: wp.array2d(dtype=float),  # (B * 8, JOINTS) nearest first
@@ -57,7 +53,7 @@ def straight_lines(
     goal_margin_in: wp.array(dtype=float),  # (B * 8,) hand clearance that a path to this goal keeps
     # out
     chosen_out: wp.array(dtype=int),
-):
+):  # fmt: skip
     """The first goal whose straight line from the start is free, or -1."""
     trial = first + wp.tid()
     start = load(start_in, trial)
@@ -72,20 +68,15 @@ def straight_lines(
 
 @wp.kernel
 def path_clearance(
-    first: int,
-    cap: float,
-    tolerance: float,
+    first: int, cap: float, tolerance: float,
     # tables
-    world: World,
-    bodies: TrialBodies,
+    world: World, bodies: TrialBodies,
     # trials
     path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
     # out
-    clearance_out: wp.array(dtype=float),
-    pair_out: wp.array(dtype=int),
-    body_out: wp.array(dtype=int),
-):
+    clearance_out: wp.array(dtype=float), pair_out: wp.array(dtype=int), body_out: wp.array(dtype=int),
+):  # fmt: skip
     """Smallest clearance over all pairs along each path, exact to `tolerance` below `cap`."""
     trial = first + wp.tid()
     n = length_in[trial]

@@ -12,8 +12,8 @@ not settle the interval either: it stays open for its halves, without GJK.
 import warp as wp
 
 from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
-from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, from_ball, support, swept_support
 from r2h_batch.kernels.geometry.closest import from_point, from_segment, swept_capsule
+from r2h_batch.kernels.geometry.shape import ROUNDING_M, Shape, from_ball, support, swept_support
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import SELF, TABLE
 
@@ -22,20 +22,19 @@ from ..robot.world import (
     TrialBodies,
     World,
     acceleration_along,
-    acceleration_seen_along,
     bends,
     body_pose,
     link_frame,
     motion,
-    object_body,
-    robot_body,
+    object_shape,
+    relative_acceleration,
+    robot_shape,
 )
 
 wp.set_module_options(OPTIONS)
 
-MAY_MEET = wp.constant(
-    256
-)  # added to an obstacle that bounding volumes do not keep apart in the middle of the interval
+MAY_MEET = wp.constant(256)
+"""Added to an obstacle that bounding volumes do not keep apart in the middle of the interval."""
 SLACK_M = wp.constant(0.03)
 HAND_SLACK_M = wp.constant(0.06)
 """Bounding volumes rarely understate a distance by more: a pair that would need it stays open without asking GJK."""
@@ -59,7 +58,7 @@ class MovingBody:
 
     link: int
     index: int
-    shape: Body
+    shape: Shape
     R: wp.mat33
     p: wp.vec3
     c0: wp.vec3
@@ -122,10 +121,10 @@ def moving_body(
     out.v = v[link_frame(link)]
     out.a = w[CHANGES + link_frame(link)]
     out.b = v[CHANGES + link_frame(link)]
-    out.shape = robot_body(world, wp.min(b, world.n_robot - 1))
+    out.shape = robot_shape(world, wp.min(b, world.n_robot - 1))
     if link == OBJECT:
         hull = world.hull_first[bodies.object[trial]] + b - world.n_robot
-        out.shape = object_body(world, hull)
+        out.shape = object_shape(world, hull)
         out.c0 = Rb * world.hull_c0[hull] + pb
         out.c1 = Rb * world.hull_c1[hull] + pb
         out.radius = world.hull_radius[hull]
@@ -148,10 +147,10 @@ def moving_body(
 # 2. D - `least_rest` < m, or the bodies meet: no plane can settle the pair;
 # 3. else the plane between the nearest points, which GJK found. n points from the obstacle to the body, in the hand's frame
 #    for a piece, turned with the world for the table and with its link for a body. On the whole interval the moving body has
-#    n . x >= `swept_support` and the obstacle n . x <= `beside`, so the pair keeps the difference.
+#    n . x >= `swept_support` and the obstacle n . x <= `farthest`, so the pair keeps the difference.
 @wp.func
 def settle_pair(
-    world: World, bodies: TrialBodies, trial: int, body: MovingBody, kind: int, other: int, shape: Body,
+    world: World, bodies: TrialBodies, trial: int, body: MovingBody, kind: int, other: int, shape: Shape,
     lower: float, upper: float, direction: wp.vec3, margin: float, travel: float, second: float, third: float, moving: bool,
     R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
@@ -163,7 +162,7 @@ def settle_pair(
     apart = lower
     if moving and apart < margin + travel and apart > margin + least_rest(second, third) and upper > 0.0:
         n_hat = direction / wp.length(direction)
-        beside = wp.dot(n_hat, support(shape, world.points, n_hat)) + shape.radius
+        farthest = wp.dot(n_hat, support(shape, world.points, n_hat)) + shape.radius
         wr = body.w
         vr = body.v
         n = n_hat
@@ -173,18 +172,18 @@ def settle_pair(
             k = world.body_link[other]
             Ro, po = body_pose(world, bodies, trial, R, p, other)
             n = Ro * n_hat
-            beside += wp.dot(n, po)
+            farthest += wp.dot(n, po)
             wr = body.w - w[k]
             vr = body.v - v[k]
-            g, c = acceleration_seen_along(n, body.w, body.v, body.a, body.b, k, w, v)
+            g, c = relative_acceleration(n, body.w, body.v, body.a, body.b, k, w, v)
         else:
             if kind == TABLE:
                 R_hand_world = bodies.R_hand_world[trial]
                 n = R_hand_world * n_hat
-                beside += wp.dot(n, R_hand_world * world.table_center + bodies.p_hand_world[trial])
+                farthest += wp.dot(n, R_hand_world * world.table_center + bodies.p_hand_world[trial])
             g, c = acceleration_along(n, body.w, body.a, body.b)
         apart = (
-            travel - beside + swept_support(body.shape, body.R, body.p, world.points, n, wr, vr, g, c, second, third)
+            travel - farthest + swept_support(body.shape, body.R, body.p, world.points, n, wr, vr, g, c, second, third)
         )
     return apart >= margin + travel
 
@@ -263,7 +262,7 @@ def links_in_reach(
                 if reach - least_rest(second, third) >= target:
                     n_hat = toward / far
                     k = link_frame(link)
-                    g, c = acceleration_seen_along(n_hat, w[k], v[k], w[CHANGES + k], v[CHANGES + k], other, w, v)
+                    g, c = relative_acceleration(n_hat, w[k], v[k], w[CHANGES + k], v[CHANGES + k], other, w, v)
                     wr = w[k] - w[other]
                     vr = v[k] - v[other]
                     low = swept_capsule(c0, c1, rk, n_hat, wr, vr, g, c, second, third)
@@ -442,7 +441,7 @@ def bodies_near(
             rest = least_rest(second, third)
             if moving and far - body.radius - ro - rest >= target + query.tolerance:
                 n_hat = toward / far
-                g, c = acceleration_seen_along(n_hat, body.w, body.v, body.a, body.b, other, w, v)
+                g, c = relative_acceleration(n_hat, body.w, body.v, body.a, body.b, other, w, v)
                 low = swept_capsule(body.c0, body.c1, body.radius, n_hat, wr, vr, g, c, second, third)
                 if low - wp.max(wp.dot(n_hat, o0), wp.dot(n_hat, o1)) - ro >= target:
                     continue
@@ -462,7 +461,7 @@ def bodies_near(
                         out.open = 1
                         continue
                     n_hat = toward / far
-                    g, c = acceleration_seen_along(n_hat, body.w, body.v, body.a, body.b, other, w, v)
+                    g, c = relative_acceleration(n_hat, body.w, body.v, body.a, body.b, other, w, v)
                     low = swept_capsule(body.c0, body.c1, body.radius, n_hat, wr, vr, g, c, second, third)
                     low = low - wp.max(wp.dot(n_hat, po - axis), wp.dot(n_hat, po + axis)) - world.cap_radius[o]
                     if low >= target:

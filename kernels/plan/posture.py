@@ -23,10 +23,10 @@ gap grows by n . u, s* by n . u / rho(n), and the clearance by (r / rho(n)) n . 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.balls import balls_beside, capsules_beside, lowest_bit
-from r2h_batch.kernels.geometry.body import BOX, Body, from_ball, support
+from r2h_batch.kernels.geometry.balls import balls_within, capsules_within, lowest_bit
 from r2h_batch.kernels.geometry.closest import TOUCH_M, from_point, from_segment, inner_radius
 from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.shape import BOX, Shape, from_ball, support
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, PAIR_HAND, PAIR_OF_OBJECT, PAIR_SELF, PAIR_TABLE
 
@@ -37,9 +37,9 @@ from ..robot.world import (
     body_pose,
     forward_kinematics,
     link_frame,
-    object_body,
-    piece_body,
-    robot_body,
+    object_shape,
+    piece_shape,
+    robot_shape,
 )
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
@@ -59,7 +59,7 @@ class BodyInPlace:
     """A body of the robot or a hull of the object, hand frame: pose, bounding capsule c0-c1, the ball that it holds."""
 
     link: int
-    shape: Body
+    shape: Shape
     R: wp.mat33
     p: wp.vec3
     c0: wp.vec3
@@ -76,7 +76,7 @@ class Obstacle:
     near: int  # 0: bounding volumes keep it farther away than the smallest clearance so far
     pair: int  # as if the robot itself met it
     other: int
-    shape: Body
+    shape: Shape
     center: wp.vec3
     R: wp.mat33
     p: wp.vec3
@@ -84,26 +84,19 @@ class Obstacle:
 
 @wp.func
 def in_place(
-    world: World,
-    hull_ball: wp.array(dtype=wp.vec4),
-    bodies: TrialBodies,
-    trial: int,
-    link: int,
-    b: int,
-    hull: int,
-    R: wp.array(dtype=wp.mat33),
-    p: wp.array(dtype=wp.vec3),
-):
+    world: World, hull_ball: wp.array(dtype=wp.vec4), bodies: TrialBodies, trial: int, link: int, b: int,
+    hull: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """Body b of a link, or a hull of the object."""
     out = BodyInPlace()
     out.link = link
     Rb, pb = body_pose(world, bodies, trial, R, p, b)
     out.R = Rb
     out.p = pb
-    out.shape = robot_body(world, wp.min(b, world.n_robot - 1))
+    out.shape = robot_shape(world, wp.min(b, world.n_robot - 1))
     out.inner = inner_radius(out.shape.kind, out.shape.size)
     if link == OBJECT:
-        out.shape = object_body(world, hull)
+        out.shape = object_shape(world, hull)
         ball = hull_ball[hull]
         out.middle = wp.vec3(ball[0], ball[1], ball[2])
         out.inner = ball[3]
@@ -134,7 +127,7 @@ def hand_piece(world: World, body: BodyInPlace, hand: int, i: int, known: float)
             toward = from_ball(body.shape, wp.transpose(body.R) * (out.center - body.p))
             if wp.length(toward) - ball >= known:
                 out.near = 0
-    out.shape = piece_body(world, piece)
+    out.shape = piece_shape(world, piece)
     return out
 
 
@@ -158,15 +151,9 @@ def table_below(
 
 @wp.func
 def arm_body(
-    world: World,
-    bodies: TrialBodies,
-    trial: int,
-    body: BodyInPlace,
-    other: int,
-    known: float,
-    R: wp.array(dtype=wp.mat33),
-    p: wp.array(dtype=wp.vec3),
-):
+    world: World, bodies: TrialBodies, trial: int, body: BodyInPlace, other: int, known: float,
+    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """The robot's body `other`, if it may be nearer than `known`: capsule against capsule."""
     out = Obstacle()
     out.pair = PAIR_SELF
@@ -176,7 +163,7 @@ def arm_body(
     apart = wp.length(from_segment(po - axis, po + axis, body.c0, body.c1)) - body.radius - world.cap_radius[other]
     if apart < known:
         out.near = 1
-    out.shape = robot_body(world, other)
+    out.shape = robot_shape(world, other)
     out.R = Ro
     out.p = po
     return out
@@ -190,12 +177,9 @@ def bodies_below(b: int):
 
 @wp.func
 def place_links(
-    world: World,
-    R: wp.array(dtype=wp.mat33),
-    p: wp.array(dtype=wp.vec3),
-    c0: wp.array(dtype=wp.vec3),
+    world: World, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), c0: wp.array(dtype=wp.vec3),
     c1: wp.array(dtype=wp.vec3),
-):
+):  # fmt: skip
     """Writes the ends of the links' bounding capsules."""
     for link in range(OBJECT):
         k = link_frame(link)
@@ -205,13 +189,9 @@ def place_links(
 
 @wp.func
 def place_bodies(
-    world: World,
-    link: int,
-    R: wp.array(dtype=wp.mat33),
-    p: wp.array(dtype=wp.vec3),
-    c0: wp.array(dtype=wp.vec3),
-    c1: wp.array(dtype=wp.vec3),
-):
+    world: World, link: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3),
+    c0: wp.array(dtype=wp.vec3), c1: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """Writes the ends of the bounding capsules of an arm link's bodies."""
     for b in range(world.link_first[link], world.link_first[link + 1]):
         pb = R[link] * world.body_p[b] + p[link]
@@ -352,14 +332,10 @@ def obstacle_of(
 def posture_clearance(
     world: World,
     hull_ball: wp.array(dtype=wp.vec4),  # centre of each object hull and the radius of the ball it holds there
-    bodies: TrialBodies,
-    trial: int,
-    q: vecq,
-    cap: float,
-    floor: float,
+    bodies: TrialBodies, trial: int, q: vecq, cap: float, floor: float,
     R: wp.array(dtype=wp.mat33),  # (7,) scratch
     p: wp.array(dtype=wp.vec3),
-):
+):  # fmt: skip
     """The nearest of all pairs of a posture, exact below `cap`; given up as soon as it is not above `floor`.
 
     `cap` below 0: only overlaps deeper than that are looked for, which is quick. Links, then bodies, then pairs are left
@@ -403,10 +379,10 @@ def posture_clearance(
             near_hand = wp.length(from_point(hand_center, c0, c1)) - hand_radius - rk < out.clearance
             near_table = hi > world.table_from and wp.min(wp.dot(up, c0), wp.dot(up, c1)) - top - rk < out.clearance
             if self_with != 0:
-                beside = capsules_beside(
+                near_links = capsules_within(
                     link_c0, link_c1, world.link_radius, wp.min(link, GRIPPER), c0, c1, rk, out.clearance
                 )
-                self_with = self_with & int(beside)
+                self_with = self_with & int(near_links)
                 for other in range(wp.min(link, GRIPPER)):
                     if (self_with >> other) & 1 == 1:
                         toward = from_segment(link_c0[other], link_c1[other], c0, c1)
@@ -431,7 +407,7 @@ def posture_clearance(
             kind = int(PAIR_HAND)
             left = wp.uint64(0)
             if on_hand:
-                left = balls_beside(
+                left = balls_within(
                     world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
                     body.c0, body.c1, body.radius, out.clearance,
                 )  # fmt: skip
@@ -441,7 +417,7 @@ def posture_clearance(
                     if kind == PAIR_TABLE and on_table:
                         left = wp.uint64(1)
                     elif kind == PAIR_SELF and arm != wp.uint64(0):
-                        left = arm & capsules_beside(
+                        left = arm & capsules_within(
                             arm_c0, arm_c1, world.cap_radius, world.n_arm, body.c0, body.c1, body.radius, out.clearance
                         )
                     continue

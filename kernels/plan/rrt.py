@@ -174,8 +174,7 @@ def rrt_connect(
     seed: int,
     moveit: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
-    world: World,
-    bodies: TrialBodies,
+    world: World, bodies: TrialBodies,
     # trials
     start_in: wp.array2d(dtype=float),  # (B, JOINTS)
     trial_in: wp.array(dtype=int),  # (P,) rows of the problems
@@ -184,14 +183,12 @@ def rrt_connect(
     n_goals_in: wp.array(dtype=int),  # (B,)
     margin_in: wp.array(dtype=float),  # (B,) hand clearance kept by the whole path
     # scratch
-    nodes_scratch: wp.array2d(
-        dtype=float
-    ),  # (P * 2 * capacity, JOINTS + 1) postures, and how far a node's next step may go (rad)
+    nodes_scratch: wp.array2d(dtype=float),  # (P * 2 * capacity, JOINTS + 1) postures, and how far a next step may go (rad)
     parents_scratch: wp.array(dtype=int),  # (P * 2 * capacity,) within the same tree, -1: a root
     # out
     path_out: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_inout: wp.array(dtype=int),  # (B,) waypoints, 0: not found; a trial that has some is passed over
-):
+):  # fmt: skip
     """A collision-free polyline from the start to one of the goals, within a number of iterations.
 
     Tree 0 (rows base0 ..) has the start as its root, tree 1 (rows base1 ..) all goals. A node's edge to its parent is free. The

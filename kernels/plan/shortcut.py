@@ -100,10 +100,10 @@ def _quickest(
     cost[0] = 0.0
     for k in range(1, n):
         cost[k] = 1.0e30
-        here = load_waypoint(path, trial, k)
+        waypoint = load_waypoint(path, trial, k)
         for i in range(k):
             if (blocked[i] >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(0):
-                t = cost[i] + segment_time(load_waypoint(path, trial, i), here, pace)
+                t = cost[i] + segment_time(load_waypoint(path, trial, i), waypoint, pace)
                 if t < cost[k]:
                     cost[k] = t
                     before[k] = i
@@ -149,12 +149,10 @@ def shortcut(
     # search
     tries: int,
     enough: float,  # a path that takes at most this times the straight line between its ends is left as it is
-    pace: Pace,
-    seed: int,
+    pace: Pace, seed: int,
     moveit: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
-    world: World,
-    bodies: TrialBodies,
+    world: World, bodies: TrialBodies,
     # trials
     trial_in: wp.array(dtype=int),  # (P,) rows of the problems
     key_in: wp.array(dtype=int),  # (B,)
@@ -162,7 +160,7 @@ def shortcut(
     # in and out
     path_inout: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_inout: wp.array(dtype=int),  # (B,)
-):
+):  # fmt: skip
     """Shortens paths in place: the quickest subset of the waypoints, then changes that save time, the subset once more.
 
     Rows with two waypoints or none are passed over.

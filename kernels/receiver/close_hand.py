@@ -95,17 +95,13 @@ def distance(field: Field, p: wp.vec3) -> float:
 def approach(
     first: int,
     # tables
-    field: Field,
-    hands: ClosingHands,
-    farthest: float,
+    field: Field, hands: ClosingHands, farthest: float,
     # trials
-    hand_in: wp.array(dtype=wp.int32),
-    R_in: wp.array(dtype=wp.mat33),
-    start_in: wp.array(dtype=wp.vec3),
+    hand_in: wp.array(dtype=wp.int32), R_in: wp.array(dtype=wp.mat33), start_in: wp.array(dtype=wp.vec3),
     direction_in: wp.array(dtype=wp.vec3),
     # out
     travel_out: wp.array(dtype=wp.float32),
-):
+):  # fmt: skip
     """How far the open hand moves from `start` along `direction` until it touches: `farthest` where it never does."""
     i = first + wp.tid()
     base = hand_in[i] * hands.n_open
@@ -148,16 +144,9 @@ def flexed(hands: ClosingHands, hand: int, joint: int, angle: float) -> wp.mat33
 
 @wp.func
 def clearance(
-    field: Field,
-    hands: ClosingHands,
-    hand: int,
-    root: int,
-    angle: wp.vec3,
-    begin: int,
-    R: wp.mat33,
-    p: wp.vec3,
-    most: float,
-) -> float:
+    field: Field, hands: ClosingHands, hand: int, root: int, angle: wp.vec3, begin: int, R: wp.mat33,
+    p: wp.vec3, most: float,
+) -> float:  # fmt: skip
     """Least distance of a finger's segments from `begin` (0, 1, 2) on, `most` where nothing is nearer than that."""
     turn = R
     at = R * hands.joints[hand * 16 + root] + p
@@ -182,19 +171,12 @@ def clearance(
 def close_fingers(
     first: int,
     # tables
-    field: Field,
-    hands: ClosingHands,
-    step: float,
-    deepest: float,
-    wanted: int,
+    field: Field, hands: ClosingHands, step: float, deepest: float, wanted: int,
     # trials
-    hand_in: wp.array(dtype=wp.int32),
-    R_in: wp.array(dtype=wp.mat33),
-    p_in: wp.array(dtype=wp.vec3),
+    hand_in: wp.array(dtype=wp.int32), R_in: wp.array(dtype=wp.mat33), p_in: wp.array(dtype=wp.vec3),
     # out
-    flexion_out: wp.array2d(dtype=wp.vec3),
-    gap_out: wp.array2d(dtype=wp.float32),
-):
+    flexion_out: wp.array2d(dtype=wp.vec3), gap_out: wp.array2d(dtype=wp.float32),
+):  # fmt: skip
     """Flexion (rad) of a finger's three joints: each turns on until it would press what it moves `deepest` into the object.
 
     Fingers that are not in bit mask `wanted` are passed over.

@@ -17,15 +17,10 @@ def signed_query(mesh: wp.uint64, p: wp.vec3, reach: float, by_normal: int):
 
 @wp.kernel
 def point_mesh_distance(
-    first: int,
-    mesh: wp.uint64,
-    reach: float,
-    by_normal: int,
-    point_in: wp.array(dtype=wp.vec3),
-    distance_out: wp.array(dtype=wp.float32),
-    normal_out: wp.array(dtype=wp.vec3),
+    first: int, mesh: wp.uint64, reach: float, by_normal: int, point_in: wp.array(dtype=wp.vec3),
+    distance_out: wp.array(dtype=wp.float32), normal_out: wp.array(dtype=wp.vec3),
     face_out: wp.array(dtype=wp.int32),
-):
+):  # fmt: skip
     """Negative inside (winding number above 0.5); nearest face and its normal. +reach and face -1 beyond `reach`.
 
     `by_normal` = 1 is five times as fast: negative behind the nearest face, edge or vertex, which may err where a surface
@@ -62,16 +57,13 @@ def may_be_in_hand(
     # tables
     direction: wp.array(dtype=wp.vec3),  # (D)
     low: wp.array2d(dtype=float),  # (pieces, D) how far each piece reaches along the directions
-    high: wp.array2d(dtype=float),
-    box_low: wp.vec3,
-    box_high: wp.vec3,
-    skin: wp.array(dtype=wp.vec3),
+    high: wp.array2d(dtype=float), box_low: wp.vec3, box_high: wp.vec3, skin: wp.array(dtype=wp.vec3),
     off_skin: float,
     # trials
     point_in: wp.array(dtype=wp.vec3),
     # out
     inside_out: wp.array(dtype=wp.bool),
-):
+):  # fmt: skip
     """Whether a point lies between all planes about one of the pieces and is `off_skin` or more from every skin vertex.
 
     Pieces hold the skin: what is in none of them is outside. A vertex is of the skin, which is as near as it or nearer.

@@ -2,7 +2,7 @@
 
 Fingers that a table moves (jaws on slides: of two samples): the drive is minus half the gap (m), so that a larger drive closes.
 The 2F-85's closed-form linkage: half the gap = offset + pin_y cos q - pin_z sin q = offset + r cos(q + phi) at drive angle
-q, so q = acos((gap / 2 - offset) / r) - phi. `side` is -1 for the finger at -y, +1 for the finger at +y, 0 for the body.
+q, so q = acos((gap / 2 - offset) / r) - phi. `side` is -1 for the finger at -y, +1 for the finger at +y, 0 for the palm.
 """
 
 import warp as wp
@@ -162,12 +162,9 @@ def finger_pose(g: Gripper, i: int, drive: float):
 
 @wp.kernel
 def gripper_poses(
-    first: int,
-    gripper: Gripper,
-    opening_in: wp.array(dtype=wp.float32),
-    R_out: wp.array2d(dtype=wp.mat33),
+    first: int, gripper: Gripper, opening_in: wp.array(dtype=wp.float32), R_out: wp.array2d(dtype=wp.mat33),
     p_out: wp.array2d(dtype=wp.vec3),
-):
+):  # fmt: skip
     """Poses (B, G) of all gripper primitives in the ee frame at each trial's opening (m)."""
     trial = first + wp.tid()
     drive = drive_from_gap(gripper, opening_in[trial])

@@ -64,24 +64,16 @@ def motion_radius_of_ball(world: World, center: wp.vec3, ball_radius: float):
 def place_bodies(
     first: int,
     # tables
-    world: World,
-    gripper: Gripper,
-    R_wrist_ee: wp.mat33,
-    p_wrist_ee: wp.vec3,
+    world: World, gripper: Gripper, R_wrist_ee: wp.mat33, p_wrist_ee: wp.vec3,
     # trials
-    object_in: wp.array(dtype=int),
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    T_world_hand_in: wp.array(dtype=wp.mat44),
-    opening_in: wp.array(dtype=float),
+    object_in: wp.array(dtype=int), T_obj_ee_in: wp.array(dtype=wp.mat44),
+    T_world_hand_in: wp.array(dtype=wp.mat44), opening_in: wp.array(dtype=float),
     # out
-    R_hand_world_out: wp.array(dtype=wp.mat33),
-    p_hand_world_out: wp.array(dtype=wp.vec3),
-    R_wrist_grip_out: wp.array2d(dtype=wp.mat33),
-    p_wrist_grip_out: wp.array2d(dtype=wp.vec3),
-    R_wrist_obj_out: wp.array(dtype=wp.mat33),
-    p_wrist_obj_out: wp.array(dtype=wp.vec3),
+    R_hand_world_out: wp.array(dtype=wp.mat33), p_hand_world_out: wp.array(dtype=wp.vec3),
+    R_wrist_grip_out: wp.array2d(dtype=wp.mat33), p_wrist_grip_out: wp.array2d(dtype=wp.vec3),
+    R_wrist_obj_out: wp.array(dtype=wp.mat33), p_wrist_obj_out: wp.array(dtype=wp.vec3),
     motion_radius_out: wp.array2d(dtype=float),
-):
+):  # fmt: skip
     """Poses of hand, fingers and attached object (`T_obj_ee_in` after closing moved the object between the pads)."""
     trial = first + wp.tid()
     # all collision work is done in the hand's frame: the world is placed in it

@@ -36,16 +36,13 @@ def ee_pose(tool: Tool, q: vecq):
 def settle_sample(
     first: int,
     # tables
-    tool: Tool,
-    position_m: float,
-    rotation_rad: float,
+    tool: Tool, position_m: float, rotation_rad: float,
     # trials
     goal_in: wp.array3d(dtype=float),  # (B, 1, JOINTS)
-    path_in: wp.array3d(dtype=float),
-    length_in: wp.array(dtype=int),
+    path_in: wp.array3d(dtype=float), length_in: wp.array(dtype=int),
     # out
     sample_out: wp.array(dtype=int),
-):
+):  # fmt: skip
     """The first sample from which on the ee stays within both tolerances of its pose at the goal; the length if none."""
     trial = first + wp.tid()
     n = length_in[trial]

@@ -8,7 +8,7 @@ Links are numbered 0 base ... JOINTS the last of the arm, then gripper and objec
 import warp as wp
 
 from r2h_batch.kernels.geometry.angles import sin_cos
-from r2h_batch.kernels.geometry.body import BLOCKS, CELLS, Body
+from r2h_batch.kernels.geometry.shape import BLOCKS, CELLS, Shape
 from r2h_batch.kernels.options import OPTIONS
 
 from .joints import CHANGES, JOINTS, LAST_LINK, vecq
@@ -36,40 +36,34 @@ class World:
     cap_axis: wp.array(dtype=wp.vec3)  # from its middle to one end, in the body frame
     body_R: wp.array(dtype=wp.mat33)  # (n_arm,) in the link frame
     body_p: wp.array(dtype=wp.vec3)
-    motion_radius: wp.array2d(
-        dtype=float
-    )  # (n_robot, JOINTS) largest distance of a body's points from each joint's axis, any posture
+    # (n_robot, JOINTS) largest distance of a body's points from each joint's axis, any posture
+    motion_radius: wp.array2d(dtype=float)
     link_first: wp.array(dtype=int)  # (LINKS,) bodies of link k: link_first[k] .. link_first[k + 1], k below LINKS - 1
-    link_c0: wp.array(
-        dtype=wp.vec3
-    )  # (LINKS - 1,) bounding capsule of the whole link (the gripper in the last link's frame)
+    # (LINKS - 1,) bounding capsule of the whole link (the gripper in the last link's frame)
+    link_c0: wp.array(dtype=wp.vec3)
     link_c1: wp.array(dtype=wp.vec3)
     link_radius: wp.array(dtype=float)
     link_motion_radius: wp.array2d(dtype=float)  # (LINKS - 1, JOINTS)
-    self_links: wp.array(
-        dtype=int
-    )  # (LINKS,) bit k of entry l: link l is checked against link k < l (the last: the object)
+    # (LINKS,) bit k of entry l: link l is checked against link k < l (the last: the object)
+    self_links: wp.array(dtype=int)
     table_from: int  # bodies from this one on are checked against the table: base and shoulder stand on it
     table_center: wp.vec3  # world frame
     table_half: wp.vec3
-    points: wp.array(
-        dtype=wp.vec3
-    )  # hull points of all hands' pieces (hand frame, in blocks) and all objects (object frame)
+    # hull points of all hands' pieces (hand frame, in blocks) and all objects (object frame)
+    points: wp.array(dtype=wp.vec3)
     n_pieces: int
-    piece_start: wp.array(
-        dtype=int
-    )  # (H * n_pieces,) first row of each piece's blocks of points (geometry/body.py, BLOCKS)
+    # (H * n_pieces,) first row of each piece's blocks of points (geometry/shape.py, BLOCKS)
+    piece_start: wp.array(dtype=int)
     piece_blocks: wp.array(dtype=int)  # how many blocks these are
-    piece_round: wp.array(
-        dtype=float
-    )  # the piece is its points' hull grown by this (m): a hand's 0, an arm's its radius
+    # the piece is its points' hull grown by this (m): a hand's 0, an arm's its radius
+    piece_round: wp.array(dtype=float)
     piece_center: wp.array(dtype=wp.vec3)
     piece_radius: wp.array(dtype=float)
     hand_center: wp.array(dtype=wp.vec3)  # (H,)
     hand_radius: wp.array(dtype=float)
     hull_first: wp.array(dtype=int)  # (O + 1,) hulls of object o: hull_first[o] .. hull_first[o + 1]
     hull_start: wp.array(dtype=int)  # (hulls + 1,)
-    hull_cells: wp.array(dtype=int)  # (hulls,) the same hulls' points by direction (geometry/body.py, CELLS)
+    hull_cells: wp.array(dtype=int)  # (hulls,) the same hulls' points by direction (geometry/shape.py, CELLS)
     hull_c0: wp.array(dtype=wp.vec3)
     hull_c1: wp.array(dtype=wp.vec3)
     hull_radius: wp.array(dtype=float)
@@ -99,13 +93,9 @@ def child_frame(R: wp.mat33, p: wp.vec3, joint_R: wp.mat33, joint_p: wp.vec3, q:
 
 @wp.func
 def forward_kinematics(
-    world: World,
-    R_hand_world: wp.mat33,
-    p_hand_world: wp.vec3,
-    q: vecq,
-    R: wp.array(dtype=wp.mat33),
+    world: World, R_hand_world: wp.mat33, p_hand_world: wp.vec3, q: vecq, R: wp.array(dtype=wp.mat33),
     p: wp.array(dtype=wp.vec3),
-):
+):  # fmt: skip
     """Writes the frames of the arm's links in the hand frame."""
     Rk = R_hand_world
     pk = p_hand_world
@@ -145,9 +135,9 @@ def body_pose(
 
 
 @wp.func
-def robot_body(world: World, body: int):
+def robot_shape(world: World, body: int):
     """The shape of a robot body."""
-    b = Body()
+    b = Shape()
     b.kind = world.kind[body]
     b.size = world.size[body]
     b.radius = world.radius[body]
@@ -158,26 +148,20 @@ def robot_body(world: World, body: int):
 
 
 @wp.func
-def block_count(world: World, piece: int):
-    """How many blocks of points a piece of a hand has."""
-    return world.piece_blocks[piece]
-
-
-@wp.func
-def piece_body(world: World, piece: int):
+def piece_shape(world: World, piece: int):
     """A piece of a hand as a shape."""
-    b = Body()
+    b = Shape()
     b.kind = BLOCKS
     b.start = world.piece_start[piece]
-    b.count = block_count(world, piece)
+    b.count = world.piece_blocks[piece]
     b.radius = world.piece_round[piece]
     return b
 
 
 @wp.func
-def object_body(world: World, hull: int):
+def object_shape(world: World, hull: int):
     """One hull of an object as a shape."""
-    b = Body()
+    b = Shape()
     b.kind = CELLS
     b.start = world.hull_cells[hull]
     return b
@@ -211,12 +195,9 @@ def bends(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d:
 
 @wp.func(inline=False)
 def twists(
-    d: vecq,
-    R: wp.array(dtype=wp.mat33),
-    p: wp.array(dtype=wp.vec3),
-    w: wp.array(dtype=wp.vec3),
+    d: vecq, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
-):
+):  # fmt: skip
     """Writes each link's fields of velocity v + w x and acceleration b + a x + w (w x) when the joints turn at rates d.
 
     Hand frame; x: cross product with the point. Rows 0 to JOINTS: w and v; from CHANGES on: a in `w`, b in `v`.
@@ -252,7 +233,7 @@ def acceleration_along(n: wp.vec3, w: wp.vec3, a: wp.vec3, b: wp.vec3):
 
 
 @wp.func(inline=False)
-def acceleration_seen_along(
+def relative_acceleration(
     n: wp.vec3, w: wp.vec3, v: wp.vec3, a: wp.vec3, b: wp.vec3, other: int,
     of_w: wp.array(dtype=wp.vec3), of_v: wp.array(dtype=wp.vec3),
 ):  # fmt: skip

@@ -126,16 +126,9 @@ def _met(
 
 @wp.func
 def _extremes(
-    surfaces: Surfaces,
-    s: int,
-    R: wp.mat33,
-    t: wp.vec3,
-    low: float,
-    high: float,
-    half_x: float,
-    z_low: float,
+    surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, low: float, high: float, half_x: float, z_low: float,
     z_high: float,
-):
+):  # fmt: skip
     """The points of the surface in the prism whose y are nearest to `low` and to `high`."""
     a = Extreme()
     b = Extreme()
@@ -211,22 +204,16 @@ def _lift(g: Gripper, gap: float):
 def closing_witness(
     first: int,
     # tables
-    gripper: Gripper,
-    surfaces: Surfaces,
-    open_gap: float,
-    whole: int,
+    gripper: Gripper, surfaces: Surfaces, open_gap: float, whole: int,
     # trials
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    object_index_in: wp.array(dtype=wp.int32),
+    T_obj_ee_in: wp.array(dtype=wp.mat44), object_index_in: wp.array(dtype=wp.int32),
     width_in: wp.array(dtype=wp.float32),  # as the evaluator found them; NaN: empty
     opening_in: wp.array(dtype=wp.float32),
     # out
     point_out: wp.array2d(dtype=wp.vec3),  # (B, 4) low, high of what the pads meet; low, high of what is judged
-    slope_x_out: wp.array2d(dtype=wp.float32),
-    slope_z_out: wp.array2d(dtype=wp.float32),
-    lift_out: wp.array(dtype=wp.float32),
-    state_out: wp.array(dtype=wp.int32),
-):
+    slope_x_out: wp.array2d(dtype=wp.float32), slope_z_out: wp.array2d(dtype=wp.float32),
+    lift_out: wp.array(dtype=wp.float32), state_out: wp.array(dtype=wp.int32),
+):  # fmt: skip
     """The object's points (object frame) between which the pads come to stand, and how these slide (`Extreme`).
 
     `lift_out`: by how much the pads' centres rise per metre of opening. State: EMPTY, FIXED_GAP (open, or closed all the

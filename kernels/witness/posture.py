@@ -2,10 +2,10 @@
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BLOCKS, CAPSULE, HULL, SPHERE, Body
 from r2h_batch.kernels.geometry.closest import TOUCH_M, rounded, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
+from r2h_batch.kernels.geometry.shape import BLOCKS, CAPSULE, SPHERE, triangle_shape
 from r2h_batch.kernels.ik.jacobian import damped_gram, joint_rate, solve_spd
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import ee_and_axes
@@ -14,7 +14,7 @@ from r2h_batch.kernels.witness.surface import SurfacePoint, finger_velocity, tri
 
 from ..robot.joints import FRAMES, JOINTS
 from ..robot.posture import load
-from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, robot_body
+from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, robot_shape
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -29,11 +29,9 @@ def hull_witness(world: World, body: int, tri: wp.array(dtype=wp.vec3), R: wp.ma
     """`triangle_witness` of a robot's hull that the triangle does not meet; R, p: to the body's frame."""
     out = SurfacePoint()
     out.distance = best
-    triangle = Body()
-    triangle.kind = HULL
-    triangle.count = 3
+    triangle = triangle_shape(0)
     middle = R * ((tri[0] + tri[1] + tri[2]) / 3.0) + p
-    d = gjk(triangle, R, p, tri, robot_body(world, body), world.points, p - middle, best, 0.0)
+    d = gjk(triangle, R, p, tri, robot_shape(world, body), world.points, p - middle, best, 0.0)
     if d.upper > TOUCH_M and d.upper < best:
         out.distance = d.upper
         out.x = d.point
@@ -43,17 +41,9 @@ def hull_witness(world: World, body: int, tri: wp.array(dtype=wp.vec3), R: wp.ma
 
 @wp.func
 def nearest_face(
-    world: World,
-    mesh: HandMesh,
-    hand: int,
-    body: int,
-    kind: int,
-    size: wp.vec3,
-    R: wp.mat33,
-    p: wp.vec3,
-    best: float,
-    tri: wp.array(dtype=wp.vec3),
-):
+    world: World, mesh: HandMesh, hand: int, body: int, kind: int, size: wp.vec3, R: wp.mat33, p: wp.vec3,
+    best: float, tri: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """The hand's point of least signed distance to a primitive, in its frame; R, p: hand to primitive frame."""
     out = SurfacePoint()
     out.distance = best
@@ -79,9 +69,7 @@ def nearest_face(
 def hand_witness(
     first: int,
     # tables
-    world: World,
-    mesh: HandMesh,
-    bodies: TrialBodies,
+    world: World, mesh: HandMesh, bodies: TrialBodies,
     # trials
     q_in: wp.array2d(dtype=float),  # (B, JOINTS)
     body_in: wp.array(dtype=int),  # -1: not wanted
@@ -90,7 +78,7 @@ def hand_witness(
     found_out: wp.array(dtype=wp.bool),
     point_out: wp.array(dtype=wp.vec3),  # world frame
     normal_out: wp.array(dtype=wp.vec3),  # world frame, the distance grows when the hand's point goes along it
-):
+):  # fmt: skip
     """The hand's point that decides Safe at a posture. Overlaps are measured as Safe does: against the body's rounded core.
 
     Where the hand reaches that core, Safe's number no longer changes: then the way out of the sharp body is given.
@@ -117,22 +105,22 @@ def hand_witness(
         kind = SPHERE
         size = wp.vec3(size[2], 0.0, 0.0)
     sharp = distance >= 0.0 or kind <= CAPSULE
-    asked = size
+    used_size = size
     below = distance + SLACK_M
     if not sharp:
         core = rounded(kind, size)
-        asked = core.size
+        used_size = core.size
         below = distance + core.radius + SLACK_M
     near = SurfacePoint()
     sign = float(1.0)
     attempt = int(0)
     while attempt < 2:  # around one call: inlined, it is most of the kernel
-        near = nearest_face(world, mesh, hand, body, kind, asked, Rt, pt, below, tri)
+        near = nearest_face(world, mesh, hand, body, kind, used_size, Rt, pt, below, tri)
         attempt += 1
         if attempt == 1:
             if wp.length_sq(near.n) > 0.0 and (sharp or near.distance >= APART_M):
                 attempt = 2
-            asked = size  # else the core is met, or the body is wholly inside the hand
+            used_size = size  # else the core is met, or the body is wholly inside the hand
             below = 1.0e30
         elif near.distance > 0.0 and distance < 0.0 and not (on_hull and distance >= -TOUCH_M):
             sign = -1.0
@@ -144,13 +132,12 @@ def hand_witness(
 
 @wp.kernel
 def finger_velocities(
-    first: int,
-    gripper: Gripper,
+    first: int, gripper: Gripper,
     part_in: wp.array(dtype=int),  # -1: not a gripper primitive
     opening_in: wp.array(dtype=float),
     point_in: wp.array(dtype=wp.vec3),  # ee frame
     velocity_out: wp.array(dtype=wp.vec3),
-):
+):  # fmt: skip
     """How points of gripper primitives move per metre of opening, ee frame."""
     trial = first + wp.tid()
     if part_in[trial] >= 0:

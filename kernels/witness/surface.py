@@ -11,9 +11,9 @@ n . (move of the surface's point - move of the primitive's point). Where several
 import warp as wp
 
 from r2h_batch.kernels.geometry.angles import sin_cos
-from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, HULL, Body, from_ball
 from r2h_batch.kernels.geometry.closest import TOUCH_M, closest_on_triangle, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.shape import BOX, CAPSULE, CYLINDER, Shape, from_ball, triangle_shape
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose
 from r2h_batch.kernels.grasp.triangle import DEPTH_M
 from r2h_batch.kernels.options import OPTIONS
@@ -48,7 +48,7 @@ class SurfacePoint:
 def outwards(kind: int, size: wp.vec3, x: wp.vec3):
     """Unit gradient of a primitive's signed distance at x; on a ridge one of its one-sided limits."""
     n = wp.vec3(1.0, 0.0, 0.0)
-    shape = Body()
+    shape = Shape()
     shape.kind = kind
     shape.size = size
     if kind < CYLINDER:
@@ -138,17 +138,11 @@ def outwards_inside(kind: int, size: wp.vec3, x: wp.vec3, u: wp.vec3, v: wp.vec3
 
 @wp.func
 def _deepest(
-    points: wp.array(dtype=wp.vec3),
-    triangle: Body,
-    kind: int,
-    size: wp.vec3,
-    R: wp.mat33,
-    p: wp.vec3,
+    points: wp.array(dtype=wp.vec3), triangle: Shape, kind: int, size: wp.vec3, R: wp.mat33, p: wp.vec3,
     depth: float,
     u: wp.vec3,  # the triangle's corners in the primitive's frame
-    v: wp.vec3,
-    w: wp.vec3,
-):
+    v: wp.vec3, w: wp.vec3,
+):  # fmt: skip
     """The deepest point in a primitive of a triangle that is deeper than `depth`: where eroded, it is only just met.
 
     The primitive eroded by d (its points at least d deep) shrinks as d grows; bisection finds the d at which the triangle
@@ -181,7 +175,7 @@ def _polished(kind: int, size: wp.vec3, x: wp.vec3, u: wp.vec3, v: wp.vec3, w: w
 
     GJK stops at 1e-6 m of distance, which leaves the direction of short ones open.
     """
-    shape = Body()
+    shape = Shape()
     shape.kind = kind
     shape.size = size
     if kind <= CAPSULE:
@@ -215,10 +209,7 @@ def triangle_witness(
             out.distance = s
             out.x = x
     depth = wp.max(-out.distance, 0.0)
-    a = Body()
-    a.kind = HULL
-    a.start = start
-    a.count = 3
+    a = triangle_shape(start)
     d = gjk(a, R, p, points, eroded(kind, size, depth), points, p - middle, 1.0e30, 0.0)
     x = d.point
     if d.upper <= TOUCH_M:
@@ -267,21 +258,14 @@ def finger_velocity(g: Gripper, i: int, gap: float, x: wp.vec3):
 def surface_witness(
     first: int,
     # tables
-    gripper: Gripper,
-    surfaces: Surfaces,
-    surface_offset: int,
-    used: int,
+    gripper: Gripper, surfaces: Surfaces, surface_offset: int, used: int,
     # trials
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    object_index_in: wp.array(dtype=wp.int32),
-    opening_in: wp.array(dtype=wp.float32),
-    bound_in: wp.array(dtype=wp.float32),
+    T_obj_ee_in: wp.array(dtype=wp.mat44), object_index_in: wp.array(dtype=wp.int32),
+    opening_in: wp.array(dtype=wp.float32), bound_in: wp.array(dtype=wp.float32),
     # out
-    part_out: wp.array(dtype=wp.int32),
-    point_out: wp.array(dtype=wp.vec3),
-    normal_out: wp.array(dtype=wp.vec3),
+    part_out: wp.array(dtype=wp.int32), point_out: wp.array(dtype=wp.vec3), normal_out: wp.array(dtype=wp.vec3),
     finger_out: wp.array(dtype=wp.vec3),
-):
+):  # fmt: skip
     """The surface's point of least signed distance to the gripper's primitives in `used`, below `bound_in` (else part -1).
 
     Point in the object's frame; normal in the ee frame, pointing from the gripper to the surface; `finger_out`: how the
@@ -329,13 +313,11 @@ def nearest_of_points(
     # trials
     point_in: wp.array2d(dtype=wp.vec3),  # (O, P) points of each object, object frame
     counts_in: wp.array2d(dtype=wp.bool),  # (O, P) which of them count
-    object_index_in: wp.array(dtype=wp.int32),
-    wanted_in: wp.array(dtype=wp.bool),
+    object_index_in: wp.array(dtype=wp.int32), wanted_in: wp.array(dtype=wp.bool),
     x_in: wp.array(dtype=wp.vec3),  # object frame
     # out
-    found_out: wp.array(dtype=wp.bool),
-    nearest_out: wp.array(dtype=wp.vec3),
-):
+    found_out: wp.array(dtype=wp.bool), nearest_out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
     """The nearest to x of an object's points that count."""
     trial = first + wp.tid()
     found_out[trial] = False

@@ -110,22 +110,22 @@ def inner_ball(points: Array) -> Array:
 
 
 BLOCK_POINTS = 16
-"""As in kernels/geometry/body.py (tests/kernels/test_codes.py)."""
+"""As in kernels/geometry/shape.py (tests/kernels/test_codes.py)."""
 
 
 def point_blocks(points: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Rows (16 k, 3) of a hull for geometry/body.py, BLOCKS: 16 points at a time, their x, y and z
+    """Rows (16 k, 3) of a hull for geometry/shape.py, BLOCKS: 16 points at a time, their x, y and z
     one after the other."""
     full = np.concatenate([points, np.repeat(points[-1:], -len(points) % BLOCK_POINTS, axis=0)])
     return full.reshape(-1, BLOCK_POINTS, 3).transpose(0, 2, 1).reshape(-1, 3)
 
 
 CELLS_PER_EDGE = 6
-"""As in kernels/geometry/body.py (tests/kernels/test_codes.py)."""
+"""As in kernels/geometry/shape.py (tests/kernels/test_codes.py)."""
 
 
 def support_cells(points: Array) -> Array:
-    """Rows (216 + n, 3) of a hull for geometry/body.py: first row and number of points of each
+    """Rows (216 + n, 3) of a hull for geometry/shape.py: first row and number of points of each
     direction cell, then blocks.
 
     A cell keeps every point that can be farthest along some direction of it (`_farthest`). Of what

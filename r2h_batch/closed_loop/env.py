@@ -198,7 +198,7 @@ class HandoverEnv(VectorEnv):
         self.scores, self.config, self.action = scores, config or LoopConfig(), action
         self.motion = ReceiverMotion.parse(motion) if isinstance(motion, str) else motion
         self.privileged, self.scene = privileged, self.evaluator.scene
-        self._body = self.evaluator.config.receiver == "body"
+        self._sees_person = self.evaluator.config.receiver == "body"
         self.num_envs, self.step_s = len(scores), 1.0 / self.config.rate_hz
         self._device = torch.device(self.scene.device)
         joints, law = len(self.scene.robot.joints), self.scene.config.execute
@@ -312,7 +312,7 @@ class HandoverEnv(VectorEnv):
         passed = self._distance.over_step(
             rows, (self.q[rows], q), self.hands, (first, last), self.gap[rows]
         )
-        if self._body and len(rows):
+        if self._sees_person and len(rows):
             near = self._from_person(rows, torch.stack([self.q[rows], q], 1), T[rows])
             gap, least = (torch.minimum(x, near) for x in (passed.gap_m, passed.least_m))
             passed = Passed(gap, least, passed.touch | (near <= 0))
@@ -478,11 +478,11 @@ class HandoverEnv(VectorEnv):
             return
         inputs = self.scores.inputs
         assert inputs is not None
-        T, body = self.T_world_ee[rows], self.receiver
+        T, person = self.T_world_ee[rows], self.receiver
         trials = replace(
             self.trials[rows],
             T_world_hand=self.T_world_hand[rows],
-            receiver=None if body is None else body[rows],
+            receiver=None if person is None else person[rows],
         )
         poses = inputs.T_obj_ee[rows], T.float()
         posed = self.evaluator.score(*poses, trials, stages="pose")
@@ -521,7 +521,7 @@ class HandoverEnv(VectorEnv):
     @property
     def receiver(self) -> Float32[Tensor, "b 5 4"] | None:
         """The receivers' bodies now, arms with their hands (`Trials.receiver`)."""
-        return self.hands.body(self.T_world_hand)
+        return self.hands.people(self.T_world_hand)
 
     def bodies(self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor) -> BodyPoses:
         """Bodies of some trials with their hands there, for the scene's functions."""
@@ -534,23 +534,23 @@ class HandoverEnv(VectorEnv):
     def obstacles(self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor) -> BodyPoses:
         """The same for a planner: with arm and torso where `receiver="body"`."""
         bodies = self.bodies(T_world_hand, rows)
-        if not self._body:
+        if not self._sees_person:
             return bodies
-        receiver = self.hands.body(T_world_hand, rows)
+        receiver = self.hands.people(T_world_hand, rows)
         assert receiver is not None  # such an evaluator refuses trials without
         return with_person(self.scene, bodies, receiver, hand=True)
 
     def _apart(self, rows: Tensor, q: Tensor, T_world_hand: Tensor) -> Tensor:
         """Distances of robot and receiver, with the hands of these rows there, m."""
         hand = self._distance.at(rows, q, T_world_hand)
-        if not self._body or not len(rows):
+        if not self._sees_person or not len(rows):
             return hand
         return torch.minimum(hand, self._from_person(rows, q[:, None], T_world_hand))
 
     def _from_person(self, rows: Tensor, path: Tensor, T_world_hand: Tensor) -> Tensor:
         """Least distance of the robot on its way from arm and torso as they are with the hands there, m; inf: farther
         than 5 cm."""
-        receiver = self.hands.body(T_world_hand, rows)
+        receiver = self.hands.people(T_world_hand, rows)
         assert receiver is not None
         length = torch.full((len(rows),), path.shape[1], dtype=torch.int32, device=self._device)
         bodies = self.bodies(T_world_hand, rows)

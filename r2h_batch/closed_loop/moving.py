@@ -75,8 +75,8 @@ class ReceiverMotion:
         """`moves`, `moves:100mm,20deg` or `replay:NAME_motion.npz`; ValueError says what is allowed."""
         kind, _, rest = text.partition(":")
         size = re.fullmatch(r"(\d+\.?\d*)mm,(\d+\.?\d*)deg", rest, re.ASCII)
-        given = bool(rest) if kind == "replay" else not rest or size is not None
-        if kind not in KINDS or not given:
+        fits = bool(rest) if kind == "replay" else not rest or size is not None
+        if kind not in KINDS or not fits:
             raise ValueError(
                 f"receiver motion is {text!r}; it must be {', '.join(KINDS[:-1])}, one of these with"
                 " a size such as moves:100mm,20deg, or replay:NAME_motion.npz"
@@ -126,9 +126,9 @@ class Strokes:
         return Strokes(T_world_hand, wrist, radius, begin, duration, shift, shift.clone())
 
     def __getitem__(self, rows: Tensor) -> "Strokes":
-        own = (self.T_world_hand[rows], self.wrist[rows], self.radius[rows])
+        of_hand = (self.T_world_hand[rows], self.wrist[rows], self.radius[rows])
         each = (self.begin, self.duration, self.shift, self.turn)
-        return Strokes(*own, *(x[:, rows] for x in each))
+        return Strokes(*of_hand, *(x[:, rows] for x in each))
 
     def done(self, time_s: Float64[Tensor, " b"]) -> Float64[Tensor, "m b"]:
         """Share of each stroke."""
@@ -163,8 +163,8 @@ class Strokes:
         """Stroke k of some rows: `share` of the way to where the hand would be at `goal` (r, 4, 4), on
         top of all strokes so far."""
         at = self[rows].pose(torch.full_like(begin_s, torch.finfo(torch.float64).max))
-        own = self.wrist[rows]
-        self.shift[k, rows] = share * (se3.apply(goal, own) - se3.apply(at, own))
+        wrist = self.wrist[rows]
+        self.shift[k, rows] = share * (se3.apply(goal, wrist) - se3.apply(at, wrist))
         between = se3.matmul(goal[:, :3, :3], at[:, :3, :3].transpose(1, 2)).cpu().numpy()
         turn = torch.from_numpy(Rotation.from_matrix(between).as_rotvec())
         self.turn[k, rows] = share * turn.to(goal.device)
@@ -252,9 +252,9 @@ class MovingHands:
         hand = trials.hand_index.long().cpu()
         joints, skin = scene.hands.joints[hand].double(), scene.hands.vertices
         wrist = joints[:, 0]
-        every, own = torch.unique(hand, return_inverse=True)
+        every, place = torch.unique(hand, return_inverse=True)
         root = scene.hands.joints[every, :1]
-        radius = (skin[every] - root).double().square().sum(2).amax(1).sqrt()[own] + 1e-6
+        radius = (skin[every] - root).double().square().sum(2).amax(1).sqrt()[place] + 1e-6
         T = trials.T_world_hand.double()
         drawn = {k: v.to(device) for k, v in _draws(trials, motion).items()}
         way: Strokes | Replayed
@@ -283,7 +283,7 @@ class MovingHands:
         wrist = torch.stack([wrist[:, 0], wrist[:, 1], wrist[:, 2].clamp(min=top)], 1)
         goal = self._within_reach(goal, wrist)
         if kind in ("reaches", "hesitates"):
-            way.T_world_hand = self._before_body(way.T_world_hand)
+            way.T_world_hand = self._before_person(way.T_world_hand)
         begin = d["reacts"] if kind in ("reaches", "hesitates") else d["waits"]
         if kind == "hesitates":
             way.add(0, rows, begin, d["stroke"], goal, PAUSE_AT)
@@ -341,7 +341,7 @@ class MovingHands:
         self.way.add(1, rows, begin, lasts, T_world_hand.double())
         self.taking[rows], self.taken_s[rows] = True, begin + lasts
 
-    def body(
+    def people(
         self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor | None = None
     ) -> Float32[Tensor, "r 5 4"] | None:
         """Receivers (`Trials.receiver`) of some trials (None: of all) whose arms follow their hands; torso and
@@ -368,14 +368,14 @@ class MovingHands:
         R = T[:, :3, :3]
         return se3.from_rotation(R, wrist - se3.rotate(R, self._wrist))
 
-    def _before_body(self, T: Float64[Tensor, "b 4 4"]) -> Tensor:
+    def _before_person(self, T: Float64[Tensor, "b 4 4"]) -> Tensor:
         """The hand turned as in T, where a hanging upper arm and a level forearm bring it: clear of the table."""
         assert self.receiver is not None
-        body = self.receiver.double()
-        shoulder, elbow, wrist = body[:, 0, :3], body[:, 1, :3], body[:, 2, :3]
+        person = self.receiver.double()
+        shoulder, elbow, wrist = person[:, 0, :3], person[:, 1, :3], person[:, 2, :3]
         upper, lower = (se3.dot(a, a).sqrt() for a in (elbow - shoulder, wrist - elbow))
         zero = torch.zeros_like(upper)
-        ahead = torch.stack([body[:, 3, 3], body[:, 4, 3], zero], 1)
+        ahead = torch.stack([person[:, 3, 3], person[:, 4, 3], zero], 1)
         down = torch.stack([zero, zero, -upper], 1)
         R = T[:, :3, :3]
         at = shoulder + down + lower[:, None] * ahead
@@ -414,14 +414,14 @@ def elbow_of(
     c, s = c / size, s / size
     r, to, hanging, aside = frame(wrist)
     along = (upper * upper - lower * lower + r * r) / (2.0 * r)
-    beside = (upper * upper - along * along).clamp(min=0.0).sqrt()
+    offset = (upper * upper - along * along).clamp(min=0.0).sqrt()
     direction = c[:, None] * hanging + s[:, None] * aside
-    return shoulder + along[:, None] * to + beside[:, None] * direction
+    return shoulder + along[:, None] * to + offset[:, None] * direction
 
 
-def _lengths(body: Float64[Tensor, "b 5 4"]) -> tuple[Tensor, Tensor, Tensor]:
+def _lengths(person: Float64[Tensor, "b 5 4"]) -> tuple[Tensor, Tensor, Tensor]:
     """Shoulders; the longest and the shortest distance of a wrist from them."""
-    shoulder, elbow, wrist = body[:, 0, :3], body[:, 1, :3], body[:, 2, :3]
+    shoulder, elbow, wrist = person[:, 0, :3], person[:, 1, :3], person[:, 2, :3]
     upper, lower = (se3.dot(a, a).sqrt() for a in (elbow - shoulder, wrist - elbow))
     return shoulder, upper + lower, (upper - lower).abs() + 0.05
 

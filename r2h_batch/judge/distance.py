@@ -219,15 +219,15 @@ def hand_distance_at(
 
 
 def nearer_of(
-    hand: NearestApproach, body_m: Float32[Tensor, " b"], part: Int32[Tensor, " b"]
+    hand: NearestApproach, person_m: Float32[Tensor, " b"], part: Int32[Tensor, " b"]
 ) -> NearestApproach:
-    """The nearer of the hand and the receiver's body, which is `body_m` from the robot's `part`.
+    """The nearer of the hand and the receiver's body, which is `person_m` from the robot's `part`.
 
     Where the body is nearer no point is known, and the moment remains that of the hand.
     """
-    nearer = body_m < hand.distance_m
+    nearer = person_m < hand.distance_m
     return NearestApproach(
-        torch.minimum(hand.distance_m, body_m),  # NaN where either is NaN
+        torch.minimum(hand.distance_m, person_m),  # NaN where either is NaN
         torch.where(nearer, part, hand.body),
         hand.segment,
         hand.fraction,

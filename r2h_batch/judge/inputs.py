@@ -51,12 +51,12 @@ def checked_inputs(
         ((n, k, 4, 4), f"({n}, K, 4, 4)") if many else ((n, 4, 4), f"({n}, 4, 4) or ({n}, K, 4, 4)")
     )
     poses = []
-    for name, given, expected in (
+    for name, pose, expected in (
         ("T_obj_ee", T_obj_ee, shape),
         ("T_world_ee", T_world_ee, shape),
         ("trials.T_world_hand", trials.T_world_hand, (n, 4, 4)),
     ):
-        value = check_tensor(name, given, "a torch tensor (B, 4, 4) or (N, K, 4, 4)")
+        value = check_tensor(name, pose, "a torch tensor (B, 4, 4) or (N, K, 4, 4)")
         poses.append(value)
         if value.dtype != torch.float32:
             raise TypeError(f"{name} is {value.dtype}; it must be torch.float32: call .float()")

@@ -196,8 +196,8 @@ class _Batch:
 
     def pairs(self, trial: Tensor, k: Tensor, arms: dict[str, Tensor]) -> dict[str, Tensor]:
         """Columns of the pairs (trial, k), from what the arm's step found."""
-        own = {name: x[trial].contiguous() for name, x in self.of_trial.items()}
-        return own | {
+        columns = {name: x[trial].contiguous() for name, x in self.of_trial.items()}
+        return columns | {
             "trial": trial.to(torch.int32),
             "row": (self.first[trial] + k).to(torch.int32),
             "turn": arms["turn"][trial, k],
@@ -219,7 +219,7 @@ def _reception(scores: Scores, leans_deg: tuple[float, ...]) -> Reception:
     passes[..., 0] = arms["effort"] >= 0
     passes[..., 5] = _held(batch)
     way = _come(batch, arms, passes)
-    _beside_robot(batch, arms, passes)
+    _clear_of_robot(batch, arms, passes)
     _let_go(batch, arms, passes)
     passes = passes.cummin(2).values
     chosen = _easiest(batch, arms, way, passes[..., -1])
@@ -305,7 +305,7 @@ def _launch(batch: _Batch, kernel: Any, n: int, **inputs: Any) -> dict[str, Tens
     return found
 
 
-_BESIDE = ("row", "turn", "object", "attached", "opening")
+_PAIR_COLUMNS = ("row", "turn", "object", "attached", "opening")
 """What a look at gripper and hand needs of a pair."""
 
 
@@ -313,22 +313,22 @@ def _come(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> Int32[Tenso
     """Writes the steps free and way; the direction from which each hand comes, -1: none."""
     trial, k = torch.nonzero(passes[..., 0], as_tuple=True)
     pair = batch.pairs(trial, k, arms)
-    beside = {n: pair[n] for n in _BESIDE}
-    made = _launch(batch, kernels.come_to_object, len(trial), **batch.tables, **beside)
+    columns = {n: pair[n] for n in _PAIR_COLUMNS}
+    made = _launch(batch, kernels.come_to_object, len(trial), **batch.tables, **columns)
     passes[trial, k, 1], passes[trial, k, 2] = made["free"], made["way"] >= 0
     way = torch.full(passes.shape[:2], -1, dtype=torch.int32, device=batch.device)
     way[trial, k] = made["way"]
     return way
 
 
-def _beside_robot(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
+def _clear_of_robot(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
     """Writes the step clear."""
     trial, k = torch.nonzero(passes[..., :3].all(2), as_tuple=True)
     pair = batch.pairs(trial, k, arms)
     posture = {n: pair[n] for n in ("trial", "lean", "elbow")}
     wrist = batch.wrists(pair).contiguous()
     made = _launch(
-        batch, kernels.arm_beside_robot, len(trial), **batch.robot, **posture, wrist=wrist
+        batch, kernels.arm_clears_robot, len(trial), **batch.robot, **posture, wrist=wrist
     )
     passes[trial, k, 3] = made["clear"]
 
@@ -337,8 +337,8 @@ def _let_go(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
     """Writes the step release."""
     trial, k = torch.nonzero(passes[..., :4].all(2), as_tuple=True)
     pair = batch.pairs(trial, k, arms)
-    beside = {n: pair[n] for n in _BESIDE} | {"open_gap": batch.grasps.open_gap_m}
-    passes[trial, k, 4] = _launch(batch, kernels.let_go, len(trial), **batch.tables, **beside)[
+    columns = {n: pair[n] for n in _PAIR_COLUMNS} | {"open_gap": batch.grasps.open_gap_m}
+    passes[trial, k, 4] = _launch(batch, kernels.let_go, len(trial), **batch.tables, **columns)[
         "release"
     ]
 

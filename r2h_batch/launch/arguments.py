@@ -191,7 +191,7 @@ def _written(kernel: Any) -> tuple[tuple[str, Any, bool, tuple[int, ...], torch.
 
 
 def new_struct(
-    kind: Any, n: int, device: Any, given: Mapping[str, Tensor] | None = None, **sizes: int
+    kind: Any, n: int, device: Any, tensors: Mapping[str, Tensor] | None = None, **sizes: int
 ) -> Any:
     """A `kind` (of wp.struct) with memory of `n` rows for each array; there are no numbers in it yet.
 
@@ -202,13 +202,13 @@ def new_struct(
         given: tensors that stand in their arrays' places.
         sizes: of each other array with a second dimension, how large that is.
     """
-    given = given or {}
+    tensors = tensors or {}
     new = {}
     for name, p in _fields(kind):
-        if name not in given and p.array is not None:
+        if name not in tensors and p.array is not None:
             shape = (n, *((sizes[name],) if p.array.ndim > 1 else ()), *p.array.item)
             new[name] = torch.empty(shape, dtype=p.array.torch, device=device)
-    return struct_of(kind, {**new, **given})
+    return struct_of(kind, {**new, **tensors})
 
 
 def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
@@ -385,7 +385,7 @@ def _pack_float(p: Parameter, value: Any, place: Any, rows: int) -> Any:
 
 def _wrong_kind(p: Parameter, value: Any, place: Any) -> TypeError:
     return TypeError(
-        f"kernel {p.kernel}: {_which(p)} is {_given(value)}; the kernel declares {_declared(p, place)}"
+        f"kernel {p.kernel}: {_which(p)} is {_description(value)}; the kernel declares {_declared(p, place)}"
     )
 
 
@@ -393,7 +393,7 @@ def _which(p: Parameter) -> str:
     return f"{'output' if p.written else 'input'} `{p.name}` (parameter {p.label})"
 
 
-def _given(value: Any) -> str:
+def _description(value: Any) -> str:
     if isinstance(value, wp.array):
         whole = "" if value.is_contiguous else "non-contiguous "
         return f"a {whole}wp.array of {_type_name(value.dtype)} with shape {value.shape} on {value.device}"
@@ -430,10 +430,10 @@ def _wrong_names(
         for side in (False, True)
     }
     faults: list[str] = []
-    for side, given in ((False, inputs), (True, outputs)):
+    for side, names in ((False, inputs), (True, outputs)):
         word, other = ("output", "input") if side else ("input", "output")
-        missing = [n for n in wanted[side] if n not in given]
-        for name in given:
+        missing = [n for n in wanted[side] if n not in names]
+        for name in names:
             if name in wanted[side]:
                 continue
             if name in wanted[not side]:

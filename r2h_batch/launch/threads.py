@@ -23,24 +23,24 @@ import torch
 
 from r2h_batch.validate import integer
 
-_asked: ContextVar[int | None] = ContextVar("threads", default=None)
+_threads: ContextVar[int | None] = ContextVar("threads", default=None)
 
 
 @contextmanager
 def on_threads(threads: int | None) -> Iterator[None]:
     """Kernels that this thread of the program launches inside have so many workers; None: one per
     core."""
-    before = _asked.set(threads)
+    before = _threads.set(threads)
     try:
         yield
     finally:
-        _asked.reset(before)
+        _threads.reset(before)
 
 
 def cpu_threads(threads: int | None = None) -> int:
     """The number of worker threads: as given, as `on_threads` says, or one per core this process may
     use."""
-    threads = _asked.get() if threads is None else threads
+    threads = _threads.get() if threads is None else threads
     if threads is not None:
         return integer(1)("threads", threads)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -68,7 +68,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
     os.register_at_fork(after_in_child=_after_fork)
 
 
-_here = threading.local()  # shares: whether this thread is inside `share`
+_of_thread = threading.local()  # shares: whether this thread is inside `share`
 
 
 TURNS, LEAST = 4, 16
@@ -106,7 +106,7 @@ def share(
     A signal's handler may interrupt a thread that holds the pool's locks, and launch: its launches
     are computed by its thread alone.
     """
-    outer = getattr(_here, "shares", False)
+    outer = getattr(_of_thread, "shares", False)
     pieces = _pieces(first, n, workers, chunk)
     busy: set[int] = set()
 
@@ -123,7 +123,7 @@ def share(
 
     futures = []
     try:
-        _here.shares = True
+        _of_thread.shares = True
         for worker in range(1, 1 if outer else workers):
             try:
                 futures.append(thread_pool(workers).submit(help_out, worker))
@@ -137,7 +137,7 @@ def share(
         try:
             _call_back(pieces, busy)
         finally:
-            _here.shares = outer
+            _of_thread.shares = outer
 
 
 def _call_back(pieces: Iterator[tuple[int, int]], busy: set[int]) -> None:

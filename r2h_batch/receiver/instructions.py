@@ -135,7 +135,7 @@ def _understand(
 
 
 def _object(
-    text: str, words: list[str], objects: tuple[ObjectModel, ...], given: int | None
+    text: str, words: list[str], objects: tuple[ObjectModel, ...], expected: int | None
 ) -> int:
     found = _find(words, {o.name: _thing(o).names for o in objects})
     index = {o.name: i for i, o in enumerate(objects)}
@@ -145,12 +145,12 @@ def _object(
         for n in found
         if not any(_is_part(objects[index[m]], n, objects) for m in found if m != n)
     ]
-    if given is not None:
-        if kept and objects[given].name not in kept:
+    if expected is not None:
+        if kept and objects[expected].name not in kept:
             raise InstructionError(
-                f"{text!r} is about {_listed(kept)}, but this trial's object is {objects[given].name}"
+                f"{text!r} is about {_listed(kept)}, but this trial's object is {objects[expected].name}"
             )
-        return given
+        return expected
     if len(kept) == 1:
         return index[kept[0]]
     if len(kept) > 1:

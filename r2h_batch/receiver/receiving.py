@@ -162,14 +162,17 @@ def receiving_digest(grasps: ReceivingGrasps | None = None) -> str:
 
 
 @lru_cache(maxsize=16)
-def _like_own(hand: HandModel) -> bool:
+def _is_built_in_hand(hand: HandModel) -> bool:
     """Whether a hand has the built-in one's skin, to `SAME_M` in `SAME_POSED` postures and shapes:
     the same hand from a file of another layout must not be shown other receiving grasps, which
     other digits of its numbers would make of it."""
-    own = load_hand()
-    if hand is own:
+    built_in = load_hand()
+    if hand is built_in:
         return True
-    if not torch.equal(hand.faces, own.faces) or hand.vertices.shape != own.vertices.shape:
+    if (
+        not torch.equal(hand.faces, built_in.faces)
+        or hand.vertices.shape != built_in.vertices.shape
+    ):
         return False
     rng = np.random.Generator(np.random.Philox(key=13))
     pose, shape = (
@@ -177,16 +180,18 @@ def _like_own(hand: HandModel) -> bool:
     )
     side = torch.arange(SAME_POSED, dtype=torch.int8, device="cpu") % 2
     return bool(
-        (hand.pose(pose, shape, side).vertices - own.pose(pose, shape, side).vertices).abs().max()
+        (hand.pose(pose, shape, side).vertices - built_in.pose(pose, shape, side).vertices)
+        .abs()
+        .max()
         < SAME_M
     )
 
 
 @lru_cache(maxsize=64)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
-    hand = load_hand() if _like_own(hand) else hand
-    if hand is load_hand() and f"{(own := stored_key(model))}/side" in _stored():
-        return _stored_of(str(own))
+    hand = load_hand() if _is_built_in_hand(hand) else hand
+    if hand is load_hand() and f"{(stored := stored_key(model))}/side" in _stored():
+        return _stored_of(str(stored))
 
     def make() -> dict[str, NDArray[Any]]:
         try:

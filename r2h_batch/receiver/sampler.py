@@ -172,9 +172,9 @@ def _try(side: _Side, rng: Any) -> dict[str, NDArray[Any]]:
     rows, flexion = rows[held], flexion[held]
     family, R, p = family[rows], R[rows], p[rows]
     pose, turn = posture(hand, families.turns[family], flexion)
-    own, own_joints = families.skins.posed(family, turn)
-    skin = own @ R.transpose(0, 2, 1) + p[:, None]
-    joints = own_joints @ R.transpose(0, 2, 1) + p[:, None]
+    hand_skin, hand_joints = families.skins.posed(family, turn)
+    skin = hand_skin @ R.transpose(0, 2, 1) + p[:, None]
+    joints = hand_joints @ R.transpose(0, 2, 1) + p[:, None]
     about = field_distance(side.field, skin.reshape(-1, 3)).reshape(skin.shape[:2])
     contact = measure_contact(side.surface, skin, hand=hand, about=about)
     rows = np.flatnonzero(_holds_well(side.model, contact))

@@ -214,17 +214,22 @@ def add_arm(spec: mujoco.MjSpec, robot: Robot, parent: mujoco.MjsBody) -> list[m
     velocity servo. Weight is compensated, as the real controller does, and counts against the
     torque limits.
     """
-    own, bodies = robot.dynamics, [parent.add_body(name=robot.links[0])]
+    dynamics, bodies = robot.dynamics, [parent.add_body(name=robot.links[0])]
     for i in range(len(robot.joints)):
-        link, mass = robot.links[i + 1], float(own.mass[i])
+        link, mass = robot.links[i + 1], float(dynamics.mass[i])
         T = robot.T_parent_joint[i]
-        body = add_body(bodies[-1], link, T, mass, own.com[i], own.inertia[i])
+        body = add_body(bodies[-1], link, T, mass, dynamics.com[i], dynamics.inertia[i])
         torque = float(robot.max_torque[i])
         body.add_joint(
-            name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=own.armature,
+            name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=dynamics.armature,
             range=[robot.lower[i], robot.upper[i]], actfrcrange=[-torque, torque], actgravcomp=True,
         )  # fmt: skip
-        add_servo(spec, robot.joints[i], own.stiffness[i], own.stiffness[i] / own.servo_rate)
+        add_servo(
+            spec,
+            robot.joints[i],
+            dynamics.stiffness[i],
+            dynamics.stiffness[i] / dynamics.servo_rate,
+        )
         bodies.append(body)
     return bodies
 

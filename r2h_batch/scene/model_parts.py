@@ -274,7 +274,7 @@ def _add_finger_geoms(
     at drive angle 0)."""
     # the left finger is the right one turned about the approach axis
     turned = np.diag([-1.0, -1.0, 1.0, 1.0])
-    seen = set()
+    shown = set()
     jaws = robot.linkage.table is not None
     if not jaws:
         body = carriers["fixed", 0][0]
@@ -292,9 +292,9 @@ def _add_finger_geoms(
             add_shown(
                 body, robot.gripper, i, T, name, COLORS["pad" if part == "pad" else "gripper"]
             )
-        if jaws or side == 0 or (part, side) in seen:
+        if jaws or side == 0 or (part, side) in shown:
             continue
-        seen.add((part, side))
+        shown.add((part, side))
         T = np.eye(4)
         T[:3, 3] = part_origin(part)
         T = (turned if side < 0 else np.eye(4)) @ T

@@ -32,11 +32,11 @@ def piece_corners(
 ) -> tuple[Float64[Tensor, "b 3 8 3"], Float64[Tensor, "b 3"]]:
     """Corners (world, m; a segment's ends several times) of the hulls of `PIECES`, and by how much
     each is grown."""
-    given = receiver.double()
-    shoulder, elbow, wrist, middle, half = given[..., :3].unbind(1)
-    facing = torch.stack([given[:, 3, 3], given[:, 4, 3], torch.zeros_like(given[:, 3, 3])], 1)
+    rows = receiver.double()
+    shoulder, elbow, wrist, middle, half = rows[..., :3].unbind(1)
+    facing = torch.stack([rows[:, 3, 3], rows[:, 4, 3], torch.zeros_like(rows[:, 3, 3])], 1)
     aside = torch.stack([-facing[:, 1], facing[:, 0], facing[:, 2]], 1)
-    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, device=given.device).expand_as(facing)
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, device=rows.device).expand_as(facing)
     corners = []
     for k in range(8):
         signs = [1.0 if (k >> j) & 1 else -1.0 for j in range(3)]
@@ -46,7 +46,7 @@ def piece_corners(
         ]
         corners.append(middle + steps[0] + steps[1] + steps[2])
     limbs = [torch.stack([a, b] * 4, 1) for a, b in ((elbow, wrist), (shoulder, elbow))]
-    grown = torch.stack([given[:, 1, 3], given[:, 0, 3], torch.zeros_like(given[:, 0, 3])], 1)
+    grown = torch.stack([rows[:, 1, 3], rows[:, 0, 3], torch.zeros_like(rows[:, 0, 3])], 1)
     return torch.stack([*limbs, torch.stack(corners, 1)], 1), grown
 
 
@@ -89,8 +89,8 @@ def with_person(
         tables["piece_start"] = first + len(base)
         points = torch.cat([base, blocks])
     if hand:
-        own = {name: _of_hands(scene, name, body_poses.hand_index) for name in tables}
-        tables = {name: torch.cat([own[name], tables[name]], 1) for name in tables}
+        of_hands = {name: _of_hands(scene, name, body_poses.hand_index) for name in tables}
+        tables = {name: torch.cat([of_hands[name], tables[name]], 1) for name in tables}
     else:
         world.table_from = world.n_robot
         # no pair of links and no hull; torch makes them, so that a captured call may

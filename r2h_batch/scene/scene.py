@@ -398,10 +398,10 @@ class Scene:
             rows: (R,) int64, rows of them.
             opening_m: (R,) float32, gap between the pads.
         """
-        own = tuple(x[rows] for x in body_poses.owners)
+        tensors = tuple(x[rows] for x in body_poses.owners)
         T = torch.eye(4, dtype=torch.float32, device=opening_m.device).repeat(len(opening_m), 1, 1)
-        moved = self.body_poses(own[0], own[1], T, own[9], opening_m).owners
-        return self._of_owners((*own[:4], *moved[4:6], *own[6:10], moved[10]))
+        moved = self.body_poses(tensors[0], tensors[1], T, tensors[9], opening_m).owners
+        return self._of_owners((*tensors[:4], *moved[4:6], *tensors[6:10], moved[10]))
 
     def _of_owners(self, owners: tuple[Tensor, ...]) -> "BodyPoses":
         """Objects, hands, `PLACED`, T_world_hand and opening as `BodyPoses`."""

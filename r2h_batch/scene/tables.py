@@ -20,7 +20,7 @@ from r2h_batch.bodies.hand import HandModel, HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Kind, Robot, corners_of
 from r2h_batch.config import Workplace
-from r2h_batch.kernels.geometry.body import BLOCKS
+from r2h_batch.kernels.geometry.shape import BLOCKS
 from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, MAX_OBSTACLES
 from r2h_batch.kernels.robot.world import World
 from r2h_batch.launch.instances import of_joints
@@ -80,7 +80,7 @@ class Hands:
 
     @cached_property
     def blocks(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """The same points in blocks (kernels/geometry/body.py, BLOCKS), and where each piece
+        """The same points in blocks (kernels/geometry/shape.py, BLOCKS), and where each piece
         starts."""
         points, start = self.points
         blocks = [bounds.point_blocks(points[a:b]) for a, b in pairwise(start)]
@@ -280,7 +280,7 @@ class WorldTables:
 
     @cached_property
     def _object_cells(self) -> list[NDArray[np.float32]]:
-        """The same hulls with their points sorted by direction (kernels/geometry/body.py,
+        """The same hulls with their points sorted by direction (kernels/geometry/shape.py,
         CELLS)."""
         points, _, start = self._object_points
         return [

@@ -59,18 +59,18 @@ class Captured:
     ) -> Scores:
         """`scores` of the b rows; poses (b, 4, 4) float32."""
         with torch.no_grad():
-            for name, own, given in (
+            for name, kept, new_value in (
                 ("T_obj_ee", self.T_obj_ee, T_obj_ee),
                 ("T_world_ee", self.T_world_ee, T_world_ee),
             ):
-                if given is not None:
-                    _copy(name, own, given)
+                if new_value is not None:
+                    _copy(name, kept, new_value)
             if trials is not None:
                 instance_of(Trials)("trials", trials)
                 for f in fields(Trials):
                     # the receiver's body decides nothing
-                    if (own := getattr(self.trials, f.name)) is not None:
-                        _copy(f"trials.{f.name}", own, getattr(trials, f.name))
+                    if (kept := getattr(self.trials, f.name)) is not None:
+                        _copy(f"trials.{f.name}", kept, getattr(trials, f.name))
             if self._graph is not None:
                 self._graph.replay()
             else:
@@ -83,11 +83,11 @@ class Captured:
         return self._score(self.T_obj_ee, self.T_world_ee, self.trials)
 
 
-def _copy(name: str, own: Tensor, given: Tensor) -> None:
-    check_tensor(name, given, f"a torch tensor {tuple(own.shape)} of {own.dtype}")
-    if given.shape != own.shape or given.dtype != own.dtype or given.device != own.device:
+def _copy(name: str, kept: Tensor, value: Tensor) -> None:
+    check_tensor(name, value, f"a torch tensor {tuple(kept.shape)} of {kept.dtype}")
+    if value.shape != kept.shape or value.dtype != kept.dtype or value.device != kept.device:
         raise ValueError(
-            f"{name} is {given.dtype} {tuple(given.shape)} on {given.device}; "
-            f"this call was captured for {own.dtype} {tuple(own.shape)} on {own.device}"
+            f"{name} is {value.dtype} {tuple(value.shape)} on {value.device}; "
+            f"this call was captured for {kept.dtype} {tuple(kept.shape)} on {kept.device}"
         )
-    own.copy_(given)
+    kept.copy_(value)

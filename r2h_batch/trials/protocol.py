@@ -185,23 +185,23 @@ def trials_with_ids(
     one_of(*PROTOCOLS)("protocol", protocol)
     optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
     optional(instance_of(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
-    with_body, own = protocol == PROTOCOLS[1], built_in(protocol)
-    objects = own.objects if objects is None else checked_objects(objects)
-    robot = own.robot if robot is None else robot
-    config = own.config() if config is None else config
-    hands = _hands(own.hand_set if hand_set is None else hand_set)
+    with_people, defaults = protocol == PROTOCOLS[1], built_in(protocol)
+    objects = defaults.objects if objects is None else checked_objects(objects)
+    robot = defaults.robot if robot is None else robot
+    config = defaults.config() if config is None else config
+    hands = _hands(defaults.hand_set if hand_set is None else hand_set)
     offset = np.zeros((len(objects), 3))
     if protocol == RELEASE:
         offset = np.array([palms.reference_offset(o) for o in objects])
     object_index, side = assign_objects(ids, [o.split for o in objects])
     hand_index = np.zeros(len(ids), np.int64)
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
-    receiver = np.zeros((len(ids) if with_body else 0, 5, 4), np.float32)
+    receiver = np.zeros((len(ids) if with_people else 0, 5, 4), np.float32)
     for first in range(0, len(ids), _ROWS):
         rows = slice(first, first + _ROWS)
         hand_index[rows] = assign_hands(ids[rows], side[rows], hands.side, protocol)
         try:
-            if with_body:
+            if with_people:
                 T_world_hand[rows], receiver[rows] = _draw_people(
                     ids[rows], hand_index[rows], hands, robot, config, protocol
                 )
@@ -221,7 +221,7 @@ def trials_with_ids(
         object_index=torch.from_numpy(object_index.astype(np.int32)),
         hand_index=torch.from_numpy(hand_index.astype(np.int32)),
         T_world_hand=torch.from_numpy(T_world_hand),
-        receiver=torch.from_numpy(receiver) if with_body else None,
+        receiver=torch.from_numpy(receiver) if with_people else None,
     ).named(objects)
 
 
@@ -375,16 +375,16 @@ def _draw_people(
         # of those recorded with a body the arm is the one that can have them
         if hands.in_body is not None:
             in_body = hands.in_body[hand]
-            own = recorded.recorded_in_world(people.facing, np.nan_to_num(in_body))
+            recorded_hand = recorded.recorded_in_world(people.facing, np.nan_to_num(in_body))
             has_arm = np.isfinite(in_body[:, 0, 3:]).any(1)
             with_arm = has_arm & (number < recorded.GIVEN_UP)
             until = recorded.GIVEN_UP * np.where(has_arm, 2, 1)
             known = np.isfinite(in_body[:, 0, 0]) & (number < until)
-            R = np.where(known[:, None, None], own[:, :, :3], R)
+            R = np.where(known[:, None, None], recorded_hand[:, :, :3], R)
             palm = np.where(known[:, None], se3.rotate(R, n), palm)
             can = recorded.arm_can(people, hands.side[hand], se3.rotate(R, a), palm)
             placed = ~known | with_arm | can
-            people = recorded.with_arms(people, own[:, :, 3:], with_arm)
+            people = recorded.with_arms(people, recorded_hand[:, :, 3:], with_arm)
         center = (
             people.wrist
             + se3.rotate(R, hands.palm_point[hand] - hands.wrist[hand])
@@ -471,9 +471,9 @@ def _hand_is_clear(
     )
     low, high = low - TABLE_ROOM_M, high + TABLE_ROOM_M
     segments = [(tcp, tcp), *ends]
-    bodies = [from_box(low, high, center), *(from_segment(a, b, center) for a, b in segments)]
+    squared = [from_box(low, high, center), *(from_segment(a, b, center) for a, b in segments)]
     room = np.array([0.0, TCP_ROOM_M, *(radius + ROBOT_ROOM_M)])
-    near = np.stack(bodies, 1) < (room + hands.radius[hand][:, None]) ** 2
+    near = np.stack(squared, 1) < (room + hands.radius[hand][:, None]) ** 2
     clear = np.ones(len(hand), bool)
     for k in range(near.shape[1]):
         rows = np.flatnonzero(near[:, k] & clear)

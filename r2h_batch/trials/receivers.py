@@ -186,12 +186,12 @@ def propose(u: Array, v: Array, side: NDArray[np.int64], table_edge_m: float) ->
     s_el, c_el = sine_cosine(_between(v[5], *DOWN_DEG))
     to_wrist = (c_el * c_az)[:, None] * forward + (c_el * s_az)[:, None] * out - s_el[:, None] * up
     along = (upper * upper - lower * lower + reach * reach) / (2.0 * reach)
-    beside = np.sqrt(np.maximum(upper * upper - along * along, 0.0))
+    offset = np.sqrt(np.maximum(upper * upper - along * along, 0.0))
     hanging = _unit(-up - se3.dot(-up, to_wrist)[:, None] * to_wrist)
     aside = outwards[:, None] * np.cross(to_wrist, hanging)
     s_sw, c_sw = sine_cosine(_between(v[6], *SWIVEL_DEG))
     elbow_way = c_sw[:, None] * hanging + s_sw[:, None] * aside
-    elbow = shoulder + along[:, None] * to_wrist + beside[:, None] * elbow_way
+    elbow = shoulder + along[:, None] * to_wrist + offset[:, None] * elbow_way
     wrist = shoulder + reach[:, None] * to_wrist
 
     hand, palm = _hand_axes(shoulder, elbow, wrist, outwards, v[7:])
@@ -216,8 +216,8 @@ def _lengths(woman: NDArray[np.bool_], u: Array) -> dict[str, Array]:
     out = {}
     for (name, row), part in zip(LENGTHS_MM.items(), u[1:], strict=True):
         mean, sd, r = (np.where(woman, row[3 + k], row[k]) for k in range(3))
-        own = normal_quantile(low + (high - low) * part)
-        z = np.clip(r * stature + np.sqrt(1.0 - r * r) * own, -most, most)
+        independent = normal_quantile(low + (high - low) * part)
+        z = np.clip(r * stature + np.sqrt(1.0 - r * r) * independent, -most, most)
         out[name] = 0.001 * (mean + sd * z)
     return out
 

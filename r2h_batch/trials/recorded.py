@@ -26,11 +26,11 @@ GIVEN_UP = 4000
 grasp from above show no palm to robot or sky."""
 
 
-def recorded_in_world(facing: Array, R_body_hand: Array) -> Array:
+def recorded_in_world(facing: Array, R_person_hand: Array) -> Array:
     """(n, 3, k) rotations of hands, or vectors, in the world, of bodies that stand upright and face
     (n, 2)."""
     x, y = facing[:, 0, None], facing[:, 1, None]
-    ahead, aside, up = R_body_hand[:, 0], R_body_hand[:, 1], R_body_hand[:, 2]
+    ahead, aside, up = R_person_hand[:, 0], R_person_hand[:, 1], R_person_hand[:, 2]
     return np.stack([x * ahead - y * aside, y * ahead + x * aside, up], 1)
 
 

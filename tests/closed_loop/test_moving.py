@@ -81,7 +81,7 @@ def test_hands_stand_until_they_leave_reaching_hands_begin_before_the_body_and_p
     assert torch.equal(moves.pose(2.0), moves.pose(0.0)) and not torch.equal(moves.pose(8.0), moves.pose(0.0))
     reaches = MovingHands.of(scene, trials, ReceiverMotion("reaches"))
     assert torch.allclose(reaches.pose(99.0), moves.pose(99.0), atol=1e-5)  # the same place in the end
-    body = reaches.body(reaches.pose(0.0))
+    body = reaches.people(reaches.pose(0.0))
     lengths = [(trials.receiver[:, k + 1, :3] - trials.receiver[:, k, :3]).norm(dim=1) for k in (0, 1)]
     ahead = torch.stack([trials.receiver[:, 3, 3], trials.receiver[:, 4, 3], torch.zeros(len(trials))], 1)
     level = trials.receiver[:, 0, :3] + lengths[1][:, None] * ahead
@@ -120,11 +120,11 @@ def test_elbows_are_those_from_which_persons_are_drawn_and_arms_keep_their_lengt
     elbow = elbow_of(receiver, torch.from_numpy(b.wrist), out)
     assert np.abs(elbow.numpy() - b.elbow).max() < 1e-9 and np.abs(a.wrist - b.wrist).max() > 0.3
     hands = MovingHands.of(scene, trials, ReceiverMotion("moves", 0.3))
-    waiting, moved = trials.receiver.double(), hands.body(hands.pose(99.0)).double()
+    waiting, moved = trials.receiver.double(), hands.people(hands.pose(99.0)).double()
     for i, j in ((0, 1), (1, 2)):
         old, new = ((x[:, j, :3] - x[:, i, :3]).norm(dim=1) for x in (waiting, moved))
         assert (old - new).abs().max() < 1e-5
-    assert (hands.body(hands.pose(0.0)) - trials.receiver).abs().max() < 1e-4
+    assert (hands.people(hands.pose(0.0)) - trials.receiver).abs().max() < 1e-4
 
 
 def test_an_imported_motion_ends_at_the_trials_pose_and_goes_as_it_was_recorded(tmp_path, scene):

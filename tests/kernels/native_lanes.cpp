@@ -34,7 +34,7 @@ extern "C" void ask(int rows, float half_x, float half_z, float reach, const flo
         found[4] = r2h::boxes_near(a, n, R, t, reach, low, high, 5, near);
         found[5] = r2h::points_near(a, n, R, t, reach, low, high, 5, near + 8);
         found[6] = r2h::triangles_near(b, n, R, t, high[2], reach);
-        found[7] = (int)r2h::balls_beside(center, radius, balls, low[0], high[0], t.c[1] * t.c[1], reach);
+        found[7] = (int)r2h::balls_within(center, radius, balls, low[0], high[0], t.c[1] * t.c[1], reach);
         wp::vec3 p = r2h::lane_point(b + 24, r2h::first_lane(1 << (i % 8)));
         found[8] = p.c[2] == b[40 + i % 8];
     }

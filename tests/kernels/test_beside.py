@@ -6,8 +6,8 @@ import torch
 import warp as wp
 from convex_twin import point_to_segment
 
-from r2h_batch.kernels.geometry.balls import balls_in_reach, capsules_beside
-from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, SPHERE
+from r2h_batch.kernels.geometry.balls import balls_in_reach, capsules_within
+from r2h_batch.kernels.geometry.shape import BOX, CAPSULE, CYLINDER, SPHERE
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.launch import launch_trials
 
@@ -24,7 +24,7 @@ def _capsules(
     low_out: wp.array(dtype=int), high_out: wp.array(dtype=int),
 ):  # fmt: skip
     i = first + wp.tid()
-    bits = capsules_beside(end0_in, end1_in, radius_in, count, c0_in[i], c1_in[i], around_in[i], reach)
+    bits = capsules_within(end0_in, end1_in, radius_in, count, c0_in[i], c1_in[i], around_in[i], reach)
     low_out[i] = int(bits & wp.uint64(0xFFFFFFFF))
     high_out[i] = int(bits >> wp.uint64(32))
 

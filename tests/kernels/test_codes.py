@@ -6,7 +6,7 @@ import pytest
 
 from r2h_batch.bodies import bounds
 from r2h_batch.bodies.robot import MOTIONS
-from r2h_batch.kernels.geometry import body
+from r2h_batch.kernels.geometry import shape
 from r2h_batch.kernels.plan import codes
 from r2h_batch.kernels.robot import gripper
 from r2h_batch.types import CollidingPair, PlanReason
@@ -38,5 +38,5 @@ def test_parts_of_a_gripper_move_by_the_same_numbers() -> None:
 
 
 def test_hulls_are_sorted_into_as_many_cells_and_cut_into_as_large_blocks_as_are_read() -> None:
-    assert bounds.CELLS_PER_EDGE == body.CELLS_PER_EDGE
-    assert bounds.BLOCK_POINTS == body.BLOCK_POINTS
+    assert bounds.CELLS_PER_EDGE == shape.CELLS_PER_EDGE
+    assert bounds.BLOCK_POINTS == shape.BLOCK_POINTS

@@ -6,8 +6,8 @@ from convex_twin import core_of, penetration_depth
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.robot import Kind
-from r2h_batch.kernels.geometry.body import Body
 from r2h_batch.kernels.geometry.depth import core_depth
+from r2h_batch.kernels.geometry.shape import Shape
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.launch import init_warp, launch
 
@@ -22,8 +22,8 @@ def depths(
     R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), points: wp.array(dtype=wp.vec3), depth_out: wp.array(dtype=float),
 ):  # fmt: skip
     i = wp.tid()
-    a = Body()
-    b = Body()
+    a = Shape()
+    b = Shape()
     a.kind = kind[i, 0]
     a.size = size[i, 0]
     a.start = start[i, 0]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies import bounds
 from r2h_batch.bodies.objects import OBJECT_NAMES, load_objects
 from r2h_batch.bodies.robot import Kind
-from r2h_batch.kernels.geometry import body as shapes
+from r2h_batch.kernels.geometry import shape as shapes
 from r2h_batch.kernels.geometry import gjk as kernel
 from r2h_batch.kernels.geometry.closest import from_point, from_segment
 from r2h_batch.kernels.options import OPTIONS
@@ -26,7 +26,7 @@ ABOVE_TRUTH_M = 1e-7
 
 @wp.func
 def _body(kind: wp.array(dtype=int), size: wp.array(dtype=wp.vec3), start: wp.array(dtype=int), i: int):
-    b = shapes.Body()
+    b = shapes.Shape()
     b.kind = kind[i]
     b.size = size[i]
     b.start = start[i]
@@ -247,7 +247,7 @@ def farthest(
     cells: int, points: wp.array(dtype=wp.vec3), count: int, d: wp.array(dtype=wp.vec3), height_out: wp.array(dtype=float)
 ):  # fmt: skip
     i = wp.tid()
-    b = shapes.Body()
+    b = shapes.Shape()
     b.kind = wp.where(cells == 1, shapes.CELLS, shapes.HULL)
     b.count = count
     height_out[i] = wp.dot(shapes.support(b, points, d[i]), d[i])

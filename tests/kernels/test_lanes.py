@@ -12,7 +12,7 @@ import torch
 import warp as wp
 from needs import needs
 
-from r2h_batch.kernels.geometry.balls import balls_beside
+from r2h_batch.kernels.geometry.balls import balls_within
 from r2h_batch.kernels.geometry.lanes import (
     LEAF_ROWS,
     TRIANGLE_ROWS,
@@ -79,7 +79,7 @@ def _ask(
     for k in range(8):
         near_out[i, 1, k] = near[k]
     found_out[i, 6] = triangles_near(triangle_in, b, n, R, t, high_in[2], reach)
-    beside = balls_beside(
+    beside = balls_within(
         center_in, radius_in, 0, center_in.shape[0], low_in[0], high_in[0], t[1] * t[1], reach
     )  # fmt: skip
     found_out[i, 7] = int(beside)

@@ -5,10 +5,10 @@ import pytest
 import torch
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import swept_support
+from r2h_batch.kernels.geometry.shape import swept_support
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.joints import CHANGES, FIELDS, vecq
-from r2h_batch.kernels.robot.world import World, acceleration_seen_along, bends, forward_kinematics, robot_body, twists
+from r2h_batch.kernels.robot.world import World, bends, forward_kinematics, relative_acceleration, robot_shape, twists
 from r2h_batch.launch import launch_trials
 
 wp.set_module_options(OPTIONS)
@@ -40,10 +40,10 @@ def bound_and_samples(
     eye = wp.identity(n=3, dtype=float)
     forward_kinematics(world, eye, wp.vec3(0.0, 0.0, 0.0), q, R, p)
     twists(d, R, p, w, v)
-    shape = robot_body(world, b)
+    shape = robot_shape(world, b)
     n = R[o] * n_in[row]
     second, third = bends(world.motion_radius, b, o, d)
-    g, c = acceleration_seen_along(n, w[k], v[k], w[CHANGES + k], v[CHANGES + k], o, w, v)
+    g, c = relative_acceleration(n, w[k], v[k], w[CHANGES + k], v[CHANGES + k], o, w, v)
     low = swept_support(
         shape, R[k] * world.body_R[b], R[k] * world.body_p[b] + p[k], world.points, n, w[k] - w[o], v[k] - v[o], g, c,
         second, third,

@@ -114,9 +114,9 @@ class Levels:
         ways: dict[str, Any] = {"device": self.device, "threads": 1, "uneven": True}
         launch_trials(kernel, n, inputs=taken, outputs=outputs or {}, **ways)
 
-    def new(self, kind: Any, n: int, given: dict[str, Tensor] | None = None, **sizes: int) -> Any:
+    def new(self, kind: Any, n: int, tensors: dict[str, Tensor] | None = None, **sizes: int) -> Any:
         """A struct of the kernels, with room for `n` entries (`new_struct`)."""
-        return new_struct(self._sized(kind), n, self.device, given, **sizes)
+        return new_struct(self._sized(kind), n, self.device, tensors, **sizes)
 
     def new_frames(self, n: int) -> Any:
         """Room for the link frames of n intervals."""
@@ -171,7 +171,7 @@ class Frontier(Levels):
         bodies = int(queues.KINDS) * BODIES_PER_INTERVAL * n
         return {
             "frames": self.new_frames(n),
-            "queue_bodies": self.new(queues.Bodies, bodies),
+            "body_queue": self.new(queues.BodyQueue, bodies),
             "pairs": self.new(queues.Pairs, PAIRS_PER_INTERVAL * n),
             "lanes": self.lanes,
         }
@@ -286,8 +286,8 @@ class Frontier(Levels):
             tensors = {
                 k: torch.cat([x, x.new_empty((more, *x.shape[1:]))]) for k, x in tensors.items()
             }
-        given = {k: x.contiguous() for k, x in tensors.items()} | {"found": found}
-        return self.new(queues.Edges, len(given["trial"]), given)
+        columns = {k: x.contiguous() for k, x in tensors.items()} | {"found": found}
+        return self.new(queues.Edges, len(columns["trial"]), columns)
 
     def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
         """Queues the edges in use, and runs all levels that they may need."""

@@ -62,7 +62,7 @@ class SafeFrontier(levels.Levels):
         return {
             "nearest": self.new(safe_queues.Nearest, self._rows),
             "frames": self.new_frames(n),
-            "queue_bodies": self.new(safe_queues.Bodies, PER_INTERVAL["bodies"] * n),
+            "body_queue": self.new(safe_queues.BodyQueue, PER_INTERVAL["bodies"] * n),
             "pieces": self.new(safe_queues.Pieces, PER_INTERVAL["pieces"] * n),
             "sets": self.new(safe_queues.Sets, PER_INTERVAL["sets"] * n),
             "faces": self.new(safe_queues.Faces, PER_INTERVAL["faces"] * n),
