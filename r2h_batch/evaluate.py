@@ -561,7 +561,7 @@ class Evaluator:
         length: Tensor,
         rows: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where
+        """How near the robot comes to the receiver's arm and torso, and which of its bodies; NaN and -1 where
         there is none. `rows`: the trials of the paths, where these are not all."""
         if trials.receiver is not None:
             receiver = trials.receiver if rows is None else trials.receiver[rows]

@@ -56,8 +56,18 @@ def uniforms(
     purpose: int,
     attempt: int | NDArray[np.int64] = 0,
 ) -> Array:
-    """(count, n) numbers in (0, 1), the midpoints of 2^32 cells; counter = id (64 bits), attempt,
-    purpose and block."""
+    """Numbers in (0, 1), the midpoints of 2^32 cells.
+
+    Args:
+        key: of `key_of`.
+        ids: (n,) first 64 bits of the counter.
+        count: numbers of each id.
+        purpose: separates the draws of one id.
+        attempt: one number, or (n,).
+
+    Returns:
+        (count, n) float64.
+    """
     n, blocks = len(ids), -(-count // 4)
     words = ids.astype(np.uint64)
     counter = np.empty((4, blocks, n), np.uint64)
@@ -69,13 +79,24 @@ def uniforms(
 
 
 def choice(u: Array, count: int | NDArray[np.int64]) -> NDArray[np.int64]:
-    """Indices 0 to count - 1, equally likely, from uniform numbers."""
+    """Indices 0 to count - 1, equally likely.
+
+    Args:
+        u: uniform numbers in (0, 1).
+        count: one number, or one for each of u.
+    """
     return (u * count).astype(np.int64)
 
 
 def rotation(u: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Rotation matrices (n, 3, 3) uniform on SO(3) from u (4, n), where accepted (62 %): Marsaglia
-    (1972)."""
+    """Rotations uniform on SO(3), where accepted (62 %): Marsaglia (1972).
+
+    Args:
+        u: (4, n) uniform numbers.
+
+    Returns:
+        (n,) whether accepted, and (n, 3, 3).
+    """
     a, b, c, d = 2.0 * u - 1.0
     s, t = a * a + b * b, c * c + d * d
     inside = (s < 1.0) & (t < 1.0)

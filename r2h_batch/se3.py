@@ -22,12 +22,25 @@ Array = TypeVar("Array", Tensor, NDArray[np.float64])
 
 
 def dot(a: Array, b: Array) -> Array:
-    """a . b of vectors (..., 3), torch or numpy, term by term."""
+    """a . b, term by term.
+
+    Args:
+        a: (..., 3) vectors, torch or numpy.
+        b: (..., 3), in the same frame.
+
+    Returns:
+        (...).
+    """
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
 def cross(a: Float[Tensor, "*#b 3"], b: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3"]:
-    """a x b, term by term."""
+    """a x b, term by term.
+
+    Args:
+        a: (..., 3) vectors.
+        b: (..., 3), in the same frame.
+    """
     return torch.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
@@ -39,13 +52,29 @@ def cross(a: Float[Tensor, "*#b 3"], b: Float[Tensor, "*#b 3"]) -> Float[Tensor,
 
 
 def rotate(R: Array, v: Array) -> Array:
-    """R @ v of rotations (..., 3, 3) and vectors (..., 3), torch or numpy, term by term."""
+    """R v, term by term.
+
+    Args:
+        R: (..., 3, 3) `R_a_b`, torch or numpy.
+        v: (..., 3) vectors in frame b.
+
+    Returns:
+        (..., 3) in frame a.
+    """
     return R[..., 0] * v[..., 0, None] + R[..., 1] * v[..., 1, None] + R[..., 2] * v[..., 2, None]
 
 
 def matmul(a: Float[Tensor, "*#b n n"], b: Float[Tensor, "*#b n n"]) -> Float[Tensor, "*b n n"]:
     """`a @ b` row by row: a torch matmul may round a row differently at another batch size, this
-    cannot."""
+    cannot.
+
+    Args:
+        a: (..., n, n) `T_a_b`, or any square matrices.
+        b: (..., n, n) `T_b_c`.
+
+    Returns:
+        (..., n, n) `T_a_c`.
+    """
     total = a[..., :, 0, None] * b[..., None, 0, :]
     for k in range(1, a.shape[-1]):
         total = total + a[..., :, k, None] * b[..., None, k, :]
@@ -53,7 +82,15 @@ def matmul(a: Float[Tensor, "*#b n n"], b: Float[Tensor, "*#b n n"]) -> Float[Te
 
 
 def apply(T: Float[Tensor, "*#b 4 4"], p: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3"]:
-    """The points `T @ p`, one per transform."""
+    """One point by each transform.
+
+    Args:
+        T: (..., 4, 4) `T_a_b`, m.
+        p: (..., 3) points in frame b, m.
+
+    Returns:
+        (..., 3) in frame a, m.
+    """
     return (
         T[..., :3, 0] * p[..., 0, None]
         + T[..., :3, 1] * p[..., 1, None]
@@ -63,7 +100,14 @@ def apply(T: Float[Tensor, "*#b 4 4"], p: Float[Tensor, "*#b 3"]) -> Float[Tenso
 
 
 def inverse(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
-    """The inverse of rigid transforms."""
+    """The inverse of rigid transforms.
+
+    Args:
+        T: (..., 4, 4) `T_a_b`, m.
+
+    Returns:
+        (..., 4, 4) `T_b_a`.
+    """
     out = torch.zeros_like(T)
     R_t = T[..., :3, :3].transpose(-1, -2)
     t = T[..., :3, 3]
@@ -78,22 +122,44 @@ def inverse(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
 
 
 def translation(p: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 4 4"]:
-    """Transforms that only move by `p`."""
+    """Transforms that only move.
+
+    Args:
+        p: (..., 3), m.
+
+    Returns:
+        (..., 4, 4), of the dtype of `p`.
+    """
     T = torch.eye(4, dtype=p.dtype, device=p.device).expand(*p.shape[:-1], 4, 4).clone()
     T[..., :3, 3] = p
     return T
 
 
 def from_rotation(R: Float[Tensor, "*b 3 3"], p: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 4 4"]:
-    """Transforms from rotation matrices and origins."""
+    """Transforms from rotations and origins.
+
+    Args:
+        R: (..., 3, 3) `R_a_b`.
+        p: (..., 3) origin of b in frame a, m.
+
+    Returns:
+        (..., 4, 4) `T_a_b`.
+    """
     T = translation(p)
     T[..., :3, :3] = R
     return T
 
 
 def is_pose(T: Float[Tensor, "*b 4 4"]) -> Bool[Tensor, "*b"]:
-    """True for finite rigid transforms: R R^T = I within 1e-3, det R > 0, bottom row (0, 0, 0,
-    1)."""
+    """Whether transforms are rigid: finite, R R^T = I within 1e-3, det R > 0, bottom row (0, 0, 0, 1),
+    within a kilometre.
+
+    Args:
+        T: (..., 4, 4), m.
+
+    Returns:
+        (...) bool.
+    """
     finite = torch.isfinite(T).all(-1).all(-1)
     safe = torch.where(finite[..., None, None], T, torch.zeros_like(T))
     x, y, z = safe[..., :3, 0], safe[..., :3, 1], safe[..., :3, 2]
@@ -117,8 +183,11 @@ def is_pose(T: Float[Tensor, "*b 4 4"]) -> Bool[Tensor, "*b"]:
 
 
 def orthonormalise(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
-    """`T` with its z axis kept in direction and x, y made exactly orthonormal (Gram-Schmidt z, y,
-    x; row by row)."""
+    """Exact rotations by Gram-Schmidt, row by row: z keeps its direction, then y, then x.
+
+    Args:
+        T: (..., 4, 4) poses, m, whose axes are nearly orthonormal (`is_pose`).
+    """
     _, y, z, p = T[..., :3, :].unbind(-1)
     z = z / _length(z)
     y = y - z * (y * z).sum(-1, keepdim=True)

@@ -84,7 +84,7 @@ class _Rows:
             ) from None
         every: list[Tensor] = []
 
-        def seen(value: Tensor) -> Tensor:
+        def collect(value: Tensor) -> Tensor:
             every.append(value)
             return value
 
@@ -135,7 +135,7 @@ class Trials(_Rows):
         object_index: row of `Scene.objects`.
         hand_index: row of the hand set, `Scene.hands`.
         T_world_hand: pose of the hand in the world, m.
-        receiver: the receiver's body where the protocol gives hands one: rows (x, y, z, w) in the
+        receiver: the receiver's arm and torso where the protocol gives hands some: rows (x, y, z, w) in the
             world, m. Shoulder with the upper arm's radius w; elbow with the forearm's; wrist; middle
             of the torso box; its half sizes along its facing, sideways and up. In the last two rows
             w is x and y of the unit vector that the torso faces. Verdicts depend on it with
@@ -283,7 +283,7 @@ class Scores(_Rows):
         failed_state: qpos and qvel of the simulator when it failed; width 0 where none did, NaN in
             the other rows.
         body_m: distance of the robot to the receiver's arm and torso, m, exact below 5 cm; negative:
-            a bound of their overlap; NaN without a body or a motion. Verdicts depend on it with
+            a bound of their overlap; NaN without these or a motion. Verdicts depend on it with
             `EvalConfig.receiver = "body"` alone.
     """
 

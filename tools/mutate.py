@@ -168,8 +168,8 @@ MUTATIONS = (
     Mutation(
         "trials: objects of the other split",
         "r2h_batch/schedule.py",
-        "own = (ids & 1) == k",
-        "own = (ids & 1) != k",
+        "of_split = (ids & 1) == k",
+        "of_split = (ids & 1) != k",
         ("tests/trials/test_trials.py::test_objects_alternate_and_every_object_meets_both_hands_alike",),
     ),
     Mutation(

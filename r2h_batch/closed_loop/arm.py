@@ -26,8 +26,16 @@ def _links(robot: Robot, device: torch.device) -> tuple[Tensor, Tensor]:
 def ee_and_jacobian(
     robot: Robot, q: Float[Tensor, "b n"]
 ) -> tuple[Float64[Tensor, "b 4 4"], Float64[Tensor, "b 6 n"]]:
-    """T_world_ee, and how the ee's place (m) and turn (rad), world axes, change with the joints; the same
-    bits at any batch size."""
+    """The ee's pose and Jacobian; the same bits at any batch size.
+
+    Args:
+        robot: the arm.
+        q: (B, J) joint angles, rad.
+
+    Returns:
+        T_world_ee (B, 4, 4), m; (B, 6, J) how the ee's place (m) and turn (rad), world axes, change with
+        the joints.
+    """
     links, tool = _links(robot, q.device)
     turns = torch.zeros((*q.shape, 3), dtype=torch.float64, device=q.device)
     turns[..., 2] = q.double()
@@ -47,7 +55,15 @@ def ee_and_jacobian(
 def joint_speeds(
     jacobian: Float64[Tensor, "b 6 n"], twist: Float64[Tensor, "b 6"]
 ) -> Float64[Tensor, "b n"]:
-    """Joint speeds (rad/s) that come near to a twist (m/s, rad/s), by damped least squares."""
+    """Joint speeds that come near to a twist, by damped least squares.
+
+    Args:
+        jacobian: (B, 6, J) of `ee_and_jacobian`.
+        twist: (B, 6) m/s and rad/s, world axes.
+
+    Returns:
+        (B, J) rad/s.
+    """
     A = DAMPING**2 * torch.eye(6, dtype=torch.float64, device=twist.device)
     for column in jacobian.unbind(2):  # in a fixed order
         A = A + column[:, :, None] * column[:, None, :]

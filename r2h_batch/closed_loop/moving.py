@@ -27,7 +27,7 @@ from r2h_batch.types import Trials
 
 KINDS = ("still", "moves", "reaches", "hesitates", "withdraws", "takes", "replay")
 """still: stands at the trial's pose. moves: leaves it for another. reaches: comes to that other pose from
-before the body. hesitates: reaches, and pauses at `PAUSE_AT` of the way. withdraws: moves, draws back from a
+before the chest. hesitates: reaches, and pauses at `PAUSE_AT` of the way. withdraws: moves, draws back from a
 near robot and returns. takes: moves, and goes to its easiest grasp (`judge.reception`) once the object is
 held out. replay: an imported motion that ends at the trial's pose."""
 
@@ -240,7 +240,7 @@ class MovingHands:
         """The hands of these trials.
 
         Raises:
-            ValueError: hands that reach need a receiver's body (r2h-v1); an imported motion must be that
+            ValueError: hands that reach need a receiver's arm (r2h-v1); an imported motion must be that
                 of the scene's hands.
         """
         if trials.receiver is None and motion.kind in ("reaches", "hesitates", "takes"):

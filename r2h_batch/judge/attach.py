@@ -53,7 +53,15 @@ def attach_object(
     config: EvalConfig,
 ) -> AttachedBatch:
     """B trials with the gripper closed on the object; rows with a pose that is none, or an unknown
-    object or hand, are not active."""
+    object or hand, are not active.
+
+    Args:
+        scene: robot, objects and hands.
+        T_obj_ee: (B, 4, 4) float32 grasps, m.
+        T_world_ee: (B, 4, 4) float32 handover poses, m.
+        trials: B trials.
+        config: limits, and what the planner sees of the person.
+    """
     poses = [
         (T.detach() if T.requires_grad else T).contiguous()
         for T in (T_obj_ee, T_world_ee, trials.T_world_hand)

@@ -187,9 +187,16 @@ def over_motion(
 def within_slack(
     distance_m: Float32[Tensor, " b"], slack_m: Float32[Tensor, " b"]
 ) -> Float32[Tensor, " b"]:
-    """What a signed distance says of bodies that may be `slack_m` off their place: apart, they are
-    no nearer than this; where they meet, no less deep. Bodies that are apart by less than the slack
-    may meet, but not by any known depth: -1e-6 m."""
+    """What a signed distance says of bodies that may be off their place.
+
+    Apart, they are no nearer than distance less slack; where they meet, no less deep than the overlap
+    less slack. Bodies that are apart by less than the slack may meet, but not by any known depth:
+    -1e-6 m.
+
+    Args:
+        distance_m: (B,) m, below 0: minus the overlap.
+        slack_m: (B,) how far they may be off, m.
+    """
     deep = (distance_m + slack_m).clamp(max=-TOUCH_M)
     return torch.where(distance_m < 0, deep, (distance_m - slack_m).clamp(min=-TOUCH_M))
 
@@ -202,8 +209,15 @@ def hand_distance_at(
     *,
     cap_m: float = CLEARANCE_CAP_M,
 ) -> NearestApproach:
-    """The distance of the robot from the hand at the postures `q` (rad), measured as in
-    `hand_distance`; exact below `cap_m`."""
+    """The distance of the robot from the hand at postures, measured as in `hand_distance`.
+
+    Args:
+        scene: robot, objects and hands.
+        body_poses: of B trials.
+        q: (B, J) float32, rad.
+        active: (B,) rows to measure; the others are NaN.
+        cap_m: exact below this, a lower bound above, m.
+    """
     made = over_trials(scene.sized(goal_safe_distance), len(active), scene.device)(
         cap=cap_m,
         world=scene.world,
@@ -221,9 +235,14 @@ def hand_distance_at(
 def nearer_of(
     hand: NearestApproach, person_m: Float32[Tensor, " b"], part: Int32[Tensor, " b"]
 ) -> NearestApproach:
-    """The nearer of the hand and the receiver's body, which is `person_m` from the robot's `part`.
+    """The nearer of the hand and the rest of the person.
 
-    Where the body is nearer no point is known, and the moment remains that of the hand.
+    Where the rest is nearer no point is known, and the moment remains that of the hand.
+
+    Args:
+        hand: of B motions or postures.
+        person_m: (B,) distance of arm and torso, m; NaN: not known.
+        part: (B,) the robot's body there.
     """
     nearer = person_m < hand.distance_m
     return NearestApproach(

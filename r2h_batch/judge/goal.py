@@ -1,7 +1,7 @@
 """The goal posture of a handover pose, judged without a path: the branch the planner would go to,
 its clearance, Safe there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float32, Int32
@@ -12,7 +12,7 @@ from r2h_batch.judge.ik import ROTATION_LEVER_M, IkResult, SearchedIk, home_post
 from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
-from r2h_batch.launch import over_trials
+from r2h_batch.launch import new_outputs, over_trials
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 
@@ -64,19 +64,19 @@ def judge_goals(
     branches: Bool[Tensor, "b 8"],
     active: Bool[Tensor, " b"],
 ) -> Goal:
-    """The goals of B handover poses whose IK is solved; `branches` are those that may be used
-    (`goals="one"`: one)."""
-    b, device = len(active), active.device
-    active = active.contiguous()
-    goal = _unjudged(b, ik.q.shape[2], device)
-    postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
+    """The goals of B handover poses whose IK is solved.
 
-    over_trials(
-        scene.sized(goal_kernels.choose_goal),
-        b,
-        scene.device,
-        outputs={"reason": goal.reason, "pair": goal.pair, "slot": goal.slot},
-    )(
+    Args:
+        scene: robot, objects and hands.
+        body_poses: of B trials, as the planner sees them.
+        T_world_ee: (B, 4, 4) float32 handover poses, m.
+        ik: all branches.
+        branches: (B, 8) those that may be used (`goals="one"`: one).
+        active: (B,) rows to judge.
+    """
+    active, device = active.contiguous(), active.device
+    postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
+    chosen = over_trials(scene.sized(goal_kernels.choose_goal), len(active), scene.device)(
         world=body_poses.tables(scene),
         bodies=body_poses.bodies,
         home=home_posture(str(device), scene.config.workplace.home_q),
@@ -86,10 +86,10 @@ def judge_goals(
         status=ik.status,
         **postures,
     )
-    _measure(goal, scene, body_poses, T_world_ee, ik, postures, active)
-    if scene.robot.family != "ur":  # of a UR the kernel knows what is proven
-        goal.reason.copy_(weaken_singular_reason(goal.reason, ik))
-    return goal
+    goal = _measured(scene, body_poses, T_world_ee, ik, postures, active, **chosen)
+    if scene.robot.family == "ur":  # the kernel knows what is proven
+        return goal
+    return replace(goal, reason=weaken_singular_reason(goal.reason, ik))
 
 
 def failed_clearance(
@@ -108,11 +108,14 @@ def failed_clearance(
     measured = torch.zeros_like(reason, dtype=torch.bool)
     for why in MEASURED:
         measured |= reason == int(why)
-    goal = _unjudged(len(reason), ik.q.shape[2], reason.device)
-    goal.reason.copy_(torch.where(measured, reason, int(PlanReason.NOT_EVALUATED)))
-    goal.slot.fill_(-1)
+    reason = torch.where(measured, reason, int(PlanReason.NOT_EVALUATED))
+    found = {
+        "reason": reason,
+        "pair": torch.zeros_like(reason),
+        "slot": torch.full_like(reason, -1),
+    }
     postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
-    _measure(goal, scene, body_poses, T_world_ee, ik, postures, measured)
+    goal = _measured(scene, body_poses, T_world_ee, ik, postures, measured, **found)
     return torch.where(measured, goal.clearance_m.clamp(min=-FARTHEST_M), -torch.inf)
 
 
@@ -135,75 +138,45 @@ def weaken_singular_reason(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[T
     return reason
 
 
-def _unjudged(b: int, joints: int, device: torch.device) -> Goal:
-    """Room for B goals, all of which the kernels write: they may find there what a call before
-    left."""
-    reason, pair, slot, nearest, body, other = torch.empty(
-        (6, b), dtype=torch.int32, device=device
-    ).unbind(0)
-    q = torch.empty((b, joints), dtype=torch.float32, device=device)
-    clearance = torch.empty(b, dtype=torch.float32, device=device)
-    push, point = torch.empty((2, b, 3), dtype=torch.float32, device=device).unbind(0)
-    return Goal(reason, pair, slot, q, clearance, nearest, body, other, push, point)
-
-
-def _measure(
-    goal: Goal,
+def _measured(
     scene: Scene,
     body_poses: BodyPoses,
     T_world_ee: Float32[Tensor, "b 4 4"],
     ik: IkResult,
     postures: dict[str, Tensor],
     active: Bool[Tensor, " b"],
-) -> None:
-    """Writes the clearance of each `active` goal, whose `reason` and `slot` are known, and what it
-    is attained by; where no branch is free also the posture itself.
-
-    Each launch goes on from what the one before wrote into `goal`.
-    """
-    b, device = len(active), active.device
+    *,
+    reason: Int32[Tensor, " b"],
+    pair: Int32[Tensor, " b"],
+    slot: Int32[Tensor, " b"],
+) -> Goal:
+    """Goals of known reason and slot: the clearance and what it is attained by; where no branch is
+    free also the posture itself. Writes into `pair` and `slot`."""
+    b, home = len(active), scene.config.workplace.home_q
     # a posture for targets that no branch reaches ...
-    if not isinstance(ik, SearchedIk):
-        residual = torch.empty(b, dtype=torch.float32, device=device)
-        over_trials(
-            ik_nearest.nearest_posture,
-            b,
-            scene.device,
-            outputs={"q": goal.q, "residual": residual},
-            chunk=256,
-        )(
-            ur=ur_parameters(scene.robot, scene.config.workplace.home_q),
+    if isinstance(ik, SearchedIk):
+        q, residual = torch.where(active[:, None], ik.nearest, torch.nan), ik.miss_m
+    else:
+        near = over_trials(ik_nearest.nearest_posture, b, scene.device, sizes={"q": 6}, chunk=256)(
+            ur=ur_parameters(scene.robot, home),
             rotation_lever_m=ROTATION_LEVER_M,
             active=active,
             branches=postures["valid"],
             T_world_ee=T_world_ee.contiguous(),
         )
-    else:
-        residual = ik.miss_m
-        goal.q.copy_(torch.where(active[:, None], ik.nearest, torch.nan))
+        q, residual = near["q"], near["residual"]
     # ... and how near its bodies are to others
-    over_trials(
-        scene.sized(goal_kernels.goal_clearance),
-        b,
-        scene.device,
-        outputs={
-            "pair": goal.pair,
-            "slot": goal.slot,
-            "q_goal": goal.q,
-            "clearance": goal.clearance_m,
-            "nearest": goal.nearest,
-            "body": goal.body,
-            "other": goal.other,
-            "push": goal.push,
-            "point": goal.point,
-        },
-    )(
+    kernel = scene.sized(goal_kernels.goal_clearance)
+    made = new_outputs(kernel, b, scene.device) | {"pair": pair, "slot": slot, "q_goal": q}
+    over_trials(kernel, b, scene.device, outputs=made)(
         cap=CLEARANCE_CAP_M,
         world=body_poses.tables(scene),
         hull_ball=scene.hull_balls,
         bodies=body_poses.bodies,
-        home=home_posture(str(device), scene.config.workplace.home_q),
-        reason=goal.reason,
+        home=home_posture(str(active.device), home),
+        reason=reason,
         **postures,
         residual=residual,
     )
+    found = (made[k] for k in ("clearance", "nearest", "body", "other", "push", "point"))
+    return Goal(reason, pair, slot, q, *found)

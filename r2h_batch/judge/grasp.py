@@ -83,7 +83,18 @@ def close_pads(
     known: bool = False,
 ) -> tuple[Float32[Tensor, " b"], Float32[Tensor, " b"], Float32[Tensor, " b"], Bool[Tensor, " b"]]:
     """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open
-    gripper cuts."""
+    gripper cuts.
+
+    Args:
+        tables: of the scene.
+        T_obj_ee: (B, 4, 4) float32 grasps, m.
+        object_index: (B,) int32.
+        mode: material between the pads, or the whole object.
+        known: the caller has looked at both tensors.
+
+    Returns:
+        (B,) each, m, and bool.
+    """
     n = _checked(tables, T_obj_ee, object_index, known)
     made = over_trials(width_kernels.close_gripper, n, tables.device)(
         gripper=tables.gripper,
@@ -99,8 +110,12 @@ def close_pads(
 def attach(
     T_obj_ee: Float32[Tensor, "b 4 4"], shift_m: Float32[Tensor, " b"]
 ) -> Float32[Tensor, "b 4 4"]:
-    """`T_obj_ee` after the pads have met the object: it has moved by -shift along the closing
-    axis."""
+    """The grasp after the pads have met the object, which moves by -shift along the closing axis.
+
+    Args:
+        T_obj_ee: (B, 4, 4) grasps, m.
+        shift_m: (B,) `Grasp.shift_m`.
+    """
     T = T_obj_ee.clone()
     T[:, :3, 3] += T_obj_ee[:, :3, 1] * shift_m[:, None]
     return T
@@ -114,8 +129,18 @@ def open_clearance(
     cap_m: float,
     known: bool = False,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
-    """Clearance of the open gripper to the object's solid (m, at most `cap_m`; negative: depth) and
-    the primitive."""
+    """Clearance of the open gripper to the object's solid, and the primitive that has it.
+
+    Args:
+        tables: of the scene.
+        T_obj_ee: (B, 4, 4) float32 grasps, m.
+        object_index: (B,) int32.
+        cap_m: clearances count this at most, m.
+        known: the caller has looked at both tensors.
+
+    Returns:
+        (B,) m, negative: depth; (B,) row of `Robot.gripper`.
+    """
     opening = torch.full(
         (len(T_obj_ee),), tables.open_gap_m, dtype=torch.float32, device=tables.device
     )
@@ -132,7 +157,14 @@ def open_is_clear(
     clearance_m: float,
 ) -> Bool[Tensor, " b"]:
     """Whether `open_clearance` is `clearance_m` or more, without measuring how deep it cuts where
-    it is not."""
+    it is not.
+
+    Args:
+        tables: of the scene.
+        T_obj_ee: (B, 4, 4) float32 grasps, m.
+        object_index: (B,) int32.
+        clearance_m: m.
+    """
     opening = torch.full(
         (len(T_obj_ee),), tables.open_gap_m, dtype=torch.float32, device=tables.device
     )
@@ -217,8 +249,15 @@ def _clearance(
 def gripper_poses(
     robot: Robot, opening_m: Float32[Tensor, " b"]
 ) -> tuple[Float32[Tensor, "b g 3 3"], Float32[Tensor, "b g 3"]]:
-    """R, p of the G gripper primitives (order of `Robot.gripper`) in the ee frame at each opening
-    (m)."""
+    """Where the G gripper primitives (order of `Robot.gripper`) are in the ee frame.
+
+    Args:
+        robot: whose gripper.
+        opening_m: (B,) float32, gap between the pads.
+
+    Returns:
+        R (B, G, 3, 3) and p (B, G, 3), m.
+    """
     device = str(opening_m.device)
     g = gripper_tables(robot, device)
     sizes = dict.fromkeys(("R", "p"), g.kind.shape[0])
@@ -259,8 +298,15 @@ def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known:
 
 
 def squeezed(grasp: Grasp, thresholds: Thresholds) -> Float32[Tensor, " b"]:
-    """The opening (m) of fingers that hold: `pad_squeeze_m` tighter than the material between
-    them."""
+    """The opening of fingers that hold: `pad_squeeze_m` tighter than the material between them.
+
+    Args:
+        grasp: of B trials.
+        thresholds: with `pad_squeeze_m`.
+
+    Returns:
+        (B,) m.
+    """
     held = grasp.width_m <= thresholds.w_max_m
     return torch.where(held, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m).clamp(
         min=0.0

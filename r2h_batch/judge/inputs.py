@@ -17,7 +17,7 @@ from r2h_batch.validate import describe_value, instance_of, one_of
 from r2h_batch.validate_tensors import as_numbers, check_range, check_tensor
 
 MOST_M = 1000.0
-"""No number of a receiver's body is larger; poses beyond are INVALID_INPUT."""
+"""No number of a receiver is larger; poses beyond are INVALID_INPUT."""
 Stages = Literal["pose", "all"]
 """How far `Evaluator.score` goes: what needs no path, or everything."""
 
@@ -93,7 +93,7 @@ def checked_inputs(
 
 def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tensor]) -> None:
     """Raises ValueError where a body is asked about that trials do not have, or for a gradient that
-    nobody knows."""
+    does not exist."""
     if trials.receiver is not None:
         check_tensor(
             "trials.receiver", trials.receiver, f"None or a torch tensor ({len(trials)}, 5, 4)"

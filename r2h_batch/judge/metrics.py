@@ -66,8 +66,12 @@ def constants(device: torch.device, dtype: torch.dtype, *values: float) -> Tenso
 
 
 def kind_of(clearance_m: Float32[Tensor, " b"], cap_m: float) -> Int8[Tensor, " b"]:
-    """MarginKind of clearances that count up to `cap_m`: CAP at -inf, BOUND below 0, CAP from the
-    cap on."""
+    """MarginKind of clearances: CAP at -inf, BOUND below 0, CAP from the cap on.
+
+    Args:
+        clearance_m: (B,) m.
+        cap_m: they count up to here.
+    """
     lowest = torch.finfo(torch.float32).min
     edges = constants(clearance_m.device, torch.float32, lowest, 0.0, cap_m)
     kinds = constants(clearance_m.device, torch.int8, *KINDS)
@@ -156,7 +160,16 @@ def reach_distance(
     objects: Int32[Tensor, " b"],
     point: Float32[Tensor, "b 3"],
 ) -> Float32[Tensor, " b"]:
-    """Distance of points (object frame, m) from what Reach measures of these objects, 0 inside."""
+    """Distance of points from what Reach measures of their objects, 0 inside.
+
+    Args:
+        scene: with the objects' meshes.
+        objects: (B,) int32 rows of `Scene.objects`.
+        point: (B, 3) float32, object frame, m.
+
+    Returns:
+        (B,) m.
+    """
     surfaces = scene.grasp_tables.surfaces
     made = over_trials(reach_kernels.point_to_object, len(point), scene.device, chunk=64)(
         cap=FARTHEST_M,

@@ -73,11 +73,21 @@ def plan_paths(
     execute: ExecConfig | None = None,
     start: Float32[Tensor, "b 6"] | None = None,
 ) -> Plan:
-    """Paths from `start` (rad; None: home) to the free branches `q` (rad), and why there is none
-    where there is none.
+    """Paths from a start to the free branches, and why there is none where there is none.
 
-    `key` seeds a trial's random numbers. Reasons: `PlanReason`; margins: docs/choices.md; RRT-Connect
-    (Kuffner and LaValle 2000) with certified edges. Rows that are not `active` get NOT_EVALUATED.
+    RRT-Connect (Kuffner and LaValle 2000) with certified edges. Reasons: `PlanReason`; margins:
+    docs/choices.md.
+
+    Args:
+        scene: robot, objects and hands.
+        body_poses: of B trials.
+        q: (B, 8, J) float32 branches, rad.
+        valid: (B, 8) branches that may be used.
+        active: (B,) rows to plan; the others get NOT_EVALUATED.
+        key: (B,) int32 seeds of the random numbers (`random_key`).
+        config: how to search.
+        execute: time law, by which paths are shortened; None: the default.
+        start: (B, J) float32, rad; None: home.
     """
     with one_torch_thread(q.device):
         b, device = len(active), q.device

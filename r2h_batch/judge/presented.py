@@ -33,7 +33,13 @@ def presented(
     thresholds: Thresholds,
 ) -> Presented:
     """Where each trial's receiver's region is when the object is handed over: facing, and within
-    the ball's radius of c_h."""
+    the ball's radius of c_h.
+
+    Args:
+        scene: with regions and palms.
+        held: B trials with the object in the gripper.
+        thresholds: with `reach_radius_m`.
+    """
     meshes, center = scene.regions
     point, _ = scene.palms
     made = over_trials(kernels.region_presented, len(held.active), scene.device, chunk=64)(

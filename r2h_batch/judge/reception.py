@@ -101,12 +101,12 @@ def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Re
     """Whether each receiver can take the object that was handed over.
 
     Args:
-        scores: what `Evaluator.score` returned for trials with a receiver's body (r2h-v1).
+        scores: what `Evaluator.score` returned for trials with a receiver's arm and torso (r2h-v1).
         leans_deg: leans of the trunk that a person may use, 0 to 90 degrees; (0,): none.
 
     Raises:
         TypeError, ValueError: an argument has another type or range, the scores hold no inputs, or the
-            trials have no receiver's body.
+            trials have no receiver's arm.
     """
     if (inputs := scores.inputs) is None:
         raise ValueError("these scores hold no inputs; score again")
@@ -219,7 +219,7 @@ def _reception(scores: Scores, leans_deg: tuple[float, ...]) -> Reception:
     passes[..., 0] = arms["effort"] >= 0
     passes[..., 5] = _held(batch)
     way = _come(batch, arms, passes)
-    _clear_of_robot(batch, arms, passes)
+    _beside_robot(batch, arms, passes)
     _let_go(batch, arms, passes)
     passes = passes.cummin(2).values
     chosen = _easiest(batch, arms, way, passes[..., -1])
@@ -321,7 +321,7 @@ def _come(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> Int32[Tenso
     return way
 
 
-def _clear_of_robot(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
+def _beside_robot(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
     """Writes the step clear."""
     trial, k = torch.nonzero(passes[..., :3].all(2), as_tuple=True)
     pair = batch.pairs(trial, k, arms)

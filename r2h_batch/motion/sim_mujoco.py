@@ -39,23 +39,17 @@ def simulate(job: Job) -> Samples:
         for first in range(0, len(job.rows), CHUNK):
             rows = range(first, min(first + CHUNK, len(job.rows)))
             steps = job.samples[rows.start : rows.stop].astype(np.int64) * job.record_steps
-            command = torch.empty(
-                (len(rows), int(steps.max(initial=0)), job.scene.model.nu),
-                dtype=torch.float64,
-                device="cpu",
-            )
+            most = int(steps.max(initial=0))
+            size = (len(rows), most, job.scene.model.nu)
+            found = {"command": torch.empty(size, dtype=torch.float64, device="cpu")}
             index = torch.from_numpy(job.rows[rows.start : rows.stop].astype(np.int32))
             path, time, length = job.tables
-            over_trials(
-                of_joints(servo_commands, job.start.shape[1]),
-                len(rows),
-                "cpu",
-                outputs={"command": command},
-                chunk=1,
-                width=command.shape[1],
-            )(law=job.law, trial=index, path=path, time=time, length=length)
+            kernel = of_joints(servo_commands, job.start.shape[1])
+            run = over_trials(kernel, len(rows), "cpu", outputs=found, chunk=1, width=most)
+            run(law=job.law, trial=index, path=path, time=time, length=length)
+            command = found["command"].numpy()
             todo = iter(rows)  # next() is atomic: a free thread takes the next trial
-            work = partial(_work, job, simulators, todo, first, command.numpy(), steps, out)
+            work = partial(_work, job, simulators, todo, first, command, steps, out)
             futures = [thread_pool(workers).submit(work) for _ in range(workers - 1)]
             work()
             for future in futures:

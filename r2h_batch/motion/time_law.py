@@ -61,8 +61,17 @@ def path_time(
     config: ExecConfig,
     weight: Weights = None,
 ) -> Float64[Tensor, " b"]:
-    """Seconds that `time_path` gives each path, 0 without one, in fewer steps: for comparisons of
-    paths."""
+    """Seconds that `time_path` gives each path, in fewer steps: for comparisons of paths.
+
+    Args:
+        path: (B, W, J) float32 waypoints, rad.
+        length: (B,) int32, number of waypoints; 0: no path.
+        config: limits.
+        weight: `Robot.joint_weight`; None: all joints alike.
+
+    Returns:
+        (B,) float64; 0 without a path.
+    """
     return _duration(_segment_lengths(path, length, weight), config).sum(1)
 
 

@@ -329,13 +329,8 @@ def close(
     rows = np.arange(len(family))
     for wanted in (1 << THUMB, (1 << THUMB) - 1):
         bent, left = flexion[rows], gap[rows]
-        over_trials(
-            close_hand.close_fingers,
-            len(rows),
-            "cpu",
-            outputs={"flexion": bent, "gap": left},
-            width=len(REGIONS) - 1,
-        )(
+        found, digits = {"flexion": bent, "gap": left}, len(REGIONS) - 1
+        over_trials(close_hand.close_fingers, len(rows), "cpu", outputs=found, width=digits)(
             field=field,
             hands=families.tables,
             step=STEP_RAD,

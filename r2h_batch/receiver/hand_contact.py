@@ -139,7 +139,7 @@ def measure_contact(
             measured = ~around
         else:
             around = ((vertices < low) | (vertices > high)).any(axis=2)
-        # outside of the object's box nobody needs a winding number
+        # outside of the object's box the sign needs no winding number
         for points, outside in ((measured & ~around, False), (measured & around, True)):
             d, normal[points], face[points] = surface.distance(
                 vertices[points], REACH_M, quick=outside

@@ -116,11 +116,11 @@ class Scene:
         return _scene_of, (self.device, self.config, objects, hand_set, self.robot)
 
     def __copy__(self) -> "Scene":
-        """Itself: nobody changes a scene."""
+        """Itself: a scene does not change."""
         return self
 
     def __deepcopy__(self, memo: Any) -> "Scene":
-        """Itself: nobody changes a scene."""
+        """Itself: a scene does not change."""
         return self
 
     def sized(self, thing: Compiled) -> Compiled:

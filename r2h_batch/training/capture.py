@@ -68,7 +68,7 @@ class Captured:
             if trials is not None:
                 instance_of(Trials)("trials", trials)
                 for f in fields(Trials):
-                    # the receiver's body decides nothing
+                    # arm and torso of the receiver decide nothing
                     if (kept := getattr(self.trials, f.name)) is not None:
                         _copy(f"trials.{f.name}", kept, getattr(trials, f.name))
             if self._graph is not None:

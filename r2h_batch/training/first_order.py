@@ -235,7 +235,16 @@ def missed_by(
     T_reached: Float[Tensor, "b 4 4"],
     rotation_lever_m: float,
 ) -> Float[Tensor, " b"]:
-    """By how much a posture whose ee is at `T_reached` misses a target (m, a radian counts `rotation_lever_m`)."""
+    """By how much a posture misses a target.
+
+    Args:
+        T_world_ee: (B, 4, 4) targets, m.
+        T_reached: (B, 4, 4) ee at the posture, m.
+        rotation_lever_m: what a radian counts for.
+
+    Returns:
+        (B,) m.
+    """
     away = T_world_ee[:, :3, 3] - T_reached[:, :3, 3]
     R, R0 = T_world_ee[:, :3, :3], T_reached[:, :3, :3]
     # sum_k a_k x R a_k = 2 sin(angle) axis, and the trace is 1 + 2 cos(angle)

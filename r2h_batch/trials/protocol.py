@@ -372,7 +372,7 @@ def _draw_people(
         local = np.stack([a, n, np.cross(a, n)], 2)
         world = np.stack([people.hand, people.palm, np.cross(people.hand, people.palm)], 2)
         R = _from_frames(world, local)
-        # of those recorded with a body the arm is the one that can have them
+        # of hands that were recorded with a person the arm is one that can have them
         if hands.in_body is not None:
             in_body = hands.in_body[hand]
             recorded_hand = recorded.recorded_in_world(people.facing, np.nan_to_num(in_body))

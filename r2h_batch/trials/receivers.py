@@ -1,4 +1,4 @@
-"""Receivers of protocol r2h-v1: people with a body, whose hand stands where an arm that reaches for
+"""Receivers of protocol r2h-v1: people with arm and torso, whose hand stands where an arm that reaches for
 something brings it.
 
 A trial has its person: sex, standing or seated, lengths. A proposal is a place beyond the table's
@@ -57,7 +57,7 @@ FACING_DEG = 20.0
 ELBOW_DEG = (30.0, 100.0)
 """Flexion. 100: RULA's neutral range (McAtamney and Corlett 1993, from memory); 30 [choice]."""
 ACROSS_DEG, OUTWARDS_DEG = 45.0, 30.0
-"""Direction from shoulder to wrist, seen from above: across the body, and away from it [choice]."""
+"""Direction from shoulder to wrist, seen from above: across the chest, and away from it [choice]."""
 DOWN_DEG = (0.0, 75.0)
 SWIVEL_DEG = (0.0, 45.0)
 """Of the elbow about that line, outwards from hanging [choice]."""
@@ -243,7 +243,7 @@ def arm_axes(
     shoulder: Array, elbow: Array, wrist: Array, outwards: Array
 ) -> tuple[Array, Array, Array]:
     """Unit vectors (n, 3): along the forearm, and where thumb and palm of a hand in neutral are:
-    away from the upper arm, and towards the body's middle. `outwards` (n,): -1 of right arms, 1 of
+    away from the upper arm, and towards the chest. `outwards` (n,): -1 of right arms, 1 of
     left ones."""
     upper, forearm = _unit(elbow - shoulder), _unit(wrist - elbow)
     thumb = _unit(se3.dot(upper, forearm)[:, None] * forearm - upper)

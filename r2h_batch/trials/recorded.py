@@ -1,4 +1,4 @@
-"""Hands of r2h-v1 that were recorded with a body: they keep their direction to it, and the recorded
+"""Hands of r2h-v1 that were recorded with a person: they keep their direction to it, and the recorded
 arm; where that is unknown, an arm is looked for that can have them.
 
 Only +, -, *, / and sqrt, as in receivers.py.

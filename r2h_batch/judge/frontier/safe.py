@@ -3,7 +3,7 @@ on a CPU too.
 
 A level is one level of the bisection of all motions at once (kernels/frontier/safe_*.py). The last
 postures come first, as they are mostly the nearest; then the segments, in blocks from the end on.
-As many levels are launched as a bisection may have levels: nobody waits for the device. What comes
+As many levels are launched as a bisection may have levels: the host does not wait for the device. What comes
 out is what one thread a trial finds, within the tolerance of both.
 """
 
