@@ -92,8 +92,8 @@ def checked_inputs(
 
 
 def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tensor]) -> None:
-    """Raises ValueError where a body is asked about that trials do not have, or for a gradient that
-    does not exist."""
+    """Raises ValueError where `receiver="body"` and trials have none, or for a gradient that does
+    not exist."""
     if trials.receiver is not None:
         check_tensor(
             "trials.receiver", trials.receiver, f"None or a torch tensor ({len(trials)}, 5, 4)"

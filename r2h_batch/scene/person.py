@@ -1,5 +1,5 @@
 """The receiver's arm and torso (`Trials.receiver`) as convex pieces beside the hand's: what
-planning and Safe see of a body.
+planning and Safe see of a person.
 
 A forearm and an upper arm are capsules: the segment between two joints grown by a radius. The torso
 is a box that stands upright. They differ from trial to trial and cannot lie in the scene's tables:
