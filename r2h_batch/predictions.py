@@ -31,18 +31,13 @@ MOST_SAMPLES = 4_500
 """Of one motion: 9 s at 500 Hz, 75 s at 60 Hz."""
 
 _NEEDED = ("trial_id", "T_obj_ee", "T_world_ee")
+_POSES = ("T_obj_ee", "T_world_ee")
 _SPECS: dict[str, Spec] = {
-    "trial_id": ("iu", ("N",)),
-    "T_obj_ee": ("f", ("N", 4, 4)),
-    "T_world_ee": ("f", ("N", 4, 4)),
-    "t_method_s": ("f", ("N",)),
-}
+    "trial_id": ("iu", ("N",)), **dict.fromkeys(_POSES, ("f", ("N", 4, 4))), "t_method_s": ("f", ("N",)),
+}  # fmt: skip
 _CSV = {
-    "trial_id": ("int64", 1),
-    "T_obj_ee": ("float64", 16),
-    "T_world_ee": ("float64", 16),
-    "t_method_s": ("float64", 1),
-}
+    "trial_id": ("int64", 1), **dict.fromkeys(_POSES, ("float64", 16)), "t_method_s": ("float64", 1),
+}  # fmt: skip
 _MOTION_KEYS = ("q", "time_s", "length")
 _LENGTH_OF = {"q": "length", "time_s": "length", "planned_q": "planned_length"}
 _HOW_MOTIONS = (

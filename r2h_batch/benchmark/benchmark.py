@@ -38,17 +38,8 @@ RELEASE_TABLE_CENTER, RELEASE_TABLE_HALF = (0.35, 0.0, -0.05), (0.65, 0.55, 0.03
 """Its home and the table of its CPU planner, m: 15 mm below the base, and under the receiver."""
 
 DECIDES = (
-    *(
-        "name",
-        "split",
-        "instruction",
-        "vertices",
-        "faces",
-        "face_part",
-        "part_names",
-        "receiver_face",
-    ),
-    *("mass", "com", "inertia"),
+    *("name", "split", "instruction", "vertices", "faces", "face_part", "part_names"),
+    *("receiver_face", "mass", "com", "inertia"),
 )
 """Of an object: what the rest of it is made of. The convex pieces are not here: a sweep makes them
 only where it needs them."""
@@ -155,9 +146,7 @@ class Benchmark:
                 raise ValueError(
                     f"config.{name} is {given}, the benchmark has {own}; say it in one place"
                 )
-        seen: Literal["hand", "body"] = (
-            "body" if "body" in (base.receiver, self.receiver) else "hand"
-        )
+        seen = base.receiver if self.receiver == "hand" else self.receiver
         return replace(base, thresholds=self.thresholds, workplace=self.workplace, receiver=seen)
 
 

@@ -106,19 +106,10 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
         if file.trials is not None:
             path_of_trials = path_within(folder, file.trials)
             listed, hand_set, labels = read_trials_file(path_of_trials, objects, hand_set)
-        place = _workplace(file, path, own)
         return Benchmark(
-            objects,
-            hand_set,
-            file.thresholds,
-            place,
-            listed,
-            labels,
-            file.protocol,
-            own.robot,
-            own.persons,
-            file.receiver,
-        )
+            objects, hand_set, file.thresholds, _workplace(file, path, own), listed, labels,
+            file.protocol, own.robot, own.persons, file.receiver,
+        )  # fmt: skip
     except FileError:
         raise
     except ValueError as error:

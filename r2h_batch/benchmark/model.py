@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -261,21 +262,6 @@ def built_in_text() -> str:
 
 
 def _entry_of(model: ObjectModel) -> ObjectEntry:
-    thing = THINGS[model.name]
-    words = {
-        "names": list(thing.names),
-        "parts": {k: list(v) for k, v in thing.parts.items()},
-        "verbs": dict(thing.verbs),
-        "part_words": {k: list(v) for k, v in thing.part_words.items()},
-    }
-    own = {k: getattr(model, k) for k in ("split", "instruction", "mass")}
-    roles = S0_ROLES.get(model.name)
-    return ObjectEntry.model_validate(
-        {
-            "built_in": model.name,
-            **own,
-            "part_names": list(model.part_names),
-            "roles": roles,
-            "words": words,
-        }
-    )
+    entry = {k: getattr(model, k) for k in ("split", "instruction", "mass", "part_names")}
+    about = {"roles": S0_ROLES.get(model.name), "words": asdict(THINGS[model.name])}
+    return ObjectEntry.model_validate_json(json.dumps({"built_in": model.name, **entry, **about}))

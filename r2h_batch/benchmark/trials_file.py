@@ -50,28 +50,17 @@ WIDTH = {"T_world_hand": 16, "pose": 48, "shape": 10}
 LABELS = ("id", "variant")
 TEXTS = ("object", *LABELS)
 SKIN: dict[str, Spec] = {
-    "skin": ("f", ("H", "V", 3)),
-    "T_hand_palm": ("f", ("H", 4, 4)),
-    "skin_faces": ("iu", ("F", 3)),
-    "skin_piece": ("iu", ("F",)),
-    "skin_side": ("iu", ("H",)),
-}
+    "skin": ("f", ("H", "V", 3)), "T_hand_palm": ("f", ("H", 4, 4)), "skin_faces": ("iu", ("F", 3)),
+    "skin_piece": ("iu", ("F",)), "skin_side": ("iu", ("H",)),
+}  # fmt: skip
 SPECS: dict[str, Spec] = {
-    "object": ("U", ("N",)),
-    "T_world_hand": ("f", ("N", 4, 4)),
-    "hand": ("iu", ("N",)),
-    "pose": ("f", ("N", 48)),
-    "shape": ("f", ("N", 10)),
-    "side": ("iu", ("N",)),
+    "object": ("U", ("N",)), "T_world_hand": ("f", ("N", 4, 4)), "hand": ("iu", ("N",)),
+    "pose": ("f", ("N", 48)), "shape": ("f", ("N", 10)), "side": ("iu", ("N",)),
     **dict.fromkeys(LABELS, ("U", ("N",))),
-}
-
+}  # fmt: skip
 CSV = {
-    "object": ("string", 1),
-    "hand": ("int64", 1),
-    "T_world_hand": ("float64", 16),
-    **dict.fromkeys(LABELS, ("string", 1)),
-}
+    **dict.fromkeys(TEXTS, ("string", 1)), "hand": ("int64", 1), "T_world_hand": ("float64", 16),
+}  # fmt: skip
 
 Labels = dict[int, tuple[str, str]]
 """Trial id -> what its owner calls the trial, and the method behind it (or "")."""
@@ -172,13 +161,8 @@ def _own_hands(columns: Columns, base: HandSet, where: str) -> tuple[HandSet, ND
     unique, at = np.unique(rows, axis=0, return_inverse=True)
     try:
         check_postures(columns["pose"], columns["shape"])
-        own = make_hand_set(
-            base.model,
-            unique[:, 1:49],
-            unique[:, 49:],
-            unique[:, 0].astype(np.int8),
-            ["listed"] * len(unique),
-        )
+        side, pose, shape = unique[:, 0].astype(np.int8), unique[:, 1:49], unique[:, 49:]
+        own = make_hand_set(base.model, pose, shape, side, ["listed"] * len(unique))
     except ValueError as error:
         raise FileError(f"{where}: {printable(error).replace('of hand', 'of trial', 1)}") from None
     return own, at.reshape(-1)

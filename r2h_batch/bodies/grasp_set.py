@@ -19,11 +19,8 @@ ANY_PART = -1
 MAX_GRASPS = 100_000
 WIDEST_M = 10.0
 SPECS: dict[str, Spec] = {
-    "T_obj_ee": ("f", ("N", 4, 4)),
-    "width": ("fiu", ("N",)),
-    "score": ("fiu", ("N",)),
-    "part": ("iu", ("N",)),
-}
+    "T_obj_ee": ("f", ("N", 4, 4)), "width": ("fiu", ("N",)), "score": ("fiu", ("N",)), "part": ("iu", ("N",)),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +49,7 @@ class GraspSet:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What the file holds."""
-        return {
-            "T_obj_ee": self.T_obj_ee,
-            "width": self.width,
-            "score": self.score,
-            "part": self.part,
-        }
+        return {k: getattr(self, k) for k in SPECS}
 
     def rows(self, rows: Any) -> GraspSet:
         """The selected grasps."""

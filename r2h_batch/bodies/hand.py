@@ -110,7 +110,7 @@ class HandModel:
     def digest(self) -> str:
         """sha256 over what moves and covers the hand: two models with one digest give the same
         meshes and pieces."""
-        names = (
+        names = [
             "vertices",
             "faces",
             "weights",
@@ -118,7 +118,7 @@ class HandModel:
             "shape_basis",
             "joint_shape_basis",
             "pose_basis",
-        )
+        ]
         values = {k: getattr(self, k) for k in (*names, "piece_vertices", "piece_offsets")}
         arrays = {k: v.numpy() for k, v in values.items() if v is not None}
         left = {} if self.left is None else {"left": np.array(self.left.digest)}
@@ -290,17 +290,8 @@ def palm_frame(
     for j in FINGER_ROOTS:
         total = total + joints[:, j]
     a, b = joints[:, 1] - wrist, joints[:, 7] - wrist
-    cross = torch.stack(
-        [
-            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-        ],
-        dim=1,
-    )
-    norm = torch.sqrt(
-        cross[:, 0] * cross[:, 0] + cross[:, 1] * cross[:, 1] + cross[:, 2] * cross[:, 2]
-    )
+    cross = se3.cross(a, b)
+    norm = se3.dot(cross, cross).sqrt()
     sign = torch.where(side == LEFT, -1.0, 1.0).to(cross)
     return total / (1 + len(FINGER_ROOTS)), cross * (sign / norm)[:, None]
 
@@ -385,16 +376,9 @@ def _other_hand_set(path: str | Path | None, hand: HandModel) -> HandSet:
 @lru_cache(maxsize=1)
 def _default_hand_set() -> HandSet:
     a = read_arrays(asset("hand", "handset.npz"))
-    return HandSet(
-        pose=torch.from_numpy(a["pose"]),
-        shape=torch.from_numpy(a["shape"]),
-        side=torch.from_numpy(a["side"]),
-        posture=tuple(str(n) for n in a["posture"]),
-        hull_vertex_ids=torch.from_numpy(a["hull_vertex_ids"]),
-        hull_offsets=torch.from_numpy(a["hull_offsets"]),
-        digest=arrays_digest(a),
-        model=load_hand(),
-    )
+    tensors: dict[str, Any] = {k: torch.from_numpy(v) for k, v in a.items() if k != "posture"}
+    posture = tuple(str(n) for n in a["posture"])
+    return HandSet(**tensors, posture=posture, digest=arrays_digest(a), model=load_hand())
 
 
 def make_hand_set(

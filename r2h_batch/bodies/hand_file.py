@@ -15,20 +15,12 @@ from r2h_batch.io.arrays import Spec, check_arrays, not_rigid
 from r2h_batch.io.read import FileError, printable, read_npz
 
 HAND: dict[str, Spec] = {
-    "vertices": ("f", ("V", 3)),
-    "faces": ("iu", ("F", 3)),
-    "weights": ("f", ("V", 16)),
-    "joints_rest": ("f", (16, 3)),
-    "shape_basis": ("f", ("V", 3, 10)),
-    "joint_shape_basis": ("f", (16, 3, 10)),
-    "parents": ("iu", (16,)),
-    "joint_axes": ("f", (16, 3, 3)),
-    "piece_vertices": ("iu", ("M",)),
-    "piece_offsets": ("iu", ("P+1",)),
-    "piece_names": ("U", ("P",)),
-    "tip_vertices": ("iu", (5,)),
-    "shape_names": ("U", ("S",)),
-}
+    "vertices": ("f", ("V", 3)), "faces": ("iu", ("F", 3)), "weights": ("f", ("V", 16)),
+    "joints_rest": ("f", (16, 3)), "shape_basis": ("f", ("V", 3, 10)),
+    "joint_shape_basis": ("f", (16, 3, 10)), "parents": ("iu", (16,)), "joint_axes": ("f", (16, 3, 3)),
+    "piece_vertices": ("iu", ("M",)), "piece_offsets": ("iu", ("P+1",)), "piece_names": ("U", ("P",)),
+    "tip_vertices": ("iu", (5,)), "shape_names": ("U", ("S",)),
+}  # fmt: skip
 PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
 MAX_VERTICES, MAX_HANDS = 20_000, 100_000
 OPTIONAL: dict[str, Spec] = {
@@ -37,11 +29,8 @@ OPTIONAL: dict[str, Spec] = {
     "pose_components": ("f", (2, 45, 45)),
 }
 SET: dict[str, Spec] = {
-    "pose": ("f", ("H", 48)),
-    "shape": ("f", ("H", 10)),
-    "side": ("iu", ("H",)),
-    "posture": ("U", ("H",)),
-}
+    "pose": ("f", ("H", 48)), "shape": ("f", ("H", 10)), "side": ("iu", ("H",)), "posture": ("U", ("H",)),
+}  # fmt: skip
 
 BODY: dict[str, Spec] = {
     "facing": ("f", ("H", 3)),

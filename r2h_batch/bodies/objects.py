@@ -142,7 +142,8 @@ def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
         raise ValueError(
             f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(BUILT_IN_NAMES)}"
         )
-    return tuple(_load(n) for n in wanted)
+    folder = resources.files("r2h_batch.assets.objects")
+    return tuple(read_object(str(folder.joinpath(f"{n}.npz"))) for n in wanted)
 
 
 def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel, ...]:
@@ -365,15 +366,9 @@ def _built(
 
 def _as_arrays(model: ObjectModel) -> dict[str, Any]:
     """What is kept of a built object."""
-    arrays = {
-        f.name: np.asarray(getattr(model, f.name))
-        for f in fields(ObjectModel)
-        if f.name not in SAID
-    }
-    return {
-        **arrays,
-        "repair": np.array(json.dumps(asdict(model.repair) if model.repair else None)),
-    }
+    arrays = {k: np.asarray(v) for k, v in vars(model).items() if k not in SAID}
+    repair = np.array(json.dumps(asdict(model.repair) if model.repair else None))
+    return {**arrays, "repair": repair}
 
 
 def _packed(convex: Sequence[tuple[NDArray[np.float32], NDArray[np.int32]]]) -> dict[str, Any]:
@@ -445,10 +440,6 @@ def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
         "receiver": match["receiver"],
         "pieces": pieces,
     }
-
-
-def _load(name: str) -> ObjectModel:
-    return read_object(str(resources.files("r2h_batch.assets.objects").joinpath(f"{name}.npz")))
 
 
 @lru_cache(maxsize=64)

@@ -71,16 +71,11 @@ def joint_rows(arm: str = "ur5e") -> tuple[list[dict[str, Any]], Array]:
             raise ValueError(
                 f"{name} in {path.name} has no limit or does not turn about its z axis"
             )
-        keys = {
-            "lower": "lower",
-            "upper": "upper",
-            "max_velocity": "velocity",
-            "max_torque": "effort",
-        }
-        numbers = {k: float(limit.attrib[v]) for k, v in keys.items()}
-        rows.append(
-            {"name": name, "T_parent_joint": exact(T_before @ origin(joints[name])), **numbers}
-        )
+        given = ("lower", "upper", "velocity", "effort")
+        keys = ("lower", "upper", "max_velocity", "max_torque")
+        numbers = {k: float(limit.attrib[v]) for k, v in zip(keys, given, strict=True)}
+        T = exact(T_before @ origin(joints[name]))
+        rows.append({"name": name, "T_parent_joint": T, **numbers})
         T_before = np.eye(4)
     return rows, origin(joints["wrist_3-flange"]) @ origin(joints["flange-tool0"])
 

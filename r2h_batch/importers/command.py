@@ -14,7 +14,6 @@ from r2h_batch.io.write import check_output_file, check_output_folder
 
 if TYPE_CHECKING:
     from r2h_batch.bodies.grasp_set import GraspSet
-    from r2h_batch.importers.mano import ManoHand
 
 Frame = Literal["aperture", "first", "middle", "last"]
 Gripper = Literal[
@@ -96,6 +95,7 @@ def hands(
 
     from r2h_batch.bodies.hand import load_hand_set
     from r2h_batch.importers import hand_sets
+    from r2h_batch.importers.mano import load_mano
     from r2h_batch.importers.smplx import Bodies
 
     if smplx is not None and not list(smplx.glob("SMPLX_*.npz")):
@@ -114,7 +114,9 @@ def hands(
         raise UsageError(f"{many}; give one for each of {names}, as its owners give it")
     rule = int(frame) if isinstance(frame, int) or str(frame).lstrip("-").isdigit() else frame
     found = hand_sets.Collected()
-    mano = _mano(mano_right, mano_left, negate_left_shape)
+    mano = None
+    if mano_right is not None or mano_left is not None:
+        mano = load_mano(mano_right, mano_left, negate_left_shape=negate_left_shape)
     bodies = None if smplx is None else Bodies(smplx)
     for at, name in zip(folder, source, strict=True):
         hand_sets.collect(name, at, mano, rule, strict=strict, idle=idle, into=found, bodies=bodies)
@@ -306,23 +308,8 @@ def _grasp_files(
 
 
 COMMANDS: dict[str, Command] = {
-    "hand": hand,
-    "hands": hands,
-    "grasps": grasps,
-    "objects": objects,
-    "trials": trials,
-    "results": results,
+    f.__name__: f for f in (hand, hands, grasps, objects, trials, results)
 }
-
-
-def _mano(right: Path | None, left: Path | None, negate_left_shape: bool) -> "ManoHand | None":
-    from r2h_batch.importers.mano import load_mano
-
-    return (
-        None
-        if right is None and left is None
-        else load_mano(right, left, negate_left_shape=negate_left_shape)
-    )
 
 
 def _npz(out: Path, overwrite: bool) -> Path:

@@ -108,20 +108,8 @@ def hand_arrays(
         if len(raw) == 2:
             _check_alike(raw[RIGHT], raw[LEFT], str(left))
             other = _side_arrays(raw[LEFT], raw[RIGHT].faces)
-            own = (
-                "vertices",
-                "weights",
-                "joints_rest",
-                "shape_basis",
-                "joint_shape_basis",
-                "joint_axes",
-                "pose_basis",
-            )
-            arrays |= {f"left_{k}": other[k] for k in own}
-    except ValueError as error:
-        raise FileError(f"{right or left}: {error}") from None
-    arrays |= _both_sides(raw.get(RIGHT), raw.get(LEFT))
-    try:
+            arrays |= {f"left_{k}": v for k, v in other.items() if v.dtype == np.float32}
+        arrays |= _both_sides(raw.get(RIGHT), raw.get(LEFT))
         check_lengths(arrays)
     except ValueError as error:
         raise FileError(f"{right or left}: {error}") from None
@@ -274,15 +262,12 @@ def _both_sides(right: _Raw | None, left: _Raw | None) -> dict[str, NDArray[Any]
         sign = np.tile(AXIAL if mirror else np.ones(3), 15)
         return raw.mean * sign, raw.components * sign
 
-    there = right if right is not None else left
-    assert there is not None
-    mine = [right or there, left or there]
+    either = right or left
+    assert either is not None
+    by_side = [right or either, left or either]
     # raw arrays are mirrored to right hands
-    wrists = [wrist(mine[s], s == LEFT) for s in (RIGHT, LEFT)]
-    means = [postures(mine[s], (s == LEFT) != (mine[s] is left)) for s in (RIGHT, LEFT)]
-    return {
-        "wrist_rest": np.stack([w[0] for w in wrists]).astype(np.float32),
-        "wrist_shape": np.stack([w[1] for w in wrists]).astype(np.float32),
-        "pose_mean": np.stack([m[0] for m in means]).astype(np.float32),
-        "pose_components": np.stack([m[1] for m in means]).astype(np.float32),
-    }
+    wrists = [wrist(by_side[s], s == LEFT) for s in (RIGHT, LEFT)]
+    means = [postures(by_side[s], (s == LEFT) != (by_side[s] is left)) for s in (RIGHT, LEFT)]
+    names = ("wrist_rest", "wrist_shape", "pose_mean", "pose_components")
+    columns = (*zip(*wrists, strict=True), *zip(*means, strict=True))
+    return {k: np.stack(v).astype(np.float32) for k, v in zip(names, columns, strict=True)}

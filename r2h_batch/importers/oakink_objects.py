@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import trimesh
@@ -124,7 +123,9 @@ def _labels(
         raise FileError(f"{label}: {len(files)} parts; at most {MOST_PARTS} are allowed")
     names, held, distance, gaps = [], [], [], []
     for file in files:
-        part = _dictionary(file, MAX_PART_BYTES)
+        part = read_json(file, most=MAX_PART_BYTES)
+        if not isinstance(part, dict):
+            raise FileError(f"{printable(file)}: holds a {type(part).__name__}; need fields")
         attributes = part.get("attr", [])
         name = part.get("name")
         name = name[0] if isinstance(name, list) and name else name
@@ -165,19 +166,12 @@ def write(
     (out / "meshes").mkdir(parents=True, exist_ok=True)
     lines = ["objects:"]
     if hands is not None:
-        lines = [
-            "hand_model: hand.npz",
-            "hand_set:",
-            f"- {{file: hands.npz, count: {hands}}}",
-            *lines,
-        ]
+        entry = f"- {{file: hands.npz, count: {hands}}}"
+        lines = ["hand_model: hand.npz", "hand_set:", entry, *lines]
     for o in objects:
         (out / "meshes" / f"{o.name}.ply").write_bytes(trimesh.exchange.ply.export_ply(o.mesh))
-        lines += [
-            f"- file: meshes/{o.name}.ply",
-            f'  name: "{o.name}"',
-            f"  split: {'S1' if o.held else 'S0'}",
-        ]
+        lines += [f"- file: meshes/{o.name}.ply", f'  name: "{o.name}"']
+        lines.append(f"  split: {'S1' if o.held else 'S0'}")
         if len(o.part_names) > 1:
             np.save(out / "meshes" / f"{o.name}_parts.npy", o.part.astype(np.uint8))
             lines.append(f"  parts: meshes/{o.name}_parts.npy")
@@ -212,13 +206,6 @@ def _meshes(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if p.suffix in MESHES and not p.is_symlink())
 
 
-def _dictionary(path: Path, most: int) -> dict[str, Any]:
-    data = read_json(path, most=most)
-    if not isinstance(data, dict):
-        raise FileError(f"{printable(path)}: holds a {type(data).__name__}; need fields")
-    return data
-
-
 def collect(
     folder: Path, only: Sequence[str] = ()
 ) -> Iterator[tuple[str, OakObject | FileError | ObjectMeshError]]:
@@ -240,8 +227,6 @@ def collect(
             yield name, error
             continue
         if made.name in seen:
-            made = OakObject(
-                name_of(f"{made.name}_{oid}"), made.mesh, made.part, made.part_names, made.held
-            )
+            made = replace(made, name=name_of(f"{made.name}_{oid}"))
         seen.add(made.name)
         yield name, made

@@ -408,21 +408,15 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, Any]:
     names = _write_objects(out, trials)
     entries = sorted(set(names.values()))
     ordered = [t for split in SPLITS for t in trials if t.split == split]
-    ids = [
-        2 * k + s
-        for s, split in enumerate(SPLITS)
-        for k in range(sum(t.split == split for t in trials))
-    ]
+    count = [sum(t.split == split for t in trials) for split in SPLITS]
+    ids = [2 * k + s for s, n in enumerate(count) for k in range(n)]
     form, hands = _hands(ordered)
-    write_npz(
-        out / "trials.npz",
-        {
-            "object": np.array([names[_key(t)] for t in ordered]),
-            **hands,
-            "id": np.array([t.id for t in ordered]),
-            "variant": np.array([t.variant for t in ordered]),
-        },
-    )
+    texts = {
+        "id": np.array([t.id for t in ordered]),
+        "variant": np.array([t.variant for t in ordered]),
+    }
+    objects = np.array([names[_key(t)] for t in ordered])
+    write_npz(out / "trials.npz", {"object": objects, **hands, **texts})
     answers = {
         "method": np.array("r2handoversim"),
         "trial_id": np.array(ids, np.int64),
@@ -519,18 +513,17 @@ def _pieces(vertices: NDArray[Any], faces: NDArray[Any], most: int) -> NDArray[n
             break
         cell, size = finer.reshape(-1), size * 0.95
     middle = np.stack([centre[cell == k].mean(0) for k in range(cell.max() + 1)])
-    solid = np.array([_thickness(vertices[faces[cell == k]]) > FLAT_M for k in range(len(middle))])
+    solid = np.zeros(len(middle), bool)
+    for k in range(len(middle)):  # extent across the plane that fits a cell's corners best
+        points = vertices[faces[cell == k]].reshape(-1, 3)
+        points = points - points.mean(0)
+        flat = points @ np.linalg.svd(points, full_matrices=False)[2][2]
+        solid[k] = np.ptp(flat) > FLAT_M
     if not solid.any():
         return np.zeros(len(faces), np.int64)
     apart = np.linalg.norm(middle[:, None] - middle[None, solid], axis=2)
     joined = np.flatnonzero(solid)[apart.argmin(1)][cell]
     return np.asarray(np.unique(joined, return_inverse=True)[1].reshape(-1))
-
-
-def _thickness(triangles: NDArray[Any]) -> float:
-    """Extent across the plane that fits points best."""
-    points = triangles.reshape(-1, 3) - triangles.reshape(-1, 3).mean(0)
-    return float(np.ptp(points @ np.linalg.svd(points, full_matrices=False)[2][2]))
 
 
 def _key(t: ReleaseTrial) -> tuple[str, str, bytes, bytes]:

@@ -75,10 +75,6 @@ def _rows(columns: int, low: float, high: float, least: int = 0, kinds: str = "i
     return PlainValidator(check)
 
 
-def _whole_numbers(value: Any) -> Any:
-    return _array(value, (), 0, 1 << 31, "iu").astype(np.int64)
-
-
 Joints = Annotated[Array, _rows(6, -6.2832, 6.2832)]
 NO_JOINTS = np.zeros((0, 6))
 
@@ -197,7 +193,10 @@ class Own(Entry):
     T_world_palm: (
         Pose  # as in `receiver` when it was written: a hand that was moved since is theirs
     )
-    receiver_faces: Annotated[Array, PlainValidator(_whole_numbers)] | None = None
+    receiver_faces: (
+        Annotated[Array, PlainValidator(lambda x: _array(x, (), 0, 1 << 31, "iu").astype(np.int64))]
+        | None
+    ) = None
     """None: the region is the usage boxes"""
 
 
@@ -410,9 +409,8 @@ def _trial(scene: SceneFile, selection: SelectionFile, where: str) -> TrialFile 
     normal = T_world_object[:3, :3] @ hand.palm_normal
     mesh = None
     if hand.mesh is not None:
-        mesh = hand.mesh.model_copy(
-            update={"vertices": transform_points(T_world_object, hand.mesh.vertices)}
-        )
+        moved = transform_points(T_world_object, hand.mesh.vertices)
+        mesh = hand.mesh.model_copy(update={"vertices": moved})
     if receiver is not None:
         palm, normal = receiver.T_world_hand[:3, 3], receiver.T_world_hand[:3, 2]
     region = scene.object.usage_regions.get(scene.intent.human_region, NO_BOXES)

@@ -152,7 +152,11 @@ def import_robot(
         lower, upper = np.minimum(bare.lower, usual), np.maximum(bare.upper, usual)
         _check(replace(bare, lower=lower, upper=upper), shown)
         names = ARM_LINKS
-        mouths = [_mouths(*pair) for pair in zip(chain.links, names, strict=True)]
+        # what the next links close in the sleeves: those of the UR5e at other lengths
+        mouths = [
+            mouths_for(like, box_of(visual_triangles(like)), box_of(link.triangles))
+            for link, like in zip(chain.links, names, strict=True)
+        ]
     else:
         bare = replace(
             bare,
@@ -207,11 +211,6 @@ def _check(robot: Robot, shown: str) -> None:
         check_robot(robot)
     except ValueError as error:
         raise FileError(f"{shown}: {' '.join(str(error).split())[:200]}") from None
-
-
-def _mouths(link: Link, like: str) -> list[Array]:
-    """What the next links close in the sleeves of a UR's link, which are the UR5e's at other lengths."""
-    return mouths_for(like, box_of(visual_triangles(like)), box_of(link.triangles))
 
 
 def _bodies(

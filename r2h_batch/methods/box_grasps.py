@@ -14,7 +14,6 @@ from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Kind, Robot
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import box_grasps as kernels
@@ -39,6 +38,12 @@ class BoxGrasps:
     used: Bool[Tensor, "b s"]
 
 
+def half_sides(robot: Robot) -> Array:
+    """(G, 3) half sides of the boxes that hold the gripper's shapes, in their frames, m."""
+    kind, size = robot.gripper.kind, robot.gripper.size
+    return np.where((kind == Kind.BOX)[:, None], size, size[:, [0, 0, 1]])
+
+
 @lru_cache(maxsize=4)
 def three_boxes(robot: Robot) -> tuple[Array, Array, Array, Array]:
     """Low and high corner (3,) of the finger at +y and of the rest, m, frame ee, gripper open at 85
@@ -47,17 +52,9 @@ def three_boxes(robot: Robot) -> tuple[Array, Array, Array, Array]:
     The finger's inner face is the pad's; where its root would reach into the rest, the rest ends
     it.
     """
-    R, p = (
-        x[0].double().numpy()
-        for x in gripper_poses(
-            robot, torch.tensor([robot.open_gap_m], dtype=torch.float32, device="cpu")
-        )
-    )
-    half = np.where(
-        (robot.gripper.kind == Kind.BOX)[:, None], robot.gripper.size,
-        np.stack([robot.gripper.size[:, 0], robot.gripper.size[:, 0], robot.gripper.size[:, 1]], 1),
-    )  # fmt: skip
-    half = np.einsum("gij,gj->gi", np.abs(R), half)
+    opened = torch.tensor([robot.open_gap_m], dtype=torch.float32, device="cpu")
+    R, p = (x[0].double().numpy() for x in gripper_poses(robot, opened))
+    half = np.einsum("gij,gj->gi", np.abs(R), half_sides(robot))
     finger = np.isin(robot.gripper_part, FINGER_PARTS)
     positive = finger & (robot.gripper_side > 0)
     finger_low, finger_high = (p - half)[positive].min(0), (p + half)[positive].max(0)
@@ -111,7 +108,9 @@ def box_grasps(
             width=used.shape[1],
         )
     if scene.config.candidates == "narrow":
-        fits = torch.from_numpy(_extents(scene, turns) <= scene.robot.open_gap_m).to(device)
+        # (O, A) how wide each object is along the closing axis of each azimuth
+        wide = np.stack([np.ptp(o.vertices[:, :2] @ turns.T, axis=0) for o in scene.objects])
+        fits = torch.from_numpy(wide <= scene.robot.open_gap_m).to(device)
         score = torch.where(fits[index.long()].gather(1, turn.long()), score, -1.0)
     chosen = torch.from_numpy(turns).to(device)[turn.long()]
     down = torch.from_numpy(depth).to(device)[step.long()]
@@ -127,11 +126,6 @@ def _turns(azimuth_step: float) -> NDArray[np.float32]:
         )
     angle = azimuth_step * np.arange(count)
     return np.stack([np.cos(angle), np.sin(angle)], 1).astype(np.float32)
-
-
-def _extents(scene: Scene, turns: NDArray[np.float32]) -> Array:
-    """(O, A) how wide each object is along the closing axis of each azimuth, m."""
-    return np.stack([np.ptp(o.vertices[:, :2] @ turns.T, axis=0) for o in scene.objects])
 
 
 def _seeds(
@@ -195,7 +189,8 @@ def _clouds(scene: Scene, voxel_m: float) -> _Clouds:
     cloud's lowest corner."""
     orders, starts = [], []
     for model in scene.objects:
-        cells = _cells(model, voxel_m)
+        points = model.points.astype(np.float64)
+        cells = np.floor((points - points.min(0)) / voxel_m + 0.5).astype(np.int64)
         _, number, size = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
         orders.append(np.argsort(number.ravel(), kind="stable"))
         starts.append(np.concatenate([[0], np.cumsum(size)]))
@@ -207,8 +202,3 @@ def _clouds(scene: Scene, voxel_m: float) -> _Clouds:
         torch.from_numpy(np.stack(orders).astype(np.int32)).to(scene.device),
         torch.from_numpy(padded.astype(np.int32)).to(scene.device),
     )
-
-
-def _cells(model: ObjectModel, voxel_m: float) -> NDArray[np.int64]:
-    points = model.points.astype(np.float64)
-    return np.floor((points - points.min(0)) / voxel_m + 0.5).astype(np.int64)

@@ -4,7 +4,7 @@ for a user's."""
 import hashlib
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Literal
 
@@ -189,16 +189,11 @@ def _candidates(model: ObjectModel, kind: Kind, robot: Robot) -> Candidates:
 
     def make() -> dict[str, NDArray[Any]]:
         try:
-            return _arrays(
-                sample_grasps(model, robot=robot, enough=ENOUGH if usual else SAMPLED)
-                if filtered
-                else generate_grasps(model, robot)
-            )
+            if not filtered:
+                return vars(generate_grasps(model, robot))
+            return vars(sample_grasps(model, robot=robot, enough=ENOUGH if usual else SAMPLED))
         except NoGraspError:
-            return {
-                k: v[:0]
-                for k, v in _arrays(_candidates(load_objects()[0], kind, carrier(None))).items()
-            }
+            return vars(_candidates(load_objects()[0], kind, carrier(None)).rows(slice(0)))
 
     whose = "" if usual else robot.digest
     key = hashlib.sha256(
@@ -210,10 +205,6 @@ def _candidates(model: ObjectModel, kind: Kind, robot: Robot) -> Candidates:
     if not len(found):
         warnings.warn(f"{model.name}: {NOTHING_FITS.format(1e3 * robot.open_gap_m)}", stacklevel=2)
     return found
-
-
-def _arrays(candidates: Candidates) -> dict[str, NDArray[Any]]:
-    return {f.name: getattr(candidates, f.name) for f in fields(Candidates)}
 
 
 @lru_cache(maxsize=2)

@@ -11,7 +11,7 @@ Score in [0, 1] = 0.4 alignment + 0.35 contact + 0.25 balance:
 
 import hashlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -75,13 +75,7 @@ class Candidates:
 
     def rows(self, rows: Any) -> "Candidates":
         """The selected grasps."""
-        return Candidates(
-            self.T_obj_ee[rows],
-            self.width[rows],
-            self.score[rows],
-            self.part[rows],
-            self.region_m[rows],
-        )
+        return Candidates(**{k: v[rows] for k, v in vars(self).items()})
 
     def __len__(self) -> int:
         return len(self.width)
@@ -89,12 +83,8 @@ class Candidates:
 
 def joined(parts: Sequence[Candidates]) -> Candidates:
     """All grasps of several sets, in their order."""
-    return Candidates(
-        *(
-            np.concatenate([getattr(c, name) for c in parts])
-            for name in Candidates.__dataclass_fields__
-        )
-    )
+    columns = zip(*(vars(c).values() for c in parts), strict=True)
+    return Candidates(*map(np.concatenate, columns))
 
 
 FRICTION = 0.5
@@ -145,9 +135,8 @@ def proposals(
     depth = DEPTH_M * (2 * rng.random((SEEDS, APPROACHES)) - 1)
     keep = thickness > 0
     center64, axis64 = center[keep].astype(np.float64), axis[keep].astype(np.float64)
-    e = np.cross(
-        axis64, np.where(np.abs(axis64[:, :1]) > 0.7, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
-    )
+    aside = np.where(np.abs(axis64[:, :1]) > 0.7, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    e = np.cross(axis64, aside)
     e /= np.linalg.norm(e, axis=1, keepdims=True)
     f = np.cross(axis64, e)
     z = np.cos(angle[keep])[..., None] * e[:, None] + np.sin(angle[keep])[..., None] * f[:, None]
@@ -259,11 +248,8 @@ def pad_contact(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     """What `antipodal.pad_contact` says: share of the lesser pad, mean cosine, part."""
     link = robot.linkage
-    share, cosine, part = (
-        np.zeros(len(T), np.float32),
-        np.zeros(len(T), np.float32),
-        np.zeros(len(T), np.int32),
-    )
+    share, cosine = np.zeros((2, len(T)), np.float32)
+    part = np.zeros(len(T), np.int32)
     pad_z = pad_height(robot, opening).astype(np.float32)
     launch_trials(
         antipodal.pad_contact,
@@ -321,11 +307,8 @@ def diverse(model: ObjectModel, every: Candidates, count: int, robot: Robot) -> 
     if model.split != "S0":
         stages.insert(0, (off_region, min(int(REGION_SHARE * count), int(off_region.sum()))))
     for allowed, wanted in stages:
-        better = (
-            allowed & (every.score >= np.quantile(every.score[allowed], POOREST))
-            if allowed.any()
-            else allowed
-        )
+        poorest = np.quantile(every.score[allowed], POOREST) if allowed.any() else 0.0
+        better = allowed & (every.score >= poorest)
         if better.sum() > 2 * wanted:
             allowed = better
         radius = float(np.linalg.norm(np.ptp(model.vertices, axis=0))) / 4
@@ -381,22 +364,17 @@ def sample_grasps(
     robot = carrier(robot)
     tables = grasp_tables([model], robot)
     mesh = device_mesh(model)
-    key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
-    pool: list[Candidates] = []
-    with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
-        for turn in range(ROUNDS):
-            rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-            proposed = proposals(model, mesh, rng, robot)[0]
-            pool.append(graded(model, tables, mesh, proposed, robot)[0])
-            found, off_region = (
-                sum(map(len, pool)),
-                sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool),
-            )
-            if found >= enough and (
-                model.split == "S0" or off_region >= enough // 4 or found >= 3 * enough
-            ):
-                break
-    every = joined(pool)
+
+    def found_of(rng: np.random.Generator) -> Candidates:
+        proposed = proposals(model, mesh, rng, robot)[0]
+        return graded(model, tables, mesh, proposed, robot)[0]
+
+    def suffices(pool: Candidates) -> bool:
+        off_region = int((pool.region_m > REGION_CLEARANCE_M).sum())
+        some = model.split == "S0" or off_region >= enough // 4
+        return len(pool) >= enough and (some or len(pool) >= 3 * enough)
+
+    every = _pool(model, found_of, suffices)
     if len(every) == 0:
         stroke = f"{1e3 * robot.open_gap_m:.0f} mm"
         raise NoGraspError(
@@ -429,30 +407,40 @@ def generate_grasps(
     init_warp()
     robot = carrier(robot)
     mesh = device_mesh(model)
-    key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
-    pool: list[Candidates] = []
-    with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
-        for turn in range(ROUNDS):
-            rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-            T, width = proposals(model, mesh, rng, robot)
-            contact, alignment, part = pad_contact(model, mesh, T, width, width, robot)
-            score, square = scored(model, T, width, contact, alignment, robot)
-            rows = np.flatnonzero(square & (contact >= GENERATED_CONTACT))
-            rows = rows[_boxes_clear(model, T[rows], robot)]
-            region = np.where(_on_region(model, T[rows], width[rows], robot), -1.0, 1.0).astype(
-                np.float32
-            )
-            pool.append(
-                Candidates(T[rows], width[rows], score[rows], part[rows].astype(np.uint8), region)
-            )
-            if sum(map(len, pool)) >= ENOUGH:
-                break
-    every = joined(pool)
+
+    def found_of(rng: np.random.Generator) -> Candidates:
+        T, width = proposals(model, mesh, rng, robot)
+        contact, alignment, part = pad_contact(model, mesh, T, width, width, robot)
+        score, square = scored(model, T, width, contact, alignment, robot)
+        rows = np.flatnonzero(square & (contact >= GENERATED_CONTACT))
+        rows = rows[_boxes_clear(model, T[rows], robot)]
+        region = np.where(_on_region(model, T[rows], width[rows], robot), -1.0, 1.0)
+        columns = T[rows], width[rows], score[rows], part[rows].astype(np.uint8)
+        return Candidates(*columns, region.astype(np.float32))
+
+    every = _pool(model, found_of, lambda pool: len(pool) >= ENOUGH)
     if len(every) == 0:
         raise NoGraspError(
             f"{model.name}: no antipodal pair that the gripper of {robot.name} fits about was found"
         )
     return diverse(model, every, count, robot)
+
+
+def _pool(
+    model: ObjectModel,
+    found_of: Callable[[np.random.Generator], Candidates],
+    suffices: Callable[[Candidates], bool],
+) -> Candidates:
+    """What rounds of proposals find until it suffices; the object's name and the round draw them."""
+    key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
+    rounds: list[Candidates] = []
+    with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
+        for turn in range(ROUNDS):
+            rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
+            rounds.append(found_of(rng))
+            if suffices(joined(rounds)):
+                break
+    return joined(rounds)
 
 
 def _boxes_clear(model: ObjectModel, T: F32, robot: Robot) -> NDArray[np.bool_]:
@@ -509,16 +497,10 @@ def own_grasps(model: ObjectModel, grasps: GraspSet, robot: Robot) -> Candidates
     init_warp()
     order = np.argsort(-grasps.score, kind="stable")
     T = np.ascontiguousarray(grasps.T_obj_ee[order])
-    width = close_pads(
-        grasp_tables([model], robot),
-        torch.from_numpy(T),
-        zeros(torch.from_numpy(T)),
-    )[0]
-    part, nan = (
-        np.maximum(grasps.part[order], 0).astype(np.uint8),
-        np.full(len(T), np.nan, np.float32),
-    )
-    return Candidates(T, width.numpy(), grasps.score[order], part, nan)
+    poses = torch.from_numpy(T)
+    width = close_pads(grasp_tables([model], robot), poses, zeros(poses))[0].numpy()
+    part = np.maximum(grasps.part[order], 0).astype(np.uint8)
+    return Candidates(T, width, grasps.score[order], part, np.full(len(T), np.nan, np.float32))
 
 
 def seat_grasps(model: ObjectModel, grasps: GraspSet, robot: Robot | None = None) -> Candidates:

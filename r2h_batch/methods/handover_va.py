@@ -159,12 +159,9 @@ def added_turns(count: int) -> list[float]:
 def in_front_of(target: TargetHand, count: int) -> Float[Tensor, "b d 3"]:
     """`count` points on each palm's normal, c_h first, each 8 cm farther from the palm than the one
     before (world)."""
-    away = DISTANCE_STEP_M * torch.arange(
-        count, dtype=torch.float64, device=target.palm_normal.device
-    )
-    return (
-        target.ball_center.double()[:, None] + away[:, None] * target.palm_normal.double()[:, None]
-    )
+    center, normal = target.ball_center.double()[:, None], target.palm_normal.double()[:, None]
+    steps = torch.arange(count, dtype=torch.float64, device=normal.device)[:, None]
+    return center + DISTANCE_STEP_M * steps * normal
 
 
 def by_score(
@@ -206,10 +203,8 @@ def first_reached(
         found = reached.any(1)
         rows = todo if k == 0 else todo[found]
         open_rows = torch.ones_like(found) if k == 0 else found
-        T_obj_ee[rows], T_world_ee[rows] = (
-            grasp[open_rows],
-            T[open_rows, first_true(reached)[open_rows]],
-        )
+        T_obj_ee[rows] = grasp[open_rows]
+        T_world_ee[rows] = T[open_rows, first_true(reached)[open_rows]]
         todo = todo[~found]
     return T_obj_ee, T_world_ee
 
@@ -232,11 +227,9 @@ def point_roles(
     if seen.role is not None:
         return seen.role.to(scene.device)
     table = torch.from_numpy(roles_of(scene.objects)).to(scene.device)
-    functional = torch.tensor(
-        [o.split == "S1" and o.roles is None for o in scene.objects],
-        dtype=torch.bool,
-        device=scene.device,
-    )[object_index.long()]
+    by_region_only = [o.split == "S1" and o.roles is None for o in scene.objects]
+    functional = torch.tensor(by_region_only, dtype=torch.bool, device=scene.device)
+    functional = functional[object_index.long()]
     by_part = table[object_index.long()[:, None], seen.label.to(scene.device).long()]
     by_region = torch.where(seen.usage.to(scene.device), GRASP, FUNCTION).to(torch.uint8)
     return torch.where(functional[:, None], by_region, by_part)
@@ -255,13 +248,9 @@ def presented(
     R_world_template = torch.stack([frame[..., 2], -frame[..., 1], frame[..., 0]], -1)
     turned = rolled(R_world_template, angles, axis=0)
     if about_z is not None:
-        turned = torch.where(
-            about_z[:, None, None, None], rolled(R_world_template, angles, axis=2), turned
-        )
-    back = R_obj_template.double().transpose(1, 2)[:, None]
-    return torch.stack(
-        [se3.rotate(turned, back[..., k].expand(turned.shape[:3])) for k in range(3)], -1
-    )
+        about = rolled(R_world_template, angles, axis=2)
+        turned = torch.where(about_z[:, None, None, None], about, turned)
+    return se3.matmul(turned, R_obj_template.double().transpose(1, 2)[:, None].expand_as(turned))
 
 
 def carried(
@@ -272,13 +261,7 @@ def carried(
 ) -> Float[Tensor, "b r 4 4"]:
     """T_world_ee that carries the object turned so, with its point `point_obj` (frame obj) at
     `target` (world)."""
-    R_obj_ee = T_obj_ee[:, :3, :3].double()[:, None]
-    R = torch.stack(
-        [se3.rotate(R_world_obj, R_obj_ee[..., k].expand(R_world_obj.shape[:3])) for k in range(3)],
-        -1,
-    )
+    R = se3.matmul(R_world_obj, T_obj_ee[:, :3, :3].double()[:, None].expand_as(R_world_obj))
     offset = (T_obj_ee[:, :3, 3].double() - point_obj.double())[:, None]
     p = target.double() + se3.rotate(R_world_obj, offset.expand(R_world_obj.shape[:3]))
-    T = torch.zeros((*R.shape[:2], 4, 4), dtype=torch.float32, device=R.device)
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R.float(), p.float(), 1.0
-    return T
+    return se3.from_rotation(R, p).float()

@@ -302,9 +302,8 @@ def named_parts(
     the object alone."""
     index = trials.object_index.cpu().long()
     if instructions is None:
-        return torch.stack([_region(scene, i, o.instruction) for i, o in enumerate(scene.objects)])[
-            index
-        ]
+        own = [_region(scene, i, o.instruction) for i, o in enumerate(scene.objects)]
+        return torch.stack(own)[index]
     pairs = list(zip(index.tolist(), instructions, strict=True))
     # Each sentence is understood once however many trials ask it: (object, sentence) -> row of
     # `regions`

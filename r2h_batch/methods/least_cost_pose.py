@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.bodies.robot import Kind, Robot
+from r2h_batch.bodies.robot import Robot
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import pose_cost as kernels
 from r2h_batch.launch import launch_trials
+from r2h_batch.methods.box_grasps import half_sides
 from r2h_batch.methods.placing import (
     HOME_X,
     Anchor,
@@ -167,34 +168,23 @@ def gripper_capsule(robot: Robot) -> tuple[float, float, float]:
     """Low and high end on ee's z axis, and radius, of a capsule that holds the gripper at any
     opening (m)."""
     slack = 1e-3  # what parts move between two of the openings looked at
-    R, p = (
-        x.double().numpy()
-        for x in gripper_poses(
-            robot, torch.linspace(0.0, robot.open_gap_m, 61, dtype=torch.float32, device="cpu")
-        )
+    gaps = torch.linspace(0.0, robot.open_gap_m, 61, dtype=torch.float32, device="cpu")
+    R, p = (x.double().numpy() for x in gripper_poses(robot, gaps))
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T[:, None] * half_sides(
+        robot
     )
-    size = robot.gripper.size
-    half = np.where(
-        (robot.gripper.kind == Kind.BOX)[:, None],
-        size,
-        np.stack([size[:, 0], size[:, 0], size[:, 1]], 1),
-    )
-    # of the boxes that hold the primitives
-    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
-    points = (p[:, :, None] + np.einsum("ngij,cgj->ngci", R, corners[:, None] * half)).reshape(
-        -1, 3
-    )
+    points = (p[:, :, None] + np.einsum("ngij,cgj->ngci", R, corners)).reshape(-1, 3)
     radius = float(np.hypot(points[:, 0], points[:, 1]).max()) + slack
     return float(points[:, 2].min()) - slack, float(points[:, 2].max()) + slack, radius
 
 
 @lru_cache(maxsize=4)
 def _boxes(scene: Scene) -> tuple[Any, Any]:
-    corners = np.stack([(o.vertices.min(0), o.vertices.max(0)) for o in scene.objects]).astype(
-        np.float32
+    low, high = (
+        np.stack([corner(o.vertices, 0) for o in scene.objects]).astype(np.float32)
+        for corner in (np.min, np.max)
     )
-    arrays: list[Any] = [
-        wp.array(np.ascontiguousarray(corners[:, i]), dtype=wp.vec3, device=scene.device)
-        for i in (0, 1)
-    ]
-    return arrays[0], arrays[1]
+    return (
+        wp.array(low, dtype=wp.vec3, device=scene.device),
+        wp.array(high, dtype=wp.vec3, device=scene.device),
+    )

@@ -14,7 +14,6 @@ import torch
 from numpy.typing import NDArray
 
 from r2h_batch import rng, se3
-from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper, region_distance, squeezed
@@ -101,11 +100,8 @@ def predict(
         solutions[todo] += solved
         better = reached > farthest[todo]
         rows = todo[better]
-        farthest[rows], T_obj_ee[rows], T_world_ee[rows] = (
-            reached[better],
-            grasp[better],
-            pose[better],
-        )
+        farthest[rows], T_obj_ee[rows] = reached[better], grasp[better]
+        T_world_ee[rows] = pose[better]
         todo = todo[solutions[todo] < wanted]
     return Predictions(trials.trial_id, T_obj_ee, T_world_ee, method="oracle").to(home)
 
@@ -133,10 +129,7 @@ class _Fan:
         self._object = trials.object_index.cpu().numpy().astype(np.int64)
         self._grasps, self._first, self._count, self._free = _usable_grasps(evaluator)
         _, normal, center = evaluator.scene.palm(trials.hand_index, trials.T_world_hand)
-        self._normal, self._center = (
-            normal.cpu().numpy().astype(np.float64),
-            center.cpu().numpy().astype(np.float64),
-        )
+        self._normal, self._center = (x.cpu().numpy().astype(np.float64) for x in (normal, center))
         out = self._center * [1.0, 1.0, 0.0]
         self._outwards = out / np.sqrt(out[:, 0] ** 2 + out[:, 1] ** 2)[:, None]
         key = rng.key_of(f"oracle {seed}")
@@ -147,9 +140,8 @@ class _Fan:
         u = self._start[:, rows] + turn * _STEPS[:, None]
         which, mix, tilt, roll, far = u - np.floor(u)
         objects, normal = self._object[rows], self._normal[rows]
-        T_obj_ee = self._grasps[
-            self._first[objects] + rng.choice(which, self._count[objects])
-        ].astype(np.float64)
+        row = self._first[objects] + rng.choice(which, self._count[objects])
+        T_obj_ee = self._grasps[row].astype(np.float64)
         approach = mix[:, None] * self._outwards[rows] - (1.0 - mix)[:, None] * normal
         frame = _basis(se3.rotate(_basis(approach), _TILTS[rng.choice(tilt, TILTS)]))
         x, z = se3.rotate(frame, _ROLLS[rng.choice(roll, ROLLS)]), frame[:, :, 2]
@@ -163,9 +155,8 @@ class _Fan:
         T_world_ee[:, :3, :3] = R
         T_world_ee[:, :3, 3] = target - se3.rotate(R, free)
         T_world_ee[:, 3, 3] = 1.0
-        return torch.from_numpy(T_obj_ee.astype(np.float32)), torch.from_numpy(
-            T_world_ee.astype(np.float32)
-        )
+        grasp, pose = (torch.from_numpy(T.astype(np.float32)) for T in (T_obj_ee, T_world_ee))
+        return grasp, pose
 
 
 @lru_cache(maxsize=1)
@@ -201,19 +192,11 @@ def _usable_grasps(
         good = rows[passes[rows] & (spare[rows] >= MARGIN_M)]
         kept.append(good if len(good) else rows[passes[rows]] if passes[rows].any() else rows)
     number = np.array([len(k) for k in kept], np.int64)
-    free = np.stack([_free_point(o) for o in scene.objects])
+    # the centre of the receiver's region, else of the surface, is held out to the hand
+    regions = (o.receiver_face[o.point_face] for o in scene.objects)
+    held_out = (o.points[r] if r.any() else o.points for o, r in zip(scene.objects, regions))
+    free = np.stack([points.astype(np.float64).mean(0) for points in held_out])
     return grasps[np.concatenate(kept)], np.cumsum(number) - number, number, free
-
-
-def _free_point(model: ObjectModel) -> Array:
-    """Centre of the receiver's region, or of the whole surface (frame obj): what is held out to the
-    hand."""
-    points = (
-        model.points[model.receiver_face[model.point_face]]
-        if model.receiver_face.any()
-        else model.points
-    )
-    return points.astype(np.float64).mean(0)
 
 
 def _basis(z: Array) -> Array:

@@ -78,23 +78,13 @@ def _of_objects(
     if key not in _cached:
         if len(_cached) >= 8:
             _cached.clear()
-        networks = (
-            load_voxnet(o.name if left_out and stored_key(o) and o.name in OBJECT_NAMES else "")
-            if predictor is None
-            else predictor
-            for o in scene.objects
-        )
-        _cached[key] = torch.stack(
-            [
-                torch.stack(
-                    [
-                        _of_object(scene.objects[i], n, grid)
-                        for grid in grids_of(scene, i, view, seed)
-                    ]
-                )
-                for i, n in enumerate(networks)
-            ]
-        )
+        rows = []
+        for i, o in enumerate(scene.objects):
+            unseen = left_out and stored_key(o) and o.name in OBJECT_NAMES
+            network = load_voxnet(o.name if unseen else "") if predictor is None else predictor
+            grids = grids_of(scene, i, view, seed)
+            rows.append(torch.stack([_of_object(o, network, grid) for grid in grids]))
+        _cached[key] = torch.stack(rows)
     return _cached[key]
 
 
@@ -117,11 +107,8 @@ def _of_object(
         found = predictor(grid)
     name = getattr(predictor, "__name__", type(predictor).__name__)
     if not isinstance(found, Tensor) or found.shape != (1, VOXELS, VOXELS, VOXELS):
-        what = (
-            f"shape {tuple(found.shape)}"
-            if isinstance(found, Tensor)
-            else f"a {type(found).__name__}"
-        )
+        tensor = isinstance(found, Tensor)
+        what = f"shape {tuple(found.shape)}" if tensor else f"a {type(found).__name__}"
         raise ValueError(
             f"contact predictor {name} returned {what} for a grid (1, 5, 64, 64, 64); need a tensor (1, 64, 64, 64)"
         )

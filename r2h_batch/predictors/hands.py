@@ -189,18 +189,14 @@ def retrieve_receiving(
     fits = torch.zeros((len(scene.objects), most, len(grasps)), dtype=torch.bool, device="cpu")
     for i, model in enumerate(scene.objects):
         for k, intent in enumerate(intents_of(model)):
-            fits[i, k] = torch.isin(
-                grasps.part, torch.tensor(intent.labels, dtype=torch.uint8, device="cpu")
-            )
+            labels = torch.tensor(intent.labels, dtype=torch.uint8, device="cpu")
+            fits[i, k] = torch.isin(grasps.part, labels)
     answer = {
         pair: understand(pair[1], scene.objects, object_index=pair[0]).intent
         for pair in dict.fromkeys(zip(object_index, texts, strict=True))
     }
-    wanted = torch.tensor(
-        [answer[pair] for pair in zip(object_index, texts, strict=True)],
-        dtype=torch.int64,
-        device="cpu",
-    )
+    rows = [answer[pair] for pair in zip(object_index, texts, strict=True)]
+    wanted = torch.tensor(rows, dtype=torch.int64, device="cpu")
     return _drawn(trials, scene, grasps, fits, wanted, seed, noise)
 
 
@@ -228,20 +224,13 @@ def _drawn(
             f"{name}: no receiving grasp of a {SIDES[int(side[i])]} hand was found; leave its trials out"
         )
     (u,) = rng.uniforms(key, ids, 1, purpose=_GRASP)
-    grasp = table[at][
-        torch.arange(len(ids), dtype=torch.int64, device="cpu"),
-        torch.from_numpy(rng.choice(u, number[at].numpy())),
-    ]
+    drawn = torch.from_numpy(rng.choice(u, number[at].numpy()))
+    grasp = table[at][torch.arange(len(ids), dtype=torch.int64, device="cpu"), drawn]
     point, _ = palm_frame(grasps.posed.joints, grasps.side)
     T = perturbed(
-        grasps.T_obj_hand[grasp],
-        point[grasp],
-        ids,
-        key,
-        purpose=_RECEIVING,
-        rotation_deg=noise.receiving_rotation_deg,
-        translation_m=noise.receiving_translation_m,
-    )
+        grasps.T_obj_hand[grasp], point[grasp], ids, key, purpose=_RECEIVING,
+        rotation_deg=noise.receiving_rotation_deg, translation_m=noise.receiving_translation_m,
+    )  # fmt: skip
     bank = HandGeometry(grasps.posed.vertices.to(device), grasps.posed.joints.to(device))
     row = grasp.to(device)
     return ReceivingHand(bank, row, side.to(device), T.to(device), grasps.hand, row)
@@ -250,9 +239,8 @@ def _drawn(
 def _rows(grasps: ReceivingGrasps, fits: Tensor) -> tuple[Tensor, Tensor]:
     """Rows of `grasps` for (object, side, choice), padded (O, 2, C, L), and how many; where nothing
     fits, all do."""
-    fitting = torch.stack([grasps.object_index == i for i in range(len(fits))])[
-        :, None
-    ] & torch.stack([grasps.side == s for s in (0, 1)])
+    of_object = torch.stack([grasps.object_index == i for i in range(len(fits))])
+    fitting = of_object[:, None] & torch.stack([grasps.side == s for s in (0, 1)])
     kept = fitting[:, :, None] & fits[:, None]
     kept = torch.where(kept.any(-1, keepdim=True), kept, fitting[:, :, None].expand_as(kept))
     number = kept.sum(-1)
@@ -320,11 +308,8 @@ def estimated_hand(
     """Where an estimator sees the hands stand (world), with the error model; drawn by (seed, trial
     id)."""
     hands, row = scene.hands, hand_index.long()
-    ids, key, pivot = (
-        trial_ids(trial_id),
-        rng.key_of(f"target hand {seed}"),
-        hands.palm_point.to(row.device)[row],
-    )
+    ids, key = trial_ids(trial_id), rng.key_of(f"target hand {seed}")
+    pivot = hands.palm_point.to(row.device)[row]
     T = T_world_hand
     if noise.target_errors != "frames":
         T = perturbed(

@@ -96,11 +96,8 @@ def perturbed(
     R = rotation_from_axis_angle((np.pi / 180.0 * rotation_deg) * z[:3].T)
     about = pivot.double()
     E = se3.from_rotation(R, about)
-    E[:, :3, 3] = (
-        E[:, :3, 3]
-        - se3.apply(se3.from_rotation(R, torch.zeros_like(about)), about)
-        + translation_m * z[3:].T
-    )
+    moved = se3.apply(se3.from_rotation(R, torch.zeros_like(about)), about)
+    E[:, :3, 3] = E[:, :3, 3] - moved + translation_m * z[3:].T
     return se3.matmul(T.double(), E).float()
 
 

@@ -75,17 +75,13 @@ def predict_parts(
     at = trials.object_index.cpu().long()
     if noise.border_m == 0:
         return _split(clouds.label[at], device)
-    z = torch.from_numpy(
-        normals(
-            rng.key_of(f"parts {seed}"), trial_ids(trials.trial_id), WAVES, purpose=_PARTS
-        ).astype(np.float32)
-    )
+    ids, key = trial_ids(trials.trial_id), rng.key_of(f"parts {seed}")
+    z = torch.from_numpy(normals(key, ids, WAVES, purpose=_PARTS).astype(np.float32))
+    z = z * (noise.border_m * (2.0 / WAVES) ** 0.5)
     found = torch.empty((len(at), clouds.label.shape[1]), dtype=torch.uint8, device="cpu")
     for first in range(0, len(at), _CHUNK):
         rows = slice(first, first + _CHUNK)
-        found[rows] = _shifted(
-            clouds, at[rows], z[:, rows] * (noise.border_m * (2.0 / WAVES) ** 0.5)
-        )
+        found[rows] = _shifted(clouds, at[rows], z[:, rows])
     return _split(found, device)
 
 

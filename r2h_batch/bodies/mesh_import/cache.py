@@ -27,9 +27,7 @@ VERSIONS = ("coacd", "libigl", "manifold3d", "numpy", "scipy", "trimesh", "warp-
 SAID = "warnings"
 
 FORM = {
-    "name": ArraySpec("text"),
-    "split": ArraySpec("text"),
-    "instruction": ArraySpec("text"),
+    **dict.fromkeys(("name", "split", "instruction", "repair", SAID), ArraySpec("text")),
     "vertices": ArraySpec("float32", ("vertices", 3)),
     "faces": ArraySpec("int32", ("faces", 3), below="vertices"),
     "face_part": ArraySpec("uint8", ("faces",), below="parts"),
@@ -51,8 +49,6 @@ FORM = {
     "mass": ArraySpec("float64"),
     "com": ArraySpec("float64", (3,)),
     "inertia": ArraySpec("float64", (3, 3)),
-    "repair": ArraySpec("text"),
-    SAID: ArraySpec("text"),
 }
 """What is kept of an `ObjectModel`, with the warnings."""
 

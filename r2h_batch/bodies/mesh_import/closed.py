@@ -123,7 +123,11 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
     same = len(mesh.faces) == len(faces)
     if open_edges(mesh).any():
         mesh = _welded(mesh, label, done)
-    _check_count(mesh, label)
+    if (bodies := len(connected_bodies(mesh)[1])) > MOST_BODIES:
+        raise ObjectMeshError(
+            f"{label}: {len(mesh.faces)} faces in {bodies} bodies that do not touch; at most {MOST_BODIES} are "
+            "allowed: join them into one surface in a modelling tool"
+        )
     if not _well_formed(mesh, label):
         same = False
         mesh = _solid(mesh, budget, done)
@@ -223,16 +227,6 @@ def _welded(mesh: trimesh.Trimesh, label: str, done: list[str]) -> trimesh.Trime
         return mesh
     done += [f"welded {count - len(first)} vertices nearer than {WELD_M * 1e3:g} mm", *notes]
     return welded
-
-
-def _check_count(mesh: trimesh.Trimesh, label: str) -> None:
-    """Refuses a cloud of triangles."""
-    count = len(connected_bodies(mesh)[1])
-    if count > MOST_BODIES:
-        raise ObjectMeshError(
-            f"{label}: {len(mesh.faces)} faces in {count} bodies that do not touch; at most {MOST_BODIES} are "
-            "allowed: join them into one surface in a modelling tool"
-        )
 
 
 def _well_formed(mesh: trimesh.Trimesh, label: str) -> bool:
