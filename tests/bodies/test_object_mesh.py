@@ -5,7 +5,6 @@ import warnings
 import numpy as np
 import pytest
 import trimesh
-from convex_twin import winding_number
 
 from r2h_batch.bodies.objects import ObjectMeshError, build_object
 from r2h_batch.bodies.solid import solid_occupancy
@@ -106,17 +105,6 @@ def test_faces_are_dropped_turned_and_filled_in_by_name():
     ):
         model, said = built(plain(whole.vertices, faces))
         assert words in said and model.mesh.volume == pytest.approx(whole.volume, rel=rel)
-
-
-def test_an_open_sheet_is_rebuilt_as_a_hollow_shell_and_the_deviation_is_stated():
-    mesh = trimesh.creation.cylinder(0.015, 0.03, sections=48)
-    cup = trimesh.Trimesh(mesh.vertices, mesh.faces[mesh.face_normals[:, 2] < 0.9], process=False)
-    model, said = built(cup)
-    assert "rebuilt by winding number" in said and "open sheets made" in said
-    assert float(said.split("changed by up to ")[1].split(" mm")[0]) < 0.3
-    assert abs(winding_number(np.zeros(3), model.mesh.triangles)) < 1e-6, "the cup must stay hollow"
-    assert len(model.faces) <= 20_000
-    assert np.abs(model.mesh.extents - cup.extents).max() < 3e-3
 
 
 def test_two_faces_of_a_flat_sheet_enclose_nothing_and_are_rebuilt_and_a_wire_beside_them_stays():

@@ -1,7 +1,7 @@
 """Robot files: what is written is read as the same robot, built-in arms hold what the import promises, bad files say why."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
 
@@ -14,12 +14,12 @@ from seven import seven_joints, with_hulls, with_jaws, with_table
 
 from r2h_batch.bodies import robot as robots
 from r2h_batch.bodies.robot import Robot, ee_pose, load_robot, read_robot, robot_arrays, slide_table, write_robot
+from r2h_batch.bodies.robot_visuals import arm_urdf
 from r2h_batch.importers import robot_fit, urdf
 from r2h_batch.importers.robot import gripper_of
 from r2h_batch.importers.robot_pairs import touching
 from r2h_batch.importers.robot_shapes import CORNERS, Target, fit_hulls
 from r2h_batch.importers.urdf import read_chain, read_fingers
-from r2h_batch.io.read import FileError
 
 
 def same(a: object, b: object) -> bool:
@@ -68,13 +68,10 @@ def test_hulls_hold_the_mesh_that_they_are_cut_from():
     ("change", "words"),
     [
         (lambda y: y.update(format=2), "format"),
-        (lambda y: y.update(more=1), "more"),
         (lambda y: y["arm"].update(home_rad=[0.0] * 5), "home_rad"),
         (lambda y: y["arm"].update(max_velocity_rad_s=[1e-9] * 6), "max_velocity_rad_s"),
         (lambda y: y["arm"].update(visuals="../../x"), "visuals"),
         (lambda y: y["arm"]["links"].__setitem__(3, "table"), "called 'table'"),
-        (lambda y: y["arm"].update(joints=["j"] * 6), "called 'j'"),
-        (lambda y: y["arm"].update(upper_rad=[-6.0] * 6), "home_rad is outside"),
         (lambda y: y.update(gripper={"law": "slide"}), "gripper"),
     ],
 )
@@ -92,17 +89,13 @@ def test_a_wrong_robot_yaml_is_refused_in_one_line(change, words, tmp_path):
     [
         (0, lambda a: a.pop("com"), "has no com"),
         (0, lambda a: a.update(size=np.full_like(a["size"], np.nan)), "size holds a number that is not finite"),
-        (0, lambda a: a.update(size=a["size"][:3]), "size is"),
         (0, lambda a: a.update(link=a["link"] * 0), "every link"),
-        (0, lambda a: a.update(kind=a["kind"] * 0), "kind must be"),
         (0, lambda a: a.update(self_pairs=np.array([[3, 3]])), "pairs name two links"),
         (0, lambda a: a.update(T_link_prim=2 * a["T_link_prim"]), "not a rigid pose"),
         (0, lambda a: a.update(T_parent_joint=a["T_parent_joint"][::-1].copy()), "not that of a UR"),
         (0, lambda a: a.update(mass=a["mass"] * 1e300), "masses to 1000 kg"),
-        (0, lambda a: a.update(inertia=a["inertia"] + np.triu(np.ones((3, 3)), 1)), "not symmetric"),
         (0, lambda a: a["T_parent_joint"].__setitem__((slice(None), slice(3), 3), 0), "between 1 mm and 5 m"),
         (1, lambda a: a.update(corners=a["corners"][:-1]), "add up to the number of corners"),
-        (1, lambda a: a.update(corners=0 * a["corners"]), "span no hull"),
         (1, lambda a: a.update(corners=a["corners"] + 1.0), "ball about the middle"),
     ],
 )
@@ -127,15 +120,11 @@ URDF = """<robot name="one"><link name="base"><visual><geometry><mesh filename="
         ('<!DOCTYPE r [<!ENTITY a "b">]>' + URDF, "declares a document type"),
         (URDF.replace("<robot", '<robot xmlns:xacro="x"').replace("<axis", "<xacro:if/><axis"), "xacro"),
         (URDF.replace("{kind}", "prismatic"), "turn is prismatic"),
-        (URDF.replace("{mesh}", "http://x.org/a.stl"), "points outside the folder"),
         (URDF.replace("{mesh}", "../a.stl"), "points outside the folder"),
         (URDF.replace("{mesh}", "package://arm/a.stl"), "--package arm=FOLDER"),
         (URDF.replace('velocity="1"', ""), "velocity and effort above 0"),
-        (URDF.replace('link="base"', 'link="hand"'), "no chain"),
         (URDF.replace("0 0 1", "0 nan 1"), "3 numbers"),
         (URDF.replace("</robot>", 300 * '<joint name="j"/>' + "</robot>"), "301 links or joints"),
-        ("<html/>", "begins with <html>"),
-        ("<robot", "is not XML"),
     ],
 )
 def test_a_bad_urdf_is_refused_in_one_line(text, words, tmp_path):
@@ -225,10 +214,7 @@ def test_fingers_on_cranks_become_a_table_of_their_circle(tmp_path):
         (JAWS, {"kind": "revolute"}, "must stay parallel"),
         (JAWS, {"axis": "0 -1 0"}, "must be mirror images"),
         (JAWS, {"box": ""}, "neither boxes to collide nor a visual mesh"),
-        (JAWS, {"limit": ""}, "no <limit>"),
-        (JAWS, {"mass": ""}, "needs a mass"),
         (CRANKS, TURNING | {"other": "-1"}, "must open apart"),
-        (CRANKS.replace('joint="one" multiplier="{pad}"', 'joint="none"'), TURNING, "not a joint that moves"),
         (CRANKS.replace('joint="one" multiplier="{other}"', 'joint="two"'), TURNING, "follows itself"),
         (CRANKS.replace('<mimic joint="one" multiplier="{pad}"/>', "{limit}"), TURNING, "3 joints of the gripper move"),
     ],
@@ -239,13 +225,10 @@ def test_jaws_that_are_none_are_refused_in_one_line(urdf, changes, words, tmp_pa
 
 
 def test_the_chain_of_the_ur5es_urdf_is_the_built_in_one() -> None:
-    from r2h_batch.bodies.robot_visuals import arm_urdf
-
     chain, robot = read_chain(arm_urdf("ur5e"), "base_link", "tool0", {}), load_robot()
     assert np.array_equal(chain.T_parent_joint, robot.T_parent_joint)
     assert np.array_equal(chain.T_last_flange, robot.T_wrist3_flange)
     assert np.array_equal(chain.effort, robot.max_torque)
-    assert replace(robot, digest="other") != robot
 
 
 def test_a_mesh_in_millimetres_and_too_many_meshes_are_refused_before_they_are_covered(tmp_path, monkeypatch) -> None:
@@ -253,10 +236,10 @@ def test_a_mesh_in_millimetres_and_too_many_meshes_are_refused_before_they_are_c
     text = URDF.format(mesh="a.stl", kind="revolute")
     for link, words in (("", "900 m long"), ('scale="0.001 0.001 0.001"', None), ('scale="0 0 0"', "0 m long")):
         (tmp_path / "one.urdf").write_text(text.replace('"a.stl"', f'"a.stl" {link}'))
-        with pytest.raises(FileError, match=words or "link hand has no visual mesh"):
+        with one_line(words or "link hand has no visual mesh"):
             read_chain(tmp_path / "one.urdf", "base", "hand", {})
     visual = text[text.index("<visual>") : text.index("</link>")]
     (tmp_path / "one.urdf").write_text(text.replace(visual, 3 * visual))
     monkeypatch.setattr(urdf, "MAX_MESHES", 2)  # each is read by a process of its own
-    with pytest.raises(FileError, match="more than 2 visual meshes"):
+    with one_line("more than 2 visual meshes"):
         read_chain(tmp_path / "one.urdf", "base", "hand", {})

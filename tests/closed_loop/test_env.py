@@ -23,8 +23,6 @@ from r2h_batch.methods import random as random_method
 from r2h_batch.trials.protocol import make_trials
 
 ON_LINE_RAD = 2e-6
-
-
 ROBOTS = pytest.mark.parametrize("robot", ["ur5e_2f85", "panda_hand"])
 
 
@@ -56,10 +54,14 @@ def scores():
     return scores_of("ur5e_2f85")
 
 
+def running(env):
+    return bool((env.ends == int(End.RUNNING)).any())
+
+
 def run(env, policy):
     seen, _ = env.reset()
     policy = policy(env) if isinstance(policy, type) else policy
-    while bool((env.ends == int(End.RUNNING)).any()):
+    while running(env):
         seen, *_ = env.step(policy(seen))
     return env.episodes()
 
@@ -110,16 +112,14 @@ def test_the_planned_motion_beside_a_still_hand_has_todays_verdicts_bit_for_bit(
         planned = scores.path[i, : scores.path_len[i]].numpy()
         if scores.passed[i, 4]:  # else it touched the hand and stood from there on
             assert np.array_equal(path.astype(np.float32), thinned(planned.astype(np.float64)).astype(np.float32))
-    assert (
-        not scores.evaluated[found, 4].all() or (scores.passed[found, 4] == (env.ends[found] != int(End.CONTACT))).all()
-    )
+    touched = env.ends[found] == int(End.CONTACT)
+    assert not scores.evaluated[found, 4].all() or (scores.passed[found, 4] != touched).all()
     width = max(len(p) for p in paths)
     padded = torch.tensor(np.stack([np.concatenate([p, np.repeat(p[-1:], width - len(p), 0)]) for p in paths]))
     length = torch.tensor([len(p) for p in paths])
     times = 5.0 * torch.arange(width, dtype=torch.float64)
-    again = evaluator.score_motion(
-        scores.inputs.T_obj_ee[found], padded.float(), times, env.trials[found], length=length
-    )
+    T_obj_ee = scores.inputs.T_obj_ee[found]
+    again = evaluator.score_motion(T_obj_ee, padded.float(), times, env.trials[found], length=length)
     assert torch.equal(again.outcome, scores.outcome[found]) and torch.equal(again.passed, scores.passed[found])
     assert torch.equal(again.margin[:, [0, 1, 3, 4]].nan_to_num(9), scores.margin[found][:, [0, 1, 3, 4]].nan_to_num(9))
     assert (again.margin[:, 2] - scores.margin[found, 2]).abs().max() < 2e-5  # Reach: the pose by FK, not as asked
@@ -148,19 +148,11 @@ def test_kinematics_are_mujocos_and_the_jacobian_is_the_derivative(robot):
 
 
 def test_distances_between_steps_hold_against_dense_samples_of_mujoco_c_and_the_exact_mesh(evaluator, scores):
-    """16 moments of a step: kinematics by MuJoCo C, distance of its primitives to the exact mesh in float64."""
+    """Moments of a step: kinematics by MuJoCo C, distance of its primitives to the exact mesh in float64."""
     env = HandoverEnv(scores, ReceiverMotion("moves", 0.15, 40.0), action="posture")
     seen, _ = env.reset()
-    policy, looked, near = Planned(env), 0, 0
-    staged = [
-        oracle.Staged(
-            int(env.trials.object_index[i]), int(env.trials.hand_index[i]), env._attached[i].double().numpy(),
-            np.eye(4), float(env._opening[i]),
-        )
-        for i in range(env.num_envs)
-    ]  # fmt: skip
-    steps = 0
-    while bool((env.ends == int(End.RUNNING)).any()) and looked < 12:
+    policy, looked, near, steps = Planned(env), 0, 0, 0
+    while running(env) and looked < 8:
         rows = torch.nonzero(env.ends == int(End.RUNNING)).flatten()
         before, q0, t0 = env.gap.clone(), env.q.clone(), env.time_s
         moving = env.hands.moving(t0, env.step_s)
@@ -169,38 +161,33 @@ def test_distances_between_steps_hold_against_dense_samples_of_mujoco_c_and_the_
         passed = env._distance.over_step(rows, (q0[rows], env.q[rows]), env.hands, (t0, env.time_s), before[rows])
         close = (passed.least_m < 0.08) & moving[rows]
         for k in torch.nonzero(close).flatten()[: 2 if steps % 3 == 0 else 0].tolist():
-            i = int(rows[k])
-            least = np.inf
-            for s in np.linspace(0, 1, 7):
+            i, least = int(rows[k]), np.inf
+            T_obj_ee, opening = env._attached[i].double().numpy(), float(env._opening[i])
+            for s in np.linspace(0, 1, 5):
                 T = env.hands.pose(t0 + s * env.step_s)[i].double().numpy()
                 own = oracle.Staged(
-                    staged[i].object_index, staged[i].hand_index, staged[i].T_obj_ee, T, staged[i].opening_m
+                    int(env.trials.object_index[i]), int(env.trials.hand_index[i]), T_obj_ee, T, opening
                 )
-                twin = oracle.mujoco_scene(env.scene, own)
                 q = (q0[i] + s * (env.q[i] - q0[i])).double().numpy()
-                least = min(least, twin.safe_at(oracle.hand_triangles(env.scene, own), q, cap=0.15))
+                hand = oracle.hand_triangles(env.scene, own)
+                least = min(least, oracle.mujoco_scene(env.scene, own).safe_at(hand, q, cap=0.15))
             assert passed.least_m[k] <= max(least, 0) + 2e-5, (i, t0)
             assert bool(passed.touch[k]) or least > 0
             if not passed.touch[k]:
                 assert min(float(before[i]), float(passed.gap_m[k])) >= least - 2e-5
             looked, near = looked + 1, near + (least < 0.03)
-    assert looked >= 10 and near >= 1
+    assert looked >= 7 and near >= 1
 
 
-def test_rows_do_not_depend_on_their_batch(scores):
-    config = LoopConfig(horizon_s=4)
-    for name in ("servo", "stop", "replan"):
-        whole, e = played(scores, name, "moves", config=config)
-        rows = torch.tensor([5, 0, 9])
-        inputs = scores.inputs
-        part = scores[rows]
-        assert part.inputs is not None and inputs is not None
-        some, f = played(part, name, "moves", config=config)
-        n = min(whole.k, some.k) + 1
-        for a, b in zip(whole.trace(), some.trace(), strict=True):
-            assert torch.equal(a[rows][:, :n], b[:, :n]), name
-        for k in ("end", "least_m", "slack_m", "near_speed_m_s"):
-            assert torch.equal(getattr(e, k)[rows], getattr(f, k)), (name, k)
+@pytest.mark.parametrize("name", ["servo", "stop", "replan"])
+def test_rows_do_not_depend_on_their_batch(scores, name):
+    config, rows = LoopConfig(horizon_s=2.5), torch.tensor([5, 0])
+    (whole, e), (some, f) = (played(part, name, "moves", config=config) for part in (scores[:6], scores[rows]))
+    n = min(whole.k, some.k) + 1
+    for a, b in zip(whole.trace(), some.trace(), strict=True):
+        assert torch.equal(a[rows][:, :n], b[:, :n])
+    for k in ("end", "least_m", "slack_m", "near_speed_m_s"):
+        assert torch.equal(getattr(e, k)[rows], getattr(f, k)), k
 
 
 def test_what_is_seen_is_late_noisy_and_sometimes_old_and_the_truth_only_on_request(scores):
@@ -218,12 +205,12 @@ def test_what_is_seen_is_late_noisy_and_sometimes_old_and_the_truth_only_on_requ
     noisy = HandoverEnv(scores, "still", config=LoopConfig(dropout=0.5, latency_s=0.0))
     seen, _ = noisy.reset()
     off, age = [], []
-    for _ in range(100):
+    for _ in range(60):
         off.append((seen["T_world_hand"] - noisy.T_world_hand)[:, :3, 3].norm(dim=1))
         age.append(seen["age"])
         seen, *_ = noisy.step(torch.zeros(noisy.num_envs, 6))
-    running = noisy.ends == int(End.RUNNING)
-    off, age = torch.stack(off)[:, running], torch.stack(age)[:, running]
+    lives = noisy.ends == int(End.RUNNING)
+    off, age = torch.stack(off)[:, lives], torch.stack(age)[:, lives]
     assert 0.005 < off.mean() < 0.06 and 0.35 < (age > 0).float().mean() < 0.65
     assert off.std(0).mean() < 0.5 * off.mean()  # most of it stays through a trial
 
@@ -234,7 +221,7 @@ def test_arms_keep_their_limits_and_every_kind_of_action_moves_them(robot):
     env = HandoverEnv(scores, "still", action="pose", config=LoopConfig(noise=0, dropout=0, horizon_s=14))
     seen, _ = env.reset()
     ok = scores.success
-    while bool((env.ends == int(End.RUNNING)).any()):
+    while running(env):
         seen, *_ = env.step((seen["T_world_hand"].double() @ seen["T_hand_ee"].double()).float())
     assert (env.ends[ok] == int(End.SUCCESS)).float().mean() > 0.3
     q = env.trace()[0].double()
@@ -268,7 +255,7 @@ def test_contacts_say_who_moved(scores):
     env.T_world_hand = hands.pose(0.0)
     env._poses = [env.T_world_hand]
     policy, seen = Planned(env), env._observe()
-    while bool((env.ends == int(End.RUNNING)).any()):
+    while running(env):
         seen, *_ = env.step(policy(seen))
     e = env.episodes()
     touched = e.end == int(End.CONTACT)
@@ -281,7 +268,7 @@ def test_contacts_say_who_moved(scores):
     walker.hands.way.begin[0] = torch.inf
     walker.hands.take(0.0, every, at)
     walker.hands.taking[:] = False
-    while bool((walker.ends == int(End.RUNNING)).any()):
+    while running(walker):
         walker.step(torch.zeros(walker.num_envs, 6))
     e = walker.episodes()
     touched = e.end == int(End.CONTACT)
@@ -292,23 +279,24 @@ def test_policies_that_follow_the_hand_keep_off_table_robot_and_object(scores, m
     """Hands that go far away and low: without the look at its next step the servo drives on."""
     far, low = ReceiverMotion("moves", 0.25, 40.0, seed=1), scores[torch.tensor([3, 6, 7, 12, 15])]
 
-    def collisions(name):
-        return int((played(low, name, far)[1].end == int(End.COLLISION)).sum())
+    def collisions():
+        return int((played(low, "servo", far, config=LoopConfig(horizon_s=12))[1].end == int(End.COLLISION)).sum())
 
-    assert collisions("servo") == 0 and collisions("replan") == 0
+    assert collisions() == 0
     monkeypatch.setattr(HandoverEnv, "keeps_off", lambda env, actions: torch.ones(env.num_envs, dtype=torch.bool))
-    assert collisions("servo") >= 2
+    assert collisions() >= 2
 
 
 def test_replanning_searches_around_what_blocks_the_straight_line(scores):
-    env = HandoverEnv(scores, "still", action="velocity", config=LoopConfig(noise=0, dropout=0, horizon_s=25))
+    options = {"action": "velocity", "config": LoopConfig(noise=0, dropout=0, horizon_s=25)}
+    good = scores[scores.success]
+    env = HandoverEnv(good, "still", **options)
     seen, _ = env.reset()
     policy = Replan(env)
     policy(seen)
-    around = policy.length > 2
-    e = run(env, Replan)
-    assert (around & scores.success).any()
-    assert (e.end == int(End.SUCCESS))[around & scores.success].all()
+    blocked = good[policy.length > 2]
+    assert len(blocked.success) > 0
+    assert (run(HandoverEnv(blocked, "still", **options), Replan).end == int(End.SUCCESS)).all()
 
 
 def test_arm_and_torso_are_touched_where_the_judge_says_so_and_only_with_receiver_body(evaluator, scores):
@@ -316,29 +304,27 @@ def test_arm_and_torso_are_touched_where_the_judge_says_so_and_only_with_receive
     trials = make_trials(trials=24, protocol="r2h-v1")
     poses = oracle_method.predict(trials, evaluator.scene, evaluator=evaluator)
     blind = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
-    _, beside_hand = played(blind, "planned", "still")
-    assert blind.inputs is not None
-    _, e = played(blind.with_inputs(replace(blind.inputs, evaluator=body)), "planned", "still")
     # how near the judge says the planned motion comes to arm and torso
-    inside, clear = blind.body_m < -1e-3, (blind.body_m > 1e-3) & blind.success
-    assert inside.sum() >= 3 and clear.sum() >= 20
+    near, away = blind.body_m < -1e-3, (blind.body_m > 1e-3) & blind.success
+    blind = blind[torch.cat([torch.nonzero(near).flatten()[:3], torch.nonzero(away).flatten()[:8]])]
+    inside, clear = blind.body_m < 0, blind.body_m > 0
+    assert inside.sum() == 3 and clear.sum() == 8 and blind.inputs is not None
+    _, beside_hand = played(blind, "planned", "still")
+    _, e = played(blind.with_inputs(replace(blind.inputs, evaluator=body)), "planned", "still")
     assert (e.end[inside] == int(End.CONTACT)).all() and e.robot_touched[inside].all()
     assert not (beside_hand.end[inside] == int(End.CONTACT)).any()
     assert torch.equal(e.end[clear], beside_hand.end[clear]) and (e.end[clear] == int(End.SUCCESS)).all()
 
 
 def test_hands_take_what_is_held_still_and_ends_and_shares_add_up(scores):
-    scores = scores[torch.arange(8)]
-    env, e = played(scores, "planned", "takes")
-    ends = {End(i) for i in e.end.tolist()}
-    assert End.DROP in ends or (scores.passed[:, 0]).all()
-    won = e.end == int(End.SUCCESS)
-    assert (won & env.hands.taking).sum() == won.sum()
-    assert (e.time_s[won] >= env.hands.taken_s[won] - 0.051).all()
-    lived = e.time_s > 0
+    some = scores[torch.tensor([0, 5, 8, 14])]
+    env, e = played(some, "planned", "takes")
+    assert (e.end == int(End.DROP)).any() or some.passed[:, 0].all()
+    won, lived = e.end == int(End.SUCCESS), e.time_s > 0
+    assert won.any() and env.hands.taking[won].all() and (e.time_s[won] >= env.hands.taken_s[won] - 0.051).all()
     total = (1 - e.robot_idle) + (1 - e.human_idle) - e.concurrent + e.delay
     assert (total[lived] - 1).abs().max() < 1e-4 and (e.delay[lived] > -1e-4).all()
-    assert (e.least_m[lived] - e.slack_m[lived] <= e.least_m[lived]).all()
+    assert (e.slack_m[lived] >= 0).all()
 
 
 def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, scores):

@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from scipy.integrate import quad
 from scipy.spatial.transform import Rotation, Slerp
 
 from r2h_batch import rng
@@ -22,56 +21,42 @@ STROKES = [k for k in KINDS if k not in ("still", "replay")]
 
 @pytest.fixture(scope="module")
 def trials():
-    return make_trials(trials=24, protocol="r2h-v1")
+    return make_trials(trials=12, protocol="r2h-v1")
 
 
 def skin(scene, trials, T):
     """Points of the hands in the world, float64."""
-    own = scene.hands.vertices[trials.hand_index.long()].double()[:, ::7]
+    own = scene.hands.vertices[trials.hand_index.long()].double()[:, ::20]
     return torch.einsum("nij,nvj->nvi", T[:, :3, :3].double(), own) + T[:, None, :3, 3].double()
 
 
-def test_a_stroke_is_the_polynomial_of_least_jerk():
-    """Rest at both ends, and no other polynomial with these ends has less squared jerk."""
+def test_a_stroke_is_the_polynomial_of_least_jerk_at_rest_at_both_ends():
     x = torch.linspace(0, 1, 11, dtype=torch.float64)
-    least = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
-    assert np.allclose(minimum_jerk(x), least(x.numpy()), atol=1e-14)
+    assert np.allclose(minimum_jerk(x), np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])(x.numpy()), atol=1e-14)
     assert minimum_jerk(torch.tensor([-3.0, 7.0])).tolist() == [0.0, 1.0]
-    bump = 0.3 * np.polynomial.Polynomial([0, 0, 0, 1]) * np.polynomial.Polynomial([1, -1]) ** 3
-    jerk = [quad(lambda t, p=p: p.deriv(3)(t) ** 2, 0, 1)[0] for p in (least, least + bump)]
-    assert jerk[0] < jerk[1]
-    at = torch.tensor([0.0, 0.5, 1.0], dtype=torch.float64)
-    speed = (minimum_jerk(at + 1e-6) - minimum_jerk(at - 1e-6)) / 2e-6
-    assert np.allclose(speed, [0.0, 1.875, 0.0], atol=1e-5)
 
 
 @pytest.mark.check
 @pytest.mark.parametrize("kind", STROKES)
 def test_no_point_of_a_hand_goes_farther_than_is_said_and_motions_are_smooth(scene, trials, kind):
     trials = trials[torch.arange(0, len(trials), 5)]
-    hands = MovingHands.of(scene, trials, ReceiverMotion(kind))
+    hands, goal = MovingHands.of(scene, trials, ReceiverMotion(kind)), trials.T_world_hand.roll(1, 0)
     if kind == "withdraws":
-        near = torch.full((len(trials),), 0.01)
-        hands.react(3.0, near)
+        hands.react(3.0, torch.full((len(trials),), 0.01))
     if kind == "takes":
-        goal = trials.T_world_hand.roll(1, 0)
         hands.take(7.0, torch.arange(len(trials)), goal)
-    times = np.linspace(0.0, 12.0, 241)
-    before = skin(scene, trials, hands.pose(0.0))
-    speeds = []
-    for a, b in pairwise(times):
-        after = skin(scene, trials, hands.pose(float(b)))
+    before, speeds = skin(scene, trials, hands.pose(0.0)), []
+    for a, b in pairwise(np.linspace(0.0, 12.0, 241).tolist()):
+        after = skin(scene, trials, hands.pose(b))
         far = (after - before).norm(dim=2).amax(1)
-        assert (far <= hands.travel(float(a), float(b)).double() + 1e-5).all()
+        assert (far <= hands.travel(a, b).double() + 1e-5).all()
         speeds.append(far / (b - a))
         before = after
-    speeds = torch.stack(speeds)
+    speeds, end = torch.stack(speeds), hands.pose(1e3)
     # no jumps: the speed changes by no more in a step than the sharpest stroke's acceleration allows
     assert (speeds[1:] - speeds[:-1]).abs().max() < 1.5 and speeds.max() > 0.1
-    end = hands.pose(1e3)
-    if kind == "takes":
-        assert (end - goal).abs().max() < 1e-5
-    assert (hands.pose(1e3)[:, :3, :3].double().det() - 1).abs().max() < 1e-5
+    assert kind != "takes" or (end - goal).abs().max() < 1e-5
+    assert (end[:, :3, :3].double().det() - 1).abs().max() < 1e-5
 
 
 def test_hands_stand_until_they_leave_reaching_hands_begin_before_the_body_and_pauses_stand(scene, trials):
@@ -99,8 +84,8 @@ def test_hands_stand_until_they_leave_reaching_hands_begin_before_the_body_and_p
 def test_rows_are_the_same_in_any_batch_and_differ_by_seed(scene, trials):
     for kind in STROKES:
         whole = MovingHands.of(scene, trials, ReceiverMotion(kind)).pose(4.3)
-        some = MovingHands.of(scene, trials[[3, 17]], ReceiverMotion(kind)).pose(4.3)
-        assert torch.equal(whole[[3, 17]], some)
+        some = MovingHands.of(scene, trials[[3, 11]], ReceiverMotion(kind)).pose(4.3)
+        assert torch.equal(whole[[3, 11]], some)
         if kind != "reaches":
             assert not torch.equal(MovingHands.of(scene, trials, ReceiverMotion(kind, seed=1)).pose(99.0), whole)
 

@@ -56,9 +56,7 @@ def test_hdf5_that_names_other_files_or_lies_about_its_size_is_refused(tmp_path,
 POSES = poses(2)
 OWN = {
     "has no T_obj_ee": {"width": np.ones(3)},
-    "not a rigid pose": {"T_obj_ee": np.diag([1.0, 1, -1, 1])[None]},
     "more than 10 m away": {"T_obj_ee": POSES + np.eye(4, k=3) * 500},
-    "width is": {"T_obj_ee": POSES, "width": np.ones(3)},
     "score holds a number that is not finite in row 0": {"T_obj_ee": POSES, "score": np.full(2, np.nan)},
     "width of grasp 1 is -1; 0 to 10 m": {"T_obj_ee": POSES, "width": np.array([0.1, -1.0])},
     "unknown array 'grip'": {"T_obj_ee": POSES, "grip": np.ones(2)},

@@ -90,18 +90,12 @@ def test_a_cylinder_between_two_balls_is_a_capsule_and_bad_collision_shapes_are_
 
 BAD = {
     '<!DOCTYPE m [<!ENTITY a "b">]><mujoco model': ("<mujoco model", "declares a document type"),
-    '<extension><plugin plugin="x"/></extension><compiler': ("<compiler", "<extension> is not read"),
     '<body name="base"><replicate count="1000000000"/>': ('<body name="base" pos="0 0 0">', "<replicate> is not read"),
-    '<include file="../other.xml"/><compiler': ("<compiler", "points outside the folder"),
     '<include file="made.xml"/><compiler': ("<compiler", "more than 16 includes"),
     'file="/etc/block.stl"': ('file="block.stl"', "points outside the folder"),
-    'file="block.stl" refpos="1 0 0"': ('file="block.stl"', "neither refpos nor refquat"),
-    'file="block.msh"': ('file="block.stl"', "is not one of"),
     'name="j3" type="slide"': ('name="j3"', "j3 is prismatic"),
     '<equality><joint joint1="j3" joint2="j2"/></equality><actuator': ("<actuator", "j3 is a mimic joint"),
-    '<position joint="j7"': ('<motor joint="j7"', "j7: limits"),
     2000 * "<body>" + 2000 * "</body>": ('<light pos="0 0 3"/>', "nested too deeply"),
-    5000 * "<geom/>": ('<light pos="0 0 3"/>', "elements say what it is; 4096 are allowed"),
     'pos="inf 0 0"': ('pos="0 0 0.18"', "is not finite"),
     'mass="nan"': ('mass="1.5"', "MuJoCo: "),
 }  # fmt: skip

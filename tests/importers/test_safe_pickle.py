@@ -1,7 +1,6 @@
 """Strangers' pickles: the data in them as Python would read it, and nothing else ever runs or is allocated."""
 
 import contextlib
-import io
 import os
 import pickle
 import resource
@@ -71,12 +70,6 @@ def laughs():
     return value
 
 
-def cyclic():
-    value = []
-    value.append(value)
-    return value
-
-
 class Says:
     """What a pickle of this asks for: a call, and a state."""
 
@@ -85,12 +78,6 @@ class Says:
 
     def __reduce__(self):
         return self.reduced
-
-
-def pickled(value):
-    out = io.BytesIO()
-    pickle.Pickler(out, 2).dump(value)
-    return out.getvalue()
 
 
 def array(shape, raw=b"\x00" * 8, dtype="f8"):
@@ -111,56 +98,36 @@ def python2_arrays(dtype):
     return [array((1 << 17,), text, dtype) for _ in range(9000)]
 
 
-MANY = np.zeros(4096, np.int32)
-DAG = [0] * 2000
+DAG, KEYS = [0] * 2000, range(MAX_NUMBER_KEYS + 1)
 HOSTILE = {
     "a call of the system": (Runs(), "asks for posix.system"),
-    "eval": (Says(eval, ("1",)), "asks for __builtin__.eval"),
     "an allowed module's other name": (b"\x80\x02cnumpy\nload\n.", "asks for numpy.load"),
     "a dotted way out": (b"\x80\x04\x8c\x05numpy\x8c\x0eos.path.system\x93.", "asks for numpy.os.path.system"),
-    "a list that holds itself": (cyclic(), "contains itself"),
+    "a list that holds itself": (b"\x80\x02]q\x00h\x00a.", "contains itself"),
     "too deep": (nested(MAX_DEPTH + 5), "deep"),
     "a huge shape": (array((10**6, 10**6)), "with 8 bytes"),
     "an overflowing shape": (array((2**62, 4)), "with 8 bytes"),
-    "a shape of numbers without end": (array((1 << 90_000,)), "shape tuple"),
     "a shape of 4^30 numbers": (array(laughs()), "shape tuple"),
-    "a negative shape": (array((-1,)), "shape"),
     "objects in an array of numbers": (array((1,), dtype="O"), "items"),
-    "a string that claims 2 GB": (b"\x80\x02T\xff\xff\xff\x7fabc.", "not a readable pickle"),
     "bytes that claim 2^60": (b"\x80\x04\x8e" + (2**60).to_bytes(8, "little") + b"abc.", "not a readable pickle"),
-    "a frame without its bytes": (b"\x80\x04\x95" + (2**50).to_bytes(8, "little"), "ends before its end mark"),
     "a sparse matrix of 10^18": (sparse(_shape=(10**9, 10**9)), "makes far more bytes"),
-    "a sparse matrix of columns of columns": (
-        sparse(data=MANY * 1.0, indices=MANY[:, None], indptr=np.array([0, 4096, 4096, 4096])),
-        "not a readable pickle",
-    ),
     "a sparse matrix that points outside": (sparse(indices=np.array([0, 1, 99], np.int32)), "not a readable pickle"),
-    "a sparse matrix with wrong starts": (sparse(indptr=np.array([0, 9, 2, 3], np.int32)), "not a readable pickle"),
     "persistent ids": (b"P1\n.", "PERSID is not allowed"),
-    "an extension code": (b"\x80\x02\x82\x01.", "EXT1 is not allowed"),
     "a call of data": (b"\x80\x02](tR.", "no allowed name"),
-    "an unhashable key": (b"\x80\x02}]K\x01s.", "key of type list"),
-    "a key without end": ({1 << 70: 1}, "key of type int, or too large"),
-    "keys whose hashes may collide": (dict.fromkeys(range(MAX_NUMBER_KEYS + 1)), "keys that are numbers"),
-    "such keys as pairs": (
-        Says(OrderedDict, ([[float(k), 0] for k in range(MAX_NUMBER_KEYS + 1)],)),
-        "keys that are numbers",
-    ),
-    "one string in 9000 arrays": (python2_arrays("<f8"), "makes far more bytes than it holds"),
-    "one string in big-endian arrays": (python2_arrays(">f8"), "makes far more bytes"),
+    "keys whose hashes may collide": (dict.fromkeys(KEYS), "keys that are numbers"),
+    "such keys as pairs": (Says(OrderedDict, ([[float(k), 0] for k in KEYS],)), "keys that are numbers"),
+    "one string in 9000 arrays": (python2_arrays(">f8"), "makes far more bytes than it holds"),
     "one list in 2000 arrays": ([array((2000,), DAG, "O") for _ in range(2000)], "unfolds to more"),
     "one tuple 4^30 times": (laughs(), "unfolds to more than"),
-    "nothing": (b"", "ends before its end mark"),
     "text": (b"hello", "no pickle .it begins with b.hello"),
-    "two values": (b"K\x01K\x02.", "leaves 2 values"),
     "more instructions than are allowed": (b"N0" * (MAX_STEPS // 2) + b"N.", "has more than"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_pickles_are_refused_in_one_line(name):
     value, message = HOSTILE[name]
-    raw = value if isinstance(value, bytes) else pickled(value)
+    raw = value if isinstance(value, bytes) else pickle.dumps(value, 2)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(FileError, match=message) as refused:
         read_pickle(raw, where="hand.pkl")
@@ -170,15 +137,11 @@ def test_hostile_pickles_are_refused_in_one_line(name):
     assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) << 10 < allowed
 
 
-def test_every_cut_of_a_good_pickle_is_refused():
-    raw = pickle.dumps(ARRAYS, 2)
+def test_cut_and_changed_pickles_never_raise_anything_else():
+    raw = pickle.dumps({**ARRAYS, "m": scipy.sparse.csc_matrix(np.eye(4))}, 2)
     for end in range(0, len(raw) - 1, 7):
         with pytest.raises(FileError):
             read_pickle(raw[:end])
-
-
-def test_changed_bytes_never_raise_anything_else():
-    raw = bytearray(pickle.dumps({**ARRAYS, "m": scipy.sparse.csc_matrix(np.eye(4))}, 2))
     rng = np.random.default_rng(1)
     for _ in range(1000):
         changed = bytearray(raw)
@@ -189,8 +152,9 @@ def test_changed_bytes_never_raise_anything_else():
 
 def test_chumpy_arrays_are_read_without_chumpy():
     source = np.random.default_rng(2).random((7, 3, 20))
+    shape = (7, 3, 10)
     raw = with_fake_chumpy(
-        lambda Ch, Select: {"shapedirs": Select(a=Ch(x=source), idxs=first_ten(source), preferred_shape=(7, 3, 10))}
+        lambda Ch, Select: {"x": Select(a=Ch(x=source), idxs=first_ten(source), preferred_shape=shape)}
     )
     assert "chumpy" not in sys.modules
-    assert np.array_equal(read_pickle(raw)["shapedirs"], source[:, :, :10])
+    assert np.array_equal(read_pickle(raw)["x"], source[:, :, :10])

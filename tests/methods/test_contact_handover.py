@@ -13,7 +13,6 @@ from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import contact
-from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.least_cost_pose import approach_fan, collision_cost, gripper_capsule, hand_sample
 from r2h_batch.predictors import predict_contacts, predict_receiving, predict_target
 
@@ -123,12 +122,3 @@ def test_the_grippers_capsule_holds_it_at_any_opening():
         for g, (kind, size) in enumerate(zip(robot.gripper.kind, robot.gripper.size, strict=True)):
             assert primitive_distance(int(kind), size, (outside - p[n, g]) @ R[n, g]).min() > 0
     assert radius < 0.1 and high < 0.03
-
-
-def test_clusters_are_dbscans_by_its_definition():
-    table, found = candidate_table(evaluator().scene), contact.in_clusters(evaluator().scene, contact.EPS_M, 3)
-    for first, count in zip(table.first.tolist(), table.count.tolist(), strict=True):
-        rows = slice(first, first + count)
-        points = table.T_obj_ee[rows, :3, 3].double().numpy()
-        assert np.array_equal(found[rows].numpy(), clusters(points))
-    assert 5 < (~found).sum() < 200

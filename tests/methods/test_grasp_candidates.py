@@ -5,11 +5,12 @@ from dataclasses import replace
 from functools import cache
 from importlib import resources
 
-import manifold3d
 import numpy as np
 import pytest
 import trimesh
 from fcl_twin import distance, primitive, surface
+from grasp_cases import material64
+from needs import needs
 
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
@@ -75,6 +76,7 @@ def test_there_are_100_of_every_object_and_the_report_belongs_to_them() -> None:
     assert report["robot_digest"] == ROBOT.digest, "the robot changed: run build_grasps.py"
 
 
+@needs("rtree")
 @pytest.mark.parametrize(("name", "robot"), [*((n, ROBOT) for n in MODELS), ("hammer", PANDA), ("wineglass", PANDA)])
 def test_a_grasp_is_narrow_centred_clear_and_within_the_friction_cone(name: str, robot: Robot) -> None:
     """Of the Panda's hand with its own shapes: some of the 2F-85's are wider than its 80 mm, its pads are half as long."""
@@ -84,9 +86,8 @@ def test_a_grasp_is_narrow_centred_clear_and_within_the_friction_cone(name: str,
         assert len(found) == 100 and found.width.max() <= 0.0772 and not np.array_equal(found.T_obj_ee, T_obj_ee)
         T_obj_ee, widths = found.T_obj_ee, found.width
     for T, width in zip(T_obj_ee[::STEP], map(float, widths[::STEP]), strict=True):
-        mesh = _in_ee(model, T)
-        gap = max(width, robot.closed_gap_m + 1e-4)
-        low, high = _between(mesh, gap, robot)
+        mesh, gap = _in_ee(model, T), max(width, robot.closed_gap_m + 1e-4)
+        low, high = material64(model.mesh, T, gap, robot=robot)
         assert high - low == pytest.approx(width, abs=BAND) and width <= robot.open_gap_m
         assert abs(low + high) / 2 <= 1e-3
         assert _distance(mesh, robot.open_gap_m, False, robot) >= 1e-3 - BAND
@@ -94,48 +95,20 @@ def test_a_grasp_is_narrow_centred_clear_and_within_the_friction_cone(name: str,
         assert touched >= 1 and cosine >= 1 / np.hypot(1, FRICTION) - 0.02
 
 
-def _between(mesh: trimesh.Trimesh, gap: float, robot: Robot) -> tuple[float, float]:
-    solid = manifold3d.Manifold(manifold3d.Mesh64(mesh.vertices, mesh.faces.astype(np.uint64)))
-    wide, _, high = robot.linkage.pad_half_size
-    prism = manifold3d.Manifold.cube((2 * wide, 2.0, 2 * high), True).translate((0, 0, _pad_z(gap, robot)))
-    boxes = [piece.bounding_box() for piece in (solid ^ prism).decompose()]
-    held = [(b[1], b[4]) for b in boxes if b[4] > -robot.open_gap_m / 2 and b[1] < robot.open_gap_m / 2]
-    return min(h[0] for h in held), max(h[1] for h in held)
-
-
 def _contact(mesh: trimesh.Trimesh, gap: float, width: float, robot: Robot) -> tuple[int, float]:
     """Rays from the lesser pad that meet the surface within 1.5 mm of it, and the mean cosine over both pads."""
     wide, _, high = robot.linkage.pad_half_size
     x, z = np.meshgrid(wide * (np.arange(5) - 2) / 2.5, high * (np.arange(7) - 3) / 3.5)
+    start = np.stack([x.ravel(), np.full(x.size, -1.0), z.ravel() + _pad_z(gap, robot)], 1)
+    at, ray, face = mesh.ray.intersects_location(start, np.tile([0.0, 1.0, 0.0], (x.size, 1)))
     least, cosines = 99, []
-    normals = np.cross(mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     for side in (-1, 1):
-        on_pad = 0
-        for u, v in zip(x.ravel(), z.ravel() + _pad_z(gap, robot), strict=True):
-            y, face = _along_y(mesh.triangles, u, v)
-            depth = width / 2 + 1.5e-3 - side * y
-            reached = (depth >= 0) & (depth <= 3e-3)
-            if reached.any():
-                on_pad += 1
-                cosines.append(max(0.0, side * normals[face[reached][np.argmin(depth[reached])], 1]))
-        least = min(least, on_pad)
+        depth = width / 2 + 1.5e-3 - side * at[:, 1]
+        reached = np.flatnonzero((depth >= 0) & (depth <= 3e-3))
+        first = {ray[k]: k for k in sorted(reached, key=lambda k: -depth[k])}
+        cosines += [max(0.0, side * mesh.face_normals[face[k], 1]) for k in first.values()]
+        least = min(least, len(first))
     return least, float(np.mean(cosines))
-
-
-def _along_y(triangles: np.ndarray, x: float, z: float) -> tuple[np.ndarray, np.ndarray]:
-    """y and triangle wherever the line (x, ., z) meets the surface."""
-    near = np.flatnonzero(
-        (triangles[:, :, 0].min(1) <= x) & (triangles[:, :, 0].max(1) >= x)
-        & (triangles[:, :, 2].min(1) <= z) & (triangles[:, :, 2].max(1) >= z)
-    )  # fmt: skip
-    a, b, c = (triangles[near, k] for k in range(3))
-    det = (b[:, 0] - a[:, 0]) * (c[:, 2] - a[:, 2]) - (c[:, 0] - a[:, 0]) * (b[:, 2] - a[:, 2])
-    det = np.where(np.abs(det) < 1e-16, np.nan, det)
-    s = ((x - a[:, 0]) * (c[:, 2] - a[:, 2]) - (c[:, 0] - a[:, 0]) * (z - a[:, 2])) / det
-    t = ((b[:, 0] - a[:, 0]) * (z - a[:, 2]) - (x - a[:, 0]) * (b[:, 2] - a[:, 2])) / det
-    hit = (s >= 0) & (t >= 0) & (s + t <= 1)
-    return (a[:, 1] + s * (b[:, 1] - a[:, 1]) + t * (c[:, 1] - a[:, 1]))[hit], near[hit]
 
 
 @pytest.mark.parametrize("name", [n for n, model in MODELS.items() if model.split == "S1"][::2])
