@@ -227,8 +227,8 @@ def page(tables: Mapping[str, Mapping]) -> str:
         " in points.",
         success_table(here),
         "- In preset paper the planner avoids the estimated hand and samples edges, so the oracle loses some trials.\n"
-        f"- F_safe is {safe[PAPER_PRESET][0]:.1f} to {safe[PAPER_PRESET][1]:.1f} % in preset paper, and at most {other:.1f} % in"
-        " the other columns.\n"
+        f"- F_safe is {safe[PAPER_PRESET][0]:.1f} to {safe[PAPER_PRESET][1]:.1f} % in preset paper, and"
+        f" {'at most ' if other else ''}{other:.1f} % in the other columns.\n"
         "- In preset release every handover of the bowl fails Stability: the bowl is wider than the gripper opens.\n"
         "- In r2h-release fingers point away from the robot. FC- and Intent-Handover place the gripper opposite to them, so Plan"
         " mostly fails.",

@@ -82,10 +82,10 @@ class LoopConfig:
 
     Attributes:
         rate_hz: steps a second, 10 to 50.
-        horizon_s: an episode lasts at most so long, s.
-        latency_s: age of what is seen, s, in whole steps.
+        horizon_s: longest duration of an episode, s.
+        latency_s: age of an observation, s; rounded to whole steps.
         noise: factor on the error model of the hand (`PredictorNoise`); 0: exact.
-        dropout: share of frames in which no hand is seen; the last one seen stands in.
+        dropout: share of frames without a hand; the policy then sees the last hand again.
         seed: of noise and drop-outs.
     """
 
@@ -114,24 +114,24 @@ class LoopConfig:
 
 @dataclass(frozen=True)
 class Episodes:
-    """What came of B episodes. Times in s from the beginning; NaN where it did not happen.
+    """Outcomes of B episodes. Times are in s from the beginning. NaN: the event did not happen.
 
     Attributes:
         end: `End`.
-        robot_touched: of contacts, whether the robot brought them about; else the hand.
-        time_s: when it ended; of a success the handover time.
+        robot_touched: of contacts, True if the robot caused the contact, False if the hand did.
+        time_s: end of the episode; of a success the handover time.
         least_m: least distance of robot and hand at the steps, at most `CAP_M`; with `receiver="body"` of arm and
             torso too.
-        slack_m: between steps that of the hand is at most so much less, certified.
+        slack_m: certified: between steps the distance to the hand is at most this much below `least_m`.
         near_speed_m_s: largest speed of the robot, a bound for its fastest point, within `CAP_M` of the hand.
         ssm_s: how long robot and hand were nearer than ISO/TS 15066's protective distance.
-        ssm_depth_m: by how much, at most.
-        pfl_share: `near_speed_m_s` over the speed at which its transient force limit of a hand is reached.
+        ssm_depth_m: largest shortfall from that protective distance.
+        pfl_share: `near_speed_m_s` divided by the speed that reaches ISO/TS 15066's transient force limit of a hand.
         robot_idle: share of the time in which the robot stands (Hoffman 2019).
-        human_idle: the same of the hand.
+        human_idle: share of the time in which the hand stands.
         concurrent: share in which both move.
         delay: share in which neither moves: one waits for the other (functional delay).
-        hand_path_m: way of the hand's wrist.
+        hand_path_m: length of the wrist's path.
     """
 
     end: Int8[Tensor, " b"]
