@@ -39,17 +39,20 @@ def scene(
     check_output_folder(out, overwrite=overwrite)
     if render:
         check_output_file(render, overwrite=overwrite, flag="--render", endings=(".png", ".jpg"))
+    import numpy as np
+
     from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.export.drawing import Drawing
     from r2h_batch.export.mjcf import export_trial
-    from r2h_batch.export.pictures import write_row
+    from r2h_batch.export.pictures import images, save_picture
     from r2h_batch.export.stored import Reader
 
     reader = Reader(run, BenchmarkOverrides.of(benchmark))
     stored = reader.trial(reader.run.trial_id(trial), method or None)
     folder = export_trial(stored, out)
     if render:
-        write_row(Drawing(stored), render, size=(600, 600))
+        row = [image for image, _ in images(Drawing(stored), (600, 600), 3)]
+        save_picture(render, np.concatenate(row, axis=1))
     print(folder)
     return 0
 

@@ -129,8 +129,8 @@ def _write_csv(path: Path, joints: Sequence[str], time_s: Array, q: Array) -> No
     path.write_text("\n".join([",".join(("time_s", *joints)), *rows]) + "\n")
 
 
-def trajectory(stored: StoredTrial, rate_hz: float = RATE_HZ) -> tuple[Array, Array]:
-    """The planned motion: samples at `rate_hz` and every waypoint, in order.
+def trajectory(stored: StoredTrial) -> tuple[Array, Array]:
+    """The planned motion: samples at `RATE_HZ` and every waypoint, in order.
 
     Returns:
         Times (N,) s and postures (N, joints) rad.
@@ -138,7 +138,7 @@ def trajectory(stored: StoredTrial, rate_hz: float = RATE_HZ) -> tuple[Array, Ar
     if not stored.moves:
         return np.zeros(1), stored.q
     ends = _waypoint_times(stored)
-    even = np.arange(1, int(np.ceil(ends[-1] * rate_hz))) / rate_hz
+    even = np.arange(1, int(np.ceil(ends[-1] * RATE_HZ))) / RATE_HZ
     even = even[np.abs(even[:, None] - ends).min(1) > 1e-6]
     times = np.sort(np.concatenate([ends, even]))
     return times, posture_at(stored, times)

@@ -114,11 +114,6 @@ def image_at_end(drawing: Drawing, size: tuple[int, int], *, close: bool = False
         return paint(q, *groups if drawing.stored.moves else SEEN)
 
 
-def write_row(drawing: Drawing, file: Path, *, n: int = 3, size: tuple[int, int]) -> None:
-    """The images of one trial side by side, without words."""
-    save_picture(file, np.concatenate([image for image, _ in images(drawing, size, n)], axis=1))
-
-
 def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[int, int]) -> None:
     """A row of `n` images for each drawing, with its method and verdict, all from one camera.
 

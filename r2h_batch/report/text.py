@@ -5,6 +5,7 @@ import csv
 import io
 import json
 import re
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -15,6 +16,9 @@ NA = "n/a"
 
 TERMINAL = 100
 """Characters in a line of a terminal."""
+
+NOTE = 98
+"""Characters in a line of a note."""
 
 SHORT = 16
 """Characters of a short method name: `Contact-Handover` has as many."""
@@ -89,18 +93,11 @@ def plain(text: str) -> str:
     )
 
 
-def notes_list(notes: Iterable[str], width: int = 98) -> str:
-    """Notes as a Markdown list in lines of at most `width` characters."""
-    lines = []
-    for note in notes:
-        line = "-"
-        for word in note.split():
-            if len(line) + 1 + len(word) > width:
-                lines.append(line)
-                line = " "
-            line += " " + word
-        lines.append(line)
-    return "\n".join(lines)
+def notes_list(notes: Iterable[str]) -> str:
+    """Notes as a Markdown list in lines of at most `NOTE` characters."""
+    how: Any = {"initial_indent": "- ", "subsequent_indent": "  ", "break_long_words": False}
+    words = (" ".join(note.split()) for note in notes)
+    return "\n".join(textwrap.fill(w, NOTE, break_on_hyphens=False, **how) for w in words)
 
 
 def csv_text(records: Sequence[Mapping[str, Any]]) -> str:

@@ -155,8 +155,8 @@ def ratio(
     return float(p), float(stdtrit(freedom, 0.5 + confidence / 2) * np.sqrt(variance) / total)
 
 
-@check_arguments(success=_COUNTS, total=_COUNTS, confidence=_SHARE)
-def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0.95) -> Rate | None:
+@check_arguments(success=_COUNTS, total=_COUNTS)
+def clustered_rate(success: np.ndarray, total: np.ndarray) -> Rate | None:
     """The success rate with a t interval over clusters (objects): it speaks about new objects of
     this kind.
 
@@ -166,7 +166,6 @@ def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0
     Args:
         success: (K,) successes of each cluster.
         total: (K,) trials of each cluster; empty clusters do not count.
-        confidence: between 0 and 1.
 
     Returns:
         The rate, or None with fewer than two clusters.
@@ -175,10 +174,10 @@ def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0
     if x.shape != n.shape or (x > n).any():
         found = f"success is {describe_value(success)} and total {describe_value(total)}"
         raise ValueError(f"{found}; they must be successes and trials of each cluster")
-    if (found_ratio := ratio([(x, n)], confidence)) is None:
+    if (found_ratio := ratio([(x, n)])) is None:
         return None
     p, half = found_ratio
-    wilson_low, wilson_high = wilson_interval(x.sum(), n.sum(), confidence)
+    wilson_low, wilson_high = wilson_interval(x.sum(), n.sum())
     low = max(min(p - half, float(wilson_low)), 0.0)
     high = min(max(p + half, float(wilson_high)), 1.0)
     return Rate(100 * p, 100 * low, 100 * high, int(x.sum()), int(n.sum()))

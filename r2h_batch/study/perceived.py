@@ -24,10 +24,11 @@ from r2h_batch.report.text import aligned, csv_text, notes_list, plain, short_na
 from r2h_batch.results.reception import table_of as reception_table
 from r2h_batch.results.reevaluation import Judge
 from r2h_batch.runs.store import Run
-from r2h_batch.study.report import DRAWS, RATING_COLUMNS, SCALE, paper_table, read_counts
+from r2h_batch.study.report import DRAWS, RATING_COLUMNS, SCALE, read_counts
 from r2h_batch.study.table_file import LINE, NAME, StudyError, number, read_table
 from r2h_batch.types import Trials
 
+PAPER = Path(__file__).parent / "paper" / "ratings.csv"
 POSES = {"T_obj_ee": 16, "T_world_ee": 16, "T_world_hand": 16, "receiver": 20}
 """Columns of arrays in `study trials`, row by row: NAME_0 and so on, as in files of predictions."""
 HEAD_UP_M, HEAD_AHEAD_M = 0.17, 0.08
@@ -209,7 +210,7 @@ def _closing_speed(trials: Trials, poses: pa.Table, judge: Judge) -> NDArray[np.
 def paper_means() -> dict[str, dict[str, float]]:
     """Dimension -> method -> mean rating of the paper's 30 participants (Fig. 7)."""
     found: dict[str, dict[str, float]] = {}
-    for (method, dimension), counts in read_counts(paper_table("ratings")).items():
+    for (method, dimension), counts in read_counts(PAPER).items():
         found.setdefault(dimension, {})[method] = float(counts @ SCALE / counts.sum())
     return found
 
@@ -342,7 +343,7 @@ def _rho(rows: Sequence[Mapping[str, Any]], key: str) -> float | None:
     return float(stats.spearmanr(x, y).statistic) if np.ptp(x) and np.ptp(y) else None
 
 
-def _interval(rhos: NDArray[np.float64], seed: int = 0) -> str:
-    draws = np.random.default_rng(seed).choice(rhos, (DRAWS, len(rhos))).mean(1)
+def _interval(rhos: NDArray[np.float64]) -> str:
+    draws = np.random.default_rng(0).choice(rhos, (DRAWS, len(rhos))).mean(1)
     low, high = np.quantile(draws, [0.025, 0.975])
     return f"{rhos.mean():+.2f} [{low:+.2f}, {high:+.2f}]"

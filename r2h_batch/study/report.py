@@ -29,11 +29,6 @@ Ratings = tuple[np.ndarray, list[str], int]
 """(participants, methods) ratings of complete participants, the methods, participants left out."""
 
 
-def paper_table(name: str) -> Path:
-    """The file of a table that the paper prints: table1, table2_sim2real, ratings."""
-    return Path(__file__).parent / "paper" / f"{name}.csv"
-
-
 def read_counts(path: Path) -> dict[tuple[str, str], np.ndarray]:
     """(method, dimension) -> (5,) how often each of 1..5 was given, from columns method,
     dimension, n1..n5."""
@@ -151,20 +146,17 @@ class Test(NamedTuple):
     pairs: tuple[tuple[str, str, float, float], ...]  # a, b, p, adjusted p
 
 
-def spearman(
-    x: Sequence[float], y: Sequence[float], *, counts: tuple[int, int], seed: int = 0
-) -> Correlation:
+def spearman(x: Sequence[float], y: Sequence[float], *, counts: tuple[int, int]) -> Correlation:
     """Rank correlation of two success rates of N methods.
 
     Args:
         x: (N,) percent, N 3 or more.
         y: (N,) percent.
         counts: trials behind each x and each y.
-        seed: of the samples.
     """
     a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
     n = len(a)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     orders = np.argsort(random.random((DRAWS, n)), axis=1)
     if n <= 7:
         orders = np.array(list(permutations(range(n))))

@@ -45,6 +45,7 @@ UNPROBED_TRIALS = 1000
 """A plan this small takes less than a minute at the slowest rate seen: nothing to measure."""
 
 LOG_EVERY_S = WAIT_S = 5.0
+PLAIN_EVERY_S = 30.0
 
 
 class Stopped(Exception):
@@ -76,9 +77,7 @@ class Log:
 
 
 @contextlib.contextmanager
-def progress(
-    name: str, total: int, *, plain_every_s: float = 30.0, log: Log | None = None
-) -> Iterator[Callable[[int], None]]:
+def progress(name: str, total: int, *, log: Log | None = None) -> Iterator[Callable[[int], None]]:
     """Gives `advance(n)`: a bar on a terminal, else a plain line every 30 s and one at the end, all
     on stderr."""
     start = printed = time.perf_counter()
@@ -110,7 +109,7 @@ def progress(
             nonlocal printed
             count(n)
             now = time.perf_counter()
-            if now - printed >= plain_every_s:
+            if now - printed >= PLAIN_EVERY_S:
                 rate = done / (now - start)
                 left = f"{rate:.1f} trials/s, {(total - done) / rate:.0f} s left"
                 LOG.info(f"{name}: {done}/{total} trials, {left}")
