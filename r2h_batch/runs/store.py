@@ -697,7 +697,8 @@ class Entry:
                     words = f"column {min(lacking)!r} is missing; format {FORMAT} has it"
                     raise RunError(f"{path}: {words}")
                 there = [c for c in columns if c in names]
-                check_decoded_size(file, _most_decoded(kind, trials), str(path), there)
+                most = (16 << 20) + (1 << 17 if kind == "paths" else 1 << 13) * trials  # of memory
+                check_decoded_size(file, most, str(path), there)
                 table = file.read(columns=there)
         except FileError as error:
             raise RunError(str(error)) from None
@@ -707,11 +708,6 @@ class Entry:
             if what := _wrong_column(table[name], schema_of(self.header, kind).field(name)):
                 raise RunError(f"{path}: column {name!r} {what}")
         return table.select(there)
-
-
-def _most_decoded(kind: str, trials: int) -> int:
-    """Largest memory, bytes, that the columns of a shard may take."""
-    return (16 << 20) + (1 << 17 if kind == "paths" else 1 << 13) * trials
 
 
 def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
