@@ -42,7 +42,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, create_model
 
 from r2h_batch.command_line import nearest
 from r2h_batch.io.read import FileError, kind_of, open_file, printable, read_file
@@ -293,104 +293,65 @@ class _Open(BaseModel):
     __pydantic_extra__: dict[str, JsonValue]
 
 
-class _Digests(_Open):
-    trials: Text
-
-
-class _Device(_Open):
-    kind: Text
-    name: Text
-
-
 class _Versions(_Open):
     __pydantic_extra__: dict[str, Text]  # type: ignore[assignment]
     r2h_batch: Text
 
 
-class _Thresholds(_Open):
-    reach_radius_m: Metres
-    w_max_m: Metres
-    safe_margin_m: Metres
+def _record(base: type[BaseModel] = _Open, **fields: Any) -> Any:
+    """A record with these fields: types, or (type, value where it is absent)."""
+    typed = {k: v if isinstance(v, tuple) else (v, ...) for k, v in fields.items()}
+    return create_model("Record", __base__=base, **typed)
 
 
-class _Plan(_Open):
-    object_collision: Literal["hull", "pieces"]
-
-
-class _Execute(_Open):
-    scale: Rate
-    max_velocity_rad_s: Rate
-    max_acceleration_rad_s2: Rate
-
-
-class _Workplace(_Open):
-    home_q: Annotated[list[Angle], Field(min_length=6, max_length=12)]
-
-
-class _Configuration(_Open):
-    """A run that no sweep made may lack parts; who needs one checks for it."""
-
-    name: Text = ""
-    workplace: _Workplace = _ABSENT
-    thresholds: _Thresholds = _ABSENT
-    plan: _Plan = _ABSENT
-    execute: _Execute = _ABSENT
-
-
-class _Motion(_Open):
-    engine: Text
-    model: Text | None = None
-    step_s: Step | None = None
-    sample_s: Step | None = None
-
-
-class _Object(_Open):
-    name: Name
-    split: Split
-    built_in: bool
-    digest: Hash = _ABSENT
-
-
-class _Benchmark(_Open):
-    flags: Annotated[list[Text], Field(max_length=100)]
-
-
-class _Robot(_Open):
-    name: Name
-    digest: Hash
-    ik_missed: Annotated[
-        list[Annotated[int, Field(ge=0, le=10**9)]], Field(min_length=2, max_length=2)
-    ] = _ABSENT
-
-
-class _Predictors(_Open):
-    noise_factor: Annotated[float, Field(ge=0, le=1e12)]
-
-
-class Header(_Record):
-    """run.json."""
-
-    format: int
-    hash: Hash
-    protocol: Text
-    trials: Annotated[dict[Split, Count], Field(min_length=1)]
-    configuration: _Configuration
-    digests: _Digests
-    seed: Annotated[int, Field(ge=-(1 << 63), lt=1 << 63)]
-    device: _Device
-    versions: _Versions
-    stored: list[Kind]
-    shard_trials: Annotated[int, Field(ge=1, le=MAX_SHARD_TRIALS)]
-    predictors: _Predictors = _ABSENT
-    motion: _Motion = _ABSENT
-    objects: list[_Object] = _ABSENT
-    benchmark: _Benchmark = _ABSENT
-    robot: _Robot = _ABSENT
-    hands: list[JsonValue] = _ABSENT  # sides of the hand set in order, as (side, number of hands)
-    platform: Text = ""
-    git_commit: Text | None = None
-    command: list[Text] = []
-    created: Text = ""
+_Configuration = _record(
+    # a run that no sweep made may lack parts; who needs one checks for it
+    name=(Text, ""),
+    workplace=(
+        _record(home_q=Annotated[list[Angle], Field(min_length=6, max_length=12)]),
+        _ABSENT,
+    ),
+    thresholds=(
+        _record(reach_radius_m=Metres, w_max_m=Metres, safe_margin_m=Metres),
+        _ABSENT,
+    ),
+    plan=(_record(object_collision=Literal["hull", "pieces"]), _ABSENT),
+    execute=(
+        _record(scale=Rate, max_velocity_rad_s=Rate, max_acceleration_rad_s2=Rate),
+        _ABSENT,
+    ),
+)
+_Motion = _record(
+    engine=Text, model=(Text | None, None), step_s=(Step | None, None), sample_s=(Step | None, None)
+)
+_Object = _record(name=Name, split=Split, built_in=bool, digest=(Hash, _ABSENT))
+_Misses = Annotated[list[Annotated[int, Field(ge=0, le=10**9)]], Field(min_length=2, max_length=2)]
+_Robot = _record(name=Name, digest=Hash, ik_missed=(_Misses, _ABSENT))
+Header = _record(
+    _Record,
+    format=int,
+    hash=Hash,
+    protocol=Text,
+    trials=Annotated[dict[Split, Count], Field(min_length=1)],
+    configuration=_Configuration,
+    digests=_record(trials=Text),
+    seed=Annotated[int, Field(ge=-(1 << 63), lt=1 << 63)],
+    device=_record(kind=Text, name=Text),
+    versions=_Versions,
+    stored=list[Kind],
+    shard_trials=Annotated[int, Field(ge=1, le=MAX_SHARD_TRIALS)],
+    predictors=(_record(noise_factor=Annotated[float, Field(ge=0, le=1e12)]), _ABSENT),
+    motion=(_Motion, _ABSENT),
+    objects=(list[_Object], _ABSENT),
+    benchmark=(_record(flags=Annotated[list[Text], Field(max_length=100)]), _ABSENT),
+    robot=(_Robot, _ABSENT),
+    hands=(list[JsonValue], _ABSENT),  # sides of the hand set in order, as (side, number of hands)
+    platform=(Text, ""),
+    git_commit=(Text | None, None),
+    command=(list[Text], []),
+    created=(Text, ""),
+)
+"""run.json."""
 
 
 class Method(_Record):
