@@ -298,9 +298,16 @@ class _Versions(_Open):
     r2h_batch: Text
 
 
+class _Object(_Open):
+    name: Name
+    split: Split
+    built_in: bool
+    digest: Hash = _ABSENT
+
+
 def _record(base: type[BaseModel] = _Open, **fields: Any) -> Any:
     """A record with these fields: types, or (type, value where it is absent)."""
-    typed = {k: v if isinstance(v, tuple) else (v, ...) for k, v in fields.items()}
+    typed: dict[str, Any] = {k: v if isinstance(v, tuple) else (v, ...) for k, v in fields.items()}
     return create_model("Record", __base__=base, **typed)
 
 
@@ -324,7 +331,6 @@ _Configuration = _record(
 _Motion = _record(
     engine=Text, model=(Text | None, None), step_s=(Step | None, None), sample_s=(Step | None, None)
 )
-_Object = _record(name=Name, split=Split, built_in=bool, digest=(Hash, _ABSENT))
 _Misses = Annotated[list[Annotated[int, Field(ge=0, le=10**9)]], Field(min_length=2, max_length=2)]
 _Robot = _record(name=Name, digest=Hash, ik_missed=(_Misses, _ABSENT))
 Header = _record(
