@@ -15,7 +15,7 @@ from seven import seven_joints, with_hulls, with_jaws, with_table
 from r2h_batch.bodies import robot as robots
 from r2h_batch.bodies.robot import Robot, ee_pose, load_robot, read_robot, robot_arrays, slide_table, write_robot
 from r2h_batch.bodies.robot_visuals import arm_urdf
-from r2h_batch.importers import robot_fit, urdf
+from r2h_batch.importers import robot_shapes, urdf
 from r2h_batch.importers.robot import gripper_of
 from r2h_batch.importers.robot_pairs import touching
 from r2h_batch.importers.robot_shapes import CORNERS, Target, fit_hulls
@@ -151,7 +151,7 @@ USUAL = {
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
     """Of a palm that is a box few samples say enough."""
-    monkeypatch.setattr(robot_fit, "PROTRUSION_SPACING_M", 2e-3)
+    monkeypatch.setattr(robot_shapes, "PROTRUSION_SPACING_M", 2e-3)
 
 
 def jaws_of(folder: Path, urdf: str = JAWS, **changes: str):

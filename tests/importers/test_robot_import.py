@@ -14,7 +14,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.bodies.robot import Kind, ee_pose, read_robot, robot_arrays, robot_file
 from r2h_batch.config import Workplace
 from r2h_batch.importers import robot as importer
-from r2h_batch.importers import robot_fit
+from r2h_batch.importers import robot_shapes
 from r2h_batch.importers.robot import import_robot
 from r2h_batch.importers.robot_pairs import touching
 from r2h_batch.importers.robot_srdf import read_srdf
@@ -33,7 +33,7 @@ def coarse():
     """Of plain shapes few samples say enough."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(importer, "POSTURES", 500)
-        patch.setattr(robot_fit, "PROTRUSION_SPACING_M", 2e-3)
+        patch.setattr(robot_shapes, "PROTRUSION_SPACING_M", 2e-3)
         yield
 
 
