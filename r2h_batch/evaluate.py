@@ -247,7 +247,6 @@ class Evaluator:
                 ScoreInputs(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
             )
 
-    @torch.compiler.disable  # nothing of it can be traced
     def score_motion(
         self,
         T_obj_ee: Float32[Tensor, "b 4 4"],
@@ -285,6 +284,10 @@ class Evaluator:
         Raises:
             TypeError, ValueError: shape, dtype or device do not fit; before any work.
         """
+        if torch.compiler.is_compiling():  # nothing of it can be traced; as a decorator it costs every import a second
+            return torch.compiler.disable(self.score_motion)(
+                T_obj_ee, q, time_s, trials, length=length, planned_q=planned_q, planned_length=planned_length
+            )
         instance_of(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
         if self.config.execution_error.any:
             raise ValueError(

@@ -28,6 +28,14 @@ def scene():
     return default_evaluator().scene
 
 
+@pytest.fixture(scope="session")
+def paper_rows(tmp_path_factory):
+    """A stored run with the counts and mean times of the paper's Table I. It is not changed."""
+    from made_runs import paper_run
+
+    return paper_run(tmp_path_factory.mktemp("paper") / "run")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     marked = [item for item in items if item.get_closest_marker("gpu")]

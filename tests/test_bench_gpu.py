@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 
@@ -34,9 +33,3 @@ def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path,
     assert values["gpu.forms.rows"] == 2 and values["gpu.forms.outcomes_that_differ"] == 0
     assert f"| gpu.forms.loser | {values['gpu.forms.loser']} |" in (tmp_path / "gpu.md").read_text()
     assert "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_without_a_gpu_it_says_so(gpu, tmp_path, capsys):
-    assert gpu.main(["--out", str(tmp_path)]) == 2
-    assert "--device cpu --trials 8 is a dry run" in capsys.readouterr().err

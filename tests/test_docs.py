@@ -3,11 +3,10 @@
 import dataclasses
 import os
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
-from needs import CHROMIUM, is_here, needs
+from needs import is_here, needs
 from no_network import without_network
 
 from r2h_batch import config
@@ -67,39 +66,3 @@ def test_the_site_fetches_nothing_and_holds_the_notebooks_with_what_they_show(si
     assert "__VISER_EMBED_DATA__" in (site / "notebooks" / "tutorial-1.html").read_text()
     assert training.count("Scores(16 rows on cpu") >= 2 and "CUDA" not in tutorial + training
     assert 'href="notebooks/tutorial.html"' in (site / "index.html").read_text()
-
-
-@pytest.fixture
-def shown(site, tmp_path):
-    """What headless Chromium makes of a page of the site on the disk, 1,280 pixels wide, after a script of the test's."""
-
-    def dom(address, script=""):
-        name, _, asked = address.partition("?")
-        copy = site / f"{name.removesuffix('.html')}-copy.html"
-        copy.write_text((site / name).read_text().replace("</body>", f"<script>{script}</script></body>"))
-        flags = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom"]
-        line = [CHROMIUM, *flags, "--window-size=1280,900", f"--user-data-dir={tmp_path}/profile"]
-        done = subprocess.run(
-            [*line, f"{copy.as_uri()}?{asked}"], capture_output=True, text=True, timeout=240, check=True
-        )
-        copy.unlink()
-        return done.stdout
-
-    return dom
-
-
-@needs("mkdocs", "viser", "pandas", "chromium")
-def test_no_table_of_a_results_page_is_cut(shown):
-    wide = "[...document.querySelectorAll('.md-typeset__scrollwrap')].map(t => t.scrollWidth - t.clientWidth)"
-    script = f"addEventListener('load', () => {{ document.title = 'beyond ' + Math.max(...{wide}) }})"
-    assert "<title>beyond 0</title>" in shown("results/table1-v1.html", script)
-
-
-@needs("mkdocs", "viser", "pandas", "chromium")
-def test_the_site_is_searched_from_a_disk_with_suggestions_and_highlights(shown):
-    key = "document.querySelector('.md-search__input').dispatchEvent(new KeyboardEvent('keydown'))"
-    found = shown("index.html?q=leaderb", f"setTimeout(() => {key}, 3000)")  # the beginning of a word in a title
-    assert re.search(r'result__meta">\s*[1-9]\d* matching documents', found)
-    assert re.search(r'search__suggest"[^>]*>leaderboard', found)
-    (address,) = set(re.findall(r'href="[^"]*/(howto/report.html\?h=leaderb)', found))
-    assert re.search(r"<mark[^>]*>leaderb", shown(address))

@@ -222,11 +222,11 @@ def test_a_path_whose_samples_step_over_the_hand_is_not_safe_and_the_exact_check
 
 def test_a_planned_path_with_exact_edges_is_safe_because_pieces_enclose_the_hand():
     evaluator = default_evaluator()
-    batch = make_batch(evaluator.scene, 192, random_share=0.3)
+    batch = make_batch(evaluator.scene, 96, random_share=0.3)
     for config, tolerance in ((evaluator.kinematic, 3e-5), (evaluator, 6e-4)):  # the servos stray by up to 0.5 mm
         s = config.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
         found = s.path_len > 0
-        assert found.sum() > 75
+        assert found.sum() > 36
         assert (s.passed[:, SAFE] == found).all()
         clear = found & (s.margin[:, PLAN] < 0.049) & (s.plan_pair == int(CollidingPair.HAND))
         assert clear.any() and (s.margin[clear, SAFE] >= s.margin[clear, PLAN] - tolerance).all()

@@ -29,7 +29,7 @@ def test_scoring_candidates_is_short_and_prints_two_rates(capsys):
 
 def test_refining_turns_failing_candidates_into_passing_ones(capsys):
     refine_poses = import_module("refine_poses")
-    before, after = refine_poses.main(["--trials", "16", "--steps", "30"])
+    before, after = refine_poses.main(["--trials", "8", "--steps", "30"])
     assert before < 0.3 and after > 0.2
     assert "failing ones refined in 30 steps" in capsys.readouterr().out
 
@@ -46,7 +46,7 @@ def test_a_generator_is_trained_and_judged_in_three_ways(tmp_path):
 
 def test_a_servo_learns_from_closed_loops_and_is_played_on_unseen_trials(capsys):
     learn_servo = import_module("learn_servo")
-    found = learn_servo.main(["--trials", "2", "--population", "2", "--generations", "2"])
+    found = learn_servo.main(["--trials", "1", "--population", "2", "--generations", "1"])
     out = capsys.readouterr().out
-    assert "2 unseen trials" in out and out.count("generation") == 2
+    assert "1 unseen trials" in out and out.count("generation") == 1
     assert -1 <= found["return before"] <= 1 and found["success after"] >= found["success before"]

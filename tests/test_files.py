@@ -6,7 +6,7 @@ import socket
 import pytest
 
 from r2h_batch.__main__ import main
-from r2h_batch.io.read import FileError, open_file, path_within, printable, read_file
+from r2h_batch.io.read import FileError, open_file, path_within, read_file
 
 
 def special_files(folder):
@@ -46,14 +46,6 @@ def test_names_in_files_stay_in_their_folder(tmp_path, name):
     with pytest.raises(FileError, match="outside the folder"):
         path_within(tmp_path, name)
     assert path_within(tmp_path, "sub/x.bin") == tmp_path.resolve() / "sub" / "x.bin"
-
-
-def test_text_for_a_terminal_has_no_control_characters():
-    hostile = "\x1b]0;title\x07 a\nb\r\t\u202egnp.exe\u200b\x9b31m \ud800 \x7f"
-    shown = printable(hostile)
-    assert shown.isprintable() and shown.encode("utf-8")
-    assert "\\x1b" in shown and "\\n" in shown and "\\u202e" in shown and "\\x9b" in shown
-    assert printable("Contact-Handover (é, 手)") == "Contact-Handover (é, 手)"
 
 
 def test_every_command_that_takes_a_file_refuses_a_pipe_at_once(tmp_path, monkeypatch, capsys):

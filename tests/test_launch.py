@@ -156,25 +156,6 @@ def test_a_struct_made_of_tensors_keeps_their_memory_and_refuses_other_kinds():
         struct_of(Table, {"weight": torch.zeros(N, dtype=torch.float64), "count": torch.zeros(N, dtype=torch.int32)})
 
 
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"point": torch.rand(N), "weight": torch.rand(N, 3)}, r"input `point` \(parameter point_in\) is a tensor of float32 "
-         rf"with shape \({N},\) on cpu; the kernel declares 1 dimension\(s\) of vec3f: .* float32 with shape \(n, 3\)"),
-        ({"weight": torch.rand(N, dtype=torch.float64)}, "input `weight` .* is a tensor of float64"),
-        ({"calls": torch.zeros(N)}, "output `calls` .* is a tensor of float32"),
-        ({"weight": torch.rand(2 * N)[::2]}, "input `weight` .* is a non-contiguous tensor"),
-        ({"weight": torch.rand(N, device="meta")}, "input `weight` .* on meta"),
-        ({"weight": None}, "input `weight` .* is None"),
-        ({"scale": Other()}, "input `scale` .* is a struct .*Other; the kernel declares a struct .*Scale"),
-        ({"power": True}, r"input `power` .* is True \(bool\)"),
-        ({"turn": wp.mat22(1.0, 0.0, 0.0, 1.0)}, "input `turn` .* the kernel declares mat33f"),
-    ],
-)  # fmt: skip
-def test_wrong_kinds(change, match):
-    refused("kernel scaled: " + match, *arguments(**change))
-
-
 def _functions(tree: ast.AST, decorator: str):
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef) and any(
@@ -297,13 +278,3 @@ def test_nobody_is_at_work_once_an_interrupt_has_left_the_call():
     begun = len(chunks)
     time.sleep(0.2)
     assert len(chunks) == begun <= 4
-
-
-@pytest.mark.parametrize("chunk", [None, 1, 7])
-@pytest.mark.parametrize("n", [0, 1, 16, 33, 4096, 10_001])
-def test_every_trial_is_in_one_piece(n, chunk):
-    done = []
-    threads.share(lambda worker, start, rows: done.append((start, rows)), 5, n, 1, chunk)
-    assert [i for start, rows in done for i in range(start, start + rows)] == list(range(5, 5 + n))
-    sizes = [rows for _, rows in done]
-    assert sizes == sorted(sizes, reverse=True)  # small ones last: the workers end together

@@ -18,12 +18,8 @@ def test_a_sweep_writes_its_table_into_tensorboard(tmp_path, monkeypatch, capsys
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     monkeypatch.setattr(jobs, "prepare", prepare_fake)
-    assert (
-        sweep.main(
-            ["--method", "fake_bench:best", "--trials", "4", "--out", str(tmp_path / "run"), "--log", "tensorboard"]
-        )
-        == 0
-    )
+    line = ["--method", "fake_bench:best", "--trials", "4", "--out", str(tmp_path / "run")]
+    assert sweep.main([*line, "--log", "tensorboard"]) == 0
     (events,) = (tmp_path / "run" / "tensorboard").iterdir()
     stored = EventAccumulator(str(events))
     stored.Reload()
@@ -39,18 +35,8 @@ def test_each_logger_gets_numbers_steps_name_and_settings_and_stays_on_this_mach
     def call(name):
         return lambda *args, **kwargs: calls.append((name, args, kwargs)) or fake
 
-    names = (
-        "init",
-        "log",
-        "finish",
-        "set_tracking_uri",
-        "set_experiment",
-        "start_run",
-        "log_params",
-        "log_metrics",
-        "end_run",
-    )
-    fake = SimpleNamespace(**{name: call(name) for name in names})
+    names = "init log finish set_tracking_uri set_experiment start_run log_params log_metrics end_run"
+    fake = SimpleNamespace(**{name: call(name) for name in names.split()})
     monkeypatch.setitem(sys.modules, kind, fake)
     for name in ("WANDB_MODE", "MLFLOW_TRACKING_URI", "TRACKIO_DIR"):
         monkeypatch.delenv(name, raising=False)

@@ -17,6 +17,8 @@ def height(e: Evidence) -> Criterion:
 '''
 USE = """
 import contextlib, io, sys, torch
+from r2h_batch import EvalConfig
+from r2h_batch.config import ExecConfig
 from r2h_batch import verdicts
 from r2h_batch.__main__ import main
 from r2h_batch.evaluate import Evaluator
@@ -25,7 +27,7 @@ from r2h_batch.runs.store import load_run
 from r2h_batch.trials.protocol import trials_with_ids
 
 assert verdicts.CRITERIA[5] == "height" and verdicts.__file__.startswith(sys.argv[1])
-evaluator = Evaluator()
+evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
 trials = trials_with_ids(torch.arange(24), objects=evaluator.scene.objects, protocol="r2h-v0")
 poses = oracle.predict(trials, evaluator.scene, seed=0)
 T = poses.T_world_ee.clone().requires_grad_()
@@ -45,7 +47,7 @@ def said(line):
     return out.getvalue()
 
 
-said("sweep --method oracle --trials 6 --sim none --out run")
+said("sweep --method oracle --trials 3 --sim none --out run")
 run = load_run("run")
 rows = run.trials(run.methods[0]).to_pylist()
 assert "height" in {r["outcome"] for r in rows} and all(abs(r["margin_height_m"]) < 2 for r in rows)

@@ -26,14 +26,6 @@ def test_written_predictions_are_read_back_equal(tmp_path, timed):
     assert [p.name for p in tmp_path.iterdir()] == ["p.npz"]
 
 
-def test_float64_poses_other_integers_and_no_method_name_are_taken(tmp_path):
-    data = arrays(trial_id=np.arange(5, dtype=np.uint16), T_obj_ee=np.full((5, 4, 4), 1 / 3))
-    read = load_predictions(store(tmp_path / "my_rule.npz", data))
-    assert read.method == "my_rule"
-    assert read.trial_id.dtype == torch.int64 and read.T_obj_ee.dtype == torch.float32
-    assert (read.T_obj_ee == np.float32(1 / 3)).all()
-
-
 # --- schema ---------------------------------------------------------------------------------------------------------
 
 
@@ -43,12 +35,9 @@ def test_float64_poses_other_integers_and_no_method_name_are_taken(tmp_path):
         ({"T_world_ee": None}, ["has no T_world_ee"]),
         ({"T_obj_eee": np.zeros(3)}, ["unknown", "T_obj_eee", "allowed are trial_id"]),
         ({"T_obj_ee": np.zeros((5, 3, 4), np.float32)}, ["T_obj_ee is (5, 3, 4)", "need 5 x 4 x 4"]),
-        ({"T_world_ee": np.zeros((4, 4, 4), np.float32)}, ["T_world_ee is (4, 4, 4)", "need 5 x 4 x 4"]),
         ({"T_obj_ee": np.zeros((5, 4, 4), int)}, ["T_obj_ee", "int64", "float32 or float64"]),
         ({"trial_id": np.arange(5.0)}, ["trial_id", "float64", "whole numbers"]),
-        ({"trial_id": np.zeros(5, bool)}, ["trial_id", "whole numbers"]),
         ({"trial_id": np.full(5, 2**63, np.uint64)}, ["does not fit int64"]),
-        ({"t_method_s": np.zeros(4)}, ["t_method_s is (4,)", "need 5 floats"]),
         ({"t_method_s": np.full(5, -1.0)}, ["'t_method_s'", "is -1; 0 to 1e+09"]),
     ],
     ids=str,

@@ -46,7 +46,6 @@ def test_csv_gives_the_same_bits_as_a_binary_file(tmp_path):
     ("change", "words"),
     [
         (("trial_id", "trial"), "column 'trial' is unknown; allowed are trial_id, T_obj_ee"),
-        (("T_obj_ee_3", "T_obj_ee_2"), "column 'T_obj_ee_2' is given twice"),
         (("\n0,", "\nx,"), "no readable CSV (In CSV column #0"),
         (("\n0,", "\n,"), "trial_id is empty in 1 rows"),
     ],
@@ -59,8 +58,6 @@ def test_csv_that_cannot_be_scored_is_refused_by_its_column(change, words, tmp_p
 BAD = {
     "must hold an object of lists": [GOOD],
     "unknown array 'methods'": GOOD | {"methods": "x"},
-    "method '' must be": GOOD | {"method": ""},
-    "'trial_id' is not a list of numbers": GOOD | {"trial_id": [1 << 70, 0, 1]},
     "'T_obj_ee' is not a list of numbers or texts of one shape": GOOD | {"T_obj_ee": [[1.0], [2.0, 3.0], []]},
     "T_world_ee is (3, 4, 4) ": GOOD | {"T_world_ee": [[["1"] * 4] * 4] * 3},
     "has no T_world_ee": {k: v for k, v in GOOD.items() if k != "T_world_ee"},

@@ -46,7 +46,7 @@ def rejudged(rows, n):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_sample_of_each_tables_rows_is_judged_the_same_by_this_code(tables, name):
     (published,) = [p for p in tables.TABLES if p.name == name]
-    assert list(map(str, rejudged(ROOT / published.rows, 2))) == []
+    assert list(map(str, rejudged(ROOT / published.rows, 1))) == []
 
 
 @pytest.mark.slow
@@ -84,16 +84,3 @@ def test_no_published_file_names_a_place_on_a_machine_or_a_changed_checkout(path
     text = (RESULTS / path).read_text()
     assert not re.search(r"(?<![\w.~])/(work|tmp|home|root|Users|mnt|opt|usr)/", text)
     assert "-dirty" not in text and "\nNext:" not in text
-
-
-def test_a_checkout_with_changes_is_refused(tables, monkeypatch, tmp_path):
-    monkeypatch.setattr(tables, "ROOT", tmp_path)
-    for words in (
-        ["init", "-q"],
-        ["-c", "user.name=a", "-c", "user.email=b", "commit", "-q", "--allow-empty", "-m", "x"],
-    ):
-        subprocess.run(["git", "-C", str(tmp_path), *words], check=True)
-    assert re.fullmatch("[0-9a-f]{40}", tables.clean_commit())
-    (tmp_path / "new.py").write_text("")
-    with pytest.raises(SystemExit, match="1 files differ from the commit"):
-        tables.clean_commit()

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
 from r2h_batch import Evaluator
 from r2h_batch.__main__ import main
@@ -19,7 +18,6 @@ from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.ik_any import APART_RAD
 from r2h_batch.methods.oracle import predict
-from r2h_batch.scene.model import build_scene_model
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import PlanReason
 
@@ -40,7 +38,7 @@ def test_the_closed_form_reaches_every_posture_of_another_ur() -> None:
 def test_a_redundant_arm_gets_eight_postures_a_target_for_few_steps() -> None:
     """Postures along the self-motion of those that seeds lead to: solved from seeds alone, eight take 295 steps."""
     panda = load_robot("panda_hand")
-    q = np.random.default_rng(5).uniform(panda.lower, panda.upper, (3000, 7))
+    q = np.random.default_rng(5).uniform(panda.lower, panda.upper, (800, 7))
     target = torch.from_numpy(ee_pose(panda, q).astype(np.float32))
     found = solve_ik(target, robot=panda)
     assert int((~found.reachable).sum()) <= 1 and found.valid.sum(1).double().mean() > 7.7
@@ -55,16 +53,6 @@ def test_a_redundant_arm_gets_eight_postures_a_target_for_few_steps() -> None:
     from_home = torch.where(found.valid, (found.q - torch.tensor(panda.home_q)).norm(dim=2), torch.inf).min(1).values
     by_chance = np.linalg.norm(q - panda.home_q, axis=1)
     assert float(from_home[found.reachable].mean()) < 0.8 * by_chance.mean()
-
-
-def test_a_search_in_vain_leaves_seeds_that_do_not_come_near() -> None:
-    """64 seeds of 20 steps and 64 of up to 80: all of them are 6,400."""
-    panda, target = load_robot("panda_hand"), torch.eye(4).repeat(200, 1, 1)
-    target[:, :3, :3] = torch.from_numpy(Rotation.random(200, random_state=3).as_matrix())
-    target[:, :3, 3] = torch.tensor([0.55, 0.3, 0.4])
-    found = solve_ik(target, robot=panda)
-    lost = ~found.reachable
-    assert lost.sum() > 20 and found.steps[lost, 0].double().mean() < 4500
 
 
 @pytest.mark.parametrize(
@@ -127,15 +115,6 @@ def test_persons_stand_for_the_robot_or_as_for_the_ur5e() -> None:
     assert len(digests) == 4
 
 
-def test_an_arm_that_airo_models_does_not_show_is_seen_as_its_bodies() -> None:
-    scene = Evaluator(KINEMATIC, robot=UR3E).scene
-    bare = replace(UR3E, visuals="", digest="without meshes")
-    shown, hidden = (
-        build_scene_model(robot, scene.objects[:1], scene.hands, [0], step_s=0.002).model for robot in (UR3E, bare)
-    )
-    assert hidden.ngeom - shown.ngeom == len(UR3E.arm.kind) - 7 and np.allclose(shown.dof_M0, hidden.dof_M0, rtol=1e-9)
-
-
 def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(tmp_path: Path) -> None:
     run = str(tmp_path / "run")
     line = ["sweep", "--robot", "ur3e_2f85", "--method", "random", "--trials", "2", "--sim", "none", "--out", run]
@@ -144,7 +123,8 @@ def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(tmp_path: Path
     assert main(["results", "reevaluate", run, "--robot", "ur5e_2f85"]) == 2
 
 
-def test_pytorch_kinematics_finds_the_pandas_postures_by_itself():
+def test_pytorch_kinematics_finds_the_pandas_postures_by_itself(monkeypatch):
+    monkeypatch.setattr(ik_jacobian, "ROWS", 24)  # what is short is filled up, to 512
     robot = load_robot("panda_hand")
     q = np.random.default_rng(5).uniform(robot.lower, robot.upper, (24, 7))
     T = torch.from_numpy(ee_pose(robot, q).astype(np.float32))
@@ -159,11 +139,10 @@ def test_pytorch_kinematics_finds_the_pandas_postures_by_itself():
         assert (own >= robot.lower).all() and (own <= robot.upper).all()
         apart = np.abs(own[:, None] - own[None]).max(2) + np.eye(len(own))
         assert apart.min() >= APART_RAD
-    some = ik_jacobian.solve_ik(T[3:5], robot=robot)
-    assert torch.equal(some.q.nan_to_num(), found.q[3:5].nan_to_num())
 
 
-def test_pytorch_kinematics_finds_the_branches_of_a_ur_that_was_imported():
+def test_pytorch_kinematics_finds_the_branches_of_a_ur_that_was_imported(monkeypatch):
+    monkeypatch.setattr(ik_jacobian, "ROWS", 4)
     robot = load_robot("ur10e_2f85")
     q = np.random.default_rng(5).uniform(-3, 3, (6, 6))
     T = torch.from_numpy(ee_pose(robot, q).astype(np.float32))

@@ -1,13 +1,10 @@
 """What batches look like in a terminal, a notebook and a logger: short, true, and without a second evaluation."""
 
-import pickle
-
 import pytest
-import torch
 from needs import needs
 from problems import default_evaluator, make_batch
 
-from r2h_batch import CRITERIA, Outcome, make_trials
+from r2h_batch import CRITERIA, Outcome
 
 
 @pytest.fixture(scope="module")
@@ -30,16 +27,3 @@ def test_a_frame_has_the_columns_of_a_run_folder(scores):
         assert ((frame["outcome"] == name) == scores.failed(name).numpy()).all()
     with pytest.raises(ValueError, match="criterion is 'plam'"):
         scores.failed("plam")
-
-
-def test_trials_know_their_objects_and_keep_them_through_selection_and_copies():
-    trials = make_trials(["S0", "S1"], 20)
-    names = trials.object_names
-    assert names == [default_evaluator().scene.objects[i].name for i in trials.object_index.tolist()]
-    assert trials.splits == ["S0"] * 20 + ["S1"] * 20
-    assert trials[torch.tensor([5, 25])].object_names == [names[5], names[25]]
-    assert trials.to("cpu").clone()[3].object_names == [names[3]] == pickle.loads(pickle.dumps(trials))[3].object_names
-    bare = type(trials)(trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand)
-    with pytest.raises(ValueError, match=r"trials\.named"):
-        _ = bare.object_names
-    assert bare.named(default_evaluator().scene.objects).object_names == names

@@ -13,7 +13,7 @@ from r2h_batch import make_trials
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.benchmark.model import BenchmarkFile, read_benchmark_file, read_object_file
-from r2h_batch.benchmark.trials_file import POSTURE, TEXTS, WIDTH, read_trials_file
+from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.predictors import read_observations
 from r2h_batch.sweep.options import Options
 
@@ -47,22 +47,6 @@ def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_p
         else:  # what lies beside a mesh
             assert read_object_file(path, "saw.obj").file == "saw.obj"
     assert named | {"format", "trials"} == set(BenchmarkFile.model_fields)
-
-
-def test_the_arrays_of_the_page_are_what_readers_take():
-    trials = PAGE[PAGE.index("## Trials") : PAGE.index("## Predictions")]
-    assert set(re.findall(r"^\| (.*?) \|", trials, re.M)[1:]) == {
-        "`object`",
-        "`T_world_hand`",
-        "`hand`",
-        "`pose`, `shape`, `side`",
-        "`id`, `variant`",
-    }
-    assert all(f"`{name}`" in trials for name in (*TEXTS, *POSTURE, *WIDTH, "hand"))
-    seen = PAGE[PAGE.index("## Predictions") :]
-    for name in ("receiving_T_obj_hand", "receiving_pose", "receiving_shape", "target_T_world_hand", "label", "usage", "role",
-                 "probability", "object_index", "trial_id", "source", "points"):  # fmt: skip
-        assert f"`{name}`" in seen or f"`{name} " in seen or f"`{name}`," in seen, name
 
 
 def test_the_python_of_the_page_writes_files_that_are_read(tmp_path, monkeypatch):

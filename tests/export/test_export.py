@@ -1,12 +1,10 @@
 """Exported trials open in plain MuJoCo elsewhere, and MuJoCo's distances on them are the stored margins."""
 
 import csv
-import json
 import re
 import shutil
 import subprocess
 import sys
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -19,7 +17,7 @@ from r2h_batch.config import HOME_Q
 from r2h_batch.export import mjcf as export
 from r2h_batch.export.stored import Reader
 
-TRIALS = (0, 1, 2, 3)
+TRIALS = (0, 3)
 CAP_M = 0.05
 CHECKED = {"hand", "table", "self", "object_hand", "object_table", "object_robot"}
 
@@ -78,29 +76,6 @@ def trajectory(folder, name="trajectory.csv"):
     with (folder / name).open() as file:
         rows = list(csv.reader(file))
     return rows[0], np.array(rows[1:], np.float64)
-
-
-def test_the_folder_opens_elsewhere_and_names_say_what_is_what(exported):
-    robot = load_robot()
-    for _, folder in exported.values():
-        model, _ = load(folder)
-        assert [model.joint(i).name for i in range(model.njnt)] == list(robot.joints)
-        assert np.allclose(model.jnt_range, np.stack([robot.lower, robot.upper], 1))
-        names = [model.geom(i).name for i in range(model.ngeom)]
-        assert {n.split("/")[0] for n in names} == {"robot", "gripper", "hand", "object", "table", "target", "receiver"}
-        found, visual = groups(model)
-        assert all(model.geom_contype[i] == 0 and model.geom_conaffinity[i] == 0 for i in visual)
-        assert all(model.geom_contype[i] and model.geom_conaffinity[i] for ids in found.values() for i in ids)
-        wanted = {f"robot/{n}" for n in robot.arm.names} | {f"gripper/{n}" for n in robot.gripper.names}
-        wanted |= {"object/hull", "table/top", "hand/mesh_visual", "object/mesh_visual", "gripper/body_visual"}
-        wanted |= {f"robot/{link}_visual" for link in robot.links[:7]}
-        wanted |= {
-            f"gripper/{s}_{p}_visual" for s in ("left", "right") for p in ("outer_finger", "inner_knuckle", "pad")
-        }
-        assert wanted <= set(names)
-        files = {m.get("file") for m in ElementTree.parse(folder / "scene.xml").iter("mesh")}
-        assert files == {p.name for p in (folder / "meshes").iterdir()}
-        assert not any("/" in f or "\\" in f for f in files)
 
 
 def test_distances_on_the_exported_geoms_are_those_of_the_planners_bodies(exported, scene):
@@ -175,40 +150,6 @@ def _robot_distance(model, data, triangles, q):
     return best
 
 
-def test_the_hand_mesh_is_the_exact_closed_surface_and_poses_are_the_trials(exported, scene):
-    for stored, folder in exported.values():
-        model, data = load(folder)
-        vertices, faces = _hand_mesh(model, data, folder)
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
-        assert mesh.is_watertight and mesh.volume > 1e-4
-        exact = oracle.hand_triangles(
-            scene, oracle.Staged(0, stored.row["hand_index"], np.eye(4), stored.T_world_hand, 0.05)
-        )
-        assert np.abs(vertices[faces] - exact).max() <= 1e-7
-        data.qpos[:] = stored.q[-1]
-        mujoco.mj_forward(model, data)
-        described = json.loads((folder / "trial.json").read_text())
-        T = np.array(described["poses"]["T_world_obj_at_goal"])
-        assert np.abs(data.body("object").xpos - T[:3, 3]).max() <= 5e-5  # IK's own tolerance
-        assert np.abs(data.body("object").xmat.reshape(3, 3) - T[:3, :3]).max() <= 5e-4
-        # the visual pads stand where their boxes do
-        for side in ("left", "right"):
-            pad, seen = data.geom(f"gripper/{side}_pad"), data.geom(f"gripper/{side}_pad_visual")
-            assert np.abs(pad.xpos - seen.xpos).max() <= 1e-6
-
-
-def test_the_executed_motion_is_beside_the_planned_one_and_close_to_it(exported):
-    for stored, folder in exported.values():
-        _, planned = trajectory(folder)
-        header, rows = trajectory(folder, "executed.csv")
-        assert header == ["time_s", *load_robot().joints]
-        t, q = rows[:, 0], rows[:, 1:]
-        assert t[0] == 0 and np.allclose(np.diff(t), 0.008) and t[-1] >= planned[-1, 0]
-        ideal = np.stack([np.interp(t, planned[:, 0], planned[:, 1 + j]) for j in range(6)], 1)
-        off = np.abs(q - ideal).max()
-        assert 1e-6 < off < 2e-3 and np.abs(q[-1] - stored.row["q_goal"]).max() < 1e-3
-
-
 def test_the_trajectory_is_the_timed_path_with_all_its_waypoints(exported):
     robot = load_robot()
     for stored, folder in exported.values():
@@ -234,26 +175,7 @@ def test_a_model_opens_at_home_stays_there_and_plays_with_the_script_beside_it(e
     assert np.allclose(data.qpos, HOME_Q) and model.ncam >= 1 and model.nlight >= 1 and model.nu == 6
     mujoco.mj_step(model, data, 200)
     assert np.abs(data.qpos - HOME_Q).max() < 1e-9
-    for flags, off_mm in (([], 0.2), (["--servos"], 1.0)):
-        line = [sys.executable, str(folder / "play.py"), "--check", *flags]
-        done = subprocess.run(line, capture_output=True, text=True, check=True, cwd=folder.parent)
-        found = re.search(r"gripper ([0-9.]+) mm from its target, (\d+) contacts", done.stdout)
-        assert found and float(found[1]) < off_mm and found[2] == "0"
-
-
-def test_contacts_are_those_of_the_checked_pairs(exported):
-    for stored, folder in exported.values():
-        model, data = load(folder)
-        data.qpos[:] = stored.q[-1]
-        mujoco.mj_forward(model, data)
-        assert stored.row["outcome"] == "success" and data.ncon == 0
-        rng, agreed = np.random.default_rng(1), set()
-        for q in rng.uniform(-np.pi, np.pi, (60, 6)):
-            least = clearances(model, data, q)  # leaves the posture in data
-            if any(abs(x) < 1e-4 for x in least.values()):
-                continue
-            held = least["hand"] < 0 and all(least[k] > 0 for k in CHECKED - {"hand"})
-            if not held:  # the base and the hand both stand still: MuJoCo looks for no contact between them
-                assert (data.ncon > 0) == (min(least.values()) < 0), least
-            agreed |= {k for k in CHECKED if least[k] < 0}
-        assert {"table", "self"} <= agreed
+    line = [sys.executable, str(folder / "play.py"), "--check", "--servos"]
+    done = subprocess.run(line, capture_output=True, text=True, check=True, cwd=folder.parent)
+    found = re.search(r"gripper ([0-9.]+) mm from its target, (\d+) contacts", done.stdout)
+    assert found and float(found[1]) < 1.0 and found[2] == "0"

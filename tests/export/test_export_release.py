@@ -9,8 +9,6 @@ import trimesh
 from sweep_command import in_process
 
 from r2h_batch.__main__ import main
-from r2h_batch.bodies.objects import load_objects
-from r2h_batch.export.region_boxes import region_as_boxes
 from r2h_batch.runs.store import load_run
 from r2h_batch.verdicts import CRITERIA
 
@@ -106,23 +104,6 @@ def test_files_keep_what_the_release_demands_of_a_trial(written):
             v = np.array(t[points]["vertices"])[:, None]
             c, h = (np.array([b[k] for b in t[boxes]]) for k in ("center", "half_extents"))
             assert (np.abs(v - c) <= h + 1e-9).all(2).any(1).all()
-
-
-def test_usage_boxes_lie_along_the_regions_faces():
-    """All of the region is in a box, and no point of a box is farther from it than their thickness and overhang."""
-    (knife,) = load_objects(["knife"])
-    boxes = region_as_boxes(knife)
-    region = trimesh.Trimesh(knife.vertices, knife.faces[knife.receiver_face], process=False)
-    inside = [
-        np.abs((x - boxes[:, 0])[:, None] @ boxes[:, 2:])[:, 0] <= boxes[:, 1] + 1e-7
-        for x in region.sample(500, seed=1)
-    ]
-    assert all(near.all(1).any() for near in inside)
-    rng = np.random.default_rng(2)
-    some = boxes[rng.integers(len(boxes), size=2000)]
-    points = some[:, 0] + np.einsum("nij,nj->ni", some[:, 2:], some[:, 1] * rng.uniform(-1, 1, (2000, 3)))
-    _, distance, _ = trimesh.proximity.closest_point(region, points)
-    assert distance.max() < 1.25e-3 and distance.mean() < 2e-4
 
 
 def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_its_joints(written, tmp_path):

@@ -5,14 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made_runs import write_run
-from needs import needs
 
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.gallery import pictures
 from r2h_batch.gallery.pictures import first_of_each_outcome
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.command import main as sweep
 
 OUTCOMES = np.array([0, 0, 0, 0, 2, 2, 3, 8, 0, 1, 4, 5])
 
@@ -84,19 +82,3 @@ def test_what_a_gallery_needs_is_said_in_one_line(run, tmp_path, capsys):
     assert "not made by a sweep" in capsys.readouterr().err
     assert main(["report", str(run.folder), "--format", "csv", "--out", str(tmp_path / "t.csv")]) == 0
     assert (tmp_path / "t.csv").read_text().startswith("split,method,n,")
-
-
-@pytest.mark.slow
-@needs("gl")
-def test_the_papers_figures_and_a_gallery_of_a_real_run(tmp_path, capsys):
-    line = ["--method", "random", "oracle", "--trials", "8", "--sim", "none", "--out", str(tmp_path / "run")]
-    assert sweep(line) == 0
-    assert main(["figures", str(tmp_path / "run"), "--method", "oracle", "random", "--out", str(tmp_path / "f")]) == 0
-    for name in ("protocol", "methods", "failures"):
-        assert (tmp_path / "f" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
-        assert (tmp_path / "f" / f"{name}.png").stat().st_size > 30_000
-    out = tmp_path / "report.html"
-    assert main(["report", str(tmp_path / "run"), "--format", "html", "--gallery", "1", "--out", str(out)]) == 0
-    pages = list((tmp_path / "report_trials").glob("*.html"))
-    assert len(pages) >= 3 and all(p.stat().st_size > 500_000 for p in pages)
-    assert 30_000 < out.stat().st_size < 5 << 20

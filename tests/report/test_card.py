@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 from made_runs import write_run
-from needs import needs
 
 from r2h_batch.report.card import write_summary
 from r2h_batch.report.table import render, table_of
@@ -34,16 +33,3 @@ def test_the_summary_holds_the_table_and_names_the_rows_of_every_method(run):
     assert len(found) == 2 and all(found) and not set(found[0]) & set(found[1])
     assert "Split|Method" in body and "\nS0 " in body and "r2h-batch results reevaluate" in body
     assert load_run(run.folder).methods == run.methods  # a run folder as before
-
-
-@needs("datasets")
-def test_a_run_folder_is_a_data_set_of_the_hugging_face_library(run, tmp_path, monkeypatch):
-    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    import datasets
-
-    slug = run.entry("a").slug
-    files = str(run.folder / "trials" / slug / "*.parquet")
-    alone = datasets.load_dataset("parquet", data_files=files, cache_dir=str(tmp_path / "alone"))["train"]
-    assert alone["outcome"][:] == run.trials("a")["outcome"].to_pylist()
-    rows = datasets.load_dataset(str(run.folder), slug, cache_dir=str(tmp_path / "cache"))["trials"]
-    assert rows["trial_id"] == run.trials("a")["trial_id"].to_pylist() and rows["outcome"][0] == "success"

@@ -5,7 +5,7 @@ import subprocess
 from dataclasses import replace
 
 import pytest
-from made_runs import paper_run, table_1
+from made_runs import table_1
 from needs import needs
 
 from r2h_batch.compare.text import render as render_comparison
@@ -24,13 +24,8 @@ NARROW
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    return paper_run(tmp_path_factory.mktemp("latex") / "paper")
-
-
-@pytest.fixture(scope="module")
-def paper(run):
-    return report.table_of(run)
+def paper(paper_rows):
+    return report.table_of(paper_rows)
 
 
 def cells_of(text):
@@ -61,11 +56,11 @@ def test_a_comment_ends_no_comment(paper):
 
 
 @needs("latex")
-def test_all_tables_compile_and_fit_their_columns(run, paper, tmp_path):
+def test_all_tables_compile_and_fit_their_columns(paper_rows, paper, tmp_path):
     name = r"50%_a|b & {c} \d^~<#$>"
     rows = tuple(replace(row, method=name if row.method == "FC-Handover" else row.method) for row in paper.rows)
     hostile = replace(paper, rows=rows)
-    pairs = render_comparison(compare(pair_up([run]), draws=200), "latex", origin=paper.origin)
+    pairs = render_comparison(compare(pair_up([paper_rows]), draws=200), "latex", origin=paper.origin)
     wide = [report.render(hostile, "latex", intervals=i) for i in (False, True)] + [pairs]
     narrow = [report.render(hostile, "latex", columns=1, intervals=i) for i in (False, True)]
     parts = {}

@@ -7,20 +7,17 @@ import subprocess
 
 import numpy as np
 import pytest
-from made_runs import paper_run, table_1, write_run
+from made_runs import table_1, write_run
 from needs import CHROMIUM, needs
 
 from r2h_batch.report import page
 from r2h_batch.report.text import NA
-from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.paired import compare, pair_up
-from r2h_batch.types import CRITERIA
 
 
 @pytest.fixture(scope="module")
-def paper(tmp_path_factory):
-    run = paper_run(tmp_path_factory.mktemp("page") / "paper")
-    return run, page.page(run)
+def paper(paper_rows):
+    return paper_rows, page.page(paper_rows)
 
 
 FETCHING = ("src", "href", "xlink:href", "data", "action", "srcset")
@@ -69,28 +66,6 @@ def test_the_page_holds_every_cell_of_table_1(paper):
 
 def trials_of(text):
     return json.loads(re.search(r"<script type=\"application/json\" id=trials>(.*?)</script>", text)[1])
-
-
-def test_margin_histograms_count_every_finite_margin_once(paper):
-    run, _ = paper
-    for method in run.methods[:2]:
-        table, found = run.trials(method), breakdown.margin_histograms(run, method)
-        for c in CRITERIA:
-            margin = table[f"margin_{c}_m"].to_numpy()
-            counts, _ = np.histogram(margin[np.isfinite(margin)], found[c].edges)
-            assert np.array_equal(found[c].counts, counts)
-            assert found[c].counts.sum() > 0
-    found = breakdown.time_histograms(run, "t_exec_s")
-    stored = {m: run.trials(m)["t_exec_s"].to_numpy() for m in run.methods}
-    assert {h.high for h in found.values()} == {np.float32(max(np.nanmax(v) for v in stored.values()))}
-    for method, values in stored.items():
-        assert found[method].counts.sum() == np.isfinite(values).sum()
-
-
-@pytest.mark.parametrize(("n_s0", "n_s1", "code"), [(1, 0, 0), (0, 2, 2), (33, 33, 8)])
-def test_edges_have_no_nan(tmp_path, code, n_s0, n_s1):
-    text = page.page(write_run(tmp_path / "run", {"m": np.full(n_s0 + n_s1, code)}, n_s0, n_s1))
-    assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
 
 
 @needs("chromium")

@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 import torch
-from made_runs import command, make_header, make_scores, make_trials, paper_run, store, table_1, write_run
+from made_runs import command, make_header, make_scores, make_trials, store, table_1, write_run
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
@@ -22,8 +22,8 @@ COLUMNS = list(report.HEADINGS)
 
 
 @pytest.fixture(scope="module")
-def paper(tmp_path_factory):
-    return report.table_of(paper_run(tmp_path_factory.mktemp("report") / "paper"))
+def paper(paper_rows):
+    return report.table_of(paper_rows)
 
 
 @pytest.fixture(scope="module")
@@ -82,24 +82,8 @@ def test_json_gives_back_every_cell_of_table_1_without_nan(paper, expected):
     assert data["origin"]["protocol"] == "made" and data["origin"]["trials digest"] == "0123456789abcdef"
 
 
-def test_every_rate_has_an_interval_around_it_in_markdown(paper):
-    main, ends, _, shown = md_tables(report.render(paper, "md"))
-    assert shown
-    checked = 0
-    for cells, intervals in zip(main[1:], ends[1:]):
-        values = dict(zip(main[0], cells))
-        for name, interval in list(zip(ends[0], intervals))[2:]:
-            if values[name] == "n/a":
-                assert interval == "n/a"
-                continue
-            low, high = map(float, interval.split("-"))
-            assert low <= float(values[name]) <= high and low < high
-            checked += 1
-    assert checked == 12 * 6 - 4
-
-
 @pytest.mark.parametrize("fmt", report.FORMATS)
-@pytest.mark.parametrize(("n_s0", "n_s1", "code"), [(0, 3, 0), (6, 6, 2), (2, 2, 8)])
+@pytest.mark.parametrize(("n_s0", "n_s1", "code"), [(0, 3, 0), (2, 2, 8)])
 def test_edges_print_na_and_never_nan(tmp_path, fmt, n_s0, n_s1, code):
     run = write_run(tmp_path / "run", {"m": np.full(n_s0 + n_s1, code)}, n_s0, n_s1)
     text = report.render(report.table_of(run), fmt)
@@ -165,10 +149,7 @@ def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only
         "robot": {"name": "ur3e", "digest": "c" * 64},
     }
     codes = {"a": np.zeros(20, int), "b": np.arange(20) % 3}
-    folders = [
-        write_run(tmp_path / "old", codes, 10, 10, **of).folder,
-        write_run(tmp_path / "new", codes, 10, 10, **other).folder,
-    ]
+    folders = [write_run(tmp_path / n, codes, 10, 10, **how).folder for n, how in (("old", of), ("new", other))]
     out = tmp_path / "both.html"
     assert command("report", *folders, format="html", out=out) == 0
     assert "differ in robot (ur5e_2f85, ur3e)" in capsys.readouterr().err
@@ -185,20 +166,3 @@ def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only
     strange = write_run(tmp_path / "strange", codes, 10, 10, **hands).folder
     assert command("compare", folders[0], strange, across_robots=True) == 2
     assert "differ in digests (hand_set)" in capsys.readouterr().err
-
-
-def test_the_measured_misses_of_a_robot_without_a_closed_form_stand_under_the_table(tmp_path, capsys):
-    own = {"name": "arm", "digest": "c" * 64, "ik_missed": [10_000, 3]}
-    digests = {"trials": "0123456789abcdef", "robot": own["digest"]}
-    folder = write_run(tmp_path / "run", {"a": np.zeros(8, int)}, 4, 4, robot=own, digests=digests).folder
-    words = "Inverse kinematics of arm: numerical; of 10,000 random reachable poses it misses 3 (0.03 %)"
-    for fmt in ("md", "json", "html", "latex"):
-        assert command("report", folder, format=fmt, out=tmp_path / f"page.{fmt}") == 0
-        page = (tmp_path / f"page.{fmt}").read_text().replace("\\%", "%")
-        assert words in " ".join(page.replace("% ", "").split()) or words in " ".join(page.split()), fmt
-    usual = write_run(tmp_path / "usual", {"a": np.zeros(8, int)}, 4, 4).folder
-    capsys.readouterr()
-    assert command("report", usual) == 0
-    shown = capsys.readouterr().out
-    assert "Inverse kinematics" not in shown and "baselines  #" in shown
-    assert command("report", folder) == 0 and "baselines --across-robots  #" in capsys.readouterr().out

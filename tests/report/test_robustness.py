@@ -9,7 +9,6 @@ from scipy import stats
 
 from r2h_batch.config import EvalConfig
 from r2h_batch.report.robustness import robustness
-from r2h_batch.statistics.paired import compare, pair_up
 from r2h_batch.sweep.options import execution_error
 from r2h_batch.types import Outcome
 
@@ -54,10 +53,3 @@ def test_intervals_are_t_intervals_over_objects_of_the_same_trials(runs, solved)
     lost = (solved[0, 0].astype(int) - solved[0, 2]).reshape(2, 20, 3).mean(1)  # by split and object, of equal size
     error = np.sqrt(sum(part.var(ddof=1) / 3 for part in lost)) / 2
     assert robustness(runs).curves[0].lost[2].half == pytest.approx(100 * stats.t.ppf(0.975, 2) * error)
-
-
-def test_pairs_are_those_of_compare_at_each_level(runs):
-    found = robustness(runs)
-    for run, pairs in zip(runs, found.pairs, strict=True):
-        assert pairs == compare(pair_up([run]))[-1].pairs
-    assert found.pairs[0][0].difference > 0 > found.pairs[2][0].difference  # the order turns

@@ -16,7 +16,7 @@ QUICK = ["--sim", "none", "--quiet"]
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reception") / "run"
     assert (
-        main(["sweep", "--method", "random", "oracle,for=reception", "--trials", "4", "--out", str(folder), *QUICK])
+        main(["sweep", "--method", "random", "oracle,for=reception", "--trials", "2", "--out", str(folder), *QUICK])
         == 0
     )
     return folder
@@ -27,7 +27,7 @@ def test_every_stored_pose_has_a_row_and_the_funnel_counts_them(run, capsys):
     shown = capsys.readouterr().out
     for entry in load_run(run).entries:
         table = pq.read_table(run / "reception" / f"{entry.slug}.parquet")
-        assert table.schema.equals(SCHEMA) and len(table) == 8
+        assert table.schema.equals(SCHEMA) and len(table) == 4
         rows = table.to_pylist()
         assert all((r["grasp"] is None) == (not r["received"]) for r in rows)
         assert all(r["n_hold"] <= r["n_arm"] <= r["known"] for r in rows)
@@ -38,7 +38,7 @@ def test_every_stored_pose_has_a_row_and_the_funnel_counts_them(run, capsys):
         )
         assert f"{share:.1f}" in line and line.split("|")[2].strip() == str(len(judged))
     best = [r for r in rows if r["success"]]
-    assert len(best) == 8 and sum(r["received"] for r in best) >= 7  # the bound
+    assert len(best) == 4 and sum(r["received"] for r in best) >= 3  # the bound
     assert main(["results", "verify", str(run)]) == 0
 
 
@@ -50,15 +50,3 @@ def test_a_link_in_place_of_the_tables_folder_is_refused_and_nothing_is_written_
     assert main(["results", "reception", str(copy)]) == 2
     error = capsys.readouterr().err
     assert "a symbolic link" in error and error.count("\n") == 1 and not list(victim.iterdir())
-
-
-def test_a_run_whose_receivers_have_no_body_is_refused_in_one_line(tmp_path, capsys):
-    folder = tmp_path / "v0"
-    assert (
-        main(["sweep", "--method", "random", "--protocol", "r2h-v0", "--trials", "2", "--out", str(folder), *QUICK])
-        == 0
-    )
-    capsys.readouterr()
-    assert main(["results", "reception", str(folder)]) == 2
-    error = capsys.readouterr().err
-    assert "no receiver's body" in error and "r2h-v1" in error and error.count("\n") == 1

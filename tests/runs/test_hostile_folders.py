@@ -61,10 +61,10 @@ def run(good, tmp_path):
 
 
 HEADER = [
-    *[(f, None) for f in ("versions", "digests", "device", "configuration", "protocol", "stored", "seed")],
-    *[(f, ...) for f in ("versions.r2h_batch", "digests.trials", "device.name", "configuration", "protocol")],
-    *[("trials.S0", v) for v in (1e15, 10**15, -1, "3", True, None)],
-    *[("shard_trials", v) for v in (1e300, 10**15, 2.5, "5", True)],
+    *[(f, None) for f in ("versions", "digests", "device", "configuration", "stored")],
+    *[(f, ...) for f in ("versions.r2h_batch", "digests.trials", "protocol")],
+    *[("trials.S0", v) for v in (10**15, -1, "3", True)],
+    *[("shard_trials", v) for v in (1e300, 10**15, 2.5)],
     ("trials", {"S0": 10**12, "S1": 3}),
     ("versions.r2h_batch", ESC),
     ("configuration.thresholds", {"reach_radius_m": 0.1}),
@@ -87,13 +87,13 @@ def test_a_run_json_with_an_odd_field_is_one_line(run, capsys, where, value):
 
 
 RECEIPT = [
-    *[("outcomes", v) for v in (..., None, [], {"S0": None}, {"S0": {"banana": 3}, "S1": {"success": 3}})],
-    *[("outcomes.S0", {"success": v}) for v in (1e15, -3, "3", None)],
-    *[("files", v) for v in (..., None, {}, [], {"bananas": {}})],
-    *[("files.trials.path", v) for v in (..., None, 7, ESC)],
-    *[("files.trials.bytes", v) for v in (..., "many", -1, 1e300)],
-    *[("files.trials.sha256", v) for v in ("", "../" * 20, 7, "f" * 64)],
-    *[("first", v) for v in (1, -1, None, "0", 0.5)],
+    *[("outcomes", v) for v in (..., [], {"S0": {"banana": 3}, "S1": {"success": 3}})],
+    *[("outcomes.S0", {"success": v}) for v in (1e15, -3, None)],
+    *[("files", v) for v in (..., [], {"bananas": {}})],
+    *[("files.trials.path", v) for v in (..., 7, ESC)],
+    *[("files.trials.bytes", v) for v in (..., "many", 1e300)],
+    *[("files.trials.sha256", v) for v in ("../" * 20, 7, "f" * 64)],
+    *[("first", v) for v in (1, -1, None)],
     ("run", "0" * 64),
     ("method", ESC),
     ("seconds", "long"),
@@ -114,16 +114,7 @@ def test_a_receipt_with_an_odd_field_is_refused_and_its_shard_scored_again(run, 
     assert load_run(run).unfinished == ("m",) and not path.exists()
 
 
-OUTSIDE = [
-    "/{victim}",
-    "../victim.parquet",
-    "trials/../../victim.parquet",
-    "trials/m/../../../victim.parquet",
-    "{victim}",
-]
-
-
-@pytest.mark.parametrize("form", OUTSIDE)
+@pytest.mark.parametrize("form", ["../victim.parquet", "trials/m/../../../victim.parquet", "{victim}"])
 def test_a_receipt_that_names_a_file_elsewhere_is_set_aside_and_that_file_is_neither_read_nor_renamed(
     run, form, capsys
 ):

@@ -8,17 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_runs import (
-    NAMES,
-    OUTCOMES,
-    files_of,
-    make_header,
-    make_predictions,
-    make_scores,
-    make_trials,
-    store,
-    write,
-)
+from made_runs import NAMES, OUTCOMES, files_of, make_header, make_predictions, make_scores, make_trials, store, write
 
 from r2h_batch.runs import store as run_store
 from r2h_batch.runs.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA, pose_rows, score_rows
@@ -172,26 +162,10 @@ def test_another_configuration_is_refused_naming_what_differs_and_what_to_do(tmp
     write(tmp_path / "run")
     before = (tmp_path / "run" / "run.json").read_bytes()
     with pytest.raises(
-        RunError,
-        match=rf"another run, which differs in {next(iter(change))}( \(\w+\))?; choose another --out",
+        RunError, match=rf"another run, which differs in {next(iter(change))}( \(\w+\))?; choose another --out"
     ):
         open_run(tmp_path / "run", make_header(6, 6, **change))
     assert (tmp_path / "run" / "run.json").read_bytes() == before
-
-
-def test_another_machine_of_the_same_kind_may_share_a_folder_and_another_shard_size_may_not(tmp_path):
-    write(tmp_path / "run")
-    open_run(tmp_path / "run", make_header(6, 6, device={"kind": "cpu", "name": "cpu: another model"}))
-    open_run(tmp_path / "run", make_header(6, 6, shard_trials=5), exact=False)
-    with pytest.raises(RunError, match="shards of 100000 trials; the command wants 5"):
-        open_run(tmp_path / "run", make_header(6, 6, shard_trials=5))
-
-
-def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(tmp_path):
-    (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(RunError, match=r"thesis\.tex"):
-        open_run(tmp_path, make_header(1, 1))
-    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 def test_two_writers_of_one_shard_leave_the_rows_of_the_first_and_no_files_of_the_second(tmp_path):
@@ -242,4 +216,3 @@ def test_a_run_that_claims_a_million_shards_is_listed_at_once(tmp_path):
     found = load_run(tmp_path / "run")
     assert found.methods == () and found.unfinished == ("m0", "m1", "m2", "m3")
     assert time.process_time() - start < 0.5
-    assert len(found.missing("m0")) == 10**6

@@ -1,17 +1,13 @@
 """Table rows: the documented schemas for any number of trials."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 from made_runs import NAMES, make_predictions, make_scores, make_trials
 
-from r2h_batch.runs import store
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
     FAILURE_SCHEMA,
-    OUTCOME_NAMES,
     PATH_SCHEMA,
     POSE_SCHEMA,
     TRIAL_SCHEMA,
@@ -22,7 +18,7 @@ from r2h_batch.runs.rows import (
     pose_rows,
     score_rows,
 )
-from r2h_batch.types import CollidingPair, Outcome, PlanReason
+from r2h_batch.types import Outcome
 
 
 @pytest.mark.check
@@ -62,11 +58,3 @@ def test_what_the_simulator_failed_on_can_be_run_again_from_its_row():
     q = np.array(rows[0]["executed_q"], np.float32)
     assert np.array_equal(q, scores.motion[1, :4].numpy(), equal_nan=True) and np.isnan(q[2:]).all()
     assert rows[1]["executed_q"] is None and rows[1]["failed_state"] == [9.0, 10.0, 11.0]
-
-
-def test_the_documentation_names_every_column_and_every_word_in_it():
-    text = (Path(__file__).parents[2] / "docs" / "run_folder.md").read_text(encoding="utf-8")
-    columns = [f.name for schema in store.SCHEMAS.values() for f in schema]
-    words = [*OUTCOME_NAMES, *(r.name.lower() for r in PlanReason), *(p.name.lower() for p in CollidingPair if p)]
-    for name in (*columns, *words, *store.IDENTITY):
-        assert f"`{name}`" in text, name

@@ -13,9 +13,8 @@ from r2h_batch.runs.store import load_run
 from r2h_batch.study.perceived import MEASURES
 
 METHODS = ("fc", "handover-va", "contact")
-QUICK = ["--sim", "none", "--quiet", "--trials", "5", "--save-paths"]
+QUICK = ["--sim", "none", "--quiet", "--trials", "3", "--save-paths"]
 COMFORT = (3.2, 2.8, 2.5)  # Fig. 7 of the paper
-PEOPLE = ("anna", "ben", "cleo")
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +65,7 @@ def test_a_trial_is_written_with_its_poses_and_what_its_person_sees(run, trials,
     hands = {r["trial_id"]: r["hand_index"] for r in stored.details(entry).to_pylist()}
     objects = {o.name: o for o in scene.objects}
     mine = [r for r in trials[1] if r["method"] == entry]
-    assert len(trials[1]) == 30 and len(mine) == 10
+    assert len(trials[1]) == 18 and len(mine) == 6
     for row in mine:
         i = int(row["trial_id"])
         assert array(row, "T_world_ee", 16) == pytest.approx(poses[i]["T_world_ee"])
@@ -103,8 +102,7 @@ def test_the_closing_speed_is_that_of_the_distance_to_the_hand_in_mujoco_c(run, 
         held = array(row, "T_obj_ee", 4, 4) @ shift
         hand = array(row, "T_world_hand", 4, 4)
         twin = oracle.mujoco_scene(
-            scene,
-            oracle.Staged(names.index(row["object"]), detail["hand_index"], held, hand, detail["opening_m"]),
+            scene, oracle.Staged(names.index(row["object"]), detail["hand_index"], held, hand, detail["opening_m"])
         )
         far = np.abs(path[1] - path[0]).max()
         v, a = 0.1 * np.pi, 0.1 * 5.0
@@ -118,27 +116,3 @@ def test_the_closing_speed_is_that_of_the_distance_to_the_hand_in_mujoco_c(run, 
         assert float(row["closing_m_s"]) == pytest.approx((-np.diff(gap) / np.diff(t))[near].max(), rel=0.05, abs=0.003)
         looked_at += 1
     assert looked_at >= 3
-
-
-def ratings(tmp_path, rows, rate):
-    file = tmp_path / "ratings.csv"
-    with file.open("w", newline="") as opened:
-        writer = csv.writer(opened)
-        writer.writerow(["participant", "method", "trial_id", "dimension", "rating"])
-        writer.writerows([p, r["method"], r["trial_id"], "comfort", rate(p, r)] for p in PEOPLE for r in rows)
-    return file
-
-
-def test_ratings_of_trials_meet_their_measures_row_by_row(trials, tmp_path, capsys):
-    far = sorted(float(r["head_m"]) for r in trials[1])
-    file = ratings(tmp_path, trials[1], lambda _, r: 1 + sum(float(r["head_m"]) > far[k] for k in (6, 12, 18, 24)))
-    out = tmp_path / "joined.csv"
-    assert main(["study", "rated", str(file), "--trials", str(trials[0]), "--out", str(out)]) == 0
-    text = capsys.readouterr().out
-    line = next(x for x in text.splitlines() if MEASURES["head_m"].heading in x)
-    assert float(line.split("|")[2].split()[0]) > 0.95 and "mixed model" in text
-    with out.open(newline="") as opened:
-        joined = list(csv.DictReader(opened))
-    assert len(joined) == len(PEOPLE) * len(trials[1])
-    measured = {(r["method"], r["trial_id"]): r for r in trials[1]}
-    assert all(r[k] == measured[r["method"], r["trial_id"]][k] for r in joined for k in MEASURES)

@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 
 import fake_bench
-from fake_bench import set_clock
 
 import r2h_batch.report.table  # noqa: F401 (a fork would import it)
 from r2h_batch.judge.plan import load_searches
@@ -46,7 +45,6 @@ class Fork:
             sys.stdout, sys.stderr = (os.fdopen(n, "w", buffering=1) for n in (1, 2))
             sys.argv = line
             os.environ.update(env)
-            set_clock(float(env.get("FAKE_CLOCK", "0")))
             jobs.prepare = fake_bench.prepare
             before()
             code = sweep.main(line[1:])

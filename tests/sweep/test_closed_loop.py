@@ -1,9 +1,12 @@
 """`sweep --receiver-motion --policy`: what is stored and printed beside the verdicts, which stay."""
 
+from functools import partial
+
+from r2h_batch.closed_loop.env import LoopConfig
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main
 
-BASE = ["--method", "random", "--trials", "6", "--sim", "none", "--quiet"]
+BASE = ["--method", "random", "--trials", "1", "--sim", "none", "--quiet"]
 
 
 def sweep(folder, *more):
@@ -11,6 +14,7 @@ def sweep(folder, *more):
 
 
 def test_a_sweep_plays_the_loop_beside_its_verdicts_and_a_users_policy_is_one(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("r2h_batch.closed_loop.env.LoopConfig", partial(LoopConfig, horizon_s=2.0))
     (tmp_path / "mine.py").write_text("import torch\n\ndef wait(seen):\n    return torch.zeros_like(seen['q'])\n")
     assert sweep(tmp_path / "off") == 0
     plain_out = capsys.readouterr().out

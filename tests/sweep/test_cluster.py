@@ -22,20 +22,20 @@ RAY = ("--engine", "ray", "--workers", "2")
 ONE = ("--engine", "ray", "--workers", "1")
 
 
-def test_two_workers_of_which_one_is_killed_give_the_digest_of_one_process_and_a_finished_run_starts_none(
+def test_a_killed_worker_is_replaced_the_digest_is_that_of_one_process_and_a_finished_run_starts_none(
     tmp_path, undisturbed
 ):
     out, log = tmp_path / "run", tmp_path / "log"
-    sweep = start(tmp_path, out, SLOW, *RAY, FAKE_WORKERS="3")
+    sweep = start(tmp_path, out, SLOW, *ONE, FAKE_WORKERS="2", fork=True)
     wait_for(lambda: len(receipts(out)) >= 2, "two shards")
     os.kill(int(log.read_text().splitlines()[-1].split()[0]), signal.SIGKILL)
     code, table, error = finish(sweep)
     assert code == 0 and table.startswith("split,"), error
-    assert len(workers(log)) == 3
+    assert len(workers(log)) == 2
     same_rows(out, undisturbed)
-    code, again, error = finish(start(tmp_path, out, SLOW, *RAY, fork=True))
+    code, again, error = finish(start(tmp_path, out, SLOW, *ONE, fork=True))
     assert code == 0 and again == table, error
-    assert len(workers(log)) == 3
+    assert len(workers(log)) == 2
 
 
 def test_a_worker_whose_method_has_other_files_is_refused():

@@ -7,7 +7,6 @@ from r2h_batch.bodies.objects import load_objects
 from r2h_batch.methods import candidates
 from r2h_batch.methods.grasps import NoGraspError
 from r2h_batch.receiver import receiving
-from r2h_batch.receiver.sampler import NoHoldError
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main
 
@@ -53,18 +52,6 @@ def test_what_was_found_is_enough_and_the_side_without_holds_fails_that_method_o
     found = outcomes(folder, contact)
     assert {side for (_, side), failed in found.items() if failed} == {"left"}
     assert {side for (_, side), failed in found.items() if not failed} == {"right"}
-
-
-def test_an_object_that_no_hand_can_hold_fails_on_both_sides(folder, monkeypatch, capsys):
-    def none(model, **_):
-        raise NoHoldError("nothing")
-
-    monkeypatch.setattr(receiving, "sample_receiving", none)
-    with pytest.warns(UserWarning, match="0 of 32 left receiving grasps found"):
-        assert sweep(folder, "--method", "fc") == 0
-    assert "fc: no right hand was found that can hold ball" in capsys.readouterr().err
-    name = load_run(folder / "run").methods[0]
-    assert all(outcomes(folder, name).values())
 
 
 def test_an_object_too_wide_for_the_gripper_is_refused_in_one_line_unless_it_may_fail(folder, monkeypatch, capsys):

@@ -21,7 +21,6 @@ NONE = "Found no NVIDIA driver on your system. Please check that you have an NVI
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (AssertionError("Torch not compiled with CUDA enabled"), "Torch not compiled with CUDA enabled"),
         (RuntimeError(NONE), "Found no NVIDIA driver on your system"),
         (RuntimeError(OLD), "The NVIDIA driver on your system is too old (found version 11040)"),
     ],
@@ -40,13 +39,11 @@ def test_a_gpu_that_cannot_be_had_is_refused_with_torchs_reason(error, words, tm
 
 LOST = {
     "torch": lambda: torch.AcceleratorError("CUDA error: unspecified launch failure\nCUDA kernel errors might be ..."),
-    "torch's memory": lambda: torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 MiB."),
-    "warp": lambda: RuntimeError("CUDA error 719 detected on device cuda:0: unspecified launch failure"),
     "warp's memory": lambda: RuntimeError("Failed to allocate 1024 bytes on device 'cuda:0'"),
 }
 
 
-@pytest.mark.parametrize(("what", "who"), [*zip(LOST, ["the evaluator", "the method"] * 2, strict=True)])
+@pytest.mark.parametrize(("what", "who"), [*zip(LOST, ["the evaluator", "the method"], strict=True)])
 def test_a_gpu_that_is_lost_is_one_line_and_the_same_command_goes_on(what, who, tmp_path, monkeypatch, capsys):
     mine, real, calls = type(sys)("mine"), FakeEvaluator.score, []
 

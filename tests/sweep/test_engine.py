@@ -1,24 +1,15 @@
 """How long a shard is, and which trials it holds."""
 
-import time
 from dataclasses import replace
 
 import fake_bench
 import pytest
 import torch
 
-from r2h_batch.runs.store import SHARD_TRIALS, RunError, load_run, open_run
+from r2h_batch.runs.store import RunError, load_run, open_run
 from r2h_batch.sweep import engine, jobs
 from r2h_batch.sweep.options import Options
 from r2h_batch.types import Outcome
-
-
-class Slow(fake_bench.FakeEvaluator):
-    """Takes a millisecond a trial."""
-
-    def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
-        time.sleep(0.001 * len(trials))
-        return super().score(T_obj_ee, T_world_ee, trials)
 
 
 class Failing(fake_bench.FakeEvaluator):
@@ -60,24 +51,6 @@ def test_trials_that_the_simulator_failed_on_are_dumped_into_the_run_folder_and_
 def predict(trials, _):
     T = torch.eye(4).repeat(len(trials), 1, 1)
     return jobs.Predictions(trials.trial_id, T, T)
-
-
-JOB = jobs.Job("m", {}, predict, warm=True)
-
-
-def bench(trials, evaluator):
-    made = fake_bench.prepare(Options(method=("random",), trials=trials))
-    return jobs.Setting(evaluator, made.header, made.ids, made.trials)
-
-
-def test_a_shard_is_what_is_done_in_a_minute_and_at_most_100000_trials(monkeypatch):
-    monkeypatch.setattr(engine, "SHARD_SECONDS", 1.0)
-    size = engine.shard_size(bench(600, Slow()), [JOB])
-    assert size % jobs.CPU_CHUNK == 0 and 256 <= size <= 1024
-    monkeypatch.setattr(engine, "SHARD_SECONDS", 0.01)
-    assert engine.shard_size(bench(600, Slow()), [JOB]) == jobs.CPU_CHUNK
-    monkeypatch.setattr(engine, "SHARD_SECONDS", 1e9)
-    assert engine.shard_size(bench(600, fake_bench.FakeEvaluator()), [JOB]) == SHARD_TRIALS
 
 
 @pytest.mark.parametrize("splits", [("S1",), ("S1", "S0")])

@@ -47,21 +47,6 @@ def test_a_stop_signal_ends_with_130_and_the_same_command_goes_on(tmp_path, undi
     same_rows(out, undisturbed)
 
 
-def test_two_sweeps_on_one_folder_share_the_work_and_one_takes_over_when_the_other_is_killed(tmp_path, undisturbed):
-    out = tmp_path / "run"
-    both = [start(tmp_path, out, FAKE_SECONDS="0.15") for _ in range(2)]
-    log = tmp_path / "log"
-    wait_for(lambda: log.exists() and len({line.split()[0] for line in log.read_text().splitlines()}) == 2, "both")
-    wait_for(lambda: len(receipts(out)) >= 4, "four shards")
-    both[0].kill()
-    finish(both[0])
-    code, table, error = finish(both[1])
-    assert code == 0 and table.startswith("split,"), error
-    same_rows(out, undisturbed)
-    answered = [int(line.split()[1]) for line in log.read_text().splitlines()]
-    assert len(answered) <= 24 + 2  # 24 chunks; the killed one had begun at most one shard of two
-
-
 def test_a_read_only_folder_is_one_line_with_what_to_do(tmp_path):
     out = Path("/sys/r2h_batch_run")  # nobody may make folders there, root neither
     if os.geteuid() != 0:

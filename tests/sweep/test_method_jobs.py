@@ -54,16 +54,3 @@ def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, caps
     assert run.header["predictors"]["noise"]["target_translation_m"] == 0
     margins = np.array(run.trials("my_rules:predict")["margin_reach_m"])
     assert (margins[~np.isnan(margins)] > 0.05).all()  # the TCP is where the object is wanted
-
-
-def test_a_methods_options_reach_it_and_stand_in_its_name(bench):
-    some = ("contact", "contact,gate=ik,height_m=0.12", "oracle,rounds=8")
-    given = jobs.make_jobs(Options(method=some, predictor_noise=0.0), [], bench)
-    assert [j.name for j in given] == [
-        "Contact-Handover (VoxNet, built-in contacts)",
-        "Contact-Handover (VoxNet, built-in contacts; gate=ik, height_m=0.12)",
-        "oracle (rounds=8)",
-    ]
-    assert [j.source.get("options") for j in given] == [None, "gate=ik, height_m=0.12", "rounds=8"]
-    # no public way from a job to what its function is called with
-    assert jobs._method(some[1]).options == {"gate": "ik", "height_m": 0.12}

@@ -12,7 +12,7 @@ from r2h_batch.types import Predictions
 
 
 def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
-    line = ["--method", "random", "oracle", "--trials", 6, "--out", tmp_path / "run", "--save-paths"]
+    line = ["--method", "random", "oracle", "--trials", 3, "--out", tmp_path / "run", "--save-paths"]
     done = in_process(*line)
     assert done.returncode == 0, done.stderr
     assert done.stdout.isascii() and done.stdout.startswith("preset: default")
@@ -21,16 +21,16 @@ def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
     assert run.methods == ("random", "oracle")
     for method in run.methods:
         table = run.trials(method)
-        assert table.num_rows == 12 and run.poses(method).num_rows == 12
-        assert len(set(table["object"].to_pylist())) == 12
+        assert table.num_rows == 6 and run.poses(method).num_rows == 6
+        assert len(set(table["object"].to_pylist())) == 6
         has_path = [r["trial_id"] for r in table.to_pylist() if r["t_exec_s"] is not None]
         assert run.paths(method)["trial_id"].to_pylist() == has_path
     outcomes = run.trials("oracle")["outcome"].to_pylist()
-    assert outcomes.count("success") >= 10
+    assert outcomes.count("success") >= 5
 
 
 def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
-    first = in_process("--method", "random", "--trials", 8, "--out", tmp_path / "a")
+    first = in_process("--method", "random", "--trials", 4, "--out", tmp_path / "a")
     assert first.returncode == 0, first.stderr
     run = load_run(tmp_path / "a")
     poses = run.poses("random")
@@ -38,7 +38,7 @@ def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
     order = torch.randperm(len(parts[0]), generator=torch.Generator().manual_seed(1))
     ids = torch.tensor(poses["trial_id"].to_pylist())
     write_predictions(tmp_path / "p.npz", Predictions(ids, *parts, None, "random again")[order])
-    second = in_process("--predictions", tmp_path / "p.npz", "--trials", 8, "--out", tmp_path / "b")
+    second = in_process("--predictions", tmp_path / "p.npz", "--trials", 4, "--out", tmp_path / "b")
     assert second.returncode == 0, second.stderr
     timing = ["t_plan_s", "t_method_s"]
     a, b = (r.drop_columns(timing) for r in (run.trials("random"), load_run(tmp_path / "b").trials("random again")))
@@ -65,18 +65,16 @@ def test_one_process_two_ray_workers_and_three_parts_give_the_same_digest(tmp_pa
 
 def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
     found = {}
-    for sim in ("auto", "none", "mjwarp"):
-        flags = ["--sim", sim, "--sim-model", "arm" if sim == "mjwarp" else "scene", "--out", tmp_path / sim]
+    for sim in ("auto", "none"):
+        flags = ["--sim", sim, "--out", tmp_path / sim]
         done = in_process("--method", "random", "--trials", 3, *flags)
         assert done.returncode == 0, done.stderr
         run = load_run(tmp_path / sim)
         header = json.loads((tmp_path / sim / "run.json").read_text())
         found[sim] = header["motion"], header["configuration"]["execute"]["sim"], run.trials("random")
-    assert found["auto"][:2] == ({"engine": "mujoco", "model": "scene", "step_s": 0.002, "sample_s": 0.008}, "mujoco")
+    assert found["auto"][:2] == ({"engine": "mujoco", "model": "auto", "step_s": 0.002, "sample_s": 0.008}, "mujoco")
     assert found["none"][:2] == ({"engine": "none", "model": None, "step_s": None, "sample_s": None}, "none")
-    assert found["mjwarp"][0]["model"] == "arm"
-    assert found["mjwarp"][0]["engine"] == found["mjwarp"][1] == "mjwarp"
     times = {k: [t for t in v[2]["t_exec_s"].to_pylist() if t is not None] for k, v in found.items()}
-    assert len(times["auto"]) >= 2 and times["auto"] == pytest.approx(times["mjwarp"], abs=0.009)
+    assert len(times["auto"]) >= 2
     assert all(0.02 < a - b < 0.3 for a, b in zip(times["none"], times["auto"], strict=True))  # 1 mm before the end
     assert found["auto"][2]["outcome"].equals(found["none"][2]["outcome"])

@@ -3,9 +3,7 @@
 import sys
 
 import pytest
-from disturbed import finish, start
 from fake_bench import prepare as prepare_fake
-from needs import needs
 
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
@@ -50,16 +48,6 @@ def test_a_method_is_found_beside_the_command_and_as_a_file(place, said, name, f
     run = load_run("run")
     assert run.methods == (name,) and run.entry(name).source["function"] == function
     assert str(place) not in (place / "here/run/run.json").read_text().partition('"command"')[0]
-
-
-@needs("ray")
-@pytest.mark.slow
-def test_a_worker_of_ray_finds_a_module_in_the_current_folder(place):
-    """A process of its own: nothing but the script's folder stands in its path of modules."""
-    both = ("uc_rules:predict", "mine=../there/uc_rules.py:predict")
-    code, _, error = finish(start(place, "run", both, "--engine", "ray", "--workers", "1"))
-    assert code == 0, error
-    assert set(load_run("run").methods) == {"mine", "uc_rules:predict"}
 
 
 def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refused(place, capsys):
