@@ -284,9 +284,16 @@ class Evaluator:
         Raises:
             TypeError, ValueError: shape, dtype or device do not fit; before any work.
         """
-        if torch.compiler.is_compiling():  # nothing of it can be traced; as a decorator it costs every import a second
+        # Nothing of it can be traced. As a decorator, `disable` would cost every import a second.
+        if torch.compiler.is_compiling():
             return torch.compiler.disable(self.score_motion)(
-                T_obj_ee, q, time_s, trials, length=length, planned_q=planned_q, planned_length=planned_length
+                T_obj_ee,
+                q,
+                time_s,
+                trials,
+                length=length,
+                planned_q=planned_q,
+                planned_length=planned_length,
             )
         instance_of(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
         if self.config.execution_error.any:

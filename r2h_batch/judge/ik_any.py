@@ -9,7 +9,6 @@ import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float32
 from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 from torch import Tensor
 
 from r2h_batch.bodies.robot import Robot, ee_pose, forward_kinematics
@@ -87,6 +86,8 @@ def tables(robot: Robot, device: str) -> tuple[Any, Any]:
     joints = len(robot.joints)
     T = np.stack([*robot.T_parent_joint, robot.T_wrist3_ee])
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    from scipy.stats import qmc  # takes half a second to import, and a UR needs none
+
     q = lower + (upper - lower) * qmc.Halton(joints, scramble=False).random(SEEDS + 1)[1:]
     ee = ee_pose(robot, q)
     chain = of_joints(any_arm.Chain, joints)()
