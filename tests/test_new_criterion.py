@@ -47,7 +47,7 @@ def said(line):
     return out.getvalue()
 
 
-said("sweep --method oracle --trials 3 --sim none --out run")
+said("sweep --method oracle --trials 6 --sim none --out run")
 run = load_run("run")
 rows = run.trials(run.methods[0]).to_pylist()
 assert "height" in {r["outcome"] for r in rows} and all(abs(r["margin_height_m"]) < 2 for r in rows)

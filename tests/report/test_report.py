@@ -118,12 +118,6 @@ def test_successes_that_pass_through_something_have_a_column_where_paths_are_sam
         assert through[0] == ["Split", "Method", "Through", "95 %", "of"] and through[1][2::2] == ["40.0", "5"]
 
 
-def test_missing_and_invalid_trials_are_shown(tmp_path):
-    outcome = np.array([0, 0, 6, 7, 8, 8, 8, 0])
-    table = report.table_of(write_run(tmp_path / "run", {"m": outcome}, 8, 0))
-    main, _, counts = md_tables(report.render(table, "md"))
-    assert main[1][2] == "37.5"
-    assert counts[1][-2:] == ["2", "3"]
 
 
 def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):

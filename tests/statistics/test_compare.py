@@ -86,20 +86,6 @@ def test_objects_and_splits_of_different_sizes_weigh_by_their_trials():
     assert third.difference == pytest.approx(-100 * 90 / 216) and third.low < third.difference < third.high
 
 
-def test_two_runs_of_the_same_trials_are_compared_split_by_split_and_together(tmp_path, capsys):
-    random = np.random.default_rng(4)
-    for name in ("a", "b"):
-        write_run(tmp_path / name, {"m": random.choice([0, 2], 120), f"only {name}": np.zeros(120, int)}, 60, 60)
-    folders = (tmp_path / "a", tmp_path / "b")
-    assert command("compare", *folders, format="json") == 0
-    groups = json.loads(capsys.readouterr().out)
-    assert [g["group"] for g in groups] == ["S0", "S1", "all"] and [g["n"] for g in groups] == [60, 60, 120]
-    assert groups[0]["names"] == ["m", "only a", "b/m", "only b"] and len(groups[0]["pairs"]) == 6
-    assert command("compare", *folders) == 0
-    text = capsys.readouterr().out
-    assert "Holm p" in text and "#4" in text and text.isascii() and max(map(len, text.splitlines())) <= 100
-    assert command("compare", *folders, seed=0) == 0
-    assert capsys.readouterr().out == text
 
 
 def test_a_run_that_is_given_twice_is_counted_once(tmp_path, capsys):
