@@ -118,8 +118,6 @@ def test_successes_that_pass_through_something_have_a_column_where_paths_are_sam
         assert through[0] == ["Split", "Method", "Through", "95 %", "of"] and through[1][2::2] == ["40.0", "5"]
 
 
-
-
 def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):
     run = write_run(tmp_path / "run", {"a": np.zeros(8, int), "b": np.zeros(8, int)}, 4, 4, shard_trials=3)
     (run.folder / "manifest" / "b" / "000001.json").unlink()

@@ -86,8 +86,6 @@ def test_objects_and_splits_of_different_sizes_weigh_by_their_trials():
     assert third.difference == pytest.approx(-100 * 90 / 216) and third.low < third.difference < third.high
 
 
-
-
 def test_a_run_that_is_given_twice_is_counted_once(tmp_path, capsys):
     """By another spelling, by a link, as a copy, scored again: each would be a method of its own in Holm's correction."""
     random = np.random.default_rng(4)
