@@ -104,9 +104,3 @@ def test_a_trial_is_shown_as_it_was_carried_out(asked):
     shown = judged_again(judge, trial, answer, "fc")
     assert np.allclose(ee_pose(load_robot(), shown.q[-1]), shown.T_world_ee, atol=1e-4)
     assert abs(shown.T_world_ee - T_world_ee[row].numpy()).max() > 1e-3
-
-
-def test_motions_are_refused_with_errors(asked):
-    q = torch.zeros(24, 2, 6)
-    with pytest.raises(ValueError, match="motions are judged as they are"):
-        evaluator(BOTH).score_motion(asked[0], q, torch.arange(2.0), asked[2])

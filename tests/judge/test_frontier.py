@@ -8,25 +8,16 @@ from unittest import mock
 import numpy as np
 import pytest
 import torch
-import warp as wp
-from problems import Problems, assert_same, make_batch, solve
+from problems import Problems, assert_same, default_evaluator, make_batch, solve
 
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels, safe, shortcuts
 from r2h_batch.judge.plan import Plan, Planner  # of one thread, on paths that are given
-from r2h_batch.kernels.frontier.pairs import obstacle_of, shape_of
-from r2h_batch.kernels.frontier.queues import Edges, Intervals, Pairs
-from r2h_batch.kernels.geometry.gjk import gjk
-from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.world import TrialBodies, World
-from r2h_batch.launch import launch_trials
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import make_trials, trials_with_ids
 from r2h_batch.types import Scores
-
-wp.set_module_options(OPTIONS)
 
 PLANS = {"exact": PlanConfig(), "moveit": PlanConfig(goals="one", edge_check="moveit")}
 
@@ -129,53 +120,11 @@ def test_rows_do_not_depend_on_their_batch_their_place_or_the_number_of_lanes(sc
             part, part_moved = judged(rows)
             assert_same(part, scores[rows])
             assert_same(part_moved, moved[torch.arange(48)[rows][torch.arange(48)[rows] < 24]])
-        for module, name, few in (
-            (levels, "LANES", 7),
-            (shortcuts, "LANES_AT_ONCE", 24),
-        ):  # the second: three paths at once
+        for module, name, few in ((levels, "LANES", 7), (shortcuts, "LANES_AT_ONCE", 24)):  # 24: three paths at once
             with mock.patch.object(module, name, few):
                 part, part_moved = judged(slice(None))
             assert_same(part, scores)
             assert_same(part_moved, moved)
-
-
-@wp.kernel
-def gjk_of_pairs(
-    first: int, world: World, bodies: TrialBodies, edges: Edges, queue: Intervals, pairs: Pairs,
-    lower_out: wp.array(dtype=float), upper_out: wp.array(dtype=float), v_out: wp.array(dtype=wp.vec3),
-):  # fmt: skip
-    i = first + wp.tid()
-    trial = edges.trial[queue.edge[pairs.interval[i]]]
-    a = shape_of(world, bodies, trial, pairs.body[i])
-    b, center = obstacle_of(world, bodies, trial, pairs.other[i])
-    d = gjk(a, pairs.R[i], pairs.p[i], world.points, b, world.points, center, pairs.needed[i], 0.0)
-    lower_out[i] = d.lower
-    upper_out[i] = d.upper
-    v_out[i] = d.v
-
-
-def test_gjk_an_iteration_at_a_time_has_the_bits_of_gjk(scene: Scene) -> None:
-    """Asked of clearances, where both go on until they have converged or proved enough."""
-    checked = 0
-
-    def launch(kernel, n, *, inputs, outputs, **ways):
-        nonlocal checked
-        launch_trials(kernel, n, inputs=inputs, outputs=outputs, **ways)
-        if kernel.key == "pair_distances" and inputs["track"] == 1:
-            counts, pairs = (vars(inputs[x])["tensors"] for x in ("counts", "pairs"))
-            m = int(counts["n"][int(levels.queues.PAIRS)])
-            lower, upper, v = torch.empty(m), torch.empty(m), torch.empty(m, 3)
-            tables = {k: inputs[k] for k in ("world", "bodies", "edges", "queue", "pairs")}
-            launch_trials(
-                gjk_of_pairs, m, inputs=tables, outputs={"lower": lower, "upper": upper, "v": v}, device="cpu"
-            )
-            for name, expected in (("lower", lower), ("upper", upper), ("v", v)):
-                assert torch.equal(pairs[name][:m], expected), name
-            checked += m
-
-    with mock.patch.object(levels, "launch_trials", launch):
-        by_frontier(scene, "exact", 64)
-    assert checked > 1000
 
 
 @pytest.mark.parametrize("what", SHORT)
@@ -195,8 +144,7 @@ def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(
 
 def test_a_single_row_has_room_for_its_whole_path() -> None:
     """Trial 79 of the method `random`: its clearance needs more than 4,096 intervals at once."""
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
-    trials = make_trials(trials=100)
+    evaluator, trials = default_evaluator().kinematic, make_trials(trials=100)
     asked = random.predict(trials, evaluator.scene, seed=0)
     row = trials.trial_id == 79
     with levels.planning_form("frontier"):
@@ -205,11 +153,8 @@ def test_a_single_row_has_room_for_its_whole_path() -> None:
 
 
 def test_a_queue_that_is_too_short_ends_the_batch_and_says_so(scene: Scene) -> None:
-    with (
-        levels.planning_form("frontier"),
-        mock.patch.object(levels, "LEAST", 256),
-        mock.patch.object(levels, "PER_ROW", 1),
-    ):
+    few = mock.patch.multiple(levels, LEAST=256, PER_ROW=1)
+    with levels.planning_form("frontier"), few:
         with pytest.raises(MemoryError, match="cannot allocate"):
             solve(scene, make_batch(scene, 96, random_share=0.0))
         full = levels.Frontier(scene.world, None, "cpu", 1)

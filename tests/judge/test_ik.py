@@ -58,6 +58,13 @@ def errors(q, T_world_ee):
     return position, np.arctan2(np.linalg.norm(skew, axis=-1), np.trace(D, axis1=-2, axis2=-1) - 1)
 
 
+def reaches(answer, T_world_ee, position_m=1e-5, rotation_rad=1e-5):
+    """Asserts that every target has a solution, and that every solution reaches its target."""
+    valid = answer.valid.numpy()
+    position, rotation = errors(answer.q.numpy()[valid], T_world_ee[np.nonzero(valid)[0]])
+    assert answer.reachable.all() and position.max() <= position_m and rotation.max() <= rotation_rad
+
+
 def wrapped(x):
     return (x + PI) % (2 * PI) - PI
 
@@ -158,10 +165,8 @@ def test_where_sin_q5_is_zero_points_of_the_line_are_given():
     q[:, 4] = np.where(rng.random(1000) < 0.5, 0.0, PI)
     T = ee_pose(load_robot(), q).astype(np.float32)
     answer = solve_ik(torch.from_numpy(T))
-    assert answer.reachable.all() and answer.singular.float().mean() > 0.9
-    valid = answer.valid.numpy()
-    position, rotation = errors(answer.q.numpy()[valid], T[np.nonzero(valid)[0]])
-    assert position.max() <= 1e-5 and rotation.max() <= 1e-5
+    assert answer.singular.float().mean() > 0.9
+    reaches(answer, T)
     nearly = q.copy()
     nearly[:, 4] += 10.0 ** rng.uniform(-5, -2, 1000)
     answer = solve_ik(torch.from_numpy(ee_pose(load_robot(), nearly).astype(np.float32)))
@@ -180,10 +185,7 @@ def test_where_the_wrist_centre_is_over_the_shoulder_or_the_elbow_straight_a_sol
     p5 = T[:2000, :2, 3] - UR.tool * T[:2000, :2, 2]
     assert np.abs(np.linalg.norm(p5, axis=1) - UR.d4).max() < 1e-6
     answer = solve_ik(torch.from_numpy(T))
-    assert answer.reachable.all()
-    valid = answer.valid.numpy()
-    position, rotation = errors(answer.q.numpy()[valid], T[np.nonzero(valid)[0]])
-    assert position.max() <= 1e-5 and rotation.max() <= 1e-5
+    reaches(answer, T)
 
 
 def test_where_arm_and_wrist_are_straight_together_rounding_the_target_does_not_lose_it():
@@ -192,11 +194,7 @@ def test_where_arm_and_wrist_are_straight_together_rounding_the_target_does_not_
     q[:, 2] = 0.0
     q[:, 4] = 10.0 ** rng.uniform(-7, -2, 4000)  # a rounding of 6e-8 rad turns psi3 by up to 0.1 rad
     T = ee_pose(load_robot(), q).astype(np.float32)
-    answer = solve_ik(torch.from_numpy(T))
-    assert answer.reachable.all()
-    valid = answer.valid.numpy()
-    position, rotation = errors(answer.q.numpy()[valid], T[np.nonzero(valid)[0]])
-    assert position.max() <= 2e-6 and rotation.max() <= 3e-6
+    reaches(solve_ik(torch.from_numpy(T)), T, 2e-6, 3e-6)
 
 
 @pytest.mark.parametrize("n", [0, 1, 2048])

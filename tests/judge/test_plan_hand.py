@@ -75,12 +75,6 @@ def test_the_goal_of_the_pose_stage_is_free_where_the_plan_says_so(asked, estima
     assert not estimated.passed[~pose.passed[:, PLAN], PLAN].any()
 
 
-def test_the_paper_preset_knows_what_the_methods_know():
-    paper, default = EvalConfig.preset("paper"), EvalConfig()
-    assert (paper.plan.hand, paper.estimate.errors, paper.candidates) == ("estimated", "tails", "as-generated")
-    assert (default.plan.hand, default.estimate, default.candidates) == ("true", EstimateConfig(), "filtered")
-
-
 @pytest.mark.parametrize(("hand", "certain"), [("true", True), ("estimated", False)])
 def test_a_path_clear_of_the_estimated_hand_does_not_rule_a_contact_with_the_true_one_out(
     asked, hand, certain, monkeypatch

@@ -361,23 +361,6 @@ def test_stored_grips_are_those_of_the_linear_program_again():
     assert np.allclose(again, own.grip_n[rows].numpy(), rtol=1e-3)
 
 
-def test_a_mirrored_person_finds_the_mirrored_arm():
-    trials = make_trials(trials=20, protocol="r2h-v1")
-    inputs, vectors, outwards = waiting(trials)
-    flip = torch.tensor([1.0, -1.0, 1.0])
-    table = Receiving()
-    table.assign(inputs["grasps"])
-    mirrored = [(v * flip).contiguous() for v in vectors]
-    for name, x in zip(("wrist", "along", "normal"), mirrored, strict=True):
-        setattr(table, name, wp.from_torch(x, dtype=wp.vec3))
-    receiver = trials.receiver.clone()
-    receiver[:, :4, 1] *= -1.0
-    receiver[:, 4, 3] *= -1.0  # y of the direction that the torso faces
-    effort, angles = searched(inputs)
-    other, turned = searched({**inputs, "grasps": table, "receiver": receiver, "outwards": -outwards})
-    assert np.abs(effort - other).max() < 1e-5 and np.abs(angles - turned).max() < 1e-2
-
-
 def test_rula_scores_postures_as_its_tables_do():
     good = [10, 0, 80, 0, 0, 0, 0]  # upper arm 1, lower arm 1, wrist 1, twist 1: A 1; trunk 1: B 1
     worse = [95, 40, 120, 70, 30, 20, 25]  # upper arm 5, lower arm 2, wrist 4, twist 2: A 7; trunk 3: B 3

@@ -99,14 +99,6 @@ def test_scores_azimuths_and_depths_are_those_of_the_twin():
     assert agree >= compared - 1  # a point within rounding of a face
 
 
-def test_a_trials_grasps_depend_on_its_labels_and_on_nothing_else():
-    rows = [0, 1, 2, 3, 4]
-    role = roles(rows)
-    whole, part = run(rows, role), run([3, 1], role[[3, 1]])
-    assert torch.equal(part.T_obj_ee, whole.T_obj_ee[[3, 1]]) and torch.equal(part.score, whole.score[[3, 1]])
-    assert len(run([], role[:0]).score) == 0
-
-
 def test_roles_take_s1_handles_from_the_receivers_region_and_s0_handles_from_part_names():
     names = ("hammer", "bottle", "cup", "game_controller", "wineglass")
     objects = load_objects(names)

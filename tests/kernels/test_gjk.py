@@ -31,8 +31,6 @@ def _body(kind: wp.array(dtype=int), size: wp.array(dtype=wp.vec3), start: wp.ar
     b.size = size[i]
     b.start = start[i]
     b.count = start[i + 1] - start[i]
-    if b.kind == shapes.HULL and size[i][0] < 0.0:
-        b.kind = shapes.CELLS
     if b.kind <= 1:
         b.radius = b.size[0]
     return b
@@ -110,17 +108,9 @@ class Pairs:
             line /= np.maximum(np.linalg.norm(line, axis=1), 1e-9)[:, None]
             self.p = (self.p + (gap - d)[:, None] * line).astype(np.float32)
 
-    def run(self, needed=1e9, relative_gap=0.0, *, swap=False, cells=False):
-        """Kernel results; with `cells` the hulls of body a are given sorted by direction (body.CELLS)."""
+    def run(self, needed=1e9, relative_gap=0.0, *, swap=False):
+        """Kernel results: lower and upper bound, nearest point, and the vector between."""
         n = len(self)
-        sizes, points_of = list(self.sizes), list(self.points)
-        if cells:
-            hull = self.kinds[0] == Kind.HULL
-            sizes[0] = np.where(hull[:, None], -1.0, sizes[0]).astype(np.float32)
-            points_of[0] = [
-                bounds.support_cells(x.astype(np.float64)).astype(np.float32) if h else x
-                for x, h in zip(points_of[0], hull, strict=True)
-            ]
         R, p = self.R, self.p
         first, second = 0, 1
         if swap:
@@ -131,11 +121,11 @@ class Pairs:
         center = np.stack([x.mean(0) for x in self.points[second]]).astype(np.float32)
         inputs = {"needed": needed, "relative_gap": relative_gap, "R": R, "p": p, "center_b": center}
         for side, k in (("a", first), ("b", second)):
-            start = np.cumsum([0] + [len(x) for x in points_of[k]]).astype(np.int32)
+            start = np.cumsum([0] + [len(x) for x in self.points[k]]).astype(np.int32)
             inputs |= {
                 f"kind_{side}": wp.array(self.kinds[k].astype(np.int32), dtype=int),
-                f"size_{side}": wp.array(sizes[k], dtype=wp.vec3), f"start_{side}": wp.array(start, dtype=int),
-                f"points_{side}": wp.array(np.concatenate(points_of[k]), dtype=wp.vec3),
+                f"size_{side}": wp.array(self.sizes[k], dtype=wp.vec3), f"start_{side}": wp.array(start, dtype=int),
+                f"points_{side}": wp.array(np.concatenate(self.points[k]), dtype=wp.vec3),
             }  # fmt: skip
         out = {"lower": wp.zeros(n, dtype=float), "upper": wp.zeros(n, dtype=float)}
         out |= {name: wp.zeros(n, dtype=wp.vec3) for name in ("point", "v")}
@@ -230,16 +220,6 @@ def test_the_nearest_points_are_points_of_the_bodies_at_that_distance():
         core = convex_twin.Bodies(body.points, body.disc, np.zeros(n), body.R, body.p)
         _, off = convex_twin.convex_distance(convex_twin.bodies([0] * n, np.zeros((n, 3)), T), core)
         assert off[apart].max() <= 5e-6
-
-
-@pytest.mark.parametrize("count", [60, pytest.param(500, marks=pytest.mark.slow)])
-def test_hulls_sorted_by_direction_are_the_same_hulls(count):
-    rng = np.random.default_rng(10)
-    pairs = Pairs(np.full(count, Kind.HULL), rng.integers(0, 5, count), rng)
-    plain, sorted_ = pairs.run(), pairs.run(cells=True)
-    high = pairs.truth()[1]
-    assert (sorted_[0] - np.maximum(high, 0)).max() <= ABOVE_TRUTH_M
-    assert np.abs(plain[0] - sorted_[0])[high > 1e-5].max() <= 1e-5
 
 
 @wp.kernel

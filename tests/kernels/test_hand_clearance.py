@@ -74,11 +74,6 @@ def test_rows_do_not_depend_on_the_batch_and_missing_candidates_count_as_touchin
     whole = run([0, 1, 2, 3, 4, 5])
     assert torch.equal(run([5, 2]), whole[[5, 2]])
     vertices, T, opening = stage()
-    hand = posed_hand(load_hand(), vertices[:2], "cpu")
-    some = gripper_clearance(
-        load_robot(), hand, T[0], opening[0], torch.tensor([0, 3]), torch.tensor([24, 5]), 24, cap_m=CAP
-    )
+    hand, few = posed_hand(load_hand(), vertices[:2], "cpu"), (torch.tensor([0, 3]), torch.tensor([24, 5]))
+    some = gripper_clearance(load_robot(), hand, T[0], opening[0], *few, 24, cap_m=CAP)
     assert torch.equal(some[0], whole[0]) and (some[1, 5:] == 0).all()
-    empty = posed_hand(load_hand(), vertices[:0], "cpu")
-    none = torch.zeros(0, dtype=torch.int64)
-    assert gripper_clearance(load_robot(), empty, T[0], opening[0], none, none, 24, cap_m=CAP).shape == (0, 24)

@@ -51,17 +51,6 @@ def passing_times(
     return at.numpy().reshape(n, len(fractions))
 
 
-@pytest.mark.parametrize("distance", [1e-6, 1e-3, 0.1, V * V / A * 0.999, V * V / A, V * V / A * 1.001, 1.0, 6.0])
-def test_a_segments_time_is_the_shortest_that_the_limits_allow(distance):
-    path = torch.zeros(1, 2, 6)
-    path[0, 1, 2] = distance
-    path[0, 1, 4] = -0.7 * distance
-    motion = time_path(path, torch.tensor([2], dtype=torch.int32), LAW)
-    length = float(path[0, 1, 2])
-    assert float(motion.t_exec_s) == pytest.approx(phase_plane_time(length, length), rel=2e-6)
-    assert motion.time_s[0, 0] == 0 and motion.time_s[0, 1] == motion.t_exec_s[0]
-
-
 def test_waypoint_times_add_up_and_rows_without_a_path_have_none():
     rng = np.random.default_rng(0)
     path, length = made_paths(rng, 33)
@@ -78,46 +67,19 @@ def test_waypoint_times_add_up_and_rows_without_a_path_have_none():
         assert motion.t_exec_s[row] == motion.time_s[row, n - 1]
 
 
-def test_time_at_is_when_the_integrated_motion_passes_a_point():
-    rng = np.random.default_rng(1)
-    path, length = made_paths(rng, 12)
-    motion = time_path(path, length, LAW)
+@pytest.mark.parametrize("scale", [0.1, 1.0])
+def test_time_at_is_when_the_integrated_motion_passes_a_point(scale):
+    config = ExecConfig(scale=scale)
+    law = scale * config.max_velocity_rad_s, scale * config.max_acceleration_rad_s2
+    path, length = made_paths(np.random.default_rng(1), 12)
+    motion = time_path(path, length, config)
     fractions = np.array([0.0, 1e-4, 0.01, 0.2, 0.5, 0.73, 0.99, 1.0], np.float32)
     for row in np.flatnonzero(length.numpy() > 0):
-        at = passing_times(path, length, motion, row, fractions)
+        at = passing_times(path, length, motion, row, fractions, config)
         d = np.abs(np.diff(path[row, : int(length[row])].double().numpy(), axis=0)).max(1)
         for k, whole in enumerate(d):
             start = float(motion.time_s[row, k])
-            expected = [start + phase_plane_time(whole, float(f) * whole) for f in fractions]
+            expected = [start + phase_plane_time(whole, float(f) * whole, *law) for f in fractions]
             np.testing.assert_allclose(at[k], expected, rtol=2e-6, atol=2e-5)
         assert np.array_equal(at[:, 0], motion.time_s[row, : len(d)].numpy())
         assert (np.diff(at, axis=1) >= 0).all()
-
-
-@pytest.mark.parametrize("scale", [0.1, 0.5, 1.0])
-def test_no_joint_exceeds_its_share_of_the_limits_and_waypoints_are_stops(scale):
-    config = ExecConfig(scale=scale)
-    v, a = scale * config.max_velocity_rad_s, scale * config.max_acceleration_rad_s2
-    rng = np.random.default_rng(2)
-    path = torch.from_numpy(np.cumsum(rng.normal(size=(5, 5, 6)), 1).astype(np.float32))
-    length = torch.full((5,), 5, dtype=torch.int32)
-    motion = time_path(path, length, config)
-    fractions = (1 - np.cos(np.linspace(0, np.pi, 4001))) / 2  # even in time near the stops
-    for row in range(5):
-        at = passing_times(path, length, motion, row, fractions, config).astype(np.float64)
-        q = path[row].double().numpy()
-        # joints as functions of time on an even grid, then differences
-        t_all = at.ravel()
-        q_all = (q[:-1, None] + np.float32(fractions)[None, :, None] * (q[1:] - q[:-1])[:, None]).reshape(-1, 6)
-        grid = np.linspace(0, float(motion.t_exec_s[row]), 400)
-        h = grid[1]
-        even = np.stack([np.interp(grid, t_all, q_all[:, j]) for j in range(6)], 1)
-        speed, acceleration = np.diff(even, axis=0) / h, np.diff(even, 2, axis=0) / h**2
-        assert np.abs(speed).max() <= v * 1.001
-        assert np.abs(acceleration).max() <= a * 1.02
-        assert np.abs(speed).max() >= 0.95 * v  # and they are used
-        for stop in motion.time_s[row].double().numpy():
-            near = np.abs(t_all - stop) < 0.01 / scale**0.5
-            here = np.array([np.interp(stop, t_all, q_all[:, j]) for j in range(6)])
-            reach = np.abs(q_all[near] - here).max(1)
-            assert (reach <= 0.5 * a * (t_all[near] - stop) ** 2 * 1.01 + 1e-5).all()

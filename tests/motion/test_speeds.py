@@ -10,11 +10,8 @@ from r2h_batch import Evaluator
 from r2h_batch.benchmark.benchmark import built_in
 from r2h_batch.bodies.robot import ROBOTS, Robot, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
-from r2h_batch.kernels.motion.time_law import servo_commands
-from r2h_batch.launch import init_warp, launch_trials
-from r2h_batch.launch.instances import of_joints
 from r2h_batch.methods.oracle import predict
-from r2h_batch.motion.time_law import path_time, servo_law, time_at, time_path
+from r2h_batch.motion.time_law import path_time, time_at, time_path
 from r2h_batch.trials.protocol import make_trials
 
 PANDA = load_robot("panda_hand")
@@ -47,26 +44,6 @@ def test_a_segment_takes_as_long_as_its_slowest_joint_alone():
     half = time_at(path, length, motion, torch.full((200,), 2, dtype=torch.int32), torch.full((200,), 0.5), LAW)
     np.testing.assert_allclose(half, (motion.time_s[:, 2] + motion.time_s[:, 3]) / 2, atol=1e-5)
     assert (load_robot().joint_weight == 1.0).all()
-
-
-def test_servos_are_told_no_more_than_each_joint_can():
-    init_warp()
-    path, length = paths(8)
-    motion = time_path(path, length, LAW, PANDA.joint_weight)
-    steps = int(float(motion.t_exec_s.max()) / 0.002) + 2
-    out = torch.zeros((8, steps, 7), dtype=torch.float64)
-    launch_trials(
-        of_joints(servo_commands, 7), 8,
-        inputs={
-            "law": servo_law(LAW, PANDA.joint_weight, lead_s=0.0, step_s=0.002), "trial": torch.arange(8, dtype=torch.int32),
-            "path": path, "time": motion.time_s, "length": length,
-        },
-        outputs={"command": out}, device="cpu", chunk=1, width=steps,
-    )  # fmt: skip
-    speed = np.abs(np.diff(out.numpy(), axis=1)) / 0.002
-    assert (speed.max(1) <= V * (1 + 1e-3)).all() and (speed.max((0, 1)) / V).max() > 0.99
-    assert (speed[..., 4:].max() > V[0] * 1.1) and np.abs(np.diff(speed, axis=1)).max() / 0.002 <= 1.05 * A.max()
-    np.testing.assert_array_equal(out[:, -1], path[:, -1].double())
 
 
 def panda_with_2f85() -> Robot:
