@@ -76,9 +76,8 @@ def robot(
     arm = replace(found.robot, ik_missed=(TARGETS, count), payload_kg=payload)
     report = found.report | {"ik_targets": TARGETS, "ik_missed": count}
     if mjcf is not None:
-        report["speeds"] = (
-            "an MJCF has none: 2 rad/s a joint; edit max_velocity_rad_s of robot.yaml"
-        )
+        how = "2 rad/s a joint; edit max_velocity_rad_s of robot.yaml"
+        report["speeds"] = f"an MJCF has none: {how}"
     write_robot(out, arm)
     write_json(out / "report.json", report)
     _tell(arm, report)
@@ -143,9 +142,8 @@ def _tell(robot: "Robot", report: dict[str, Any]) -> None:
             f" {row['torque_nm']:.3g} N m"
         )
     if robot.payload_kg is not None:
-        print(
-            f"payload: {robot.payload_kg:g} kg at the flange, {robot.carries_kg:.2f} kg for objects"
-        )
+        left = f"{robot.carries_kg:.2f} kg for objects"
+        print(f"payload: {robot.payload_kg:g} kg at the flange, {left}")
     if "speeds" in report:
         print(f"speeds: {report['speeds']}")
     kind = "closed form" if robot.family == "ur" else "numerical"

@@ -181,9 +181,7 @@ def _motions(arrays: dict[str, Any], shown: str) -> Motions:
             plan = _lengths("planned_length", arrays.pop("planned_length", np.zeros(0)), n, shown)
             if (odd := (plan == 0) & (length > 0)).any():
                 row = int(odd.argmax())
-                raise FileError(
-                    f"{shown}: 'planned_length' of row {row} is 0; its motion has a plan"
-                )
+                raise FileError(f"{shown}: 'planned_length' of row {row} is 0; need its plan")
             planned = arrays.pop("planned_q", np.zeros(0))
             planned = _samples(
                 "planned_q", planned, (int(plan.sum()), "joints"), "planned_length", shown, lengths

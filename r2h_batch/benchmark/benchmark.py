@@ -83,7 +83,7 @@ class Benchmark:
             raise ValueError(f"Benchmark.receiver is {self.receiver!r}; allowed are hand, body")
         if self.receiver == "body" and self.protocol != WITH_BODIES:
             raise ValueError(
-                f"receiver is body, trials of {self.protocol} have none; take protocol {WITH_BODIES}"
+                f"receiver is body, trials of {self.protocol} have none; take {WITH_BODIES}"
             )
 
     @cached_property
@@ -143,9 +143,7 @@ class Benchmark:
         for name, own in (("thresholds", self.thresholds), ("workplace", self.workplace)):
             given = getattr(base, name)
             if given not in (getattr(usual, name), own):
-                raise ValueError(
-                    f"config.{name} is {given}, the benchmark has {own}; say it in one place"
-                )
+                raise ValueError(f"config.{name} is {given}, the benchmark has {own}; say one")
         seen = base.receiver if self.receiver == "hand" else self.receiver
         return replace(base, thresholds=self.thresholds, workplace=self.workplace, receiver=seen)
 

@@ -92,10 +92,9 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
     try:
         own = built_in(file.protocol)
         if "robot" in file.model_fields_set or "persons" in file.model_fields_set:
-            robot_path = (
-                file.robot if file.robot in ROBOTS else str(path_within(folder, file.robot))
-            )
-            own = own.on(robot_of(robot_path), file.persons)
+            built = file.robot in ROBOTS
+            robot = robot_of(file.robot if built else str(path_within(folder, file.robot)))
+            own = own.on(robot, file.persons)
         hand_set, listed, labels = _hands(file, folder, own), None, None
         objects = own.objects  # take longer to read than hands: what is wrong there is said first
         if "objects" in file.model_fields_set:
@@ -215,9 +214,8 @@ def _hand_set(parts: tuple[tuple[str, str, HandChoice], ...], model: HandModel) 
     read = [read_hand_set(path, choice) for path, _, choice in parts]
     a = {name: np.concatenate([r[name] for r in read]) for name in read[0]}
     try:
-        return make_hand_set(
-            model, a["pose"], a["shape"], a["side"], a["posture"].tolist(), a["in_body"]
-        )
+        posture = a["posture"].tolist()
+        return make_hand_set(model, a["pose"], a["shape"], a["side"], posture, a["in_body"])
     except ValueError as error:
         raise FileError(f"{printable(parts[0][0])}: {printable(error)}") from None
 
@@ -299,7 +297,7 @@ def _built_in_object(entry: ObjectEntry) -> ObjectModel:
     if entry.split is not None and entry.split != model.split:
         if entry.split == "S1":
             raise FileError(
-                f"object {model.name}: has no receiver's region for S1; give its mesh as a file with one"
+                f"object {model.name}: has no receiver's region for S1; give a mesh with one"
             )
         more |= {"split": "S0", "receiver_face": _frozen(np.zeros_like(model.receiver_face))}
     if entry.mass is not None and entry.mass != model.mass:
@@ -410,9 +408,8 @@ class BenchmarkOverrides(BenchmarkFlags):
             entries = [_entry(mesh) for mesh in _files(path, MESHES)] if path.is_dir() else []
         else:
             file_data = read_benchmark_file(file)
-            if "objects" not in file_data.model_fields_set or (
-                file_data.trials and not self.objects
-            ):
+            listed = file_data.trials and not self.objects
+            if "objects" not in file_data.model_fields_set or listed:
                 return set()
             entries = file_data.objects
         own = {e: load_objects([e])[0].split for e in {e.built_in for e in entries} if e}
@@ -448,9 +445,7 @@ def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
         raise FileError(f"{shown}: --objects {how}")
     meshes = _files(path, MESHES)
     if not meshes:
-        raise FileError(
-            f"{shown}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml in this folder"
-        )
+        raise FileError(f"{shown}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml here")
     about = {mesh.with_suffix(".yaml").name for mesh in meshes}
     for name in sorted(os.listdir(path)):  # a misspelt name would be ignored otherwise
         if name.lower().endswith((".yaml", ".yml")) and name not in about:
@@ -496,9 +491,8 @@ def _with_grasps(
                     f"--grasps gives {printable(name)} two files, {both}; leave one out"
                 )
             files[name] = file
-    return tuple(
-        replace(o, grasps=grasps_from(files[o.name])) if o.name in files else o for o in objects
-    )
+    found = {name: grasps_from(file) for name, file in files.items()}
+    return tuple(replace(o, grasps=found[o.name]) if o.name in found else o for o in objects)
 
 
 def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | Path]]:

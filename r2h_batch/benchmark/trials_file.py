@@ -179,13 +179,11 @@ def _skins(columns: Columns, where: str) -> HandSet:
         raise FileError(f"{where}: skin or T_hand_palm holds numbers beyond {FARTHEST_M:g} m")
     least = min(a[k].min() for k in ("skin_faces", "skin_piece", "skin_side"))
     if least < 0 or a["skin_faces"].max() >= v or a["skin_side"].max() > 1:
-        raise FileError(
-            f"{where}: skin_faces, skin_piece or skin_side name a row that the file does not hold"
-        )
+        raise FileError(f"{where}: skin_faces, skin_piece or skin_side name a missing row")
     pieces = np.unique(a["skin_piece"])
     if len(pieces) != pieces[-1] + 1 or len(pieces) > MAX_SKIN_PIECES:
         raise FileError(
-            f"{where}: skin_piece names {len(pieces)} pieces; need 0 to at most {MAX_SKIN_PIECES - 1}"
+            f"{where}: skin_piece names {len(pieces)} pieces; need 0 to {MAX_SKIN_PIECES - 1}"
         )
     check_poses(f"{where}: T_hand_palm", a["T_hand_palm"])
     try:

@@ -64,9 +64,7 @@ def read_grasps(path: str | Path) -> GraspSet:
     """
     path, where = Path(path), printable(path)
     if path.suffix != ".npz":
-        raise FileError(
-            f"{where}: grasps are an .npz file; r2h-batch import grasps makes one of others"
-        )
+        raise FileError(f"{where}: grasps are an .npz file; make one with r2h-batch import grasps")
     found = read_npz(path)
     gripper = found.pop("gripper", np.array("2f-85"))
     if gripper.shape != () or gripper.dtype.kind != "U" or len(str(gripper)) > 64:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -134,9 +134,7 @@ class HandModel:
         (smplx's default).
         """
         if self.pose_components is None or self.pose_mean is None:
-            raise ValueError(
-                "this hand model has no principal components: give full poses, or a MANO file"
-            )
+            raise ValueError("this hand has no principal components: give full poses, or MANO")
         rows = side.long()
         basis = self.pose_components.double()[rows, : coefficients.shape[1]]  # (B, n, 45)
         full = (coefficients.double()[:, :, None] * basis).sum(1)
@@ -166,10 +164,8 @@ class HandModel:
             raise ValueError(
                 f"side has shape {tuple(side.shape)}; need ({rows},), 0 for right and 1 for left hands"
             )
-        vertices = torch.empty(
-            (rows, *self.vertices.shape), dtype=torch.float32, device=pose.device
-        )
-        joints = torch.empty((rows, JOINTS, 3), dtype=torch.float32, device=pose.device)
+        empty = partial(torch.empty, dtype=torch.float32, device=pose.device)
+        vertices, joints = empty((rows, *self.vertices.shape)), empty((rows, JOINTS, 3))
         for start in range(0, rows, _CHUNK):
             part = slice(start, start + _CHUNK)
             vertices[part], joints[part] = self._pose_sides(
@@ -180,10 +176,8 @@ class HandModel:
     def _pose_sides(self, pose: Tensor, shape: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
         if self.left is None:
             return self._pose_rows(pose, shape, left)
-        vertices = torch.empty(
-            (len(pose), *self.vertices.shape), dtype=torch.float32, device=pose.device
-        )
-        joints = torch.empty((len(pose), JOINTS, 3), dtype=torch.float32, device=pose.device)
+        empty = partial(torch.empty, dtype=torch.float32, device=pose.device)
+        vertices, joints = empty((len(pose), *self.vertices.shape)), empty((len(pose), JOINTS, 3))
         for model, rows in ((self, ~left), (self.left, left)):
             vertices[rows], joints[rows] = model._pose_rows(pose[rows], shape[rows], left[rows])
         return vertices, joints
@@ -203,28 +197,23 @@ class HandModel:
             rest = rest + amount * self.joint_shape_basis[..., i].to(device).double()
             skin = skin + amount * self.shape_basis[..., i].to(device).double()
         if self.pose_basis is not None:
-            # (B, 135)
-            feature = (rotation[:, 1:] - torch.eye(3, dtype=torch.float64, device=device)).flatten(
-                1
-            )
+            eye = torch.eye(3, dtype=torch.float64, device=device)
+            feature = (rotation[:, 1:] - eye).flatten(1)  # (B, 135)
             for i in range(feature.shape[1]):
-                skin = (
-                    skin + feature[:, i, None, None] * self.pose_basis[..., i].to(device).double()
-                )
+                moves = self.pose_basis[..., i].to(device).double()
+                skin = skin + feature[:, i, None, None] * moves
         world_rotation, world_joint = [rotation[:, 0]], [rest[:, 0]]
         for j in range(1, JOINTS):
             p = self.parents[j]
             world_rotation.append(_compose(world_rotation[p], rotation[:, j]))
-            world_joint.append(
-                se3.rotate(world_rotation[p], rest[:, j] - rest[:, p]) + world_joint[p]
-            )
+            bone = rest[:, j] - rest[:, p]
+            world_joint.append(se3.rotate(world_rotation[p], bone) + world_joint[p])
         blended = torch.zeros(
             (len(pose), len(self.vertices), 12), dtype=torch.float64, device=device
         )
         shift = [world_joint[j] - se3.rotate(world_rotation[j], rest[:, j]) for j in range(JOINTS)]
-        matrix = torch.cat(
-            [torch.stack(world_rotation, 1).flatten(2), torch.stack(shift, 1)], dim=2
-        )
+        turned = torch.stack(world_rotation, 1).flatten(2)
+        matrix = torch.cat([turned, torch.stack(shift, 1)], dim=2)
         for bones, weights in zip(*(a.to(device).T for a in self._influences)):
             blended = blended + weights[:, None] * matrix[:, bones]
         posed = se3.rotate(blended[..., :9].unflatten(-1, (3, 3)), skin) + blended[..., 9:]
@@ -352,9 +341,8 @@ def load_hand_set(path: str | Path | None = None, model: HandModel | None = None
     hand.
     """
     hand = load_hand() if model is None else model
-    return (
-        _default_hand_set() if path is None and hand is load_hand() else _other_hand_set(path, hand)
-    )
+    usual = path is None and hand is load_hand()
+    return _default_hand_set() if usual else _other_hand_set(path, hand)
 
 
 @lru_cache(maxsize=4)
@@ -368,9 +356,8 @@ def neutral_hand_set(model: HandModel | None = None) -> HandSet:
 @lru_cache(maxsize=4)
 def _other_hand_set(path: str | Path | None, hand: HandModel) -> HandSet:
     a = read_arrays(asset("hand", "handset.npz")) if path is None else read_hand_set(path)
-    return make_hand_set(
-        hand, a["pose"], a["shape"], a["side"], a["posture"].tolist(), a.get("in_body")
-    )
+    posture = a["posture"].tolist()
+    return make_hand_set(hand, a["pose"], a["shape"], a["side"], posture, a.get("in_body"))
 
 
 @lru_cache(maxsize=1)

@@ -111,9 +111,7 @@ def read_hand(path: str | Path) -> dict[str, np.ndarray]:
         or offsets[-1] != sizes["M"]
         or (np.diff(offsets) < 4).any()
     ):
-        raise FileError(
-            f"{where}: piece_offsets do not divide piece_vertices into {sizes['P']} pieces of 4 or more"
-        )
+        raise FileError(f"{where}: piece_offsets do not make {sizes['P']} pieces of 4 or more")
     for name in ("faces", "piece_vertices", "tip_vertices"):
         if arrays[name].min(initial=0) < 0 or arrays[name].max(initial=0) >= sizes["V"]:
             raise FileError(f"{where}: {name} names other vertices than the {sizes['V']} there are")
@@ -155,14 +153,10 @@ class HandChoice:
         ):  # fmt: skip
             if getattr(self, field) is None:
                 continue
-            if name not in arrays or (arrays[name].dtype.kind, arrays[name].shape) != (
-                kind,
-                side.shape,
-            ):
-                raise FileError(
-                    f"{where}: does not know {field} of its hands (no {name}); leave it out"
-                )
-            known[field] = arrays[name]
+            values = arrays.get(name)
+            if values is None or (values.dtype.kind, values.shape) != (kind, side.shape):
+                raise FileError(f"{where}: does not know {field} (no {name}); leave it out")
+            known[field] = values
         if self.object is not None:
             if missing := set(self.object) - set(known["object"].tolist()):
                 there = ", ".join(map(printable, sorted(set(known["object"].tolist()))[:20]))

@@ -41,9 +41,8 @@ def convex_pieces(vertices: F64, faces: Ids, weights: F64, joints: F64) -> list[
     roots = joints[list(COLUMNS)]
     scale = np.linalg.norm(roots - joints[0], axis=1).mean() / ROOT_M
     base = joints[0] + scale * METACARPAL_BASE_M
-    column = np.stack([_from_segment(centre, a, b) for a, b in zip(base, roots)], axis=1).argmin(
-        axis=1
-    )
+    away = np.stack([_from_segment(centre, a, b) for a, b in zip(base, roots)], axis=1)
+    column = away.argmin(axis=1)
     in_carpus = centre[:, 0] - joints[0, 0] > -scale * CARPUS_M
     label = np.where(segment > 0, segment + 4, np.where(in_carpus, 0, 1 + column))
     pieces = [np.unique(faces[label == k]) for k in range(len(NAMES))]
@@ -52,9 +51,7 @@ def convex_pieces(vertices: F64, faces: Ids, weights: F64, joints: F64) -> list[
     near = np.isin(faces, pieces[0]).any(axis=1) & (label < len(PALM))
     pieces[0] = np.unique(faces[near])
     if empty := [n for n, piece in zip(NAMES, pieces) if len(piece) < 4]:
-        raise ValueError(
-            f"no skin follows {empty[0]}: the weights do not cover all 16 joints in MANO's order"
-        )
+        raise ValueError(f"no skin follows {empty[0]}: weights must cover MANO's 16 joints")
     return [piece.astype(np.int32) for piece in pieces]
 
 
@@ -73,9 +70,7 @@ def close_holes(vertices: F64, faces: Ids) -> Ids:
     edge = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     directed, count = np.unique(edge[:, 0] * len(vertices) + edge[:, 1], return_counts=True)
     if (count > 1).any():
-        raise ValueError(
-            "two faces of the hand run along one edge in the same direction: it is not a surface"
-        )
+        raise ValueError("two faces run along one edge in the same direction: it is no surface")
     open_edges = edge[~np.isin(edge[:, 1] * len(vertices) + edge[:, 0], directed)]
     # against the faces' direction: outward for what closes the hole
     following = {int(a): int(b) for b, a in open_edges}
@@ -123,9 +118,7 @@ def tip_vertices(vertices: F64, weights: F64, joints: F64) -> Ids:
     for last in (3, 6, 9, 12, 15):
         own = np.flatnonzero(weights[:, last] > 0.5)
         if not len(own):
-            raise ValueError(
-                f"no skin follows joint {last}: the weights do not cover all 16 joints in MANO's order"
-            )
+            raise ValueError(f"no skin follows joint {last}: weights must cover MANO's 16 joints")
         tips.append(own[np.argmax(vertices[own] @ (joints[last] - joints[last - 1]))])
     return np.array(tips, np.int32)
 
@@ -135,11 +128,9 @@ def joint_axes(joints: F64, tips: F64, like_axes: F64, like_joints: F64, like_ti
     way to its own bone."""
     axes = like_axes.copy()
     for j in range(1, 16):
-        end, like_end = (
-            (tips[(j - 1) // 3], like_tips[(j - 1) // 3])
-            if j % 3 == 0
-            else (joints[j + 1], like_joints[j + 1])
-        )
+        end, like_end = tips[(j - 1) // 3], like_tips[(j - 1) // 3]
+        if j % 3:
+            end, like_end = joints[j + 1], like_joints[j + 1]
         axes[j] = _shortest_turn(like_end - like_joints[j], end - joints[j]) @ like_axes[j]
     return axes
 
@@ -150,8 +141,6 @@ def _shortest_turn(a: F64, b: F64) -> F64:
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     v, c = np.cross(a, b), float(a @ b)
     if c < -0.9:
-        raise ValueError(
-            "a digit points away from where MANO's does: the joints are in another order or frame"
-        )
+        raise ValueError("a digit points away from MANO's: another order or frame of joints")
     K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + K + K @ K / (1 + c)

@@ -114,9 +114,7 @@ class ObjectModel:
     def occupancy(self) -> NDArray[np.bool_]:
         """(64, 64, 64) bool: a voxel is full when its centre is inside the solid or the surface
         passes through it."""
-        return (
-            np.unpackbits(self.voxels, count=VOXELS**3).astype(bool).reshape(VOXELS, VOXELS, VOXELS)
-        )
+        return np.unpackbits(self.voxels, count=VOXELS**3).astype(bool).reshape((VOXELS,) * 3)
 
     @property
     def pieces(self) -> list[tuple[NDArray[np.float32], NDArray[np.int32]]]:
@@ -153,9 +151,7 @@ def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel,
         return load_objects()
     if isinstance(objects, (str, ObjectModel)) or not isinstance(objects, Iterable):
         what = repr(objects.name) if isinstance(objects, ObjectModel) else describe_value(objects)
-        raise TypeError(
-            f"objects is {what}; it must be a sequence of ObjectModel, such as load_objects(['cup'])"
-        )
+        raise TypeError(f"objects is {what}; need ObjectModels, such as load_objects(['cup'])")
     found = tuple(objects)
     for i, o in enumerate(found):
         if not isinstance(o, ObjectModel):
@@ -164,9 +160,7 @@ def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel,
             )
     names = [o.name for o in found]
     if twice := [n for n in names if names.count(n) > 1]:
-        raise ValueError(
-            f"two objects are called {twice[0]!r}; rows name their object, so give each its own name"
-        )
+        raise ValueError(f"two objects are called {twice[0]!r}; give each its own name")
     return found
 
 
@@ -400,7 +394,7 @@ def _check_build(split: str, with_receiver: bool, mass: float | None) -> None:
         )
     if split == "S0" and with_receiver:
         raise ValueError(
-            "a receiver region was given for an S0 object; use split='S1', or leave the region out"
+            "an S0 object has no receiver region; use split='S1', or leave the region out"
         )
     if mass is not None and not (np.isfinite(mass) and mass > 0):
         raise ValueError(f"mass is {mass}; it must be a positive number of kilograms")
@@ -422,9 +416,8 @@ def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
     if any(c in argument for c in "\r\n\0"):
         raise ObjectMeshError(f"object mesh {shown!r}: has a line end in its name; rename the file")
     match = re.fullmatch(r"(?P<file>.+?)(?::(?P<split>S\d+)(?::(?P<receiver>.+))?)?", argument)
-    said = re.fullmatch(
-        rf"(.+?\.(?:{'|'.join(e[1:] for e in SUFFIXES)})):(.*)", argument, re.IGNORECASE
-    )
+    endings = "|".join(e[1:] for e in SUFFIXES)
+    said = re.fullmatch(rf"(.+?\.(?:{endings})):(.*)", argument, re.IGNORECASE)
     if match is None or (said and match["file"] == argument and not os.path.lexists(argument)):
         found = (
             f" what stands behind {printable(said[1])[:200]} is {printable(said[2])[:40]!r};"
@@ -446,9 +439,8 @@ def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
 def read_object(path: str) -> ObjectModel:
     """The object stored in one ``.npz`` of assets/objects' format."""
     with np.load(path, allow_pickle=False) as data:
-        return _from_arrays(
-            {f.name: data[f.name] for f in fields(ObjectModel) if f.name not in SAID}
-        )
+        names = (f.name for f in fields(ObjectModel) if f.name not in SAID)
+        return _from_arrays({name: data[name] for name in names})
 
 
 def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> ObjectModel:

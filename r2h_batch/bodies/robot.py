@@ -272,9 +272,7 @@ def _load_robot(name: str) -> Robot:
     raw = (files("r2h_batch.assets") / "robot" / "robot.json").read_bytes()
     data: dict[str, Any] = json.loads(raw)
     if data["format"] != 1:
-        raise ValueError(
-            f"robot.json has format {data['format']}, this version reads format 1: rebuild it"
-        )
+        raise ValueError(f"robot.json has format {data['format']}, need format 1: rebuild it")
     links = tuple(data["links"])
     joints, gripper = data["joints"], data["gripper_primitives"]
     linkage: dict[str, Any] = {
@@ -407,9 +405,8 @@ def pad_center_z(robot: Robot, drive: ArrayLike) -> Array:
     if link.table is not None:
         return np.asarray(link.pad_from_pin_yz[1] + table_at(link, q)[0, ..., 1])
     a, b = link.pin_from_driver_yz
-    return np.asarray(
-        link.driver_pivot_yz[1] + link.pad_from_pin_yz[1] + b * np.cos(q) + a * np.sin(q)
-    )
+    height = link.driver_pivot_yz[1] + link.pad_from_pin_yz[1]
+    return np.asarray(height + b * np.cos(q) + a * np.sin(q))
 
 
 def table_at(link: Linkage, drive: ArrayLike) -> Array:
@@ -778,9 +775,7 @@ def _check_table(robot: Robot) -> None:
         side, y = robot.gripper_side[i], robot.gripper.T_link_prim[i, 1, 3]
         apart = side * y - robot.linkage.pad_half_size[1] + table[0, :, 0]
         if robot.gripper_motion[i] != "table_0" or np.abs(2 * apart - gaps).max() > 2e-4:
-            raise ValueError(
-                "row 0 of finger_table must move the pads, half the gap from the middle each"
-            )
+            raise ValueError("row 0 of finger_table must move each pad by half the gap")
     if np.ptp(table[0, :, 2]) > 1e-6:
         raise ValueError("the pads turn as the gripper closes; they must stay parallel")
 

@@ -68,9 +68,7 @@ def joint_rows(arm: str = "ur5e") -> tuple[list[dict[str, Any]], Array]:
         limit = joints[name].find("limit")
         axis = joints[name].find("axis")
         if limit is None or axis is None or axis.get("xyz") != "0 0 1":
-            raise ValueError(
-                f"{name} in {path.name} has no limit or does not turn about its z axis"
-            )
+            raise ValueError(f"{name} in {path.name} has no limit or another axis than z")
         given = ("lower", "upper", "velocity", "effort")
         keys = ("lower", "upper", "max_velocity", "max_torque")
         numbers = {k: float(limit.attrib[v]) for k, v in zip(keys, given, strict=True)}
@@ -137,12 +135,10 @@ def visual_triangles(name: str, arm: str = "ur5e") -> Array:
         millimetres = np.diag([1e-3, 1e-3, 1e-3, 1.0])
         millimetres[2, 3] = -GRIPPER_OFFSET_M - COUPLING_LOW_M
         coupling = _triangles(GRIPPER_MESHES / "robotiq_gripper_coupling.obj", millimetres)
-        return np.concatenate(
-            [_triangles(GRIPPER_MESHES / "robotiq_arg2f_85_base_link.obj", np.eye(4)), coupling]
-        )
-    return _triangles(
-        GRIPPER_MESHES / f"robotiq_arg2f_85_{name}.obj", np.diag([1e-3, 1e-3, 1e-3, 1.0])
-    )
+        body = _triangles(GRIPPER_MESHES / "robotiq_arg2f_85_base_link.obj", np.eye(4))
+        return np.concatenate([body, coupling])
+    millimetres = np.diag([1e-3, 1e-3, 1e-3, 1.0])
+    return _triangles(GRIPPER_MESHES / f"robotiq_arg2f_85_{name}.obj", millimetres)
 
 
 def _triangles(path: Path, T: Array) -> Array:

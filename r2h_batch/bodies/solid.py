@@ -66,9 +66,8 @@ class Surface:
 
         from r2h_batch.launch import launch
 
-        where: Any = wp.array(
-            np.asarray(points - self.center, np.float32), dtype=wp.vec3, device="cpu"
-        )
+        about = np.asarray(points - self.center, np.float32)
+        where: Any = wp.array(about, dtype=wp.vec3, device="cpu")
         distance = wp.empty(len(points), dtype=wp.float32, device="cpu")
         for first in range(0, len(points), POINTS_AT_ONCE):
             if tick is not None:
@@ -219,9 +218,8 @@ def sample_surface(solid: trimesh.Trimesh, count: int) -> tuple[F64, NDArray[np.
     share. Fixed seed."""
     rng = np.random.Generator(np.random.Philox(key=20482048))
     area = np.cumsum(solid.area_faces)
-    face = np.searchsorted(
-        area, (np.arange(count) + rng.random(count)) / count * area[-1], side="right"
-    )
+    at = (np.arange(count) + rng.random(count)) / count * area[-1]
+    face = np.searchsorted(area, at, side="right")
     face = np.minimum(face, len(area) - 1)
     a, b = rng.random(count), rng.random(count)
     a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)

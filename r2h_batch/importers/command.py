@@ -101,9 +101,8 @@ def hands(
     if smplx is not None and not list(smplx.glob("SMPLX_*.npz")):
         raise UsageError(f"--smplx {smplx}: has no SMPLX_MALE.npz, _FEMALE.npz or _NEUTRAL.npz")
     target = _npz(out, overwrite)
-    check_output_file(
-        hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in"
-    )
+    motions = hand_sets.motion_file(target)
+    check_output_file(motions, overwrite=overwrite, flag="--out with the motions in")
     if source == ("built-in",):
         hand_sets.write(target, hand_sets.built_in())
         print(f"{counted(len(load_hand_set()), 'hands')} of r2h_batch in {target}; 0 files skipped")
@@ -124,7 +123,7 @@ def hands(
     right, left = found.counts()
     print(
         f"{counted(right + left, 'hands')} of {names} ({right} right, {left} left) in {target},"
-        f" motions in {hand_sets.motion_file(target)}; {counted(found.idle, 'idle hands')} left out,"
+        f" motions in {motions}; {counted(found.idle, 'idle hands')} left out,"
         f" {counted(len(found.skipped), 'files')} skipped"
     )
 

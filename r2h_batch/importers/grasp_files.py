@@ -123,19 +123,15 @@ def graspnet(
         raise FileError(f"{where}: holds no grasp (0 x 17)")
     if (odd := rows[:, 16] != np.round(rows[:, 16])).any():
         row = int(odd.argmax())
-        raise FileError(
-            f"{where}: object {rows[row, 16]:g} of row {row}; objects are whole numbers"
-        )
+        raise FileError(f"{where}: object {rows[row, 16]:g} of row {row}; need a whole number")
     ids = sorted({int(i) for i in rows[:, 16]})
     rows_of_object = np.ones(len(rows), bool) if object_id is None else rows[:, 16] == object_id
     if not rows_of_object.any():
         raise FileError(
-            f"{where}: no grasp of object {object_id}; there are objects {', '.join(map(str, ids[:10]))}"
+            f"{where}: no grasp of object {object_id}; there are {', '.join(map(str, ids[:10]))}"
         )
     if object_id is None and len(ids) > 1:
-        raise FileError(
-            f"{where}: grasps of {len(ids)} objects; choose one with --object-id of r2h-batch import grasps"
-        )
+        raise FileError(f"{where}: grasps of {len(ids)} objects; choose one with --object-id")
     rows = rows[rows_of_object]
     R = rows[:, 4:13].reshape(-1, 3, 3)
     T = _graspnet_poses(R, rows[:, 13:16], rows[:, 3], T_obj_source)
@@ -168,9 +164,7 @@ def _graspnet_labels(path: Path, T_obj_source: F64 | None) -> Found:
         if name in found and found[name].dtype.kind == kind:
             continue
         if name != "collision":
-            raise FileError(
-                f"{where}: has no {name}; it is neither a label of GraspNet nor our own format"
-            )
+            raise FileError(f"{where}: has no {name}; it is no label of GraspNet or ours")
     points = numbers(found["points"], (None, 3), f"{where} points")
     grid = (len(points), VIEWS, ANGLES, DEPTHS)
     score, offsets = found["scores"], found["offsets"]
@@ -234,9 +228,7 @@ def graspgen(path: Path, *, gripper: str, **_: Any) -> Found:
     where, found = printable(path), read_json(path)
     grasps = found.get("grasps") if isinstance(found, dict) else None
     if not isinstance(grasps, dict):
-        raise FileError(
-            f"{where}: has no grasps with transforms; it is not a file of GraspGen's data set"
-        )
+        raise FileError(f"{where}: has no grasps with transforms; it is not GraspGen's")
     T = numbers(grasps.get("transforms"), (None, 4, 4), f"{where} transforms")
     held = numbers(grasps.get("object_in_gripper"), (len(T),), f"{where} object_in_gripper")
     return _held(T, held, gripper, where)

@@ -143,9 +143,7 @@ class _Raw:
 def _read(path: Path) -> Mapping[str, Any]:
     found = read_npz(path) if path.suffix == ".npz" else read_pickle_file(path)
     if not isinstance(found, dict):
-        raise FileError(
-            f"{path}: holds a {type(found).__name__}; a MANO file holds a dictionary of arrays"
-        )
+        raise FileError(f"{path}: holds a {type(found).__name__}; a MANO file holds a dictionary")
     return found
 
 
@@ -153,9 +151,7 @@ def _checked(found: Mapping[str, Any], where: str, side: int) -> _Raw:
     v = _numbers(found, "v_template", (None, 3), where)
     count = len(v)
     if not 100 <= count <= MAX_VERTICES:
-        raise FileError(
-            f"{where}: v_template has {count} vertices; a hand has 100 to {MAX_VERTICES}"
-        )
+        raise FileError(f"{where}: v_template has {count} vertices; need 100 to {MAX_VERTICES}")
     faces = _numbers(found, "f", (None, 3), where)
     if (faces != np.round(faces)).any() or faces.min() < 0 or faces.max() >= count:
         raise FileError(f"{where}: f names other vertices than the {count} there are")
@@ -197,7 +193,7 @@ def _numbers(found: Mapping[str, Any], name: str, shape: tuple[int | None, ...],
 def _check_alike(right: _Raw, left: _Raw, where: str) -> None:
     if right.vertices.shape != left.vertices.shape:
         raise FileError(
-            f"{where}: {len(left.vertices)} vertices; the right hand has {len(right.vertices)}"
+            f"{where}: {len(left.vertices)} vertices; the right one has {len(right.vertices)}"
         )
     apart = np.abs((right.vertices - right.regressor[0] @ right.vertices)
                    - (left.vertices - left.regressor[0] @ left.vertices)).max()  # fmt: skip

@@ -142,7 +142,7 @@ def _labels(
     off = float(np.quantile((nearest - np.minimum(gaps, most)[:, None]).min(axis=0), 0.95))
     if off > most:
         raise FileError(
-            f"{label}: its parts are {1e3 * off:.1f} mm from its mesh; are both in one frame?"
+            f"{label}: its parts are {1e3 * off:.1f} mm from its mesh; is the frame the same?"
         )
     kept = tuple(dict.fromkeys(names))
     number = np.array([kept.index(n) for n in names])

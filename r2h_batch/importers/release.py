@@ -166,7 +166,7 @@ def read_trials(path: Path) -> tuple[list[ReleaseTrial], int]:
             take(trial, f"{printable(path)}: {trial.id}")
     if not found:
         raise FileError(
-            f"{printable(path)}: has no handover.trial.v1, and no selection with its scene"
+            f"{printable(path)}: has no handover.trial.v1 and no selection with a scene"
         )
     if twice := sorted(i for i, k in Counter(t.id for t in found).items() if k > 1):
         raise FileError(f"{printable(path)}: two trials have the id {twice[0]!r}")
@@ -194,9 +194,7 @@ def _check_source(file: TrialFile, folder: Path, where: str) -> None:
 
 def _converted(file: TrialFile, where: str) -> ReleaseTrial:
     if file.method_geometry_invalidated:
-        raise FileError(
-            f"{where}: method_geometry_invalidated is true: its grasp is not for this object"
-        )
+        raise FileError(f"{where}: method_geometry_invalidated is true: not this object's grasp")
     try:
         mesh, region = _object(file, where)
         place, others = _place(file)

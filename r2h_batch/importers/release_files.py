@@ -347,14 +347,11 @@ def experiment_trials(data: Any, file: Path) -> tuple[list[TrialFile], int]:
         scene = validated(read_json(scene_file, most=MAX_BYTES), printable(scene_file), SceneFile)
         for mode, name in batch.selections.items():
             chosen = path_within(file.parent, name)
-            selection = validated(
-                read_json(chosen, most=MAX_BYTES), printable(chosen), SelectionFile
-            )
+            shown = printable(chosen)
+            selection = validated(read_json(chosen, most=MAX_BYTES), shown, SelectionFile)
             if selection.mode != mode:
-                raise FileError(
-                    f"{printable(chosen)}: mode is {selection.mode}; {where} says {mode}"
-                )
-            trial = _trial(scene, selection, printable(chosen))
+                raise FileError(f"{shown}: mode is {selection.mode}; {where} says {mode}")
+            trial = _trial(scene, selection, shown)
             found += [] if trial is None else [trial]
             none += trial is None
     return found, none
@@ -369,17 +366,14 @@ def paired_trials(
     for data, where in scenes:
         scene = validated(data, where, SceneFile)
         if scene.object.id in by_object:
-            raise FileError(
-                f"{where}: object.id {scene.object.id} has two scenes; name an experiment"
-            )
+            raise FileError(f"{where}: object.id {scene.object.id} has two scenes; give one")
         by_object[scene.object.id] = scene
     found, none = [], 0
     for data, where in selections:
         selection = validated(data, where, SelectionFile)
         if selection.object_id not in by_object:
-            raise FileError(
-                f"{where}: object_id {selection.object_id} has no handover.scene.v1 beside it"
-            )
+            what = f"object_id {selection.object_id} has no handover.scene.v1 beside it"
+            raise FileError(f"{where}: {what}")
         trial = _trial(by_object[selection.object_id], selection, where)
         found += [] if trial is None else [trial]
         none += trial is None
@@ -389,19 +383,14 @@ def paired_trials(
 def _trial(scene: SceneFile, selection: SelectionFile, where: str) -> TrialFile | None:
     """The selection as a trial; None where no grasp was feasible."""
     if selection.object_id != scene.object.id:
-        raise FileError(
-            f"{where}: object_id is {selection.object_id}, the scene's is {scene.object.id}"
-        )
+        raise FileError(f"{where}: object_id is {selection.object_id}, not {scene.object.id}")
     if selection.status != "ok":
         return None
-    grasps = {
-        g.id: g.T_object_gripper
-        for g in (*scene.candidates, *selection.candidates)
-        if g.T_object_gripper is not None
-    }
+    every = (*scene.candidates, *selection.candidates)
+    grasps = {g.id: g.T_object_gripper for g in every if g.T_object_gripper is not None}
     if selection.selected not in grasps:
         raise FileError(
-            f"{where}: selected is {selection.selected}; no candidate of this id has T_object_gripper"
+            f"{where}: selected is {selection.selected}; none such has T_object_gripper"
         )
     T_world_object, T_object_gripper = scene.target_T_world_object, grasps[selection.selected]
     hand, receiver = scene.receiving_hand, scene.receiver
@@ -414,9 +403,8 @@ def _trial(scene: SceneFile, selection: SelectionFile, where: str) -> TrialFile 
     if receiver is not None:
         palm, normal = receiver.T_world_hand[:3, 3], receiver.T_world_hand[:3, 2]
     region = scene.object.usage_regions.get(scene.intent.human_region, NO_BOXES)
-    name = f"{scene.object.id}_{selection.mode}" + (
-        f"_{receiver.id}" if receiver and receiver.id else ""
-    )
+    name = f"{scene.object.id}_{selection.mode}"
+    name += f"_{receiver.id}" if receiver and receiver.id else ""
     trial: Mapping[str, Any] = {
         "schema_version": "handover.trial.v1",
         "units": "m",

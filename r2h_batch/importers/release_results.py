@@ -143,7 +143,6 @@ def foreign_rows(
     for field in TRIAL_SCHEMA:
         values = pa.array([row.get(field.name) for row in rows])
         is_text = pa.types.is_dictionary(field.type)
-        columns.append(
-            values.cast(pa.string()).dictionary_encode() if is_text else values.cast(field.type)
-        )
+        text = values.cast(pa.string()).dictionary_encode() if is_text else None
+        columns.append(values.cast(field.type) if text is None else text)
     return pa.table(columns, schema=TRIAL_SCHEMA)

@@ -121,7 +121,7 @@ def import_robot(
     shown, n = printable(path), len(chain.joints)
     if not LEAST_JOINTS <= n <= MOST_JOINTS:
         raise FileError(
-            f"{shown}: {n} joints move {flange}; {LEAST_JOINTS} to {MOST_JOINTS} are allowed"
+            f"{shown}: {n} joints move {flange}; allowed are {LEAST_JOINTS} or {MOST_JOINTS}"
         )
     start = home_of(beside, home, chain.joints) if isinstance(home, str) else tuple(home)
     if start and len(start) != n:
@@ -179,9 +179,7 @@ def import_robot(
     table = Workplace().scaled(robot.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
     if met := touching(robot, np.array(robot.home_q), table):
         how = "give another posture with --home"
-        raise FileError(
-            f"{shown}: {', '.join(met)} overlap at home, {list(robot.home_q)} rad; {how}"
-        )
+        raise FileError(f"{shown}: {', '.join(met)} overlap at {list(robot.home_q)} rad; {how}")
     _check(robot, shown)
     of_joints = (robot.lower, robot.upper, robot.max_velocity, robot.max_torque)
     report = {
@@ -297,9 +295,7 @@ def gripper_of(
         axes = [np.abs(T[0, :3, :3]) for T, _ in boxes]
         square = [b for b, R in zip(boxes, axes, strict=True) if np.abs(R - R.round()).max() < 2e-3]
         if not square:
-            raise FileError(
-                f"{shown}: {printable(one.name)} has no box along the gripper's axes for a pad"
-            )
+            raise FileError(f"{shown}: {printable(one.name)} needs a box along the gripper's axes")
         square = [(T, np.abs(T[0, :3, :3]).round() @ half) for T, half in square]
         pad.append(max(square, key=lambda b: float(b[0][0, 2, 3] + b[1][2])))
         faces.append(sign * pad[-1][0][:, 1, 3] - pad[-1][1][1])
@@ -327,9 +323,7 @@ def gripper_of(
         T = moves[part] @ np.linalg.inv(moves[part][0])
         shift = T[:, :3, :3] @ tool + T[:, :3, 3] - tool
         if max(np.abs(T[:, 0, 0] - 1).max(), np.abs(shift[:, 0]).max()) > SYMMETRIC_M:
-            raise FileError(
-                f"{shown}: {printable(part)} leaves the plane in which the gripper closes"
-            )
+            raise FileError(f"{shown}: {printable(part)} leaves the plane of the closing gripper")
         turn = np.unwrap(np.arctan2(T[:, 2, 1], T[:, 1, 1]))
         columns = (sign * shift[:, 1], shift[:, 2], sign * turn)
         return np.stack([np.interp(gaps, gap, x) for x in columns], 1)
@@ -366,9 +360,7 @@ def gripper_of(
             side.append(sign)
             motion.append(k)
     if {k for k, s in used if s == 1} != {k for k, s in used if s == -1}:
-        raise FileError(
-            f"{shown}: the two fingers must close symmetrically; a part of one moves as none of the other"
-        )
+        raise FileError(f"{shown}: the two fingers must close symmetrically, part by part")
     rows[0] = rows[0] + [gap[0] / 2, 0.0, 0.0]
     if not np.isclose(mass[1], mass[-1], rtol=1e-3) or mass[1] <= 0:
         what = f"{mass[1]:g} and {mass[-1]:g} kg"

@@ -85,9 +85,8 @@ def as_urdf(root: Element, path: Path, parse: Callable[[Path], Element]) -> Elem
     except FileError:
         raise
     except (ValueError, mujoco.FatalError) as error:
-        raise FileError(
-            f"{shown}: MuJoCo: {printable(' '.join(str(error).split()))[:160]}"
-        ) from None
+        why = printable(" ".join(str(error).split()))[:160]
+        raise FileError(f"{shown}: MuJoCo: {why}") from None
     numbers = (
         model.body_pos, model.body_quat, model.body_ipos, model.body_iquat, model.body_inertia, model.body_mass,
         model.jnt_pos, model.jnt_axis, model.geom_pos, model.geom_quat, model.geom_size, model.qpos0,
@@ -156,9 +155,7 @@ def _take_mesh_geoms(
                 raise FileError(f"{shown}: a geom is fitted to a mesh; write its own size")
             continue
         if geom.meshname not in files:
-            raise FileError(
-                f"{shown}: a geom names no mesh of it: {printable(geom.meshname)[:60]!r}"
-            )
+            raise FileError(f"{shown}: a geom names no mesh: {printable(geom.meshname)[:60]!r}")
         found[i] = files[geom.meshname]
         geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_SPHERE, ""
         geom.size, geom.mass = [1.0, 0.0, 0.0], 0.0
@@ -216,9 +213,8 @@ def _add_joint(
         elif kind == "revolute":
             joint.set("type", "continuous")
         SubElement(joint, "limit", limit)
-        for e in np.flatnonzero(
-            (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj1id == first)
-        ):
+        of_joints = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+        for e in np.flatnonzero(of_joints & (model.eq_obj1id == first)):
             other, data = int(model.eq_obj2id[e]), model.eq_data[e]
             like = "" if other < 0 or data[2:5].any() else _joint_name(model, other)
             mimic = {"joint": like, "multiplier": _words(data[1:2]), "offset": _words(data[:1])}

@@ -65,9 +65,8 @@ def contact_rates(
     """Per pair of links: share of configurations in contact, smallest distance in m (FAR_M if it was never nearer)."""
     model = mujoco.MjModel.from_xml_string(mjcf(robot))
     data = mujoco.MjData(model)
-    owner = np.array(
-        [robot.links.index(model.geom(g).name.split("/")[0]) for g in range(model.ngeom)]
-    )
+    names = (model.geom(g).name.split("/")[0] for g in range(model.ngeom))
+    owner = np.array([robot.links.index(name) for name in names])
     touched = np.zeros((len(robot.links),) * 2, int)
     nearest = np.full((len(robot.links),) * 2, FAR_M)
     limits = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)

@@ -48,9 +48,8 @@ class Shape:
         if self.kind == BOX:
             local, area = _box_surface(self.size, spacing)
         else:
-            local, area = _round_surface(
-                self.kind, float(self.size[0]), float(self.size[1]), spacing
-            )
+            radius, half = map(float, self.size[:2])
+            local, area = _round_surface(self.kind, radius, half, spacing)
         return local @ self.R.T + self.pos, area
 
     def triangles(self) -> Array:
@@ -235,18 +234,10 @@ def _round_surface(kind: str, radius: float, half: float, spacing: float) -> tup
             profile += [(ri, sign * half, 2 * np.pi * ri * (radius / m) / n) for ri in r]
         else:  # bands of equal height on a sphere have equal areas
             h = radius * (np.arange(m) + 0.5) / m
-            profile += [
-                (
-                    np.sqrt(radius**2 - hi**2),
-                    sign * (half + hi),
-                    2 * np.pi * radius * (radius / m) / n,
-                )
-                for hi in h
-            ]
-    points = np.concatenate(
-        [np.column_stack([r * ring, np.full(n, height)]) for r, height, _ in profile]
-    )
-    return points, np.repeat([a for _, _, a in profile], n)
+            band = 2 * np.pi * radius * (radius / m) / n
+            profile += [(np.sqrt(radius**2 - hi**2), sign * (half + hi), band) for hi in h]
+    rings = [np.column_stack([r * ring, np.full(n, height)]) for r, height, _ in profile]
+    return np.concatenate(rings), np.repeat([a for _, _, a in profile], n)
 
 
 SEARCH_CELL_M = 6.0e-3

@@ -119,14 +119,10 @@ def read_chain(
     for flag, name in (("--base", base), ("--flange", flange)):
         if name not in links:
             found = ", ".join(printable(n)[:40] for n in list(links)[:12])
-            raise FileError(
-                f"{shown}: {flag} {printable(name)} is not a link of it; it has {found}"
-            )
+            raise FileError(f"{shown}: {flag} {printable(name)} is not a link; it has {found}")
     into = {_end(j, "child", shown): j for j in joints}
     if unknown := {_end(j, end, shown) for j in joints for end in ("parent", "child")} - set(links):
-        raise FileError(
-            f"{shown}: a joint names {printable(min(unknown))[:40]!r}, which is not a link of it"
-        )
+        raise FileError(f"{shown}: a joint names {printable(min(unknown))[:40]!r}, no link")
     way: list[Element] = []
     at = flange
     while at != base:
@@ -322,14 +318,13 @@ def parsed(path: Path) -> Element:
         how = "expand it with: xacro FILE > robot.urdf"
         raise FileError(f"{shown}: is a xacro program, which is not run here; {how}")
     try:  # prefixes that a file does not declare, such as drake:, say nothing that is read here
-        root = ElementTree.fromstring(
-            re.sub(r"(</?|\s)[A-Za-z]+:(?=[A-Za-z_]+[\s=/>])", r"\1", text)
-        )
+        text = re.sub(r"(</?|\s)[A-Za-z]+:(?=[A-Za-z_]+[\s=/>])", r"\1", text)
+        root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, RecursionError) as error:
         raise FileError(f"{shown}: is not XML: {printable(error)[:100]}") from None
     if root.tag not in ("robot", "mujoco", "mujocoinclude"):
         raise FileError(
-            f"{shown}: begins with <{printable(root.tag)[:40]}>; a URDF has <robot>, an MJCF <mujoco>"
+            f"{shown}: begins with <{printable(root.tag)[:40]}>, not <robot> or <mujoco>"
         )
     return root
 

@@ -163,13 +163,8 @@ def candidate_table(scene: Scene) -> CandidateTable:
     T, first, count = stacked(every)
     index = np.repeat(np.arange(len(count)), count).astype(np.int32)
     if not len(T):
-        raise NoGraspError(
-            "no object of the scene has a grasp candidate: the gripper can hold none of them"
-        )
-    T_obj_ee, object_index = (
-        torch.from_numpy(T).to(scene.device),
-        torch.from_numpy(index).to(scene.device),
-    )
+        raise NoGraspError("no object has a grasp candidate: the gripper can hold none of them")
+    T_obj_ee, object_index = (torch.from_numpy(x).to(scene.device) for x in (T, index))
     held = close_gripper(scene.grasp_tables, T_obj_ee, object_index, w_max=scene.robot.open_gap_m)
     values = (np.concatenate([getattr(c, name) for c in every]) for name in ("width", "score"))
     width, score = (torch.from_numpy(v).to(scene.device) for v in values)
@@ -199,9 +194,8 @@ def _candidates(model: ObjectModel, kind: Kind, robot: Robot) -> Candidates:
     key = hashlib.sha256(
         f"{object_digest(model)} {code_digest(CODE, VERSIONS)}{whose}".encode()
     ).hexdigest()
-    found = Candidates(
-        **cached("candidates" if filtered else "candidates-as-generated", key, make, FORM)
-    )
+    folder = "candidates" if filtered else "candidates-as-generated"
+    found = Candidates(**cached(folder, key, make, FORM))
     if not len(found):
         warnings.warn(f"{model.name}: {NOTHING_FITS.format(1e3 * robot.open_gap_m)}", stacklevel=2)
     return found

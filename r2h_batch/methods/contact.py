@@ -209,9 +209,8 @@ def points_near_gripper(scene: Scene, radius_m: float) -> UInt8[Tensor, "m p"]:
     `radius_m`."""
     table = candidate_table(scene)
     points = torch.from_numpy(np.stack([o.points for o in scene.objects])).to(scene.device)
-    near = torch.zeros(
-        (len(table.T_obj_ee), points.shape[1]), dtype=torch.uint8, device=scene.device
-    )
+    shape = (len(table.T_obj_ee), points.shape[1])
+    near = torch.zeros(shape, dtype=torch.uint8, device=scene.device)
     launch_trials(
         blocked_kernels.points_near_gripper,
         len(near),

@@ -101,9 +101,8 @@ def proposals(
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     double_area = np.linalg.norm(normal, axis=1)
     share = np.cumsum(double_area) / double_area.sum()
-    face = np.minimum(
-        np.searchsorted(share, (np.arange(SEEDS) + rng.random(SEEDS)) / SEEDS), len(share) - 1
-    )
+    face = np.searchsorted(share, (np.arange(SEEDS) + rng.random(SEEDS)) / SEEDS)
+    face = np.minimum(face, len(share) - 1)
     a, b = rng.random((2, SEEDS, 1))
     a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
     point = (
@@ -193,9 +192,8 @@ def graded(
     T, width, opening, shift, row = (x[held].contiguous() for x in (T, width, opening, shift, row))
     squeezed = (width - Thresholds().pad_squeeze_m).clamp(min=0)
     region = region_distance(tables, attach(T, shift), zeros(T), squeezed)[0].numpy()
-    contact, alignment, part = pad_contact(
-        model, mesh, T.numpy(), width.numpy(), opening.numpy(), robot
-    )
+    stands = T.numpy(), width.numpy(), opening.numpy()
+    contact, alignment, part = pad_contact(model, mesh, *stands, robot)
     score, square = scored(model, T.numpy(), opening.numpy(), contact, alignment, robot)
     every = Candidates(T.numpy(), width.numpy(), score, part.astype(np.uint8), region)
     good = square & (contact >= LEAST_CONTACT)
@@ -237,9 +235,8 @@ def scored(
     pads = T[:, :3, 3] + pad_height(robot, opening)[:, None] * T[:, :3, 2]
     farthest = np.linalg.norm(model.vertices - model.com, axis=1).max()
     balance = 1 - np.clip(np.linalg.norm(pads - model.com, axis=1) / farthest, 0, 1)
-    score = (
-        0.4 * (alignment - edge) / (1 - edge) + 0.35 * np.minimum(contact / 0.5, 1) + 0.25 * balance
-    )
+    score = 0.4 * (alignment - edge) / (1 - edge) + 0.35 * np.minimum(contact / 0.5, 1)
+    score = score + 0.25 * balance
     return score.astype(np.float32), alignment >= edge
 
 
@@ -421,7 +418,7 @@ def generate_grasps(
     every = _pool(model, found_of, lambda pool: len(pool) >= ENOUGH)
     if len(every) == 0:
         raise NoGraspError(
-            f"{model.name}: no antipodal pair that the gripper of {robot.name} fits about was found"
+            f"{model.name}: the gripper of {robot.name} fits about no antipodal pair"
         )
     return diverse(model, every, count, robot)
 
@@ -446,9 +443,8 @@ def _pool(
 def _boxes_clear(model: ObjectModel, T: F32, robot: Robot) -> NDArray[np.bool_]:
     """Whether no point of the object's cloud lies in the open gripper as three boxes: two fingers,
     and the rest."""
-    finger_low, finger_high, rest_low, rest_high = (
-        x.astype(np.float32) for x in three_boxes(robot)
-    )
+    corners = (x.astype(np.float32) for x in three_boxes(robot))
+    finger_low, finger_high, rest_low, rest_high = corners
     clear = np.ones(len(T), bool)
     for first in range(0, len(T), 256):
         x, y, z = _in_gripper(model, T[first : first + 256])
@@ -469,12 +465,10 @@ def _on_region(model: ObjectModel, T: F32, width: F32, robot: Robot) -> NDArray[
     for first in range(0, len(T), 256):
         rows = slice(first, first + 256)
         x, y, z = _in_gripper(model, T[rows])
-        near = (np.abs(x) <= link.pad_half_size[0]) & (
-            np.abs(z - pad_z[rows, None]) <= link.pad_half_size[2]
-        )
-        touches[rows] = (
-            near & (np.abs(np.abs(y) - 0.5 * width[rows, None]) <= REACH_M) & region
-        ).any(1)
+        near = np.abs(x) <= link.pad_half_size[0]
+        near &= np.abs(z - pad_z[rows, None]) <= link.pad_half_size[2]
+        near &= np.abs(np.abs(y) - 0.5 * width[rows, None]) <= REACH_M
+        touches[rows] = (near & region).any(1)
     return touches
 
 

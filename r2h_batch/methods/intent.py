@@ -317,9 +317,8 @@ def named_parts(
 
 @lru_cache(maxsize=65536)
 def _region(scene: Scene, object_index: int, instruction: str) -> Bool[Tensor, " p"]:
-    region = torch.zeros(
-        max(len(o.part_names) for o in scene.objects), dtype=torch.bool, device="cpu"
-    )
+    parts = max(len(o.part_names) for o in scene.objects)
+    region = torch.zeros(parts, dtype=torch.bool, device="cpu")
     understood = understand(instruction, scene.objects, object_index=object_index)
     intent = intents_of(scene.objects[object_index])[understood.intent]
     if intent.part != ANYWHERE:

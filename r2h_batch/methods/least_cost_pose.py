@@ -72,9 +72,8 @@ def least_cost_pose(
     R = approach_fan(target.palm_normal, directions, rolls, home_x(scene))
     T_world_ee = placed_above_palm(scene, R, T_obj_ee, object_index, target, height_m, at)
     points = target.vertices[:, hand_sample(scene, hand_points)].contiguous()
-    cost = collision_cost(
-        scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m
-    )
+    held = object_index, T_obj_ee, opening_m
+    cost = collision_cost(scene, *held, T_world_ee, points, zone_m=zone_m)
     every = torch.ones_like(cost, dtype=torch.bool)
     best = least(cost, reachable(scene.robot, T_world_ee) if gate == "ik" else every, every)
     return T_world_ee[torch.arange(len(best), dtype=torch.int64, device=best.device), best]

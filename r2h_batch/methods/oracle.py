@@ -146,10 +146,8 @@ class _Fan:
         frame = _basis(se3.rotate(_basis(approach), _TILTS[rng.choice(tilt, TILTS)]))
         x, z = se3.rotate(frame, _ROLLS[rng.choice(roll, ROLLS)]), frame[:, :, 2]
         R = np.stack([x, np.cross(z, x), z], 2)
-        # in ee
-        free = se3.rotate(
-            T_obj_ee[:, :3, :3].transpose(0, 2, 1), self._free[objects] - T_obj_ee[:, :3, 3]
-        )
+        from_ee = self._free[objects] - T_obj_ee[:, :3, 3]
+        free = se3.rotate(T_obj_ee[:, :3, :3].transpose(0, 2, 1), from_ee)  # in ee
         target = self._center[rows] + (NEARER_M + (FARTHER_M - NEARER_M) * far)[:, None] * normal
         T_world_ee = np.zeros((len(rows), 4, 4))
         T_world_ee[:, :3, :3] = R
@@ -172,9 +170,8 @@ def _usable_grasps(
     scene, thresholds = evaluator.scene, evaluator.config.thresholds
     grasps, first, count = stacked(candidates_in(scene))
     T = torch.from_numpy(grasps).to(scene.device)
-    index = torch.from_numpy(np.repeat(np.arange(len(count)), count).astype(np.int32)).to(
-        scene.device
-    )
+    of_object = np.repeat(np.arange(len(count)), count).astype(np.int32)
+    index = torch.from_numpy(of_object).to(scene.device)
     held = close_gripper(
         scene.grasp_tables, T, index,
         w_max=thresholds.w_max_m, w_min=thresholds.w_min_m, mode=evaluator.config.width

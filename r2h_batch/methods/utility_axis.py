@@ -41,9 +41,8 @@ def handle_template() -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     corners = [(h, d) for h in (0.02, -0.02) for d in (0.02, -0.02)]
     handle = [(0.5 - 0.02 * i, h, d) for i in range(15) for h, d in corners]
     function = [(-0.2 - 0.02 * j, h, d) for j in range(5) for h, d in corners]
-    return np.array(handle + function), np.array(
-        [GRASP] * len(handle) + [FUNCTION] * len(function), np.uint8
-    )
+    roles = [GRASP] * len(handle) + [FUNCTION] * len(function)
+    return np.array(handle + function), np.array(roles, np.uint8)
 
 
 def wrap_template() -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
@@ -79,9 +78,8 @@ def align_templates(
     which = (role == WRAP).any(1).to(torch.int32)
     scale = (extent[o.long()] / templates.extent[which.long()]).float()
     R = torch.zeros((b, 3, 3), dtype=torch.float64, device=device)
-    p, handle = (
-        torch.zeros((b, 3), dtype=kind, device=device) for kind in (torch.float64, torch.float32)
-    )
+    p = torch.zeros((b, 3), dtype=torch.float64, device=device)
+    handle = torch.zeros((b, 3), dtype=torch.float32, device=device)
     error = torch.zeros(b, dtype=torch.float64, device=device)
     steps = torch.zeros(b, dtype=torch.int32, device=device)
     result = Alignment(R, p, error, steps, scale, handle)

@@ -51,6 +51,7 @@ HAND_M = (0.05, 0.5)
 MOST_POINTS = 100_000
 
 Arrays = dict[str, NDArray[Any]]
+ROWS = ("trial_id", "object", "object_index", "points")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +116,8 @@ class Observations:
         for kind, part in vars(self).items():
             ids = None if part is None else part.trial_id
             if ids is not None and len(missing := np.setdiff1d(trial_id, ids)):
-                listed = ", ".join(map(str, missing[:10].tolist())) + (
-                    ", ..." if len(missing) > 10 else ""
-                )
+                listed = ", ".join(map(str, missing[:10].tolist()))
+                listed += ", ..." if len(missing) > 10 else ""
                 raise FileError(
                     f"predicted {kind} of {part.source}: {len(missing)} planned trials are missing: {listed}"
                 )
@@ -210,9 +210,7 @@ def _trial_ids(where: str, arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[n
     if not len(ids):
         raise FileError(f"{where}: no rows; give one for each planned trial")
     if ids.min() < 0 or int(ids.max()) > np.iinfo(np.int64).max:
-        raise FileError(
-            f"{where}: trial_id goes from {ids.min()} to {ids.max()}; ids are 0 or more"
-        )
+        raise FileError(f"{where}: trial_id goes from {ids.min()} to {ids.max()}; need 0 or more")
     order = np.argsort(ids, kind="stable")
     sorted_ids = ids[order].astype(np.int64)
     if (twice := np.flatnonzero(np.diff(sorted_ids) == 0)).size:
@@ -249,9 +247,7 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
     """T, pose, shape; or joints in MANO's order and vertices."""
     posed = "pose" in a or frame in a
     if posed == ("vertices" in a or "joints" in a):
-        raise FileError(
-            f"{where}: give either {frame} with pose (and shape), or joints with vertices"
-        )
+        raise FileError(f"{where}: give either {frame} with pose, or joints with vertices")
     if posed:
         a = {"shape": np.zeros((n, 10), np.float32), **a}
         wanted: dict[str, Spec] = {
@@ -293,9 +289,7 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
 
 
 def _parts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
-    arrays, source = _read(
-        path, ("trial_id", "object", "object_index", "points", "label", "usage", "role")
-    )
+    arrays, source = _read(path, (*ROWS, "label", "usage", "role"))
     where = printable(path)
     if ("role" in arrays) == ("label" in arrays):
         raise FileError(f"{where}: give either role, or label (with usage)")
@@ -314,7 +308,7 @@ def _parts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
 
 
 def _contacts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
-    arrays, source = _read(path, ("trial_id", "object", "object_index", "points", "probability"))
+    arrays, source = _read(path, (*ROWS, "probability"))
     where = printable(path)
     value = _need(where, arrays, "probability", ("f", ("N", "P")))
     if value.size and not 0 <= value.min() <= value.max() <= 1:
@@ -334,7 +328,7 @@ def _by_key(
 ) -> ExternalPoints:
     """Rows by trial or by object, on the objects' own clouds."""
     own = len(objects[0].points)
-    keys = [k for k in ("trial_id", "object", "object_index") if k in arrays]
+    keys = [k for k in ROWS[:3] if k in arrays]
     if len(keys) != 1:
         raise FileError(
             f"{where}: rows go by one of trial_id, object, object_index; found {', '.join(keys) or 'none'}"
@@ -342,9 +336,7 @@ def _by_key(
     if keys == ["trial_id"]:
         ids, order = _trial_ids(where, arrays)
         if "points" in arrays:
-            raise FileError(
-                f"{where}: points go with rows by object; rows by trial are on the objects' own clouds"
-            )
+            raise FileError(f"{where}: points go with rows by object, not by trial")
         values = {
             k: _need(where, arrays, k, ("fiub", (len(ids), own)))[order].astype(dtype)
             for k in names
@@ -357,9 +349,7 @@ def _by_key(
         return ExternalPoints(source, None, values)
     points = _need(where, arrays, "points", ("f", (k, "P", 3)))
     if not 1 <= points.shape[1] <= MOST_POINTS:
-        raise FileError(
-            f"{where}: {points.shape[1]} points an object; 1 to {MOST_POINTS} are allowed"
-        )
+        raise FileError(f"{where}: {points.shape[1]} points an object; need 1 to {MOST_POINTS}")
     for row, o in zip(rows, objects, strict=True):
         low, high = points[row].min(0), points[row].max(0)
         span, own_span = float((high - low).max()), float(np.ptp(o.points, axis=0).max())
@@ -369,9 +359,8 @@ def _by_key(
                 f"{where}: points of {o.name} span {span:.3g} m about a middle {off:.3g} m off, the object spans"
                 f" {own_span:.3g} m; they must be on it, in its frame and in metres"
             )
-    near = np.stack(
-        [cKDTree(points[row]).query(o.points)[1] for row, o in zip(rows, objects, strict=True)]
-    )
+    pairs = zip(rows, objects, strict=True)
+    near = np.stack([cKDTree(points[row]).query(o.points)[1] for row, o in pairs])
     values = {n: _need(where, arrays, n, ("fiub", (k, points.shape[1])))[rows] for n in names}
     return ExternalPoints(
         source, None, {n: np.take_along_axis(v, near, 1).astype(dtype) for n, v in values.items()}

@@ -30,9 +30,8 @@ def contact_grids(objects: Sequence[ObjectModel]) -> Float32[Tensor, "o 5 64 64 
     """The network's input for each object."""
     axis = (torch.arange(VOXELS, dtype=torch.float32, device="cpu") + 0.5) * (2.0 / VOXELS) - 1.0
     place = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"))
-    grids = torch.empty(
-        (len(objects), CHANNELS, VOXELS, VOXELS, VOXELS), dtype=torch.float32, device="cpu"
-    )
+    shape = (len(objects), CHANNELS, *place.shape[1:])
+    grids = torch.empty(shape, dtype=torch.float32, device="cpu")
     for i, model in enumerate(objects):
         grids[i, 0] = torch.from_numpy(model.occupancy)
         grids[i, 1:4] = place

@@ -136,7 +136,7 @@ def predict_receiving(
     names = max(len(o.part_names) for o in scene.objects)
     if n and not (int(labels.min()) >= -1 and int(labels.max()) < names):
         raise ValueError(
-            f"part is {int(labels.min())} to {int(labels.max())}; it must be -1 (any) to {names - 1}"
+            f"part is {int(labels.min())} to {int(labels.max())}; allowed are -1 to {names - 1}"
         )
     grasps = load_receiving(scene.objects, scene.hands.model)
     # label -1 stands last
@@ -255,9 +255,8 @@ def _given(trials: Trials, scene: Scene, hands: ExternalHands) -> ReceivingHand:
     bank, T = hands.hands(trials, scene.hands.model, side)
     row = torch.arange(len(trials), dtype=torch.int64, device=device)
     on = HandGeometry(bank.vertices.to(device), bank.joints.to(device))
-    return ReceivingHand(
-        on, row, side.to(device), T.to(device), scene.hands.model, torch.full_like(row, -1)
-    )
+    where = side.to(device), T.to(device)
+    return ReceivingHand(on, row, *where, scene.hands.model, torch.full_like(row, -1))
 
 
 def predict_target(
@@ -282,18 +281,16 @@ def predict_target(
     """
     noise = PredictorNoise() if noise is None else noise
     hands, device = scene.hands, trials.trial_id.device
+    offset_m = scene.config.thresholds.reach_offset_m
     if seen is not None and seen.target is not None:
         it = _given(trials, scene, seen.target)
-        return TargetHand(
-            it.bank, it.row, it.side, it.T, it.model, scene.config.thresholds.reach_offset_m
-        )
+        return TargetHand(it.bank, it.row, it.side, it.T, it.model, offset_m)
     row = trials.hand_index.long()
-    T = estimated_hand(
-        scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=seed, noise=noise
-    )
+    true = trials.trial_id, trials.hand_index, trials.T_world_hand
+    T = estimated_hand(scene, *true, seed=seed, noise=noise)
     bank = HandGeometry(hands.vertices.to(device), hands.joints.to(device))
     side = hands.set.side.to(device, torch.int8)[row]
-    return TargetHand(bank, row, side, T, hands.model, scene.config.thresholds.reach_offset_m)
+    return TargetHand(bank, row, side, T, hands.model, offset_m)
 
 
 def estimated_hand(

@@ -90,9 +90,8 @@ def _shifted(clouds: _Clouds, at: Tensor, z: Tensor) -> Tensor:
     shift = torch.zeros((len(at), clouds.label.shape[1]), dtype=torch.float32, device="cpu")
     for k in range(WAVES):
         shift = shift + z[k][:, None] * clouds.wave[:, k][at]
-    return torch.where(
-        clouds.offset[at] + clouds.sign[at] * shift < 0, clouds.other[at], clouds.label[at]
-    )
+    moved = clouds.offset[at] + clouds.sign[at] * shift < 0
+    return torch.where(moved, clouds.other[at], clouds.label[at])
 
 
 def _split(label: Tensor, device: torch.device) -> SeenParts:

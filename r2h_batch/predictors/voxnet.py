@@ -39,9 +39,8 @@ class VoxNet(nn.Module):
         self.down3 = _block(b, c, stride=2)
         self.deep = _block(c, c)
         self.up2 = _block(c + b, b)
-        self.up1 = nn.Sequential(
-            nn.Conv3d(b + a, 2 * a, kernel_size=1, **_PLAIN), nn.LeakyReLU(0.1)
-        )
+        mixing = nn.Conv3d(b + a, 2 * a, kernel_size=1, **_PLAIN)
+        self.up1 = nn.Sequential(mixing, nn.LeakyReLU(0.1))
         self.out = nn.Conv3d(2 * a + CHANNELS, 1, kernel_size=1, **_PLAIN)
         for layer in self.modules():
             if isinstance(layer, nn.Conv3d) and layer is not self.out:

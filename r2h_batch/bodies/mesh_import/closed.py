@@ -110,9 +110,7 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
         ObjectMeshError: The mesh cannot become an object, in one line.
     """
     if not (np.isfinite(scale) and scale > 0):
-        raise ObjectMeshError(
-            f"{label}: scale is {scale}; it must be a positive number (0.001 for millimetres)"
-        )
+        raise ObjectMeshError(f"{label}: scale is {scale}; need a positive number (0.001: from mm)")
     read = load_mesh_file(source, label) if isinstance(source, (str, Path)) else source.copy()
     budget = Budget(label)
     vertices = np.asarray(read.vertices, np.float64) * scale
@@ -252,9 +250,8 @@ def _well_formed(mesh: trimesh.Trimesh, label: str) -> bool:
 def _cancelling(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
     """(F,) whether another face has the same corners the other way round: two such enclose
     nothing."""
-    _, group, count = np.unique(
-        np.sort(mesh.faces, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
+    corners = np.sort(mesh.faces, axis=1)
+    _, group, count = np.unique(corners, axis=0, return_inverse=True, return_counts=True)
     return np.asarray(count[group.reshape(-1)] > 1)
 
 
@@ -482,9 +479,8 @@ def _separate_bodies(mesh: trimesh.Trimesh, budget: Budget) -> list[float]:
         budget.spend("measuring the gaps between its bodies", n / len(pairs))
         if not touching[i, j]:
             points = np.concatenate([solids[j].vertices, solids[j].triangles_center])
-            touching[i, j] = touching[j, i] = (
-                signed_distance(solids[i], points)[0].min() < THINNEST_M
-            )
+            gap = signed_distance(solids[i], points)[0].min()
+            touching[i, j] = touching[j, i] = gap < THINNEST_M
     count, group = connected_components(touching, False)
     if count < 2:
         return []
@@ -500,7 +496,7 @@ def check_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64], label: s
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ObjectMeshError(
-            f"{label}: a face names vertex {faces.max()}, but there are {len(vertices)} vertices"
+            f"{label}: a face names vertex {faces.max()}, there are {len(vertices)}"
         )
     if len(faces) > MOST_GIVEN_FACES:
         raise ObjectMeshError(

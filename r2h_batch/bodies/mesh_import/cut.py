@@ -80,9 +80,7 @@ class _Part:
     def halves(self) -> list[_Part]:
         """What the best plane leaves, bodies apart as parts of their own; less than two: nothing to
         cut."""
-        edges = np.concatenate(
-            [self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]
-        )
+        edges = np.concatenate([self.faces[:, k] for k in ([0, 1], [1, 2], [2, 0])])
         edges = edges[edges[:, 0] < edges[:, 1]]
         least, best, longest = np.inf, (np.zeros(3), 0.0), (np.zeros(3), 0.0)
         length = SHORTEST_M
@@ -124,9 +122,8 @@ class _Part:
     def _directions(self) -> F64:
         """(6, 3) unit vectors: the principal directions of the surface, and the axes."""
         corner = self.points[self.faces]
-        area = np.linalg.norm(
-            np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
-        )
+        side, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+        area = np.linalg.norm(np.cross(side, other), axis=1)
         middle = corner.mean(axis=1)
         middle = middle - np.average(middle, axis=0, weights=area + 1e-30)
         return np.concatenate([np.linalg.eigh((middle * area[:, None]).T @ middle)[1].T, np.eye(3)])
@@ -224,9 +221,8 @@ def _held(
     for part, of in zip(parts, planes, strict=True):
         box = (low >= _low(part) - allowed) & (high <= _high(part) + allowed)
         rows = np.flatnonzero(box.all(axis=1) & ~held)
-        held[rows] = (
-            (_outside(of, triangles[rows].reshape(-1, 3)) <= allowed).reshape(-1, 3).all(axis=1)
-        )
+        out = _outside(of, triangles[rows].reshape(-1, 3)).reshape(-1, 3)
+        held[rows] = (out <= allowed).all(axis=1)
     return held
 
 

@@ -32,13 +32,9 @@ def load_mesh_file(path: str | Path, label: str, *, points: bool = False) -> tri
     path, label = Path(path), printable(label)
     shown = printable(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise ObjectMeshError(
-            f"{label}: {shown} is not one of {', '.join(SUFFIXES)}; convert it to one of them"
-        )
+        raise ObjectMeshError(f"{label}: {shown} is not one of {', '.join(SUFFIXES)}; convert it")
     if not os.path.exists(path):  # also of a name that is too long
-        raise ObjectMeshError(
-            f"{label}: no file {shown}; give the path of a mesh ({', '.join(SUFFIXES)})"
-        )
+        raise ObjectMeshError(f"{label}: no file {shown}; give a mesh ({', '.join(SUFFIXES)})")
     try:
         with open_file(path, MOST_BYTES) as file:
             if os.fstat(file.fileno()).st_size == 0:
@@ -175,10 +171,8 @@ def _obj_triangles(lines: list[str], kind: str) -> tuple[Any, NDArray[np.int64],
                 raise ValueError(f"a face names vertex {min(index)}")
             faces += [(index[0], index[k], index[k + 1]) for k in range(1, len(index) - 1)]
             part += [now] * (len(index) - 2)
-    mesh = trimesh.Trimesh(
-        np.array(corners).reshape(-1, 3), np.array(faces).reshape(-1, 3), process=False
-    )
-    return mesh, *_numbered(np.array(part, np.int64), seen)
+    arrays = np.array(corners).reshape(-1, 3), np.array(faces).reshape(-1, 3)
+    return trimesh.Trimesh(*arrays, process=False), *_numbered(np.array(part, np.int64), seen)
 
 
 def _numbered(part: NDArray[np.int64], names: list[str]) -> tuple[NDArray[np.int64], list[str]]:

@@ -37,9 +37,8 @@ def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     """All faces of the meshes, in order."""
     first = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = [np.asarray(m.faces) + n for m, n in zip(meshes, first, strict=False)]
-    return trimesh.Trimesh(
-        np.concatenate([m.vertices for m in meshes]), np.concatenate(faces), process=False
-    )
+    vertices = np.concatenate([m.vertices for m in meshes])
+    return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
 
 
 def part_of(mesh: trimesh.Trimesh, faces: NDArray[np.bool_]) -> trimesh.Trimesh:

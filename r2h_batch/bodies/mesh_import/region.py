@@ -134,9 +134,8 @@ def read_region(path: str | Path, names: Sequence[str], label: str) -> NDArray[n
             f"{label}: receiver {printable(path)!r} is neither an existing .npy file nor {WAYS} such as 'z<0.3'{have}"
         )
     try:
-        return np.asarray(
-            np.load(io.BytesIO(read_file(path, MAX_REGION_BYTES)), allow_pickle=False)
-        )
+        data = io.BytesIO(read_file(path, MAX_REGION_BYTES))
+        return np.asarray(np.load(data, allow_pickle=False))
     except FileError as error:
         raise ObjectMeshError(f"{label}: receiver {error}") from None
     except Exception as error:  # numpy's reader parses Python text and raises whatever that meets

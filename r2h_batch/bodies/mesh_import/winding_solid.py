@@ -81,9 +81,8 @@ def _solid_of_group(
     wall = WALL_CELLS * cell
     grow = np.maximum(wall - thickness, 0) / 2
     vertices, faces = _marched(field, cell, grow, sheet)
-    made, _ = simplified(
-        trimesh.Trimesh(vertices, faces, process=False), 0.05 * cell, MOST_FACES, budget
-    )
+    made = trimesh.Trimesh(vertices, faces, process=False)
+    made, _ = simplified(made, 0.05 * cell, MOST_FACES, budget)
     made = _without_specks(made, cell)
     if len(made.faces) == 0 or not made.volume > 0:
         raise ObjectMeshError(
