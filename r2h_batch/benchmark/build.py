@@ -369,7 +369,9 @@ class BenchmarkOverrides(BenchmarkFlags):
         if self.benchmark:
             base = read_benchmark(self.benchmark, pieces=pieces)
         objects = _objects_of(Path(self.objects), pieces) if self.objects else base.objects
-        objects = (*objects, *_own_meshes(self.object_mesh, pieces))
+        build_ahead([call_of(mesh, pieces=pieces) for mesh in self.object_mesh])
+        more = (object_from_argument(mesh, pieces=pieces) for mesh in self.object_mesh)
+        objects = (*objects, *more)
         objects = _with_grasps(objects, self.grasps)
         hand_set = self._hand_set(base.hand_set)
         other = objects != base.objects or hand_set is not base.hand_set
@@ -426,13 +428,6 @@ class BenchmarkOverrides(BenchmarkFlags):
         a = {k: getattr(base, k).numpy() for k in ("pose", "shape", "side")}
         turned = None if base.in_body is None else base.in_body.numpy()
         return make_hand_set(model, **a, posture=base.posture, in_body=turned)
-
-
-def _own_meshes(arguments: Sequence[str], pieces: bool) -> list[ObjectModel]:
-    """The objects of --object-mesh, several built at a time."""
-    calls = [call_of(mesh, pieces=pieces) for mesh in arguments]
-    build_ahead(calls)
-    return [object_from_argument(argument, pieces=pieces) for argument in arguments]
 
 
 def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
@@ -552,10 +547,7 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
         given = replace(given, receiver="body")
     pieces = header["configuration"]["plan"]["object_collision"] == "pieces"
     benchmark = given.read(pieces=pieces)
-    found = {
-        "objects": object_digest(benchmark.objects),
-        "hand_set": benchmark.hand_set.digest,
-    }
+    found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
     if "benchmark" in digests:  # older runs lack it
         found["benchmark"] = benchmark.digest
     differing = [k for k, v in found.items() if digests.get(k) != v]

@@ -205,7 +205,7 @@ class HandModel:
         world_rotation, world_joint = [rotation[:, 0]], [rest[:, 0]]
         for j in range(1, JOINTS):
             p = self.parents[j]
-            world_rotation.append(_compose(world_rotation[p], rotation[:, j]))
+            world_rotation.append(se3.matmul(world_rotation[p], rotation[:, j]))
             bone = rest[:, j] - rest[:, p]
             world_joint.append(se3.rotate(world_rotation[p], bone) + world_joint[p])
         blended = torch.zeros(
@@ -262,11 +262,6 @@ def rotation_from_axis_angle(turns: Float[Tensor, "*batch 3"]) -> Float[Tensor, 
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
     return torch.stack([torch.stack(r, dim=-1) for r in rows], dim=-2)
-
-
-def _compose(a: Tensor, b: Tensor) -> Tensor:
-    """a @ b for 3x3 matrices, term by term."""
-    return torch.stack([se3.rotate(a, b[..., :, k]) for k in range(3)], dim=-1)
 
 
 def palm_frame(

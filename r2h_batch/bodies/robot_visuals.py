@@ -58,10 +58,8 @@ def joint_rows(arm: str = "ur5e") -> tuple[list[dict[str, Any]], Array]:
     """The six joints for robot.json, and T_wrist3_flange."""
     path = arm_urdf(arm)
     joints = named(urdf(path), "joint")
-    names = [
-        f"{j}_joint"
-        for j in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-    ]
+    moving = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    names = [f"{j}_joint" for j in moving]
     T_before = origin(joints["base_link-base_link_inertia"])
     rows = []
     for name in names:

@@ -39,7 +39,6 @@ def hand(
             were fitted with the corrected sign.
         overwrite: Replace a file that is there.
     """
-
     from r2h_batch.importers.mano import hand_arrays
     from r2h_batch.io.write import write_npz
 
@@ -50,7 +49,6 @@ def hand(
         f"a hand of {len(arrays['vertices'])} vertices in {len(arrays['piece_names'])} convex pieces in {target};"
         " it holds MANO's data: do not pass it on"
     )
-
     return 0
 
 
@@ -92,7 +90,6 @@ def hands(
         strict: Refuse a data set with a file that cannot be read, instead of skipping it.
         overwrite: Replace files that are there.
     """
-
     from r2h_batch.bodies.hand import load_hand_set
     from r2h_batch.importers import hand_sets
     from r2h_batch.importers.mano import load_mano
@@ -126,7 +123,6 @@ def hands(
         f" motions in {motions}; {counted(found.idle, 'idle hands')} left out,"
         f" {counted(len(found.skipped), 'files')} skipped"
     )
-
     return 0
 
 
@@ -178,7 +174,6 @@ def grasps(
     print(
         f"{counted(len(found), 'grasps')} of the {found.gripper} in {target}; {left_out} left out"
     )
-
     return 0
 
 
@@ -208,7 +203,6 @@ def objects(
             `import hand` and `import hands` write these files.
         strict: Refuse a data set with an object that cannot be read, instead of skipping it.
     """
-
     from r2h_batch.importers.oakink_objects import OakObject, collect, write
 
     check_output_folder(out, overwrite=None)
@@ -228,7 +222,6 @@ def objects(
     print(
         f"{counted(len(found), 'objects')} of {source} ({held} with a receiver's region) in {out}; {skipped} skipped"
     )
-
     return 0
 
 
@@ -246,7 +239,6 @@ def trials(
         source: Format: r2handoversim.
         out: A new or empty folder for benchmark.yaml, predictions.npz, motions.npz and trials.csv.
     """
-
     from r2h_batch.importers import release
 
     check_output_folder(out, overwrite=None)
@@ -260,7 +252,6 @@ def trials(
         f" r2h-batch sweep {shlex.join(map(str, line))}"
         + (f"; {counted(none, 'selections')} without a feasible grasp left out" if none else "")
     )
-
     return 0
 
 
@@ -277,7 +268,6 @@ def results(
         source: Format: r2handoversim.
         out: A new or empty folder.
     """
-
     from r2h_batch.importers.release_results import write_results
 
     check_output_folder(out, overwrite=None)
@@ -286,7 +276,6 @@ def results(
         f"{counted(counts['trials'], 'verdicts')} of {counted(counts['variants'], 'variants')} in {out},"
         f" as the release says them; show them with: r2h-batch report {shlex.quote(str(out))}"
     )
-
     return 0
 
 

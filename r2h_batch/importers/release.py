@@ -454,9 +454,11 @@ def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
             "side": side,
         }
     meshes = [t.hand_mesh for t in trials if t.hand_mesh is not None]
-    shapes = {
-        (len(v), np.sort(_from_least(f).view("i8,i8,i8"), axis=0).tobytes()) for v, f in meshes
-    }
+    shapes = set()
+    for vertices, faces in meshes:  # each face from its lowest vertex on
+        at = (faces.argmin(1)[:, None] + np.arange(3)) % 3
+        rows = np.ascontiguousarray(np.take_along_axis(faces, at, 1).astype(np.int64))
+        shapes.add((len(vertices), np.sort(rows.view("i8,i8,i8"), axis=0).tobytes()))
     obstacles = max(len(t.obstacles) for t in trials)
     most = MAX_SKIN_PIECES - obstacles
     if len(meshes) == len(trials) and len(shapes) == 1:
@@ -485,12 +487,6 @@ def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
         "skin_faces": faces,
         "skin_piece": piece,
     }
-
-
-def _from_least(faces: NDArray[Any]) -> NDArray[np.int64]:
-    """The same faces, each from its lowest vertex on."""
-    at = (faces.argmin(1)[:, None] + np.arange(3)) % 3
-    return np.ascontiguousarray(np.take_along_axis(faces, at, 1).astype(np.int64))
 
 
 def _repeated(boxes: Array, n: int) -> Array:

@@ -16,14 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    ValidationError,
-)
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from r2h_batch.io.read import FileError, path_within, printable, read_json
 from r2h_batch.validate import rule_of

@@ -159,9 +159,7 @@ def import_robot(
         ]
     else:
         bare = replace(
-            bare,
-            links=(*names, bare.links[-1]),
-            object_pairs=frozen(np.arange(n + 1), np.int32),
+            bare, links=(*names, bare.links[-1]), object_pairs=frozen(np.arange(n + 1), np.int32)
         )
     hulls: list[Shape | Hull] = []
     where: list[int] = []

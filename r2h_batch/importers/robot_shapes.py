@@ -257,12 +257,9 @@ class Hull:
     points: Array  # (V, 3), all of them corners
     kind: str = field(default=HULL, init=False)
 
-    def _planes(self) -> Array:
-        return np.asarray(ConvexHull(self.points).equations)
-
     def signed_distance(self, points: Array) -> Array:
         """How far points (P, 3) lie behind the farthest plane of a face: exact inside, and at most the distance outside."""
-        planes = np.unique(np.round(self._planes(), 12), axis=0)
+        planes = np.unique(np.round(ConvexHull(self.points).equations, 12), axis=0)
         parts = np.array_split(points, max(1, len(points) * len(planes) // 5_000_000))
         return np.concatenate([(x @ planes[:, :3].T + planes[:, 3]).max(1) for x in parts])
 

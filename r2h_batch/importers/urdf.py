@@ -380,14 +380,10 @@ def _limits(joint: Element, shown: str) -> tuple[float, float, float, float]:
     node, name = joint.find("limit"), printable(joint.get("name"))
     if node is None:
         raise FileError(f"{shown}: joint {name} has no <limit>; speed and effort are needed")
+    usual = {"lower": "-6.2831853", "upper": "6.2831853", "velocity": "0", "effort": "0"}
     low, high, speed, effort = (
         float(_numbers(node.get(k, d), 1, f"{shown}: joint {name}: {k}")[0])
-        for k, d in (
-            ("lower", "-6.2831853"),
-            ("upper", "6.2831853"),
-            ("velocity", "0"),
-            ("effort", "0"),
-        )
+        for k, d in usual.items()
     )
     if joint.get("type") == "continuous":
         low, high = -2 * np.pi, 2 * np.pi

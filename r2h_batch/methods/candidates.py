@@ -38,11 +38,9 @@ does)."""
 
 STORED: dict[Kind, str] = {"filtered": "grasps.npz", "as-generated": "grasps_as_generated.npz"}
 
-CODE = (
-    "r2h_batch.methods",
-    "r2h_batch.judge",
-    "r2h_batch.scene",
-) + tuple(f"r2h_batch.kernels.{k}" for k in ("methods", "grasp", "robot", "geometry"))
+CODE = ("r2h_batch.methods", "r2h_batch.judge", "r2h_batch.scene") + tuple(
+    f"r2h_batch.kernels.{k}" for k in ("methods", "grasp", "robot", "geometry")
+)
 VERSIONS = ("numpy", "scipy", "torch", "warp-lang")
 """What candidates are made by."""
 

@@ -132,7 +132,8 @@ def predict(
         )  # fmt: skip
         if loops == "one":
             about_z = torch.zeros(len(part), dtype=torch.bool, device=role.device)
-            angles, places = even_turns(rotations), in_front_of(target, 1)
+            angles = [2 * math.pi * k / rotations for k in range(rotations)]
+            places = in_front_of(target, 1)
             grasps, feasible = grasps[:, :1], feasible[:, :1]
         else:
             about_z = (role == WRAP).any(1)
@@ -141,11 +142,6 @@ def predict(
         return first_reached(scene.robot, R_world_obj, places, axis, at, grasps, feasible)
 
     return answers(trials, scene, "handover-va", choose)
-
-
-def even_turns(count: int) -> list[float]:
-    """0, 1, 2, ... of `count` parts of a whole turn, rad."""
-    return [2 * math.pi * k / count for k in range(count)]
 
 
 def added_turns(count: int) -> list[float]:

@@ -124,10 +124,7 @@ def poses_at(R: Float[Tensor, "b r 3 3"], p: Float[Tensor, "*#b 3"]) -> Float[Te
     return se3.from_rotation(R.double(), p.double().expand(*R.shape[:2], 3)).float().contiguous()
 
 
-def reachable(
-    robot: Robot,
-    T_world_ee: Float[Tensor, "b r 4 4"],
-) -> Bool[Tensor, "b r"]:
+def reachable(robot: Robot, T_world_ee: Float[Tensor, "b r 4 4"]) -> Bool[Tensor, "b r"]:
     """Whether IK has a solution for each pose (world frame). Collisions are not checked."""
     flat = T_world_ee.reshape(-1, 4, 4).contiguous()
     return solve_ik(flat, robot=robot).reachable.reshape(T_world_ee.shape[:2])

@@ -126,8 +126,7 @@ def as_in_a_frame(
     shift = factor * shifts[row].to(T.device)
     B = directions.to(T.device)
     # B R B^T, in sums of a fixed order: an improper B mirrors the turn
-    turned = torch.stack([se3.rotate(B, R[:, :, k]) for k in range(3)], 2)
-    R = torch.stack([se3.rotate(turned, B[:, k]) for k in range(3)], 2)
+    R = se3.matmul(se3.matmul(B, R), B.mT)
     about = pivot.double()
     E = se3.from_rotation(R, about - se3.rotate(R, about) + se3.rotate(B, shift))
     return se3.matmul(T.double(), E).float()

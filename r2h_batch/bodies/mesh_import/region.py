@@ -65,8 +65,9 @@ def receiver_region(
     """(F,) bool: the faces of the region."""
     if receiver is None:
         receiver = _lighter_half(solid, label)
-    if isinstance(receiver, str) and (chosen := _parts_named(receiver, names)):
-        region = np.isin(parts, chosen)
+    words = [w.strip() for w in receiver.split(",")] if isinstance(receiver, str) else []
+    if words and all(w in names for w in words):  # parts, such as `handle,guard`
+        region = np.isin(parts, [names.index(w) for w in words])
     elif isinstance(receiver, str) and (match := PLANE.fullmatch(receiver)):
         low, high = solid.bounds
         axis, fraction = "xyz".index(match[1]), float(match[3])
@@ -142,13 +143,6 @@ def read_region(path: str | Path, names: Sequence[str], label: str) -> NDArray[n
         raise ObjectMeshError(
             f"{label}: receiver {printable(path)} is not a plain .npy array ({printable(error)[:200]})"
         ) from error
-
-
-def _parts_named(receiver: str, names: Sequence[str]) -> list[int]:
-    """The parts that a text such as `handle` or `handle,guard` names; none where a word is no
-    part."""
-    wanted = [w.strip() for w in receiver.split(",")]
-    return [names.index(w) for w in wanted] if all(w in names for w in wanted) else []
 
 
 def _lighter_half(solid: trimesh.Trimesh, label: str) -> str:

@@ -83,7 +83,10 @@ def _solid_of_group(
     vertices, faces = _marched(field, cell, grow, sheet)
     made = trimesh.Trimesh(vertices, faces, process=False)
     made, _ = simplified(made, 0.05 * cell, MOST_FACES, budget)
-    made = _without_specks(made, cell)
+    if len(made.faces):
+        body, volumes, _ = connected_bodies(made)
+        small = np.abs(volumes) < SPECK_CELLS * cell**3  # bodies and voids of a few cells
+        made = part_of(made, ~small[body]) if small.any() else made
     if len(made.faces) == 0 or not made.volume > 0:
         raise ObjectMeshError(
             f"{budget.label}: the surface encloses nothing that can be rebuilt; give a mesh of a solid"
@@ -268,13 +271,6 @@ def _keys(index: I64) -> I64:
 def _indices(keys: I64) -> I64:
     low = (1 << 21) - 1
     return np.stack([keys >> 42, (keys >> 21) & low, keys & low], axis=1) - 1024
-
-
-def _without_specks(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """The surface without bodies and voids of a few cells."""
-    body, volumes, _ = connected_bodies(mesh)
-    large = np.abs(volumes) >= SPECK_CELLS * cell**3
-    return mesh if large.all() else part_of(mesh, large[body])
 
 
 def _groups(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
