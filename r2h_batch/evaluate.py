@@ -396,7 +396,7 @@ class Evaluator:
         )
         if stages == "all":  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
-        judge = (
+        score_chunk = (
             self._score_pose
             if stages == "pose"
             else partial(self._score_planned, keep_motion=keep_motion)
@@ -409,8 +409,8 @@ class Evaluator:
 
         def part(first: int, last: int) -> Scores:
             if last - first == n:  # a small batch is all overhead
-                return judge(T_obj_ee, T_world_ee, trials)
-            return judge(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
+                return score_chunk(T_obj_ee, T_world_ee, trials)
+            return score_chunk(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
 
         parts = in_parts(n, self.rows_at_once(stages), part)
         scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
@@ -474,19 +474,19 @@ class Evaluator:
             clearance_m=certified,
         )
 
-        touch = hand_distance(scene, held.body_poses, executed, active)
+        nearest = hand_distance(scene, held.body_poses, executed, active)
         body_m, part, _ = over_motion(
             scene, held.body_poses, executed, partial(self._person_distance, trials)
         )  # fmt: skip
-        found = (planned.length > 0) & executed.settled
-        clearance_m = torch.where(found, planned.clearance_m, missed_m)
+        arrived = (planned.length > 0) & executed.settled
+        clearance_m = torch.where(arrived, planned.clearance_m, missed_m)
         moves = active & (executed.length > 0)
-        shared, touch = self._judge(
-            held, found, moves, clearance_m, planned.reason, touch, (body_m, part),
+        shared, nearest = self._judge(
+            held, arrived, moves, clearance_m, planned.reason, nearest, (body_m, part),
             executed.valid,
         )  # fmt: skip
         return motion_scores(
-            trials.trial_id, shared, active, planned, motion, executed, touch, config.execute,
+            trials.trial_id, shared, active, planned, motion, executed, nearest, config.execute,
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
         )  # fmt: skip
 
@@ -503,17 +503,17 @@ class Evaluator:
         planned = plan_of_trace(scene, poses, trace, active)
         executed, motion = executed_trace(trace, planned)
         moves = active & (planned.length > 0)
-        touch = hand_distance(scene, held.body_poses, executed, active)
+        nearest = hand_distance(scene, held.body_poses, executed, active)
         person = self._person_distance(trials, held.body_poses, executed.path, executed.length)
         if plan is not trace:
             free_plan = plan_of_trace(scene, poses, plan, active)
-            planned = worse_plan(free_plan, planned, touch.distance_m <= 0)
+            planned = worse_plan(free_plan, planned, nearest.distance_m <= 0)
         free = planned.reason == int(PlanReason.OK)
-        shared, touch = self._judge(
-            held, free, moves, planned.clearance_m, planned.reason, touch, person, executed.valid
+        shared, nearest = self._judge(
+            held, free, moves, planned.clearance_m, planned.reason, nearest, person, executed.valid
         )
         return motion_scores(
-            trials.trial_id, shared, active, planned, motion, executed, touch, None,
+            trials.trial_id, shared, active, planned, motion, executed, nearest, None,
             t_plan_s=float("nan"), keep_motion=False, body_m=person[0],
         )  # fmt: skip
 
@@ -524,14 +524,14 @@ class Evaluator:
         active = held.active
         ik, branches = self._branches(config, held)
         goal = judge_goals(scene, held.planner_poses, held.T_world_ee, ik, branches, active)
-        touch = hand_distance_at(scene, held.body_poses, goal.q, active)
+        nearest = hand_distance_at(scene, held.body_poses, goal.q, active)
         body_m, part = self._person_distance(
             trials, held.body_poses, goal.q[:, None], active.to(torch.int32)
         )
-        shared, touch = self._judge(
-            held, goal.free, active, goal.clearance_m, goal.reason, touch, (body_m, part), None
+        shared, nearest = self._judge(
+            held, goal.free, active, goal.clearance_m, goal.reason, nearest, (body_m, part), None
         )
-        scores = pose_scores(trials.trial_id, shared, goal, touch, body_m=body_m)
+        scores = pose_scores(trials.trial_id, shared, goal, nearest, body_m=body_m)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             poses = T_obj_ee, T_world_ee
             return differentiable(scene, config, scores, poses, held, goal)
@@ -544,7 +544,7 @@ class Evaluator:
         moves: Tensor,
         clearance_m: Tensor,
         reason: Tensor,
-        touch: NearestApproach,
+        nearest: NearestApproach,
         person: tuple[Tensor, Tensor],
         valid: Tensor | None,
     ) -> tuple[dict[str, Tensor], NearestApproach]:
@@ -552,16 +552,16 @@ class Evaluator:
         receiver; arguments as in `Evidence` and `verdict`."""
         scene, config = self.scene, self.config
         if config.receiver == "body":
-            touch = nearer_of(touch, *person)
+            nearest = nearer_of(nearest, *person)
         slip_m = None
         if config.stability == "physics":
             rows = held.active & (held.grasp.margin_m >= 0)
             slip_m = shake(scene.objects, held.objects, held.attached, rows, scene.robot)
         evidence = metrics.Evidence(
-            scene, config, held, free, moves, clearance_m, reason, touch, slip_m
+            scene, config, held, free, moves, clearance_m, reason, nearest, slip_m
         )
         region = presented(scene, held, config.thresholds)
-        return verdict(metrics.judge(evidence), held, slip_m, region, valid), touch
+        return verdict(metrics.judge(evidence), held, slip_m, region, valid), nearest
 
     def _person_distance(
         self,

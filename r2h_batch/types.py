@@ -258,8 +258,8 @@ class Scores(_Rows):
             parts them. CAP: the clearance is this or more (5 cm; Stability 1 cm), or there is
             nothing to measure (-inf; nothing between the pads).
         borderline: an evaluated margin is nearer to 0 than 0.1 mm, where float32 does not decide it.
-        plan_reason: `PlanReason`: why there is no path.
-        plan_pair: `CollidingPair`: what collides at start or goal.
+        plan_reason: `PlanReason`: OK, or why there is no path.
+        plan_pair: `CollidingPair`: what collides at start or goal; with a path its nearest pair.
         witness_part: robot part (`Scene.part_names`) of Plan's and of Safe's smallest clearance.
         witness_time_s: time of Safe's smallest clearance, s.
         witness_point: point of Safe's smallest clearance in the world, m.

@@ -70,8 +70,8 @@ MUTATIONS = (
     Mutation(
         "plan: a motion that does not settle passes",
         "r2h_batch/evaluate.py",
-        "found = (planned.length > 0) & executed.settled",
-        "found = planned.length > 0",
+        "arrived = (planned.length > 0) & executed.settled",
+        "arrived = planned.length > 0",
         (f"{T_MOTION}::test_a_motion_that_cannot_come_to_rest_in_time_is_run_to_the_limit_and_fails_plan",),
     ),
     Mutation(

@@ -43,7 +43,7 @@ def check_postures(
 @wp.kernel
 def straight_lines(
     first: int,
-    moveit: int,  # how edges are checked: CERTIFY or SAMPLES
+    edge_mode: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
     world: World, bodies: TrialBodies,
     # trials
@@ -60,7 +60,7 @@ def straight_lines(
     chosen_out[trial] = -1
     for g in range(n_goals_in[trial]):
         row = trial * BRANCHES + g
-        found = edge(world, bodies, trial, start, load(goals_in, row), goal_margin_in[row], 0.0, 0.0, 0.0, moveit)
+        found = edge(world, bodies, trial, start, load(goals_in, row), goal_margin_in[row], 0.0, 0.0, 0.0, edge_mode)
         if found.status == FREE:
             chosen_out[trial] = g
             break

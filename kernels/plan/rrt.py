@@ -172,7 +172,7 @@ def rrt_connect(
     range_rad: float,
     shorter: float,  # factor on a node's reach when a step from it is blocked; 1: all steps have one length
     seed: int,
-    moveit: int,  # how edges are checked: CERTIFY or SAMPLES
+    edge_mode: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
     world: World, bodies: TrialBodies,
     # trials
@@ -228,7 +228,7 @@ def rrt_connect(
             near = nearest_node(nodes_scratch, base, n, target)
             origin = near
         q_near, q_new, reach, reached = rrt_step(nodes_scratch, base, near, origin, target, count, range_rad)
-        found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, moveit)
+        found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, edge_mode)
         if found.status == FREE:
             add_node(nodes_scratch, parents_scratch, base + n, q_new, origin, range_rad)
             if grow == 0:

@@ -150,7 +150,7 @@ def shortcut(
     tries: int,
     enough: float,  # a path that takes at most this times the straight line between its ends is left as it is
     pace: Pace, seed: int,
-    moveit: int,  # how edges are checked: CERTIFY or SAMPLES
+    edge_mode: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
     world: World, bodies: TrialBodies,
     # trials
@@ -274,7 +274,7 @@ def shortcut(
         else:  # PULL_ON: the line from the moved waypoint
             line[FROM] = line[MOVED]
             line[TO] = load_waypoint(path_inout, trial, i + 1)
-        found = edge(world, bodies, trial, line[FROM], line[TO], margin, 0.0, 0.0, 0.0, moveit)
+        found = edge(world, bodies, trial, line[FROM], line[TO], margin, 0.0, 0.0, 0.0, edge_mode)
         free = found.status == FREE
         if phase == SUBSET:
             known[i] = known[i] | (wp.uint32(1) << wp.uint32(j))

@@ -1,1 +1,2 @@
-"""Grasp, IK, plan, goal, criteria: one stage, one file."""
+"""Grasp, IK, plan, goal, criteria: one stage, one file. presented, reception and payload measure what is
+no part of the verdict."""

@@ -30,7 +30,7 @@ class AttachedBatch:
     """
 
     active: Bool[Tensor, " b"]
-    T_obj_ee: Float32[Tensor, "b 4 4"]  # the grasp as asked for
+    T_obj_ee: Float32[Tensor, "b 4 4"]  # the grasp before the pads close
     T_world_ee: Float32[Tensor, "b 4 4"]
     T_world_hand: Float32[Tensor, "b 4 4"]
     hands: Int32[Tensor, " b"]

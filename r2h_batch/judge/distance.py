@@ -29,18 +29,18 @@ TOUCH_M = 1e-6
 """Bodies that meet have at most minus this as their distance."""
 
 CALM_M = 2e-5
-"""A motion that is never farther off its samples' lines, as free motions are, is judged as one."""
+"""A motion that stays this near to the lines between its samples is measured as one part."""
 
 PARTS_AT_ONCE = 8192
 """Parts of motions that are measured together."""
 
 Measure = Callable[[BodyPoses, Tensor, Tensor, Tensor | None], tuple[Tensor, ...]]
-"""(bodies, path, length, trial) -> the smallest signed distance of the robot from other bodies
-along each path, NaN where its length is 0, and more about that moment. `trial`: the rows of the
+"""(bodies, path, length, rows) -> the smallest signed distance of the robot from other bodies
+along each path, NaN where its length is 0, and more about that moment. `rows`: the trials of the
 paths, None: all in order."""
 
-MOVED = 3
-"""A motion recorded sample by sample has so many times the room of a path in the frontier's queues."""
+RECORDED_MOTION_ROOM = 3
+"""Room of a motion recorded sample by sample in the frontier's queues, in paths."""
 
 
 def person_distance(
@@ -58,7 +58,7 @@ def person_distance(
     a sampled path's margin of Plan is (kernels/judge/overlap.py).
     """
     alone = with_person(scene, body_poses, receiver, hand=False)
-    rows = len(length) if path.shape[1] <= WAYPOINTS else MOVED * len(length)
+    rows = len(length) if path.shape[1] <= WAYPOINTS else RECORDED_MOTION_ROOM * len(length)
     path, length = path.contiguous(), length.contiguous()
     distance, _, body = path_clearances(
         scene, alone, path, length, tolerance_m=SAFE_TOLERANCE_M, rows=rows
@@ -135,8 +135,10 @@ def over_motion(
     executed: Executed,
     measure: Measure,
 ) -> tuple[Tensor, ...]:
-    """A bound of a signed distance over each motion (`within_slack`), what else `measure` says of
-    it, and the first segment of the part of the motion on which it was measured.
+    """How near each motion comes, with the slack between path and motion taken off.
+
+    Returns a tuple: the bound of the signed distance (`bound_with_slack`); what else `measure`
+    says; the first segment of the part of the motion on which the bound was measured.
 
     On a part p of a motion every point of the robot is within slack_p of where the lines between
     samples have it, with the fingers at an opening of the part's own. So
@@ -151,10 +153,10 @@ def over_motion(
     start = torch.zeros_like(length)
     if slack is None or opening is None:  # as planned
         distance, *more = measure(body_poses, executed.path, length, None)
-        return (within_slack(distance, executed.slack_m), *more, start)
+        return (bound_with_slack(distance, executed.slack_m), *more, start)
     calm = executed.slack_m <= CALM_M
     distance, *more = measure(body_poses, executed.path, torch.where(calm, length, 0), None)
-    best = [within_slack(distance, executed.slack_m), *more, start]
+    best = [bound_with_slack(distance, executed.slack_m), *more, start]
     width, rough = int(WINDOW), torch.nonzero(~calm & (length > 1)).flatten()
     if not len(rough):
         return tuple(best)
@@ -173,7 +175,7 @@ def over_motion(
         moved = scene.reopened(body_poses, row[some], opening[row, k][some])
         parts.append(measure(moved, path[some], left[some], row[some]))
     distance, *more = (torch.cat(x) for x in zip(*parts, strict=True))
-    found = [within_slack(distance, slack[row, k]), *more, (k * width).to(torch.int32)]
+    found = [bound_with_slack(distance, slack[row, k]), *more, (k * width).to(torch.int32)]
     table = torch.full(windows.shape, torch.inf, dtype=torch.float32, device=device)
     table[at, k] = found[0].nan_to_num(nan=torch.inf)
     places = torch.zeros(windows.shape, dtype=torch.int64, device=device)
@@ -184,7 +186,7 @@ def over_motion(
     return tuple(best)
 
 
-def within_slack(
+def bound_with_slack(
     distance_m: Float32[Tensor, " b"], slack_m: Float32[Tensor, " b"]
 ) -> Float32[Tensor, " b"]:
     """What a signed distance says of bodies that may be off their place.

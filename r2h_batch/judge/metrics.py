@@ -85,11 +85,13 @@ class Evidence:
     scene: Scene
     config: EvalConfig
     held: AttachedBatch  # poses, the grasp, where bodies are
-    free: Bool[Tensor, " b"]  # the arm came to rest at the end of a path, or the posture is free
+    goal_reached: Bool[
+        Tensor, " b"
+    ]  # the arm came to rest at the end of a path, or the posture is free
     moves: Bool[Tensor, " b"]  # active, and with a motion; in stages="pose": active
     clearance_m: Float32[Tensor, " b"]  # of the path; without one, or without motion, of a posture
     reason: Int32[Tensor, " b"]  # PlanReason
-    touch: NearestApproach  # of the robot to the receiver
+    nearest: NearestApproach  # of the robot to the receiver
     slip_m: Float64[Tensor, " b"] | None  # in the shake, NaN where it failed; None: not shaken
 
 
@@ -141,7 +143,7 @@ def plan(e: Evidence) -> Criterion:
     )
     kind = torch.where(missed, distance, kind_of(e.clearance_m, CLEARANCE_CAP_M))
     kind = torch.where(tried, cap, kind)
-    return Criterion(e.clearance_m, e.free, e.held.active, kind)
+    return Criterion(e.clearance_m, e.goal_reached, e.held.active, kind)
 
 
 def reach(e: Evidence) -> Criterion:
@@ -208,7 +210,7 @@ def safe(e: Evidence) -> Criterion:
 
     With `receiver="body"` arm and torso of the receiver count as the hand does.
     """
-    distance, cap_m = e.touch.distance_m, CLEARANCE_CAP_M
+    distance, cap_m = e.nearest.distance_m, CLEARANCE_CAP_M
     far = constants(distance.device, torch.float32, cap_m)
-    kind = kind_of(torch.where(e.touch.body < 0, far, distance), cap_m)
+    kind = kind_of(torch.where(e.nearest.body < 0, far, distance), cap_m)
     return Criterion.of("safe", distance - e.config.thresholds.safe_margin_m, e.moves, kind)

@@ -11,13 +11,13 @@ from torch import Tensor
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
 from r2h_batch.judge.frontier.levels import Frontier, uses_frontier
 from r2h_batch.judge.ik import home_posture
-from r2h_batch.judge.search import Search
+from r2h_batch.judge.search import Search, edge_mode_of
 from r2h_batch.kernels import JOINTS
 from r2h_batch.kernels.frontier.arcs import draw_arcs
 from r2h_batch.kernels.frontier.shortcuts import take_arcs
 from r2h_batch.kernels.frontier.trees import enter_edges
 from r2h_batch.kernels.judge.overlap import path_overlap
-from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
+from r2h_batch.kernels.plan.codes import BRANCHES, SAMPLES, WAYPOINTS
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
@@ -73,7 +73,7 @@ def plan_paths(
     execute: ExecConfig | None = None,
     start: Float32[Tensor, "b 6"] | None = None,
 ) -> Plan:
-    """Paths from a start to the free branches, and why there is none where there is none.
+    """Paths from a start to those branches that are `valid` and free, and why a row has none.
 
     RRT-Connect (Kuffner and LaValle 2000) with certified edges. Reasons: `PlanReason`; margins:
     docs/choices.md.
@@ -91,14 +91,14 @@ def plan_paths(
     """
     with one_torch_thread(q.device):
         b, device = len(active), q.device
-        run = Planner(scene, body_poses)
+        planner = Planner(scene, body_poses)
         if start is None:
             start = home_posture(str(device), scene.config.workplace.home_q).expand(b, -1)
         start = start.contiguous()
-        moveit = int(config.edge_check == "moveit")
+        edge_mode = edge_mode_of(config)
 
-        start_clear, start_pair, _ = run.check(start, active, 1)
-        goal_clear, goal_pair, clearance = run.check(
+        start_clear, start_pair, _ = planner.check(start, active, 1)
+        goal_clear, goal_pair, clearance = planner.check(
             q.flatten(0, 1), (valid & active[:, None] & start_clear[:, None]).reshape(-1), BRANCHES
         )
         goal_clear, goal_pair, clearance = (
@@ -108,7 +108,7 @@ def plan_paths(
         # (b * 8, 6) free branches first, nearest to the start first; what lies beyond n_goals of a trial is
         # never looked at
         goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, start, config)
-        chosen = run.straight(start, goals, n_goals, margin, moveit)
+        chosen = planner.straight(start, goals, n_goals, margin, edge_mode)
         path = torch.zeros((b, WAYPOINTS, q.shape[2]), dtype=torch.float32, device=device)
         length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
         path[:, 0] = start
@@ -117,15 +117,15 @@ def plan_paths(
         ]
         path[:, 1] = torch.where((chosen >= 0)[:, None], nearest, 0.0)
 
-        Search(run, start, goals, n_goals, margin, key, config, execute or ExecConfig())(
+        Search(planner, start, goals, n_goals, margin, key, config, execute or ExecConfig())(
             path, length
         )
 
-        least, pair, body = run.clearance(path, length)
-        if moveit:  # sampled edges may pass through things
-            _measure_overlaps(run, scene, path, length, least, pair, body)
-        elif run.frontier is not None:
-            run.frontier.refuse_if_full()
+        least, pair, body = planner.clearance(path, length)
+        if edge_mode == SAMPLES:  # sampled edges may pass through things
+            _measure_overlaps(planner, scene, path, length, least, pair, body)
+        elif planner.frontier is not None:
+            planner.frontier.refuse_if_full()
         reason = _reasons(active, start_clear, valid, n_goals, length)
         first_valid = valid.to(torch.int8).argmax(1)
         blocked_by = goal_pair[torch.arange(b, dtype=torch.int64, device=device), first_valid]
@@ -162,14 +162,14 @@ def path_clearances(
         tolerance_m: of clearances above 0.
         rows: for how many paths of WAYPOINTS the frontier has room; None: as many as the waypoints make.
     """
-    run = Planner(scene, body_poses, rows=rows or -(-path.shape[1] // WAYPOINTS) * len(path))
-    found = run.clearance(path, length, tolerance_m)
-    _measure_overlaps(run, scene, path, length, *found)
+    planner = Planner(scene, body_poses, rows=rows or -(-path.shape[1] // WAYPOINTS) * len(path))
+    found = planner.clearance(path, length, tolerance_m)
+    _measure_overlaps(planner, scene, path, length, *found)
     return found
 
 
 def _measure_overlaps(
-    run: "Planner",
+    planner: "Planner",
     scene: Scene,
     path: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
@@ -179,16 +179,16 @@ def _measure_overlaps(
 ) -> None:
     """Writes how deep the bodies meet on paths whose clearance is below 0, and which they are."""
     meets = (length > 0) & (least < 0)
-    if run.frontier is None:
+    if planner.frontier is None:
         rows = torch.nonzero(meets).flatten().to(torch.int32)
     elif path.shape[1] > 1:
-        rows = run.frontier.rows_where(meets)
+        rows = planner.frontier.rows_where(meets)
     else:  # a posture fits every queue, so nothing has to be waited for
         every = torch.arange(len(path), dtype=torch.int32, device=path.device)
         rows = torch.where(meets, every, -1)
     inputs = {"hull_ball": scene.hull_balls, "row": rows, "path": path, "length": length}
     outputs = {"clearance": least, "pair": pair, "body": body}
-    run(path_overlap, len(rows), inputs=inputs, outputs=outputs, chunk=1)
+    planner(path_overlap, len(rows), inputs=inputs, outputs=outputs, chunk=1)
 
 
 def _reasons(
@@ -226,9 +226,13 @@ class Planner:
     def __call__(
         self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int
     ) -> None:
-        ways: dict[str, Any] = {"device": self._device, "chunk": chunk, "uneven": True}
+        launch_options: dict[str, Any] = {"device": self._device, "chunk": chunk, "uneven": True}
         launch_trials(
-            self._sized(kernel), n, inputs={**self._tables, **inputs}, outputs=outputs, **ways
+            self._sized(kernel),
+            n,
+            inputs={**self._tables, **inputs},
+            outputs=outputs,
+            **launch_options,
         )
 
     def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -256,13 +260,13 @@ class Planner:
         return made["clearance"], made["pair"], made["body"]
 
     def straight(
-        self, start: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, moveit: int
+        self, start: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, edge_mode: int
     ) -> Tensor:
         """Each row's first goal whose straight line from the start is free, or -1."""
         if self.frontier is not None:
-            return self.frontier.straight(start, goals, n_goals, margin, moveit)
+            return self.frontier.straight(start, goals, n_goals, margin, edge_mode)
         chosen = torch.full_like(n_goals, -1)
-        inputs = {"moveit": moveit, "start": start, "goals": goals, "n_goals": n_goals}
+        inputs = {"edge_mode": edge_mode, "start": start, "goals": goals, "n_goals": n_goals}
         inputs |= {"goal_margin": margin.view(-1)}
         self(straight_lines, len(n_goals), inputs=inputs, outputs={"chosen": chosen}, chunk=8)
         return chosen

@@ -48,7 +48,7 @@ def verdict(
     passed = torch.stack([c.passed for c in criteria], 1) & evaluated
     margin = torch.where(evaluated, torch.stack([c.margin for c in criteria], 1), nan)
     kind = torch.stack([c.kind for c in criteria], 1) * evaluated  # MarginKind.NONE is 0
-    # of the failed ones the first, which has the smallest code; where none failed more than any
+    # the smallest code of a failed criterion; NONE_FAILED where none failed
     codes = constants(device, torch.int8, *range(1, len(criteria) + 1))
     none = constants(device, torch.int8, NONE_FAILED)
     first = torch.where(evaluated ^ passed, codes, none).amin(1)
@@ -82,7 +82,7 @@ def motion_scores(
     planned: Plan,
     motion: Motion,
     executed: Executed,
-    touch: NearestApproach,
+    nearest: NearestApproach,
     config: ExecConfig | None,
     *,
     t_plan_s: float,
@@ -91,16 +91,16 @@ def motion_scores(
 ) -> Scores:
     """`Scores` of trials that were planned and moved; `shared` from `verdict`. `config`: the time
     law of the path, None for motions with times of their own."""
-    found, witnessed = planned.length > 0, touch.body >= 0
-    restless = found & executed.valid & ~executed.settled
+    has_path, witnessed = planned.length > 0, nearest.body >= 0
+    restless = has_path & executed.valid & ~executed.settled
     last = (planned.length - 1).clamp(min=0).long()
     goal = planned.path[torch.arange(len(active), dtype=torch.int64, device=active.device), last]
     if executed.sample_s is None:
         time_s = time_at(
-            planned.path, planned.length, motion, touch.segment, touch.fraction, config
+            planned.path, planned.length, motion, nearest.segment, nearest.fraction, config
         )
     else:
-        time_s = executed_time_at(executed, touch.segment, touch.fraction)
+        time_s = executed_time_at(executed, nearest.segment, nearest.fraction)
     kept, kept_len, failed_state = _kept_motion(executed, keep_motion)
     return Scores(
         trial_id=trial_id,
@@ -109,12 +109,12 @@ def motion_scores(
             torch.int8
         ),
         plan_pair=torch.where(active, planned.pair, int(CollidingPair.NONE)).to(torch.int8),
-        witness_part=torch.stack([torch.where(found, planned.body, -1), touch.body], 1),
+        witness_part=torch.stack([torch.where(has_path, planned.body, -1), nearest.body], 1),
         witness_time_s=torch.where(witnessed, time_s, torch.nan),
-        witness_point=torch.where(witnessed[:, None], touch.point, torch.nan),
+        witness_point=torch.where(witnessed[:, None], nearest.point, torch.nan),
         t_plan_s=torch.where(active, t_plan_s, torch.nan).float(),
         t_exec_s=executed.t_exec_s,
-        q_goal=torch.where(found[:, None], goal, torch.nan),
+        q_goal=torch.where(has_path[:, None], goal, torch.nan),
         path=planned.path,
         path_time_s=motion.time_s,
         path_len=planned.length,
@@ -129,7 +129,7 @@ def pose_scores(
     trial_id: Int64[Tensor, " b"],
     shared: dict[str, Tensor],
     goal: Goal,
-    touch: NearestApproach,
+    nearest: NearestApproach,
     *,
     body_m: Float32[Tensor, " b"],
 ) -> Scores:
@@ -142,9 +142,9 @@ def pose_scores(
         **shared,
         plan_reason=goal.reason.to(torch.int8),
         plan_pair=goal.pair.to(torch.int8),
-        witness_part=torch.stack([goal.body, touch.body], 1),
+        witness_part=torch.stack([goal.body, nearest.body], 1),
         witness_time_s=nan,
-        witness_point=touch.point,
+        witness_point=nearest.point,
         t_plan_s=nan,
         t_exec_s=nan,
         q_goal=goal.q,

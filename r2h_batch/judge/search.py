@@ -11,7 +11,7 @@ from torch import Tensor
 from r2h_batch.config import ExecConfig, PlanConfig
 from r2h_batch.judge.frontier.search import connect_by_frontier
 from r2h_batch.judge.frontier.shortcuts import shorten_by_frontier
-from r2h_batch.kernels.plan.codes import BRANCHES
+from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, SAMPLES
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
 from r2h_batch.motion.time_law import pace, path_time
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from r2h_batch.judge.plan import Planner
 
 _SCRATCH_NODES, _NODE_BYTES = 4_000_000, 32  # of all trees of one launch: 128 MB
-SHORTER = 0.9
+REACH_SHRINK = 0.9
 """What is left of a node's reach when a step from it is blocked, in all rounds but the last."""
-ENOUGH = 1.1
+GOOD_ENOUGH_RATIO = 1.1
 """A path that takes at most this times the straight line between its ends is not shortened
 further."""
-TOO_LONG = 2.0
+DETOUR_RATIO = 2.0
 """A path is a detour if it takes more than this times the straight line to the goal nearest in
 time."""
-AGAIN = 2
+DETOUR_RETRIES = 2
 """How many more searches a detour gets, with other random numbers."""
-AGAIN_ITERATIONS = 500
+DETOUR_ITERATIONS = 500
 """Budget of each of them, in random postures."""
 
 
@@ -39,7 +39,7 @@ class Search:
     """What searches of B trials share: the goals of each, (b * 8, 6), the first `n_goals` of them
     free, and their margins."""
 
-    run: "Planner"
+    planner: "Planner"
     start: Float32[Tensor, "b 6"]
     goals: Float32[Tensor, "g 6"]
     n_goals: Int32[Tensor, " b"]
@@ -62,18 +62,18 @@ class Search:
         with_margin = self._round(rows, 0, path, length)
         self._shorten(rows, self.config.seed, with_margin, path, length)
         rounds = range(1, len(self.config.rounds))
-        detour = (length > 0) & (self._time(path, length) > TOO_LONG * self._straight_time())
+        detour = (length > 0) & (self._time(path, length) > DETOUR_RATIO * self._straight_time())
         unsolved = length == 0
         left = detour | (unsolved if len(rounds) else torch.zeros_like(unsolved))
         rows = torch.nonzero((self.n_goals > 0) & left).flatten().to(torch.int32)
         if not len(rows):
             return
         if len(rounds):
-            self._rest(rows, rounds, unsolved, path, length)
-        for attempt in range(1, AGAIN + 1):
-            self._again(rows, detour, self.config.seed + 100 * attempt, path, length)
+            self._remaining_rounds(rows, rounds, unsolved, path, length)
+        for attempt in range(1, DETOUR_RETRIES + 1):
+            self._retry_detours(rows, detour, self.config.seed + 100 * attempt, path, length)
 
-    def _rest(
+    def _remaining_rounds(
         self, rows: Int32[Tensor, " r"], rounds: range, unsolved: Bool[Tensor, " b"],
         path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
     ) -> None:  # fmt: skip
@@ -86,7 +86,7 @@ class Search:
         self._shorten(rows, self.config.seed, found_with, path, fresh)
         length.copy_(torch.where(unsolved, fresh, length))
 
-    def _again(
+    def _retry_detours(
         self, rows: Int32[Tensor, " r"], detour: Bool[Tensor, " b"], seed: int,
         path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
     ) -> None:  # fmt: skip
@@ -96,13 +96,16 @@ class Search:
         Some of these are straight lines themselves: to a goal far away, as the line to a nearer one
         is blocked.
         """
-        other, n = path.clone(), torch.where(detour, 0, 1).to(torch.int32)
-        margin = self._connect(rows, AGAIN_ITERATIONS, seed, SHORTER, other, n, everything=False)
-        n = torch.where(detour, n, 0)
-        self._shorten(rows, seed, margin, other, n)
-        quicker = (n > 0) & (self._time(other, n) < self._time(path, length))
+        # a length of 1 stands for "has its path": searches pass over such rows
+        other, lengths = path.clone(), torch.where(detour, 0, 1).to(torch.int32)
+        margin = self._connect(
+            rows, DETOUR_ITERATIONS, seed, REACH_SHRINK, other, lengths, all_goals=False
+        )
+        lengths = torch.where(detour, lengths, 0)
+        self._shorten(rows, seed, margin, other, lengths)
+        quicker = (lengths > 0) & (self._time(other, lengths) < self._time(path, length))
         path.copy_(torch.where(quicker[:, None, None], other, path))
-        length.copy_(torch.where(quicker, n, length))
+        length.copy_(torch.where(quicker, lengths, length))
 
     def _round(
         self,
@@ -116,14 +119,14 @@ class Search:
         last = i == len(self.config.rounds) - 1
         # other numbers in each round: what begins as the round before would end as it did
         seed = self.config.seed + (0 if last else 10 * i)
-        shorter = 1.0 if last else SHORTER
+        shorter = 1.0 if last else REACH_SHRINK
         return self._connect(
-            rows, self.config.rounds[i], seed, shorter, path, length, everything=last
+            rows, self.config.rounds[i], seed, shorter, path, length, all_goals=last
         )
 
     def _connect(
         self, rows: Int32[Tensor, " r"], iterations: int, seed: int, shorter: float,
-        path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], *, everything: bool,
+        path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], *, all_goals: bool,
     ) -> Float32[Tensor, " b"]:  # fmt: skip
         """One search of those `rows` whose `length` is 0; the hand clearance that paths keep."""
         b, device = len(path), path.device
@@ -131,7 +134,7 @@ class Search:
             self.goals.view(b, BRANCHES, self.goals.shape[-1]),
             self.n_goals,
             self.margin,
-            everything=everything,
+            all_goals=all_goals,
         )
         # An iteration adds one node to one tree and then as many to the other as it takes to meet
         # or to be blocked; how many is not bounded, so a tree that is full ends the search
@@ -149,18 +152,18 @@ class Search:
             "n_goals": n_kept,
             "margin": margin,
         }
-        found, room = {"path": path, "length": length}, _scratch_nodes(device)
-        moveit = self.config.edge_check == "moveit"
-        if self.run.frontier is not None and not moveit:
-            connect_by_frontier(self.run.frontier, rows, problem, found, room)
+        found, node_budget = {"path": path, "length": length}, _scratch_nodes(device)
+        edge_mode = edge_mode_of(self.config)
+        if self.planner.frontier is not None and edge_mode == CERTIFY:
+            connect_by_frontier(self.planner.frontier, rows, problem, found, node_budget)
             return margin
-        for part in rows.split(max(1, room // (2 * capacity))):
+        for part in rows.split(max(1, node_budget // (2 * capacity))):
             size = len(part) * 2 * capacity
             nodes = torch.empty((size, path.shape[2] + 1), dtype=torch.float32, device=device)
             parents = torch.empty(size, dtype=torch.int32, device=device)
-            inputs = problem | {"moveit": int(moveit), "trial": part}
+            inputs = problem | {"edge_mode": edge_mode, "trial": part}
             outputs = {"nodes": nodes, "parents": parents, **found}
-            self.run(rrt_connect, len(part), inputs=inputs, outputs=outputs, chunk=1)
+            self.planner(rrt_connect, len(part), inputs=inputs, outputs=outputs, chunk=1)
         return margin
 
     def _shorten(
@@ -169,24 +172,24 @@ class Search:
     ) -> None:  # fmt: skip
         """Shortcuts on the paths that `rows` have, as long as they save time under the arm's
         limits; in place."""
-        law = {
+        shortcut_inputs = {
             "tries": self.config.shortcuts,
-            "enough": ENOUGH,
-            "pace": pace(self.execute, self.run.joint_weight),
+            "enough": GOOD_ENOUGH_RATIO,
+            "pace": pace(self.execute, self.planner.joint_weight),
             "seed": seed,
             "key": self.key,
             "margin": margin,
         }
-        paths, moveit = {"path": path, "length": length}, self.config.edge_check == "moveit"
-        if self.run.frontier is not None and not moveit:
-            shorten_by_frontier(self.run.frontier, rows, law, paths)
+        paths, edge_mode = {"path": path, "length": length}, edge_mode_of(self.config)
+        if self.planner.frontier is not None and edge_mode == CERTIFY:
+            shorten_by_frontier(self.planner.frontier, rows, shortcut_inputs, paths)
             return
-        inputs = law | {"moveit": int(moveit), "trial": rows}
-        self.run(shortcut, len(rows), inputs=inputs, outputs=paths, chunk=1)
+        inputs = shortcut_inputs | {"edge_mode": edge_mode, "trial": rows}
+        self.planner(shortcut, len(rows), inputs=inputs, outputs=paths, chunk=1)
 
     def _time(self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]) -> Tensor:
         """Seconds of each path."""
-        return path_time(path, length, self.execute, self.run.joint_weight)
+        return path_time(path, length, self.execute, self.planner.joint_weight)
 
     def _straight_time(self) -> Tensor:
         """Time of the straight line from the start to that free goal which it reaches soonest, s;
@@ -198,6 +201,11 @@ class Search:
         return torch.where(slot < self.n_goals[:, None], time, torch.inf).amin(1)
 
 
+def edge_mode_of(config: PlanConfig) -> int:
+    """How the kernels check an edge: CERTIFY, or SAMPLES as MoveIt does."""
+    return int(SAMPLES if config.edge_check == "moveit" else CERTIFY)
+
+
 def _scratch_nodes(device: torch.device) -> int:
     """How many tree nodes one launch may have: on CUDA a quarter of the memory that is free."""
     if device.type == "cpu":
@@ -207,7 +215,7 @@ def _scratch_nodes(device: torch.device) -> int:
 
 
 def goals_for_search(
-    goals: Tensor, n_goals: Tensor, margin: Tensor, *, everything: bool
+    goals: Tensor, n_goals: Tensor, margin: Tensor, *, all_goals: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The goals that one search may end at, and the hand clearance that all of it keeps.
 
@@ -220,7 +228,7 @@ def goals_for_search(
     # One near goal would lower the margin of the whole tree, and with it that of paths to goals
     # with more room
     use = there & (
-        (margin >= 0.9 * widest) | torch.tensor(everything, dtype=torch.bool, device=goals.device)
+        (margin >= 0.9 * widest) | torch.tensor(all_goals, dtype=torch.bool, device=goals.device)
     )
     order = torch.where(use, slot, BRANCHES + slot).argsort(dim=1)
     rows = torch.arange(len(goals), dtype=torch.int64, device=goals.device)[:, None]

@@ -14,7 +14,7 @@ from problems import make_batch, solve
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels
-from r2h_batch.judge.search import ENOUGH, Search
+from r2h_batch.judge.search import GOOD_ENOUGH_RATIO, Search
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY
 from r2h_batch.kernels.plan.lines import straight_lines
 from r2h_batch.launch import launch_trials
@@ -39,9 +39,9 @@ class Asked:
     def by_frontier(self) -> tuple[torch.Tensor, torch.Tensor]:
         path, length = self.path.clone(), self.length.clone()
         with levels.planning_form("frontier"):
-            run = copy(self.search.run)
-            run.frontier = levels.Frontier(**run._tables, device="cpu", rows=len(length))
-            search = replace(self.search, run=run)
+            planner = copy(self.search.planner)
+            planner.frontier = levels.Frontier(**planner._tables, device="cpu", rows=len(length))
+            search = replace(self.search, planner=planner)
             search._shorten(self.rows, self.seed, self.margin, path, length)
         return path, length
 
@@ -82,7 +82,7 @@ def all_certified(asked: Asked, path: torch.Tensor, length: torch.Tensor, less: 
         for k in range(int(length[row]) - 1):
             goals = path[:, k + 1].repeat_interleave(BRANCHES, 0)
             inputs = {"start": path[:, k].contiguous(), "goals": goals, "n_goals": torch.ones_like(length)}
-            inputs |= {"moveit": CERTIFY, "goal_margin": margin} | asked.search.run._tables
+            inputs |= {"edge_mode": CERTIFY, "goal_margin": margin} | asked.search.planner._tables
             launch_trials(straight_lines, 1, inputs=inputs, outputs={"chosen": chosen}, device="cpu", first=row)
             if chosen[row] != 0:
                 return False
@@ -120,7 +120,7 @@ def as_good(asked: list[Asked]) -> None:
     here, there = torch.cat(of_one).numpy(), torch.cat(of_frontier).numpy()
     for share in (50, 95):
         assert np.percentile(there, share) <= 1.02 * np.percentile(here, share), share
-    assert (there / here).mean() <= 1.0 and (there > ENOUGH * here).mean() < 0.06
+    assert (there / here).mean() <= 1.0 and (there > GOOD_ENOUGH_RATIO * here).mean() < 0.06
 
 
 def test_they_are_about_as_good_as_those_of_one_thread(first: Asked) -> None:

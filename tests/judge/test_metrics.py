@@ -16,7 +16,7 @@ from problems import Batch, Problems, default_evaluator, make_batch, solve
 from r2h_batch.bodies.robot import gripper_primitives_at
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig, Thresholds
 from r2h_batch.judge import metrics
-from r2h_batch.judge.distance import hand_distance, within_slack
+from r2h_batch.judge.distance import bound_with_slack, hand_distance
 from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, attach, close_gripper, open_clearance, region_distance, squeezed
 from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import time_path
@@ -41,7 +41,7 @@ def as_planned(problems: Problems) -> Executed:
     return execute(default_evaluator().scene, problems.body_poses, plan.path, plan.length, motion, config)
 
 
-STAGES = ("clearance_m", "free", "moves", "reason", "touch")
+STAGES = ("clearance_m", "goal_reached", "moves", "reason", "nearest")
 
 
 def evidence(active: torch.Tensor, safe_margin_m: float = 0.0, **found: Any) -> Any:
@@ -236,9 +236,9 @@ def test_a_safety_margin_is_taken_off():
     _, problems, s = scored()
     scene = default_evaluator().scene
     active = torch.ones(N, dtype=torch.bool)
-    touch = hand_distance(scene, problems.body_poses, as_planned(problems), active)
+    nearest = hand_distance(scene, problems.body_poses, as_planned(problems), active)
     found = s.path_len > 0
-    plain, strict = (metrics.safe(evidence(active, moves=found, touch=touch, safe_margin_m=m)) for m in (0.0, 0.02))
+    plain, strict = (metrics.safe(evidence(active, moves=found, nearest=nearest, safe_margin_m=m)) for m in (0.0, 0.02))
     assert torch.equal(plain.margin[found], s.margin[found, SAFE])
     torch.testing.assert_close(strict.margin[found], plain.margin[found] - 0.02)
     assert int(strict.passed.sum()) < int(plain.passed.sum())
@@ -279,6 +279,6 @@ def test_a_margin_says_whether_it_is_a_distance_a_bound_or_a_cap():
 
 def test_slack_takes_off_what_is_apart_and_what_is_deep_but_never_makes_an_overlap_of_a_gap():
     distance = torch.tensor([0.03, 0.001, 0.0, -0.001, -0.03, torch.nan])
-    found = within_slack(distance, torch.full_like(distance, 0.002))
+    found = bound_with_slack(distance, torch.full_like(distance, 0.002))
     expected = torch.tensor([0.028, -1e-6, -1e-6, -1e-6, -0.028, torch.nan])
     torch.testing.assert_close(found, expected, equal_nan=True)

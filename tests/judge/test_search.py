@@ -55,7 +55,7 @@ def test_shortcuts_never_make_a_path_slower_and_mostly_quicker():
 def test_a_long_way_to_a_far_goal_is_looked_for_again(monkeypatch):
     scene, batch = default_evaluator().scene, random_batch(torch.tensor(LONG_WAYS))
     again = time_s(solve(scene, batch))
-    monkeypatch.setattr(search, "TOO_LONG", math.inf)
+    monkeypatch.setattr(search, "DETOUR_RATIO", math.inf)
     once = time_s(solve(scene, batch))
     assert (again < once - 1.0).all(), (once, again)
 
