@@ -1220,7 +1220,7 @@ class RunFolder:
         return ""
 
     def deaths(self, method: str, shard: Shard) -> int:
-        """How many processes ended while they scored the shard, since a try without a death."""
+        """How many processes died while they scored the shard; a shard that is stored has no count."""
         try:
             found = self._begun(method, shard).lstat()
         except FileNotFoundError:

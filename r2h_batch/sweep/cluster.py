@@ -209,7 +209,7 @@ def score_on_ray(work: Work) -> list[str]:
     """Every job's shards of this part through a pool of actors; only this process writes to the run
     folder.
 
-    An actor or node that dies costs the shard it was at, which goes to the next one. After `TRIES`
+    An actor or node that dies loses the shard it was at, which is queued again behind the others. After `TRIES`
     failures a shard is quarantined and the others go on. Ctrl-C stores what is finished. Returns
     methods as `score_local` does.
     """

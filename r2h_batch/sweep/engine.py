@@ -187,7 +187,7 @@ def _score_job(work: Work, job: Job, todo: list[Shard], advance: Callable[[int],
             raise Stopped
         if len(left) < len(todo):
             since = time.monotonic()
-        else:  # all in other hands: wait for them, or for their claims to fall
+        else:  # other processes hold all shards: wait for them, or for their claims to fall
             if time.monotonic() - since > WAIT_S:
                 who = folder.claimed_by(job.name, left[0]) or "another process"
                 words = f"{job.name}: waiting for shard {left[0].index}, which {who} scores"

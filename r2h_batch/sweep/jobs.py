@@ -54,7 +54,8 @@ stand for all."""
 
 
 CPU_CHUNK = 256
-"""Trials between two looks at the clock on a CPU; on a GPU it is the evaluator's own chunk."""
+"""Trials scored at once on a CPU: a stop signal is heard between two chunks. On a GPU the evaluator's own
+chunk."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +153,7 @@ def prepare(options: Options) -> Setting:
             "objects": object_digest(objects),
             "hand_set": evaluator.scene.hands.set.digest,
             "code": provenance.code_digest(),
-            # what there was before robots could be chosen keeps its digests
+            # runs of the default robot keep the digests they had before robots could be chosen
             **({} if robot == load_robot() else {"robot": robot.digest}),
             **({} if loop is None else {"closed_loop": loop.identity}),
         },
@@ -230,7 +231,7 @@ def _configuration(options: Options) -> "EvalConfig":
     hand = config.plan.hand if options.plan_hand == "preset" else options.plan_hand
     collision = options.object_collision
     plan = replace(config.plan, object_collision=collision, edge_check=edge_check, hand=hand)
-    # what nothing is judged by says nothing: two runs that differ in it can be compared
+    # settings that no verdict uses stay at their defaults: runs that differ in them can be compared
     estimate = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
     sim = config.execute.sim if options.sim == "auto" else options.sim
     execute = replace(config.execute, sim=sim, model=options.sim_model)
