@@ -1,5 +1,6 @@
 """Bad rows, wrong arguments, strides and gradients at the Evaluator's border."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -164,6 +165,19 @@ def test_poses_may_be_float64_arrays_or_lists(kind, stages):
     evaluator = staged_evaluator()
     plain = evaluator.score(T_obj_ee, T_world_ee, trials, stages)
     assert_same(plain, evaluator.score(change(T_obj_ee), change(T_world_ee), trials, stages))
+
+
+def test_the_first_call_warns_of_poses_that_look_wrong():
+    T_obj_ee, T_world_ee, trials = batch_of([GOOD, GOOD])
+    millimetres, evaluator = T_world_ee.clone(), staged_evaluator()
+    millimetres[:, :3, 3] *= 1000
+    for poses, words in (((T_obj_ee, millimetres), "lengths are in metres"), ((T_world_ee, T_obj_ee), "exchanged")):
+        evaluator.called = False
+        with pytest.warns(UserWarning, match=words):
+            evaluator.score(*poses, trials, "pose")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            evaluator.score(*poses, trials, "pose")
 
 
 @every_stage

@@ -12,6 +12,7 @@ from r2h_batch.config import OPEN_GAP_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import fc, handover_va
 from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.motion.time_law import time_path
 from r2h_batch.statistics import aggregate
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.trials.protocol import make_trials
@@ -53,6 +54,12 @@ def test_narrow_candidates_are_those_across_which_the_whole_object_fits():
         assert np.array_equal(some.T_obj_ee, every.T_obj_ee[kept])
         fewer += kept.sum() < len(kept)
     assert fewer >= 8
+
+
+def test_speed_is_constant_and_no_joint_is_faster_than_the_releases():
+    q = torch.tensor([[[0.0] * 6, [0.3, -0.9, 0, 0, 0, 0], [0.3, -0.9, 0, 0, 0.6, 0]]])
+    took = time_path(q, torch.tensor([3], dtype=torch.int32), EvalConfig.preset("release").execute).t_exec_s
+    assert float(took) == pytest.approx(1.5 / 0.6, abs=2e-3)
 
 
 def test_every_object_counts_the_same_in_its_averages(tmp_path, capsys):

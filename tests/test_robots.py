@@ -139,6 +139,8 @@ def test_pytorch_kinematics_finds_the_pandas_postures_by_itself(monkeypatch):
         assert (own >= robot.lower).all() and (own <= robot.upper).all()
         apart = np.abs(own[:, None] - own[None]).max(2) + np.eye(len(own))
         assert apart.min() >= APART_RAD
+    some = ik_jacobian.solve_ik(T[3:5], robot=robot)
+    assert torch.equal(some.q.nan_to_num(), found.q[3:5].nan_to_num())
 
 
 def test_pytorch_kinematics_finds_the_branches_of_a_ur_that_was_imported(monkeypatch):

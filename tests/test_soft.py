@@ -56,6 +56,13 @@ def test_gradients_are_those_of_finite_differences_in_float64():
         assert torch.autograd.gradcheck(f, margin, eps=1e-8)
 
 
+def test_it_is_continuous_where_the_verdict_changes():
+    margin = torch.full((2, 5), 0.02)
+    margin[:, 1] = torch.tensor([1e-7, -1e-7])
+    soft = soft_success(margin, torch.ones(2, 5, dtype=torch.bool), torch.tensor([True, False]), temperature_m=5e-3)
+    assert soft[0] > 0.5 >= soft[1] and soft[0] - soft[1] < 1e-4
+
+
 def test_rows_do_not_depend_on_the_batch_and_a_wrong_temperature_is_refused():
     rows = made(33)
     whole = soft_success(*rows, temperature_m=1e-3)

@@ -157,8 +157,8 @@ def solid_occupancy(solid: trimesh.Trimesh, count: int) -> tuple[NDArray[np.bool
 
 
 def _surface_voxels(triangles: F64, origin: F64, pitch: float, count: int) -> NDArray[np.bool_]:
-    """(n, n, n) bool: the voxels that a triangle touches. Of large cells that one touches, the small
-    ones are tried."""
+    """(n, n, n) bool: the voxels that a triangle touches. Of a large cell that one touches, the
+    smaller cells inside are tried."""
     full = np.zeros((count,) * 3, bool)
     corners = (triangles - origin) / pitch
     edges = np.roll(corners, -1, axis=1) - corners
@@ -166,32 +166,40 @@ def _surface_voxels(triangles: F64, origin: F64, pitch: float, count: int) -> ND
         np.floor(x).astype(np.int64).clip(0, count - 1)
         for x in (corners.min(axis=1), corners.max(axis=1))
     )
-    first = low // LARGE
-    span = high // LARGE - first + 1
-    cells = span.prod(axis=1)
-    inner = np.stack(np.meshgrid(*[np.arange(LARGE)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    for block in np.array_split(np.arange(len(cells)), max(1, int(cells.sum()) // 30_000)):
-        face = np.repeat(block, cells[block])
-        rank = np.arange(len(face)) - np.repeat(
-            np.cumsum(cells[block]) - cells[block], cells[block]
-        )
-        x, yz = np.divmod(rank, span[face, 1] * span[face, 2])
-        large = first[face] + np.stack([x, *np.divmod(yz, span[face, 2])], axis=1)
-        # a little too large: rounding must not lose a small cell at its rim
-        rows = _touching(corners[face] - LARGE * (large + 0.5)[:, None], edges[face], LARGE + 1e-6)
-        face = np.repeat(face[rows], LARGE**3)
-        cell = (LARGE * large[rows, None] + inner).reshape(-1, 3)
-        near = ((cell >= low[face]) & (cell <= high[face])).all(axis=1)
-        face, cell = face[near], cell[near]
-        open_rows = np.flatnonzero(~full[tuple(cell.T)])
-        face, cell = face[open_rows], cell[open_rows]
-        hit = cell[_touching(corners[face] - (cell + 0.5)[:, None], edges[face], 1.0)]
-        full[tuple(hit.T)] = True
+    largest = (high // SIDES[0] - low // SIDES[0] + 1).prod(axis=1)
+    blocks = np.array_split(np.arange(len(corners)), max(1, int(largest.sum()) // 30_000))
+    for face in blocks:
+        first, last = low[face] // SIDES[0], high[face] // SIDES[0]
+        for side, smaller in zip(SIDES, (*SIDES[1:], 1), strict=True):
+            face, cell = _cells_between(face, first, last)
+            if side == 1:
+                missing = ~full[tuple(cell.T)]
+                face, cell = face[missing], cell[missing]
+            # a little too large: rounding must not lose a smaller cell at the rim
+            size = side + 1e-6 if side > 1 else 1.0
+            rows = _touching(corners[face] - side * (cell + 0.5)[:, None], edges[face], size)
+            face, cell = face[rows], cell[rows]
+            ratio = side // smaller
+            first = np.maximum(ratio * cell, low[face] // smaller)
+            last = np.minimum(ratio * (cell + 1) - 1, high[face] // smaller)
+        full[tuple(cell.T)] = True
     return full
 
 
-LARGE = 4
-"""Small cells along the side of a large one."""
+SIDES = (16, 4, 1)
+"""Sides of the cells that are tried, in voxels."""
+
+
+def _cells_between(
+    face: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Each face (n,) again for every cell from `first` to `last` (n, 3), and these cells."""
+    span = last - first + 1
+    cells = span.prod(axis=1)
+    row = np.repeat(np.arange(len(face)), cells)
+    rank = np.arange(len(row)) - np.repeat(np.cumsum(cells) - cells, cells)
+    x, yz = np.divmod(rank, span[row, 1] * span[row, 2])
+    return face[row], first[row] + np.stack([x, *np.divmod(yz, span[row, 2])], axis=1)
 
 
 def _touching(t: F64, edges: F64, side: float) -> NDArray[np.int64]:

@@ -179,3 +179,21 @@ def test_a_model_opens_at_home_stays_there_and_plays_with_the_script_beside_it(e
     done = subprocess.run(line, capture_output=True, text=True, check=True, cwd=folder.parent)
     found = re.search(r"gripper ([0-9.]+) mm from its target, (\d+) contacts", done.stdout)
     assert found and float(found[1]) < 1.0 and found[2] == "0"
+
+
+def test_contacts_are_those_of_the_checked_pairs(exported):
+    for stored, folder in exported.values():
+        model, data = load(folder)
+        data.qpos[:] = stored.q[-1]
+        mujoco.mj_forward(model, data)
+        assert stored.row["outcome"] == "success" and data.ncon == 0
+        rng, agreed = np.random.default_rng(1), set()
+        for q in rng.uniform(-np.pi, np.pi, (60, 6)):
+            least = clearances(model, data, q)  # leaves the posture in data
+            if any(abs(x) < 1e-4 for x in least.values()):
+                continue
+            held = least["hand"] < 0 and all(least[k] > 0 for k in CHECKED - {"hand"})
+            if not held:  # the base and the hand both stand still: MuJoCo looks for no contact between them
+                assert (data.ncon > 0) == (min(least.values()) < 0), least
+            agreed |= {k for k in CHECKED if least[k] < 0}
+        assert {"table", "self"} <= agreed

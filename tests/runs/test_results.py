@@ -168,6 +168,14 @@ def test_another_configuration_is_refused_naming_what_differs_and_what_to_do(tmp
     assert (tmp_path / "run" / "run.json").read_bytes() == before
 
 
+def test_another_machine_of_the_same_kind_may_share_a_folder_and_another_shard_size_may_not(tmp_path):
+    write(tmp_path / "run")
+    open_run(tmp_path / "run", make_header(6, 6, device={"kind": "cpu", "name": "cpu: another model"}))
+    open_run(tmp_path / "run", make_header(6, 6, shard_trials=5), exact=False)
+    with pytest.raises(RunError, match="shards of 100000 trials; the command wants 5"):
+        open_run(tmp_path / "run", make_header(6, 6, shard_trials=5))
+
+
 def test_two_writers_of_one_shard_leave_the_rows_of_the_first_and_no_files_of_the_second(tmp_path):
     trials = make_trials(6, 6)
     a, b = open_run(tmp_path / "run", make_header(6, 6)), open_run(tmp_path / "run", make_header(6, 6))

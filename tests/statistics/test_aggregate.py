@@ -8,6 +8,7 @@ from scipy import stats
 
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics import aggregate, breakdown
+from r2h_batch.statistics.aggregate import Rate
 from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
 
@@ -71,6 +72,19 @@ def test_the_clustered_interval_covers_new_objects_and_wilson_does_not():
     assert covered["wilson"] / runs < 0.75
 
 
+def test_the_interval_of_a_mean_rate_covers():
+    rng = np.random.default_rng(8)
+    p, n, hits = np.array([0.7, 0.93]), 120, 0
+    for _ in range(2000):
+        parts = []
+        for k in rng.binomial(n, p):
+            low, high = aggregate.wilson_interval(k, n)
+            parts.append(Rate(100 * k / n, 100 * float(low), 100 * float(high)))
+        mean = aggregate.mean_rate(parts)
+        hits += mean.low <= 100 * p.mean() <= mean.high
+    assert 0.93 < hits / 2000 < 0.97
+
+
 @pytest.mark.check
 def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
     outcome = np.repeat(np.arange(MISSING + 1), [5, 4, 3, 2, 1, 6, 7, 8, 9])
@@ -88,6 +102,16 @@ def test_times_are_means_over_the_trials_in_which_the_stage_ran():
     assert (row.times["t_plan_s"].value, row.times["t_plan_s"].count) == (3.0, 3)
     assert (row.times["t_exec_s"].value, row.times["t_exec_s"].count) == (None, 0)
     assert row.times["t_tot_s"].value is None
+
+
+def test_an_empty_split_has_no_rates_no_times_and_no_average():
+    rows = aggregate.summarise([tally_of([0, 0, 2])])
+    by_split = {r.split: r for r in rows}
+    assert by_split["S1"].n == 0
+    for row in (by_split["S1"], by_split["Avg"]):
+        assert all(r is None for r in row.rates.values())
+        assert row.sr_new_objects is None
+        assert row.times["t_tot_s"].value is None
 
 
 def test_avg_is_the_mean_of_the_splits_whatever_their_sizes_and_takes_s0s_affordance_as_0():

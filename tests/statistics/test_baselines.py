@@ -10,7 +10,7 @@ import torch
 from made_runs import make_header, make_scores, make_trials
 
 from r2h_batch.__main__ import main
-from r2h_batch.compare.command import FOLDERS, baselines_for
+from r2h_batch.compare.command import FOLDERS, baselines_for, stored_rows
 from r2h_batch.runs.rows import TrialNames, score_rows
 from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.schedule import PROTOCOL, trial_ids
@@ -28,6 +28,13 @@ def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
         f"r2h_batch.methods.{m.replace('-', '_')}:predict" for m in METHODS
     }
     assert baselines_for(run.header) == folder
+
+
+def test_in_a_checkout_rows_of_the_runs_protocol_and_preset_are_the_baselines():
+    for protocol, preset, name in (("r2h-v0", "default", "v0"), ("r2h-v1", "paper", "v1-paper-preset")):
+        folder = baselines_for({"protocol": protocol, "configuration": {"name": preset}})
+        assert folder.name == name and load_run(folder).header["protocol"] == protocol
+        assert load_run(folder).header["configuration"]["name"] == preset and folder in stored_rows()
 
 
 def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_path, capsys, monkeypatch):

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from made_runs import write_run
+from made_runs import OBJECTS, write_run
 
 from r2h_batch.statistics import breakdown
+from r2h_batch.statistics.aggregate import group_row
 from r2h_batch.statistics.tally import FAILED, PASSED, PATTERNS, pattern_outcomes, tally
 from r2h_batch.types import CRITERIA, Outcome
 
@@ -38,3 +39,14 @@ def test_co_failures_are_counted_where_both_were_evaluated(made):
             assert found.failed[i, j] == sum(x is False and y is False for x, y in pairs)
             assert found.evaluated[i, j] == sum(x is not None and y is not None for x, y in pairs)
     assert found.failed[2, 0] > 0 and found.failed[0, 4] == 0
+
+
+def test_object_rows_add_up_to_their_split(made):
+    counted, _ = made
+    rows = breakdown.by_object(counted)
+    assert [name for name, _ in rows] == sorted(OBJECTS[:3]) + sorted(OBJECTS[3:])
+    for split in ("S0", "S1"):
+        whole = group_row(counted, split)
+        parts = [row for _, row in rows if row.split == split]
+        assert {n: sum(r.counts[n] for r in parts) for n in whole.counts} == dict(whole.counts)
+        assert all(r.n_objects == 1 and r.sr_new_objects is None for r in parts)

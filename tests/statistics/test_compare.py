@@ -151,3 +151,17 @@ def test_runs_that_were_not_asked_the_same_are_refused(tmp_path, capsys, change,
     assert error.count("\n") == 1
     with pytest.raises(ValueError, match=f"differ in {what}: their trials cannot be paired"):
         pairing.pair_up([load_run(tmp_path / n) for n in "ab"])
+
+
+def test_folders_with_other_shards_are_paired_row_by_row(tmp_path, capsys):
+    random, texts = np.random.default_rng(9), []
+    outcomes = {m: random.choice([0, 2, 5], 140) for m in "abc"}
+    for sizes in ((140, 140), (7, 33), (60, 11)):
+        folders = tuple(tmp_path / f"{sizes[0]}-{sizes[1]}" / name for name in "xy")
+        write_run(folders[0], {"a": outcomes["a"]}, 70, 70, shard_trials=sizes[0])
+        write_run(folders[1], {m: outcomes[m] for m in "bc"}, 70, 70, shard_trials=sizes[1])
+        assert command("compare", *folders, format="json") == 0
+        texts.append(capsys.readouterr().out)
+    assert texts[0] == texts[1] == texts[2]
+    pair = json.loads(texts[0])[2]["pairs"][0]
+    assert pair["only_a"] == int(((outcomes["a"] == 0) & (outcomes["b"] != 0)).sum())
