@@ -92,7 +92,7 @@ def test_no_target_that_the_closed_form_solves_is_missed(targets, result, oracle
     missed = np.flatnonzero(solvable & ~result.reachable.numpy())
     assert missed.size == 0, f"{missed.size} missed, first {missed[:10]}"
     extra = np.flatnonzero(~solvable & result.reachable.numpy())  # residuals are checked elsewhere: the oracle's misses
-    assert extra.size <= 1, f"{extra.size} solved without the closed form, first {extra[:10]}"
+    assert extra.size <= 2, f"{extra.size} solved without the closed form, first {extra[:10]}"
 
 
 @needs("ur_analytic_ik")
