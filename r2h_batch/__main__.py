@@ -85,9 +85,6 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> 
     name = given[0] if given else "--help"
     if name not in COMMANDS:
         return answer(prog, lambda: _about(name, given, prog))
-    if arguments is None:
-        # run.json keeps the sweep's command line as the sweep would see it
-        sys.argv = [sys.argv[0], *given[1:]]
     try:
         command = command_of(name)
     except KeyboardInterrupt:  # while it is imported; what it does itself, `answer` hears

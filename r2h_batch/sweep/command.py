@@ -32,7 +32,7 @@ def _main(arguments: Sequence[str], prog: str) -> int:
     options = parse(arguments, prog=prog)
     try:
         with stop_signals() as stopping:
-            return run(options, stopping)
+            return run(options, stopping, arguments)
     except KeyboardInterrupt:
         words = "shards that were complete are stored, run the same command to go on"
         return refuse("sweep", f"interrupted; {words}", 130)
@@ -67,14 +67,25 @@ def stop_signals() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def run(options: Options, stopping: Callable[[], bool] = lambda: False) -> int:
-    """Score every job's shards, print the table of the whole run folder once it is complete."""
+def run(
+    options: Options,
+    stopping: Callable[[], bool] = lambda: False,
+    arguments: Sequence[str] = (),
+) -> int:
+    """Score every job's shards, print the table of the whole run folder once it is complete.
+
+    `arguments`: the command line that asked for it, which run.json keeps.
+    """
+    command = ["python", "-m", "r2h_batch.sweep", *arguments]
     with telling(quiet=options.quiet, verbose=options.verbose) as log_to:
-        return (_robustness if options.robustness else _run)(options, stopping, log_to)
+        return (_robustness if options.robustness else _run)(options, stopping, log_to, command)
 
 
 def _robustness(
-    options: Options, stopping: Callable[[], bool], log_to: Callable[[Path], None]
+    options: Options,
+    stopping: Callable[[], bool],
+    log_to: Callable[[Path], None],
+    command: list[str],
 ) -> int:
     """A sweep into a folder of `out` for each level, then the curves."""
     from importlib.util import find_spec
@@ -88,7 +99,7 @@ def _robustness(
         LOG.info(f"execution error {level}")
         own = replace(options, robustness=False, execution_error=level, out=str(folder))
         with redirect_stdout(sys.stderr):  # the table of a level is no result of this command
-            if code := _run(own, stopping, log_to):
+            if code := _run(own, stopping, log_to, command):
                 return code
     runs = [load_run(folder) for folder in folders]
     if any(run.unfinished for run in runs):  # other parts are still at work
@@ -102,7 +113,12 @@ def _robustness(
     return 0
 
 
-def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path], None]) -> int:
+def _run(
+    options: Options,
+    stopping: Callable[[], bool],
+    log_to: Callable[[Path], None],
+    command: list[str],
+) -> int:
     from importlib.util import find_spec
 
     from r2h_batch.runs.store import RunError, open_run, write_labels
@@ -133,7 +149,7 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
         new = not (Path(options.out) / "run.json").exists()
         size = options.shard_trials or (shard_size(setting, jobs) if new else 0)
         # the first of two sweeps that start together decides the shard size; the other takes it
-        header = {**setting.header, "shard_trials": size}
+        header = {**setting.header, "command": command, "shard_trials": size}
         folder = open_run(options.out, header, exact=bool(options.shard_trials))
         log_to(folder.folder / setting.own_file("log.txt"))
         if setting.labels:

@@ -174,7 +174,6 @@ def prepare(options: Options) -> Setting:
         "versions": provenance.versions(),
         "platform": platform.platform(),
         "git_commit": provenance.git_commit(),
-        "command": ["python", "-m", "r2h_batch.sweep", *sys.argv[1:]],
         "created": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
 

@@ -97,6 +97,7 @@ def test_a_predictions_file_in_any_order_is_scored_as_what_it_is(fake, tmp_path,
         ("S1", "Mine (learned)", 50.0, 1),
     ]
     run = load_run(out)
+    assert run.header["command"] == ["python", "-m", "r2h_batch.sweep", *line]  # its own, not this program's
     stored = np.array(run.poses("Mine (learned)")["T_world_ee"].to_pylist(), np.float32).reshape(-1, 4, 4)
     assert stored.tobytes() == made.T_world_ee.numpy().tobytes()
     assert run.trials("Mine (learned)")["t_method_s"].null_count == 8
