@@ -44,7 +44,7 @@ class Goal:
     slot: Int32[Tensor, " b"]  # of the branch (IkResult), -1: none
     q: Float32[Tensor, "b 6"]
     clearance_m: Float32[Tensor, " b"]
-    nearest: Int32[Tensor, " b"]  # CollidingPair of the nearest pair, whatever `pair` says
+    nearest_pair: Int32[Tensor, " b"]  # CollidingPair of the nearest bodies, whatever `pair` says
     body: Int32[Tensor, " b"]  # Scene.part_names; -1: none
     other: Int32[Tensor, " b"]  # hand piece or robot body it is nearest to; -1: none, or the table
     push: Float32[Tensor, "b 3"]

@@ -180,8 +180,8 @@ class MarginChanges:
         )
         self.hand_normal = torch.where(found[:, None], normal, 0.0)
         links, q_home, T_home = _tables(scene, str(body.device))
-        with_robot = (goal.nearest == int(CollidingPair.SELF)) | (
-            goal.nearest == int(CollidingPair.OBJECT_ROBOT)
+        with_robot = (goal.nearest_pair == int(CollidingPair.SELF)) | (
+            goal.nearest_pair == int(CollidingPair.OBJECT_ROBOT)
         )
         self.body, self.other = (
             self._carrier(x, links, n_robot)

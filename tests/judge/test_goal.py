@@ -238,7 +238,7 @@ def test_no_overlap_is_said_to_be_deeper_than_it_is(judged):
     rows = torch.nonzero((goal.clearance_m < 0) & (goal.body >= 0)).flatten().tolist()[:24]
     ratio, kinds = [], set()
     for row in rows:
-        twin, pair = mujoco_scene(scene, staged(judged, row)), CollidingPair(int(goal.nearest[row]))
+        twin, pair = mujoco_scene(scene, staged(judged, row)), CollidingPair(int(goal.nearest_pair[row]))
         at_home = int(goal.reason[row]) == PlanReason.START_IN_COLLISION
         twin.clearances(HOME_Q if at_home else goal.q[row].double().numpy())  # puts the model there
         other = int(goal.other[row])
@@ -278,7 +278,7 @@ def test_the_witness_says_how_the_clearance_changes_when_the_hand_moves(judged):
 
 def test_a_branch_that_is_free_by_a_sixth_of_a_millimetre_is_free(judged):
     """Five hands pushed towards the object until MuJoCo says how little is left: on either side of 0 that is the verdict."""
-    near = judged.goal.free & (judged.goal.nearest == int(CollidingPair.OBJECT_HAND))
+    near = judged.goal.free & (judged.goal.nearest_pair == int(CollidingPair.OBJECT_HAND))
     rows = torch.nonzero(near).flatten().tolist()[:5]
     many = [len(judged.scene.objects[int(judged.batch.trials.object_index[r])].hull_vertices) for r in rows]
     assert len(rows) == 5 and sum(n > 256 for n in many) >= 3

@@ -31,7 +31,7 @@ ROOM = 6
 
 
 def connect_by_frontier(
-    planner: Frontier,
+    trials_frontier: Frontier,
     rows: Int32[Tensor, " r"],
     problem: dict[str, Any],
     found: dict[str, Tensor],
@@ -43,7 +43,7 @@ def connect_by_frontier(
     Which postures are drawn, and what follows from them, does not depend on the other rows.
 
     Args:
-        planner: of all trials.
+        trials_frontier: of all trials.
         rows: problems.
         problem: inputs of `rrt_connect` by name.
         found: `path` and `length` of all trials.
@@ -52,15 +52,15 @@ def connect_by_frontier(
     lanes = min(max(problem["iterations"] // 8, FEWEST), MOST)
     at_once = max(1, min(LANES_AT_ONCE // lanes, nodes // (2 * problem["capacity"])))
     for part in rows.split(at_once):
-        _connect(planner, part, problem | {"lanes_each": lanes}, found)
+        _connect(trials_frontier, part, problem | {"lanes_each": lanes}, found)
 
 
 def _connect(
-    planner: Frontier, rows: Tensor, problem: dict[str, Any], found: dict[str, Tensor]
+    trials_frontier: Frontier, rows: Tensor, problem: dict[str, Any], found: dict[str, Tensor]
 ) -> None:
     n, lanes, device = len(rows), problem["lanes_each"], rows.device
     room = -(-n * lanes * ROOM // PER_ROW)
-    frontier = Frontier(**planner.scene, device=planner.device, rows=room)
+    frontier = Frontier(**trials_frontier.scene, device=trials_frontier.device, rows=room)
     joints, nodes = frontier.joints, n * 2 * problem["capacity"]
     tables = {
         "trial": rows,
@@ -84,4 +84,4 @@ def _connect(
             frontier.launch(kernel, frontier.lanes)
         frontier.level(edges, parity, certify=1)
     frontier.note_full()
-    planner.full |= frontier.full  # checked at the end of planning
+    trials_frontier.full |= frontier.full  # checked at the end of planning

@@ -25,7 +25,10 @@ ROOM = 12
 
 
 def shorten_by_frontier(
-    planner: Frontier, rows: Int32[Tensor, " r"], law: dict[str, Any], paths: dict[str, Tensor]
+    trials_frontier: Frontier,
+    rows: Int32[Tensor, " r"],
+    shortcut_inputs: dict[str, Any],
+    paths: dict[str, Tensor],
 ) -> None:
     """Shortcuts on the paths that `rows` have, in place; what comes of a path does not depend on
     the others.
@@ -34,22 +37,30 @@ def shorten_by_frontier(
     before.
 
     Args:
-        planner: of all trials.
+        trials_frontier: of all trials.
         rows: problems.
-        law: inputs of plan/shortcut.py `shortcut` by name.
+        shortcut_inputs: inputs of plan/shortcut.py `shortcut` by name.
         paths: `path` and `length` of all trials.
     """
-    rounds = ROUNDS_OF_LINES + -(-law["tries"] // TRIES_A_ROUND)
-    law = law | {"rounds": rounds, "changes": int(law["tries"] > 0)}
+    rounds = ROUNDS_OF_LINES + -(-shortcut_inputs["tries"] // TRIES_A_ROUND)
+    shortcut_inputs = shortcut_inputs | {
+        "rounds": rounds,
+        "changes": int(shortcut_inputs["tries"] > 0),
+    }
     for part in rows.split(LANES_AT_ONCE // LANES):
-        _shorten(planner, part, law, paths)
+        _shorten(trials_frontier, part, shortcut_inputs, paths)
 
 
 def _shorten(
-    planner: Frontier, rows: Tensor, law: dict[str, Any], inout: dict[str, Tensor]
+    trials_frontier: Frontier,
+    rows: Tensor,
+    shortcut_inputs: dict[str, Any],
+    inout: dict[str, Tensor],
 ) -> None:
     n, lanes, device = len(rows), len(rows) * LANES, rows.device
-    frontier = Frontier(**planner.scene, device=planner.device, rows=-(-lanes * ROOM // PER_ROW))
+    frontier = Frontier(
+        **trials_frontier.scene, device=trials_frontier.device, rows=-(-lanes * ROOM // PER_ROW)
+    )
     joints = frontier.joints
     copy = torch.empty((n, WAYPOINTS, joints), dtype=torch.float32, device=device)
     point = torch.empty((2 * lanes, joints), dtype=torch.float32, device=device)
@@ -57,11 +68,11 @@ def _shorten(
     edges = frontier.new(Edges, 2 * lanes, {"found": found}, a=joints, b=joints)
     paths = frontier.new(Paths, n, {"trial": rows, "copy": copy}, known=WAYPOINTS)
     arcs = frontier.new(Arcs, lanes, {"point": point})
-    frontier.tables |= law | inout | {"edges": edges, "paths": paths, "arcs": arcs}
+    frontier.tables |= shortcut_inputs | inout | {"edges": edges, "paths": paths, "arcs": arcs}
     frontier.clear()
     frontier.ask(0, 0.0)
     frontier.launch(begin_shortcuts, n)
-    for level in range(LEVELS_A_ROUND * law["rounds"] + LEVELS_MORE):
+    for level in range(LEVELS_A_ROUND * shortcut_inputs["rounds"] + LEVELS_MORE):
         parity = level & 1
         frontier.launch(take_arcs, n, outputs=inout)
         if frontier.device == "cpu" and bool((paths.tensors["state"] != 0).all()):
@@ -70,4 +81,4 @@ def _shorten(
         frontier.launch(draw_arcs, frontier.lanes)
         frontier.level(edges, parity, certify=1)
     frontier.note_full()
-    planner.full |= frontier.full  # asked at the end of planning
+    trials_frontier.full |= frontier.full  # asked at the end of planning
