@@ -455,16 +455,16 @@ def _method(argument: str) -> _Method:
 def _method_job(
     name: str, evaluator: "Evaluator", options: Options, seen: "Observations | None" = None
 ) -> Job:
-    method, options_text = _method(name), text_of_options(name)
+    method, method_options = _method(name), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
     extra = dict(method.options)
     if "evaluator" in takes:
         extra["evaluator"] = evaluator
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)
-    title = f"{base} ({options_text})" if options_text and not own_name(name) else base
+    title = f"{base} ({method_options})" if method_options and not own_name(name) else base
     source = {"kind": "method", "function": method.found.spec}
-    if options_text:
-        source["options"] = options_text
+    if method_options:
+        source["options"] = method_options
     if built_in:
         files = {"": Path(str(module.__file__))}
     else:  # modules, `METHOD_FILES`, and files that its options name
@@ -487,7 +487,7 @@ def _method_job(
             shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in module.SEES}
             noise, errors = options.predictor_noise, _errors(options)
             title = table_name(
-                module.TITLE, stand_in, noise, shown, module.SEES, options_text, errors=errors
+                module.TITLE, stand_in, noise, shown, module.SEES, method_options, errors=errors
             )
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
@@ -552,10 +552,10 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
     if errors not in get_args(Errors):
         named, allowed = str(errors)[:40], ", ".join(get_args(Errors))
         raise UsageError(f"run.json names the error model {named!r}; allowed are {allowed}")
-    options_text = source.get("options", "")
+    method_options = source.get("options", "")
     noise_factor = predictors.get("noise_factor", 1.0)
     options = Options(
-        method=(f"{word},{options_text}" if options_text else word,), seed=header["seed"],
+        method=(f"{word},{method_options}" if method_options else word,), seed=header["seed"],
         predictor_noise=noise_factor, hand_errors=cast(Errors, errors), allow_empty_candidates=True,
     )  # fmt: skip
     return _method_job(options.method[0], evaluator, check(options))
@@ -567,15 +567,15 @@ SHOWN_AS = {"receiving": "hand", "target": "target hand", "parts": "labels", "co
 
 def table_name(
     title: str, stand_in: str, noise: float, shown: Mapping[str, str] | None = None,
-    sees: Sequence[str] = (), options: str = "", *, errors: "Errors" = "normal",
+    sees: Sequence[str] = (), method_options: str = "", *, errors: "Errors" = "normal",
 ) -> str:  # fmt: skip
     """A method's name in tables: what stood in for the original network, the error model it was
-    given, its options.
+    given, its own options.
 
     `shown`: kind -> the network whose prediction it saw, of all the kinds that it `sees`; what no
-    network gave is named too. `options`: those that were given with its name.
+    network gave is named too. `method_options`: those that were given with its name.
     """
-    more = f"; {options}" if options else ""
+    more = f"; {method_options}" if method_options else ""
     kind = {"normal": "", "frames": " of frames", "tails": " with tails"}[errors]
     added = "" if noise == 0 else f" + noise{kind}" if noise == 1 else f" + {noise:g} x noise{kind}"
     if not shown:

@@ -235,7 +235,7 @@ def help_text(prog: str) -> str:
     return "\n".join([*lines, "", "more options:", *_columns(config)]) + "\n"
 
 
-def options_text() -> str:
+def set_help() -> str:
     """The options that only `--set` and `--config` take."""
     flags = " ".join(GROUPS.values()).split()
     chosen = [f.name for f in fields(Options) if f.name not in flags]
@@ -470,7 +470,7 @@ def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None, di
             path = value
             continue
         if value == "help":
-            sys.stdout.write(options_text())
+            sys.stdout.write(set_help())
             raise SystemExit(0)
         settings = [value]
         while rest and not rest[0].startswith("-"):
