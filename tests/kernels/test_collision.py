@@ -14,6 +14,7 @@ from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import Kind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere, load_robot
 from r2h_batch.config import EvalConfig, PlanConfig
 from r2h_batch.judge.plan import CLEARANCE_TOLERANCE_M, Planner
+from r2h_batch.kernels.plan.codes import CERTIFY
 from r2h_batch.kernels.plan.lines import path_clearance, straight_lines
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import Scene
@@ -119,7 +120,7 @@ def free_edges(scene, rng, trials, hand_margin):
         margin = torch.full((8 * trials * 8,), hand_margin, dtype=torch.float32)
         chosen = torch.full((8 * trials,), -1, dtype=torch.int32)
         inputs = {
-            "moveit": 0,
+            "edge_mode": int(CERTIFY),
             "world": scene.world,
             "bodies": placed8.bodies,
             "start": start,
