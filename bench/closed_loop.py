@@ -29,7 +29,8 @@ bench/closed_loop.py --trials {n}` played the shipped poses of the first {n} tri
 
 ## Successes
 
-Percent of all trials, with 95 % Wilson intervals. In `moves` the hand leaves the pose that the method saw.
+Percent of all trials, with 95 % Wilson intervals. A column names hand and policy. In `moves` the hand leaves
+the pose that the method saw.
 
 {table}
 
@@ -42,7 +43,7 @@ of successes, and the least distance between robot and hand.
 
 - Short motions have an advantage: some end before the hand moves.
 - With `still` a few trials succeed that fail in SR. Their object is slow and within reach at home or on the way.
-- These figures ignore arm and torso. `--receiver body` includes them.
+- These figures ignore arm and torso.
 
 ## Cost
 

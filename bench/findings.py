@@ -144,10 +144,10 @@ def findings() -> list[Finding]:
 CAUSES = [
     "Contact-Handover compares 256 poses of gripper and held object with the estimated hand. The other methods compare at most"
     " eight, without the object. In the default preset F_safe is 0: the planner certifies paths against the true hand.",
-    "Contact-Handover's pose search ignores the function of the object, and its network never saw the object. Stability fails"
-    " only with candidates as generated (preset paper).",
-    "Intent-Handover's rule knows the region. Contact-Handover's network estimates it, with enough precision for second"
-    " place only with filtered candidates.",
+    "Contact-Handover's pose search ignores the function of the object, and its network never saw the object. In S1 its"
+    " Stability fails only with candidates as generated (preset paper).",
+    "Intent-Handover's rule knows the region. Contact-Handover's network estimates it, too coarsely for second"
+    " place with candidates as generated.",
     "Intent-Handover turns hand, object and gripper as one. So the gripper is as far from the target hand as from the predicted"
     " hand on the object. The paper does not say whether object or gripper stands 15 cm above the palm.",
     "The times of stand-ins say nothing about the originals.",
@@ -155,7 +155,7 @@ CAUSES = [
     "FC-Handover places the gripper opposite to the fingers, wherever they point, and knows no region"
     " ([why its plans fail](table1-v1.md#why-plan-fails)).",
     "Handover-VA takes the first pose that the arm reaches, and checks no collision. It runs ICP, where the other methods look"
-    " hands up, so it is slower. Only its grasps are unfiltered in the default preset, so only it fails Stability.",
+    " up stored hands, so it is slower. Only its grasps are unfiltered in the default preset, so only it fails Stability.",
 ]
 """Read on 2026-11-21 from 500 trials of each split. `make tables` does not check them: a person does."""
 
@@ -233,7 +233,8 @@ def page(tables: Mapping[str, Mapping]) -> str:
         "- In r2h-release fingers point away from the robot. FC- and Intent-Handover place the gripper opposite to them, so Plan"
         " mostly fails.",
         "## Findings",
-        "A finding is a list of conditions. `yes`: all hold. `no`: none holds. `not:` names those that do not hold.",
+        "A finding is a list of conditions. `yes`: all hold. `no`: none holds. `not:` names those that do not hold."
+        " Own time: T_method.",
         appearing(here),
         "## Causes",
         "A person read these causes from the tables. No test checks them.",

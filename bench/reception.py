@@ -47,7 +47,7 @@ passes this step and all steps before it. `received`: the whole way to one of th
 ## Fewer grasps, effort
 
 `K=8`: percent received if only 8 grasps a side were tried. `turn <= 60`: percent received if the hand may turn by at most 60
-degrees. The other columns describe the easiest grasp.
+degrees. The other columns describe the easiest grasp (RULA: strain of the posture).
 
 {effort}
 

@@ -234,10 +234,10 @@ def markdown(data: dict[str, Any]) -> str:
 
     rates = [[m, *(rate(r["table"][m]) for r in robots.values())] for m in methods]
     lines: dict[str, Callable[[dict[str, Any]], str]] = {
-        "trial, core us": lambda r: f"{r['trials']['us']:.0f}",
+        "trial, us of one core": lambda r: f"{r['trials']['us']:.0f}",
         "wrong postures": lambda r: "{disagreements} of {postures:,}".format(**r["collision"]),
         "paths found; penetrating": lambda r: "{solved} of {problems}; {penetrating}".format(**r["plan"]),
-        "IK, core us": lambda r: f"{r['ik']['us']:.1f}",
+        "IK, us of one core": lambda r: f"{r['ik']['us']:.1f}",
         "IK missed": lambda r: str(r["ik"]["missed"]),
         "IK, largest error, um": lambda r: f"{r['ik']['position_error_um']:.1f}",
     }

@@ -39,8 +39,9 @@ with its 95 % t interval over objects.
 
 ## Weight
 
-Two pads hold the object by friction ({grip:g} N each, coefficient {mu:g}). In some grasps that pass Stability the object turns or
-slips. The table has their percentage under 1 / 2 / 3 times the object's weight (closed form, `r2h_batch.judge.payload`).
+Two pads hold the object by friction ({grip:g} N each, coefficient {mu:g}). The lever is the distance of the
+centre of mass from the pads' axis. In some grasps that pass Stability the object turns or slips. The table has their percentage
+under 1 / 2 / 3 times the object's weight (closed form, `r2h_batch.judge.payload`).
 
 {weight}
 

@@ -136,7 +136,7 @@ def markdown(data: dict) -> str:
         markdown_table(["changed", *(TITLES[m] for m in METHODS), "pairs"], lines),
         "Options of one method ([meaning](../baselines.md#options-of-a-method)):",
         markdown_table(["changed", "SR", "pairs"], own_lines),
-        f"The order of all methods is the base's in {stable} of {len(variants_) - 1} variants, the best method in {best}.",
+        f"{stable} of {len(variants_) - 1} variants keep the base's order of methods, {best} its best method.",
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -216,7 +216,7 @@ def v1_page(published: Published, data: dict) -> str:
         columns_table(times_of(data) | intervals_of(data)),
         TIMES_NOTES,
         "## Why Plan fails",
-        "Percent of a method's Plan failures. A column names the pair of bodies that overlap in the posture of the last IK"
+        "Percent of a method's Plan failures. A column names the pair of bodies that overlap in the posture of the first IK"
         " branch, or `ik_unreachable`.",
         plan_table(run),
         f"`r2h-batch report {published.rows.as_posix()} --by-object` prints the rates of each object.",
