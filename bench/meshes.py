@@ -17,8 +17,8 @@ import os
 import sys
 import time
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import igl
@@ -141,13 +141,21 @@ def random_grasps(mesh: trimesh.Trimesh, count: int) -> torch.Tensor:
     return torch.tensor(T, dtype=torch.float32)
 
 
+@dataclass(frozen=True, eq=False)
+class BareSurface:
+    """What Stability reads of an object."""
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    receiver_face: NDArray[np.bool_]
+    receiver_boxes: None = None
+
+
 def stable(mesh: trimesh.Trimesh, T_obj_ee: torch.Tensor) -> NDArray[np.bool_]:
     """(count,) whether grasps pass Stability on a surface as it is."""
     faces = np.asarray(mesh.faces, np.int32)
     region = np.zeros(len(faces), bool)
-    model = SimpleNamespace(
-        vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=region, receiver_boxes=None
-    )
+    model = BareSurface(np.asarray(mesh.vertices, np.float32), faces, region)
     tables = grasp_tables([model], load_robot())  # type: ignore[list-item]
     return close_gripper(tables, T_obj_ee, torch.zeros(len(T_obj_ee), dtype=torch.int32)).margin_m.numpy() >= 0
 

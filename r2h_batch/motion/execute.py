@@ -33,7 +33,7 @@ from r2h_batch.scene.scene import BodyPoses, Scene
 
 FINGER_GIVE_M = 1.2e-5
 """A bound on how far the fingers of the whole scene give way in a motion without contacts, and how
-far its arm is off the arm alone: twice the most that was seen (`bench/execute.py --ask models`:
+far its arm is off the arm alone: nearly twice the most that was seen (`bench/execute.py --ask models`:
 execute.models.finger_sway_max_um)."""
 
 NEAR_M = 1e-3
