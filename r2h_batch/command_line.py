@@ -416,6 +416,8 @@ def _names(parameter: inspect.Parameter) -> list[str]:
     return names[:1] or [parameter.name]
 
 
+MOST_FLAGS_IN_A_LINE = 30
+
 _NUMBERS = {"INT": "a whole number in decimal digits", "FLOAT": "a number in decimal digits"}
 
 
@@ -426,6 +428,8 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
         is_number = name[1:].replace(".", "").isdigit()
         if name.startswith("-") and name not in (*flags, "-h", "--help") and not is_number:
             allowed = f"allowed are {', '.join(flags)}" if flags else "it has none but --help"
+            if len(flags) > MOST_FLAGS_IN_A_LINE:
+                allowed = "see --help"
             return f"unknown flag {name}{nearest(name, flags)}; {allowed}"
     lines = [line.strip("\u2502| \n") for line in box.splitlines()]
     worded = [any(c.isalnum() for c in line) for line in lines]

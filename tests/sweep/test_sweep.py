@@ -22,7 +22,7 @@ from r2h_batch.sweep import jobs
 @pytest.mark.parametrize(
     ("line", "parts"),
     [
-        ("--trails 3 --method random", ["unknown flag --trails", "did you mean --trials?", "--save-paths"]),
+        ("--trails 3 --method random", ["unknown flag --trails", "did you mean --trials?", "see --help"]),
         (
             "--method randm",
             ["unknown method 'randm'", "did you mean random?", "random, oracle", "package.module:function"],
