@@ -101,7 +101,7 @@ def test_faces_are_dropped_turned_and_filled_in_by_name():
     for faces, words, rel in (
         (some, "turned", 1e-5),
         (whole.faces[:, ::-1], "inside-out", 1e-5),
-        (whole.faces[~away], "rebuilt by winding number", 5e-3),
+        (whole.faces[~away], "filled 2 holes", 5e-3),
     ):
         model, said = built(plain(whole.vertices, faces))
         assert words in said and model.mesh.volume == pytest.approx(whole.volume, rel=rel)
@@ -155,7 +155,7 @@ def test_labels_and_faces_of_a_file_are_carried_over_to_the_repaired_mesh(tmp_pa
     above = holed.triangles_center[:, 2] > 0
     for receiver in (above, np.flatnonzero(above)):
         model, said = built(holed, split="S1", receiver=receiver, face_part=above.astype(int), part_names=names)
-        assert "closed 1 flat openings" in said and len(model.faces) == len(mesh.faces)
+        assert "filled 1 holes" in said and len(model.faces) == len(mesh.faces)
         assert (model.receiver_face == (model.mesh.triangles_center[:, 2] > 0)).all()
         assert (model.face_part == model.receiver_face).all() and model.part_names == names
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object), allow_pickle=True)

@@ -77,9 +77,9 @@ def test_a_build_is_kept_by_content_and_options_and_warns_each_time(tmp_path, mo
         return model, [str(w.message) for w in caught]
 
     (first, said), (again, said_again) = build(), build()
-    assert len(times) == 1 and said == said_again and "closed 1 flat openings" in said[0]
+    assert len(times) == 1 and said == said_again and "filled 1 holes" in said[0]
     assert object_digest(first) == object_digest(again) and first.repair == again.repair
-    assert len(again.repair.steps) == 1 and not again.vertices.flags.writeable
+    assert again.repair.steps == ("filled 1 holes",) and not again.vertices.flags.writeable
     for faces in (10, 12):
         np.save(tmp_path / "region.npy", np.arange(faces))
         build(split="S1", receiver=tmp_path / "region.npy")

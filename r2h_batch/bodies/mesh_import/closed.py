@@ -1,8 +1,8 @@
 """A user's mesh as one closed, outward-wound surface, or one line that says why not.
 
-Bodies that are closed stay as they are, to the last bit. Flat openings of few corners are closed by
-faces. All other bodies become solids by generalised winding number (`winding_solid`). Bodies that
-overlap are united. A warning names every step, with the change of volume and how far the surface moved.
+Bodies that are closed stay as they are, to the last bit. Small holes are filled by faces. All other
+bodies become solids by generalised winding number (`winding_solid`). Bodies that overlap are
+united. A warning names every step, with the change of volume and how far the surface moved.
 """
 
 from __future__ import annotations
@@ -42,9 +42,14 @@ CHANGE_SAMPLES = 5000
 SLIVER_SHARE = 0.02
 """Faces that enclose nothing are slivers where they are smaller than this share of the object, or
 narrower than `THINNEST_M`; other ones are sheets."""
+HOLE_SHARE = 0.25
+"""A rim of up to this share of pi times the largest side bounds a hole, which faces fill."""
 MOST_CORNERS, FLAT_SHARE = 6, 1e-3
-"""A flat rim with at most so many corners, to this share of its size, is closed by faces: a box that
-misses a face. A round mouth has more corners."""
+"""A flat rim of any size with at most so many corners, to this share of its size, is filled too: a
+box that misses a face. A round mouth has more corners."""
+JOIN_SHARE = 0.02
+"""Two rims that are nowhere farther apart than this share of the largest side are the edges of one
+wall, whose lip is missing; a strip of faces joins them."""
 WELD_M, MOST_WELDS = 1e-5, 64
 """Vertices of open bodies nearer than this become one; at most so many pairs a vertex."""
 FLAT_M = 1e-5
@@ -262,7 +267,8 @@ def _solid(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Tr
     mesh, sheet = _without_slivers(mesh, _cancelling(mesh), budget, done)
     rest = part_of(mesh, ~sheet)
     loose = _open_bodies(rest)
-    closed, opened = part_of(rest, ~loose), _filled(part_of(rest, loose), done)
+    size = float(mesh.extents.max())
+    closed, opened = part_of(rest, ~loose), _filled(part_of(rest, loose), size, done)
     loose = _open_bodies(opened)
     closed = joined([closed, part_of(opened, ~loose)])
     opened = joined([part_of(opened, loose), part_of(mesh, sheet)])
@@ -347,33 +353,99 @@ def _without_slivers(
     return part_of(mesh, ~drop), sheet[~drop]
 
 
-def _filled(mesh: trimesh.Trimesh, done: list[str]) -> trimesh.Trimesh:
-    """The mesh with flat openings of few corners closed by a fan around the middle of their rim."""
+def _filled(mesh: trimesh.Trimesh, size: float, done: list[str]) -> trimesh.Trimesh:
+    """The mesh with rims that run side by side joined, and holes and flat openings of few corners
+    closed by a fan around the middle of their rim; `size` is the object's largest side, m."""
     if not len(mesh.faces):
         return mesh
     import igl
 
+    longest = HOLE_SHARE * np.pi * size
     # Rims that touch get vertices of their own.
     split, origin = igl.split_nonmanifold(np.ascontiguousarray(mesh.faces, np.int64))
     mesh = trimesh.Trimesh(mesh.vertices[origin], split, process=False)
     vertices, faces = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)]
-    for rim in _rims(mesh):
+    middle, holes, openings = len(mesh.vertices), 0, 0
+    strips, rims = _lips(mesh, JOIN_SHARE * size)
+    if strips:
+        done.append(f"joined {len(strips)} pairs of rims that run side by side")
+    for rim in rims:
         ring = mesh.vertices[rim]
-        if not _is_polygon(ring):
+        large = np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum() > longest
+        if large and not _is_polygon(ring):
             continue
+        holes, openings = holes + (not large), openings + large
         if len(rim) == 3:
             faces.append(rim[None])
             continue
-        middle = np.full(len(rim), sum(map(len, vertices)))
         vertices.append(ring.mean(axis=0)[None])
-        faces.append(np.stack([rim, np.roll(rim, -1), middle], axis=1))
-    if len(faces) == 1:
+        faces.append(np.stack([rim, np.roll(rim, -1), np.full(len(rim), middle)], axis=1))
+        middle += 1
+    if holes:
+        done.append(f"filled {holes} holes")
+    if openings:
+        done.append(
+            f"closed {openings} flat openings of at most {MOST_CORNERS} corners, as of a box that misses a face "
+            "(a vessel needs walls with two sides)"
+        )
+    if not (strips or holes or openings):
         return mesh
-    done.append(
-        f"closed {len(faces) - 1} flat openings of at most {MOST_CORNERS} corners, as of a box that misses a face "
-        "(a vessel needs walls with two sides)"
+    return trimesh.Trimesh(
+        np.concatenate(vertices), np.concatenate([*faces, *strips]), process=False
     )
-    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+
+
+def _lips(
+    mesh: trimesh.Trimesh, gap: float
+) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
+    """Strips of faces (N, 3) between rims that are nowhere farther apart than `gap` (m), and the
+    other rims."""
+    rims, strips = list(_rims(mesh)), []
+    boxes = np.array([_box(mesh.vertices[rim]) for rim in rims]).reshape(-1, 6)
+    free = np.ones(len(rims), bool)
+    large = (boxes[:, 3:] - boxes[:, :3]).max(axis=1) > 4 * gap  # smaller rims bound holes
+    for i in np.flatnonzero(large):
+        similar = free & large & (np.abs(boxes - boxes[i]).max(axis=1) <= gap)
+        for j in i + 1 + np.flatnonzero(similar[i + 1 :]):
+            strip = _strip(mesh.vertices, rims[i], rims[j], gap) if free[i] else None
+            if strip is not None:
+                strips.append(strip)
+                free[[i, j]] = False
+    return strips, [rims[k] for k in np.flatnonzero(free)]
+
+
+def _box(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([points.min(axis=0), points.max(axis=0)])
+
+
+def _strip(
+    vertices: NDArray[np.float64], rim: NDArray[np.int64], other: NDArray[np.int64], gap: float
+) -> NDArray[np.int64] | None:
+    """(N, 3) faces between two rims that run against each other; None where they are farther apart
+    than `gap` somewhere.
+
+    Both rims are walked once around together, and the shorter diagonal becomes the next side.
+    """
+    import igl
+
+    for one, two in ((rim, other), (other, rim)):
+        sides = np.stack([two, np.roll(two, -1), two], axis=1)
+        if igl.point_mesh_squared_distance(vertices[one], vertices, sides)[0].max() > gap**2:
+            return None
+    first = int(np.linalg.norm(vertices[other] - vertices[rim[0]], axis=1).argmin())
+    a, b = rim, np.roll(other[::-1], first + 1)
+    a, b = np.append(a, a[0]), np.append(b, b[0])
+    p, q, faces = 0, 0, []
+    while p + 1 < len(a) or q + 1 < len(b):
+        to_a = np.linalg.norm(vertices[a[p + 1]] - vertices[b[q]]) if p + 1 < len(a) else np.inf
+        to_b = np.linalg.norm(vertices[b[q + 1]] - vertices[a[p]]) if q + 1 < len(b) else np.inf
+        next_a = to_a <= to_b
+        start, end = (a[p], a[p + 1]) if next_a else (b[q], b[q + 1])
+        if min(to_a, to_b) > gap + np.linalg.norm(vertices[end] - vertices[start]):
+            return None
+        faces.append((a[p], a[p + 1], b[q]) if next_a else (a[p], b[q + 1], b[q]))
+        p, q = (p + 1, q) if next_a else (p, q + 1)
+    return np.array(faces, np.int64)
 
 
 def _is_polygon(ring: NDArray[np.float64]) -> bool:
