@@ -71,10 +71,12 @@ def compare(asked: Moved) -> int:
     return int((~apart).sum())
 
 
-@pytest.mark.check
 @pytest.mark.parametrize(
     ("method", "n", "least"),
-    [(random, 160, 5), *(pytest.param(m, 2048, 100, marks=pytest.mark.slow) for m in (random, oracle))],
+    [
+        pytest.param(random, 160, 5, marks=pytest.mark.check),
+        *(pytest.param(m, 2048, 100, marks=pytest.mark.slow) for m in (random, oracle)),
+    ],
     ids=["160", "random", "oracle"],
 )
 def test_the_frontier_finds_the_distances_of_one_thread(method: ModuleType, n: int, least: int) -> None:
