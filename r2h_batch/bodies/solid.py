@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 Tick = Callable[[float], None] | None
 F64 = NDArray[np.float64]
 
+SIDES = (16, 4, 1)
+"""Sides of the cells that are tried for a surface, the largest first, in voxels."""
+
 POINTS_AT_ONCE = 2048
 """Points measured between two looks at the clock, each on its own."""
 
@@ -184,10 +187,6 @@ def _surface_voxels(triangles: F64, origin: F64, pitch: float, count: int) -> ND
             last = np.minimum(ratio * (cell + 1) - 1, high[face] // smaller)
         full[tuple(cell.T)] = True
     return full
-
-
-SIDES = (16, 4, 1)
-"""Sides of the cells that are tried, in voxels."""
 
 
 def _cells_between(

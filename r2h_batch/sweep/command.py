@@ -77,6 +77,9 @@ def run(
     `arguments`: the command line that asked for it, which run.json keeps.
     """
     command = ["python", "-m", "r2h_batch.sweep", *arguments]
+    # a method may change the directory, when it is imported or asked
+    out = os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
+    options = replace(options, out=out)
     with telling(quiet=options.quiet, verbose=options.verbose) as log_to:
         return (_robustness if options.robustness else _run)(options, stopping, log_to, command)
 
@@ -93,7 +96,7 @@ def _robustness(
     from r2h_batch.report import robustness as report
     from r2h_batch.runs.store import load_run
 
-    out = Path(os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S")))
+    out = Path(options.out)
     folders = [out / level for level in report.LEVELS]
     for level, folder in zip(report.LEVELS, folders, strict=True):
         LOG.info(f"execution error {level}")
@@ -136,9 +139,7 @@ def _run(
                 raise UsageError(f"{flag} needs {module}: pip install 'r2h_batch[{extra}]'")
         if options.address:
             reach(options.address, options.ray_timeout)
-        # a method may change the directory, when it is imported or asked
-        out = os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
-        options = sweep_jobs.with_trials(replace(options, out=out))
+        options = sweep_jobs.with_trials(options)
         files = sweep_jobs.load_files(options)
         sweep_jobs.resolve(options)
         start = time.perf_counter()

@@ -70,7 +70,7 @@ class Log:
         now = time.monotonic()
         if done == total or now - self._written >= LOG_EVERY_S:
             state: dict[str, Any] = {"updated": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
-            # another sweep may have begun and taken it for a rest
+            # another sweep may have begun and removed it as a leftover
             with contextlib.suppress(FileNotFoundError):
                 replace_json(self.path, {**state, "methods": self.methods})
             self._written = now
