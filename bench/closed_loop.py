@@ -55,10 +55,10 @@ of successes, and the least distance between robot and hand.
 
 def answers(trials: int, *only: str) -> tuple[list[str], int, Any]:
     """The shipped baselines, or some of them, how many trials each has, and the scores of all: method by method."""
-    from r2h_batch.results.reevaluation import Judge
     from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results.reevaluation import Judge
 
-    run = load_run(ROOT / "r2h_batch" / "compare" / "baselines").only(only)
+    run = load_run(ROOT / "r2h_batch" / "report" / "compare" / "baselines").only(only)
     judge = Judge(run)
     grasps: list[torch.Tensor] = []
     places: list[torch.Tensor] = []
@@ -164,7 +164,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _rate(hits: str) -> str:
-    from r2h_batch.statistics.aggregate import wilson_interval
+    from r2h_batch.report.statistics.aggregate import wilson_interval
 
     low, high = wilson_interval(hits.count("1"), len(hits))
     return f"{100 * hits.count('1') / len(hits):.1f} [{100 * float(low):.0f}, {100 * float(high):.0f}]"

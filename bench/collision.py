@@ -25,8 +25,8 @@ from _is_free import is_free
 from _report import Report, arguments
 from _twins import let_collide, make_batch, oracle, solve, staged
 
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import HOME_Q, EvalConfig
-from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import Scene
 
 BAND_M = 1e-4

@@ -20,14 +20,14 @@ from _mix import load_mix, on
 from _report import Report, arguments
 
 import r2h_batch.evaluate as evaluate
-from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.motion import sim_mjwarp, sim_mujoco
+from r2h_batch.judge.motion.execute import Executed, execute
+from r2h_batch.judge.motion.time_law import servo_law
 from r2h_batch.kernels.motion.time_law import servo_commands
-from r2h_batch.launch import launch_trials
-from r2h_batch.motion import sim_mjwarp, sim_mujoco
-from r2h_batch.motion.execute import Executed, execute
-from r2h_batch.motion.time_law import servo_law
+from r2h_batch.scene.robot import ee_pose
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Scores, Trials

@@ -24,7 +24,7 @@ TABLES = {
 PAPER_PRESET = "r2h-v1, preset paper"
 ROWS = ("v1-paper-preset", "v1-release-preset", "release-release-preset", "v0")
 SHORT = {"FC-Handover": "FC", "Handover-VA": "VA", "Contact-Handover": "Contact", "Intent-Handover": "Intent"}
-PAPER = ROOT / "r2h_batch" / "study" / "paper" / "table1.csv"
+PAPER = ROOT / "r2h_batch" / "sweep" / "study" / "paper" / "table1.csv"
 Cells = Callable[[str, str, str], float]
 """(split, short name, column) -> number of a table"""
 

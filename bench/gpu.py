@@ -26,7 +26,7 @@ import warp as wp
 from _mix import Poses, load_mix, on, repeated
 from _report import ROOT, Report, arguments
 
-from r2h_batch import launch
+from r2h_batch.base import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.levels import FORMS, planning_form
@@ -261,7 +261,7 @@ def pose_stage(bench: Bench) -> None:
 
 def worlds(bench: Bench) -> None:
     """Moved trials/s of MuJoCo-Warp over the number of worlds."""
-    from r2h_batch.motion import sim_mjwarp
+    from r2h_batch.judge.motion import sim_mjwarp
 
     kind = "cuda" if bench.cuda else "cpu"
     config = EvalConfig(execute=ExecConfig(sim="mjwarp", model="arm"), chunk=max(WORLDS))

@@ -29,7 +29,7 @@ import warp as wp
 from _report import Report, arguments
 
 import r2h_batch.kernels
-from r2h_batch.launch import init_warp
+from r2h_batch.base.launch import init_warp
 
 ARCH = 90
 PACKAGE = "r2h_batch.kernels."

@@ -21,13 +21,13 @@ import torch
 import ur_analytic_ik
 from _report import Report, arguments
 
-from r2h_batch import se3
-from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
+from r2h_batch.base import se3
+from r2h_batch.base.launch import cpu_threads
+from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import IkResult, reference_chain, solve_ik
 from r2h_batch.kernels.ik.step import STATUS_CONVERGED, STATUS_EDGE, STATUS_SINGULAR
-from r2h_batch.launch import cpu_threads
-from r2h_batch.launch.threads import on_threads
+from r2h_batch.scene.robot import Robot, ee_pose, load_robot
 
 REPEATS = 5
 NO_SEEDS = np.zeros((0, 6))

@@ -29,16 +29,16 @@ from _twins import MujocoScene, Staged, grasp_cases, oracle, winding_number
 from meshes import drawn
 from numpy.typing import NDArray
 
-from r2h_batch.benchmark.build import BenchmarkFlags, BenchmarkOverrides
-from r2h_batch.bodies.robot import gripper_primitives_at
 from r2h_batch.config import CLEARANCE_CAP_M, CLOSED_GAP_M, OPEN_GAP_M
 from r2h_batch.judge.grasp import CUT_CAP_M
 from r2h_batch.judge.ik import one_branch, solve_ik
-from r2h_batch.predictors import PredictorNoise
-from r2h_batch.predictors.hands import estimated_hand
-from r2h_batch.results.reevaluation import Judge
+from r2h_batch.methods.predictors import PredictorNoise
 from r2h_batch.runs.store import load_run
+from r2h_batch.scene.robot import gripper_primitives_at
 from r2h_batch.sweep.command import main as sweep
+from r2h_batch.sweep.results.reevaluation import Judge
+from r2h_batch.trials.benchmark.build import BenchmarkFlags, BenchmarkOverrides
+from r2h_batch.trials.noise import estimated_hand
 from r2h_batch.types import CRITERIA
 
 Array = NDArray[np.float64]

@@ -33,16 +33,16 @@ from numpy.typing import NDArray
 os.environ["R2H_BATCH_CACHE"] = "off"
 
 from r2h_batch import Evaluator, make_trials
-from r2h_batch.bodies.mesh_import.file import load_mesh_file
-from r2h_batch.bodies.mesh_import.pieces import convex_pieces
-from r2h_batch.bodies.objects import ObjectMeshError, build_object
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.receiver.receiving import load_receiving
 from r2h_batch.scene.grasp_tables import grasp_tables
+from r2h_batch.scene.mesh_import.file import load_mesh_file
+from r2h_batch.scene.mesh_import.pieces import convex_pieces
+from r2h_batch.scene.objects import ObjectMeshError, build_object
+from r2h_batch.scene.robot import load_robot
 from r2h_batch.sweep.jobs import Setting, make_jobs
 from r2h_batch.sweep.options import Options
+from r2h_batch.trials.holding.receiving import load_receiving
 
 METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")

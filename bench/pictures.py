@@ -85,10 +85,10 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
 
 def overview(run: Path, method: str, png: Path) -> None:
     """The paper's Figure 1: arm, hand and the ball where the object must be, at the end of the method's first success."""
-    from r2h_batch.export.drawing import Drawing, view_of
-    from r2h_batch.export.pictures import painter, save_picture
-    from r2h_batch.export.stored import Reader
-    from r2h_batch.gallery.pictures import first_of_each_outcome
+    from r2h_batch.view.drawing import Drawing, view_of
+    from r2h_batch.view.export.stored import Reader
+    from r2h_batch.view.gallery.pictures import first_of_each_outcome
+    from r2h_batch.view.pictures import painter, save_picture
 
     reader, size = Reader(run), (1200, 800)
     name = reader.run.named(method)
@@ -128,8 +128,8 @@ def held(model, T_obj_ee, opening, hand, hand_faces, size):
     import torch
     from scipy.spatial.transform import Rotation
 
-    from r2h_batch.bodies.robot import load_robot
     from r2h_batch.judge.grasp import gripper_poses
+    from r2h_batch.scene.robot import load_robot
 
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth = spec.visual.global_.offheight = size
@@ -180,7 +180,7 @@ def grasps(png: Path) -> None:
 
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.judge.grasp import close_gripper
-    from r2h_batch.predictors import PredictorNoise, predict_receiving, retrieve_receiving
+    from r2h_batch.methods.predictors import PredictorNoise, predict_receiving, retrieve_receiving
     from r2h_batch.trials.protocol import trials_with_ids
     from r2h_batch.verdicts import Outcome
 

@@ -25,11 +25,11 @@ from _report import Report, arguments
 from _twins import Batch, Checker, Problems, checker_of, dense, motion_samples, ompl_solve, recheck, solve
 from numpy.typing import NDArray
 
+from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import solve_ik
-from r2h_batch.launch.threads import on_threads
-from r2h_batch.motion.time_law import time_path
+from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.scene.scene import Scene
 
 REPEATS = 3

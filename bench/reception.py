@@ -63,9 +63,9 @@ GROWTH = """
 
 def judged(folder: Path, trials: int) -> tuple[Any, dict[str, Any]]:
     """The judge of the baselines, and the table of each method; of the first `trials` of each split."""
-    from r2h_batch.results import reception as stored
-    from r2h_batch.results.reevaluation import Judge
     from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results import reception as stored
+    from r2h_batch.sweep.results.reevaluation import Judge
 
     run = load_run(folder)
     judge = Judge(run)
@@ -112,10 +112,10 @@ def growth(scores: Any, trials: int = GROWN_TO) -> dict[str, Any]:
 
 def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
     """Writes the picture of the first trial that is received upright with a turn of the hand; gives its caption."""
-    from r2h_batch.export.drawing import Drawing, view_of
-    from r2h_batch.export.pictures import save_picture
-    from r2h_batch.export.stored import judged_again
     from r2h_batch.judge import reception as steps
+    from r2h_batch.view.drawing import Drawing, view_of
+    from r2h_batch.view.export.stored import judged_again
+    from r2h_batch.view.pictures import save_picture
 
     found = steps.reception(scores)
     lean = found.angles_deg[:, steps.ANGLES.index("lean")]
@@ -188,9 +188,9 @@ def frame(
     `released`: the object stays, the gripper is open and 10 cm back along its axis."""
     import mujoco
 
-    from r2h_batch.export.mjcf import spec_of
     from r2h_batch.judge.ik import solve_ik
     from r2h_batch.scene.offscreen import renderer
+    from r2h_batch.view.export.mjcf import spec_of
 
     q, robot = stored.target_q, stored.robot
     row = {**stored.row, "opening_m": robot.open_gap_m} if released else stored.row
@@ -260,9 +260,9 @@ def markdown(data: dict[str, Any]) -> str:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All figures of the page, and its picture."""
-    from r2h_batch.results.reception import render
+    from r2h_batch.sweep.results.reception import render
 
-    bound, tables = judged(ROOT / "r2h_batch" / "compare" / "baselines", options.trials)
+    bound, tables = judged(ROOT / "r2h_batch" / "report" / "compare" / "baselines", options.trials)
     torch.set_num_threads(1)
     return {
         "trials": options.trials,

@@ -25,17 +25,17 @@ import trimesh
 from _report import Report
 from scipy.spatial.transform import Rotation
 
-from r2h_batch import se3
 from r2h_batch.__main__ import main as r2h_batch_main
-from r2h_batch.benchmark.benchmark import built_in
-from r2h_batch.benchmark.build import read_benchmark
-from r2h_batch.export.release import TOOL_M
-from r2h_batch.importers.release import PADS_M, T_world_release, along_z
+from r2h_batch.base import se3
+from r2h_batch.data.release import PADS_M, T_world_release, along_z
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
+from r2h_batch.trials.benchmark.benchmark import built_in
+from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.verdicts import CRITERIA
+from r2h_batch.view.export.release import TOOL_M
 
 SAMPLES = 3
 """Of an executed motion where flags are compared: theirs takes a sixth of a second for each."""

@@ -30,16 +30,16 @@ from _twins import Batch, dense, ompl_solve, oracle, recheck, solve
 from ik import pseudo_inverse
 from plan import free_rows
 
-from r2h_batch.benchmark.benchmark import built_in
-from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
+from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import reference_chain, solve_ik
-from r2h_batch.judge.plan import Planner
-from r2h_batch.launch.threads import on_threads
+from r2h_batch.judge.planner import Planner
 from r2h_batch.methods import oracle as oracle_method
 from r2h_batch.methods import random as random_method
+from r2h_batch.scene.robot import Robot, ee_pose, load_robot
 from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.protocol import make_trials
 
 ROBOTS = ("ur5e_2f85", "ur3e_2f85", "ur10e_2f85", "panda_hand")

@@ -90,8 +90,8 @@ def rates_of(folder: Path) -> dict[str, dict[str, dict[str, float | None]]]:
 
 def pairs_of(folders: Sequence[Path]) -> dict[str, str]:
     """`a > b` or `a = b` for the pairs of methods over all trials: apart (on these objects at least) or tied."""
+    from r2h_batch.report.statistics.paired import compare, pair_up
     from r2h_batch.runs.store import load_run
-    from r2h_batch.statistics.paired import compare, pair_up
 
     (whole,) = [c for c in compare(pair_up([load_run(f) for f in folders]), draws=1) if c.group == "all"]
     found = {}

@@ -27,8 +27,8 @@ from _report import ROOT, Report, arguments, resident_mib
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random as random_method
-from r2h_batch.results.command import verify
 from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.results.command import verify
 from r2h_batch.trials.protocol import make_trials
 
 FULL_BYTES = 4096

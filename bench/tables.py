@@ -6,7 +6,7 @@
 
 The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. Only when all are done do files change:
 
-    r2h_batch/compare/baselines*, bench/rows/*    the rows of each table, with poses
+    r2h_batch/report/compare/baselines*, bench/rows/*    the rows of each table, with poses
     docs/results/table1*.{csv,json}               the tables, with intervals, counts, versions and digests
     docs/results/table1-v1.md                     what a reader needs of them
     docs/results/sensitivity.{md,json}            what each choice is worth
@@ -60,7 +60,7 @@ class Published:
         return ["--method", *METHODS, "--trials", str(trials), *self.flags]
 
 
-_SHIPPED, _OTHERS, _PAPER = Path("r2h_batch/compare"), Path("bench/rows"), ("--preset", "paper")
+_SHIPPED, _OTHERS, _PAPER = Path("r2h_batch/report/compare"), Path("bench/rows"), ("--preset", "paper")
 _V0, _V1 = ("--protocol", "r2h-v0", "--sim", "mujoco"), ("--protocol", "r2h-v1", "--sim", "mujoco")
 _RELEASE = ("--preset", "release")
 PUBLISHED = (
@@ -138,7 +138,7 @@ def plan_table(run) -> str:
 
 def pairs_of(run) -> list[dict[str, object]]:
     """The paired test of the methods on all trials of each split and of both: who is apart from whom."""
-    from r2h_batch.statistics.paired import compare, pair_up
+    from r2h_batch.report.statistics.paired import compare, pair_up
 
     return [
         {"group": c.group, "a": p.a, "b": p.b, "difference": p.difference, "p_holm": p.p_holm, "verdict": p.verdict}

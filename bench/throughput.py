@@ -20,7 +20,7 @@ import torch
 from _mix import MIX, load_mix
 from _report import Report, arguments
 
-import r2h_batch.launch as launch
+import r2h_batch.base.launch as launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.trials.protocol import trials_digest, trials_with_ids

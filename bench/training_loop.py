@@ -20,7 +20,7 @@ import torch
 from _mix import Poses, load_mix, on, repeated
 from _report import Report, arguments
 
-from r2h_batch import launch
+from r2h_batch.base import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.types import Outcome, PlanReason

@@ -29,7 +29,7 @@ COLUMNS = {"sr": "SR", "f_plan": "F_plan", "f_afford": "F_afford, S1", "presente
 
 def maps(spec: dict[str, float], scene: Any, trials: Any) -> np.ndarray:
     """(N, P) probabilities that the network gives with these cameras."""
-    from r2h_batch.predictors import DepthView, predict_contacts
+    from r2h_batch.methods.predictors import DepthView, predict_contacts
 
     view = DepthView(
         int(spec.get("cameras", 0)),
@@ -54,7 +54,7 @@ def measure(out: Path, trials: int) -> dict[str, Any]:
     """Rates and maps of every view."""
     from r2h_batch import Evaluator, make_trials
     from r2h_batch.assets.receiving.contact_maps import contact_map
-    from r2h_batch.predictors.contacts import CONTACT_THRESHOLD
+    from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD
     from r2h_batch.report.table import record, table_of
     from r2h_batch.runs.store import load_run
 

@@ -10,7 +10,7 @@ that neither knows in which frame an object happens to be stored, nor where the 
 import torch
 from torch import Tensor, nn
 
-from r2h_batch import se3
+from r2h_batch.base import se3
 
 CLOUD = 96
 SEEN = 512

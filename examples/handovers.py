@@ -7,7 +7,8 @@ import torch
 from generator import SEEN, frame_of
 from torch import Tensor
 
-from r2h_batch import Evaluator, Trials, se3
+from r2h_batch import Evaluator, Trials
+from r2h_batch.base import se3
 from r2h_batch.methods.candidates import candidates_of, stacked
 from r2h_batch.trials.protocol import trials_with_ids
 

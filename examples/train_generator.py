@@ -19,8 +19,9 @@ from generator import CLOUD, SEEN, Flow, cloud_in, to_numbers, to_pose
 from handovers import Clouds, Examples, collect, palm_frames
 from torch import Tensor
 
-from r2h_batch import Evaluator, Trials, make_trials, reward, se3
-from r2h_batch.statistics.aggregate import wilson_interval
+from r2h_batch import Evaluator, Trials, make_trials, reward
+from r2h_batch.base import se3
+from r2h_batch.report.statistics.aggregate import wilson_interval
 
 HELD_OUT = ("cup", "game_controller", "screwdriver", "bottle")
 TEMPERATURE_M = 0.005

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from r2h_batch import reward
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.scene.scene import Scene
+    from r2h_batch.training import reward
     from r2h_batch.trials.protocol import make_trials
     from r2h_batch.types import CRITERIA, Outcome, PlanReason, Predictions, Scores, Trials
     from r2h_batch.view.page import show
@@ -64,7 +64,7 @@ def lazy_names(
                 f"module {package!r} has no attribute {name!r}; it has {', '.join(sorted(home))}"
             )
         module = import_module(f".{home[name]}", package)
-        return module if home[name] == name else getattr(module, name)
+        return module if home[name].rpartition(".")[2] == name else getattr(module, name)
 
     return find, lambda: sorted(home)
 
@@ -83,7 +83,7 @@ if not TYPE_CHECKING:  # else any name would pass
             "Scores": "types",
             "Trials": "types",
             "make_trials": "trials.protocol",
-            "reward": "reward",
+            "reward": "training.reward",
             "show": "view.page",
         },
     )

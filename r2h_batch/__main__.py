@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import r2h_batch
-from r2h_batch.command_line import Command, answer, call, failed, nearest, read, refuse
+from r2h_batch.base.command_line import Command, answer, call, failed, nearest, read, refuse
 
 COMMANDS = {
     "sweep": (
@@ -16,31 +16,31 @@ COMMANDS = {
         "Score methods or predictions files on the trials and print Table I.",
     ),
     "trials": (
-        "export.command:trials",
+        "view.export.command:trials",
         "Write the trials and everything that a method may read.",
     ),
     "scene": (
-        "export.command:scene",
+        "view.export.command:scene",
         "Write one stored trial as a folder that plain MuJoCo opens.",
     ),
     "export": (
-        "export.command:export",
+        "view.export.command:export",
         "Write trials of a run as files of the authors' release.",
     ),
     "submit": (
-        "submission:submit",
+        "sweep.submission:submit",
         "Write a finished run as one checked file for a leaderboard.",
     ),
     "leaderboard": (
-        "submission:leaderboard",
+        "sweep.submission:leaderboard",
         "Write a page of submissions, each judged again first.",
     ),
     "ls": (
-        "ls:ls",
+        "sweep.ls:ls",
         "List methods, objects, robots, protocols or runs.",
     ),
     "benchmark": (
-        "benchmark.command:COMMANDS",
+        "trials.benchmark.command:COMMANDS",
         "Show what a benchmark file may say, or check one.",
     ),
     "view": (
@@ -48,27 +48,27 @@ COMMANDS = {
         "Look at trials in three dimensions, or write one as a page, a film or strips.",
     ),
     "import": (
-        "imports:COMMANDS",
+        "view.import_command:COMMANDS",
         "Turn other people's hands and grasps into files that sweeps read.",
     ),
     "results": (
-        "results.command:COMMANDS",
+        "sweep.results.command:COMMANDS",
         "Check a run folder, judge its rows again, or count them at other thresholds.",
     ),
     "report": (
-        "gallery.command:report",
+        "view.gallery.command:report",
         "Print the table of a run folder, or write its page.",
     ),
     "figures": (
-        "gallery.command:figures",
+        "view.gallery.command:figures",
         "Draw the paper's figures of a run: protocol, methods over time, failures.",
     ),
     "study": (
-        "study.command:COMMANDS",
+        "sweep.study.command:COMMANDS",
         "Compare a real robot with a run, and test people's ratings.",
     ),
     "compare": (
-        "compare.command:compare",
+        "report.compare.command:compare",
         "Compare methods on the trials that they share.",
     ),
 }

@@ -17,11 +17,11 @@ import torch
 from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
-from r2h_batch.benchmark.benchmark import Benchmark
-from r2h_batch.benchmark.build import read_benchmark
-from r2h_batch.bodies.hand import HandSet
-from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Robot
+from r2h_batch.base.launch import cpu_threads
+from r2h_batch.base.launch.memory import in_parts, rows_at_once
+from r2h_batch.base.launch.threads import on_threads, one_torch_thread
+from r2h_batch.base.summary import html_table
+from r2h_batch.base.validate import instance_of, optional
 from r2h_batch.config import EvalConfig, ExecutionError
 from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
@@ -47,6 +47,8 @@ from r2h_batch.judge.inputs import (
     warn_of_no_gradient,
     warn_of_payload,
 )
+from r2h_batch.judge.motion.execute import execute
+from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.judge.plan import plan_paths, random_key
 from r2h_batch.judge.presented import presented
 from r2h_batch.judge.scores import motion_scores, pose_scores, verdict
@@ -59,19 +61,17 @@ from r2h_batch.judge.trace import (
     plan_of_trace,
     worse_plan,
 )
-from r2h_batch.launch import cpu_threads
-from r2h_batch.launch.memory import in_parts, rows_at_once
-from r2h_batch.launch.threads import on_threads, one_torch_thread
-from r2h_batch.motion.execute import execute
-from r2h_batch.motion.time_law import time_path
+from r2h_batch.scene.hand import HandSet
+from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.person import with_person
+from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import BodyPoses, Scene
-from r2h_batch.summary import html_table
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
+from r2h_batch.trials.benchmark.benchmark import Benchmark
+from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
-from r2h_batch.validate import instance_of, optional
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""

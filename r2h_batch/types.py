@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import pad
 
-from r2h_batch import summary
-from r2h_batch.soft import soft_success
-from r2h_batch.validate import describe_value, instance_of, integer, one_of, sequence_of
-from r2h_batch.validate_tensors import row_index
+from r2h_batch.base import summary
+from r2h_batch.base.soft import soft_success
+from r2h_batch.base.validate import describe_value, instance_of, integer, one_of, sequence_of
+from r2h_batch.base.validate_tensors import row_index
 from r2h_batch.verdicts import (
     CRITERIA,
     SIDES,
@@ -349,7 +349,7 @@ class Scores(_Rows):
         )
 
     def soft(self, *, temperature_m: float, log: bool = False) -> Float32[Tensor, " b"]:
-        """Smooth success (B,) in (0, 1), above 0.5 exactly where `success` (r2h_batch.soft).
+        """Smooth success (B,) in (0, 1), above 0.5 exactly where `success` (r2h_batch.base.soft).
 
         Differentiable where `margin` is: scored with stages="pose" from poses that require a
         gradient.

@@ -8,8 +8,8 @@ import pytest
 from made_runs import write
 
 from r2h_batch.__main__ import main
-from r2h_batch.command_line import answer
-from r2h_batch.predictions import load_predictions
+from r2h_batch.base.command_line import answer
+from r2h_batch.trials.predictions import load_predictions
 
 
 @pytest.fixture

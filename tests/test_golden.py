@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from golden import ENGINES, GOLDEN, compute, made_with, sweep_digests
 
-from r2h_batch.bodies.robot import load_robot, write_robot
+from r2h_batch.scene.robot import load_robot, write_robot
 
 QUICK = ("pose", "none")
 CASES = [pytest.param(case, marks=pytest.mark.check if case in QUICK else ()) for case in (*ENGINES, "pose")]

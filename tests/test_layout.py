@@ -51,7 +51,7 @@ def imports_of(path: Path) -> list[tuple[str, str]]:
 
 
 def test_kernels_import_relatively_what_depends_on_the_number_of_joints_and_nothing_else() -> None:
-    """A second instance of the kernels (r2h_batch.launch.instances) has its own of these, and shares all others."""
+    """A second instance of the kernels (r2h_batch.base.launch.instances) has its own of these, and shares all others."""
     kernels = {n: path for n, path in modules().items() if n.startswith("r2h_batch.kernels.")}
     imported = {n: {m for m, _ in imports_of(path)} for n, path in kernels.items()}
     sized, before = {"r2h_batch.kernels.robot.joints"}, 0

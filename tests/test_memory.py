@@ -9,9 +9,9 @@ import pytest
 import torch
 from pretend_cuda import pretending
 
+from r2h_batch.base.launch.memory import CUDA_ROWS, in_parts
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import POSE_CHUNK_CUDA, Evaluator
-from r2h_batch.launch.memory import CUDA_ROWS, in_parts
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import make_trials
 

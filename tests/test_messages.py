@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from r2h_batch.bodies.hand_file import read_hand_set
+from r2h_batch.base.io.read import FileError
 from r2h_batch.config import EvalConfig, Workplace
-from r2h_batch.io.read import FileError
+from r2h_batch.scene.hand_file import read_hand_set
 from r2h_batch.trials.protocol import make_trials
 
 

@@ -12,11 +12,11 @@ import pytest
 from made_runs import write_run
 from markdown_it import MarkdownIt
 
-from r2h_batch.compare.text import render as render_comparison
 from r2h_batch.report import page
+from r2h_batch.report.compare.text import render as render_comparison
+from r2h_batch.report.statistics.paired import compare, pair_up
 from r2h_batch.report.table import object_lines, render, table_of
 from r2h_batch.report.text import short_names, tex
-from r2h_batch.statistics.paired import compare, pair_up
 
 ODD = (
     r"\input{x}", r"a\1b\g<0>", "<script>x</script>", "a\"b' on=x", "$x^2_{y", "a|b\\|c\\", "=1+1", "&lt;#010203",

@@ -18,7 +18,7 @@ from problems import assert_same, default_evaluator, make_batch
 from torch._subclasses.fake_tensor import FakeTensorMode
 
 from r2h_batch import Evaluator
-from r2h_batch.bodies.objects import load_objects
+from r2h_batch.scene.objects import load_objects
 from r2h_batch.training.torch_op import score_op
 
 ROWS = 64

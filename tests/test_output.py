@@ -10,7 +10,7 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.__main__ import main
-from r2h_batch.command_line import LOG
+from r2h_batch.base.command_line import LOG
 from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.verdicts import Outcome
 
@@ -71,7 +71,7 @@ def test_a_kernel_cache_that_takes_nothing_is_one_line_and_exit_code_1(tmp_path)
 
     Another kernel is there already, so the cache was not full when it was begun.
     """
-    code = f"{FILLS_UP}\nimport sys\nfrom r2h_batch.command_line import answer\nfrom r2h_batch.launch import load\n"
+    code = f"{FILLS_UP}\nimport sys\nfrom r2h_batch.base.command_line import answer\nfrom r2h_batch.base.launch import load\n"
     code += "from r2h_batch.kernels.plan.rrt import rrt_connect as k\nsys.exit(answer('sweep', lambda: load(k, 'cpu')))"
     environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "cache")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)

@@ -10,10 +10,10 @@ from problems import default_evaluator, make_batch
 
 from r2h_batch.config import OPEN_GAP_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.methods import fc, handover_va
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.motion.time_law import time_path
-from r2h_batch.statistics import aggregate
+from r2h_batch.report.statistics import aggregate
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.verdicts import CRITERIA
@@ -63,8 +63,8 @@ def test_speed_is_constant_and_no_joint_is_faster_than_the_releases():
 
 
 def test_every_object_counts_the_same_in_its_averages(tmp_path, capsys):
+    from r2h_batch.report.statistics.tally import tally
     from r2h_batch.runs.store import load_run
-    from r2h_batch.statistics.tally import tally
 
     line = ["--method", "random", "--protocol", "r2h-release", "--preset", "release", "--trials", "13"]
     assert sweep([*line, "--splits", "S0", "--out", str(tmp_path / "run")]) == 0

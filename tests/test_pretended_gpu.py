@@ -8,7 +8,6 @@ import pytest
 import torch
 from pretend_cuda import OnCuda, Seen, pretending
 
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels
@@ -16,6 +15,7 @@ from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.robot import load_robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions, Scores, Trials

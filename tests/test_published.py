@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from r2h_batch.results.reevaluation import Judge, reevaluate
 from r2h_batch.runs import provenance
 from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"

@@ -10,14 +10,14 @@ import torch
 
 from r2h_batch import Evaluator
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark.benchmark import built_in
-from r2h_batch.bodies.objects import load_objects
-from r2h_batch.bodies.robot import ROBOTS, Robot, ee_pose, load_robot, read_robot, write_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.ik_any import APART_RAD
 from r2h_batch.methods.oracle import predict
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.robot import ROBOTS, Robot, ee_pose, load_robot, read_robot, write_robot
+from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import PlanReason
 

@@ -1,4 +1,4 @@
-"""An arm of seven joints has its own instance of the kernels (r2h_batch.launch.instances), and goes through the evaluator."""
+"""An arm of seven joints has its own instance of the kernels (base/launch/instances.py), and goes through the evaluator."""
 
 import numpy as np
 import oracle
@@ -7,14 +7,14 @@ import torch
 from seven import seven_joints
 
 from r2h_batch import Evaluator
-from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.base.launch.instances import of_joints
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.judge.ik import solve_ik
-from r2h_batch.judge.plan import Planner
+from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.plan.lines import check_postures
 from r2h_batch.kernels.robot.world import World
-from r2h_batch.launch.instances import of_joints
+from r2h_batch.scene.robot import ee_pose
 from r2h_batch.types import PlanReason
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))

@@ -5,7 +5,14 @@ import sys
 
 from r2h_batch import types, verdicts
 
-READERS = ("report.page", "runs.store", "compare.command", "results.command", "results.rethreshold", "study.report")
+READERS = (
+    "report.page",
+    "runs.store",
+    "report.compare.command",
+    "sweep.results.command",
+    "sweep.results.rethreshold",
+    "sweep.study.report",
+)
 
 
 def modules_after(code: str) -> set[str]:

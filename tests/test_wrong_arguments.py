@@ -11,14 +11,14 @@ from made_runs import write_run
 from problems import default_evaluator, make_batch
 
 from r2h_batch import EvalConfig, Evaluator, Predictions, Scene, make_trials, reward, show
+from r2h_batch.base.soft import soft_success
 from r2h_batch.config import EstimateConfig, ExecConfig, ExecutionError, IkConfig, PlanConfig, Thresholds, Workplace
-from r2h_batch.predictions import load_predictions, write_predictions
-from r2h_batch.results.reevaluation import Judge, reevaluate
+from r2h_batch.report.statistics import aggregate, paired
+from r2h_batch.report.statistics.common import common_trials
+from r2h_batch.report.statistics.thresholds import rank_stability, rethreshold
 from r2h_batch.runs.store import RunError, load_run
-from r2h_batch.soft import soft_success
-from r2h_batch.statistics import aggregate, paired
-from r2h_batch.statistics.common import common_trials
-from r2h_batch.statistics.thresholds import rank_stability, rethreshold
+from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+from r2h_batch.trials.predictions import load_predictions, write_predictions
 from r2h_batch.trials.protocol import trials_digest, trials_of, trials_with_ids
 
 WRONG = {
@@ -136,7 +136,7 @@ def _run(tmp):
 
 @cache
 def _benchmark():
-    from r2h_batch.benchmark.benchmark import built_in
+    from r2h_batch.trials.benchmark.benchmark import built_in
 
     return built_in()
 
@@ -152,7 +152,7 @@ def _file(tmp) -> Path:
 
 
 def _tally(tmp):
-    from r2h_batch.statistics.tally import tally
+    from r2h_batch.report.statistics.tally import tally
 
     return tally(_run(tmp), "a")
 

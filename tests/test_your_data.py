@@ -11,11 +11,11 @@ import yaml
 
 from r2h_batch import make_trials
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark.benchmark import built_in
-from r2h_batch.benchmark.model import BenchmarkFile, read_benchmark_file, read_object_file
-from r2h_batch.benchmark.trials_file import read_trials_file
-from r2h_batch.predictors import read_observations
+from r2h_batch.methods.predictors import read_observations
 from r2h_batch.sweep.options import Options
+from r2h_batch.trials.benchmark.benchmark import built_in
+from r2h_batch.trials.benchmark.model import BenchmarkFile, read_benchmark_file, read_object_file
+from r2h_batch.trials.benchmark.trials_file import read_trials_file
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs/your_data.md").read_text()
 CODE = {kind: re.findall(rf"```{kind}\n(.*?)```", PAGE, re.S) for kind in ("yaml", "python")}

@@ -33,7 +33,11 @@ class Mutation(NamedTuple):
 
 
 METRICS, VERDICT, ROWS = "r2h_batch/judge/metrics.py", "r2h_batch/judge/scores.py", "kernels/judge/rows.py"
-T_METRICS, T_ROWS, T_MOTION = "tests/judge/test_metrics.py", "tests/judge/test_rows.py", "tests/motion/test_motion.py"
+T_METRICS, T_ROWS, T_MOTION = (
+    "tests/judge/test_metrics.py",
+    "tests/judge/test_rows.py",
+    "tests/judge/motion/test_motion.py",
+)
 T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed"
 T_GRASP = f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit"
 T_BALL = f"{T_ROWS}::test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit"
@@ -111,10 +115,10 @@ MUTATIONS = (
     ),
     Mutation(
         "palm: on the back of the left hand",
-        "r2h_batch/bodies/hand.py",
+        "r2h_batch/scene/hand.py",
         "sign = torch.where(side == LEFT, -1.0, 1.0)",
         "sign = torch.where(side == LEFT, 1.0, 1.0)",
-        ("tests/bodies/test_hand.py::test_palm_normal_points_out_of_the_palm_on_both_sides",),
+        ("tests/scene/test_hand.py::test_palm_normal_points_out_of_the_palm_on_both_sides",),
     ),
     Mutation(
         "presented: radians for degrees",
@@ -132,14 +136,14 @@ MUTATIONS = (
     ),
     Mutation(
         "transforms: the inverse keeps the rotation",
-        "r2h_batch/se3.py",
+        "r2h_batch/base/se3.py",
         "R_t = T[..., :3, :3].transpose(-1, -2)",
         "R_t = T[..., :3, :3]",
-        ("tests/test_se3.py::test_products_inverses_and_points_agree_with_numpy",),
+        ("tests/base/test_se3.py::test_products_inverses_and_points_agree_with_numpy",),
     ),
     Mutation(
         "time law: the last segment takes no time",
-        "r2h_batch/motion/time_law.py",
+        "r2h_batch/judge/motion/time_law.py",
         "torch.where(slot < length[:, None] - 1, d, 0.0)",
         "torch.where(slot < length[:, None] - 2, d, 0.0)",
         (f"{T_MOTION}::test_servos_shortcuts_and_the_times_of_a_path_know_one_law",),
@@ -167,17 +171,17 @@ MUTATIONS = (
     ),
     Mutation(
         "trials: objects of the other split",
-        "r2h_batch/schedule.py",
+        "r2h_batch/base/schedule.py",
         "of_split = (ids & 1) == k",
         "of_split = (ids & 1) != k",
         ("tests/trials/test_trials.py::test_objects_alternate_and_every_object_meets_both_hands_alike",),
     ),
     Mutation(
         "statistics: a criterion that was not evaluated fails",
-        "r2h_batch/statistics/tally.py",
+        "r2h_batch/report/statistics/tally.py",
         "failed = PATTERNS == FAILED",
         "failed = PATTERNS <= FAILED",
-        ("tests/statistics/test_breakdown.py::test_the_outcome_of_every_pattern_is_its_first_failure_and_never_a_success_that_was_not_fully_judged",),
+        ("tests/report/statistics/test_breakdown.py::test_the_outcome_of_every_pattern_is_its_first_failure_and_never_a_success_that_was_not_fully_judged",),
     ),
 )  # fmt: skip
 

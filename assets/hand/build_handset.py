@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.assets.hand.measure import hull_overlap, hull_planes, piece_report, self_cut, separate_pairs
-from r2h_batch.bodies.arrays import arrays_digest, asset, read_arrays
-from r2h_batch.bodies.hand import HandModel
+from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays
+from r2h_batch.scene.hand import HandModel
 
 HERE = Path(__file__).parent
 SEED = 0x52324848  # "R2HH"

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from r2h_batch.bodies.arrays import arrays_digest, read_arrays
-from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.judge.grasp import close_gripper, region_distance, squeezed
 from r2h_batch.methods.candidates import STORED
 from r2h_batch.methods.grasps import COUNT, REGION_CLEARANCE_M, Candidates, generate_grasps, sample_grasps
+from r2h_batch.scene.arrays import arrays_digest, read_arrays
+from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_objects
+from r2h_batch.scene.robot import load_robot
 from r2h_batch.scene.scene import Scene
 
 HERE = Path(__file__).resolve().parent

@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.solid import signed_distance
+from r2h_batch.scene.solid import signed_distance
 
 Vec = tuple[float, float, float]
 LONG, SHORT = 1.35, 0.75

@@ -13,8 +13,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.scene.model_parts import look_on_white
+from r2h_batch.scene.objects import ObjectModel, load_objects
 
 COOL = (
     (0.36, 0.60, 0.78),

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.arrays import arrays_digest
-from r2h_batch.io.read import read_file
+from r2h_batch.base.io.read import read_file
+from r2h_batch.scene.arrays import arrays_digest
 
 HERE = Path(__file__).resolve().parent
 ESTIMATORS = {  # published 2017 to 2022, each once; older ones are what nobody would use any more

@@ -1,8 +1,9 @@
 """Makes held_out.npz: ``python -m r2h_batch.assets.receiving.build_held_out``.
 
 It holds, per object, ``<name>/side``, ``<name>/T_obj_hand``, ``<name>/pose``, ``<name>/shape``, ``<name>/part`` as in
-``r2h_batch.receiver.receiving`` and ``<name>/grip_n`` as in ``r2h_batch.receiver.held_out``. About 20 CPU minutes; the same
-bytes on the same kind of machine. Reception reads it, predictors never do.
+``r2h_batch.trials.holding.receiving`` and ``<name>/grip_n`` as in
+``r2h_batch.trials.holding.held_out``. About 20 CPU minutes; the same bytes on the same kind of machine.
+Reception reads it, predictors never do.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.assets.hand.build_hand import write_npz
-from r2h_batch.bodies.objects import stored_objects
-from r2h_batch.receiver.held_out import sample_held_out
+from r2h_batch.scene.objects import stored_objects
+from r2h_batch.trials.holding.held_out import sample_held_out
 
 HERE = Path(__file__).resolve().parent
 

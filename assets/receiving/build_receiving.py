@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from r2h_batch.assets.hand import measure
 from r2h_batch.assets.hand.build_hand import write_npz
-from r2h_batch.bodies.arrays import arrays_digest, read_arrays
-from r2h_batch.bodies.hand import load_hand, load_hand_set
-from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
-from r2h_batch.receiver.hand_contact import ObjectSurface, hand_depth, measure_contact
-from r2h_batch.receiver.receiving import CONTACT_M, FIELDS, ReceivingGrasps
-from r2h_batch.receiver.sampler import sample_receiving
+from r2h_batch.scene.arrays import arrays_digest, read_arrays
+from r2h_batch.scene.hand import load_hand, load_hand_set
+from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_objects
+from r2h_batch.trials.holding.hand_contact import ObjectSurface, hand_depth, measure_contact
+from r2h_batch.trials.holding.receiving import CONTACT_M, FIELDS, ReceivingGrasps
+from r2h_batch.trials.holding.sampler import sample_receiving
 
 HERE = Path(__file__).resolve().parent
 

@@ -7,10 +7,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.launch import init_warp
-from r2h_batch.receiver.hand_contact import ObjectSurface
-from r2h_batch.receiver.receiving import CONTACT_M, load_receiving
+from r2h_batch.base.launch import init_warp
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.trials.holding.hand_contact import ObjectSurface
+from r2h_batch.trials.holding.receiving import CONTACT_M, load_receiving
 
 __all__ = ["contact_map", "touched_points"]
 

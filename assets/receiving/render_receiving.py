@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.assets.objects.render_objects import COOL, WARM
-from r2h_batch.bodies.hand import load_hand
-from r2h_batch.bodies.objects import ObjectModel, load_objects
-from r2h_batch.receiver.receiving import load_receiving
+from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.model_parts import look_on_white
+from r2h_batch.scene.objects import ObjectModel, load_objects
+from r2h_batch.trials.holding.receiving import load_receiving
 
 VIEW_RADIUS_M = 0.125
 """Half the height of what a tile shows, around the hand: long objects are cut off."""

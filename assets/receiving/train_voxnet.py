@@ -30,12 +30,12 @@ from scipy.stats import rankdata
 from torch import Tensor
 
 from r2h_batch.assets.receiving.contact_maps import contact_map
-from r2h_batch.bodies.objects import OBJECT_NAMES, VOXELS, ObjectModel, load_objects
-from r2h_batch.command_line import LOG
-from r2h_batch.predictors.contacts import CONTACT_THRESHOLD
-from r2h_batch.predictors.grid import contact_grids, voxel_of_points
-from r2h_batch.predictors.voxnet import LEFT_OUT_FILE, STORED_FILE, VoxNet, halved
-from r2h_batch.receiver.receiving import receiving_digest
+from r2h_batch.base.command_line import LOG
+from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD
+from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
+from r2h_batch.methods.predictors.voxnet import LEFT_OUT_FILE, STORED_FILE, VoxNet, halved
+from r2h_batch.scene.objects import OBJECT_NAMES, VOXELS, ObjectModel, load_objects
+from r2h_batch.trials.holding.receiving import receiving_digest
 
 __all__ = ["main", "train"]
 

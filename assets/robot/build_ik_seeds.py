@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.kernels.ik.step import STATUS_CONVERGED, STATUS_RESCUED
+from r2h_batch.scene.robot import ee_pose, load_robot
 
 POOL = 256
 TARGETS = 4000

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.assets.robot.primitive_search import ARM_STEP_M, RECIPES, SearchTarget, fit, read, write
-from r2h_batch.bodies import robot_visuals as visuals
-from r2h_batch.importers.robot_shapes import BOX, Array, Shape, box_of, mouths_for
+from r2h_batch.data.robot_shapes import BOX, Array, Shape, box_of, mouths_for
+from r2h_batch.scene import robot_visuals as visuals
 
 HERE = Path(__file__).resolve().parent
 EE_OFFSET_M = 0.153203152  # flange to the pads' centre at half stroke

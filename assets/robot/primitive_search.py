@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.importers.robot_shapes import (
+from r2h_batch.data.robot_shapes import (
     BOX,
     CAPSULE,
     CYLINDER,

@@ -17,12 +17,12 @@ BLOCKS = wp.constant(6)
 CELLS_PER_EDGE = wp.constant(6)
 """A CELLS shape is a hull whose points are sorted by direction: 6 x 6 cells on each face of a cube around the origin. Its
 first 216 rows in `points` give, for each cell, where its points start (counted from the shape's first row) and how many
-they are; only those can be farthest in a direction of that cell (r2h_batch.bodies.bounds.support_cells). They are stored in
+they are; only those can be farthest in a direction of that cell (r2h_batch.scene.bounds.support_cells). They are stored in
 blocks."""
 
 BLOCK_POINTS = wp.constant(16)
 """Points in blocks are stored 16 at a time, their 16 x, then their 16 y and 16 z, in 16 rows of `points`; the last block is
-filled up with its last point. A CPU looks at all of a block at once (bodies/bounds.py, point_blocks). A BLOCKS shape is a hull
+filled up with its last point. A CPU looks at all of a block at once (scene/bounds.py, point_blocks). A BLOCKS shape is a hull
 whose points are stored so."""
 
 ROUNDING_M = wp.constant(1.0e-6)

@@ -1,7 +1,7 @@
 """Clean poses and the closed gripper, row by row: which poses are valid, Stability's margin, the attached grasp, the ball.
 
 These are a few dozen multiplications a row. As tensor operations a small batch paid for some two hundred of them what all
-its geometry costs twice over. Every product is rounded before it is added (`fuse_fp` off), as in `r2h_batch.se3`, which says
+its geometry costs twice over. Every product is rounded before it is added (`fuse_fp` off), as in `r2h_batch.base.se3`, which says
 the same row by row in torch; quotients and square roots are those of IEEE 754: these bits are the same on every processor.
 """
 
@@ -12,7 +12,7 @@ from r2h_batch.kernels.options import OPTIONS
 wp.set_module_options(OPTIONS)
 
 ROTATION_TOLERANCE = wp.constant(1.0e-3)
-"""As `r2h_batch.se3.ROTATION_TOLERANCE`."""
+"""As `r2h_batch.base.se3.ROTATION_TOLERANCE`."""
 
 
 @wp.func
@@ -43,7 +43,7 @@ def cross3(a: wp.vec3, b: wp.vec3) -> wp.vec3:
 
 @wp.func
 def is_pose(T: wp.mat44) -> bool:
-    """As `r2h_batch.se3.is_pose`: finite, R R^T = I within 1e-3, det R > 0, bottom row (0, 0, 0, 1), within a kilometre."""
+    """As `r2h_batch.base.se3.is_pose`: finite, R R^T = I within 1e-3, det R > 0, bottom row (0, 0, 0, 1), within a kilometre."""
     for i in range(4):
         for j in range(4):
             if not wp.isfinite(T[i, j]):
@@ -69,7 +69,7 @@ def pose_of(x: wp.vec3, y: wp.vec3, z: wp.vec3, p: wp.vec3) -> wp.mat44:
 
 @wp.func
 def orthonormal(T: wp.mat44) -> wp.mat44:
-    """As `r2h_batch.se3.orthonormalise`: z keeps its direction, y is taken off z, x is y x z (Gram-Schmidt)."""
+    """As `r2h_batch.base.se3.orthonormalise`: z keeps its direction, y is taken off z, x is y x z (Gram-Schmidt)."""
     y = column(T, 1)
     z = column(T, 2)
     length = wp.sqrt(sum3(z, z))

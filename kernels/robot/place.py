@@ -20,7 +20,7 @@ def _square(x: float) -> float:
 
 @wp.func
 def motion_radius_of_ball(world: World, center: wp.vec3, ball_radius: float):
-    """Largest distance of a ball, fixed to the last link, from each joint's axis in any posture (bodies/bounds.py).
+    """Largest distance of a ball, fixed to the last link, from each joint's axis in any posture (scene/bounds.py).
 
     Turning a joint keeps the ball in a cylinder about its axis; that cylinder, seen from the joint before, fits into one
     about that joint's axis, and so on to the base; a ball about the joint's origin is carried along and cuts what it can.

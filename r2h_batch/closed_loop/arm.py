@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.hand import rotation_from_axis_angle
-from r2h_batch.bodies.robot import Robot
+from r2h_batch.base import se3
+from r2h_batch.scene.hand import rotation_from_axis_angle
+from r2h_batch.scene.robot import Robot
 
 DAMPING = 0.03
 """Of damped least squares: where the arm is singular its joints stay slow [choice]."""

@@ -19,21 +19,21 @@ from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool, Float32, Int8
 from torch import Tensor
 
-from r2h_batch import rng, se3
+from r2h_batch.base import rng, se3
+from r2h_batch.base.validate import validate_fields
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
 from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion
 from r2h_batch.closed_loop.relative import CAP_M, Passed, RelativeDistance
 from r2h_batch.judge.distance import person_distance
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.metrics import reach_distance
+from r2h_batch.judge.motion.execute import nothing_pushes
+from r2h_batch.judge.motion.time_law import limits
 from r2h_batch.judge.reception import reception
-from r2h_batch.motion.execute import nothing_pushes
-from r2h_batch.motion.time_law import limits
-from r2h_batch.predictors.noise import PredictorNoise, perturbed, trial_ids
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses
+from r2h_batch.trials.noise import PredictorNoise, perturbed, trial_ids
 from r2h_batch.types import CRITERIA, Scores
-from r2h_batch.validate import validate_fields
 
 Action = Literal["velocity", "twist", "pose", "posture"]
 """What a policy says: joint speeds (rad/s); speed and turn of the ee (m/s, rad/s, world axes); where the ee

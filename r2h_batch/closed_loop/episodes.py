@@ -6,12 +6,12 @@ from typing import Any
 
 import torch
 
+from r2h_batch.base.user_code import load_function
 from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
 from r2h_batch.closed_loop.moving import KINDS, ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
 from r2h_batch.runs import provenance
 from r2h_batch.types import Scores
-from r2h_batch.user_code import load_function
 
 __all__ = ["Loop", "play", "policy_of"]
 

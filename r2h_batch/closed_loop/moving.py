@@ -18,11 +18,11 @@ from jaxtyping import Bool, Float32, Float64
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from r2h_batch import rng, se3
-from r2h_batch.bodies.hand import rotation_from_axis_angle
-from r2h_batch.io.read import FileError, read_npz
-from r2h_batch.predictors.noise import normals
+from r2h_batch.base import rng, se3
+from r2h_batch.base.io.read import FileError, read_npz
+from r2h_batch.scene.hand import rotation_from_axis_angle
 from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.noise import normals
 from r2h_batch.types import Trials
 
 KINDS = ("still", "moves", "reaches", "hesitates", "withdraws", "takes", "replay")
@@ -448,7 +448,7 @@ def _draws(trials: Trials, motion: ReceiverMotion) -> dict[str, Tensor]:
 def _replayed(
     scene: Scene, trials: Trials, motion: ReceiverMotion, begin: Tensor, radius: Tensor
 ) -> Replayed:
-    """The motions of an imported set (importers/hand_sets.py), each moved as a whole so that the frame in
+    """The motions of an imported set (data/hand_sets.py), each moved as a whole so that the frame in
     which the hand receives has the trial's pose. Gravity is that of the trial, not of the recording."""
     path = motion.path
     if not path.stem.endswith("_motion"):

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float32, Float64
 from torch import Tensor
 
-from r2h_batch import se3
+from r2h_batch.base import se3
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
 from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.judge.ik import solve_ik

@@ -7,15 +7,14 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch import se3
+from r2h_batch.base import se3
+from r2h_batch.base.launch import over_trials
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, close_pads, open_clearance
 from r2h_batch.kernels.judge import rows as row_kernels
-from r2h_batch.launch import over_trials
-from r2h_batch.predictors.hands import estimated_hand
-from r2h_batch.predictors.noise import PredictorNoise
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
+from r2h_batch.trials.noise import PredictorNoise, estimated_hand
 from r2h_batch.types import Trials
 
 ROWS_CHUNK = 4096

@@ -8,17 +8,17 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
+from r2h_batch.base.launch import new_outputs, over_trials
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.judge.frontier.levels import uses_frontier
 from r2h_batch.judge.frontier.safe import SafeFrontier
+from r2h_batch.judge.motion.execute import Executed
 from r2h_batch.judge.plan import path_clearances
 from r2h_batch.kernels.judge import safe as safe_kernels
 from r2h_batch.kernels.judge.goal import goal_safe_distance
 from r2h_batch.kernels.judge.overlap import hand_overlap
 from r2h_batch.kernels.motion.worlds import WINDOW
 from r2h_batch.kernels.plan.codes import WAYPOINTS
-from r2h_batch.launch import new_outputs, over_trials
-from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
 

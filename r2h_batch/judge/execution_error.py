@@ -5,9 +5,9 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from r2h_batch import rng, se3
+from r2h_batch.base import rng, se3
 from r2h_batch.config import ExecutionError
-from r2h_batch.predictors.noise import perturbed, trial_ids
+from r2h_batch.trials.noise import perturbed, trial_ids
 from r2h_batch.types import Trials
 
 _CAMERA, _OBJECT = 0, 1  # purposes of the random counters

@@ -7,12 +7,12 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
+from r2h_batch.base.launch import new_outputs, over_trials
 from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M
 from r2h_batch.judge.ik import ROTATION_LEVER_M, IkResult, SearchedIk, home_posture, ur_parameters
 from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
-from r2h_batch.launch import new_outputs, over_trials
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 

@@ -8,13 +8,13 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.bodies.robot import Robot
+from r2h_batch.base.launch import over_trials
 from r2h_batch.config import Thresholds
 from r2h_batch.kernels.grasp import region as region_kernels
 from r2h_batch.kernels.grasp import width as width_kernels
 from r2h_batch.kernels.robot import gripper as gripper_kernels
-from r2h_batch.launch import over_trials
 from r2h_batch.scene.grasp_tables import GraspTables, gripper_tables
+from r2h_batch.scene.robot import Robot
 
 CUT_CAP_M = 0.01
 """Clearances of the open gripper are exact below this and a lower bound above it: so are

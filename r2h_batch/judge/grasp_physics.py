@@ -15,12 +15,12 @@ from jaxtyping import Bool, Float, Float32, Float64, Int, Int32
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Robot, drive_from_gap, table_at
-from r2h_batch.launch import cpu_threads, thread_pool
-from r2h_batch.motion.simulation import warnings_unwritten
+from r2h_batch.base.launch import cpu_threads, thread_pool
+from r2h_batch.judge.motion.simulation import warnings_unwritten
 from r2h_batch.scene.dynamics import add_servo, quat_wxyz
 from r2h_batch.scene.model_parts import FingerFrames, add_mesh, tie
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import Robot, drive_from_gap, table_at
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ import warp as wp
 from jaxtyping import Float32, Int32
 from torch import Tensor
 
-from r2h_batch.bodies.hand import HandModel
-from r2h_batch.bodies.robot import Robot
+from r2h_batch.base.launch import over_trials
 from r2h_batch.kernels.methods import hand_clearance as kernels
-from r2h_batch.launch import over_trials
 from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.hand import HandModel
+from r2h_batch.scene.robot import Robot
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot, ur_lengths
+from r2h_batch.base.launch import init_warp, over_trials
 from r2h_batch.judge import ik_any
 from r2h_batch.kernels.ik import any_arm
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.ik.jacobian import first_branch
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.robot.fk import UrParameters, vec6d
-from r2h_batch.launch import init_warp, over_trials
+from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot, ur_lengths
 
 ITERATIONS = 20
 """Damped least squares steps per seed; the mean is 7."""

@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float32
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from r2h_batch.bodies.robot import Robot, ee_pose, forward_kinematics
+from r2h_batch.base.launch import over_trials
+from r2h_batch.base.launch.instances import of_joints
 from r2h_batch.kernels.ik import any_arm
 from r2h_batch.kernels.plan.codes import BRANCHES
-from r2h_batch.launch import over_trials
-from r2h_batch.launch.instances import of_joints
+from r2h_batch.scene.robot import Robot, ee_pose, forward_kinematics
 
 SEEDS = 1024
 """Postures from which the nearest are taken; more find little more, and the search among them costs more."""

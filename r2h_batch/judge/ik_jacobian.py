@@ -19,13 +19,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, ee_pose, load_robot
+from r2h_batch.base import se3
 from r2h_batch.judge import ik as fused
 from r2h_batch.judge import ik_any
 from r2h_batch.kernels.ik import any_arm
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.plan.codes import BRANCHES
+from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, ee_pose, load_robot
 
 ITERATIONS = 20
 """Damped least squares steps per seed, as in the fused kernel."""

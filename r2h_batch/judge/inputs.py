@@ -9,12 +9,12 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor
 
+from r2h_batch.base.validate import describe_value, instance_of, one_of
+from r2h_batch.base.validate_tensors import as_numbers, check_range, check_tensor
 from r2h_batch.config import EvalConfig
-from r2h_batch.predictions import doubts
 from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.predictions import doubts
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.validate import describe_value, instance_of, one_of
-from r2h_batch.validate_tensors import as_numbers, check_range, check_tensor
 
 MOST_M = 1000.0
 """No number of a receiver is larger; poses beyond are INVALID_INPUT."""

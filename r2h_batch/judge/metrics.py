@@ -13,13 +13,13 @@ import torch
 from jaxtyping import Bool, Float32, Float64, Int8, Int32
 from torch import Tensor
 
+from r2h_batch.base.launch import over_trials
 from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, EvalConfig
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
 from r2h_batch.judge.grasp_physics import DROPPED_M
 from r2h_batch.kernels.judge import reach as reach_kernels
-from r2h_batch.launch import over_trials
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
 

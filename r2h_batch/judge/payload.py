@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float64
 from numpy.typing import NDArray
 
-from r2h_batch import se3
-from r2h_batch.bodies.robot import Robot, drive_from_gap, pad_center_z
+from r2h_batch.base import se3
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.grasp_physics import FRICTION, G
+from r2h_batch.scene.robot import Robot, drive_from_gap, pad_center_z
 from r2h_batch.types import CRITERIA, Scores
 
 Array = NDArray[np.float64]

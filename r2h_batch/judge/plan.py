@@ -2,15 +2,18 @@
 shortcuts, clearance."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float32, Int32, Int64
 from torch import Tensor
 
-from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
-from r2h_batch.judge.frontier.levels import Frontier, uses_frontier
+from r2h_batch.base.launch import load
+from r2h_batch.base.launch.instances import of_joints
+from r2h_batch.base.launch.threads import one_torch_thread
+from r2h_batch.config import CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
+from r2h_batch.judge.frontier.levels import uses_frontier
 from r2h_batch.judge.ik import home_posture
+from r2h_batch.judge.planner import Planner
 from r2h_batch.judge.search import Search, edge_mode_of
 from r2h_batch.kernels import JOINTS
 from r2h_batch.kernels.frontier.arcs import draw_arcs
@@ -18,12 +21,8 @@ from r2h_batch.kernels.frontier.shortcuts import take_arcs
 from r2h_batch.kernels.frontier.trees import enter_edges
 from r2h_batch.kernels.judge.overlap import path_overlap
 from r2h_batch.kernels.plan.codes import BRANCHES, SAMPLES, WAYPOINTS
-from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
-from r2h_batch.launch import launch_trials, load, new_outputs
-from r2h_batch.launch.instances import of_joints
-from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 
@@ -169,7 +168,7 @@ def path_clearances(
 
 
 def _measure_overlaps(
-    planner: "Planner",
+    planner: Planner,
     scene: Scene,
     path: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
@@ -206,70 +205,6 @@ def _reasons(
     reason[~start_clear] = int(PlanReason.START_IN_COLLISION)
     reason[~active] = int(PlanReason.NOT_EVALUATED)
     return reason
-
-
-class Planner:
-    """Runs planning kernels, which all take the scene's world and the trials' bodies; on a GPU what
-    can goes in `frontier`."""
-
-    def __init__(self, scene: Scene, body_poses: BodyPoses, rows: int | None = None) -> None:
-        """`rows`: for how many paths of at most WAYPOINTS the frontier has room; None: one a trial."""
-        self._tables = {"world": body_poses.tables(scene), "bodies": body_poses.bodies}
-        self._device, self._sized = scene.device, scene.sized
-        self.joint_weight = scene.robot.joint_weight
-        self.frontier = (
-            Frontier(**self._tables, device=scene.device, rows=rows or len(body_poses.object_index))
-            if uses_frontier(scene.device)
-            else None
-        )
-
-    def __call__(
-        self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int
-    ) -> None:
-        launch_options: dict[str, Any] = {"device": self._device, "chunk": chunk, "uneven": True}
-        launch_trials(
-            self._sized(kernel),
-            n,
-            inputs={**self._tables, **inputs},
-            outputs=outputs,
-            **launch_options,
-        )
-
-    def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Free or not, the pair that collides, the hand clearance up to 6.5 mm; one row per
-        posture."""
-        if self.frontier is not None:
-            return self.frontier.check(q.contiguous(), active, per_trial)
-        made = new_outputs(check_postures, len(q), q.device)
-        inputs = {"per_trial": per_trial, "active": active.contiguous(), "q": q.contiguous()}
-        self(check_postures, len(q), inputs=inputs, outputs=made, chunk=64)
-        return made["clear"], made["pair"], made["hand_clearance"]
-
-    def clearance(
-        self, path: Tensor, length: Tensor, tolerance_m: float = CLEARANCE_TOLERANCE_M
-    ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
-        """Smallest clearance along each path over all pairs (-inf without one), its pair and the
-        robot's body."""
-        if self.frontier is not None:
-            return self.frontier.clearance(path, length, tolerance_m)
-        made = new_outputs(path_clearance, len(path), path.device)
-        made["clearance"].fill_(-torch.inf)
-        made["body"].fill_(-1)
-        inputs = {"cap": CLEARANCE_CAP_M, "tolerance": tolerance_m, "path": path, "length": length}
-        self(path_clearance, len(path), inputs=inputs, outputs=made, chunk=8)
-        return made["clearance"], made["pair"], made["body"]
-
-    def straight(
-        self, start: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, edge_mode: int
-    ) -> Tensor:
-        """Each row's first goal whose straight line from the start is free, or -1."""
-        if self.frontier is not None:
-            return self.frontier.straight(start, goals, n_goals, margin, edge_mode)
-        chosen = torch.full_like(n_goals, -1)
-        inputs = {"edge_mode": edge_mode, "start": start, "goals": goals, "n_goals": n_goals}
-        inputs |= {"goal_margin": margin.view(-1)}
-        self(straight_lines, len(n_goals), inputs=inputs, outputs={"chosen": chosen}, chunk=8)
-        return chosen
 
 
 def _sort_goals(

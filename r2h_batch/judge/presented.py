@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
+from r2h_batch.base.launch import over_trials
 from r2h_batch.config import FARTHEST_M, Thresholds
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.kernels.judge import presented as kernels
-from r2h_batch.launch import over_trials
 from r2h_batch.scene.scene import Scene
 
 FACING_DEG = 90.0

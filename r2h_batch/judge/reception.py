@@ -18,20 +18,20 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.hand import palm_frame
+from r2h_batch.base import se3
+from r2h_batch.base.launch import over_trials
+from r2h_batch.base.validate import array, check_arguments, instance_of
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.hand_clearance import PosedHand, posed_hand
 from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
-from r2h_batch.launch import over_trials
-from r2h_batch.receiver.held_out import GRAVITY, HeldOut, load_held_out
 from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.hand import palm_frame
 from r2h_batch.scene.scene import Scene
 from r2h_batch.scene.tables import MIDDLE_ROOT
+from r2h_batch.trials.holding.held_out import GRAVITY, HeldOut, load_held_out
 from r2h_batch.types import CRITERIA, ScoreInputs, Scores
-from r2h_batch.validate import array, check_arguments, instance_of
 
 STEPS = ("arm", "free", "way", "clear", "release", "hold")
 """What a grasp must pass, in this order. arm: joint ranges allow it. free: the hand is clear of the closed

@@ -12,10 +12,10 @@ from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.metrics import Criterion, constants
+from r2h_batch.judge.motion.execute import Executed, executed_time_at
+from r2h_batch.judge.motion.time_law import Motion, time_at
 from r2h_batch.judge.plan import Plan
 from r2h_batch.judge.presented import Presented
-from r2h_batch.motion.execute import Executed, executed_time_at
-from r2h_batch.motion.time_law import Motion, time_at
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
 
 NONE_FAILED = 100

@@ -2,7 +2,6 @@
 the first path is long."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Bool, Float32, Int32
@@ -11,13 +10,11 @@ from torch import Tensor
 from r2h_batch.config import ExecConfig, PlanConfig
 from r2h_batch.judge.frontier.search import connect_by_frontier
 from r2h_batch.judge.frontier.shortcuts import shorten_by_frontier
+from r2h_batch.judge.motion.time_law import pace, path_time
+from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, SAMPLES
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
-from r2h_batch.motion.time_law import pace, path_time
-
-if TYPE_CHECKING:
-    from r2h_batch.judge.plan import Planner
 
 _SCRATCH_NODES, _NODE_BYTES = 4_000_000, 32  # of all trees of one launch: 128 MB
 REACH_SHRINK = 0.9
@@ -39,7 +36,7 @@ class Search:
     """What searches of B trials share: the goals of each, (b * 8, 6), the first `n_goals` of them
     free, and their margins."""
 
-    planner: "Planner"
+    planner: Planner
     start: Float32[Tensor, "b 6"]
     goals: Float32[Tensor, "g 6"]
     n_goals: Int32[Tensor, " b"]

@@ -13,14 +13,14 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.base.validate import describe_value
+from r2h_batch.base.validate_tensors import as_numbers, check_tensor
+from r2h_batch.judge.motion.execute import Executed
+from r2h_batch.judge.motion.time_law import Motion
 from r2h_batch.judge.plan import Plan, path_clearances
-from r2h_batch.motion.execute import Executed
-from r2h_batch.motion.time_law import Motion
+from r2h_batch.scene.robot import ee_pose
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
-from r2h_batch.validate import describe_value
-from r2h_batch.validate_tensors import as_numbers, check_tensor
 from r2h_batch.verdicts import MOST_SECONDS
 
 LIMIT_TOLERANCE_RAD = 1e-5

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from r2h_batch.launch.threads import one_torch_thread
+from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 

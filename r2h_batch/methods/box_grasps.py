@@ -14,11 +14,11 @@ from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.bodies.robot import Kind, Robot
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import box_grasps as kernels
-from r2h_batch.launch import launch_trials
 from r2h_batch.methods.part_roles import GRASP
+from r2h_batch.scene.robot import Kind, Robot
 from r2h_batch.scene.scene import Scene
 
 FINGER_PARTS = ("pad", "inner_finger")

@@ -14,10 +14,7 @@ from jaxtyping import Bool, Float32, Int32, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.bodies.arrays import stored_arrays
-from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_key
-from r2h_batch.bodies.robot import Robot
-from r2h_batch.io.cache import ArraySpec, cached, code_digest
+from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.grasps import ENOUGH as SAMPLED
 from r2h_batch.methods.grasps import (
@@ -29,6 +26,9 @@ from r2h_batch.methods.grasps import (
     sample_grasps,
     seat_grasps,
 )
+from r2h_batch.scene.arrays import stored_arrays
+from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_key
+from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 
 Kind = Literal["filtered", "as-generated", "narrow"]

@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float32, Int32, UInt8
 from sklearn.cluster import DBSCAN
 from torch import Tensor
 
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.methods import blocked as blocked_kernels
-from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.least_cost_pose import (
@@ -35,7 +35,7 @@ from r2h_batch.methods.placing import (
     least,
     taken,
 )
-from r2h_batch.predictors import (
+from r2h_batch.methods.predictors import (
     ContactPredictor,
     DepthView,
     Observations,

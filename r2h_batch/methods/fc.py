@@ -10,7 +10,7 @@ names neither the point nor its distance: `at`, `height_m`).
 from jaxtyping import Float
 from torch import Tensor
 
-from r2h_batch import se3
+from r2h_batch.base import se3
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.placing import (
@@ -28,7 +28,12 @@ from r2h_batch.methods.placing import (
     taken,
     unit,
 )
-from r2h_batch.predictors import Observations, PredictorNoise, predict_receiving, predict_target
+from r2h_batch.methods.predictors import (
+    Observations,
+    PredictorNoise,
+    predict_receiving,
+    predict_target,
+)
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 

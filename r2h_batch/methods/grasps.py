@@ -21,9 +21,8 @@ import warp as wp
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from r2h_batch.bodies.grasp_set import GraspSet
-from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Robot, drive_from_gap, load_robot, pad_center_z
+from r2h_batch.base.launch import init_warp, launch_trials
+from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.config import Thresholds
 from r2h_batch.judge.grasp import (
     attach,
@@ -33,10 +32,11 @@ from r2h_batch.judge.grasp import (
     region_distance,
 )
 from r2h_batch.kernels.methods import antipodal
-from r2h_batch.launch import init_warp, launch_trials
-from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.methods.box_grasps import three_boxes
+from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import Robot, drive_from_gap, load_robot, pad_center_z
 
 OWN_GRIPPER, OWN_ROBOT = "2f-85", "ur5e_2f85"
 """The gripper that stored candidates are for, and a robot that carries it."""

@@ -16,8 +16,7 @@ import torch
 from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.robot import Robot
+from r2h_batch.base import se3
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.box_grasps import BoxGrasps, box_grasps, depth_steps
 from r2h_batch.methods.candidates import candidate_table
@@ -31,8 +30,7 @@ from r2h_batch.methods.placing import (
     rolled,
     taken,
 )
-from r2h_batch.methods.utility_axis import LABEL_M, Alignment, align_templates
-from r2h_batch.predictors import (
+from r2h_batch.methods.predictors import (
     Observations,
     PredictorNoise,
     SeenParts,
@@ -40,6 +38,8 @@ from r2h_batch.predictors import (
     predict_parts,
     predict_target,
 )
+from r2h_batch.methods.utility_axis import LABEL_M, Alignment, align_templates
+from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 

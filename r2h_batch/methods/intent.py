@@ -19,9 +19,9 @@ import torch
 from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
-from r2h_batch import se3
+from r2h_batch.base import se3
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.methods import approach_hit
-from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
@@ -40,7 +40,7 @@ from r2h_batch.methods.placing import (
     turned_inward,
     unit,
 )
-from r2h_batch.predictors import (
+from r2h_batch.methods.predictors import (
     Observations,
     PredictorNoise,
     ReceivingHand,
@@ -48,8 +48,8 @@ from r2h_batch.predictors import (
     predict_target,
     retrieve_receiving,
 )
-from r2h_batch.receiver.instructions import ANYWHERE, intents_of, understand
 from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.holding.instructions import ANYWHERE, intents_of, understand
 from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "Intent-Handover", "retrieval"

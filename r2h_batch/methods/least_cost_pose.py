@@ -11,11 +11,10 @@ from jaxtyping import Float, Float32, Int32, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.robot import Robot
+from r2h_batch.base import se3
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import pose_cost as kernels
-from r2h_batch.launch import launch_trials
 from r2h_batch.methods.box_grasps import half_sides
 from r2h_batch.methods.placing import (
     HOME_X,
@@ -29,8 +28,9 @@ from r2h_batch.methods.placing import (
     roll_angles,
     rolled,
 )
-from r2h_batch.predictors import TargetHand
+from r2h_batch.methods.predictors import TargetHand
 from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 
 DIRECTIONS = 32

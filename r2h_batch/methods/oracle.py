@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from r2h_batch import rng, se3
+from r2h_batch.base import rng, se3
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper, region_distance, squeezed

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.benchmark.vocabulary import S0_ROLES
-from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.vocabulary import S0_ROLES
 
 FUNCTION, GRASP, WRAP = 0, 1, 2
 

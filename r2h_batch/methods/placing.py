@@ -13,13 +13,13 @@ import torch
 from jaxtyping import Bool, Float, Float32, Int, Int64
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.robot import Robot, ee_pose
+from r2h_batch.base import se3
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.candidates import CandidateTable
-from r2h_batch.predictors import TargetHand
+from r2h_batch.methods.predictors import TargetHand
+from r2h_batch.scene.robot import Robot, ee_pose
 from r2h_batch.scene.scene import Scene
 
 Gate = Literal["hand", "ik", "none"]

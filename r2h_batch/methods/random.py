@@ -5,7 +5,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from r2h_batch import rng
+from r2h_batch.base import rng
 from r2h_batch.methods.candidates import candidates_in, check_candidates, stacked
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials

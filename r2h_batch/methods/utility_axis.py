@@ -12,8 +12,8 @@ from jaxtyping import Float32, Float64, Int32, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.methods import label_icp as kernels
-from r2h_batch.launch import launch_trials
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP
 from r2h_batch.scene.scene import Scene
 

@@ -1,1 +1,1 @@
-"""Tables, charts, pages of a run folder."""
+"""Tables, charts, pages, statistics and comparisons of run folders."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import yaml
 
-from r2h_batch.io.write import write_text
+from r2h_batch.base.io.write import write_text
 from r2h_batch.report.table import render, table_of
 from r2h_batch.report.text import plain
 from r2h_batch.runs.store import Run

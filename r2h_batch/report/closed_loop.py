@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from r2h_batch.report.statistics.aggregate import wilson_interval
 from r2h_batch.report.text import aligned, notes_list, plain, short_names
 from r2h_batch.runs.store import Run
-from r2h_batch.statistics.aggregate import wilson_interval
 
 __all__ = ["render"]
 

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from r2h_batch.report.statistics.breakdown import Histogram
 from r2h_batch.runs.rows import OUTCOME_NAMES
-from r2h_batch.statistics.breakdown import Histogram
 from r2h_batch.verdicts import REGISTRY
 
 if TYPE_CHECKING:

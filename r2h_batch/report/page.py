@@ -12,6 +12,11 @@ import numpy as np
 import pyarrow as pa
 
 from r2h_batch.report import figures
+from r2h_batch.report.statistics import breakdown
+from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Row
+from r2h_batch.report.statistics.common import Common
+from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
+from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import (
     BEST_NOTE,
     HEADINGS,
@@ -24,11 +29,6 @@ from r2h_batch.report.table import (
 from r2h_batch.report.text import NA, short_names
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import FAILURES, RATES, Row
-from r2h_batch.statistics.common import Common
-from r2h_batch.statistics.paired import Comparison, compare, pair_up
-from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA
 
 TRIALS_SHOWN = 20_000

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from r2h_batch.report.figures import make_figure, style
+from r2h_batch.report.statistics.aggregate import FAILURES, Rate, ratio
+from r2h_batch.report.statistics.paired import Pair, compare, pair_up
+from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import HEADINGS, table_of
 from r2h_batch.report.text import (
     NA,
@@ -20,9 +23,6 @@ from r2h_batch.report.text import (
     short_names,
 )
 from r2h_batch.runs.store import Run
-from r2h_batch.statistics.aggregate import FAILURES, Rate, ratio
-from r2h_batch.statistics.paired import Pair, compare, pair_up
-from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import SPLITS, Outcome
 
 if TYPE_CHECKING:

@@ -8,6 +8,9 @@ from math import floor, log10
 from typing import Any
 
 from r2h_batch.config import ExecutionError
+from r2h_batch.report.statistics import breakdown
+from r2h_batch.report.statistics.aggregate import FAILURES, RATES, TIMES, Rate, Row, summarise
+from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import (
     NA,
     aligned,
@@ -24,9 +27,6 @@ from r2h_batch.report.text import (
     tex_table,
 )
 from r2h_batch.runs.store import Run
-from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import FAILURES, RATES, TIMES, Rate, Row, summarise
-from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA, SPLITS
 
 FORMATS = ("md", "latex", "csv", "json")

@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from r2h_batch.io.write import csv_cell
+from r2h_batch.base.io.write import csv_cell
 
 NA = "n/a"
 """A cell in which nothing is defined."""

@@ -44,11 +44,14 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, create_model
 
-from r2h_batch.command_line import nearest
-from r2h_batch.io.read import FileError, kind_of, open_file, printable, read_file
-from r2h_batch.io.read import read_json as read_any_json
-from r2h_batch.io.tables import check_decoded_size
-from r2h_batch.io.write import atomic_path, csv_cell, packed_json, run_folder_of
+from r2h_batch.base.command_line import nearest
+from r2h_batch.base.io.read import FileError, kind_of, open_file, printable, read_file
+from r2h_batch.base.io.read import read_json as read_any_json
+from r2h_batch.base.io.tables import check_decoded_size
+from r2h_batch.base.io.write import atomic_path, csv_cell, packed_json, run_folder_of
+from r2h_batch.base.schedule import PROTOCOLS, trial_ids
+from r2h_batch.base.validate import boolean, check_arguments, rule_of, sequence_of, text
+from r2h_batch.base.validate import path as path_of
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
     EPISODE_SCHEMA,
@@ -60,9 +63,6 @@ from r2h_batch.runs.rows import (
     TRIAL_SCHEMA,
     of_joints,
 )
-from r2h_batch.schedule import PROTOCOLS, trial_ids
-from r2h_batch.validate import boolean, check_arguments, rule_of, sequence_of, text
-from r2h_batch.validate import path as path_of
 
 FORMAT = 3
 """Version of the folder: fields of its JSON files and schemas of its tables."""

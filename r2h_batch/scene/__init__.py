@@ -1,1 +1,1 @@
-"""Bodies as tables on a device, and as one MuJoCo model."""
+"""Robot, hand and object: loaded, bounded, as tables on a device and as one MuJoCo model."""

@@ -20,8 +20,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Robot, rolled
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import Robot, rolled
 
 Array = NDArray[np.float64]
 

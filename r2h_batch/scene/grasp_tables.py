@@ -12,12 +12,12 @@ import trimesh
 import warp as wp
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import MOTIONS, Robot
+from r2h_batch.base.launch import init_warp
 from r2h_batch.kernels.geometry.lanes import LANES, LEAF_ROWS, NODE_ROWS, TRIANGLE_ROWS
 from r2h_batch.kernels.geometry.surface import Surfaces
 from r2h_batch.kernels.robot.gripper import Gripper
-from r2h_batch.launch import init_warp
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import MOTIONS, Robot
 
 _NODE_TRIANGLES, _LEAF_TRIANGLES = 64, 8
 

@@ -12,8 +12,6 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Robot, drive_from_gap
 from r2h_batch.config import Workplace
 from r2h_batch.scene.dynamics import (
     MassProperties,
@@ -43,6 +41,8 @@ from r2h_batch.scene.model_parts import (
     link_color,
     look,
 )
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import Robot, drive_from_gap
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.robot import Kind, Linkage, Primitives, Robot, table_at
-from r2h_batch.bodies.robot_visuals import part_origin, visual_triangles
 from r2h_batch.scene.dynamics import (
     FINGER_MASS_KG,
     add_body,
@@ -19,6 +17,8 @@ from r2h_batch.scene.dynamics import (
     add_servo,
     quat_wxyz,
 )
+from r2h_batch.scene.robot import Kind, Linkage, Primitives, Robot, table_at
+from r2h_batch.scene.robot_visuals import part_origin, visual_triangles
 
 Array = NDArray[np.float64]
 
@@ -409,7 +409,7 @@ SEEN_CENTER, SEEN_EXTENT_M = (0.35, 0, 0.3), 1.2
 
 
 def look(spec: mujoco.MjSpec) -> None:
-    """Light, background and resolution of what is rendered; export/mjcf.py writes the same."""
+    """Light, background and resolution of what is rendered; view/export/mjcf.py writes the same."""
     light = spec.visual.headlight
     light.ambient, light.diffuse, light.specular = [AMBIENT] * 3, [DIFFUSE] * 3, [0.0] * 3
     spec.visual.global_.offwidth, spec.visual.global_.offheight = PICTURE_PIXELS

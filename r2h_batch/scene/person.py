@@ -15,10 +15,10 @@ import warp as wp
 from jaxtyping import Float32, Float64
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.bounds import BLOCK_POINTS
+from r2h_batch.base import se3
+from r2h_batch.base.launch.arguments import struct_of
 from r2h_batch.kernels.robot.world import TrialBodies, World
-from r2h_batch.launch.arguments import struct_of
+from r2h_batch.scene.bounds import BLOCK_POINTS
 from r2h_batch.scene.scene import PLACED, BodyPoses, Scene
 
 PIECES = ("forearm", "upper_arm", "torso")

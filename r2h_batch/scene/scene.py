@@ -14,24 +14,24 @@ from jaxtyping import Float32, Int32
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.hand import HandSet, load_hand_set
-from r2h_batch.bodies.objects import ObjectModel, checked_objects, load_objects
-from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot
+from r2h_batch.base import se3
+from r2h_batch.base.launch import init_warp, over_trials
+from r2h_batch.base.launch.arguments import struct_of
+from r2h_batch.base.launch.instances import Compiled, of_joints
+from r2h_batch.base.summary import counted, html_table
+from r2h_batch.base.validate import describe_value, instance_of, integer, optional, sequence_of
+from r2h_batch.base.validate_tensors import check_indices, check_tensor, checked_device
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.robot.place import place_bodies
 from r2h_batch.kernels.robot.tool import Tool
 from r2h_batch.kernels.robot.world import TrialBodies, World
-from r2h_batch.launch import init_warp, over_trials
-from r2h_batch.launch.arguments import struct_of
-from r2h_batch.launch.instances import Compiled, of_joints
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tables
+from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.model import SceneModel, scene_model
+from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
+from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.scene.tables import Hands, WorldTables
-from r2h_batch.summary import counted, html_table
-from r2h_batch.validate import describe_value, instance_of, integer, optional, sequence_of
-from r2h_batch.validate_tensors import check_indices, check_tensor, checked_device
 
 PLACED = (
     "R_hand_world",

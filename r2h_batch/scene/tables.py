@@ -13,17 +13,17 @@ from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies import bounds
-from r2h_batch.bodies.bounds import BLOCK_POINTS
-from r2h_batch.bodies.hand import HandModel, HandSet, palm_frame
-from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Kind, Robot, corners_of
+from r2h_batch.base import se3
+from r2h_batch.base.launch.instances import of_joints
 from r2h_batch.config import Workplace
 from r2h_batch.kernels.geometry.shape import BLOCKS
 from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, MAX_OBSTACLES
 from r2h_batch.kernels.robot.world import World
-from r2h_batch.launch.instances import of_joints
+from r2h_batch.scene import bounds
+from r2h_batch.scene.bounds import BLOCK_POINTS
+from r2h_batch.scene.hand import HandModel, HandSet, palm_frame
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import Kind, Robot, corners_of
 
 MIDDLE_ROOT = 4
 """MANO's joint where the middle finger begins."""

@@ -1,2 +1,2 @@
-"""Joins the two towers: trials, methods, verdicts, stored rows. `python -m r2h_batch.sweep
---help`."""
+"""Joins the two towers: trials, methods, verdicts, stored rows, and rows judged again.
+`python -m r2h_batch.sweep --help`."""

@@ -17,15 +17,15 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from r2h_batch.command_line import LOG
-from r2h_batch.io.read import printable
+from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.read import printable
+from r2h_batch.base.validate_tensors import as_numbers, check_tensor
 from r2h_batch.sweep.options import UsageError
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.validate_tensors import as_numbers, check_tensor
 from r2h_batch.verdicts import MOST_SECONDS, SIDES
 
 if TYPE_CHECKING:  # a sweep of a user's method needs no kernels of grasps and holds
-    from r2h_batch.predictors import Observations
+    from r2h_batch.methods.predictors import Observations
     from r2h_batch.scene.scene import Scene
 
 
@@ -173,7 +173,7 @@ def coverage_of(
     """What a built-in method can answer: every object with candidates; those that look at the
     receiver's hold on it (and are not shown a network's) also need one of the hand's side."""
     from r2h_batch.methods.candidates import without_candidates
-    from r2h_batch.receiver.receiving import without_receiving
+    from r2h_batch.trials.holding.receiving import without_receiving
 
     answers = torch.ones((len(scene.objects), 2), dtype=torch.bool, device="cpu")
     lines = []

@@ -11,12 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.command_line import LOG, answer, counted, failed, refuse, telling
+from r2h_batch.base.command_line import LOG, answer, counted, failed, refuse, telling
 from r2h_batch.sweep.options import Options, UsageError, parse
 
 # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
 if TYPE_CHECKING:
-    from r2h_batch.loggers import LoggerName
+    from r2h_batch.base.loggers import LoggerName
     from r2h_batch.runs.store import Run
     from r2h_batch.sweep.engine import Work
 
@@ -199,7 +199,7 @@ def _score(work: "Work") -> int:
 
 def _log(stored: "Run", kind: "LoggerName") -> None:
     """The table's numbers in a logger, each as METHOD/SPLIT/NAME; what it prints goes to stderr."""
-    from r2h_batch.loggers import Logger
+    from r2h_batch.base.loggers import Logger
     from r2h_batch.report.table import record, table_of
 
     table = table_of(stored)

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from r2h_batch.command_line import LOG, counted, is_quiet, refuse
+from r2h_batch.base.command_line import LOG, counted, is_quiet, refuse
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.runs.rows import (

@@ -15,14 +15,11 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 
 import torch
 
-from r2h_batch.benchmark.benchmark import Benchmark
-from r2h_batch.benchmark.build import BenchmarkOverrides
-from r2h_batch.benchmark.trials_file import Labels
-from r2h_batch.command_line import LOG, counted
-from r2h_batch.launch.threads import on_threads
-from r2h_batch.predictions import Answers, Motions, PredictionsError, align, doubts, load_answers
+from r2h_batch.base.command_line import LOG, counted
+from r2h_batch.base.launch.threads import on_threads
+from r2h_batch.base.schedule import trial_ids
+from r2h_batch.base.user_code import HOW, UserFunction, load_function, user_files
 from r2h_batch.runs import provenance
-from r2h_batch.schedule import trial_ids
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import (
     METHODS,
@@ -36,17 +33,27 @@ from r2h_batch.sweep.options import (
     own_name,
     text_of_options,
 )
+from r2h_batch.trials.benchmark.benchmark import Benchmark
+from r2h_batch.trials.benchmark.build import BenchmarkOverrides
+from r2h_batch.trials.benchmark.trials_file import Labels
+from r2h_batch.trials.predictions import (
+    Answers,
+    Motions,
+    PredictionsError,
+    align,
+    doubts,
+    load_answers,
+)
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.user_code import HOW, UserFunction, load_function, user_files
 from r2h_batch.verdicts import SIDES, SPLITS
 
 if TYPE_CHECKING:
-    from r2h_batch.bodies.objects import ObjectModel
     from r2h_batch.closed_loop.episodes import Loop
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.predictors import Observations, PredictorNoise
-    from r2h_batch.predictors.noise import Errors
+    from r2h_batch.methods.predictors import Observations, PredictorNoise
+    from r2h_batch.scene.objects import ObjectModel
+    from r2h_batch.trials.noise import Errors
 
 DIGEST_TRIALS = 10_000
 """Trials of each split that the digest of the trial list covers: the generator counts, so these
@@ -114,9 +121,9 @@ def prepare(options: Options) -> Setting:
     """The setting that the options describe."""
     import platform
 
-    from r2h_batch.bodies.objects import object_digest
-    from r2h_batch.bodies.robot import load_robot
     from r2h_batch.evaluate import Evaluator
+    from r2h_batch.scene.objects import object_digest
+    from r2h_batch.scene.robot import load_robot
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 
     if options.device != "cpu" and not torch.cuda.is_available():
@@ -189,7 +196,7 @@ def prepare(options: Options) -> Setting:
 
 def _about_object(model: "ObjectModel") -> dict[str, Any]:
     """What run.json says of an object: a repaired mesh with what was done, and what came of it."""
-    from r2h_batch.bodies.objects import object_digest, stored_key
+    from r2h_batch.scene.objects import object_digest, stored_key
 
     fields = {
         "name": model.name,
@@ -256,7 +263,7 @@ def _errors(options: Options) -> "Errors":
 
 def _noise(options: Options) -> "PredictorNoise":
     """The error model of what the methods see."""
-    from r2h_batch.predictors import PredictorNoise
+    from r2h_batch.methods.predictors import PredictorNoise
 
     return PredictorNoise(target_errors=_errors(options)).scaled(options.predictor_noise)
 
@@ -286,7 +293,7 @@ def with_trials(options: Options) -> Options:
     in the run folder."""
     if not options.trials_from:
         return options
-    from r2h_batch.importers.release import imported
+    from r2h_batch.data.release import imported
 
     own = ("benchmark", "trials_file", "objects", "object_mesh", "hands", "hand_model", "protocol")
     if taken := [name for name in own if getattr(options, name)]:
@@ -365,7 +372,7 @@ def _seen(options: Options, setting: Setting) -> "Observations | None":
     files = {name: file for name, file in named.items() if file}
     if not files:
         return None
-    from r2h_batch.predictors import read_observations
+    from r2h_batch.methods.predictors import read_observations
 
     scene = setting.evaluator.scene
     seen = read_observations(scene.objects, scene.hands.model, **files)
@@ -413,7 +420,7 @@ def resolve(options: Options) -> None:
     if options.predictor and options.predicted_contacts:
         raise UsageError("--predictor and --predicted-contacts both say the contacts; give one")
     if options.predictor:
-        from r2h_batch.predictors import load_predictor
+        from r2h_batch.methods.predictors import load_predictor
 
         load_predictor(options.predictor, trust_code=options.trust_code)
 
@@ -474,7 +481,7 @@ def _method_job(
     if not built_in:
         source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
     if "noise" in takes:
-        from r2h_batch.predictors import load_predictor
+        from r2h_batch.methods.predictors import load_predictor
 
         extra["noise"] = _noise(options)
         own = options.predictor if built_in and "predictor" in takes else ""
@@ -538,7 +545,7 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         NotBuiltIn: a method or files of the user's answered.
         UsageError: the built-in method takes no such options.
     """
-    from r2h_batch.predictors.noise import Errors
+    from r2h_batch.trials.noise import Errors
 
     predictors = header.get("predictors", {})
     function = source.get("function", "")

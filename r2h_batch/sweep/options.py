@@ -15,10 +15,10 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
-from r2h_batch.command_line import UsageError, nearest, read
-from r2h_batch.io.read import FileError
-from r2h_batch.user_code import HOW
-from r2h_batch.validate import expand_home
+from r2h_batch.base.command_line import UsageError, nearest, read
+from r2h_batch.base.io.read import FileError
+from r2h_batch.base.user_code import HOW
+from r2h_batch.base.validate import expand_home
 
 if TYPE_CHECKING:
     from r2h_batch.config import ExecutionError
@@ -414,8 +414,8 @@ def load_config(path: Path) -> Options:
     """
     import pydantic
 
-    from r2h_batch.io.read import read_yaml
-    from r2h_batch.validate import rule_of
+    from r2h_batch.base.io.read import read_yaml
+    from r2h_batch.base.validate import rule_of
 
     try:
         data = read_yaml(path)

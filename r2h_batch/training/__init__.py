@@ -1,1 +1,1 @@
-"""Gradients, torch.compile, captured calls."""
+"""Gradients, rewards, torch.compile, captured calls."""

@@ -7,9 +7,9 @@ from dataclasses import fields
 import torch
 from torch import Tensor
 
+from r2h_batch.base.validate import instance_of, integer
+from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.types import Scores, Trials
-from r2h_batch.validate import instance_of, integer
-from r2h_batch.validate_tensors import check_tensor
 
 _WARM_UP = 3
 """Calls before a graph is captured: they load kernels and tables, and fill torch's caches."""

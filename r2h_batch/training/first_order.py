@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Bool, Float, Int32, Int64
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.robot import UrLengths
+from r2h_batch.base import se3
 from r2h_batch.kernels.witness.closing import EMPTY, MATERIAL, STEP_HIGH, STEP_LOW
+from r2h_batch.scene.robot import UrLengths
 
 
 @dataclass(frozen=True)

@@ -27,15 +27,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.robot import ee_pose, ur_lengths
+from r2h_batch.base import se3
+from r2h_batch.base.soft import with_gradient
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, Thresholds
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.grasp import CUT_CAP_M
 from r2h_batch.judge.ik import ROTATION_LEVER_M
+from r2h_batch.scene.robot import ee_pose, ur_lengths
 from r2h_batch.scene.scene import Scene
-from r2h_batch.soft import with_gradient
 from r2h_batch.training import first_order, witnesses
 from r2h_batch.types import CRITERIA, CollidingPair, PlanReason, Scores
 

@@ -10,14 +10,14 @@ import warp as wp
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch import se3
-from r2h_batch.bodies.robot import Robot
+from r2h_batch.base import se3
+from r2h_batch.base.launch import over_trials
 from r2h_batch.config import FARTHEST_M
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.witness import closing as closing_kernels
 from r2h_batch.kernels.witness import posture as posture_kernels
 from r2h_batch.kernels.witness import surface as kernels
-from r2h_batch.launch import over_trials
+from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training.first_order import Arm, Closing, Contact
 

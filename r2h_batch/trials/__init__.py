@@ -1,1 +1,1 @@
-"""Which object goes to which hand, and where it stands."""
+"""Which object goes to which hand, where it stands, how it is held; the benchmark file; predictions."""

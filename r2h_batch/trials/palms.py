@@ -4,7 +4,7 @@
 A palm is drawn in a box of positions and of rotations. It is kept if the arm reaches the pose of
 the tool that a reference grasp asks for, with the object's centre 15 cm above the palm; collisions
 do not count. Numbers are the release's, turned into our frame: its arm reaches to -x and its base
-is 0.75 m high. Only +, -, *, / and sqrt: a palm is the same on every machine (r2h_batch.rng).
+is 0.75 m high. Only +, -, *, / and sqrt: a palm is the same on every machine (r2h_batch.base.rng).
 """
 
 from functools import lru_cache
@@ -12,10 +12,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch import rng, se3
-from r2h_batch.bodies.arrays import stored_arrays
-from r2h_batch.bodies.objects import ObjectModel, stored_key
-from r2h_batch.bodies.robot import DEFAULT_ROBOT, load_robot
+from r2h_batch.base import rng, se3
+from r2h_batch.scene.arrays import stored_arrays
+from r2h_batch.scene.objects import ObjectModel, stored_key
+from r2h_batch.scene.robot import DEFAULT_ROBOT, load_robot
 from r2h_batch.trials.receivers import sine_cosine
 
 Array = NDArray[np.float64]

@@ -22,21 +22,28 @@ from jaxtyping import Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch import rng, se3
-from r2h_batch.benchmark.benchmark import Benchmark, built_in
-from r2h_batch.benchmark.build import read_benchmark
-from r2h_batch.benchmark.trials_file import listed_with_ids
-from r2h_batch.bodies.bounds import capsule_of_shape
-from r2h_batch.bodies.hand import HandSet, palm_frame
-from r2h_batch.bodies.objects import ObjectModel, checked_objects
-from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, ee_pose, forward_kinematics, load_robot
+from r2h_batch.base import rng, se3
+from r2h_batch.base.schedule import (
+    PROTOCOL,
+    PROTOCOLS,
+    RELEASE,
+    assign_hands,
+    assign_objects,
+    trial_ids,
+)
+from r2h_batch.base.validate import instance_of, integer, one_of, optional, sequence_of
+from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig, Workplace
-from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE, assign_hands, assign_objects, trial_ids
+from r2h_batch.scene.bounds import capsule_of_shape
+from r2h_batch.scene.hand import HandSet, palm_frame
+from r2h_batch.scene.objects import ObjectModel, checked_objects
+from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, ee_pose, forward_kinematics, load_robot
 from r2h_batch.trials import palms, receivers, recorded
+from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
+from r2h_batch.trials.benchmark.build import read_benchmark
+from r2h_batch.trials.benchmark.trials_file import listed_with_ids
 from r2h_batch.trials.distance import from_box, from_segment, from_segments
 from r2h_batch.types import Trials
-from r2h_batch.validate import instance_of, integer, one_of, optional, sequence_of
-from r2h_batch.validate_tensors import check_tensor
 from r2h_batch.verdicts import SPLITS
 
 TRIALS = 500

@@ -7,7 +7,7 @@ and wrist within joint ranges. The hand follows from these; its roll is never fr
 names its source; [choice] marks a value without one.
 
 Only +, -, *, / and sqrt: sine, cosine and the normal quantile are polynomials and a rational
-function of this file, so that a person is the same on every machine (r2h_batch.rng).
+function of this file, so that a person is the same on every machine (r2h_batch.base.rng).
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch import rng, se3
+from r2h_batch.base import rng, se3
 
 Array = NDArray[np.float64]
 

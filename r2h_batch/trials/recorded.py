@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch import se3
+from r2h_batch.base import se3
 from r2h_batch.trials.receivers import (
     PRONATED_DEG,
     SUPINATED_DEG,

@@ -5,9 +5,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import UsageError, check_range
-from r2h_batch.io.write import check_output_file
+from r2h_batch.base.command_line import UsageError, check_range
+from r2h_batch.base.io.write import check_output_file
+from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
 
 FILMS = (".mp4", ".webm", ".gif")
 STRIPS = (".png", ".jpg", ".jpeg", ".pdf", ".svg")
@@ -80,8 +80,8 @@ def view(
         from r2h_batch.scene.offscreen import ready
 
         ready()
-    from r2h_batch.benchmark.build import BenchmarkOverrides
-    from r2h_batch.export.stored import Reader
+    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
+    from r2h_batch.view.export.stored import Reader
 
     reader = Reader(run, BenchmarkOverrides.of(benchmark))
     if trial is None or not (html or pictures):
@@ -91,7 +91,7 @@ def view(
         return 0
     drawings: list[Any] = []
     if receiver_motion:
-        from r2h_batch.export.episode import episode_of
+        from r2h_batch.view.episode import episode_of
 
         try:
             for m in method or [None]:
@@ -108,13 +108,13 @@ def view(
             print(write_page(shown, html))
         if not pictures:
             return 0
-        from r2h_batch.export.captions import headline
-        from r2h_batch.export.drawing import Drawing
+        from r2h_batch.view.captions import headline
+        from r2h_batch.view.drawing import Drawing
 
         for s in shown if strips is not None else ():
             print(f"{s.method}: {headline(s.row)}")
         drawings += map(Drawing, shown)
-    from r2h_batch.export.pictures import write_film, write_strips
+    from r2h_batch.view.pictures import write_film, write_strips
 
     if video is not None:
         write_film(drawings, video, size=size or (960, 720), fps=fps)

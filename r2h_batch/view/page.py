@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.command_line import UsageError
-from r2h_batch.export.captions import as_html, title
-from r2h_batch.export.drawing import FIXED, FOV_DEG, MARKS, Drawing, Mark, View, view_of
-from r2h_batch.export.stored import StoredTrial, difference, judged_again
-from r2h_batch.io.write import write_text
+from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.io.write import write_text
+from r2h_batch.base.validate import instance_of, integer
 from r2h_batch.runs.rows import TrialNames, detail_rows, score_rows
 from r2h_batch.types import Predictions, Scores
-from r2h_batch.validate import instance_of, integer
+from r2h_batch.view.captions import as_html, title
+from r2h_batch.view.drawing import FIXED, FOV_DEG, MARKS, Drawing, Mark, View, view_of
+from r2h_batch.view.export.stored import StoredTrial, difference, judged_again
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,6 @@ import torch
 from gymnasium.utils.env_checker import check_env
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.benchmark.benchmark import built_in
-from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
 from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig, single
 from r2h_batch.closed_loop.moving import ReceiverMotion
@@ -20,6 +18,8 @@ from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle as oracle_method
 from r2h_batch.methods import random as random_method
+from r2h_batch.scene.robot import ee_pose, load_robot
+from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.protocol import make_trials
 
 ON_LINE_RAD = 2e-6

@@ -7,11 +7,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation, Slerp
 
-from r2h_batch import rng
-from r2h_batch.bodies.hand import load_hand_set
+from r2h_batch.base import rng
 from r2h_batch.closed_loop.moving import KINDS, MovingHands, ReceiverMotion, elbow_of, minimum_jerk
-from r2h_batch.importers.data_sets import HandMotion
-from r2h_batch.importers.hand_sets import Collected, motion_file, write
+from r2h_batch.data.data_sets import HandMotion
+from r2h_batch.data.hand_sets import Collected, motion_file, write
+from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.trials.receivers import OF_PERSON, OF_POSTURE, propose

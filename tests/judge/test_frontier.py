@@ -13,7 +13,8 @@ from problems import Problems, assert_same, default_evaluator, make_batch, solve
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels, safe, shortcuts
-from r2h_batch.judge.plan import Plan, Planner  # of one thread, on paths that are given
+from r2h_batch.judge.plan import Plan
+from r2h_batch.judge.planner import Planner  # of one thread, on paths that are given
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import make_trials, trials_with_ids

@@ -13,8 +13,8 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, hand_distance
 from r2h_batch.judge.frontier import levels
+from r2h_batch.judge.motion.execute import Executed
 from r2h_batch.methods import oracle, random
-from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.trials.protocol import trials_with_ids
 

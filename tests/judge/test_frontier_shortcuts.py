@@ -11,13 +11,13 @@ import pytest
 import torch
 from problems import make_batch, solve
 
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels
 from r2h_batch.judge.search import GOOD_ENOUGH_RATIO, Search
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY
 from r2h_batch.kernels.plan.lines import straight_lines
-from r2h_batch.launch import launch_trials
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import trials_with_ids

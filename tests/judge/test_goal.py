@@ -11,16 +11,16 @@ from problems import Batch, default_evaluator, make_batch
 from scipy.optimize import linprog
 from staging import GOAL, batch_of, staged_evaluator
 
-from r2h_batch import se3
-from r2h_batch.bodies.objects import load_objects
-from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
+from r2h_batch.base import se3
 from r2h_batch.config import HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.goal import Goal, judge_goals
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.ik import solve_ik
-from r2h_batch.judge.plan import Planner
+from r2h_batch.judge.planner import Planner
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)

@@ -10,15 +10,15 @@ import trimesh
 from seven import with_jaws, with_table
 from staging import frame
 
-from r2h_batch.bodies.objects import build_object
-from r2h_batch.bodies.robot import Robot, gap_from_drive, load_robot
+from r2h_batch.base.launch import init_warp
+from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.grasp_physics import close_in_physics
-from r2h_batch.launch import init_warp
-from r2h_batch.launch.threads import on_threads
 from r2h_batch.scene.grasp_tables import grasp_tables
+from r2h_batch.scene.objects import build_object
+from r2h_batch.scene.robot import Robot, gap_from_drive, load_robot
 from r2h_batch.trials.protocol import trials_with_ids
 
 X, Y, Z = np.eye(3)

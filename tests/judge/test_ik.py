@@ -5,10 +5,10 @@ import pytest
 import torch
 from needs import needs
 
-from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.ik import solve_ik, ur_parameters
-from r2h_batch.launch.threads import on_threads
+from r2h_batch.scene.robot import ee_pose, load_robot
 
 PI = np.pi
 HOME = np.array(HOME_Q)

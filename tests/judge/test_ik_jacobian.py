@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig, IkConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import ik as fused
 from r2h_batch.judge import ik_jacobian
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.methods.random import predict
+from r2h_batch.scene.robot import ee_pose, load_robot
 from r2h_batch.trials.protocol import make_trials
 
 

@@ -9,12 +9,12 @@ from problems import make_batch, solve
 from seven import with_jaws, with_table
 
 from r2h_batch import Evaluator
-from r2h_batch.bodies.robot import gap_from_drive, gripper_primitives_at, load_robot
 from r2h_batch.judge.grasp import close_gripper, gripper_poses
+from r2h_batch.judge.motion.execute import FINGER_GIVE_M, execute
+from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.methods.candidates import candidates_in
-from r2h_batch.motion.execute import FINGER_GIVE_M, execute
-from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.grasp_tables import grasp_tables
+from r2h_batch.scene.robot import gap_from_drive, gripper_primitives_at, load_robot
 from r2h_batch.training import witnesses
 
 LINKAGE = load_robot()

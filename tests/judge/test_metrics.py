@@ -13,13 +13,13 @@ from convex_twin import winding_number
 from planning_twins import motion_samples, posture_at, staged
 from problems import Batch, Problems, default_evaluator, make_batch, solve
 
-from r2h_batch.bodies.robot import gripper_primitives_at
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig, Thresholds
 from r2h_batch.judge import metrics
 from r2h_batch.judge.distance import bound_with_slack, hand_distance
 from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, attach, close_gripper, open_clearance, region_distance, squeezed
-from r2h_batch.motion.execute import Executed, execute
-from r2h_batch.motion.time_law import time_path
+from r2h_batch.judge.motion.execute import Executed, execute
+from r2h_batch.judge.motion.time_law import time_path
+from r2h_batch.scene.robot import gripper_primitives_at
 from r2h_batch.types import CRITERIA, MarginKind, PlanReason, Scores
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)

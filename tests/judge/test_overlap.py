@@ -10,7 +10,7 @@ from problems import Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.config import BORDERLINE_M, PlanConfig
 from r2h_batch.judge.distance import hand_distance
-from r2h_batch.motion.execute import Executed
+from r2h_batch.judge.motion.execute import Executed
 
 SAMPLED = PlanConfig(goals="one", edge_check="moveit", hand_clearance_m=0.0)
 

@@ -9,13 +9,13 @@ import trimesh
 from problems import default_evaluator, make_batch
 from staging import frame
 
-from r2h_batch.bodies.objects import build_object
-from r2h_batch.bodies.robot import load_robot
+from r2h_batch.base.launch import init_warp
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.judge.payload import GRIP_N, payload
-from r2h_batch.launch import init_warp
+from r2h_batch.scene.objects import build_object
+from r2h_batch.scene.robot import load_robot
 from r2h_batch.trials.protocol import trials_with_ids
 
 X, Y, Z = np.eye(3)

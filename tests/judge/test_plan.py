@@ -19,12 +19,12 @@ from planning_twins import (
 )  # fmt: skip
 from problems import Problems, default_evaluator, make_batch, solve
 
-from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, PlanConfig
 from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.judge.ik import one_branch
+from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.judge.plan import GOAL_ROOM_M, WAYPOINTS, plan_paths, random_key
-from r2h_batch.motion.time_law import time_path
+from r2h_batch.scene.robot import ee_pose
 from r2h_batch.types import CollidingPair, PlanReason
 
 HOME = np.array(HOME_Q)

@@ -10,7 +10,7 @@ from problems import default_evaluator
 from r2h_batch import evaluate
 from r2h_batch.config import EstimateConfig, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.methods import fc
-from r2h_batch.predictors import PredictorNoise, predict_target
+from r2h_batch.methods.predictors import PredictorNoise, predict_target
 from r2h_batch.trials.protocol import make_trials
 
 PLAN, SAFE = 1, 4

@@ -11,8 +11,7 @@ from fcl_twin import distance, hull, primitive
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation, Slerp
 
-from r2h_batch.bodies.objects import load_objects
-from r2h_batch.bodies.robot import Kind, ee_pose, forward_kinematics
+from r2h_batch.base.launch import launch_trials, new_outputs
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import reception as judge
@@ -20,10 +19,11 @@ from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception, rula
 from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
-from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.methods import oracle
-from r2h_batch.receiver.held_out import grip_forces, load_held_out, revolution_axis
-from r2h_batch.receiver.receiving import load_receiving
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.robot import Kind, ee_pose, forward_kinematics
+from r2h_batch.trials.holding.held_out import grip_forces, load_held_out, revolution_axis
+from r2h_batch.trials.holding.receiving import load_receiving
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.trials.receivers import arm_axes
 
@@ -379,7 +379,11 @@ def test_a_pinch_needs_the_grip_of_coulombs_law():
     """Two fingers from both sides of a ball carry it with friction alone: each presses with m g / (2 mu), by the pyramid."""
     inward = np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
     arm = np.array([[-0.03, 0.01, 0], [0.03, 0.01, 0], [-0.03, -0.01, 0], [0.03, -0.01, 0]])
-    from r2h_batch.receiver.held_out import CONE_EDGES, FRICTION, _edges  # the wrenches that the forces are solved from
+    from r2h_batch.trials.holding.held_out import (  # the wrenches that the forces are solved from
+        CONE_EDGES,
+        FRICTION,
+        _edges,
+    )
 
     wrench = _edges(arm, inward)
     found = linprog(np.ones(wrench.shape[1]), A_eq=wrench, b_eq=[0, 0, 1, 0, 0, 0], method="highs")

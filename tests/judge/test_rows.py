@@ -8,7 +8,7 @@ import pytest
 import torch
 from problems import default_evaluator, make_batch
 
-from r2h_batch import se3
+from r2h_batch.base import se3
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.grasp import attach, close_gripper, squeezed
 from r2h_batch.judge.metrics import Criterion

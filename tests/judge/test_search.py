@@ -9,8 +9,8 @@ from problems import Batch, Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.judge import search
+from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.methods import random
-from r2h_batch.motion.time_law import time_path
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import PlanReason
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import warp as wp
 
+from r2h_batch.base.launch import init_warp, launch_trials
 from r2h_batch.kernels.geometry.angles import angle_of, arc_cosine, sin_cos
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.launch import init_warp, launch_trials
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
 

@@ -6,10 +6,10 @@ import torch
 import warp as wp
 from convex_twin import point_to_segment
 
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.geometry.balls import balls_in_reach, capsules_within
 from r2h_batch.kernels.geometry.shape import BOX, CAPSULE, CYLINDER, SPHERE
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.launch import launch_trials
 
 wp.set_module_options(OPTIONS)
 

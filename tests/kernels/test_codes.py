@@ -4,11 +4,11 @@ from enum import IntEnum
 
 import pytest
 
-from r2h_batch.bodies import bounds
-from r2h_batch.bodies.robot import MOTIONS
 from r2h_batch.kernels.geometry import shape
 from r2h_batch.kernels.plan import codes
 from r2h_batch.kernels.robot import gripper
+from r2h_batch.scene import bounds
+from r2h_batch.scene.robot import MOTIONS
 from r2h_batch.types import CollidingPair, PlanReason
 
 

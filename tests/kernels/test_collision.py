@@ -10,13 +10,14 @@ import torch
 from convex_twin import bodies, point_to_segment
 from seven import seven_joints, with_hulls
 
-from r2h_batch.bodies.objects import load_objects
-from r2h_batch.bodies.robot import Kind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere, load_robot
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import EvalConfig, PlanConfig
-from r2h_batch.judge.plan import CLEARANCE_TOLERANCE_M, Planner
+from r2h_batch.judge.plan import CLEARANCE_TOLERANCE_M
+from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.plan.codes import CERTIFY
 from r2h_batch.kernels.plan.lines import path_clearance, straight_lines
-from r2h_batch.launch import launch_trials
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.robot import Kind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere, load_robot
 from r2h_batch.scene.scene import Scene
 
 BAND_M = 1e-4

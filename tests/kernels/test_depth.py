@@ -5,11 +5,11 @@ import warp as wp
 from convex_twin import core_of, penetration_depth
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.robot import Kind
+from r2h_batch.base.launch import init_warp, launch
 from r2h_batch.kernels.geometry.depth import core_depth
 from r2h_batch.kernels.geometry.shape import Shape
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.launch import init_warp, launch
+from r2h_batch.scene.robot import Kind
 
 wp.set_module_options(OPTIONS)
 init_warp()

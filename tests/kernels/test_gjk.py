@@ -9,14 +9,14 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies import bounds
-from r2h_batch.bodies.objects import OBJECT_NAMES, load_objects
-from r2h_batch.bodies.robot import Kind
+from r2h_batch.base.launch import init_warp, launch
 from r2h_batch.kernels.geometry import gjk as kernel
 from r2h_batch.kernels.geometry import shape as shapes
 from r2h_batch.kernels.geometry.closest import from_point, from_segment
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.launch import init_warp, launch
+from r2h_batch.scene import bounds
+from r2h_batch.scene.objects import OBJECT_NAMES, load_objects
+from r2h_batch.scene.robot import Kind
 
 wp.set_module_options(OPTIONS)
 

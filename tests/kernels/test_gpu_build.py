@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from r2h_batch.launch import init_warp
+from r2h_batch.base.launch import init_warp
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
 

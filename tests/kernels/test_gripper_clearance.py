@@ -8,10 +8,10 @@ from convex_twin import primitive_distance, winding_number
 from fcl_twin import primitive, surface, touch
 from grasp_cases import BAND, model_of, pose_at, random_grasps, shapes, tables_of_shapes, upper
 
-from r2h_batch.bodies.robot import Kind, gripper_primitives_at, load_robot
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.judge.grasp import CUT_CAP_M, close_gripper, open_clearance, region_distance
 from r2h_batch.scene.grasp_tables import grasp_tables
+from r2h_batch.scene.robot import Kind, gripper_primitives_at, load_robot
 
 
 def _clearance64(triangles: np.ndarray, kind: int, size: np.ndarray, T_ee_prim: np.ndarray, cap: float) -> float:

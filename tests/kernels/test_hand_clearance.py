@@ -7,11 +7,11 @@ import torch
 from convex_twin import bodies, convex_distance
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.hand import load_hand, load_hand_set
-from r2h_batch.bodies.robot import Kind, load_robot
+from r2h_batch.base.launch import init_warp
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
-from r2h_batch.launch import init_warp
+from r2h_batch.scene.hand import load_hand, load_hand_set
+from r2h_batch.scene.robot import Kind, load_robot
 
 CAP = 0.004
 

@@ -5,9 +5,9 @@ import torch
 from problems import default_evaluator
 from scipy.spatial import cKDTree
 
-from r2h_batch.bodies.objects import OBJECT_NAMES
 from r2h_batch.methods.part_roles import WRAP, roles_of
 from r2h_batch.methods.utility_axis import LABEL_M, align_templates, handle_template, wrap_template
+from r2h_batch.scene.objects import OBJECT_NAMES
 from r2h_batch.scene.scene import Scene
 
 

@@ -12,6 +12,7 @@ import torch
 import warp as wp
 from needs import needs
 
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.geometry.balls import balls_within
 from r2h_batch.kernels.geometry.lanes import (
     LEAF_ROWS,
@@ -29,7 +30,6 @@ from r2h_batch.kernels.geometry.lanes import (
     triangles_near,
 )
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.launch import launch_trials
 
 wp.set_module_options(OPTIONS)
 

@@ -6,6 +6,7 @@ import torch
 import warp as wp
 from problems import default_evaluator, make_batch
 
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.judge.goal import goal_safe_distance
 from r2h_batch.kernels.judge.hand_distance import posture_distance
@@ -14,7 +15,6 @@ from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.joints import FIELDS, vecq
 from r2h_batch.kernels.robot.posture import load
 from r2h_batch.kernels.robot.world import TrialBodies, World, forward_kinematics
-from r2h_batch.launch import launch_trials
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 

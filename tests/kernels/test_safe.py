@@ -10,11 +10,11 @@ import torch
 import trimesh
 from seven import with_boxes, with_hulls
 
-from r2h_batch.bodies.robot import ee_pose, gripper_primitives_at, load_robot
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M
 from r2h_batch.judge.frontier.safe import SafeFrontier
-from r2h_batch.judge.plan import Planner
+from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.judge.safe import safe_distance
+from r2h_batch.scene.robot import ee_pose, gripper_primitives_at, load_robot
 from r2h_batch.scene.scene import Scene
 
 CAP_M = 0.05

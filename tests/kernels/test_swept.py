@@ -5,11 +5,11 @@ import pytest
 import torch
 import warp as wp
 
+from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.geometry.shape import swept_support
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.joints import CHANGES, FIELDS, vecq
 from r2h_batch.kernels.robot.world import World, bends, forward_kinematics, relative_acceleration, robot_shape, twists
-from r2h_batch.launch import launch_trials
 
 wp.set_module_options(OPTIONS)
 

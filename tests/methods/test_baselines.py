@@ -20,13 +20,13 @@ from baseline_twins import (
 )
 from needs import needs
 
-from r2h_batch import se3
+from r2h_batch.base import se3
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import handover_va, intent
 from r2h_batch.methods.box_grasps import box_grasps, depth_steps
+from r2h_batch.methods.predictors import predict_parts, predict_receiving, predict_target, retrieve_receiving
 from r2h_batch.methods.utility_axis import align_templates
-from r2h_batch.predictors import predict_parts, predict_receiving, predict_target, retrieve_receiving
 from r2h_batch.trials.protocol import make_trials
 
 

@@ -10,14 +10,14 @@ import pytest
 import torch
 from problems import default_evaluator
 
-from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
-from r2h_batch.bodies.grasp_set import GraspSet
-from r2h_batch.bodies.objects import load_objects
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.box_grasps import three_boxes
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import generate_grasps
+from r2h_batch.scene.arrays import arrays_digest, stored_arrays
+from r2h_batch.scene.grasp_set import GraspSet
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.robot import load_robot
 
 OBJECTS = load_objects()
 

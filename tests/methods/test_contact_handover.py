@@ -9,12 +9,12 @@ from baseline_twins import NOISE, above, answer, candidates, chosen_candidate, e
 from convex_twin import primitive_distance
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import contact
 from r2h_batch.methods.least_cost_pose import approach_fan, collision_cost, gripper_capsule, hand_sample
-from r2h_batch.predictors import predict_contacts, predict_receiving, predict_target
+from r2h_batch.methods.predictors import predict_contacts, predict_receiving, predict_target
+from r2h_batch.scene.robot import load_robot
 
 
 def near_gripper(i: int) -> NDArray[np.bool_]:

@@ -12,12 +12,12 @@ from fcl_twin import distance, primitive, surface
 from grasp_cases import material64
 from needs import needs
 
-from r2h_batch.bodies.arrays import arrays_digest
-from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
-from r2h_batch.bodies.robot import Kind, Robot, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
-from r2h_batch.launch.threads import on_threads
+from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import FRICTION, sample_grasps
+from r2h_batch.scene.arrays import arrays_digest
+from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_objects
+from r2h_batch.scene.robot import Kind, Robot, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
 
 BAND = 1e-4
 ROBOT, PANDA, STEP = load_robot(), load_robot("panda_hand"), 50

@@ -8,11 +8,11 @@ import trimesh
 from problems import default_evaluator as evaluator
 from scipy import stats
 
-from r2h_batch.bodies.objects import build_object, load_objects
 from r2h_batch.config import EvalConfig, Thresholds
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle, random
 from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.scene.objects import build_object, load_objects
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Outcome, Predictions, Trials
 

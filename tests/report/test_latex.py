@@ -8,9 +8,9 @@ import pytest
 from made_runs import table_1
 from needs import needs
 
-from r2h_batch.compare.text import render as render_comparison
 from r2h_batch.report import table as report
-from r2h_batch.statistics.paired import compare, pair_up
+from r2h_batch.report.compare.text import render as render_comparison
+from r2h_batch.report.statistics.paired import compare, pair_up
 
 COLUMNS = list(report.HEADINGS)
 DOCUMENT = r"""\documentclass[10pt,twocolumn]{article}

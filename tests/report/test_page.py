@@ -11,8 +11,8 @@ from made_runs import table_1, write_run
 from needs import CHROMIUM, needs
 
 from r2h_batch.report import page
+from r2h_batch.report.statistics.paired import compare, pair_up
 from r2h_batch.report.text import NA
-from r2h_batch.statistics.paired import compare, pair_up
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,9 @@ from made_runs import command, make_header, make_scores, make_trials, store, tab
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
+from r2h_batch.report.statistics import common
+from r2h_batch.report.statistics.aggregate import RATES
 from r2h_batch.runs.store import load_run, open_run
-from r2h_batch.statistics import common
-from r2h_batch.statistics.aggregate import RATES
 from r2h_batch.types import Outcome
 
 COLUMNS = list(report.HEADINGS)

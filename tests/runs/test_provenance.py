@@ -11,14 +11,14 @@ from r2h_batch.runs import provenance
 DECIDE = (
     "r2h_batch/evaluate.py", "r2h_batch/judge/plan.py", "r2h_batch/methods/fc.py", "r2h_batch/runs/rows.py",
     "r2h_batch/sweep/jobs.py", "r2h_batch/config.py", "kernels/plan/rrt.py", "kernels/geometry/gjk.py",
-    "kernels/native/lanes.h",
-    "assets/robot/robot.json", "assets/hand/handset.npz", "assets/receiving/voxnet.safetensors",
+    "kernels/native/lanes.h", "assets/robot/robot.json", "assets/hand/handset.npz",
+    "assets/receiving/voxnet.safetensors",
 )  # fmt: skip
 READ = (
-    "r2h_batch/report/figures.py", "r2h_batch/report/page.html", "r2h_batch/statistics/paired.py",
-    "r2h_batch/results/rethreshold.py",
-    "r2h_batch/export/mjcf.py", "r2h_batch/study/report.py", "r2h_batch/compare/command.py", "r2h_batch/__main__.py",
-    "r2h_batch/command_line.py", "r2h_batch/results/command.py", "assets/objects/build_objects.py", "assets/SOURCES.md",
+    "r2h_batch/report/figures.py", "r2h_batch/report/page.html", "r2h_batch/report/statistics/paired.py",
+    "r2h_batch/sweep/results/rethreshold.py", "r2h_batch/view/export/mjcf.py", "r2h_batch/sweep/study/report.py",
+    "r2h_batch/report/compare/command.py", "r2h_batch/__main__.py", "r2h_batch/base/command_line.py",
+    "r2h_batch/sweep/results/command.py", "assets/objects/build_objects.py", "assets/SOURCES.md",
 )  # fmt: skip
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from dynamics_twin import ROBOT, bodies, centers, mass_matrix, some_payload
 
-from r2h_batch.bodies.robot import forward_kinematics
 from r2h_batch.config import HOME_Q
 from r2h_batch.scene.dynamics import arm_model, loaded_model
+from r2h_batch.scene.robot import forward_kinematics
 
 G = 9.81
 STEP_S = 0.002

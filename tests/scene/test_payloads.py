@@ -8,9 +8,9 @@ import pytest
 from dynamics_twin import some_payload
 from problems import default_evaluator
 
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.scene.dynamics import MassProperties, Payload, PayloadTables, load, principal, quat_wxyz
 from r2h_batch.scene.model import SceneModel, TrialScenes, build_scene_model
+from r2h_batch.scene.robot import load_robot
 
 N = 24
 

@@ -13,14 +13,14 @@ from dynamics_twin import mass_matrix, some_payload
 from problems import default_evaluator
 from scipy.spatial import cKDTree
 
-from r2h_batch.bodies.robot import ee_pose, forward_kinematics, gripper_primitives_at, load_robot
+from r2h_batch.base.launch import init_warp
 from r2h_batch.config import HOME_Q, ExecConfig
-from r2h_batch.launch import init_warp
-from r2h_batch.motion.sim_mjwarp import StandingWorlds
-from r2h_batch.motion.simulation import Job
-from r2h_batch.motion.time_law import servo_law
+from r2h_batch.judge.motion.sim_mjwarp import StandingWorlds
+from r2h_batch.judge.motion.simulation import Job
+from r2h_batch.judge.motion.time_law import servo_law
 from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.model import SceneModel, TrialScene, TrialScenes, build_scene_model
+from r2h_batch.scene.robot import ee_pose, forward_kinematics, gripper_primitives_at, load_robot
 from r2h_batch.scene.scene import Scene
 
 HANDS = (3, 250, 17)

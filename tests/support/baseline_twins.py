@@ -8,13 +8,13 @@ import torch
 from numpy.typing import NDArray
 from problems import default_evaluator as evaluator
 
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import contact, fc, handover_va, intent
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.placing import roll_angles
-from r2h_batch.predictors import PredictorNoise, TargetHand
+from r2h_batch.methods.predictors import PredictorNoise, TargetHand
+from r2h_batch.scene.robot import load_robot
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions, Trials
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from r2h_batch.bodies.robot import Kind
+from r2h_batch.scene.robot import Kind
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ import fake_bench
 
 import r2h_batch.report.table  # noqa: F401 (a fork would import it)
 from r2h_batch.judge.plan import load_searches
-from r2h_batch.results.command import verify
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
+from r2h_batch.sweep.results.command import verify
 
 SUPPORT = Path(__file__).parent
 SWEEP = [sys.executable, str(SUPPORT / "fake_bench.py"), "--trials", "60", "--shard-trials", "10", "--chunk", "5"]

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from r2h_batch.bodies.robot import (
+from r2h_batch.scene.dynamics import GRIPPER_BOX_M, GRIPPER_COM_M, Payload
+from r2h_batch.scene.robot import (
     ARMATURE,
     LINK_COM_M,
     LINK_INERTIA,
@@ -11,7 +12,6 @@ from r2h_batch.bodies.robot import (
     forward_kinematics,
     load_robot,
 )
-from r2h_batch.scene.dynamics import GRIPPER_BOX_M, GRIPPER_COM_M, Payload
 
 ROBOT = load_robot()
 

@@ -4,7 +4,7 @@ import fcl
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from r2h_batch.bodies.robot import Kind
+from r2h_batch.scene.robot import Kind
 
 
 def primitive(kind: int, size: np.ndarray, T: np.ndarray) -> fcl.CollisionObject:

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 import trimesh
 
-from r2h_batch.bodies.robot import Robot, drive_from_gap, load_robot, pad_center_z
 from r2h_batch.scene.grasp_tables import grasp_tables
+from r2h_batch.scene.robot import Robot, drive_from_gap, load_robot, pad_center_z
 
 
 @dataclass(eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.hand import load_hand, load_hand_set, palm_frame
+from r2h_batch.scene.hand import load_hand, load_hand_set, palm_frame
 from r2h_batch.types import Trials
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

@@ -23,7 +23,7 @@ NAMES = TrialNames(
     parts=("base", "forearm", "left_pad"),
 )
 FAILED = {Outcome.STABILITY: 0, Outcome.PLAN: 1, Outcome.REACH: 2, Outcome.AFFORDANCE: 3, Outcome.SAFE: 4}
-TABLE_1 = Path(__file__).resolve().parents[2] / "r2h_batch" / "study" / "paper" / "table1.csv"
+TABLE_1 = Path(__file__).resolve().parents[2] / "r2h_batch" / "sweep" / "study" / "paper" / "table1.csv"
 
 
 def make_trials(n_s0: int, n_s1: int) -> Trials:

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.hand import load_hand
+from r2h_batch.scene.hand import load_hand
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 AXIAL = np.array([1.0, -1.0, -1.0])

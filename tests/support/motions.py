@@ -6,12 +6,12 @@ import numpy as np
 import torch
 from problems import default_evaluator, make_batch, solve
 
-from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.base.launch import init_warp, launch_trials
 from r2h_batch.config import ExecConfig
+from r2h_batch.judge.motion.execute import Executed, execute
+from r2h_batch.judge.motion.time_law import servo_law, time_path
 from r2h_batch.kernels.motion.time_law import servo_commands
-from r2h_batch.launch import init_warp, launch_trials
-from r2h_batch.motion.execute import Executed, execute
-from r2h_batch.motion.time_law import servo_law, time_path
+from r2h_batch.scene.robot import ee_pose
 from r2h_batch.scene.scene import BodyPoses
 
 MUJOCO, PLANNED = ExecConfig(sim="mujoco", model="scene"), ExecConfig(sim="none")

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.robot import Kind, ee_pose, gripper_primitives_at, load_robot
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.ik import ur_parameters
+from r2h_batch.scene.robot import Kind, ee_pose, gripper_primitives_at, load_robot
 from r2h_batch.scene.scene import BodyPoses, Scene
 
 Array = NDArray[np.float64]

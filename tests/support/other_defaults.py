@@ -16,9 +16,9 @@ def everything() -> dict[str, np.ndarray]:
     from importlib import import_module
 
     from r2h_batch import Evaluator, make_trials, reward
-    from r2h_batch.predictors import PredictorNoise
+    from r2h_batch.base.twist import exp, log
+    from r2h_batch.methods.predictors import PredictorNoise
     from r2h_batch.sweep.options import METHODS
-    from r2h_batch.twist import exp, log
 
     trials = make_trials(("S0", "S1"), 1)
     evaluator = Evaluator(device="cpu", threads=1)

@@ -18,8 +18,8 @@ from ompl import util as ou
 from oracle import CLASSES, MujocoScene, Staged, mujoco_scene, samples
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.robot import Robot, ee_pose
 from r2h_batch.config import HOME_Q, ExecConfig
+from r2h_batch.scene.robot import Robot, ee_pose
 from r2h_batch.scene.scene import Scene
 
 Array = NDArray[np.float64]

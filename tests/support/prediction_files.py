@@ -7,7 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from r2h_batch.predictions import PredictionsError, load_predictions
+from r2h_batch.trials.predictions import PredictionsError, load_predictions
 
 
 def arrays(n: int = 5, **changes) -> dict[str, np.ndarray]:

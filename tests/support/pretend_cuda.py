@@ -26,7 +26,7 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map
 
-from r2h_batch import launch
+from r2h_batch.base import launch
 
 CUDA = torch.device("cuda:0")
 SHAPED_BY_VALUES = {

@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from r2h_batch import se3
+from r2h_batch.base import se3
+from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import EvalConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
 from r2h_batch.judge.plan import Plan, plan_paths, random_key
-from r2h_batch.launch.threads import on_threads
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.trials.protocol import trials_with_ids

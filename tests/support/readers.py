@@ -1,7 +1,7 @@
 """Readers of meshes and HDF5 files in this process: a process of its own takes a CPU second to import them, for each file.
 
-Tests of what such a process is for (`own_process`) have it: tests/bodies/test_hostile_meshes.py and
-tests/importers/test_grasps_refused.py.
+Tests of what such a process is for (`own_process`) have it: tests/scene/test_hostile_meshes.py and
+tests/data/test_grasps_refused.py.
 """
 
 from collections.abc import Mapping
@@ -10,10 +10,10 @@ from typing import Any, BinaryIO
 
 import pytest
 
-from r2h_batch.io import child
-from r2h_batch.io.read import FileError
+from r2h_batch.base.io import child
+from r2h_batch.base.io.read import FileError
 
-READERS = {"r2h_batch.bodies.mesh_import.file": "_child", "r2h_batch.importers.hdf5": "_read"}
+READERS = {"r2h_batch.scene.mesh_import.file": "_child", "r2h_batch.data.hdf5": "_read"}
 """Module -> what it gives to `answer_parent`."""
 IN_PROCESS = True
 _apart = child.read_in_child

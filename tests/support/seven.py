@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from r2h_batch.bodies.robot import (
+from r2h_batch.scene.robot import (
     Kind,
     Primitives,
     Robot,

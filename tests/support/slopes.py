@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from problems import Batch, make_batch
 
-from r2h_batch import se3, twist
+from r2h_batch.base import se3, twist
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.types import Scores
 

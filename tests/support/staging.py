@@ -7,10 +7,10 @@ import numpy as np
 import torch
 import trimesh
 
-from r2h_batch.bodies.hand import load_hand_set
-from r2h_batch.bodies.objects import ObjectModel, build_object
 from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.scene.hand import load_hand_set
+from r2h_batch.scene.objects import ObjectModel, build_object
 from r2h_batch.scene.tables import Hands
 from r2h_batch.types import Scores, Trials
 

@@ -13,13 +13,13 @@ from fake_bench import prepare as prepare_fake
 from made_runs import NAMES, make_header, make_scores
 from made_runs import make_trials as planned
 
-from r2h_batch.predictions import write_predictions
+from r2h_batch.base.schedule import PROTOCOL
 from r2h_batch.runs.rows import detail_rows, score_rows
 from r2h_batch.runs.store import RunError, load_run, open_run
-from r2h_batch.schedule import PROTOCOL
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.answers import AnswerError, answer_of
+from r2h_batch.trials.predictions import write_predictions
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions
 

@@ -3,12 +3,12 @@
 import pytest
 import trimesh
 
-from r2h_batch.bodies.objects import load_objects
 from r2h_batch.methods import candidates
 from r2h_batch.methods.grasps import NoGraspError
-from r2h_batch.receiver import receiving
 from r2h_batch.runs.store import load_run
+from r2h_batch.scene.objects import load_objects
 from r2h_batch.sweep.command import main
+from r2h_batch.trials.holding import receiving
 
 
 @pytest.fixture

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import torch
 
-from r2h_batch.motion import sim_mujoco
-from r2h_batch.predictions import write_predictions
-from r2h_batch.results.command import verify
+from r2h_batch.judge.motion import sim_mujoco
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
+from r2h_batch.sweep.results.command import verify
+from r2h_batch.trials.predictions import write_predictions
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions
 

@@ -5,10 +5,10 @@ import sys
 import pytest
 from fake_bench import prepare as prepare_fake
 
+from r2h_batch.base.user_code import user_files
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
-from r2h_batch.user_code import user_files
 
 METHOD = """
 import importlib

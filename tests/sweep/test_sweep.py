@@ -10,11 +10,11 @@ import pytest
 import torch
 from made_runs import make_predictions, make_trials
 
-from r2h_batch.predictions import write_predictions
 from r2h_batch.report.robustness import LEVELS
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
+from r2h_batch.trials.predictions import write_predictions
 
 # --- the command line -----------------------------------------------------------------------------------------------
 

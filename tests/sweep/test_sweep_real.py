@@ -6,8 +6,8 @@ import pytest
 import torch
 from sweep_command import WITH_HOME, command, in_process
 
-from r2h_batch.predictions import write_predictions
 from r2h_batch.runs.store import load_run
+from r2h_batch.trials.predictions import write_predictions
 from r2h_batch.types import Predictions
 
 

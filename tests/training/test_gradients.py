@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 from seven import with_hulls
 from slopes import candidates, gradients, measured_slopes
 
-from r2h_batch import Evaluator, se3, twist
-from r2h_batch.bodies.robot import Robot, ee_pose, load_robot
+from r2h_batch import Evaluator
+from r2h_batch.base import se3, twist
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.goal import judge_goals
+from r2h_batch.scene.robot import Robot, ee_pose, load_robot
 from r2h_batch.training.gradients import HELD_M, MarginChanges
 from r2h_batch.training.witnesses import arm_at
 from r2h_batch.types import CRITERIA, Outcome, PlanReason

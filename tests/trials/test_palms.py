@@ -5,13 +5,13 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.benchmark.benchmark import built_in
-from r2h_batch.benchmark.build import BenchmarkOverrides, read_benchmark
-from r2h_batch.bodies.hand import load_hand, palm_frame
-from r2h_batch.bodies.objects import load_objects, stored_objects
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.scene.hand import load_hand, palm_frame
+from r2h_batch.scene.objects import load_objects, stored_objects
 from r2h_batch.trials import palms
+from r2h_batch.trials.benchmark.benchmark import built_in
+from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_with_ids
 
 FROZEN = "9505c8b1c1d2cc85c643825972cbbbc4b7ebc017f4635707ba40fe71c237d8bb"

@@ -9,12 +9,12 @@ import torch
 import trimesh
 from hand_twins import palms
 
-from r2h_batch import rng
-from r2h_batch.bodies.hand import load_hand_set
-from r2h_batch.bodies.objects import build_object, load_objects
-from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.base import rng
 from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.scene.hand import load_hand_set
+from r2h_batch.scene.objects import build_object, load_objects
+from r2h_batch.scene.robot import ee_pose, load_robot
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_with_ids
 from r2h_batch.types import PlanReason, Trials
 

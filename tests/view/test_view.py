@@ -10,9 +10,9 @@ import pytest
 from needs import needs
 
 from r2h_batch.__main__ import main
-from r2h_batch.export.captions import as_markdown
-from r2h_batch.export.drawing import Drawing
-from r2h_batch.export.stored import ExportError, Reader
+from r2h_batch.view.captions import as_markdown
+from r2h_batch.view.drawing import Drawing
+from r2h_batch.view.export.stored import ExportError, Reader
 
 pytestmark = needs("viser")
 

@@ -18,6 +18,9 @@ import torch
 from jaxtyping import Bool, Float32, Int32, Int64
 from torch import Tensor
 
+from r2h_batch.base.launch import launch_trials
+from r2h_batch.base.launch.arguments import new_struct, parameters, struct_of
+from r2h_batch.base.launch.instances import of_joints
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M
 from r2h_batch.kernels.frontier import queues
 from r2h_batch.kernels.frontier.bodies import (
@@ -33,15 +36,12 @@ from r2h_batch.kernels.frontier.settle import settle_pairs
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, PAIR_OF_OBJECT, POSTURE, SAMPLES
 from r2h_batch.kernels.plan.lines import CLEARANCE_CAP
-from r2h_batch.launch import launch_trials
-from r2h_batch.launch.arguments import new_struct, parameters, struct_of
-from r2h_batch.launch.instances import of_joints
 
 LANES, CUDA_LANES = 1, 1 << 16
 """Threads of a launch on a CPU and on CUDA; thread i takes entries i, i + threads, ... of a queue."""
 PER_ROW, LEAST = 16, 1 << 16
 """Intervals that the queue has room for: so many a row of the batch, and so many at least. Where
-that is too little half the rows have twice as much each (r2h_batch.launch.memory). The hardest
+that is too little half the rows have twice as much each (r2h_batch.base.launch.memory). The hardest
 single rows need more than 4,096."""
 BODIES_PER_INTERVAL, PAIRS_PER_INTERVAL = 8, 6
 SEGMENTS_PER_ROW, LEAST_SEGMENTS, SEGMENTS_AT_ONCE = 4, 1 << 10, 32

@@ -1,0 +1,1 @@
+"""What every room stands on: files, launches, checks, command lines, frames."""

@@ -1,0 +1,449 @@
+"""What all commands share: how a command line is read and refused. Imports nothing heavy.
+
+A command is a function with plain types (its docstring is the help), a dataclass of options, or a
+dict of functions (subcommands). What cannot be understood is one line: what was given, the nearest
+match, what is allowed; exit code 2. Numbers are plain decimal digits, and ~ is the home folder, in
+every argument of every command.
+"""
+
+import contextlib
+import difflib
+import errno
+import inspect
+import io
+import itertools
+import logging
+import os
+import re
+import stat
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial, wraps
+from logging.handlers import MemoryHandler
+from pathlib import Path
+from typing import Annotated, Any, Literal, TextIO, get_args, get_origin, get_type_hints
+
+from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.validate import expand_home, parse_number, parse_whole_number
+
+Command = Callable[..., Any]
+
+MOST_SEED = (1 << 63) - 1
+
+MOST_KEPT = 1000
+"""Lines kept until there is a log file."""
+
+
+class UsageError(Exception):
+    """A command line that cannot be run: one line that says what was given and what is allowed."""
+
+
+class MachineError(RuntimeError):
+    """Work that this machine cannot do, in one line; a command ends with exit code 1."""
+
+
+def nearest(name: str, allowed: Sequence[str]) -> str:
+    """`, did you mean X?` for the allowed word nearest to a misspelt one; empty where none is
+    near."""
+    near = difflib.get_close_matches(name, allowed, n=1)
+    return f", did you mean {near[0]}?" if near else ""
+
+
+def read(
+    command: Command | Mapping[str, Command],
+    arguments: Sequence[str],
+    *,
+    prog: str,
+    default: Any = None,
+    more_flags: Sequence[str] = (),
+) -> Any:
+    """The options of a dataclass, or a function's call that is still to be made; raises
+    `UsageError`.
+
+    `more_flags`: flags that were taken off the command line before. `--help` prints and leaves with
+    SystemExit.
+    """
+    import tyro
+
+    try:
+        arguments = [expand_home(a) for a in arguments]
+    except FileError as error:
+        raise UsageError(str(error)) from None
+    for argument in arguments:
+        _check_text(argument, "rename the file")
+    if isinstance(command, Mapping):
+        words = [a for a in arguments if not a.startswith("-")]
+        completing = bool(arguments) and arguments[0].startswith("--tyro-")
+        if words and words[0] not in command and not completing:
+            what = f"unknown subcommand {words[0]!r}{nearest(words[0], list(command))}"
+            raise UsageError(f"{what}; allowed are {', '.join(command)}")
+        chosen = command.get(words[0]) if words else None
+        deferred = {name: _deferred(f) for name, f in command.items()}
+        parse = partial(tyro.extras.subcommand_cli_from_dict, deferred)
+    else:
+        chosen = command
+        parse = partial(tyro.cli, command if is_dataclass(command) else _deferred(command))
+        if default is not None:
+            parse = partial(parse, default=default)
+    box = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(box):
+            found = parse(
+                prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+                registry=_plain_numbers(),
+            )  # fmt: skip
+    except SystemExit as stop:
+        if not stop.code:
+            raise  # --help, or a shell completion
+        flags = [*more_flags, *(_flags(chosen) if chosen is not None else ())]
+        raise UsageError(_one_line(box.getvalue(), arguments, flags)) from None
+    typed = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
+    kinds = get_type_hints(chosen) if chosen is not None else {}
+    for name in (name for name, kind in kinds.items() if get_origin(kind) is tuple):
+        flag = f"--{name.replace('_', '-')}"
+        if typed.count(flag) > 1:  # the last would silently replace the others
+            how = f"write its values one after another: {flag} A B"
+            raise UsageError(f"{flag} is given twice; {how}")
+    try:
+        _check_text(os.getcwd(), "work in another folder")
+    except OSError as error:
+        what = f"the current folder is gone or closed ({error.strerror})"
+        raise UsageError(f"{what}; cd to an existing folder") from None
+    return found
+
+
+def _check_text(path: str, how: str) -> None:
+    """`UsageError` for bytes that are no UTF-8: no file that names a path could store it."""
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        raise UsageError(f"{printable(path)}: has a byte that is not UTF-8; {how}") from None
+
+
+def _plain_numbers() -> Any:
+    """How tyro reads numbers: these two functions instead of Python's `int` and `float`."""
+    import tyro
+
+    registry = tyro.constructors.ConstructorRegistry()
+    for kind, reads in ((int, parse_whole_number), (float, parse_number)):
+
+        @registry.primitive_rule
+        def rule(info: Any, kind: Any = kind, reads: Callable[[str], Any] = reads) -> Any:
+            if info.type is not kind:
+                return None
+            return tyro.constructors.PrimitiveConstructorSpec(
+                nargs=1,
+                metavar=kind.__name__.upper(),
+                instance_from_str=lambda args: reads(args[0]),
+                is_instance=lambda x: type(x) is kind or (kind is float and type(x) is int),
+                str_from_instance=lambda x: [str(x)],
+            )
+
+    return registry
+
+
+def check_range(flag: str, value: float, low: float, high: float, what: str = "") -> None:
+    """`UsageError` for a flag's number outside `low` to `high`."""
+    if not low <= value <= high:
+        raise UsageError(f"{flag} is {value:.15g}; it must be {low:.15g} to {high:.15g}{what}")
+
+
+def check_seed(seed: int) -> None:
+    """`UsageError` for a seed that no generator takes."""
+    if not 0 <= seed <= MOST_SEED:
+        raise UsageError(f"--seed is {str(seed)[:40]}; it must be 0 or more and fit 64 bits")
+
+
+def call(
+    command: Command | Mapping[str, Command], arguments: Sequence[str], *, prog: str, name: str
+) -> int:
+    """Exit code of a function or of one of several; 2 with one line on stderr where it refuses its
+    command line or a file (`ValueError`)."""
+
+    def work() -> int:
+        try:
+            return int(read(command, arguments, prog=prog)())
+        except ValueError as error:
+            return refuse(name, error)
+
+    return answer(name, work)
+
+
+def answer(name: str, work: Callable[[], int]) -> int:
+    """Exit code of a command's work; 2 with one line where it raises `UsageError`, 1 where stdout
+    does not take the answer.
+
+    What the work prints is kept until it ends: so a closed or full stdout, or one that only takes
+    ASCII, is told from an error of the work itself, and no control character of a name in a file
+    reaches a terminal.
+    """
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (as long as the process; print(file=None) would be stdout)
+    if sys.stdout is None:
+        return refuse(name, "standard output is closed; give it a terminal, a file or a pipe", 1)
+    kept, code, stopped = _Kept(sys.stdout), 0, None
+    try:
+        with contextlib.redirect_stdout(kept), _warnings_in_a_line(name):
+            code = work()
+    except (UsageError, FileError) as error:
+        code = refuse(name, error)
+    except MachineError as error:
+        code = refuse(name, error, 1)
+    except OSError as error:
+        code = failed(name, error)
+    except KeyboardInterrupt:
+        code = refuse(name, "interrupted", 130)
+    except SystemExit as stop:  # --help
+        stopped = stop
+    text = kept.getvalue()
+    try:
+        sys.stdout.write(printable(text, keep="\n\t") if stopped is None else text)
+        sys.stdout.flush()
+    except UnicodeEncodeError as error:
+        shown = error.object[error.start : error.start + 1].encode("unicode_escape").decode()
+        what = f"standard output takes {error.encoding} only, the answer has {shown}"
+        return refuse(name, f"{what}; set PYTHONIOENCODING=utf-8", 1)
+    except (OSError, ValueError) as error:
+        _silence(sys.stdout)
+        why = error.strerror if isinstance(error, OSError) else error
+        return refuse(name, f"standard output: {why}; the answer is not complete", 1)
+    if stopped is not None:
+        raise stopped
+    return code
+
+
+@contextlib.contextmanager
+def _warnings_in_a_line(name: str) -> Iterator[None]:
+    """Warnings as one line each, without the source that Python shows; those of libraries only with
+    --verbose, and in the log."""
+
+    def one_line(message: Warning | str, category: type[Warning], *_: Any) -> str:
+        text = f"{name}: {printable(' '.join(str(message).split()))}"
+        if issubclass(category, UserWarning):
+            LOG.info(text)
+        else:
+            LOG.debug(f"{text} ({category.__name__})")
+        return ""
+
+    library: Any = warnings
+    before, library.formatwarning = library.formatwarning, one_line
+    try:
+        yield
+    finally:
+        warnings.formatwarning = before
+
+
+def place(error: OSError, otherwise: str = "") -> str:
+    """Where an error of the operating system happened and what it is: Warp's kernel cache, a file,
+    or `otherwise`."""
+    why = error.strerror or str(error)
+    frames = traceback.walk_tb(error.__traceback__)
+    if any(str(frame.f_globals.get("__name__")).partition(".")[0] == "warp" for frame, _ in frames):
+        folder = f" {error.filename}" if error.filename else ""
+        return f"kernel cache{folder}: {why}; free it, or set WARP_CACHE_PATH to a folder that can be written"
+    return f"{error.filename or otherwise}: {why}" if error.filename or otherwise else why
+
+
+_SLIPS = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
+"""Errors of a path that cannot be, whatever state the disk is in."""
+
+
+def failed(name: str, error: OSError, otherwise: object = "") -> int:
+    """One line about an error of the operating system; 2 where a path was given that cannot be,
+    else 1."""
+    return refuse(name, place(error, str(otherwise)), 2 if error.errno in _SLIPS else 1)
+
+
+class _Kept(io.StringIO):
+    """Text kept for a stream, which is asked what it is: colours and widths of --help are those of
+    the stream."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__()
+        self._stream = stream
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+
+def refuse(name: str, error: object, code: int = 2) -> int:
+    """Print one line on stderr, whatever the error says; returns the exit code."""
+    LOG.error(f"{name}: {' '.join(str(error).split())}")
+    return code
+
+
+def counted(number: int, things: str) -> str:
+    """A number and what it counts, a plural that ends with s: "1 hand", "2 hands"."""
+    return f"{number} {things[:-1] if number == 1 else things}"
+
+
+class _Stderr(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            print(printable(record.getMessage(), keep="\n"), file=sys.stderr, flush=True)
+        except (OSError, ValueError):
+            _silence(sys.stderr)
+
+
+class _LogFile(logging.Handler):
+    """Appends whole lines, also if other processes write; never follows a link or opens a pipe."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path = path
+
+    def emit(self, record: logging.LogRecord) -> None:
+        stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(record.created))
+        line = f"{stamp} {' '.join(printable(record.getMessage(), keep=chr(10)).split())}\n"
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_NOFOLLOW
+        with contextlib.suppress(OSError):  # a full disk is the sweep's trouble, not the log's
+            handle = os.open(self.path, flags, 0o666)
+            try:
+                if stat.S_ISREG(os.fstat(handle).st_mode):
+                    os.write(handle, line.encode("utf-8", "replace"))
+            finally:
+                os.close(handle)
+
+
+LOG = logging.Logger("r2h_batch", logging.DEBUG)
+"""What a command says: errors, infos (not with --quiet) and debug lines (with --verbose)."""
+_stderr = _Stderr(logging.INFO)
+LOG.addHandler(_stderr)
+
+
+@contextlib.contextmanager
+def telling(*, quiet: bool = False, verbose: bool = False) -> Iterator[Callable[[Path], None]]:
+    """Set how much is printed inside; gives `log_to(FILE)`, which stores all lines since the start."""
+    before = MemoryHandler(MOST_KEPT, flushLevel=logging.CRITICAL + 1)
+    added: list[logging.Handler] = [before]
+    LOG.addHandler(before)
+    level = _stderr.level
+    _stderr.setLevel(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO)
+
+    def log_to(file: Path) -> None:
+        added.append(_LogFile(file))
+        before.setTarget(added[-1])
+        LOG.removeHandler(before)
+        before.flush()
+        LOG.addHandler(added[-1])
+
+    try:
+        yield log_to
+    finally:
+        _stderr.setLevel(level)
+        for handler in added:
+            LOG.removeHandler(handler)
+
+
+def is_quiet() -> bool:
+    """Whether stderr is for errors alone."""
+    return _stderr.level > logging.INFO
+
+
+def _silence(stream: TextIO) -> None:
+    """What is left in a stream that takes no more goes nowhere: Python flushes once more when it
+    ends, and would fail."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _deferred(function: Command) -> Command:
+    """The function with its signature and words, but a call only remembers what to call it with.
+
+    The docstring is the help, and tyro prints its line breaks: the lines of a paragraph become one.
+    """
+    words = inspect.cleandoc(function.__doc__ or "")
+    function.__doc__ = re.sub(r"(?<=\S)\n(?: {8})?(?=\S)", " ", words)
+    _say_defaults(function)
+
+    @wraps(function)
+    def later(*args: Any, **kwargs: Any) -> Command:
+        return partial(function, *args, **kwargs)
+
+    return later
+
+
+def _say_defaults(owner: Any) -> None:
+    """Let the help of each flag say its default only where there is one to say, not `(default:
+    None)`."""
+    import tyro
+
+    def hint(default: str) -> str:
+        return "" if default in ("None", "False", "", "''") else f"(default: {default})"
+
+    hints = owner.__annotations__
+    for name, kind in hints.items():
+        if is_dataclass(kind):
+            _say_defaults(kind)
+        elif name != "return" and "_say_defaults" not in str(kind):
+            shown = _metavar(kind)
+            hints[name] = Annotated[kind, tyro.conf.arg(metavar=shown, help_behavior_hint=hint)]
+
+
+def _metavar(kind: Any) -> str | None:
+    """What stands behind the flag of a value that may be left out: PATH, not `{None}|PATH`; None: as
+    tyro has it."""
+    plain = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    some = [k for k in get_args(plain) if k is not type(None)]
+    if len(some) != 1 or len(get_args(plain)) != 2:
+        return None
+    if get_origin(some[0]) is Literal:
+        return "{" + ",".join(map(str, get_args(some[0]))) + "}"
+    parts = get_args(some[0]) or some
+    return " ".join(part.__name__.upper() for part in parts)
+
+
+def _flags(command: Command) -> list[str]:
+    if is_dataclass(command):
+        names = [f.name for f in fields(command)]
+    else:
+        parameters = inspect.signature(command).parameters.values()
+        names = [n for p in parameters if p.kind is p.KEYWORD_ONLY for n in _names(p)]
+    return ["--" + name.removeprefix("--").replace("_", "-") for name in names]
+
+
+def _names(parameter: inspect.Parameter) -> list[str]:
+    """A parameter's flag: its name, or what `tyro.conf.arg(name=...)` says (--from cannot be a
+    parameter); of a dataclass of flags those of its fields."""
+    if is_dataclass(parameter.annotation):
+        return [f.name for f in fields(parameter.annotation)]
+    metadata = getattr(parameter.annotation, "__metadata__", ())
+    names = [name for m in metadata if isinstance(name := getattr(m, "name", None), str)]
+    return names[:1] or [parameter.name]
+
+
+MOST_FLAGS_IN_A_LINE = 30
+
+_NUMBERS = {"INT": "a whole number in decimal digits", "FLOAT": "a number in decimal digits"}
+
+
+def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
+    """tyro's box as one line; a misspelt flag or value with its nearest match."""
+    for argument in arguments:
+        name = argument.partition("=")[0].replace("_", "-")
+        is_number = name[1:].replace(".", "").isdigit()
+        if name.startswith("-") and name not in (*flags, "-h", "--help") and not is_number:
+            allowed = f"allowed are {', '.join(flags)}" if flags else "it has none but --help"
+            if len(flags) > MOST_FLAGS_IN_A_LINE:
+                allowed = "see --help"
+            return f"unknown flag {name}{nearest(name, flags)}; {allowed}"
+    lines = [line.strip("\u2502| \n") for line in box.splitlines()]
+    worded = [any(c.isalnum() for c in line) for line in lines]
+    # tyro prints a title, the message, a rule or blank, hints
+    start = worded.index(True) + 1 if any(worded) else 0
+    message = itertools.takewhile(
+        lambda i: worded[i], itertools.dropwhile(lambda i: not worded[i], range(start, len(lines)))
+    )
+    text = " ".join(lines[i] for i in message).rstrip(" .").removeprefix("Error parsing ")
+    if found := re.search(r"no type matching (.*) could be instantiated from \['(.*)'\]", text):
+        choices = re.findall(r"\{(.*?)\}|(INT|FLOAT)", found[1])
+        some = [(words, kind) for words, kind in choices if words != "None"]
+        kinds = [_NUMBERS.get(kind) or words.replace(",", ", ") for words, kind in some]
+        text = f"{text[: found.start()]}{found[2]!r}; it must be {' or '.join(kinds)}"
+    if found := re.search(r"invalid choice '([^']*)'.*Expected one of \((.*)\)", text):
+        text += nearest(found[1], re.findall(r"'([^']*)'", found[2]))
+    return text or "the command line was not understood; see --help"

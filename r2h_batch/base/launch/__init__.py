@@ -1,0 +1,255 @@
+"""Launches a kernel over trials: all CPU cores on a CPU, one launch on a GPU; arguments by name
+(arguments.py)."""
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import cache, lru_cache
+from typing import Any
+
+import torch
+import warp as wp
+
+from r2h_batch.base.launch import cached
+from r2h_batch.base.launch.arguments import bind, new_outputs
+from r2h_batch.base.launch.threads import cpu_threads, share, thread_pool
+
+__all__ = [
+    "BLOCK_DIM",
+    "CACHE_BYTES",
+    "CHUNK",
+    "MODULE_BYTES",
+    "NO_DRIVER",
+    "UNEVEN_BLOCK_DIM",
+    "cpu_threads",
+    "init_warp",
+    "launch",
+    "launch_trials",
+    "load",
+    "new_outputs",
+    "over_trials",
+    "thread_pool",
+]
+
+CACHE_BYTES, MODULE_BYTES = 64 << 20, 8 << 20
+BLOCK_DIM = 64
+"""Threads of a block on CUDA (a CPU has one). Warp's 256 would leave most of a GPU without a block
+(bench/gpu.py varies it)."""
+UNEVEN_BLOCK_DIM = 32
+"""The same of kernels whose trials differ a hundredfold: a block keeps its registers until its last
+thread ends."""
+
+CHUNK = 32
+"""Batches of at most so many trials are computed by the calling thread alone, unless a kernel's
+caller says otherwise."""
+
+
+def init_warp() -> None:
+    """Starts Warp without its banner (stdout is for results)."""
+    wp.config.log_level = wp.LOG_WARNING
+    _start()
+    _room_to_compile(wp.config.kernel_cache_dir or "")
+
+
+NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
+"""What Warp's library writes to the process' stderr on a machine without a GPU: no news to whoever
+uses a CPU."""
+
+
+@lru_cache(maxsize=1)
+def _start() -> None:
+    """Starts Warp once; of what its library writes to stderr meanwhile, all but NO_DRIVER is passed
+    on."""
+    if torch.cuda.is_available():
+        wp.init()
+        return
+    try:
+        before = os.dup(2)
+    except OSError:  # stderr is closed
+        wp.init()
+        return
+    with tempfile.TemporaryFile() as kept:
+        os.dup2(kept.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+            kept.seek(0)
+            output = b"".join(line for line in kept if not line.startswith(NO_DRIVER))
+            with suppress(OSError):
+                os.write(2, output)
+
+
+@lru_cache(maxsize=1)
+def _room_to_compile(cache: str) -> None:
+    """Refuse an empty kernel cache on a full disk at once: LLVM ends the whole process when it
+    cannot write."""
+    if not os.path.isdir(cache) or any(
+        name.startswith("wp_r2h_batch") for name in os.listdir(cache)
+    ):
+        return
+    _refuse_below(CACHE_BYTES, cache)
+
+
+@cache
+def _room_for(module: Any) -> None:
+    """The same for one module that is not compiled yet, asked before its first launch: the disk may
+    have filled since."""
+    folder = wp.config.kernel_cache_dir or ""
+    if not os.path.isdir(folder) or shutil.disk_usage(folder).free >= MODULE_BYTES:
+        return
+    known = [
+        module.get_module_identifier(block_dim)
+        for block_dim in (1, BLOCK_DIM, UNEVEN_BLOCK_DIM, None)
+    ]
+    if not any(os.path.isdir(os.path.join(folder, name)) for name in known):
+        _refuse_below(MODULE_BYTES, folder)
+
+
+def _refuse_below(needed: int, cache: str) -> None:
+    free = shutil.disk_usage(cache).free
+    if free < needed:
+        why = f"{free >> 20} MB free for the kernel cache, {needed >> 20} are needed; set WARP_CACHE_PATH to another"
+        raise OSError(errno.ENOSPC, why, cache)
+
+
+def launch_trials(
+    kernel: Any,
+    n: int,
+    *,
+    inputs: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    device: str,
+    threads: int | None = None,
+    chunk: int | None = None,
+    width: int = 1,
+    first: int = 0,
+    uneven: bool = False,
+) -> None:
+    """Runs `kernel` for trials first..first+n-1; they are wp.tid() + its parameter `first`; `width`
+    > 1: of a second index.
+
+    `inputs`, `outputs`: by the kernel's parameter names without `_in`, `_out`; tensors and NumPy
+    arrays as they are. Every name and kind is checked against the kernel before anything runs
+    (`r2h_batch.base.launch.arguments.bind`). `uneven`: some trials take a hundred times as long as
+    others. Warp runs a CPU kernel as one serial loop but releases the interpreter lock, so threads
+    over pieces use all cores. `chunk` (trials of a piece; None: trials cost alike) only says who
+    computes a trial: results do not depend on it.
+    """
+    if device == "cpu":
+        _launch_on_cpu(kernel, n, inputs, outputs, threads, chunk, width, first)
+        return
+    args = [first, *bind(kernel, inputs, outputs, device, trials=first + n)]
+    if n == 0:
+        return
+    _room_for(kernel.module)
+    dim = (n, width) if width > 1 else n
+    block_dim = UNEVEN_BLOCK_DIM if uneven else BLOCK_DIM
+    wp.launch(kernel, dim=dim, inputs=args, stream=_stream(device), block_dim=block_dim)
+
+
+def over_trials(
+    kernel: Any,
+    n: int,
+    device: str,
+    *,
+    outputs: Mapping[str, Any] | None = None,
+    sizes: Mapping[str, int | tuple[int, ...]] | None = None,
+    **options: Any,
+) -> Callable[..., Any]:
+    """`launch_trials` with the inputs as keywords: `over_trials(kernel, n, device)(cap=cap_m, q=q)`.
+
+    Args:
+        kernel: over trials.
+        n: number of trials.
+        device: where it runs.
+        outputs: what it writes to, by name; None: new memory (`new_outputs`).
+        sizes: of new memory with further dimensions.
+        options: of `launch_trials`.
+
+    Returns:
+        A function of the kernel's inputs that runs it and returns the outputs.
+    """
+
+    def run(**inputs: Any) -> Any:
+        made = new_outputs(kernel, n, device, **(sizes or {})) if outputs is None else outputs
+        launch_trials(kernel, n, inputs=inputs, outputs=made, device=device, **options)
+        return made
+
+    return run
+
+
+def _launch_on_cpu(
+    kernel: Any,
+    n: int,
+    inputs: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    threads: int | None,
+    chunk: int | None,
+    width: int,
+    first: int,
+) -> None:
+    """`launch_trials` on all cores, with what this thread packed for the kernel before
+    (cached.py)."""
+    cached.refuse_graph(kernel.key)
+    packed = cached.taken(kernel)
+    if packed is None or not packed.refill(inputs, outputs, first + n):
+        args = [first, *bind(kernel, inputs, outputs, "cpu", trials=first + n)]
+        if n == 0:
+            return
+        _room_for(kernel.module)
+        packed = cached.pack(kernel, args, inputs, outputs)
+    workers = max(1, min(cpu_threads(threads), -(-n // (chunk or CHUNK))))
+    if packed is None:  # another Warp
+
+        def plain(worker: int, start: int, rows: int) -> None:
+            dim = (rows, width) if width > 1 else rows
+            wp.launch(kernel, dim=dim, inputs=[start, *args[1:]], device="cpu")
+
+        share(plain, first, n, workers, chunk)
+        return
+    if workers > 1:
+        packed.prepare(workers)
+        share(
+            lambda worker, start, rows: packed.run(worker, start, rows, width),
+            first,
+            n,
+            workers,
+            chunk,
+        )
+    elif n:  # nothing to share
+        packed.run(0, first, n, width)
+    cached.kept(packed)
+
+
+def load(kernel: Any, device: str) -> None:
+    """Compiles the kernel's module for the device, or loads it, as `launch_trials` of uneven rows
+    does at its first row."""
+    init_warp()
+    _room_for(kernel.module)
+    wp.load_module(
+        kernel.module, device=device, block_dim=1 if device == "cpu" else UNEVEN_BLOCK_DIM
+    )
+
+
+def launch(
+    kernel: Any, dim: int, *, inputs: Mapping[str, Any], outputs: Mapping[str, Any], device: str
+) -> None:
+    """Runs a kernel that has no parameter `first` once, on Warp's own stream; arguments as in
+    `launch_trials`."""
+    _room_for(kernel.module)
+    wp.launch(kernel, dim=dim, inputs=bind(kernel, inputs, outputs, device), device=device)
+
+
+def _stream(device: str) -> wp.Stream:
+    """Torch's stream: what torch wrote before is there, what it reads after has been written,
+    the host does not wait.
+
+    Given to the launch itself: ScopedStream would make it wait for Warp's own stream, which no
+    graph can capture.
+    """
+    return wp.stream_from_torch(torch.cuda.current_stream(torch.device(device)))

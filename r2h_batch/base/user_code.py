@@ -1,0 +1,180 @@
+"""Functions of users: how `--method` and `--predictor` find them, and which files decide what they
+answer."""
+
+import ast
+import hashlib
+import importlib.util
+import os
+import sys
+import sysconfig
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from importlib.machinery import PathFinder
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from r2h_batch.base.io.read import FileError
+
+HOW = "package.module:function or FILE.py:function"
+
+_BROUGHT: dict[str, Collection[str]] = {}
+"""Module -> the modules that its first import brought."""
+
+
+@dataclass(frozen=True)
+class UserFunction:
+    """A function of a user's module.
+
+    `spec`: `module:function`, or `file.py:function` without the file's folder.
+    """
+
+    function: Callable[..., Any]
+    module: ModuleType
+    spec: str
+
+    def files(self) -> dict[str, Path]:
+        """Name -> file of each module of the user's that the function needs, as `user_files`."""
+        name = self.module.__name__
+        of_function = getattr(self.function, "__module__", None) or name
+        return user_files([name, of_function, *_BROUGHT.get(name, ())])
+
+
+def load_function(spec: str) -> UserFunction:
+    """The function that a text names.
+
+    `package.module:function` is found as `python -m` finds it: in the current folder first. The
+    modules beside FILE.py are found as `python FILE.py` finds them.
+
+    Args:
+        spec: `package.module:function` or `FILE.py:function`.
+
+    Raises:
+        ImportError: there is no such module, file or function, or two folders have modules of one
+            name.
+        BaseException: what the module raises while it is imported.
+    """
+    place, _, name = spec.rpartition(":")
+    before = set(sys.modules)
+    if place.endswith(".py"):
+        module, spec = _import_file(Path(place)), f"{Path(place).name}:{name}"
+    elif all(part.isidentifier() for part in place.split(".")):
+        if not sys.flags.safe_path:
+            _search_first(Path.cwd())
+        module = importlib.import_module(place)
+    else:
+        raise ImportError(f"{place!r} is neither a name of a module nor a file that ends with .py")
+    _BROUGHT.setdefault(module.__name__, sys.modules.keys() - before)
+    try:
+        return UserFunction(getattr(module, name), module, spec)
+    except AttributeError:
+        raise ImportError(f"{place} has no function {name!r}") from None
+
+
+def _search_first(folder: Path) -> None:
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+
+
+def _import_file(file: Path) -> ModuleType:
+    """The file as a module: by its own name, or with a digest of its path if that name is taken."""
+    file = file.resolve()
+    if not file.is_file():
+        raise ImportError(f"{file}: no such file")
+    taken = getattr(sys.modules[file.stem], "__file__", None) if file.stem in sys.modules else file
+    digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
+    name = file.stem if taken and Path(taken) == file else f"{file.stem}_{digest}"
+    if name in sys.modules:
+        return sys.modules[name]
+    _search_first(file.parent)
+    for imported in set(_imported(name, file)):
+        candidates = [file.parent / f"{imported}.py", file.parent / imported / "__init__.py"]
+        loaded = getattr(sys.modules.get(imported), "__file__", None)
+        own = any(p.is_file() for p in candidates)
+        if loaded and own and Path(loaded).resolve() not in candidates:
+            what = f"{file.name} imports {imported}, and {loaded} is loaded under that name"
+            how = "rename one of them, or score the two in sweeps of their own"
+            raise ImportError(f"{what}; {how}")
+    found = importlib.util.spec_from_file_location(name, file)
+    assert found is not None and found.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(found)
+    try:
+        found.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def user_files(modules: Iterable[str]) -> dict[str, Path]:
+    """Name -> file of the user's modules among these and of those that they import, in functions
+    too.
+
+    The user's are those outside site-packages, the standard library and this package. Nothing is
+    imported or run: names of `import` statements are looked up. `METHOD_FILES` of a module, a
+    sequence of paths from its folder, adds the files that it reads, or folders of them.
+
+    Raises:
+        FileError: a file of `METHOD_FILES` is not there.
+    """
+    left, found = list(modules), {}
+    while left:
+        name = left.pop()
+        if name in found or (file := _module_file(name)) is None:
+            continue
+        found[name] = file
+        if file.suffix == ".py":
+            left += _imported(name, file)
+    for name, file in list(found.items()):
+        for listed in getattr(sys.modules.get(name), "METHOD_FILES", ()):
+            path = file.parent / os.path.expanduser(listed)
+            inside = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+            if not all(p.exists() for p in inside):
+                raise FileError(f"{path}: no such file; METHOD_FILES of {file} names it")
+            found |= {os.path.relpath(p, file.parent): p for p in inside}
+    return dict(sorted(found.items()))
+
+
+def _module_file(name: str) -> Path | None:
+    """The file of a user's module; None for other modules and for those without a file."""
+    if name.partition(".")[0] == "r2h_batch":
+        return None
+    if (module := sys.modules.get(name)) is not None:
+        file = getattr(module, "__file__", None)
+    else:  # imported in a function, so far not
+        file, path = None, None
+        for end in [i for i, c in enumerate(f"{name}.") if c == "."]:
+            try:
+                spec = PathFinder.find_spec(name[:end], path)
+            except (ImportError, ValueError):
+                spec = None
+            if spec is None:
+                return None
+            file, path = spec.origin, spec.submodule_search_locations
+    if not file or not os.path.isfile(file):
+        return None
+    found = Path(os.path.abspath(file))
+    library = [sysconfig.get_path(k) for k in ("stdlib", "platstdlib")]
+    installed = {"site-packages", "dist-packages"} & set(found.parts)
+    return None if installed or any(map(found.is_relative_to, library)) else found
+
+
+def _imported(name: str, file: Path) -> Iterator[str]:
+    """Names that the `import` statements of a module may mean, with the packages they lie in."""
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (OSError, SyntaxError, ValueError):
+        return
+    package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+    for node in ast.walk(tree):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            try:
+                base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            except ImportError:  # beyond the topmost package
+                continue
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        for full in names:
+            yield from (full[:i] for i, c in enumerate(f"{full}.") if c == ".")

@@ -1,1 +1,0 @@
-"""Robot, hand, object: loaded numbers and meshes, and bounds on them."""

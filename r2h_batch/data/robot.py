@@ -1,0 +1,476 @@
+"""A robot out of a URDF or MJCF: the arm's chain and masses, collision bodies fitted to its visual meshes,
+the pairs of links that are checked, a posture to start from.
+
+The gripper is the 2F-85, or that of the same URDF.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
+
+from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.config import Workplace
+from r2h_batch.data.robot_pairs import contact_rates, touching
+from r2h_batch.data.robot_shapes import (
+    BOX,
+    Hull,
+    Shape,
+    Target,
+    box_of,
+    boxes_of,
+    fit_hulls,
+    mouths_for,
+)
+from r2h_batch.data.robot_srdf import compared, home_of, read_srdf
+from r2h_batch.data.urdf import Box, Chain, Fingers, Link, read_chain, read_fingers
+from r2h_batch.scene.robot import (
+    DEFAULT_ROBOT,
+    MAX_BODIES,
+    Kind,
+    Primitives,
+    Robot,
+    check_robot,
+    ee_pose,
+    frozen,
+    hull_size,
+    load_robot,
+    part_names,
+    robot_file,
+    slide_table,
+    table_linkage,
+    table_motions,
+)
+from r2h_batch.scene.robot_visuals import ARM_LINKS, visual_triangles
+
+__all__ = ["gripper_of", "import_robot"]
+
+Array = NDArray[np.float64]
+
+LEAST_JOINTS, MOST_JOINTS = 6, 7
+"""Of an arm: the kernels take any number, these have been tried."""
+MOST_OVERSHOOT_MM = 3.0
+"""Mean distance from a link's bodies to its mesh above which it gets one body more."""
+MOST_OUTSIDE_MM = 0.1
+"""How much of a link's mesh the file's own shapes may leave outside."""
+MOST_HULLS = 6
+"""Of a link, as long as each link after it can have one of the bodies that the kernels hold."""
+PALM_BOXES = 8
+"""Of a gripper that is imported: no hulls, as closing it asks how deep its bodies are met."""
+FINGER_BOXES, MAX_PARTS = 3, 31
+"""Of a mesh of a finger; of a whole gripper, as the kernels hold them."""
+TABLE_SAMPLES = 65
+"""Gaps at which the fingers' places are stored."""
+SYMMETRIC_M, PARALLEL_RAD = 1e-4, 5e-3
+"""By how much the fingers may close differently, and the pads turn."""
+NEAR_M = 0.010
+"""Links that never touch and never come this near are not checked against each other."""
+DENSE_JOINTS = 2
+"""Joints between two links up to which random postures lie close enough to each other to say so."""
+POSTURES = 8000
+"""Random postures in which links are looked for in contact."""
+SMALL_EFFORT_NM, STIFF, SOFT = 40.0, 10_000.0, 2_000.0
+"""Servos below this effort are soft, N m/rad: the UR5e's rule [choice]."""
+
+
+class Imported(NamedTuple):
+    """A robot, the figures of its import, and what the file shows of it."""
+
+    robot: Robot
+    report: dict[str, Any]
+    seen: tuple[Array, ...]
+    """triangles (F, 3, 3) of each link in its frame"""
+
+
+def import_robot(
+    path: Path,
+    *,
+    name: str,
+    base: str,
+    flange: str,
+    packages: Mapping[str, Path],
+    fingers: tuple[str, str] | None = None,
+    visuals: str = "",
+    srdf: Path | None = None,
+    home: Sequence[float] | str = (),
+) -> Imported:
+    """A robot with a gripper at its flange, and the figures of its import.
+
+    Args:
+        path: the URDF or MJCF.
+        name: of the robot, in rows and tables.
+        base: the link that stands on the table.
+        flange: the link that carries the gripper.
+        packages: folder of each `package://NAME/`.
+        fingers: the two links of the URDF's own gripper that grasp; None: a 2F-85.
+        visuals: the arm of airo-models whose meshes show it.
+        srdf: the file whose pairs are compared with those that are checked.
+        home: the posture at the start, rad, or the name of a state of the SRDF; by default it is chosen.
+
+    Raises:
+        FileError: one line that says what the file has and what is allowed.
+    """
+    beside = None if srdf is None else read_srdf(srdf)
+    chain = read_chain(path, base, flange, packages, bare=fingers is not None)
+    shown, n = printable(path), len(chain.joints)
+    if not LEAST_JOINTS <= n <= MOST_JOINTS:
+        raise FileError(
+            f"{shown}: {n} joints move {flange}; allowed are {LEAST_JOINTS} or {MOST_JOINTS}"
+        )
+    start = home_of(beside, home, chain.joints) if isinstance(home, str) else tuple(home)
+    if start and len(start) != n:
+        raise FileError(f"--home has {len(start)} numbers; {shown} has {n} joints")
+    if start and not ((chain.lower <= start) & (start <= chain.upper)).all():
+        raise FileError(f"{shown}: home {list(start)} rad is outside the joint limits")
+    bare = replace(
+        load_robot(DEFAULT_ROBOT),
+        name=name,
+        visuals=visuals,
+        joints=chain.joints,
+        T_parent_joint=frozen(chain.T_parent_joint),
+        T_wrist3_flange=frozen(chain.T_last_flange),
+        lower=frozen(chain.lower),
+        upper=frozen(chain.upper),
+        max_velocity=frozen(chain.velocity),
+        max_torque=frozen(chain.effort),
+        digest=f"{name}, being imported",
+    )
+    palm: dict[str, Any] = {}
+    if fingers is not None:
+        gripper, palm = gripper_of(read_fingers(path, flange, fingers, packages), fingers, n, shown)
+        bare = replace(bare, **gripper)
+    names: tuple[str, ...] = tuple(part.name for part in chain.links)
+    mouths: list[list[Array]] = [[]] * (n + 1)
+    if bare.family == "ur":
+        usual = np.array(bare.home_q)  # before the minutes that fitting takes
+        lower, upper = np.minimum(bare.lower, usual), np.maximum(bare.upper, usual)
+        _check(replace(bare, lower=lower, upper=upper), shown)
+        names = ARM_LINKS
+        # what the next links close in the sleeves: those of the UR5e at other lengths
+        mouths = [
+            mouths_for(like, box_of(visual_triangles(like)), box_of(link.triangles))
+            for link, like in zip(chain.links, names, strict=True)
+        ]
+    else:
+        bare = replace(
+            bare, links=(*names, bare.links[-1]), object_pairs=frozen(np.arange(n + 1), np.int32)
+        )
+    hulls: list[Shape | Hull] = []
+    where: list[int] = []
+    links: dict[str, Any] = {}
+    for k, link in enumerate(chain.links):
+        found, links[names[k]] = _bodies(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
+        hulls, where = [*hulls, *found], [*where, *[k] * len(found)]
+    numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
+    arm = _primitives_of(hulls, where, numbered)
+    bare = replace(bare, arm=arm, dynamics=_dynamics(chain, bare, shown))
+    robot = replace(bare, home_q=start or _home(bare))
+    pairs = _checked_pairs(robot)
+    checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
+    robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
+    table = Workplace().scaled(robot.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
+    if met := touching(robot, np.array(robot.home_q), table):
+        how = "give another posture with --home"
+        raise FileError(f"{shown}: {', '.join(met)} overlap at {list(robot.home_q)} rad; {how}")
+    _check(robot, shown)
+    of_joints = (robot.lower, robot.upper, robot.max_velocity, robot.max_torque)
+    report = {
+        "links": links | palm,
+        "pairs": {f"{a} - {b}": says for (a, b), (_, says) in pairs.items()},
+        "home_rad": list(robot.home_q),
+        "inverse_kinematics": robot.family,
+        "reach_m": robot.reach_m,
+        "joints": {
+            joint: {"lower_rad": a, "upper_rad": b, "speed_rad_s": v, "torque_nm": t}
+            for joint, a, b, v, t in zip(
+                chain.joints, *map(np.ndarray.tolist, of_joints), strict=True
+            )
+        },
+    }
+    if beside is not None:
+        report["srdf"] = compared(beside, chain, robot.links, pairs) | {
+            "states": sorted(beside.states)
+        }
+    return Imported(robot, report, tuple(part.triangles for part in chain.links))
+
+
+def _check(robot: Robot, shown: str) -> None:
+    """Refuses what no robot file may hold."""
+    try:
+        robot_file(robot)
+        check_robot(robot)
+    except ValueError as error:
+        raise FileError(f"{shown}: {' '.join(str(error).split())[:200]}") from None
+
+
+def _bodies(
+    link: Link, mouths: list[Array], most: int
+) -> tuple[list[Shape | Hull], dict[str, Any]]:
+    """The file's own cylinders, boxes and capsules where they are the link, or cover its mesh as hulls
+    must; else as few hulls of its mesh as overshoot it little enough. And its figures."""
+    shapes = list(link.shapes)
+    if shapes and link.meshed == 0 and len(shapes) <= most:
+        row = {"primitives": len(shapes), "mean_mm": 0.0, "worst_protrusion_mm": 0.0}
+        return [*shapes], row | {"from": "shapes of the file"}
+    apart = bool(link.meshed) and len(shapes) < min(most, MOST_HULLS)
+    mesh = Target(link.triangles[: link.meshed] if apart else link.triangles, mouths)
+    shapes = shapes if apart else []
+    given, more = list(link.collides), {}
+    if given and not shapes:
+        over, outside = mesh.mean_overshoot_mm(given), 1e3 * mesh.protrusion(given)
+        if over <= MOST_OVERSHOOT_MM and outside <= MOST_OUTSIDE_MM and len(given) <= most:
+            return [*given], mesh.report(given) | {"from": "collision shapes of the file"}
+        words = f"{len(given)} collision shapes overshoot by {over:.1f} mm and leave {outside:.1f} mm of the mesh outside"
+        more = {"not_used": words}
+    hulls = fit_hulls(
+        mesh,
+        lambda h: mesh.mean_overshoot_mm(h) < MOST_OVERSHOOT_MM,
+        min(most, MOST_HULLS) - len(shapes),
+    )
+    return [*hulls, *shapes], mesh.report(hulls) | {"primitives": len(hulls) + len(shapes)} | more
+
+
+def _primitives_of(
+    shapes: Sequence[Shape | Hull], link: Sequence[int], names: Sequence[str]
+) -> Primitives:
+    T, size = np.tile(np.eye(4), (len(shapes), 1, 1)), np.zeros((len(shapes), 3))
+    corners = [np.zeros((0, 3))] * len(shapes)
+    for i, s in enumerate(shapes):
+        if isinstance(s, Hull):
+            T[i, :3, :3], T[i, :3, 3] = s.frame()
+            corners[i] = frozen((s.points - T[i, :3, 3]) @ T[i, :3, :3])
+            size[i] = hull_size(corners[i])
+        else:
+            T[i, :3, :3], T[i, :3, 3], size[i, : len(s.size)] = s.R, s.pos, s.size
+    kind = [Kind[s.kind.upper()] for s in shapes]
+    any_hull = any(map(len, corners))
+    return Primitives(
+        tuple(names), frozen(link, np.int32), frozen(kind, np.int32), frozen(T), frozen(size),
+        tuple(corners) if any_hull else (),
+    )  # fmt: skip
+
+
+def gripper_of(
+    fingers: Fingers, pads: tuple[str, str], joints: int, shown: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The fields of a `Robot` that its gripper fills, and the palm's figures.
+
+    z of the gripper is the flange's, +y the way in which one of the fingers opens. The box of a pad's
+    link that reaches farthest along z is the pad.
+
+    Args:
+        fingers: what the URDF has.
+        pads: the two links that grasp.
+        joints: of the arm.
+        shown: the URDF's name in messages.
+
+    Raises:
+        FileError: fingers that do not close symmetrically, with pads that stay parallel.
+    """
+    named = [next(part for part in fingers.parts if part.name == pad) for pad in pads]
+    way = [part.T[-1, :3, 3] - part.T[0, :3, 3] for part in named]
+    opens = (way[0] - way[1]) / 2
+    if opens[1] < -1e-6:  # the closed form of a UR wants the flange's axes
+        named, opens = named[::-1], -opens
+    if np.linalg.norm(opens) < 1e-3 or abs(opens[2]) > 1e-3 * np.linalg.norm(opens):
+        raise FileError(f"{shown}: the two fingers must open apart, across the flange's z")
+    y = np.array([opens[0], opens[1], 0.0]) / np.hypot(*opens[:2])
+    T_flange_gripper = np.eye(4)
+    T_flange_gripper[:3, :3] = np.stack([np.cross(y, [0.0, 0.0, 1.0]), y, [0.0, 0.0, 1.0]], 1)
+    turned = fingers.palm.triangles @ T_flange_gripper[:3, :3]
+    shapes = boxes_of(turned, PALM_BOXES)
+    report = {fingers.palm.name: Target(turned, []).report(shapes)}
+    moves = {p.name: T_flange_gripper.T @ p.T for p in fingers.parts}  # it only turns
+    pad, faces = [], []
+    for sign, one in zip((1, -1), named, strict=True):
+        boxes = [(moves[one.name] @ T, half) for T, half in one.boxes]
+        axes = [np.abs(T[0, :3, :3]) for T, _ in boxes]
+        square = [b for b, R in zip(boxes, axes, strict=True) if np.abs(R - R.round()).max() < 2e-3]
+        if not square:
+            raise FileError(f"{shown}: {printable(one.name)} needs a box along the gripper's axes")
+        square = [(T, np.abs(T[0, :3, :3]).round() @ half) for T, half in square]
+        pad.append(max(square, key=lambda b: float(b[0][0, 2, 3] + b[1][2])))
+        faces.append(sign * pad[-1][0][:, 1, 3] - pad[-1][1][1])
+        turns = Rotation.from_matrix(pad[-1][0][0, :3, :3].T @ pad[-1][0][:, :3, :3]).magnitude()
+        if turns.max() > PARALLEL_RAD:
+            raise FileError(
+                f"{shown}: {printable(one.name)} turns by {np.degrees(turns.max()):.1f} degrees as the gripper closes; pads must"
+                " stay parallel"
+            )
+    half, gap = pad[0][1], faces[0] + faces[1]
+    heights = [p[0][:, 2, 3] for p in pad]
+    uneven = max(np.abs(x[0] - x[1]).max() for x in (faces, heights))
+    if uneven > SYMMETRIC_M or np.abs(half - pad[1][1]).max() > 1e-6:
+        raise FileError(f"{shown}: the two pads must be mirror images, {1e3 * uneven:.2f} mm off")
+    if (np.diff(gap) <= 0).any() or gap[-1] <= 0:
+        raise FileError(f"{shown}: the pads do not come apart all the way as the gripper opens")
+    closed, opened = max(float(gap[0]), 0.0), float(gap[-1])
+    gaps = np.linspace(closed, opened, TABLE_SAMPLES)
+    T_flange_ee = T_flange_gripper.copy()
+    T_flange_ee[2, 3] = np.interp(opened / 2, gap, heights[0])
+    tool = T_flange_ee[:3, 3]
+
+    def row_of(part: str, sign: int) -> Array:
+        """(TABLE_SAMPLES, 3) of the table, mirrored to the +y finger."""
+        T = moves[part] @ np.linalg.inv(moves[part][0])
+        shift = T[:, :3, :3] @ tool + T[:, :3, 3] - tool
+        if max(np.abs(T[:, 0, 0] - 1).max(), np.abs(shift[:, 0]).max()) > SYMMETRIC_M:
+            raise FileError(f"{shown}: {printable(part)} leaves the plane of the closing gripper")
+        turn = np.unwrap(np.arctan2(T[:, 2, 1], T[:, 1, 1]))
+        columns = (sign * shift[:, 1], shift[:, 2], sign * turn)
+        return np.stack([np.interp(gaps, gap, x) for x in columns], 1)
+
+    rows, used = [row_of(named[0].name, 1)], {(0, 1)}
+    part, side, motion = ["body"] * len(shapes), [0] * len(shapes), [0] * len(shapes)
+    room = (MAX_PARTS - len(shapes) - sum(len(p.boxes) for p in fingers.parts)) // max(
+        sum(bool(p.meshes) for p in fingers.parts), 1
+    )
+    mass = {1: 0.0, -1: 0.0}
+    for p in fingers.parts:
+        if not p.boxes and not p.meshes:
+            continue
+        bodies = list(p.boxes) or [
+            Box(_frame(s), s.size)
+            for s in _close_boxes(np.concatenate(p.meshes), min(room, FINGER_BOXES))
+        ]
+        placed = [(moves[p.name][0] @ T, h) for T, h in bodies]
+        sign = 1 if np.mean([(moves[p.name][-1] @ T)[1, 3] for T, _ in bodies]) > 0 else -1
+        mass[sign] += p.mass
+        found = row_of(p.name, sign)
+        k = next(
+            (i for i, r in enumerate(rows) if np.abs(r - found).max() < SYMMETRIC_M), len(rows)
+        )
+        rows += [found] if k == len(rows) else []
+        used.add((k, sign))
+        for i, (T, h) in enumerate(placed):
+            # of the rows the first alone moves as the gap does; where the pads meet it is 0
+            at = T[:3, 3] - [0.0, sign * gap[0] / 2 if k == 0 else 0.0, 0.0]
+            shapes.append(Shape(BOX, at, T[:3, :3], h))
+            here = next((x for n, x in zip(named, pad, strict=True) if n is p), None)
+            whose = here is not None and np.allclose(here[0][0], moves[p.name][0] @ bodies[i][0])
+            part.append("pad" if whose else "finger")
+            side.append(sign)
+            motion.append(k)
+    if {k for k, s in used if s == 1} != {k for k, s in used if s == -1}:
+        raise FileError(f"{shown}: the two fingers must close symmetrically, part by part")
+    rows[0] = rows[0] + [gap[0] / 2, 0.0, 0.0]
+    if not np.isclose(mass[1], mass[-1], rtol=1e-3) or mass[1] <= 0:
+        what = f"{mass[1]:g} and {mass[-1]:g} kg"
+        raise FileError(f"{shown}: the gripper's fingers have {what}; they need equal masses")
+    table, slides = np.array(rows), slide_table(closed, opened)
+    if (
+        len(rows) == 1
+        and np.abs(table[0] - np.linspace(slides[0, 0], slides[0, 1], TABLE_SAMPLES)).max() < 1e-6
+    ):
+        table = slides
+    return {
+        "open_gap_m": opened,
+        "T_flange_ee": frozen(T_flange_ee),
+        "T_flange_gripper": frozen(T_flange_gripper),
+        "gripper": _primitives_of(shapes, [joints + 1] * len(shapes), part_names(part, side)),
+        "gripper_part": tuple(part),
+        "gripper_motion": table_motions(motion, side),
+        "gripper_side": frozen(side, np.int32),
+        "linkage": table_linkage(
+            table, closed, opened, half, T_flange_ee[2, 3], fingers.palm.mass + 2 * mass[1], mass[1]
+        ),
+    }, report  # fmt: skip
+
+
+def _close_boxes(triangles: Array, most: int) -> list[Shape]:
+    """Boxes that hold a finger's mesh, along the axes of its frame or along its own, whichever are
+    smaller together."""
+    points = triangles.reshape(-1, 3)
+    own = np.linalg.svd(points - points.mean(0), full_matrices=False)[2].T
+    own[:, 2] *= np.sign(np.linalg.det(own))
+    found = []
+    for R in (np.eye(3), own):
+        boxes = boxes_of(triangles @ R, max(most, 1))
+        turned = [replace(s, pos=R @ s.pos, R=R) for s in boxes]
+        found.append((sum(float(np.prod(s.size)) for s in boxes), turned))
+    return min(found, key=lambda x: x[0])[1]
+
+
+def _frame(shape: Shape) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = shape.R, shape.pos
+    return T
+
+
+def _dynamics(chain: Chain, robot: Robot, shown: str) -> Any:
+    """Masses from the URDF; servos by the UR5e's rule."""
+    moving = chain.links[1:]
+    for link in moving:
+        moments = np.linalg.eigvalsh(link.inertia)
+        if link.mass <= 0 or moments[0] <= 0 or moments[2] > 1.001 * (moments[0] + moments[1]):
+            what = f"mass {link.mass:g} kg, moments {moments} kg m^2"
+            raise FileError(f"{shown}: link {printable(link.name)} is not a body: {what}")
+    return replace(
+        robot.dynamics,
+        mass=frozen([link.mass for link in moving]),
+        com=frozen([link.com for link in moving]),
+        inertia=frozen([link.inertia for link in moving]),
+        stiffness=frozen(np.where(chain.effort < SMALL_EFFORT_NM, SOFT, STIFF)),
+    )
+
+
+def _home(robot: Robot) -> tuple[float, ...]:
+    """The UR5e's posture at the start with the TCP moved in and down, or out and up, as the reach
+    differs; the gripper points straight down."""
+    usual = load_robot(DEFAULT_ROBOT)
+    goal = ee_pose(usual, usual.home_q)
+    goal[:3, 3] *= robot.reach_m / usual.reach_m
+
+    def off(q: Array) -> Array:
+        return np.asarray((ee_pose(robot, q) - goal)[:3].ravel())
+
+    if robot.family != "ur":
+        return _middle_home(robot, off)
+    found = least_squares(off, usual.home_q, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    if np.abs(off(found.x)).max() > 1e-6:
+        raise FileError(
+            f"{robot.name}: no posture puts the gripper where trials start, the UR5e's place times the ratio of the reaches"
+        )
+    return tuple(np.round(found.x, 4).tolist())
+
+
+def _middle_home(robot: Robot, off: Callable[[Array], Array]) -> tuple[float, ...]:
+    """Of the postures that 64 starts lead to the one that is nearest to the middle of its limits."""
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    starts = qmc.Halton(len(lower), scramble=False).random(65)[1:]
+    best, least = None, np.inf
+    for start in lower + (upper - lower) * starts:
+        found = least_squares(
+            off, start, bounds=(lower - 1e-9, upper + 1e-9), xtol=1e-14, ftol=1e-14, gtol=1e-14
+        )
+        away = float(np.square((found.x - (lower + upper) / 2) / (upper - lower)).sum())
+        if np.abs(off(found.x)).max() < 1e-6 and away < least:
+            best, least = found.x, away
+    if best is None:
+        raise FileError(f"{robot.name}: no posture puts the gripper where trials start")
+    return tuple(np.round(best, 4).tolist())
+
+
+def _checked_pairs(robot: Robot) -> dict[tuple[str, str], tuple[bool, str]]:
+    """Whether each pair of links is checked, and why."""
+    found = {}
+    for (a, b), (rate, nearest) in contact_rates(robot, POSTURES).items():
+        first, last = robot.links.index(a), robot.links.index(b)
+        joints = min(last, len(robot.joints)) - first
+        if last - first == 1:
+            found[a, b] = False, "neighbours"
+        elif rate == 1:
+            found[a, b] = False, "always in contact"
+        elif rate == 0 and nearest > NEAR_M and joints <= DENSE_JOINTS:
+            found[a, b] = False, f"never nearer than {1e3 * nearest:.0f} mm"
+        else:
+            often = f"in contact in {100 * rate:.1f} % of postures"
+            never = f"no contact in {POSTURES:,} random postures, which prove nothing"
+            found[a, b] = True, often if rate else never
+    return found

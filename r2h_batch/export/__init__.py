@@ -1,1 +1,0 @@
-"""A trial as MJCF, pictures, files for methods."""

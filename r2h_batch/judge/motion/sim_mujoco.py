@@ -1,0 +1,104 @@
+"""Motion in MuJoCo C: every trial its own rollout, on all cores."""
+
+import copy
+from collections.abc import Iterator
+from functools import partial
+from queue import SimpleQueue
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+
+from r2h_batch.base.launch import cpu_threads, over_trials, thread_pool
+from r2h_batch.base.launch.instances import of_joints
+from r2h_batch.judge.motion.simulation import Job, Samples, warnings_unwritten
+from r2h_batch.kernels.motion.time_law import servo_commands
+from r2h_batch.kernels.motion.worlds import WINDOW
+
+ON_CPU = True
+"""The engine reads its tables on the host, whatever device the scene is on."""
+
+CHUNK = 64
+"""Trials whose commands are held in memory at once: about 20 MB."""
+
+Simulator = tuple[mujoco.MjModel, mujoco.MjData]
+"""A copy of the model, which trials are put into one after the other, and its state."""
+
+
+def simulate(job: Job) -> Samples:
+    """Recorded motion of the job's trials; each stops at its own end, so that no trial waits for the
+    slowest."""
+    out = Samples.empty(job)
+    workers = min(cpu_threads(), max(len(job.rows), 1))
+    simulators: SimpleQueue[Simulator] = SimpleQueue()
+    for _ in range(workers):
+        model = copy.copy(job.scene.model)
+        simulators.put((model, mujoco.MjData(model)))
+    with warnings_unwritten():
+        for first in range(0, len(job.rows), CHUNK):
+            rows = range(first, min(first + CHUNK, len(job.rows)))
+            steps = job.samples[rows.start : rows.stop].astype(np.int64) * job.record_steps
+            most = int(steps.max(initial=0))
+            size = (len(rows), most, job.scene.model.nu)
+            found = {"command": torch.empty(size, dtype=torch.float64, device="cpu")}
+            index = torch.from_numpy(job.rows[rows.start : rows.stop].astype(np.int32))
+            path, time, length = job.tables
+            kernel = of_joints(servo_commands, job.start.shape[1])
+            run = over_trials(kernel, len(rows), "cpu", outputs=found, chunk=1, width=most)
+            run(law=job.law, trial=index, path=path, time=time, length=length)
+            command = found["command"].numpy()
+            todo = iter(rows)  # next() is atomic: a free thread takes the next trial
+            work = partial(_work, job, simulators, todo, first, command, steps, out)
+            futures = [thread_pool(workers).submit(work) for _ in range(workers - 1)]
+            work()
+            for future in futures:
+                future.result()
+    return out
+
+
+def _work(
+    job: Job,
+    simulators: "SimpleQueue[Simulator]",
+    todo: Iterator[int],
+    first: int,
+    command: np.ndarray,
+    steps: np.ndarray,
+    out: Samples,
+) -> None:
+    simulator = simulators.get()
+    for i in todo:
+        _run(job, i, *simulator, command[i - first, : steps[i - first]], out)
+    simulators.put(simulator)
+
+
+def _run(
+    job: Job, i: int, model: mujoco.MjModel, data: mujoco.MjData, command: np.ndarray, out: Samples
+) -> None:  # fmt: skip
+    scene, trial, n = job.scene, job.trials[i], job.start.shape[1]
+    scene.load(model, trial, data)
+    command[:, n:] = scene.hold(trial)
+    start = np.zeros((1, 1 + model.nq + model.nv))
+    start[0, 1 : 1 + model.nq] = scene.start(trial, job.start[i])
+    state, _ = rollout.rollout(model, data, start, np.ascontiguousarray(command)[None])
+    time, q, qd = np.split(np.concatenate([start, state[0]]), [1, 1 + model.nq], axis=1)
+    kept = q[:: job.record_steps, :n]
+    out.q[i, : len(kept)] = kept
+    out.q[i, len(kept) :] = kept[-1]
+    acceleration = np.abs(np.diff(qd[:, :n], axis=0)) / model.opt.timestep
+    out.acceleration[i], out.sway_m[i] = acceleration.max(0), scene.sway(trial, q)
+    begins = np.arange(0, len(command), job.record_steps * int(WINDOW))
+    most = np.maximum.reduceat(acceleration, begins) @ job.motion_radii.T
+    out.bend[i, : len(begins)] = most.max(1)
+    if scene.full:
+        fingers = scene.fingers(trial, q) * [-1, 1, 1]  # the smallest angle as a maximum too
+        found = np.maximum(np.maximum.reduceat(fingers[1:], begins), fingers[begins])
+        out.fingers[i, : len(begins)] = found * [-1, 1, 1]
+    # after a warning (bad position, velocity, acceleration) rollout repeats the last state: time
+    # stands still
+    on_time = abs(time[-1, 0] - len(command) * model.opt.timestep) < 0.5 * model.opt.timestep
+    finite = np.isfinite(q).all(1) & np.isfinite(qd).all(1)
+    out.valid[i] = on_time and bool(finite.all())
+    if not out.valid[i]:
+        last = max(int(np.argmin(finite)) - 1, 0) if not finite.all() else -1
+        out.failed_state[i] = np.concatenate([q[last], qd[last]])

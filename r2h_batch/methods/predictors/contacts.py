@@ -1,0 +1,122 @@
+"""Where a person would touch an object: a network's probability on its voxel grid, read at the
+cloud's points.
+
+What such a network takes and returns: `r2h_batch.methods.predictors.grid`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from r2h_batch.base import rng
+from r2h_batch.methods.predictors.depth_view import DRAWS, DepthView, carved
+from r2h_batch.methods.predictors.external_predictions import Observations
+from r2h_batch.methods.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
+from r2h_batch.methods.predictors.voxnet import load_voxnet
+from r2h_batch.scene.objects import OBJECT_NAMES, VOXELS, ObjectModel, stored_key
+from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.noise import trial_ids
+from r2h_batch.types import Trials
+
+CONTACT_THRESHOLD = 0.4
+"""Probability from which a point counts as touched (Contact-Handover)."""
+
+_cached: dict[tuple[Any, ...], Tensor] = {}
+
+
+def predict_contacts(
+    trials: Trials,
+    scene: Scene,
+    *,
+    predictor: ContactPredictor | None = None,
+    seen: Observations | None = None,
+    left_out: bool = True,
+    view: DepthView | None = None,
+    seed: int = 0,
+) -> Float32[Tensor, "n p"]:
+    """Probability that a person touches each cloud point (`ObjectModel.points`).
+
+    The network runs once for each object and predictor; trials only look up.
+
+    Args:
+        trials: N trials.
+        scene: objects: `Evaluator.scene`.
+        predictor: the network; None: the built-in VoxNet.
+        seen: answers of your own network instead.
+        left_out: show a built-in object to the weights that never saw it; False: to those of all.
+        view: the network sees what these cameras leave of the grid, one of `DRAWS` sets; it still
+            answers for the whole cloud. None: it sees all.
+        seed: key of the draw of the set; a row depends on seed and trial id alone.
+
+    Returns:
+        (N, P) probabilities.
+    """
+    if seen is not None and seen.contacts is not None:
+        return seen.contacts.of(trials)["probability"].to(trials.trial_id.device)
+    device = trials.trial_id.device
+    index = trials.object_index.long()
+    if view is None or not view.cameras:
+        return _of_objects(scene, predictor, left_out, None, 0).to(device)[index, 0]
+    (u,) = rng.uniforms(rng.key_of(f"depth views {seed}"), trial_ids(trials.trial_id), 1, purpose=0)
+    draw = torch.from_numpy(rng.choice(u, DRAWS)).to(device)
+    return _of_objects(scene, predictor, left_out, view, seed).to(device)[index, draw]
+
+
+def _of_objects(
+    scene: Scene,
+    predictor: ContactPredictor | None,
+    left_out: bool,
+    view: DepthView | None,
+    seed: int,
+) -> Float32[Tensor, "o d p"]:
+    key = (scene.objects, predictor, left_out, view, seed)
+    if key not in _cached:
+        if len(_cached) >= 8:
+            _cached.clear()
+        rows = []
+        for i, o in enumerate(scene.objects):
+            unseen = left_out and stored_key(o) and o.name in OBJECT_NAMES
+            network = load_voxnet(o.name if unseen else "") if predictor is None else predictor
+            grids = grids_of(scene, i, view, seed)
+            rows.append(torch.stack([_of_object(o, network, grid) for grid in grids]))
+        _cached[key] = torch.stack(rows)
+    return _cached[key]
+
+
+def grids_of(scene: Scene, row: int, view: DepthView | None, seed: int) -> Iterator[Tensor]:
+    """(1, 5, 64, 64, 64) grids of an object: of the solid, or of each set of cameras."""
+    grid = contact_grids([scene.objects[row]])
+    if view is None:
+        yield grid
+        return
+    for draw in range(DRAWS):
+        grid[0, 0] = torch.from_numpy(carved(scene, row, view, draw, seed))
+        yield grid
+
+
+def _of_object(
+    model: ObjectModel, predictor: ContactPredictor, grid: Tensor
+) -> Float32[Tensor, " p"]:
+    """One object at a time: its result cannot depend on the others."""
+    with torch.no_grad():
+        found = predictor(grid)
+    name = getattr(predictor, "__name__", type(predictor).__name__)
+    if not isinstance(found, Tensor) or found.shape != (1, VOXELS, VOXELS, VOXELS):
+        tensor = isinstance(found, Tensor)
+        what = f"shape {tuple(found.shape)}" if tensor else f"a {type(found).__name__}"
+        raise ValueError(
+            f"contact predictor {name} returned {what} for a grid (1, 5, 64, 64, 64); need a tensor (1, 64, 64, 64)"
+        )
+    found = found.detach().cpu().float()
+    if not bool(((found >= 0) & (found <= 1)).all()):
+        raise ValueError(
+            f"contact predictor {name} returned values from {float(found.min()):.3g} to {float(found.max()):.3g}; "
+            "need probabilities in [0, 1] (apply a sigmoid to logits)"
+        )
+    i, j, k = voxel_of_points(model).T
+    return found[0, i, j, k]

@@ -1,0 +1,129 @@
+"""Comparisons as Markdown that also reads as plain text, as LaTeX, CSV or JSON."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+
+from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison
+from r2h_batch.report.text import (
+    NA,
+    aligned,
+    csv_text,
+    json_text,
+    legend,
+    notes_list,
+    plain,
+    short_names,
+    tex,
+    tex_comments,
+    tex_number,
+    tex_table,
+)
+
+FORMATS = ("md", "latex", "csv", "json")
+
+NOTES = (
+    "Holm p: McNemar's exact test, corrected over the pairs of its table. It decides for these objects.",
+    f"95 % new obj.: a t interval over objects. #1: a bootstrap over objects ({DRAWS} draws). Both speak about new"
+    " objects.",
+    "better, worse: decided for these objects and for new ones. better here, worse here: decided for these objects"
+    " only. tied: not decided.",
+)
+
+
+def render(
+    comparisons: Sequence[Comparison],
+    fmt: str = "md",
+    *,
+    origin: Mapping[str, str] | None = None,
+    notes: Sequence[str] = (),
+) -> str:
+    """The comparisons as text that ends in a newline.
+
+    Args:
+        comparisons: what `compare` gives.
+        fmt: one of `FORMATS`.
+        origin: where the rows come from; LaTeX writes it as comments.
+        notes: what a reader should know about the runs; Markdown and LaTeX write them.
+    """
+    if fmt == "md":
+        return _md(comparisons, notes)
+    if fmt == "latex":
+        return _latex(comparisons, origin or {}, notes)
+    if fmt == "csv":
+        return _csv(comparisons)
+    if fmt == "json":
+        ranks = [None if c.rank is None else c.rank.tolist() for c in comparisons]
+        return json_text([{**asdict(c), "rank": rank} for c, rank in zip(comparisons, ranks)])
+    raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
+
+
+def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
+    short = short_names([name for c in comparisons for name in c.names])
+    head = ["A", "B", "A-B", "95 % new obj.", "only A/B", "Holm p", "A is"]
+    parts = []
+    for c in comparisons:
+        parts.append(f"{c.group}: {c.n} trials, paired on the trial id")
+        lines = []
+        for pair in c.pairs:
+            known = pair.low is not None and pair.high is not None
+            ends = f"{pair.low:+.1f} to {pair.high:+.1f}" if known else NA
+            cells = [f"{pair.difference:+.1f}", ends, f"{pair.only_a}/{pair.only_b}"]
+            names = [plain(short[pair.a]), plain(short[pair.b])]
+            lines.append([*names, *cells, f"{pair.p_holm:.2g}", pair.verdict])
+        parts.append(aligned(head, lines, 2))
+        if c.rank is not None:
+            shares = [[f"{100 * p:.0f} %" for p in row] for row in c.rank]
+            ranks = dict(zip(c.ranked, shares, strict=True))
+            bound = ["bound", *[""] * (len(c.ranked) - 1)]
+            table = [
+                [plain(short[name]), f"{rate:.1f}", *ranks.get(name, bound)]
+                for name, rate in zip(c.names, c.rates, strict=True)
+            ]
+            places = [f"#{i + 1}" for i in range(len(c.ranked))]
+            parts.append(aligned(["Method", "SR", *places], table, 1))
+    columns = "A-B: difference of SR in points. #1: how often a method has that rank."
+    parts.append(notes_list([*map(plain, legend(short)), *notes, columns, *NOTES]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _latex(
+    comparisons: Sequence[Comparison], origin: Mapping[str, str], notes: Sequence[str]
+) -> str:
+    """All pairs over both columns of a page; what is decided for new objects too is bold."""
+    short = short_names([name for c in comparisons for name in c.names])
+    groups = []
+    for c in comparisons:
+        rows: list[str] = []
+        for pair in c.pairs:
+            known = pair.low is not None and pair.high is not None
+            ends = f"[{pair.low:+.1f}, {pair.high:+.1f}]" if known else NA
+            bold = pair.verdict in ("better", "worse")
+            word = rf"\textbf{{{pair.verdict}}}" if bold else pair.verdict
+            p = r"{$<$0.001}" if pair.p_holm < 0.001 else f"{pair.p_holm:.3f}"
+            names = ["" if rows else c.group, tex(short[pair.a]), tex(short[pair.b])]
+            counts = [str(pair.only_a), str(pair.only_b)]
+            cells = [*names, f"{pair.difference:+.1f}", ends, *counts, p, word]
+            rows.append(" & ".join(cells) + r" \\")
+        groups.append(rows)
+    signed = tex_number(3, 1).replace("3.1", "+3.1")
+    spec = ["l", "l", "l", signed, "c", "r", "r", tex_number(1, 3), "l"]
+    head = ["", "$A$", "$B$", "{$A-B$}", r"95\,\%", "only $A$", "only $B$"]
+    head += ["{$p$ (Holm)}", "$A$ is"]
+    decided = f"bold: decided for new objects too, alpha {ALPHA}"
+    comments = tex_comments(origin, [*legend(short), *notes, *NOTES, decided])
+    return "\n".join([*comments, *tex_table(spec, head, groups)]) + "\n"
+
+
+def _csv(comparisons: Sequence[Comparison]) -> str:
+    """One row for each group and pair, with both rates and the share of draws in which each method
+    is first."""
+    records = []
+    for c in comparisons:
+        rate = dict(zip(c.names, c.rates))
+        ranks = [] if c.rank is None else c.rank.tolist()
+        first = {name: row[0] for name, row in zip(c.ranked, ranks)}
+        for pair in c.pairs:
+            rates = {"sr_a": rate[pair.a], "sr_b": rate[pair.b]}
+            firsts = {"first_a": first.get(pair.a), "first_b": first.get(pair.b)}
+            records.append({"group": c.group, "n": c.n, **asdict(pair), **rates, **firsts})
+    return csv_text(records)

@@ -1,0 +1,344 @@
+"""From counted trials to Table I: rates of all trials, intervals and means. Pure functions."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import ndtri, stdtrit
+
+from r2h_batch.base.validate import (
+    array,
+    check_arguments,
+    describe_value,
+    instance_of,
+    number,
+    one_of,
+    optional,
+    sequence_of,
+    text,
+)
+from r2h_batch.report.statistics.tally import SECONDS, SUMMED, Tally
+from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.verdicts import REGISTRY, SPLITS, Outcome
+
+FAILURES = {entry.rate: entry for entry in sorted(REGISTRY, key=lambda entry: entry.column)}
+"""Rate of first failures -> its criterion, in the order of Table I's columns."""
+
+RATES = {
+    "sr": (Outcome.SUCCESS,),
+    **{rate: (Outcome[entry.name.upper()],) for rate, entry in FAILURES.items()},
+    "invalid": (Outcome.INVALID_INPUT, Outcome.INVALID_SIM),
+    "missing": (MISSING,),
+}
+"""Rate -> the outcomes that it counts. Each outcome is in exactly one rate, so they sum to 100."""
+
+TIMES = ("t_plan_s", "t_exec_s", "t_tot_s", "t_method_s")
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A rate in percent with its 95 % interval.
+
+    `count` of `total` trials; both are None in the Avg row.
+    """
+
+    percent: float
+    low: float
+    high: float
+    count: int | None = None
+    total: int | None = None
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean over `count` trials; None if there are none."""
+
+    value: float | None
+    count: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: a method on a split, or on one object of it.
+
+    Attributes:
+        split: S0, S1 or Avg.
+        method: its name.
+        n: planned trials.
+        counts: outcome -> trials.
+        rates: key of `RATES` -> rate of all n trials; None where it is not defined.
+        sr_new_objects: the success rate with its interval for new objects.
+        n_objects: different objects.
+        times: key of `TIMES` -> mean in seconds.
+        presented: rate of trials whose region faced the palm within reach, of S1's trials.
+        body_met: rate of motions that met the receiver's arm or torso, of the motions past a
+            receiver who has them.
+        through: rate of successes whose path passes through something by more than 0.1 mm, which
+            only paths can that are checked at samples.
+    """
+
+    split: str
+    method: str
+    n: int
+    counts: Mapping[str, int]
+    rates: Mapping[str, Rate | None]
+    sr_new_objects: Rate | None
+    n_objects: int
+    times: Mapping[str, Mean]
+    presented: Rate | None = None
+    body_met: Rate | None = None
+    through: Rate | None = None
+
+
+_SHARE = number(0, 1)
+_NOT_NEGATIVE = array("biuf", None, "numbers, 0 or more", low=0)
+_COUNTS = array("biuf", 1, "numbers (K,), 0 or more", low=0)
+
+
+@check_arguments(count=_NOT_NEGATIVE, total=_NOT_NEGATIVE, confidence=_SHARE)
+def wilson_interval(
+    count: ArrayLike, total: ArrayLike, confidence: float = 0.95
+) -> tuple[np.ndarray, np.ndarray]:
+    """The Wilson score interval of a rate: it speaks about more trials with the same objects.
+
+    Args:
+        count: (...) successes.
+        total: (...) trials.
+        confidence: between 0 and 1.
+
+    Returns:
+        Lower and upper end (...) float64 as fractions in [0, 1]; NaN where total is 0.
+
+    Source: Wilson 1927.
+    """
+    k, n = np.asarray(count, np.float64), np.asarray(total, np.float64)
+    z = ndtri(0.5 + confidence / 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        p = k / n
+        scale = 1 + z**2 / n
+        center = (p + z**2 / (2 * n)) / scale
+        half = z / scale * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    low = np.where(k == 0, np.where(n == 0, np.nan, 0.0), np.maximum(center - half, 0.0))
+    high = np.where(k == n, np.where(n == 0, np.nan, 1.0), np.minimum(center + half, 1.0))
+    return low, high
+
+
+def ratio(
+    strata: Sequence[tuple[np.ndarray, np.ndarray]], confidence: float = 0.95
+) -> tuple[float, float] | None:
+    """The ratio sum(x) / sum(n) over clusters (objects), and half of its t interval.
+
+    The error is the linearised one: the variance of the residuals x - ratio n between the clusters
+    of each stratum. The degrees of freedom are clusters minus strata.
+
+    Args:
+        strata: (x, n) of each stratum: (K,) sums and trials of its clusters; empty clusters do not
+            count.
+        confidence: between 0 and 1.
+
+    Returns:
+        Both as fractions, or None if a stratum has fewer than two clusters.
+
+    Source: Cochran 1977, Sampling Techniques, chapter 6.
+    """
+    pairs = [(x[n > 0], np.asarray(n[n > 0], np.float64)) for x, n in strata]
+    if min((len(n) for _, n in pairs), default=0) < 2:
+        return None
+    total = sum(n.sum() for _, n in pairs)
+    p = sum(x.sum() for x, _ in pairs) / total
+    variance = 0.0
+    for x, n in pairs:
+        residual, k = x - p * n, len(n)
+        variance += k / (k - 1) * np.sum((residual - residual.mean()) ** 2)
+    freedom = sum(len(n) - 1 for _, n in pairs)
+    return float(p), float(stdtrit(freedom, 0.5 + confidence / 2) * np.sqrt(variance) / total)
+
+
+@check_arguments(success=_COUNTS, total=_COUNTS)
+def clustered_rate(success: np.ndarray, total: np.ndarray) -> Rate | None:
+    """The success rate with a t interval over clusters (objects): it speaks about new objects of
+    this kind.
+
+    It is never narrower than the Wilson interval: with few clusters the variance between them can
+    come out as 0.
+
+    Args:
+        success: (K,) successes of each cluster.
+        total: (K,) trials of each cluster; empty clusters do not count.
+
+    Returns:
+        The rate, or None with fewer than two clusters.
+    """
+    x, n = np.asarray(success), np.asarray(total)
+    if x.shape != n.shape or (x > n).any():
+        found = f"success is {describe_value(success)} and total {describe_value(total)}"
+        raise ValueError(f"{found}; they must be successes and trials of each cluster")
+    if (found_ratio := ratio([(x, n)])) is None:
+        return None
+    p, half = found_ratio
+    wilson_low, wilson_high = wilson_interval(x.sum(), n.sum())
+    low = max(min(p - half, float(wilson_low)), 0.0)
+    high = min(max(p + half, float(wilson_high)), 1.0)
+    return Rate(100 * p, 100 * low, 100 * high, int(x.sum()), int(n.sum()))
+
+
+@check_arguments(rates=sequence_of(Rate))
+def mean_rate(rates: Sequence[Rate]) -> Rate:
+    """Unweighted mean of independent rates, with an interval made of theirs (MOVER, Zou and Donner
+    2008)."""
+    c = 1 / len(rates)
+    percent = c * sum(r.percent for r in rates)
+    below = c * np.sqrt(sum((r.percent - r.low) ** 2 for r in rates))
+    above = c * np.sqrt(sum((r.high - r.percent) ** 2 for r in rates))
+    return Rate(percent, max(percent - float(below), 0.0), min(percent + float(above), 100.0))
+
+
+@check_arguments(
+    counted=instance_of(Tally, "what tally(RUN, METHOD) gives"),
+    split=one_of(*SPLITS),
+    name=optional(text),
+)
+def group_row(counted: Tally, split: str, name: str | None = None) -> Row:
+    """The table line of a split, or of one object of it.
+
+    The rate of a criterion that the split does not require is None.
+
+    Args:
+        counted: a method's trials.
+        split: S0 or S1.
+        name: of the object; None: all of them.
+
+    Raises:
+        ValueError: if a trial fails a criterion that its split does not require.
+    """
+    inside = counted.split == SPLITS.index(split)
+    if name is not None:
+        if name not in counted.objects:
+            raise ValueError(f"name is {name!r}; it must be one of {', '.join(counted.objects)}")
+        inside &= counted.object == counted.objects.index(name)
+    outcome, count = counted.outcome[inside], counted.n[inside]
+    counts = np.bincount(outcome, count, MISSING + 1).astype(np.int64)
+    n = int(counts.sum())
+    rates: dict[str, Rate | None] = {
+        rate: _rate(int(counts[list(of_it)].sum()), n) for rate, of_it in RATES.items()
+    }
+    for rate, entry in FAILURES.items():
+        if split not in entry.splits:
+            if failed := sum(counts[o] for o in RATES[rate]):
+                what = f"trials failed {entry.name.capitalize()}, which {split} skips"
+                raise ValueError(f"{counted.method}: {failed} {split} {what}")
+            rates[rate] = None
+    sums = {key: float(counted.sums[key][inside].sum()) for key in SUMMED}
+    known = {key: int(counted.counts[key][inside].sum()) for key in SUMMED}
+    means = {k: Mean(sums[k] / known[k] if known[k] else None, known[k]) for k in SECONDS}
+    plan, execution = means["t_plan_s"], means["t_exec_s"]
+    total = None if plan.value is None or execution.value is None else plan.value + execution.value
+    means["t_tot_s"] = Mean(total, execution.count)
+    total_by_object = np.bincount(counted.object[inside], count)
+    success_by_object = np.bincount(counted.object[inside], count * (outcome == Outcome.SUCCESS))
+    return Row(
+        split=split,
+        method=counted.method,
+        n=n,
+        counts=dict(zip(OUTCOME_NAMES, counts.tolist(), strict=True)),
+        rates=rates,
+        sr_new_objects=clustered_rate(success_by_object, total_by_object),
+        n_objects=int((total_by_object > 0).sum()),
+        times={k: means[k] for k in TIMES},
+        **{k: _rate(round(sums[k]), known[k]) for k in ("presented", "body_met", "through")},
+    )
+
+
+def over_objects(counted: Tally, split: str) -> Row:
+    """As `group_row`, but every object of the split counts the same, whatever its trials: rates
+    and times are means over the objects' own. Counts and intervals are those of the trials."""
+    whole = group_row(counted, split)
+    inside = counted.split == SPLITS.index(split)
+    names = [counted.objects[i] for i in np.unique(counted.object[inside])]
+    rows = [group_row(counted, split, name) for name in names]
+
+    def rate(of: Callable[[Row], Rate | None]) -> Rate | None:
+        known = [found.percent for found in map(of, rows) if found is not None]
+        own = of(whole)
+        return replace(own, percent=sum(known) / len(known)) if known and own else own
+
+    def mean(name: str) -> Mean:
+        values = [v for v in (r.times[name].value for r in rows) if v is not None]
+        own = whole.times[name]
+        return replace(own, value=sum(values) / len(values)) if values else own
+
+    return replace(
+        whole,
+        rates={name: rate(lambda r, k=name: r.rates[k]) for name in RATES},  # type: ignore[misc]
+        times={name: mean(name) for name in TIMES},
+        presented=rate(lambda r: r.presented),
+        body_met=rate(lambda r: r.body_met),
+        through=rate(lambda r: r.through),
+    )
+
+
+def _rate(count: int, total: int) -> Rate | None:
+    """The share with its Wilson interval; None of no trials."""
+    if not total:
+        return None
+    low, high = (100 * float(end) for end in wilson_interval(count, total))
+    return Rate(100 * count / total, low, high, count, total)
+
+
+@check_arguments(rows=sequence_of(Row, "lines of one method"))
+def average_row(rows: Sequence[Row]) -> Row:
+    """The paper's Avg: the mean of a method's splits.
+
+    A criterion that a split skips counts as 0 there. A rate is None if a split has no trials.
+    """
+
+    def rate(name: str) -> Rate | None:
+        zero = Rate(0.0, 0.0, 0.0)
+        judged_in = FAILURES[name].splits if name in FAILURES else SPLITS
+        parts = [r.rates[name] if r.split in judged_in or not r.n else zero for r in rows]
+        known = [p for p in parts if p is not None]
+        return mean_rate(known) if len(known) == len(parts) else None
+
+    def mean(name: str) -> Mean:
+        parts = [r.times[name] for r in rows]
+        known = [p.value for p in parts if p.value is not None]
+        value = sum(known) / len(known) if len(known) == len(parts) else None
+        return Mean(value, sum(p.count for p in parts))
+
+    clustered = [r.sr_new_objects for r in rows if r.sr_new_objects is not None]
+    return Row(
+        split="Avg",
+        method=rows[0].method,
+        n=sum(r.n for r in rows),
+        counts={name: sum(r.counts[name] for r in rows) for name in OUTCOME_NAMES},
+        rates={name: rate(name) for name in RATES},
+        sr_new_objects=mean_rate(clustered) if len(clustered) == len(rows) else None,
+        n_objects=sum(r.n_objects for r in rows),
+        times={name: mean(name) for name in TIMES},
+    )
+
+
+@check_arguments(
+    methods=sequence_of(Tally, "what tally(RUN, METHOD) gives", least=0),
+    averages=one_of("trials", "objects"),
+)
+def summarise(methods: Sequence[Tally], averages: str = "trials") -> tuple[Row, ...]:
+    """The lines of Table I: every method on S0, then on S1, then Avg if both splits were planned.
+
+    Args:
+        methods: counted trials; their names differ.
+        averages: what counts the same within a split, as `EvalConfig.averages` says.
+    """
+    table: list[Row] = []
+    by_method: dict[str, list[Row]] = {m.method: [] for m in methods}
+    if len(by_method) != len(methods):
+        raise ValueError(f"method names must differ, got {', '.join(m.method for m in methods)}")
+    for split in SPLITS:
+        for counted in methods:
+            if split in counted.splits:
+                row = (group_row if averages == "trials" else over_objects)(counted, split)
+                table.append(row)
+                by_method[counted.method].append(row)
+    table.extend(average_row(rows) for rows in by_method.values() if len(rows) == len(SPLITS))
+    return tuple(table)

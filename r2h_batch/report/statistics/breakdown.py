@@ -1,0 +1,123 @@
+"""Other views of a run's rows: by object, criteria that fail together, histograms, examples."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from r2h_batch.report.statistics.aggregate import Row, group_row
+from r2h_batch.report.statistics.tally import FAILED, PATTERNS, UNEVALUATED, Tally, codes
+from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.store import Run
+from r2h_batch.verdicts import CRITERIA, SPLITS
+
+
+@dataclass(frozen=True)
+class CoFailures:
+    """(5, 5) counts in the order of `CRITERIA`: trials in which both criteria fail, and trials in
+    which both were evaluated.
+
+    The diagonal counts each criterion wherever it was evaluated, not only where it was the first
+    failure.
+    """
+
+    failed: np.ndarray
+    evaluated: np.ndarray
+
+
+def co_failures(counted: Tally, split: str | None = None) -> CoFailures:
+    """Which criteria fail together among the trials of a split, or among all."""
+    n = counted.n if split is None else counted.n * (counted.split == SPLITS.index(split))
+    pattern = PATTERNS[counted.pattern]
+    both = [np.einsum("k,ki,kj->ij", n, x, x) for x in (pattern == FAILED, pattern != UNEVALUATED)]
+    return CoFailures(*both)
+
+
+def by_object(counted: Tally) -> tuple[tuple[str, Row], ...]:
+    """(object, its line of the table) split by split; objects in alphabetical order."""
+    lines = []
+    for split in counted.splits:
+        present = np.unique(counted.object[counted.split == SPLITS.index(split)])
+        for name in sorted(counted.objects[code] for code in present):
+            lines.append((name, group_row(counted, split, name)))
+    return tuple(lines)
+
+
+BINS = 60
+MARGIN_RANGE_M = (-0.06, 0.12)
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """Counts (BINS,) between `low` and `high`; values outside count in the first and last bin."""
+
+    low: float
+    high: float
+    counts: np.ndarray
+
+    @property
+    def edges(self) -> np.ndarray:
+        return np.linspace(self.low, self.high, len(self.counts) + 1)
+
+
+def _histogram(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    values = values[np.isfinite(values)]
+    # before the conversion: int64 cannot hold a margin of 1e38 m
+    place = ((values - low) * (BINS / (high - low))).clip(0, BINS - 1)
+    return np.bincount(place.astype(np.int64), minlength=BINS)
+
+
+def margin_histograms(run: Run, method: str) -> dict[str, Histogram]:
+    """Criterion -> histogram of its finite margins."""
+    low, high = MARGIN_RANGE_M
+    counts = {c: np.zeros(BINS, np.int64) for c in CRITERIA}
+    for table in run.shards("trials", method, [f"margin_{c}_m" for c in CRITERIA]):
+        for c in CRITERIA:
+            counts[c] += _histogram(table[f"margin_{c}_m"].to_numpy().astype(np.float64), low, high)
+    return {c: Histogram(low, high, n) for c, n in counts.items()}
+
+
+def time_histograms(run: Run, name: str) -> dict[str, Histogram]:
+    """Method -> histogram of a stored time. All have one range, from 0 to the largest time; a method
+    without times is left out."""
+
+    def seconds(method: str) -> Iterator[np.ndarray]:
+        for table in run.shards("trials", method, [name]):
+            values = table[name].to_numpy().astype(np.float32)
+            yield values[np.isfinite(values)]
+
+    largest = {
+        m: max((float(x.max()) for x in seconds(m) if len(x)), default=None) for m in run.methods
+    }
+    high = max((x for x in largest.values() if x is not None), default=0.0)
+    counts = {m: np.zeros(BINS, np.int64) for m, x in largest.items() if x is not None and high > 0}
+    for method, count in counts.items():
+        for values in seconds(method):
+            count += _histogram(values, 0.0, high)
+    return {m: Histogram(0.0, high, count) for m, count in counts.items()}
+
+
+SHOWN = ("trial_id", "object", "split", "side", "outcome", *(f"margin_{c}_m" for c in CRITERIA))
+SHOWN += ("plan_reason", "plan_pair", "borderline", "t_exec_s")
+"""Columns of the trials on a page."""
+
+
+def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
+    """About `limit` trials of a method at most, the first ones of each outcome, and the number of
+    all its trials."""
+    total, kept = 0, []
+    each = max(1, limit // (MISSING + 1))
+    counts = np.zeros(MISSING + 1, np.int64)
+    whole = sum(run.planned(method).values()) <= limit
+    for table in run.shards("trials", method, SHOWN):
+        total += len(table)
+        if whole:
+            kept.append(table)
+            continue
+        outcome = codes(table, "outcome", OUTCOME_NAMES)
+        room = np.maximum(each - counts, 0)
+        rows = np.concatenate([np.flatnonzero(outcome == k)[:n] for k, n in enumerate(room)])
+        counts += np.bincount(outcome[rows], minlength=MISSING + 1)
+        kept.append(table.take(pa.array(np.sort(rows))))
+    return pa.concat_tables(kept).unify_dictionaries(), total

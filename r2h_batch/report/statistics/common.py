@@ -1,0 +1,134 @@
+"""Which trials several runs share, and whether they can be compared."""
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from r2h_batch.base.schedule import PROTOCOLS
+from r2h_batch.base.validate import boolean, check_arguments, sequence_of
+from r2h_batch.config import EvalConfig
+from r2h_batch.runs.store import FOREIGN, Run
+from r2h_batch.verdicts import SPLITS
+
+FINER = ("apart_from_objects", "each_object")
+"""Digests of parts of what other digests cover; older runs lack them."""
+
+
+@dataclass(frozen=True)
+class Common:
+    """What all runs hold: the first `trials[split]` trials of each split.
+
+    `notes`: what a reader should know about that.
+    """
+
+    trials: Mapping[str, int]
+    notes: tuple[str, ...]
+
+
+@check_arguments(
+    runs=sequence_of(Run, "what load_run(FOLDER) gives"),
+    proven=sequence_of(Path, "folders", least=0),
+    across_robots=boolean,
+)
+def common_trials(
+    runs: Sequence[Run], *, proven: Collection[Path] = (), across_robots: bool = False
+) -> Common:
+    """Find the trials that all runs share.
+
+    Trials follow from protocol, objects and hands, and a run holds the first N of each split. So
+    runs of different size share the trials of the smaller one.
+
+    Args:
+        runs: what `load_run` gives.
+        proven: folders whose rows come out the same under this code, which the project's tests
+            show of the shipped baselines. Their digest of the code may differ.
+        across_robots: also take runs of several robots: a trial of theirs is the same object, hand
+            and random draw; where the person and the table stand may differ.
+
+    Raises:
+        ValueError: if the runs were not asked, or not judged, the same.
+    """
+    first, notes = runs[0], []
+    for run in runs[1:]:
+        if what := _differing(first, run, proven, across_robots):
+            advice = "sweep both methods with the same version and options"
+            if {first.folder, run.folder} & set(proven):
+                shipped = "the shipped baselines have the default options and protocol"
+                advice = f"{shipped}, with --sim mujoco and with --sim none: sweep like that"
+            if what.startswith("robot"):
+                advice = "compare --across-robots takes a trial's number for the same trial"
+            found = f"{first.folder} and {run.folder} differ in {what}"
+            raise ValueError(f"{found}: their trials cannot be paired; {advice}")
+    plans = [run.header["trials"] for run in runs]
+    trials = {s: min(p[s] for p in plans) for s in SPLITS if all(p.get(s) for p in plans)}
+    if not trials:
+        folders = " and ".join(str(r.folder) for r in runs)
+        raise ValueError(f"{folders} share no split; sweep the same --splits")
+    if any({s: n for s, n in p.items() if n} != trials for p in plans):
+        shared = ", ".join(f"{n} {s}" for s, n in trials.items())
+        notes.append(
+            f"The runs hold different trials; compared are the first {shared}, which all of them hold."
+        )
+    if len({run.header["protocol"] for run in runs}) > 1:
+        notes.append(
+            f"Trials are paired by their names: {FOREIGN} holds the release's own verdicts, by its definitions."
+        )
+    if len(robots := list(dict.fromkeys(run.robot for run in runs))) > 1:
+        notes.append(
+            f"Robots {', '.join(robots)}: a trial is the same object, hand and draw; where person and table stand"
+            " follows each robot's reach, unless the sweep said persons=as-for-ur5e."
+        )
+    judged = [run for run in runs if run.header["protocol"] != FOREIGN]
+    if len({run.header["digests"].get("code") for run in judged}) > 1:
+        notes.append(
+            "The shipped baselines were scored by an earlier version of the code; "
+            "the project's tests check that this version gives the same verdicts."
+        )
+    return Common(trials, tuple(notes))
+
+
+def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) -> str:
+    """The first difference between what two runs were asked, or how they were judged; else empty."""
+    left, right = a.header, b.header
+    robots = a.robot != b.robot
+    if robots and not across_robots:
+        return f"robot ({a.robot}, {b.robot})"
+    if left["protocol"] != right["protocol"]:
+        if FOREIGN not in (left["protocol"], right["protocol"]):
+            return "protocol"
+        names = [{i: name for i, (name, _) in run.labels.items()} for run in (a, b)]
+        return "" if names[0] == names[1] else "the names of their trials"
+    same_plan = left["trials"] == right["trials"]
+    follow = left["protocol"] in PROTOCOLS and {"objects", "hand_set"} <= left["digests"].keys()
+    if not same_plan and not follow:
+        return f"trials ({_other_keys(left['trials'], right['trials'])})"
+    skipped = set(FINER) if same_plan else {"trials", *FINER}
+    if a.folder in proven or b.folder in proven:
+        skipped.add("code")
+    if robots and follow:
+        skipped |= {"robot", "benchmark", "trials"}
+    digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]
+    if digests[0] != digests[1]:
+        return f"digests ({_other_keys(*digests)})"
+    configurations = [_complete(h["configuration"]) for h in (left, right)]
+    for configuration in configurations if robots else ():
+        del configuration["workplace"], configuration["execute"]["max_velocity_rad_s"]
+    if configurations[0] != configurations[1]:
+        return f"configuration ({_other_keys(*configurations)})"
+    return ""
+
+
+def _other_keys(left: Mapping[str, Any], right: Mapping[str, Any]) -> str:
+    return ", ".join(k for k in {**left, **right} if left.get(k) != right.get(k))
+
+
+def _complete(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """A run's configuration as JSON. Fields that its version did not have get today's defaults:
+    they say what it did."""
+    whole = asdict(EvalConfig())
+    for key, value in configuration.items():
+        parts = isinstance(value, dict) and isinstance(whole.get(key), dict)
+        whole[key] = {**whole[key], **value} if parts else value
+    return json.loads(json.dumps(whole))

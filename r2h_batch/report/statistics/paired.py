@@ -1,0 +1,429 @@
+"""Which method is better, decided on the same trials: McNemar's test, Holm's correction, a t interval
+over objects, and a bootstrap over objects for ranks."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from r2h_batch.base.io.read import printable
+from r2h_batch.base.validate import (
+    array,
+    check_arguments,
+    instance_of,
+    integer,
+    optional,
+    sequence_of,
+)
+from r2h_batch.report.statistics.aggregate import ratio
+from r2h_batch.report.statistics.common import Common, common_trials
+from r2h_batch.report.statistics.tally import check_planned, codes
+from r2h_batch.runs.store import Run, robot_words
+from r2h_batch.verdicts import SPLITS, Outcome
+
+ALPHA = 0.05
+DRAWS = 10_000
+BOUNDS = ("r2h_batch.methods.random:predict", "r2h_batch.methods.oracle:predict")
+_COLUMNS = ("trial_id", "split", "object", "outcome")
+PIECE = 65_536
+"""Rows of every method that are in memory together."""
+
+
+@dataclass(frozen=True)
+class Paired:
+    """M methods on the same trials, counted by split and by object (K objects).
+
+    Attributes:
+        names: of the methods.
+        trials: (2, K) trials.
+        hits: (2, M, K) trials that a method solves.
+        only: (2, M, M) trials that method i solves and method j does not.
+        notes: what a reader should know about the methods.
+        runs: place of each method's run among the runs given.
+        bounds: names of methods that are bounds (random, oracle); they have no rank.
+    """
+
+    names: tuple[str, ...]
+    trials: np.ndarray
+    hits: np.ndarray
+    only: np.ndarray
+    notes: tuple[str, ...] = ()
+    runs: tuple[int, ...] = ()
+    bounds: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(
+        names: Sequence[str],
+        split: np.ndarray,
+        objects: np.ndarray,
+        success: np.ndarray,
+        n: np.ndarray | int = 1,
+    ) -> "Paired":
+        """Count G groups of trials that agree in everything here.
+
+        Args:
+            names: M methods.
+            split: (G,) int, place in `SPLITS`.
+            objects: (G,) int, number of the object.
+            success: (M, G) bool.
+            n: (G,) int, trials of each group.
+        """
+        m, k = len(names), int(objects.max(initial=-1)) + 1
+        solved = np.where(success, n, 0)
+        trials = np.zeros((len(SPLITS), k), np.int64)
+        hits = np.zeros((len(SPLITS), m, k), np.int64)
+        only = np.zeros((len(SPLITS), m, m), np.int64)
+        np.add.at(trials, (split, objects), n)
+        for i in range(m):
+            np.add.at(hits[:, i], (split, objects), solved[i])
+        for place in range(len(SPLITS)):
+            inside = split == place
+            only[place] = solved[:, inside] @ ~success[:, inside].T
+        return Paired(tuple(names), trials, hits, only)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two methods compared.
+
+    Attributes:
+        a: the first method.
+        b: the second method.
+        difference: of the success rates, in points.
+        low: lower end of the difference's 95 % t interval over objects, which speaks about new
+            ones; None with one object.
+        high: its upper end.
+        only_a: trials that only the first solves.
+        only_b: trials that only the second solves.
+        p: McNemar's exact p value.
+        p_holm: the same, adjusted by Holm over the pairs that are compared.
+        verdict: what `a` is. "better" or "worse": p_holm is below 0.05 and the interval, which
+            speaks about new objects, leaves out 0. "better here" or "worse here": only the former
+            holds, which speaks about these objects. "tied": neither.
+    """
+
+    a: str
+    b: str
+    difference: float
+    low: float | None
+    high: float | None
+    only_a: int
+    only_b: int
+    p: float
+    p_holm: float
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Pairs of methods on a group of trials.
+
+    Attributes:
+        group: S0, S1 or all.
+        n: trials.
+        names: M methods.
+        rates: (M,) success rates in percent.
+        pairs: the pairs that are compared, each once.
+        ranked: R of the names: without bounds.
+        rank: (R, R) probability that method i of `ranked` has rank j + 1 among new objects; None
+            with one object.
+    """
+
+    group: str
+    n: int
+    names: tuple[str, ...]
+    rates: tuple[float, ...]
+    pairs: tuple[Pair, ...]
+    ranked: tuple[str, ...]
+    rank: np.ndarray | None
+
+
+@check_arguments(only_a=integer(0), only_b=integer(0))
+def mcnemar(only_a: int, only_b: int) -> float:
+    """Two-sided exact p value of McNemar's test of equal success rates (McNemar 1947).
+
+    Args:
+        only_a: trials that only the first method solves.
+        only_b: trials that only the second method solves.
+    """
+    from scipy import stats  # takes half a second to import
+
+    # Trials on which both methods agree say nothing about which one is better. If the methods are
+    # equal, a fair coin splits the n trials on which they differ.
+    n = only_a + only_b
+    return 1.0 if n == 0 else float(stats.binomtest(only_a, n, 0.5).pvalue)
+
+
+@check_arguments(p=array("fiu", 1, "p values, from 0 to 1", low=0, high=1))
+def holm(p: Sequence[float]) -> np.ndarray:
+    """(P,) p values adjusted for P tests (Holm 1979)."""
+    values = np.asarray(p, np.float64)
+    order = np.argsort(values)
+    # The i-th smallest of P values (i from 0) is compared with alpha / (P - i). The adjusted values
+    # must not fall from the smallest on.
+    factors = len(values) - np.arange(len(values))
+    adjusted = np.empty_like(values)
+    adjusted[order] = np.minimum(np.maximum.accumulate(values[order] * factors), 1.0)
+    return adjusted
+
+
+@check_arguments(
+    runs=sequence_of(Run, "what load_run(FOLDER) gives"),
+    common=optional(instance_of(Common, "what common_trials(RUNS) gives")),
+)
+def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
+    """All methods of the runs, paired on the trial id.
+
+    A method that several runs hold with the same source and the same successes counts once: Holm's
+    correction would count each copy as a method of its own.
+
+    Args:
+        runs: what `load_run` gives.
+        common: what they share, if `common_trials` was called before.
+
+    Raises:
+        ValueError: if the runs were not asked the same trials, a method is not complete, or fewer
+            than two methods are left.
+    """
+    common = common or common_trials(runs)
+    streams = []
+    for run in runs:
+        if run.unfinished:
+            words = f"{run.unfinished[0]!r} is not complete; run its sweep again to go on"
+            raise ValueError(f"{run.folder}: {words}")
+        streams += [_Stream(run, method, common.trials) for method in run.methods]
+    if len(streams) < 2:
+        only = ", ".join(s.method for s in streams) or "none"
+        raise ValueError(f"one method ({only}) is nothing to compare; give a second run")
+    paired = _counted(streams)
+    once = _once(streams, paired)
+    if len(once) < 2:
+        folders = ", ".join(str(s.run.folder) for s in streams)
+        what = f"{streams[0].method!r} is given {len(streams)} times ({folders})"
+        raise ValueError(f"{what}: one method is nothing to compare; give a second one")
+    left_out = [s for i, s in enumerate(streams) if i not in once]
+    names = _names([streams[i] for i in once])
+    if len(set(names)) != len(names):
+        twice = max(names, key=names.count)
+        raise ValueError(f"two runs of one name hold {twice!r}; rename a folder")
+    notes = [f"{s.run.folder}: {s.method} is given twice, and counted once." for s in left_out]
+    kept = paired.only[:, once][:, :, once]
+    places = tuple(next(k for k, run in enumerate(runs) if run is streams[i].run) for i in once)
+    bounds = tuple(n for n, i in zip(names, once, strict=True) if streams[i].is_bound)
+    hits = paired.hits[:, once]
+    return Paired(tuple(names), paired.trials, hits, kept, tuple(notes), places, bounds)
+
+
+def _counted(streams: Sequence["_Stream"]) -> Paired:
+    """The successes of all methods, a piece of the same rows at a time."""
+    solved = [str(i) for i in range(len(streams))]
+    keys = ["split", "object", *solved]
+    objects: dict[str, None] = {}
+    groups = []
+    # every stream says at its end whether it had as many rows as planned
+    for pieces in zip(*(s.pieces() for s in streams), strict=True):
+        for stream, rows in zip(streams[1:], pieces[1:], strict=True):
+            first, other = streams[0].method, stream.method
+            if not pieces[0]["trial_id"].equals(rows["trial_id"]):
+                words = f"{other!r} has other trial ids than {first!r}"
+                raise ValueError(f"{stream.run.folder}: {words}")
+            if not pieces[0]["object"].equals(rows["object"]):
+                raise ValueError(f"{other} and {first} have other objects in the same trials")
+        objects |= dict.fromkeys(pc.unique(pieces[0]["object"]).to_pylist())
+        columns = {key: pieces[0][key] for key in ("split", "object")}
+        columns |= {i: piece["success"] for i, piece in zip(solved, pieces)}
+        group = pa.table(columns).group_by(keys, use_threads=False)
+        groups.append(group.aggregate([([], "count_all")]))
+    whole = pa.concat_tables(groups).group_by(keys, use_threads=False)
+    whole = whole.aggregate([("count_all", "sum")])
+    place = {name: i for i, name in enumerate(objects)}
+    return Paired.of(
+        [s.method for s in streams],
+        np.array([SPLITS.index(split) for split in whole["split"].to_pylist()]),
+        np.array([place[name] for name in whole["object"].to_pylist()]),
+        np.array([whole[i].to_numpy() for i in solved]),
+        whole["count_all_sum"].to_numpy(),
+    )
+
+
+def _once(streams: Sequence["_Stream"], paired: Paired) -> list[int]:
+    """Places of the methods without copies: a copy has the source and the successes of a method
+    before it (the run was copied, or is a part of a longer one)."""
+    kept: list[int] = []
+    for i, stream in enumerate(streams):
+        alike = [j for j in kept if streams[j].source == stream.source]
+        if not any(not paired.only[:, [i, j], [j, i]].any() for j in alike):
+            kept.append(i)
+    return kept
+
+
+def _names(streams: Sequence["_Stream"]) -> list[str]:
+    """Names of the methods. One has its robot's name in front if there are several robots, and its
+    run's name if it is there already, or if it equals that of a built-in method."""
+    own = {_plain(s.method) for s in streams if s.is_built_in}
+    robots = robot_words([s.run for s in streams])
+    names: list[str] = []
+    for s in streams:
+        name = robots[s.run.robot] + s.method
+        taken = name in names or (not s.is_built_in and _plain(s.method) in own)
+        folder = printable(s.run.folder.absolute().name)
+        names.append(f"{folder}/{s.method}" if taken else name)
+    return names
+
+
+def _plain(method: str) -> str:
+    """A name as tables shorten it: without what stands in brackets."""
+    return method.partition(" (")[0].strip().casefold()
+
+
+class _Stream:
+    """A method's rows on the shared trials, in pieces."""
+
+    def __init__(self, run: Run, method: str, trials: Mapping[str, int]) -> None:
+        self.run, self.method, self.trials = run, method, trials
+        entry, header = run.entry(method), run.header
+        function = entry.source.get("function", "")
+        self.is_built_in = function.startswith("r2h_batch.methods.")
+        self.is_bound = function in BOUNDS
+        # a built-in method is the same method in each release; its verdicts tell whether it answers
+        # the same
+        source = {k: v for k, v in entry.source.items() if k != "sha256" or not self.is_built_in}
+        self.source = (method, source, header["seed"], header.get("predictors"), run.robot)
+        """What answered: two methods with one source give the same rows for the same trials."""
+
+    def pieces(self) -> Iterator[pa.Table]:
+        """Columns trial_id, split, object and success in tables of `PIECE` rows; the last one may
+        be shorter."""
+        planned = self.run.planned(self.method)
+        shared = np.array([self.trials.get(split, 0) for split in SPLITS])
+        found, waiting = np.zeros(len(SPLITS), np.int64), None
+        for shard in self.run.shards("trials", self.method, _COLUMNS):
+            split = codes(shard, "split", SPLITS)
+            found += np.bincount(split, minlength=len(SPLITS))
+            columns = {name: shard[name].cast(pa.string()) for name in ("split", "object")}
+            columns["success"] = pc.equal(shard["outcome"], Outcome.SUCCESS.name.lower())
+            table = pa.table({"trial_id": shard["trial_id"], **columns})
+            if planned != self.trials:
+                # a plan is the first N trials of each split; their ids count them (schedule.py)
+                table = table.filter(table["trial_id"].to_numpy() // len(SPLITS) < shared[split])
+            waiting = table if waiting is None else pa.concat_tables([waiting, table])
+            while len(waiting) >= PIECE:
+                yield waiting[:PIECE]
+                waiting = waiting[PIECE:]
+        check_planned(self.method, planned, found)
+        if waiting is not None:
+            yield waiting
+
+
+@check_arguments(
+    paired=instance_of(Paired, "what pair_up(RUNS) gives"), draws=integer(1, 10**7), seed=integer(0)
+)
+def compare(
+    paired: Paired, *, mine: Sequence[str] = (), draws: int = DRAWS, seed: int = 0
+) -> tuple[Comparison, ...]:
+    """Compare pairs of methods on each split, and on all trials if there are two splits.
+
+    Args:
+        paired: what `pair_up` gives.
+        mine: only pairs with one of these methods, which stands first; empty: all pairs. Fewer
+            pairs need a smaller correction.
+        draws: of the bootstrap over objects, for the ranks.
+        seed: of the bootstrap. No verdict depends on it.
+    """
+    groups = [(SPLITS[k], [k]) for k in range(len(SPLITS)) if paired.trials[k].any()]
+    if len(groups) > 1:
+        groups.append(("all", list(range(len(SPLITS)))))
+    own = [paired.names.index(name) for name in mine]
+    pairs = list(combinations(range(len(paired.names)), 2))
+    if own:
+        chosen = [(i, j) for i, j in pairs if i in own or j in own]
+        pairs = [(i, j) if i in own else (j, i) for i, j in chosen]
+    return tuple(_compare(name, paired, splits, pairs, draws, seed) for name, splits in groups)
+
+
+def _compare(
+    group: str,
+    paired: Paired,
+    splits: list[int],
+    pairs: Sequence[tuple[int, int]],
+    draws: int,
+    seed: int,
+) -> Comparison:
+    names, n = paired.names, int(paired.trials[splits].sum())
+    sampled = _resampled_rates(paired, splits, draws, seed)
+    counts = paired.only[splits].sum(0)
+    only = [(int(counts[i, j]), int(counts[j, i])) for i, j in pairs]
+    p = [mcnemar(*both) for both in only]
+    lines = []
+    for (i, j), (only_i, only_j), raw, adjusted in zip(pairs, only, p, holm(p)):
+        difference = 100 * (only_i - only_j) / n
+        low, high = _interval(paired, splits, i, j) or (None, None)
+        word = "better" if difference > 0 else "worse"
+        if adjusted >= ALPHA:
+            word = "tied"
+        elif low is None or high is None or low <= 0 <= high:
+            word += " here"
+        own = (names[i], names[j], difference, low, high, only_i, only_j, raw)
+        lines.append(Pair(*own, float(adjusted), word))
+    rates = tuple(float(100 * (hits / n)) for hits in paired.hits[splits].sum((0, 2)))
+    places = [i for i, name in enumerate(names) if name not in paired.bounds]
+    ranked = tuple(names[i] for i in places)
+    rank = None if sampled is None else rank_probabilities(sampled[:, places])
+    return Comparison(group, n, names, rates, tuple(lines), ranked, rank)
+
+
+def _interval(paired: Paired, splits: Sequence[int], i: int, j: int) -> tuple[float, float] | None:
+    """The 95 % t interval of the difference of two methods' rates, in points, with the splits as
+    strata; None with one object."""
+    more = paired.hits[:, i] - paired.hits[:, j]
+    found = ratio([(more[k], paired.trials[k]) for k in splits], 1 - ALPHA)
+    if found is None:
+        return None
+    return 100 * max(found[0] - found[1], -1.0), 100 * min(found[0] + found[1], 1.0)
+
+
+def _resampled_rates(
+    paired: Paired, splits: Sequence[int], draws: int, seed: int
+) -> np.ndarray | None:
+    """(draws, M) success rates of the bootstrap: the objects of each split are drawn again with
+    replacement. None with one object."""
+    hits, totals = np.zeros((draws, len(paired.names))), np.zeros(draws)
+    random = np.random.default_rng(seed)
+    for k in splits:
+        kept = paired.trials[k] > 0
+        n, x = paired.trials[k][kept], paired.hits[k][:, kept].astype(np.float64)
+        if kept.sum() < 2:
+            return None
+        # The clusters are objects, not trials: trials on one object succeed together, and a reader
+        # wants to know about new objects. Drawing n objects with replacement is one multinomial; a
+        # rate is then a sum of hits over a sum of trials.
+        weight = random.multinomial(kept.sum(), np.full(kept.sum(), 1 / kept.sum()), size=draws)
+        hits += weight @ x.T
+        totals += weight @ n
+    return hits / totals[:, None]
+
+
+@check_arguments(rates=array("fiu", 2, "rates (D, M): draws by methods"))
+def rank_probabilities(rates: np.ndarray) -> np.ndarray:
+    """How often each method has each rank.
+
+    Args:
+        rates: (D, M) success rates of D draws.
+
+    Returns:
+        (M, M) share of draws in which method i has rank j + 1. Ties share their ranks evenly.
+    """
+    m = rates.shape[1]
+    probability = np.zeros((m, m))
+    # (D, M): how many methods are better in a draw, and how many are equal, itself included
+    above = (rates[:, None, :] > rates[:, :, None]).sum(2)
+    equal = (rates[:, None, :] == rates[:, :, None]).sum(2)
+    for i in range(m):
+        for size in np.unique(equal[:, i]):
+            start = np.bincount(above[equal[:, i] == size, i], minlength=m)
+            for first, count in enumerate(start):
+                probability[i, first : first + size] += count / size
+    return probability / len(rates)

@@ -1,0 +1,199 @@
+"""Bounding capsules and lever arms for the collision kernels (float64 NumPy, on loading a
+scene)."""
+
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull
+
+from r2h_batch.scene.robot import (
+    Kind,
+    Primitives,
+    Robot,
+    corners_of,
+    gripper_primitives_at,
+    lever_bound_for_sphere,
+    lever_bounds,
+)
+
+Array = NDArray[np.float64]
+
+OPENINGS_M = np.linspace(0.0015, 0.086, 60)
+BETWEEN_OPENINGS_M = 1e-3
+"""The pads' parts move less than this between two sampled openings (1.4 mm of gap)."""
+
+
+def capsule_of_primitive(kind: int, size: Array) -> tuple[Array, float]:
+    """Half axis (3,) and radius of a capsule about the primitive's centre that holds it."""
+    if kind == Kind.BOX:
+        long = int(np.argmax(size))
+        axis = np.zeros(3)
+        axis[long] = size[long]
+        return axis, float(np.linalg.norm(np.delete(size, long)))
+    if kind in (Kind.CAPSULE, Kind.CYLINDER):
+        return np.array([0.0, 0.0, size[1]]), float(size[0])
+    return np.zeros(3), float(size[0])
+
+
+def capsule_of_shape(shapes: Primitives, i: int) -> tuple[Array, float]:
+    """The same of a robot's shape, whatever its kind."""
+    corners = corners_of(shapes)[i]
+    if len(corners) == 0:
+        return capsule_of_primitive(int(shapes.kind[i]), shapes.size[i])
+    found = []
+    for half in np.linspace(0.0, float(np.abs(corners[:, 2]).max()), 9):
+        over = np.maximum(np.abs(corners[:, 2]) - half, 0.0)
+        radius = float(np.hypot(np.hypot(corners[:, 0], corners[:, 1]), over).max()) + 1e-6
+        found.append((radius**2 * (2 * half + 4 / 3 * radius), half, radius))
+    _, half, radius = min(found)
+    return np.array([0.0, 0.0, half]), radius
+
+
+def capsule_of_balls(centers: Array, radii: Array) -> tuple[Array, Array, float]:
+    """End points and radius of a small capsule that holds all balls (N, 3), (N,); exact
+    containment, greedy axis."""
+    candidates = [
+        *np.eye(3),
+        np.linalg.svd(centers - centers.mean(0), full_matrices=False)[2][0]
+        if len(centers) > 1
+        else np.eye(3)[0],
+    ]
+    best: tuple[float, Array, Array, float] | None = None
+    for axis in candidates:
+        along = centers @ axis
+        across = centers - along[:, None] * axis
+        middle = (across.min(0) + across.max(0)) / 2
+        middle = middle - (middle @ axis) * axis  # of a slanted axis' box it is not across
+        # a few steps towards the smallest enclosing circle (Badoiu and Clarkson 2003)
+        for _ in range(50):
+            far = np.argmax(np.linalg.norm(across - middle, axis=1) + radii)
+            middle = middle + (across[far] - middle) * 0.05
+        off = np.linalg.norm(across - middle, axis=1)
+        radius = float((off + radii).max())
+        slack = np.sqrt(np.maximum((radius - radii) ** 2 - off**2, 0.0))
+        low, high = float((along + slack).min()), float((along - slack).max())
+        if low > high:
+            low = high = (low + high) / 2
+        volume = np.pi * radius**2 * (high - low) + 4 / 3 * np.pi * radius**3
+        if best is None or volume < best[0]:
+            best = (volume, middle + low * axis, middle + high * axis, radius)
+    assert best is not None
+    return best[1], best[2], best[3] + 1e-6
+
+
+def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
+    """End points and radius of a small capsule that holds the points (N, 3)."""
+    return capsule_of_balls(points, np.zeros(len(points)))
+
+
+def inner_ball(points: Array) -> Array:
+    """Centre and radius (4,) of the largest ball inside the points' hull (of equals the most
+    central), a little less."""
+    faces = ConvexHull(points).equations  # unit normals: n . x + d + r <= 0
+    n, d = faces[:, :3], faces[:, 3]
+    one = np.ones((len(n), 1))
+    free = [(None, None)] * 3
+    largest = linprog([0, 0, 0, -1], A_ub=np.hstack([n, one]), b_ub=-d, bounds=[*free, (0, None)])
+    if not largest.success:
+        raise ValueError(f"no ball fits into a hull of {len(points)} points: {largest.message}")
+    radius = 0.999 * largest.x[3]
+    middle, eye = (points.min(0) + points.max(0)) / 2, np.eye(3)
+    A = np.vstack([np.hstack([n, 0 * n]), np.hstack([eye, -eye]), np.hstack([-eye, -eye])])
+    central = linprog(
+        [0, 0, 0, 1, 1, 1], A_ub=A, b_ub=np.r_[-d - radius, middle, -middle], bounds=[*free, *free]
+    )
+    center = central.x[:3] if central.success else largest.x[:3]
+    return np.append(center, max(radius - 1e-6, 1e-6))
+
+
+BLOCK_POINTS = 16
+"""As in kernels/geometry/shape.py (tests/kernels/test_codes.py)."""
+
+
+def point_blocks(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Rows (16 k, 3) of a hull for geometry/shape.py, BLOCKS: 16 points at a time, their x, y and z
+    one after the other."""
+    full = np.concatenate([points, np.repeat(points[-1:], -len(points) % BLOCK_POINTS, axis=0)])
+    return full.reshape(-1, BLOCK_POINTS, 3).transpose(0, 2, 1).reshape(-1, 3)
+
+
+CELLS_PER_EDGE = 6
+"""As in kernels/geometry/shape.py (tests/kernels/test_codes.py)."""
+
+
+def support_cells(points: Array) -> Array:
+    """Rows (216 + n, 3) of a hull for geometry/shape.py: first row and number of points of each
+    direction cell, then blocks.
+
+    A cell keeps every point that can be farthest along some direction of it (`_farthest`). Of what
+    a side of the cube keeps, its rows of cells keep a part, and of that its cells.
+    """
+    edges = np.linspace(-1.0, 1.0, CELLS_PER_EDGE + 1)
+    header, kept, total = [], [], 6 * CELLS_PER_EDGE**2
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            side = _farthest(points, axis, sign, (-1.0, 1.0), (-1.0, 1.0))
+            for u in pairwise(edges):
+                row = _farthest(side, axis, sign, u, (-1.0, 1.0))
+                for v in pairwise(edges):
+                    cell = _farthest(row, axis, sign, u, v)
+                    header.append((total, len(cell), 0))
+                    kept.append(point_blocks(cell))
+                    total += len(kept[-1])
+    return np.concatenate([np.array(header, dtype=np.float64), *kept])
+
+
+def _farthest(
+    points: Array, axis: int, sign: float, u: tuple[float, float], v: tuple[float, float]
+) -> Array:
+    """The points that can be farthest along a direction whose coordinate `axis` is `sign` and whose
+    next two lie in u and v.
+
+    Left out is what one other point beats along all four corners of these directions: a linear
+    function that is smaller at the corners is smaller in between.
+    """
+    corner = np.empty((4, 3))
+    corner[:, axis] = sign
+    corner[:, (axis + 1) % 3] = np.repeat(u, 2)
+    corner[:, (axis + 2) % 3] = np.tile(v, 2)
+    height = points @ corner.T
+    rivals = np.unique(np.append(height.argmax(0), np.argsort(height.sum(1))[-8:]))
+    beaten = np.zeros(len(points), dtype=bool)
+    for rival in rivals:
+        beaten |= (height < height[rival] - 1e-9).all(1)
+    return points[~beaten]
+
+
+def gripper_balls(robot: Robot) -> tuple[Array, Array]:
+    """Ends of the gripper primitives' capsules at every opening, (G, n, 3) in the wrist_3 frame,
+    and radii (G,)."""
+    T_wrist_ee = robot.T_wrist3_flange @ robot.T_flange_ee
+    T = np.einsum("ij,ngjk->gnik", T_wrist_ee, gripper_primitives_at(robot, OPENINGS_M))
+    ends, radii = [], []
+    for g in range(len(robot.gripper.names)):
+        axis, radius = capsule_of_primitive(int(robot.gripper.kind[g]), robot.gripper.size[g])
+        turned = T[g, :, :3, :3] @ axis
+        ends.append(np.concatenate([T[g, :, :3, 3] - turned, T[g, :, :3, 3] + turned]))
+        radii.append(radius + BETWEEN_OPENINGS_M)
+    return np.stack(ends), np.array(radii)
+
+
+@lru_cache(maxsize=4)
+def robot_levers(robot: Robot) -> Array:
+    """(N, 6) bounds for arm and gripper primitives: largest distance of any point from each joint's
+    axis, any posture."""
+    joints = len(robot.joints)
+    ends, radii = gripper_balls(robot)
+    gripper = [
+        np.max(
+            [lever_bound_for_sphere(robot, joints, c, r) for c in e[:: max(1, len(e) // 24)]]
+            + [lever_bound_for_sphere(robot, joints, e[-1], r)],
+            axis=0,
+        )
+        + BETWEEN_OPENINGS_M * 6
+        for e, r in zip(ends, radii, strict=True)
+    ]
+    return np.concatenate([lever_bounds(robot).T, np.array(gripper)])

@@ -1,0 +1,205 @@
+"""A mesh file read as triangles, in a process of its own: readers of other people's files may take
+any time and memory.
+
+The child gets the opened file as its stdin and answers with two arrays. Materials and textures are
+never loaded; buffers that a glTF names are, from the file's own folder. `python -m
+r2h_batch.scene.mesh_import.file` is the child.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from r2h_batch.base.io.child import answer_parent, read_in_child
+from r2h_batch.base.io.read import FileError, open_file, path_within, printable, read_file
+from r2h_batch.scene.mesh_import.limits import MOST_BYTES, MOST_SECONDS, ObjectMeshError
+
+SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
+
+
+def load_mesh_file(path: str | Path, label: str, *, points: bool = False) -> trimesh.Trimesh:
+    """The triangles of a mesh file as it stands, with `points` also the vertices of a file without
+    any; whatever is wrong with it is one `ObjectMeshError`."""
+    path, label = Path(path), printable(label)
+    shown = printable(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise ObjectMeshError(f"{label}: {shown} is not one of {', '.join(SUFFIXES)}; convert it")
+    if not os.path.exists(path):  # also of a name that is too long
+        raise ObjectMeshError(f"{label}: no file {shown}; give a mesh ({', '.join(SUFFIXES)})")
+    try:
+        with open_file(path, MOST_BYTES) as file:
+            if os.fstat(file.fileno()).st_size == 0:
+                raise ObjectMeshError(f"{label}: {shown} is empty (0 bytes); export the mesh again")
+            try:
+                vertices, faces, part, names = read_in_child(
+                    "r2h_batch.scene.mesh_import.file",
+                    file,
+                    {
+                        "type": path.suffix[1:].lower(),
+                        "folder": str(path.parent.resolve()),
+                        "points": points,
+                    },
+                    count=4,
+                    seconds=MOST_SECONDS,
+                    doing=f"{label}: reading {path.name}",
+                )
+            except FileError as error:
+                how = "" if ";" in str(error) else "; export it as a plain STL or OBJ"
+                raise FileError(f"{shown} {error}{how}") from None
+    except FileError as error:
+        raise ObjectMeshError(f"{label}: {error}") from None
+    if len(faces) == 0 and not (points and len(vertices)):
+        raise ObjectMeshError(
+            f"{label}: {shown} is empty: no triangles in it; export a triangle mesh"
+        )
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if len(names) > 1:
+        mesh.metadata[LABELS] = (part, tuple(str(n) for n in names))
+    return mesh
+
+
+def labels_of(mesh: trimesh.Trimesh) -> tuple[NDArray[np.int64], tuple[str, ...]] | None:
+    """(F,) part of each face and the parts' names, as the named groups of its file said; None where
+    they said none."""
+    return mesh.metadata.get(LABELS)
+
+
+LABELS = "r2h_batch part labels"
+FROM_END = re.compile(rb"^f\s(?:.*\s)?-\d", re.MULTILINE)
+MOST_GROUPS = 64
+"""Named groups of a file that are parts: more are something else, smoothing or materials."""
+
+
+class _Beside(trimesh.resolvers.Resolver):
+    """Files that a glTF names as its buffers: beside it or below, nowhere else."""
+
+    def __init__(self, folder: str) -> None:
+        self.folder = folder
+
+    def get(self, name: str) -> bytes:
+        return read_file(path_within(self.folder, name), MOST_BYTES)
+
+    def keys(self) -> list[str]:
+        return []
+
+    def write(self, name: str, data: object) -> None:
+        raise FileError(f"{name}: nothing is written")
+
+    def namespaced(self, namespace: str) -> trimesh.resolvers.Resolver:
+        return self
+
+
+def _read_grouped(
+    data: io.BytesIO, kind: str, resolver: _Beside
+) -> tuple[Any, NDArray[np.int64], list[str]]:
+    """The mesh, (F,) the named group of each face, the groups' names (none where there are fewer
+    than two)."""
+    options: dict[str, Any] = {"process": False, "maintain_order": True, "skip_materials": True}
+    none: tuple[NDArray[np.int64], list[str]] = (np.zeros(0, np.int64), [])
+    if kind == "obj" and (found := _obj_groups(data.getvalue())) is not None:
+        return found
+    if kind not in ("glb", "gltf"):
+        return trimesh.load_mesh(data, file_type=kind, resolver=resolver, **options), *none
+    scene = trimesh.load_scene(data, file_type=kind, resolver=resolver, **options)
+    vertices, faces, part, count = [], [], [], 0
+    names: list[str] = []
+    for node in scene.graph.nodes_geometry:
+        T, geometry = scene.graph[node]
+        mesh = scene.geometry[geometry]
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        vertices.append(trimesh.transform_points(mesh.vertices, T))
+        turned = np.linalg.det(T[:3, :3]) < 0  # a mirrored node
+        faces.append((mesh.faces[:, ::-1] if turned else mesh.faces) + count)
+        part.append(np.full(len(mesh.faces), len(names)))
+        names.append(_word(str(node)))
+        count += len(mesh.vertices)
+    if not vertices:
+        return trimesh.Trimesh(), *none
+    made = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+    if not 2 <= len(set(names)) <= MOST_GROUPS:
+        return made, *none
+    return made, *_numbered(np.concatenate(part), names)
+
+
+def _obj_groups(text: bytes) -> tuple[Any, NDArray[np.int64], list[str]] | None:
+    """An OBJ's triangles by its `g` or `o` lines; None where these name fewer than two groups of
+    faces, or too many, and trimesh reads it as well (it counts indices from the end through
+    vertices that come later)."""
+    lines = text.decode("utf-8", "replace").splitlines()
+    for kind in ("g", "o"):
+        names = {line.strip() for line in lines if line.startswith((f"{kind} ", f"{kind}\t"))}
+        if 2 <= len(names) <= MOST_GROUPS:
+            mesh, part, kept = _obj_triangles(lines, kind)
+            if len(kept) > 1:
+                return mesh, part, kept
+    if FROM_END.search(text):
+        return _obj_triangles(lines, "g")[0], np.zeros(0, np.int64), []
+    return None
+
+
+def _obj_triangles(lines: list[str], kind: str) -> tuple[Any, NDArray[np.int64], list[str]]:
+    """Triangles of the `f` lines as fans, the group of each, the groups' names."""
+    corners: list[list[float]] = []
+    faces: list[tuple[int, int, int]] = []
+    part: list[int] = []
+    seen, now = ["body"], 0
+    for line in lines:
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == "v":
+            corners.append([float(x) for x in words[1:4]])
+        elif words[0] == kind:
+            name = _word(" ".join(words[1:]))
+            if name not in seen:
+                seen.append(name)
+            now = seen.index(name)
+        elif words[0] == "f":
+            index = [int(w.partition("/")[0]) for w in words[1:]]
+            index = [i - 1 if i > 0 else len(corners) + i for i in index]
+            if min(index, default=0) < 0:
+                raise ValueError(f"a face names vertex {min(index)}")
+            faces += [(index[0], index[k], index[k + 1]) for k in range(1, len(index) - 1)]
+            part += [now] * (len(index) - 2)
+    arrays = np.array(corners).reshape(-1, 3), np.array(faces).reshape(-1, 3)
+    return trimesh.Trimesh(*arrays, process=False), *_numbered(np.array(part, np.int64), seen)
+
+
+def _numbered(part: NDArray[np.int64], names: list[str]) -> tuple[NDArray[np.int64], list[str]]:
+    """Labels counted through the names that faces have, equal names as one."""
+    kept = list(dict.fromkeys(names[k] for k in np.unique(part)))
+    lookup = np.array([kept.index(n) if n in kept else 0 for n in names], np.int64)
+    return lookup[part], kept
+
+
+def _word(name: str) -> str:
+    """A name fit for a part's: letters, digits, `_`, `-`, `.` and blanks, at most 64."""
+    return re.sub(r"[^A-Za-z0-9_. -]+", "_", name.strip())[:64].strip() or "part"
+
+
+def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
+    """Vertices, faces, the part of each face, the parts' names."""
+    kind, resolver = options["type"], _Beside(options["folder"])
+    mesh, part, names = _read_grouped(io.BytesIO(data), kind, resolver)
+    if options["points"] and not len(getattr(mesh, "faces", ())):
+        mesh = trimesh.load(io.BytesIO(data), file_type=kind, process=False)
+        found = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64)
+        return [found, np.zeros((0, 3), np.int64), part, np.array([], dtype="U64")]
+    if not isinstance(mesh, trimesh.Trimesh):
+        raise FileError(f"holds a {type(mesh).__name__}, no triangles; export a triangle mesh")
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    return [vertices, faces, part, np.array(names, dtype="U64")]
+
+
+if __name__ == "__main__":
+    sys.exit(answer_parent(_child))

@@ -1,0 +1,463 @@
+"""The objects of the benchmark, and a user's own mesh through the same build.
+
+Every object lives in its own frame ``obj``, in metres. For the 16 built-in objects the origin is
+the centre of the bounding box; a user's mesh keeps the frame of its file, so that grasps predicted
+in that frame stay valid.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from r2h_batch.base.io.cache import is_cached
+from r2h_batch.base.io.read import printable
+from r2h_batch.base.validate import describe_value
+from r2h_batch.scene.grasp_set import GraspSet
+from r2h_batch.scene.mesh_import.cache import kept_with_warnings, key_of
+from r2h_batch.scene.mesh_import.closed import ObjectMeshError, Repair, closed_mesh
+from r2h_batch.scene.mesh_import.file import SUFFIXES, labels_of
+from r2h_batch.scene.mesh_import.pieces import convex_hull, convex_pieces
+from r2h_batch.scene.mesh_import.region import part_of_faces, receiver_region, region_boxes
+from r2h_batch.scene.solid import sample_surface, solid_occupancy
+
+if TYPE_CHECKING:
+    from r2h_batch.scene.vocabulary import Thing
+
+S0_NAMES = ("game_controller", "bowl", "headphones", "eyeglasses", "cup", "wineglass")
+S1_NAMES = (
+    "hammer", "pliers", "knife", "toothbrush", "screwdriver",
+    "scissors", "power_drill", "binoculars", "bottle", "trigger_sprayer",
+)  # fmt: skip
+OBJECT_NAMES = S0_NAMES + S1_NAMES
+"""The 16 objects of r2h-v0 and r2h-v1, in their order."""
+MORE_NAMES = ("can", "dispenser")
+"""What only r2h-release has."""
+BUILT_IN_NAMES = OBJECT_NAMES + MORE_NAMES
+
+POINTS = 2048
+VOXELS = 64
+DEFAULT_DENSITY = 600.0  # kg/m^3 for a user's mesh without a mass: between wood and plastic shells
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """One rigid object in its frame ``obj``; lengths in metres, arrays read-only. V vertices, F
+    faces, P pieces."""
+
+    name: str
+    split: str
+    """``"S0"`` (free handover) or ``"S1"`` (functional: ``receiver_face`` is not empty)."""
+    instruction: str
+    vertices: NDArray[np.float32]
+    """(V, 3)"""
+    faces: NDArray[np.int32]
+    """(F, 3) watertight, counter-clockwise seen from outside"""
+    face_part: NDArray[np.uint8]
+    """(F,) index into ``part_names``"""
+    part_names: tuple[str, ...]
+    receiver_face: NDArray[np.bool_]
+    """(F,) the faces of the receiver's region G_O^H"""
+    hull_vertices: NDArray[np.float32]
+    """the convex hull of ``vertices``, all of its vertices"""
+    hull_faces: NDArray[np.int32]
+    piece_vertices: NDArray[np.float32]
+    """vertices of all convex pieces; piece k has rows
+    ``piece_vertex_offsets[k]:piece_vertex_offsets[k + 1]``"""
+    piece_faces: NDArray[np.int32]
+    """triangles of all pieces, indices local to the piece"""
+    piece_vertex_offsets: NDArray[np.int32]
+    piece_face_offsets: NDArray[np.int32]
+    points: NDArray[np.float32]
+    """(2048, 3) on the surface, area-weighted"""
+    normals: NDArray[np.float32]
+    """(2048, 3) outward unit normals of the faces that the points lie on"""
+    point_part: NDArray[np.uint8]
+    point_face: NDArray[np.int32]
+    voxels: NDArray[np.uint8]
+    """packed bits of the (64, 64, 64) occupancy, C order; see :attr:`occupancy`"""
+    voxel_origin: NDArray[np.float64]
+    """(3,) the grid's lowest corner; the centre of voxel (i, j, k) is ``voxel_origin + (ijk + 0.5)
+    * voxel_pitch``"""
+    voxel_pitch: float
+    mass: float
+    com: NDArray[np.float64]
+    inertia: NDArray[np.float64]
+    """(3, 3) about the centre of mass, axes of ``obj``, uniform density, kg m^2"""
+    grasps: GraspSet | None = None
+    """a user's grasps: what methods choose from instead of our candidates"""
+    roles: Mapping[str, str] | None = None
+    """part -> function, grasp or wrap, where a benchmark says so (`methods.part_roles`)"""
+    words: Thing | None = None
+    """how people ask for it, where a benchmark says so (`receiver.instructions`)"""
+    repair: Repair | None = None
+    """what was done to a user's mesh, and what came of it"""
+    receiver_boxes: NDArray[np.float64] | None = None
+    """(N, 5, 3) the receiver's region as volumes, where a user gave boxes: centre, half sides, the
+    rows of R_obj_box. Affordance asks them instead of ``receiver_face``, the faces in them"""
+
+    @property
+    def occupancy(self) -> NDArray[np.bool_]:
+        """(64, 64, 64) bool: a voxel is full when its centre is inside the solid or the surface
+        passes through it."""
+        return np.unpackbits(self.voxels, count=VOXELS**3).astype(bool).reshape((VOXELS,) * 3)
+
+    @property
+    def pieces(self) -> list[tuple[NDArray[np.float32], NDArray[np.int32]]]:
+        """(vertices, faces) of every convex piece."""
+        v, f = self.piece_vertex_offsets, self.piece_face_offsets
+        return [
+            (self.piece_vertices[v[k] : v[k + 1]], self.piece_faces[f[k] : f[k + 1]])
+            for k in range(len(v) - 1)
+        ]
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """The surface as a trimesh (a copy, float64)."""
+        return trimesh.Trimesh(self.vertices.astype(np.float64), self.faces, process=False)
+
+
+def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
+    """The 16 objects of r2h-v0 and r2h-v1 in their order (the position is ``object_index``), or
+    those of `BUILT_IN_NAMES` that are named."""
+    wanted = OBJECT_NAMES if names is None else tuple(names)
+    unknown = [n for n in wanted if n not in BUILT_IN_NAMES]
+    if unknown:
+        raise ValueError(
+            f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(BUILT_IN_NAMES)}"
+        )
+    folder = resources.files("r2h_batch.assets.objects")
+    return tuple(read_object(str(folder.joinpath(f"{n}.npz"))) for n in wanted)
+
+
+def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel, ...]:
+    """The given objects, the built-in ones for None; no two of one name: rows name their object,
+    and statistics go by it."""
+    if objects is None:
+        return load_objects()
+    if isinstance(objects, (str, ObjectModel)) or not isinstance(objects, Iterable):
+        what = repr(objects.name) if isinstance(objects, ObjectModel) else describe_value(objects)
+        raise TypeError(f"objects is {what}; need ObjectModels, such as load_objects(['cup'])")
+    found = tuple(objects)
+    for i, o in enumerate(found):
+        if not isinstance(o, ObjectModel):
+            raise TypeError(
+                f"objects[{i}] is {describe_value(o)}; it must be an ObjectModel, such as load_objects(['cup'])[0]"
+            )
+    names = [o.name for o in found]
+    if twice := [n for n in names if names.count(n) > 1]:
+        raise ValueError(f"two objects are called {twice[0]!r}; give each its own name")
+    return found
+
+
+def is_built_in(model: ObjectModel) -> bool:
+    """Whether this is the built-in object of its name, and not a user's file that is called the
+    same."""
+    if model.name not in BUILT_IN_NAMES:
+        return False
+    (own,) = load_objects([model.name])
+    shape = ("vertices", "faces", "face_part", "receiver_face")
+    return model is own or all(np.array_equal(getattr(model, k), getattr(own, k)) for k in shape)
+
+
+def without_region(model: ObjectModel) -> ObjectModel:
+    """The object in split S0: nothing of it is the receiver's, and its instruction names it whole."""
+    if model.split == "S0":
+        return model
+    region = np.zeros_like(model.receiver_face)
+    region.flags.writeable = False
+    words = f"hand over the {model.name.replace('_', ' ')} to human"
+    return replace(model, split="S0", receiver_face=region, receiver_boxes=None, instruction=words)
+
+
+def stored_objects() -> dict[str, ObjectModel]:
+    """`stored_key` -> object: everything that grasps and receiving hands are shipped of."""
+    (bottle,) = load_objects(["bottle"])
+    free = {"bottle_S0": without_region(bottle)}  # r2h-release hands it over freely
+    return {o.name: o for o in load_objects(BUILT_IN_NAMES)} | free
+
+
+def stored_key(model: ObjectModel) -> str | None:
+    """The name by which grasps and receiving hands of an object are stored; None where it is not a
+    built-in one. An object of S1 in split S0 has others: `NAME_S0`."""
+    if model.name not in BUILT_IN_NAMES:
+        return None
+    if is_built_in(model):
+        return model.name
+    (own,) = load_objects([model.name])
+    free = without_region(own)
+    shape = ("vertices", "faces", "face_part", "receiver_face")
+    same = all(np.array_equal(getattr(model, k), getattr(free, k)) for k in shape)
+    return f"{model.name}_S0" if same else None
+
+
+def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
+    """sha256 (hex) over names, dtypes, shapes and bytes of every field, in order: same geometry,
+    same digest."""
+    digest = hashlib.sha256()
+    for model in [objects] if isinstance(objects, ObjectModel) else objects:
+        for f in fields(model):
+            value = getattr(model, f.name)
+            if f.name == "repair":  # the geometry says it
+                continue
+            if f.name in SAID:
+                digest.update(b"" if value is None else _said(value).encode())
+                continue
+            data = np.ascontiguousarray(value) if isinstance(value, np.ndarray) else np.array(value)
+            digest.update(f"{f.name}:{data.dtype.str}:{data.shape}:".encode())
+            digest.update(data.tobytes())
+    return digest.hexdigest()
+
+
+SAID = ("grasps", "roles", "words", "repair", "receiver_boxes")
+"""Fields that only a benchmark or a user fills: nothing of them is stored with an object."""
+
+
+def _said(value: GraspSet | Mapping[str, str] | Thing | NDArray[np.float64]) -> str:
+    """What the digest takes of a field that somebody filled."""
+    if isinstance(value, GraspSet):
+        return value.digest
+    if isinstance(value, np.ndarray):
+        return json.dumps(value.tolist())
+    return json.dumps(dict(value) if isinstance(value, Mapping) else asdict(value), sort_keys=True)
+
+
+def build_object(
+    mesh: str | Path | trimesh.Trimesh,
+    name: str | None = None,
+    split: str = "S0",
+    *,
+    receiver: str | Path | NDArray[np.generic] | None = None,
+    scale: float = 1.0,
+    mass: float | None = None,
+    instruction: str | None = None,
+    face_part: NDArray[np.integer] | None = None,
+    part_names: Sequence[str] = ("body",),
+    pieces: bool | Literal["fine"] = True,
+) -> ObjectModel:
+    """An :class:`ObjectModel` from a file (OBJ, STL, PLY, OFF, GLB ...) or a trimesh in metres, in
+    the file's frame.
+
+    A mesh that is not a closed solid is repaired, and a warning says what was done; what cannot be
+    repaired raises :class:`ObjectMeshError`. ``scale`` multiplies the coordinates (0.001 for
+    millimetres). Without ``mass`` (kg) the density is 600 kg/m^3. ``face_part`` (one index into
+    ``part_names`` for each face of the file) labels the faces; without it the named groups of an
+    OBJ or GLB do. An S1 object needs its receiver's region: ``receiver`` is the name of a part
+    (``"handle"``, ``"handle,guard"``), ``"z<0.3"`` (axis, comparison, fraction of the bounding box
+    from its low side), or one bool per face of the file, indices of its faces, or boxes
+    (`ObjectModel.receiver_boxes`), as array or ``.npy`` file; without it, S1 takes the lighter half
+    of the longest axis, with a warning. Labels and
+    faces are carried over to a repaired mesh. ``pieces=False`` skips the convex decomposition (half
+    a second): the hull is then the only piece. ``"fine"`` is CoACD's, as of the built-in objects: a
+    minute and more.
+
+    What is built of a file is kept on disk (`files.kept`), named by the file's content, the options
+    and the code.
+    """
+    _check_build(split, receiver is not None, mass)
+    options = _options(
+        mesh, name=name, split=split, receiver=receiver, scale=scale, mass=mass, instruction=instruction,
+        face_part=face_part, part_names=part_names, pieces=pieces,
+    )  # fmt: skip
+    key = key_of(mesh, options)
+    # OpenBLAS' idle threads spin: a fifth of a build's CPU time
+    with threadpool_limits(1, user_api="blas"):
+        if key is None:
+            model = _built(mesh, **options)
+        else:
+            make = lambda: _as_arrays(_built(mesh, **options))  # noqa: E731
+            model = _from_arrays(kept_with_warnings(key, make, _from_arrays))
+    boxes = region_boxes(receiver, model.part_names, model.name)
+    return model if boxes is None else _frozen(replace(model, receiver_boxes=boxes))
+
+
+def _options(mesh: str | Path | trimesh.Trimesh, **given: Any) -> dict[str, Any]:
+    """All options of a build, the defaults of `build_object` for those that are not given."""
+    defaults = {
+        k: p.default for k, p in inspect.signature(build_object).parameters.items() if k != "mesh"
+    }
+    options = {**defaults, **given}
+    label = options["name"] or (Path(mesh).stem if isinstance(mesh, (str, Path)) else "object")
+    labels = options["face_part"]
+    return {
+        **options, "name": printable(label), "part_names": tuple(options["part_names"]),
+        "face_part": None if labels is None else np.asarray(labels),
+    }  # fmt: skip
+
+
+def is_built(mesh: str | Path | trimesh.Trimesh, **given: Any) -> bool:
+    """Whether what `build_object` would build of these arguments is kept on disk."""
+    key = key_of(mesh, _options(mesh, **given))
+    return key is not None and is_cached("objects", key)
+
+
+def _built(
+    mesh: str | Path | trimesh.Trimesh,
+    *,
+    name: str,
+    split: str,
+    receiver: str | Path | NDArray[np.generic] | None,
+    scale: float,
+    mass: float | None,
+    instruction: str | None,
+    face_part: NDArray[np.integer] | None,
+    part_names: Sequence[str],
+    pieces: bool | Literal["fine"],
+) -> ObjectModel:
+    """`build_object` without the disk."""
+    closed = closed_mesh(mesh, name, scale)
+    if face_part is None and (groups := labels_of(closed.source)) is not None:
+        face_part, part_names = groups
+    surface = closed.mesh
+    vertices, faces = surface.vertices.astype(np.float32), surface.faces.astype(np.int32)
+    solid = trimesh.Trimesh(vertices.astype(np.float64), faces, process=False)
+    parts = part_of_faces(face_part, part_names, closed, name)
+    region = np.zeros(len(faces), bool)
+    if split == "S1":
+        region = receiver_region(solid, receiver, closed, parts, part_names, name)
+    hull = convex_hull(solid.vertices)
+    points, point_face = sample_surface(solid, POINTS)
+    occupied, origin, pitch = solid_occupancy(solid, VOXELS)
+    return _frozen(
+        ObjectModel(
+            name=name,
+            split=split,
+            instruction=instruction or f"hand over the {name.replace('_', ' ')} to human",
+            vertices=vertices,
+            faces=faces,
+            face_part=parts,
+            part_names=tuple(part_names),
+            receiver_face=region,
+            hull_vertices=hull[0],
+            hull_faces=hull[1],
+            **_packed(convex_pieces(solid, name, fine=pieces == "fine") if pieces else [hull]),
+            points=points.astype(np.float32),
+            normals=solid.face_normals[point_face].astype(np.float32),
+            point_part=parts[point_face],
+            point_face=point_face.astype(np.int32),
+            voxels=np.packbits(occupied.reshape(-1)),
+            voxel_origin=origin,
+            voxel_pitch=pitch,
+            **_inertial(solid, mass),
+            repair=closed.repair if closed.repair.steps else None,
+        )
+    )
+
+
+def _as_arrays(model: ObjectModel) -> dict[str, Any]:
+    """What is kept of a built object."""
+    arrays = {k: np.asarray(v) for k, v in vars(model).items() if k not in SAID}
+    repair = np.array(json.dumps(asdict(model.repair) if model.repair else None))
+    return {**arrays, "repair": repair}
+
+
+def _packed(convex: Sequence[tuple[NDArray[np.float32], NDArray[np.int32]]]) -> dict[str, Any]:
+    """The convex pieces as they are stored: one after the other, and where each begins."""
+    return {
+        "piece_vertices": np.concatenate([v for v, _ in convex]).astype(np.float32),
+        "piece_faces": np.concatenate([f for _, f in convex]).astype(np.int32),
+        "piece_vertex_offsets": np.cumsum([0] + [len(v) for v, _ in convex]).astype(np.int32),
+        "piece_face_offsets": np.cumsum([0] + [len(f) for _, f in convex]).astype(np.int32),
+    }
+
+
+def _inertial(solid: trimesh.Trimesh, mass: float | None) -> dict[str, Any]:
+    """Mass, centre of mass and inertia at uniform density."""
+    mass = DEFAULT_DENSITY * float(solid.volume) if mass is None else mass
+    props = solid.mass_properties
+    return {
+        "mass": float(mass),
+        "com": np.asarray(props.center_mass, np.float64),
+        "inertia": np.asarray(props.inertia, np.float64) * (mass / float(solid.volume)),
+    }
+
+
+def _check_build(split: str, with_receiver: bool, mass: float | None) -> None:
+    """Raises ValueError for arguments of `build_object` that do not go together."""
+    if split not in ("S0", "S1"):
+        raise ValueError(
+            f"split is {split!r}; it must be 'S0' (free) or 'S1' (functional, with a receiver's region)"
+        )
+    if split == "S0" and with_receiver:
+        raise ValueError(
+            "an S0 object has no receiver region; use split='S1', or leave the region out"
+        )
+    if mass is not None and not (np.isfinite(mass) and mass > 0):
+        raise ValueError(f"mass is {mass}; it must be a positive number of kilograms")
+
+
+def object_from_argument(argument: str, *, pieces: bool = True) -> ObjectModel:
+    """The object of the command line's ``FILE[:S0|S1[:RECEIVER]]``, e.g. ``mug.obj``,
+    ``saw.stl:S1:x<0.4``."""
+    return build_object(**call_of(argument, pieces=pieces))
+
+
+def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
+    """The arguments of `build_object` that such a text means."""
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]*://", argument):
+        raise ObjectMeshError(
+            f"object mesh {printable(argument)[:200]!r}: is an address; save the file and give its path"
+        )
+    shown = printable(argument)[:200]
+    if any(c in argument for c in "\r\n\0"):
+        raise ObjectMeshError(f"object mesh {shown!r}: has a line end in its name; rename the file")
+    match = re.fullmatch(r"(?P<file>.+?)(?::(?P<split>S\d+)(?::(?P<receiver>.+))?)?", argument)
+    endings = "|".join(e[1:] for e in SUFFIXES)
+    said = re.fullmatch(rf"(.+?\.(?:{endings})):(.*)", argument, re.IGNORECASE)
+    if match is None or (said and match["file"] == argument and not os.path.lexists(argument)):
+        found = (
+            f" what stands behind {printable(said[1])[:200]} is {printable(said[2])[:40]!r};"
+            if said
+            else ""
+        )
+        raise ObjectMeshError(
+            f"object mesh {shown!r}:{found} expected FILE, FILE:S0, FILE:S1 or FILE:S1:RECEIVER, e.g. saw.stl:S1:x<0.4"
+        )
+    return {
+        "mesh": match["file"],
+        "split": match["split"] or "S0",
+        "receiver": match["receiver"],
+        "pieces": pieces,
+    }
+
+
+@lru_cache(maxsize=64)
+def read_object(path: str) -> ObjectModel:
+    """The object stored in one ``.npz`` of assets/objects' format."""
+    with np.load(path, allow_pickle=False) as data:
+        names = (f.name for f in fields(ObjectModel) if f.name not in SAID)
+        return _from_arrays({name: data[name] for name in names})
+
+
+def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> ObjectModel:
+    values: dict[str, Any] = dict(arrays)
+    for key in ("name", "split", "instruction"):
+        values[key] = str(values[key])
+    values["part_names"] = tuple(str(n) for n in np.atleast_1d(np.asarray(values["part_names"])))
+    for key in ("mass", "voxel_pitch"):
+        values[key] = float(np.asarray(values[key]))
+    repair = json.loads(str(values.pop("repair", "null")))
+    values["repair"] = Repair(**{**repair, "steps": tuple(repair["steps"])}) if repair else None
+    return _frozen(ObjectModel(**values))
+
+
+def _frozen(model: ObjectModel) -> ObjectModel:
+    for f in fields(model):
+        value = getattr(model, f.name)
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return model

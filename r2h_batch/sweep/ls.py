@@ -1,0 +1,85 @@
+"""The command `ls`: what can be named on a command line. Light until there is work."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+Line = tuple[str, ...]
+
+ABOUT = {
+    "r2h-v0": "hands alone, any roll about the palm's normal",
+    "r2h-v1": "hands on the arms of people who stand and reach",
+    "r2h-release": "palms, objects, table and home of the authors' release",
+}
+"""Protocol -> what its trials are."""
+
+
+def ls(
+    what: Literal["methods", "objects", "robots", "protocols", "runs"],
+    folder: Path = Path("runs"),
+    /,
+) -> int:
+    """List methods, objects, robots, protocols or runs, one a line.
+
+    Args:
+        what: methods, objects, robots, protocols or runs.
+        folder: with `runs`, the folder to search.
+    """
+    lines = list({
+        "methods": _methods, "objects": _objects, "robots": _robots, "protocols": _protocols,
+        "runs": lambda: _runs(folder),
+    }[what]())  # fmt: skip
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))] if lines else []
+    for line in lines:
+        sys.stdout.write("  ".join(map(str.ljust, line, widths)).rstrip() + "\n")
+    return 0
+
+
+def _methods() -> Iterator[Line]:
+    from importlib import import_module
+
+    from r2h_batch.sweep.options import METHODS
+
+    for name in METHODS:
+        words = import_module(f"r2h_batch.methods.{name.replace('-', '_')}").__doc__ or ""
+        yield name, " ".join(words.partition(".\n")[0].partition(";")[0].split()).rstrip(".")
+
+
+def _objects() -> Iterator[Line]:
+    from r2h_batch.scene.objects import load_objects
+
+    for o in load_objects():
+        size = " x ".join(f"{1000 * x:.0f}" for x in o.vertices.max(0) - o.vertices.min(0))
+        yield o.split, o.name, f"{size} mm", f"{1000 * o.mass:.0f} g", ", ".join(o.part_names)
+
+
+def _robots() -> Iterator[Line]:
+    from r2h_batch.scene.robot import ROBOTS, load_robot
+
+    for name in ROBOTS:
+        robot = load_robot(name)
+        sizes = {"reach": robot.reach_m, "open gap": robot.open_gap_m}
+        yield name, *(f"{word} {1e3 * size:.0f} mm" for word, size in sizes.items())
+
+
+def _protocols() -> Iterator[Line]:
+    from r2h_batch.base.schedule import PROTOCOL, PROTOCOLS
+
+    for name in PROTOCOLS:
+        yield name, ABOUT.get(name, ""), "default" if name == PROTOCOL else ""
+
+
+def _runs(folder: Path) -> Iterator[Line]:
+    from r2h_batch.runs.store import RunError, load_run
+
+    places = sorted(p.parent for p in folder.glob("*/run.json")) if folder.is_dir() else []
+    for place in places:
+        try:
+            run = load_run(place, verify=False)
+        except RunError as error:
+            yield str(place), "cannot be read", str(error).rpartition(": ")[2], ""
+            continue
+        trials = ", ".join(f"{n} {split}" for split, n in run.header["trials"].items())
+        methods = [*run.methods, *(f"{m} (not complete)" for m in run.unfinished)]
+        yield str(place), str(run.header["protocol"]), trials, "; ".join(methods)

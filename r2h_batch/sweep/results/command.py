@@ -1,0 +1,162 @@
+"""The command `results`: check a run folder, judge its rows again, count them at other thresholds.
+
+verify RUN        find damaged and foreign shards
+digest RUN        print the digest of each method's rows
+reevaluate RUN    judge a sample of stored rows again from their stored poses
+rethreshold RUN   print the rates at other thresholds
+reception RUN     print how many receivers could take the object
+"""
+
+from pathlib import Path
+
+from r2h_batch.base.command_line import UsageError, check_seed
+from r2h_batch.sweep.results.rethreshold import rethreshold
+from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
+
+LISTED = 200
+"""Differences of one method that are printed; the count covers all of them."""
+
+
+def verify(folder: Path, /) -> int:
+    """Find damaged and foreign shards and mark them for rerun.
+
+    Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
+    some shards again.
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+    """
+    from r2h_batch.runs.store import load_run, mark_for_rerun, read_header, shards_of
+
+    lines = mark_for_rerun(folder, read_header(folder))
+    print("\n".join(lines or [f"{folder}: every stored shard is as it was written"]))
+    run = load_run(folder, verify=False)
+    for name in run.unfinished:
+        missing = [str(s.index) for s in run.missing(name)]
+        shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
+        count = len(shards_of(run.header))
+        print(f"{name}: {len(missing)} of {count} shards to be scored: {shown}")
+    return 1 if lines else 0
+
+
+def digest(folder: Path, /) -> int:
+    """Print the digest of each method's rows: equal digests mean equal verdicts on any machine.
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+    """
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(folder)
+    for name in (e.name for e in run.entries):
+        left = len(run.missing(name))
+        print(f"{run.digest(name)}  {name}" + (f" (without {left} shards)" if left else ""))
+    return 0
+
+
+def reevaluate(
+    folder: Path,
+    /,
+    *,
+    rows: int = 200,
+    method: tuple[str, ...] = (),
+    seed: int | None = None,
+    benchmark: BenchmarkFlags = BUILT_IN,
+    device: str = "cpu",
+) -> int:
+    """Verify a run folder, then judge a random sample of its rows again from their stored poses.
+
+    A forged row gets another verdict, even if receipt and sha256 agree with it. Built-in methods
+    answer the same trials again: that finds poses of another method. Built-in policies play closed
+    loops again. Your own methods and policies do not run. Exit code 0: no row differs. Exit code 1:
+    a row differs, or a shard must be scored again.
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+        rows: rows of each method that the command judges again.
+        method: only these methods, by the sweep's word (fc) or the table's name.
+        seed: seed of the random sample; by default a new one each time.
+        benchmark: the flags that the sweep had.
+        device: cpu, cuda or cuda:N.
+    """
+    import numpy as np
+
+    if rows < 0:
+        raise UsageError(f"--rows is {rows}; it must be 0 or more")
+    if seed is not None:
+        check_seed(seed)
+    code = verify(folder)
+    if not rows:
+        return code
+    from r2h_batch.runs.store import RunError, load_run
+    from r2h_batch.sweep.results import reevaluation as again
+    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
+
+    run = load_run(folder, verify=False).only(method)
+    names = [e.name for e in run.entries if e.receipts]
+    if not names:
+        raise RunError(f"{folder}: no shard of any method is stored")
+    again.check_poses(run)
+    draw = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+    judge = again.Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
+    if judge.other:
+        print(
+            f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared"
+            " exactly, lengths to 0.1 mm, times to 0.02 s"
+        )
+    for name in names:
+        found = again.reevaluate(run, name, rows, judge, seed=draw)
+        code = 1 if found.differences else code
+        differing = len({d.trial_id for d in found.differences})
+        words = f"{differing or 'none'} {'differs' if differing < 2 else 'differ'}"
+        print(
+            f"{name}: {found.scored} of {found.stored} rows judged again (--seed {draw}):"
+            f" {words}, {found.equal} are equal bit for bit; {found.asked}"
+        )
+        for difference in found.differences[:LISTED]:
+            print(f"  {difference}")
+        if (more := len(found.differences) - LISTED) > 0:
+            print(f"  and {more} more differences")
+    return code
+
+
+def reception(
+    folder: Path,
+    /,
+    *,
+    method: tuple[str, ...] = (),
+    benchmark: BenchmarkFlags = BUILT_IN,
+    device: str = "cpu",
+) -> int:
+    """Print how many receivers could take the object, and how easily; write RUN/reception/METHOD.parquet.
+
+    The command tries 256 receiving grasps for each stored pose; no predictor knows these grasps. The
+    person's arm must bring the hand to a grasp, past the gripper and clear of the robot. The success
+    rate does not depend on it. Trials need a receiver's body (r2h-v1).
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+        method: only these methods, by the sweep's word (fc) or the table's name.
+        benchmark: the flags that the sweep had.
+        device: cpu, cuda or cuda:N.
+    """
+    from r2h_batch.runs.store import RunError, in_the_way, load_run
+    from r2h_batch.sweep.results import reception as received
+
+    if what := in_the_way(folder / "reception", folder=True):
+        raise RunError(what)
+    run = load_run(folder).only(method)
+    tables = received.tables_of_run(run, benchmark, device)
+    for name, table in tables.items():
+        received.write(folder / "reception" / f"{run.entry(name).slug}.parquet", table)
+    print(received.render(tables), end="")
+    return 0
+
+
+COMMANDS = {
+    "verify": verify,
+    "digest": digest,
+    "reevaluate": reevaluate,
+    "rethreshold": rethreshold,
+    "reception": reception,
+}

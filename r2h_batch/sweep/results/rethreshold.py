@@ -1,0 +1,114 @@
+"""Rates at other thresholds, without simulation: `r2h-batch results rethreshold RUN`.
+
+Exact, trial by trial, for the poses that were scored (a method that asks the evaluator might choose
+others):
+- reach radius: any value, the margin is r_h - distance;
+- w_max: up to the run's own. A wider aperture is another gripper: what it would hold was not
+  measured;
+- safe margin: from 0 to 4.99 cm, beyond which clearances are only a lower bound.
+Not possible: the ball's offset, the pads' squeeze, hand clearance of the path: they change the
+geometry.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from r2h_batch.base.validate import parse_number
+from r2h_batch.verdicts import SPLITS, Outcome
+
+if TYPE_CHECKING:  # what is heavy is imported when there is work
+    from r2h_batch.report.statistics.thresholds import Point
+
+MAX_POINTS = 10_000
+
+
+def values(text: str, name: str) -> tuple[float, ...]:
+    """Numbers of `.08`, `.08,.10` or `LOW:HIGH:STEP` (both ends included)."""
+    try:
+        if ":" in text:
+            low, high, step = map(parse_number, text.split(":"))
+            if not (step > 0 and high >= low and (high - low) / step < MAX_POINTS):
+                raise ValueError
+            steps = int((high - low) / step + 1e-9)
+            return tuple(round(low + i * step, 12) for i in range(steps + 1))
+        return tuple(parse_number(part.strip()) for part in text.split(","))
+    except ValueError:
+        allowed = "METRES, A,B,... or LOW:HIGH:STEP in plain decimal digits"
+        raise ValueError(f"--{name} is {text!r}; it must be {allowed}") from None
+
+
+def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
+    """Tables of rates for every point and method, and the ranks over the points."""
+    from r2h_batch.report.statistics.aggregate import FAILURES, RATES
+    from r2h_batch.report.statistics.thresholds import ROUNDING_M, rank_stability
+    from r2h_batch.report.text import NA, aligned, legend, notes_list, plain, short_names
+
+    shown = ["SR", *(entry.heading for entry in FAILURES.values())]
+    short = {method: plain(name) for method, name in short_names(methods).items()}
+    lines = []
+    for point in points:
+        for method in methods:
+            for k, counts in enumerate(point.counts[method]):
+                if n := counts.sum():
+                    rates = [f"{100 * counts[Outcome.SUCCESS] / n:.1f}"]
+                    for rate, entry in FAILURES.items():
+                        failed = 100 * counts[list(RATES[rate])].sum() / n
+                        rates.append(f"{failed:.1f}" if SPLITS[k] in entry.splits else NA)
+                    at = (point.reach_radius_m, point.w_max_m, point.safe_margin_m)
+                    cells = [*(f"{v:.4g}" for v in at), *rates, str(point.undecided[method])]
+                    lines.append([short[method], SPLITS[k], *cells])
+    parts = [
+        "Rates in percent of all planned trials, thresholds in metres, computed from stored margins.",
+        aligned(["Method", "Split", "r_h", "w_max", "safe", *shown, "undecided"], lines, 2),
+    ]
+    if len(methods) > 1:
+        ranks = [
+            [short[m], *(f"{100 * p:.0f} %" for p in row)]
+            for m, row in zip(methods, rank_stability(points, methods))
+        ]
+        parts += [
+            f"Share of the {len(points)} settings at which a method has a rank, #1 the best (mean SR of the splits).",
+            aligned(["Method", *(f"#{i + 1}" for i in range(len(methods)))], ranks, 1),
+        ]
+    if legend_text := legend(short_names(methods)):
+        parts.append(notes_list(map(plain, legend_text)))
+    parts.append(
+        "- Poses as they were predicted for the run's own thresholds.\n"
+        f"- undecided: within {ROUNDING_M:g} m of a threshold, where float32 does not tell (counted as computed)."
+    )
+    return "\n\n".join(parts) + "\n"
+
+
+def rethreshold(
+    run: Path,
+    /,
+    *,
+    reach_radius: str = "",
+    w_max: str = "",
+    safe_margin: str = "",
+    method: tuple[str, ...] = (),
+) -> int:
+    """Print the rates of a run folder at other thresholds, and how stable the ranks are.
+
+    Args:
+        run: a run folder, as `r2h-batch sweep --out` writes it.
+        reach_radius: r_h in metres, A,B,... or LOW:HIGH:STEP.
+        w_max: widest material that the gripper holds, at most the run's own.
+        safe_margin: distance that the robot must keep from the hand, at most 0.0499.
+        method: only these methods, by the sweep's word (fc) or the table's name; by default all.
+    """
+    from r2h_batch.report.statistics import thresholds
+    from r2h_batch.runs.store import load_run
+
+    grid = {
+        "reach_radius_m": values(reach_radius, "reach-radius") if reach_radius else (),
+        "w_max_m": values(w_max, "w-max") if w_max else (),
+        "safe_margin_m": values(safe_margin, "safe-margin") if safe_margin else (),
+    }
+    stored = load_run(run).only(method)
+    if not stored.methods:
+        raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+    sys.stdout.write(render(thresholds.rethreshold(stored, **grid), stored.methods))
+    return 0

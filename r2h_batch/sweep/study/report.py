@@ -1,0 +1,203 @@
+"""A real robot beside a run, ratings and their tests (rank correlations with intervals, Friedman and
+Wilcoxon), as texts."""
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations, permutations
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from r2h_batch.report.text import aligned
+from r2h_batch.sweep.study.table_file import LINE, NAME, PERCENT, StudyError, number, read_table
+
+SCALE = np.arange(1, 6)
+DRAWS = 10_000
+
+REAL_COLUMNS = {"method": NAME, "real_sr": PERCENT, "real_t_tot_s": number(0, 1e5)}
+RATING_COLUMNS = {
+    **dict.fromkeys(("participant", "method", "dimension"), NAME),
+    "rating": number(1, 5, whole=True),
+}
+COUNT_COLUMNS = {
+    **dict.fromkeys(("method", "dimension"), NAME),
+    **{f"n{k}": number(0, 1e6, whole=True) for k in SCALE},
+}
+
+Ratings = tuple[np.ndarray, list[str], int]
+"""(participants, methods) ratings of complete participants, the methods, participants left out."""
+
+
+def read_counts(path: Path) -> dict[tuple[str, str], np.ndarray]:
+    """(method, dimension) -> (5,) how often each of 1..5 was given, from columns method,
+    dimension, n1..n5."""
+    rows = read_table(path, COUNT_COLUMNS)
+    return {(r["method"], r["dimension"]): np.array([r[f"n{k}"] for k in SCALE]) for r in rows}
+
+
+def real_report(run: Path, file: Path, trials: int) -> str:
+    """A robot's measured rates and times against those of a run, and how their orders agree.
+
+    Args:
+        run: the run folder.
+        file: CSV with the columns of `REAL_COLUMNS`.
+        trials: trials of each method on the robot.
+    """
+    from r2h_batch.report.table import table_of
+    from r2h_batch.runs.store import load_run
+
+    stored = load_run(run)
+    # the last row of a method stays: Avg, or its only split
+    rows = {row.method: row for row in table_of(stored).rows}
+    lines: dict[str, list[str]] = {}
+    sim, real = [], []
+    for line in read_table(file, REAL_COLUMNS):
+        name = stored.named(line["method"])
+        if name in lines:
+            raise StudyError(f"{file}: line {line[LINE]}: {name} is there twice; once is enough")
+        if name not in rows:
+            raise StudyError(f"{file}: line {line[LINE]}: {name} is not complete in {run}")
+        rate, total = rows[name].rates["sr"], rows[name].times["t_tot_s"].value
+        sr = rate.percent if rate else 0.0
+        t = float("nan") if total is None else total
+        real_sr, real_t = line["real_sr"], line["real_t_tot_s"]
+        rates = [f"{sr:.1f}", f"{real_sr:.1f}", f"{real_sr - sr:+.1f}"]
+        lines[name] = [name, *rates, f"{t:.2f}", f"{real_t:.2f}", f"{real_t - t:+.2f}"]
+        sim.append(sr)
+        real.append(real_sr)
+    head = ["Method", "sim SR", "real SR", "delta", "sim T", "real T", "delta"]
+    text = aligned(head, list(lines.values()), 1) + "\n"
+    if len(lines) > 2:
+        c = spearman(sim, real, counts=(rows[next(iter(lines))].n, trials))
+        low, high = c.measured
+        text += (
+            f"\nSpearman's rank correlation of the success rates: {c.rho:+.2f}, p = {c.p:.2f}; 95 % if the same methods"
+            f" were measured again: {low:+.2f} to {high:+.2f}\n"
+        )
+    return text
+
+
+def read_ratings(path: Path) -> dict[str, Ratings]:
+    """Dimension -> its ratings, from columns participant, method, dimension, rating (1 to 5)."""
+    rows = read_table(path, RATING_COLUMNS)
+    methods = list(dict.fromkeys(r["method"] for r in rows))
+    if len(methods) < 2:
+        raise StudyError(f"{path}: all ratings are of {methods[0]}; two or more methods are needed")
+    found: dict[str, dict[str, dict[str, int]]] = {}
+    for r in rows:
+        person = found.setdefault(r["dimension"], {}).setdefault(r["participant"], {})
+        if r["method"] in person:
+            words = f"{r['participant']} rates {r['method']} twice for {r['dimension']}"
+            raise StudyError(f"{path}: line {r[LINE]}: participant {words}")
+        person[r["method"]] = r["rating"]
+    result = {}
+    for dimension, people in found.items():
+        complete = [[p[m] for m in methods] for p in people.values() if len(p) == len(methods)]
+        if len(complete) < 2:
+            counts = {m: sum(m in p for p in people.values()) for m in methods}
+            rated = ", ".join(f"{m} {n}" for m, n in counts.items())
+            raise StudyError(
+                f"{path}: {dimension}: {len(complete)} participants rated every method; two are needed."
+                f" Ratings by method: {rated}; mend a misspelt name, or leave it out"
+            )
+        result[dimension] = (np.array(complete), methods, len(people) - len(complete))
+    return result
+
+
+def rating_report(ratings: Mapping[str, Ratings]) -> str:
+    """Summaries and tests of every dimension."""
+    keys, parts = ("mean", "median", "q1", "q3", "min", "max"), []
+    order = [0.5, 0.25, 0.75, 0, 1]  # of the quantiles, after the mean
+    for dimension, (table, methods, left_out) in ratings.items():
+        test, lines = rating_tests(table, methods), []
+        for method, column in zip(methods, table.T, strict=True):
+            figures = [column.mean(), *np.quantile(column, order)]
+            numbers = [f"{value:.2f}".rstrip("0").rstrip(".") for value in figures]
+            lines.append([method, str(len(column)), *numbers])
+        friedman = "Friedman's test needs three methods; with two, Wilcoxon's stands alone."
+        if len(methods) > 2:
+            friedman = f"Friedman: chi2({len(methods) - 1}) = {test.chi2:.2f}, p = {test.p:.2g}"
+        pairs = [[a, b, f"{p:.2g}", f"{adjusted:.2g}"] for a, b, p, adjusted in test.pairs]
+        parts += [
+            f"{dimension}: {test.participants} complete participants, {left_out} left out",
+            aligned(["Method", "n", *keys], lines, 1),
+            friedman,
+            aligned(["A", "B", "Wilcoxon p", "Bonferroni p"], pairs, 2),
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+class Correlation(NamedTuple):
+    """Spearman's rank correlation over methods."""
+
+    rho: float
+    measured: tuple[float, float]  # 95 % interval if the same methods were measured again
+    p: float  # over all permutations, or a sample of them
+
+
+class Test(NamedTuple):
+    """Friedman's test over all methods, and Wilcoxon's signed-rank test of every pair, adjusted by
+    Bonferroni."""
+
+    participants: int
+    chi2: float
+    p: float
+    pairs: tuple[tuple[str, str, float, float], ...]  # a, b, p, adjusted p
+
+
+def spearman(x: Sequence[float], y: Sequence[float], *, counts: tuple[int, int]) -> Correlation:
+    """Rank correlation of two success rates of N methods.
+
+    Args:
+        x: (N,) percent, N 3 or more.
+        y: (N,) percent.
+        counts: trials behind each x and each y.
+    """
+    a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    n = len(a)
+    random = np.random.default_rng(0)
+    orders = np.argsort(random.random((DRAWS, n)), axis=1)
+    if n <= 7:
+        orders = np.array(list(permutations(range(n))))
+    rho = _rho(a[None], b[None])[0]
+    shuffled = _rho(np.broadcast_to(a, orders.shape), b[orders])
+    p = float((np.abs(shuffled) >= abs(rho) - 1e-12).mean())
+    draws = [
+        random.binomial(k, np.clip(v / 100, 0, 1), (DRAWS, n)) / k for k, v in zip(counts, (a, b))
+    ]
+    low, high = np.quantile(np.nan_to_num(_rho(*draws)), [0.025, 0.975])
+    return Correlation(float(rho), (float(low), float(high)), p)
+
+
+def _rho(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(D,) Spearman's rho of the rows of (D, N); 0 if all values of a row are equal."""
+    ra, rb = stats.rankdata(a, axis=1), stats.rankdata(b, axis=1)
+    ra, rb = ra - ra.mean(1, keepdims=True), rb - rb.mean(1, keepdims=True)
+    size = np.sqrt((ra**2).sum(1) * (rb**2).sum(1))
+    return np.where(size > 0, (ra * rb).sum(1) / np.where(size > 0, size, 1), 0.0)
+
+
+def rating_tests(rows: np.ndarray, methods: Sequence[str]) -> Test:
+    """Friedman's test (NaN for two methods) and Wilcoxon's of every pair.
+
+    Args:
+        rows: (participants, methods) ratings.
+        methods: their names.
+    """
+    if rows.ndim != 2 or rows.shape[0] < 2 or rows.shape[1] < 2:
+        words = "tests of ratings need 2 participants and 2 methods or more"
+        raise StudyError(f"{words}, given are {rows.shape}")
+    if rows.shape[1] == 2:
+        chi2, p = float("nan"), float("nan")
+    elif (rows == rows[:, :1]).all():
+        chi2, p = 0.0, 1.0
+    else:
+        chi2, p = stats.friedmanchisquare(*rows.T)
+    pairs = []
+    count = rows.shape[1] * (rows.shape[1] - 1) // 2
+    for i, j in combinations(range(rows.shape[1]), 2):
+        equal = (rows[:, i] == rows[:, j]).all()
+        raw = 1.0 if equal else float(stats.wilcoxon(rows[:, i], rows[:, j]).pvalue)
+        pairs.append((methods[i], methods[j], raw, min(raw * count, 1.0)))
+    return Test(rows.shape[0], float(chi2), float(p), tuple(pairs))

@@ -1,0 +1,220 @@
+"""Trials of somebody's own: which object meets which hand, and where that hand stands.
+`--trials-file FILE.npz|.parquet|.csv|.json`.
+
+| name | npz | Parquet | meaning |
+|---|---|---|---|
+| `object` | (N,) text | text | the object's name |
+| `T_world_hand` | (N, 4, 4) float | list of 16 float, row by row | the hand's frame in the world,
+metres |
+| `hand` | (N,) whole numbers | int | row of the hand set, right hands first |
+| `pose`, `shape`, `side` | (N, 48), (N, 10), (N,) | lists of 48 and 10, int | instead of `hand`;
+side 0 right, 1 left |
+| `hand`, `skin`, `skin_side`, `T_hand_palm`, `skin_faces`, `skin_piece` | (N,), (H, V, 3), (H,),
+(H, 4, 4), (F, 3), (F,) | - | hands that are meshes: `make_skin_set` of scene/hand.py; `hand` is a
+row of `skin` |
+| `id`, `variant` | (N,) text | text | optional: what its owner calls the trial, and the method behind
+it |
+
+A .json holds the arrays of the .npz by name, as lists. A .csv has the columns object, hand,
+T_world_hand_0 to _15, and id and variant if they are said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from r2h_batch.base.io.arrays import Spec, check_arrays, check_poses
+from r2h_batch.base.io.read import FileError, printable, read_npz
+from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays, read_parquet_arrays
+from r2h_batch.scene.hand import MAX_SKIN_PIECES, HandSet, make_hand_set, make_skin_set
+from r2h_batch.scene.hand_file import check_postures
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.types import Trials
+from r2h_batch.verdicts import SPLITS
+
+LISTED = "listed"
+"""Protocol of a run whose trials a file lists."""
+
+MAX_BYTES, MAX_ROW_BYTES = 256 << 20, 2048
+MAX_TRIALS = 1_000_000
+FARTHEST_M = 10.0
+
+POSTURE = ("pose", "shape", "side")
+WIDTH = {"T_world_hand": 16, "pose": 48, "shape": 10}
+LABELS = ("id", "variant")
+TEXTS = ("object", *LABELS)
+SKIN: dict[str, Spec] = {
+    "skin": ("f", ("H", "V", 3)), "T_hand_palm": ("f", ("H", 4, 4)), "skin_faces": ("iu", ("F", 3)),
+    "skin_piece": ("iu", ("F",)), "skin_side": ("iu", ("H",)),
+}  # fmt: skip
+SPECS: dict[str, Spec] = {
+    "object": ("U", ("N",)), "T_world_hand": ("f", ("N", 4, 4)), "hand": ("iu", ("N",)),
+    "pose": ("f", ("N", 48)), "shape": ("f", ("N", 10)), "side": ("iu", ("N",)),
+    **dict.fromkeys(LABELS, ("U", ("N",))),
+}  # fmt: skip
+CSV = {
+    **dict.fromkeys(TEXTS, ("string", 1)), "hand": ("int64", 1), "T_world_hand": ("float64", 16),
+}  # fmt: skip
+
+Labels = dict[int, tuple[str, str]]
+"""Trial id -> what its owner calls the trial, and the method behind it (or "")."""
+Columns = dict[str, NDArray[Any]]
+
+
+def read_trials_file(
+    path: Path, objects: Sequence[ObjectModel], hand_set: HandSet
+) -> tuple[Trials, HandSet, Labels | None]:
+    """The trials, S0 before S1, each split in the file's order (its i-th has the id 2 i or 2 i +
+    1), their hands, and their texts if they have any.
+
+    Raises `FileError`, one line, for anything that is not as the table above says.
+    """
+    where = printable(path)
+    if path.suffix not in READERS:
+        raise FileError(f"{where}: trials are an {', '.join(READERS)} file")
+    columns = READERS[path.suffix](path)
+    if "skin" in columns:
+        hand_set = _skins(columns, where)
+    _check_columns(columns, where)
+    check_poses(f"{where}: T_world_hand", columns["T_world_hand"])
+    T = np.ascontiguousarray(columns["T_world_hand"], np.float32)
+    object_index = _objects(columns["object"], objects, where)
+    if "hand" in columns:
+        hand = columns["hand"]  # compared as it is: what does not fit int64 would wrap
+        if hand.min() < 0 or hand.max() >= len(hand_set):
+            raise FileError(
+                f"{where}: hand goes from {hand.min()} to {hand.max()}; the hand set has 0 to {len(hand_set) - 1}"
+            )
+        hand = hand.astype(np.int64)
+    else:
+        hand_set, hand = _own_hands(columns, hand_set, where)
+    split = np.array([SPLITS.index(o.split) for o in objects])[object_index]
+    order = np.argsort(split, kind="stable")
+    ids = np.concatenate([2 * np.arange((split == k).sum()) + k for k in range(len(SPLITS))])
+    trials = Trials(
+        trial_id=torch.from_numpy(ids.astype(np.int64)),
+        object_index=torch.from_numpy(object_index[order].astype(np.int32)),
+        hand_index=torch.from_numpy(hand[order].astype(np.int32)),
+        T_world_hand=torch.from_numpy(T[order]),
+    )
+    return trials, hand_set, _labels(columns, ids, order, where)
+
+
+def _labels(columns: Columns, ids: NDArray[Any], order: NDArray[Any], where: str) -> Labels | None:
+    if "id" not in columns:
+        return None
+    texts = columns["id"][order].tolist()
+    if len(set(texts)) < len(texts):
+        twice = next(t for t in texts if texts.count(t) > 1)
+        raise FileError(f"{where}: two trials have the id {printable(twice)[:80]!r}")
+    variants = columns.get("variant", np.full(len(ids), ""))[order].tolist()
+    return {int(i): pair for i, pair in zip(ids, zip(texts, variants))}
+
+
+def listed_with_ids(listed: Trials, trial_id: torch.Tensor) -> Trials:
+    """The listed trials of these ids, in this order; ValueError for one that the list has not."""
+    ids, order = torch.sort(listed.trial_id)
+    wanted = trial_id.to(ids.device)
+    at = torch.searchsorted(ids, wanted).clamp(max=len(ids) - 1)
+    if bool((ids[at] != wanted).any()):
+        raise ValueError(
+            f"trial id {int(wanted[ids[at] != wanted][0])} is not in the list of {len(ids)} trials"
+        )
+    return listed[order[at]]
+
+
+def _check_columns(columns: Columns, where: str) -> None:
+    """Names, kinds and shapes; all of one length."""
+    hands = [n for n in POSTURE if n in columns]
+    if ("hand" in columns) == bool(hands):
+        raise FileError(f"{where}: give either hand (rows of the hand set) or pose, shape and side")
+    optional = (*LABELS, *(POSTURE if "hand" in columns else ("hand",)))
+    n = check_arrays(columns, SPECS, where, optional=optional, only=True)["N"]
+    if not 1 <= n <= MAX_TRIALS:
+        raise FileError(f"{where}: {n} trials; 1 to {MAX_TRIALS} are allowed")
+
+
+def _objects(given: NDArray[Any], objects: Sequence[ObjectModel], where: str) -> NDArray[np.int64]:
+    known = {o.name: i for i, o in enumerate(objects)}
+    names, at = np.unique(given, return_inverse=True)
+    for name in names:
+        if str(name) not in known:
+            raise FileError(
+                f"{where}: no object is called {printable(name)[:80]!r}; there are {', '.join(known)}"
+            )
+    return np.array([known[str(n)] for n in names], np.int64)[at.reshape(-1)]
+
+
+def _own_hands(columns: Columns, base: HandSet, where: str) -> tuple[HandSet, NDArray[np.int64]]:
+    """A set of the postures that the trials have, on the same hand, and each trial's row of it."""
+    if not np.isin(columns["side"], (0, 1)).all():
+        raise FileError(f"{where}: side must be 0 (right) or 1 (left)")
+    side = columns["side"].astype(np.int64)
+    # sorted by the first column: right hands first, as a set has them
+    rows = np.concatenate([side[:, None], columns["pose"], columns["shape"]], 1).astype(np.float32)
+    unique, at = np.unique(rows, axis=0, return_inverse=True)
+    try:
+        check_postures(columns["pose"], columns["shape"])
+        side, pose, shape = unique[:, 0].astype(np.int8), unique[:, 1:49], unique[:, 49:]
+        own = make_hand_set(base.model, pose, shape, side, ["listed"] * len(unique))
+    except ValueError as error:
+        raise FileError(f"{where}: {printable(error).replace('of hand', 'of trial', 1)}") from None
+    return own, at.reshape(-1)
+
+
+def _skins(columns: Columns, where: str) -> HandSet:
+    """Hands that are meshes; their columns leave."""
+    a = {k: columns.pop(k) for k in SKIN if k in columns}
+    lengths = check_arrays(a, SKIN, where)
+    if not all(lengths.values()):
+        raise FileError(f"{where}: skin has no hand, vertex or face")
+    v = lengths["V"]
+    if max(np.abs(a[k]).max() for k in ("skin", "T_hand_palm")) > FARTHEST_M:
+        raise FileError(f"{where}: skin or T_hand_palm holds numbers beyond {FARTHEST_M:g} m")
+    least = min(a[k].min() for k in ("skin_faces", "skin_piece", "skin_side"))
+    if least < 0 or a["skin_faces"].max() >= v or a["skin_side"].max() > 1:
+        raise FileError(f"{where}: skin_faces, skin_piece or skin_side name a missing row")
+    pieces = np.unique(a["skin_piece"])
+    if len(pieces) != pieces[-1] + 1 or len(pieces) > MAX_SKIN_PIECES:
+        raise FileError(
+            f"{where}: skin_piece names {len(pieces)} pieces; need 0 to {MAX_SKIN_PIECES - 1}"
+        )
+    check_poses(f"{where}: T_hand_palm", a["T_hand_palm"])
+    try:
+        return make_skin_set(*a.values())
+    except ValueError as error:
+        raise FileError(f"{where}: {printable(error)}") from None
+
+
+def _parquet(path: Path) -> Columns:
+    """The columns of a Parquet file, whose sizes are checked before anything is read."""
+    columns, counts = read_parquet_arrays(
+        path, most=1 << 30, rows=MAX_TRIALS, text=TEXTS, row_bytes=MAX_ROW_BYTES
+    )
+    for name in columns.keys() & WIDTH.keys():
+        width = WIDTH[name]
+        if not (counts.get(name, np.zeros(1)) == width).all():
+            raise FileError(f"{printable(path)}: {name} must be a list of {width} numbers a row")
+        columns[name] = columns[name].reshape(-1, *SPECS[name][1][1:])
+    return columns
+
+
+def _csv(path: Path) -> Columns:
+    found = read_csv_arrays(path, CSV)
+    if "T_world_hand" in found:
+        found["T_world_hand"] = found["T_world_hand"].reshape(-1, 4, 4)
+    return found
+
+
+READERS: dict[str, Callable[[Path], Columns]] = {
+    ".npz": lambda path: read_npz(path, most=MAX_BYTES),
+    ".parquet": _parquet,
+    ".csv": _csv,
+    ".json": read_json_arrays,
+}

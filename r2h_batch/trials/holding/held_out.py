@@ -1,0 +1,213 @@
+"""Receiving grasps that judge whether a person can take an object, and that no predictor reads.
+
+FC, Contact and Intent are shown hands drawn from `receiving.load_receiving`. A judge that used the same
+grasps would find what it had shown. These are drawn by the same rules from other random numbers,
+eight times as many; tests/methods/predictors and the import contracts keep them away from predictors.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+from torch import Tensor
+
+from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
+from r2h_batch.scene.arrays import stored_arrays
+from r2h_batch.scene.hand import HandModel, load_hand
+from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_key
+from r2h_batch.trials.holding.hand_contact import PALM, ObjectSurface, palmar_region
+from r2h_batch.trials.holding.receiving import CODE, FIELDS, FORM, VERSIONS, ReceivingGrasps
+from r2h_batch.trials.holding.sampler import NoHoldError, sample_receiving
+
+PER_SIDE = 256
+SERIES = "held out "
+
+CONTACT_M = 0.005
+"""Palmar skin this near to the surface presses on it: what `receiving.CONTACT_M` says."""
+FRICTION, CONE_EDGES = 0.6, 8
+"""Between skin and object [choice], and edges of the pyramid inside the friction cone."""
+
+G = 9.81
+
+GRAVITY = np.concatenate([np.eye(3), -np.eye(3)])
+"""(6, 3) directions of gravity in the object's frame for which the grip is computed."""
+
+TURNS, SAME_M, SAME_SHARE = 12, 0.0015, 0.97
+"""An object of revolution, turned by any of so many steps about its axis, has its surface where it was to
+1.5 mm, and the receiver's region on this share of the surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """M receiving grasps and what they need to carry their object."""
+
+    grasps: ReceivingGrasps
+    grip_n: Float32[Tensor, "m 6"]
+    """least force of the digit (or palm) that presses hardest, N, for gravity along each of
+    `GRAVITY`; inf: friction cannot carry the object"""
+    axis: Float32[Tensor, "o 3"]
+    """unit axis of each object of revolution, frame obj; 0: the object is none"""
+    axis_point: Float32[Tensor, "o 3"]
+    """a point of the axis, frame obj, m"""
+
+
+@lru_cache(maxsize=8)
+def _load(objects: tuple[ObjectModel, ...], hand: HandModel) -> HeldOut:
+    every = [_of_object(o, hand) for o in objects]
+    index = np.repeat(np.arange(len(objects), dtype=np.int32), [len(e["side"]) for e in every])
+    columns = {
+        k: torch.from_numpy(np.concatenate([e[k] for e in every])) for k in (*FIELDS, "grip_n")
+    }
+    grip = columns.pop("grip_n")
+    grasps = ReceivingGrasps(
+        torch.from_numpy(index),
+        **columns,
+        instruction=torch.zeros(len(index), dtype=torch.int32, device="cpu"),
+        hand=hand,
+    )
+    lines = np.array([revolution_axis(o) for o in objects], np.float32)
+    return HeldOut(grasps, grip, *(torch.from_numpy(lines[:, k].copy()) for k in (0, 1)))
+
+
+def load_held_out(objects: Sequence[ObjectModel], hand: HandModel | None = None) -> HeldOut:
+    """The held-out receiving grasps of these objects, `object_index` counting them in order.
+
+    Args:
+        objects: whose grasps. Those of built-in objects are stored; others are sampled once, a CPU
+            minute each, and kept on disk (`io.cache`).
+        hand: whose hands; None: the built-in one.
+
+    Returns:
+        Up to 256 grasps a side and object; none of an object that no hand can hold.
+    """
+    return _load(tuple(objects), load_hand() if hand is None else hand)
+
+
+@lru_cache(maxsize=64)
+def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
+    stored = stored_arrays("receiving", "held_out.npz")
+    if hand is load_hand() and f"{(key := stored_key(model))}/side" in stored:
+        return {k: stored[f"{key}/{k}"] for k in (*FIELDS, "grip_n")}
+    made_of = (
+        f"{object_digest(model)} {hand.digest} {code_digest(CODE, VERSIONS)} {SERIES}{PER_SIDE}"
+    )
+    key = hashlib.sha256(made_of.encode()).hexdigest()
+    form = {**FORM, "grip_n": ArraySpec("float32", ("holds", 6))}
+    return cached("held-out", key, lambda: sample_held_out(model, hand=hand), form)
+
+
+def sample_held_out(
+    model: ObjectModel, *, hand: HandModel | None = None
+) -> dict[str, NDArray[Any]]:
+    """Arrays as in `receiving.FIELDS`, and `grip_n` as in `HeldOut`."""
+    hand = load_hand() if hand is None else hand
+    try:
+        found = sample_receiving(model, hand=hand, per_side=PER_SIDE, series=SERIES)
+    except NoHoldError:
+        some = stored_arrays("receiving", "receiving.npz")
+        found = {k: some[f"{load_objects()[0].name}/{k}"][:0] for k in FIELDS}
+    none = torch.zeros(len(found["side"]), dtype=torch.int32, device="cpu")
+    skin = ReceivingGrasps(
+        none, **{k: torch.from_numpy(found[k]) for k in FIELDS}, instruction=none, hand=hand
+    ).vertices.numpy()
+    return {**found, "grip_n": grip_forces(model, skin, hand)}
+
+
+def grip_forces(
+    model: ObjectModel, skin: NDArray[np.float32], hand: HandModel
+) -> NDArray[np.float32]:
+    """(M, 6) `HeldOut.grip_n` of hands with these skins (M, V, 3), frame obj.
+
+    A linear program for each direction: every palmar skin point within `CONTACT_M` of the surface may
+    press and rub. The forces balance weight and moment about the centre of mass, and the largest sum of
+    normal forces of one region (five digits and the palm) is as small as can be. Points that lie close
+    together share a region's force: an area carries what a point could not.
+    """
+    region = palmar_region(hand)
+    palmar = np.flatnonzero(region >= 0)
+    surface = ObjectSurface(model.vertices, model.faces)
+    com, weight = np.asarray(model.com, np.float64), float(model.mass) * G
+    out = np.full((len(skin), len(GRAVITY)), np.inf, np.float32)
+    for i, points in enumerate(skin[:, palmar]):
+        distance, normal, _ = surface.distance(points, CONTACT_M)
+        touches = distance < CONTACT_M
+        if not touches.any():
+            continue
+        wrench = _edges(
+            points[touches].astype(np.float64) - com, -normal[touches].astype(np.float64)
+        )
+        of = np.repeat(region[palmar][touches], CONE_EDGES)
+        presses = (of == np.arange(PALM + 1)[:, None]).astype(np.float64)
+        n = wrench.shape[1]
+        for j, down in enumerate(GRAVITY):
+            found = linprog(
+                np.r_[np.zeros(n), 1.0],
+                A_ub=np.c_[presses, -np.ones(len(presses))],
+                b_ub=np.zeros(len(presses)),
+                A_eq=np.c_[wrench, np.zeros(6)],
+                b_eq=np.r_[-down, np.zeros(3)],  # of a weight of 1 N
+                method="highs",
+            )
+            if found.status == 0:
+                out[i, j] = weight * found.fun
+    return out
+
+
+def _edges(arm: NDArray[np.float64], inward: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(6, n * CONE_EDGES) force and moment of the friction pyramids' edges, each with 1 N along the
+    normal; moments in N times 0.1 m."""
+    inward = inward / np.linalg.norm(inward, axis=1, keepdims=True)
+    helper = np.where(np.abs(inward[:, :1]) > 0.7, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    u = np.cross(helper, inward)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(inward, u)
+    turn = 2 * np.pi * np.arange(CONE_EDGES) / CONE_EDGES
+    force = inward[:, None] + FRICTION * (
+        np.cos(turn)[:, None] * u[:, None] + np.sin(turn)[:, None] * v[:, None]
+    )
+    moment = np.cross(arm[:, None], force) / 0.1
+    return np.concatenate([force, moment], 2).reshape(-1, 6).T
+
+
+@lru_cache(maxsize=256)
+def revolution_axis(model: ObjectModel) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Unit axis and a point of it (frame obj, m), if the object and the receiver's region are the same
+    when turned about it; (0, 0, 0) twice if not.
+
+    Only axes through the centre of mass along a principal direction of the surface can be one.
+    """
+    corner = model.vertices[model.faces].astype(np.float64)
+    area = np.linalg.norm(
+        np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+    )
+    middle = corner.mean(1)
+    center = area @ middle / area.sum()
+    off = middle - center
+    spread, axes = np.linalg.eigh((off * area[:, None]).T @ off)
+    order = np.argsort([abs(spread[(k + 1) % 3] - spread[(k + 2) % 3]) for k in range(3)])
+    axis = axes[:, order[0]]
+    surface = ObjectSurface(model.vertices, model.faces)
+    rng = np.random.Generator(np.random.Philox(key=7))
+    face = rng.choice(len(area), 2000, p=area / area.sum())
+    share = rng.dirichlet(np.ones(3), len(face))
+    points = np.einsum("nk,nkd->nd", share, corner[face]) - center
+    for step in range(1, TURNS):
+        c, s = np.cos(2 * np.pi * step / TURNS), np.sin(2 * np.pi * step / TURNS)
+        turned = (
+            c * points + s * np.cross(axis, points) + (1 - c) * (points @ axis)[:, None] * axis
+        ) + center
+        distance, _, nearest = surface.distance(turned.astype(np.float32), 0.05)
+        if np.abs(distance).max() > SAME_M:
+            return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if (model.receiver_face[nearest] == model.receiver_face[face]).mean() < SAME_SHARE:
+            return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    return tuple(axis.tolist()), tuple(center.tolist())

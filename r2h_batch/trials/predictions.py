@@ -1,0 +1,404 @@
+"""A method's answers as a file: read with bounds, aligned to trials, written.
+
+An answer is a handover pose, which the evaluator plans a motion to, or a motion of the caller's own
+planner, which is judged as it is.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int64
+from torch import Tensor
+
+from r2h_batch.base.io.arrays import Spec, check_array, check_arrays, not_rigid
+from r2h_batch.base.io.read import FileError, open_file, printable, read_npz
+from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays, read_parquet_arrays
+from r2h_batch.base.io.write import write_npz
+from r2h_batch.base.validate import instance_of, text
+from r2h_batch.base.validate import path as path_rule
+from r2h_batch.base.validate_tensors import check_tensor
+from r2h_batch.types import Predictions
+from r2h_batch.verdicts import MOST_SECONDS
+
+MAX_BYTES = 8 << 30
+"""Largest declared size of a file: about 60 million trials."""
+MAX_METHOD_CHARS = 100
+MOST_SAMPLES = 4_500
+"""Of one motion: 9 s at 500 Hz, 75 s at 60 Hz."""
+
+_NEEDED = ("trial_id", "T_obj_ee", "T_world_ee")
+_POSES = ("T_obj_ee", "T_world_ee")
+_SPECS: dict[str, Spec] = {
+    "trial_id": ("iu", ("N",)), **dict.fromkeys(_POSES, ("f", ("N", 4, 4))), "t_method_s": ("f", ("N",)),
+}  # fmt: skip
+_CSV = {
+    "trial_id": ("int64", 1), **dict.fromkeys(_POSES, ("float64", 16)), "t_method_s": ("float64", 1),
+}  # fmt: skip
+_MOTION_KEYS = ("q", "time_s", "length")
+_LENGTH_OF = {"q": "length", "time_s": "length", "planned_q": "planned_length"}
+_HOW_MOTIONS = (
+    "motions need trial_id or id (N,), T_obj_ee (N,4,4), q (S,joints) rad and time_s (S,) s of all "
+    "samples one after another, length (N,) samples of each; T_world_ee (N,4,4) where a length is 0"
+)
+_HOW = {
+    "": "write np.savez(FILE, trial_id=..., T_obj_ee=..., T_world_ee=...) or r2h_batch.trials.predictions.write_predictions",
+    ".csv": "write the columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), a line for each trial",
+    ".json": 'write {"trial_id": [...], "T_obj_ee": [4 x 4, ...], "T_world_ee": [4 x 4, ...]}',
+}
+
+
+class PredictionsError(ValueError):
+    """A predictions file that cannot be scored. The message says what was found and what is
+    allowed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """Joint motions of N answers, the samples of all of them one after another."""
+
+    q: Float32[Tensor, "s j"]  # rad
+    time_s: Float32[Tensor, " s"]  # from the motion's first sample on
+    length: Int64[Tensor, " n"]  # samples; 0: the answer is a pose
+    planned_q: Float32[Tensor, "p j"] | None = None  # rad, of plans that the motions differ from
+    planned_length: Int64[Tensor, " n"] | None = None
+
+    def padded(self, rows: Tensor, device: Any = "cpu") -> dict[str, Tensor]:
+        """q (B, W, joints), time_s (B, W), length (B,) and, if there are plans, planned_q and
+        planned_length of these answers, as `Evaluator.score_motion` takes them: samples beyond the
+        length repeat the last one."""
+        at, length = _slots(self.length, rows)
+        found = {"q": self.q[at], "time_s": self.time_s[at], "length": length}
+        if self.planned_q is not None and self.planned_length is not None:
+            at, length = _slots(self.planned_length, rows)
+            found |= {"planned_q": self.planned_q[at], "planned_length": length}
+        return {name: value.to(device) for name, value in found.items()}
+
+
+def _slots(length: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """(B, W) places of the rows' samples, the last one repeated, and (B,) lengths."""
+    first, length = (length.cumsum(0) - length)[rows], length[rows]
+    slot = torch.arange(int(length.max()), dtype=torch.int64, device="cpu")
+    return first[:, None] + slot.minimum(length[:, None] - 1), length
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What a file answers: poses, motions or both."""
+
+    predictions: Predictions
+    motions: Motions | None = None
+    ids: tuple[str, ...] | None = None
+    """texts that name the trials; None: `predictions.trial_id` does"""
+
+    def named(self, trial_ids: dict[str, int] | None, source: str) -> "Answers":
+        """The same with the numbers of the trials that are named by text.
+
+        Raises:
+            PredictionsError: the trials have no texts, or a text names none of them.
+        """
+        if self.ids is None:
+            return self
+        if trial_ids is None:
+            raise PredictionsError(f"{source}: names trials by id; these trials have numbers only")
+        if unknown := [i for i in self.ids if i not in trial_ids]:
+            raise PredictionsError(f"{source}: no trial has the id {printable(unknown[0])[:80]!r}")
+        numbers = torch.tensor([trial_ids[i] for i in self.ids], dtype=torch.int64, device="cpu")
+        return replace(self, predictions=replace(self.predictions, trial_id=numbers), ids=None)
+
+
+def load_predictions(path: str | Path) -> Predictions:
+    """Read predictions from a .npz file, or a .json file of the same arrays as lists, or a .csv file
+    with the columns trial_id, T_obj_ee_0 to _15, T_world_ee_0 to _15 (row by row) and t_method_s.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The predictions, rows as in the file. The method's name defaults to the file's stem. Poses
+        that are not finite or not rigid stay: the evaluator counts them as INVALID_INPUT.
+
+    Raises:
+        PredictionsError: the file cannot be scored.
+    """
+    answers = load_answers(path)
+    if answers.motions is not None:
+        raise PredictionsError(f"{printable(path)}: holds motions; judge them with --motions")
+    if answers.ids is not None:
+        raise PredictionsError(f"{printable(path)}: names trials by id; give trial_id")
+    return answers.predictions
+
+
+def load_answers(path: str | Path) -> Answers:
+    """Read predictions as `load_predictions` does, or motions, from a .npz, .json or .parquet
+    file (docs/run_folder.md, Motions file).
+
+    Raises:
+        PredictionsError: the file cannot be scored.
+    """
+    path = path_rule("path", path)
+    suffix = path.suffix.lower()
+    how = _HOW.get(suffix, _HOW[""])
+    try:
+        arrays, method = _arrays(path, suffix)
+        shown = printable(path)
+        ids = None
+        if "id" in arrays:
+            check_array(f"{shown}: id", arrays["id"], ("U", ("N",)))
+            ids = tuple(arrays.pop("id").tolist())
+            if "trial_id" in arrays:
+                raise FileError(f"{shown}: has trial_id and id; give one of the two")
+            arrays["trial_id"] = np.arange(len(ids))
+        if not arrays.keys() & set(_MOTION_KEYS):
+            return Answers(_checked(path, arrays, method), None, ids)
+        how = _HOW_MOTIONS
+        motions = _motions(arrays, shown)
+        if "T_world_ee" not in arrays:
+            if not bool((motions.length > 0).all()):
+                raise FileError(f"{shown}: length of some trial is 0, and there is no T_world_ee")
+            arrays["T_world_ee"] = np.full((len(motions.length), 4, 4), np.nan, np.float32)
+        return Answers(_checked(path, arrays, method), motions, ids)
+    except FileError as error:
+        raise PredictionsError(f"{error}; {how}") from error
+
+
+def _motions(arrays: dict[str, Any], shown: str) -> Motions:
+    """The motions among the arrays, which lose them."""
+    if missing := [k for k in _MOTION_KEYS if k not in arrays]:
+        raise FileError(f"{shown}: has no {missing[0]}")
+    n, lengths = len(arrays.get("trial_id", ())), dict[str, int]()
+    length = _lengths("length", arrays.pop("length"), n, shown)
+    q = _samples("q", arrays.pop("q"), (int(length.sum()), "joints"), "length", shown, lengths)
+    time_s = _samples("time_s", arrays.pop("time_s"), (len(q),), "length", shown)
+    first = np.repeat((np.cumsum(length) - length)[length > 0], length[length > 0])
+    with np.errstate(over="ignore", invalid="ignore"):
+        # a time of day in float32 would have steps of milliseconds
+        found = [q.astype(np.float32), (time_s - time_s[first]).astype(np.float32), length]
+        if "planned_q" in arrays or "planned_length" in arrays:
+            plan = _lengths("planned_length", arrays.pop("planned_length", np.zeros(0)), n, shown)
+            if (odd := (plan == 0) & (length > 0)).any():
+                row = int(odd.argmax())
+                raise FileError(f"{shown}: 'planned_length' of row {row} is 0; need its plan")
+            planned = arrays.pop("planned_q", np.zeros(0))
+            planned = _samples(
+                "planned_q", planned, (int(plan.sum()), "joints"), "planned_length", shown, lengths
+            )
+            found += [planned.astype(np.float32), plan]
+    return Motions(*map(torch.from_numpy, found))
+
+
+def _lengths(key: str, value: Any, n: int, shown: str) -> Any:
+    check_array(f"{shown}: {key}", value, ("iu", (n,)))
+    odd = (value < 0) | (value == 1) | (value > MOST_SAMPLES)
+    if odd.any():
+        row = int(odd.argmax())
+        found = f"{key!r} of row {row} is {value[row]}"
+        raise FileError(f"{shown}: {found}; a motion has 2 to {MOST_SAMPLES} samples, 0: none")
+    return value.astype(np.int64)
+
+
+def _samples(
+    key: str,
+    value: Any,
+    shape: tuple[int | str, ...],
+    rows: str,
+    shown: str,
+    lengths: dict[str, int] | None = None,
+) -> Any:
+    what = f"{shown}: {key} (its rows are the sum of {rows})"
+    check_array(what, value, ("f", shape), lengths, gaps=True)
+    _check_precision(key, value, shown)
+    return value
+
+
+def _check_precision(key: str, value: Any, shown: str) -> None:
+    if value.dtype.itemsize < 4:  # steps of 0.5 mm at 1 m
+        raise FileError(f"{shown}: {key} is {value.dtype}; it must be float32 or float64")
+
+
+def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
+    """The arrays of a file, as they are, and the method's name."""
+    shown = printable(path)
+    if suffix == ".parquet":
+        return _parquet(path), path.stem
+    if suffix == ".csv":
+        arrays = read_csv_arrays(path, _CSV)
+        poses = {k: v.reshape(-1, 4, 4) for k, v in arrays.items() if v.ndim == 2}
+        return {**arrays, **poses}, path.stem
+    with open_file(path, MAX_BYTES) as file:
+        magic = file.read(16)
+    if suffix == ".json" or magic.startswith(b"PK"):
+        arrays = (
+            read_json_arrays(path)
+            if suffix == ".json"
+            else read_npz(path, most=MAX_BYTES, most_each=MAX_BYTES)
+        )
+        method = arrays.pop("method", np.array(path.stem))
+        if method.dtype.kind != "U" or method.size != 1:
+            found = f"'method' is {method.dtype} {method.shape}"
+            raise FileError(f"{shown}: {found}; it must be one string: np.array('NAME')")
+        return arrays, str(method.item())
+    what = "neither .npz, .csv nor .json"
+    if not magic:
+        what = "the file is empty (0 bytes)"
+    elif magic[:1] == b"\x80" and magic[1] < 6:
+        what = "a pickle, which can run code when read, is refused; load it yourself"
+    elif magic.startswith(b"\x93NUMPY"):
+        what = "a single .npy array; predictions need several named ones"
+    raise FileError(f"{shown}: {what}")
+
+
+def _parquet(path: Path) -> dict[str, Any]:
+    """Motions, one a row: trial_id or id, T_obj_ee (16 numbers), q (lists of joint angles), time_s (a list)."""
+    arrays, counts = read_parquet_arrays(path, most=MAX_BYTES, rows=10_000_000, text=["id"])
+    for name, length in _LENGTH_OF.items():
+        if name in counts:
+            arrays.setdefault(length, counts[name])
+    for name in arrays.keys() & {"T_obj_ee", "T_world_ee", "q", "planned_q"}:
+        size, rows = arrays[name].size, int(np.sum(counts.get(name, 0)))
+        shape = (rows, size // max(rows, 1)) if name in _LENGTH_OF else (size // 16, 4, 4)
+        if size != math.prod(shape):
+            need = "lists of one angle a joint" if name in _LENGTH_OF else "16 numbers a row"
+            raise FileError(f"{printable(path)}: {name!r} has {size} numbers; it needs {need}")
+        arrays[name] = arrays[name].reshape(shape)
+    return arrays
+
+
+def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
+    shown = printable(path)
+    if not method.strip() or len(method) > MAX_METHOD_CHARS or not method.isprintable():
+        found = f"method {printable(method[:120])!r}"
+        raise FileError(f"{shown}: {found} must be 1 to {MAX_METHOD_CHARS} printable characters")
+    optional, poses = ("t_method_s",), ("T_obj_ee", "T_world_ee", "t_method_s")
+    n = check_arrays(arrays, _SPECS, shown, optional=optional, only=True, gaps=poses)["N"]
+    ids = arrays.pop("trial_id")
+    if n == 0:
+        raise FileError(f"{shown}: no rows; give one row for each planned trial")
+    if ids.dtype == np.uint64 and ids.max() > np.iinfo(np.int64).max:
+        raise FileError(f"{shown}: 'trial_id' {ids.max()} does not fit int64")
+    for key, value in arrays.items():
+        _check_precision(key, value, shown)
+    if (seconds := arrays.get("t_method_s")) is not None:
+        odd = (seconds < 0) | (seconds > MOST_SECONDS)
+        if odd.any():
+            row = int(odd.argmax())
+            found = f"'t_method_s' of row {row} is {seconds[row]:g}"
+            raise FileError(
+                f"{shown}: {found}; 0 to {MOST_SECONDS:g} seconds are allowed, NaN where not measured"
+            )
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, an invalid pose
+        floats = {k: torch.from_numpy(np.array(v, np.float32)) for k, v in arrays.items()}
+    return Predictions(trial_id=torch.from_numpy(ids.astype(np.int64)), method=method, **floats)
+
+
+def write_predictions(path: str | Path, predictions: Predictions) -> None:
+    """Write predictions to a .npz file; `load_predictions` reads them back equal.
+
+    Args:
+        path: the file; an existing one is replaced.
+        predictions: the predictions.
+
+    Raises:
+        PredictionsError: the file has another ending.
+    """
+    path = path_rule("path", path)
+    instance_of(Predictions, "r2h_batch.Predictions(trial_id, T_obj_ee, T_world_ee)")(
+        "predictions", predictions
+    )
+    method, data = text("predictions.method", predictions.method), {}
+    for name in _SPECS:
+        value = getattr(predictions, name)
+        if value is not None or name in _NEEDED:
+            value = check_tensor(f"predictions.{name}", value, "a torch tensor of N rows")
+            data[name] = np.ascontiguousarray(value.detach().cpu().numpy())
+    if path.suffix != ".npz":
+        shown = printable(path)
+        raise PredictionsError(f"{shown}: predictions are written as .npz, not {path.suffix!r}")
+    write_npz(path, {"method": np.array(method), **data})
+
+
+def align(
+    predictions: Predictions, trial_id: torch.Tensor, *, source: str, allow_missing: bool = False
+) -> torch.Tensor:
+    """The row of `predictions` that answers each planned trial. The order of rows does not matter.
+
+    Args:
+        predictions: the answers.
+        trial_id: (N,) int64, the planned trials.
+        source: where the answers come from, for messages.
+        allow_missing: whether planned trials may have no answer.
+
+    Returns:
+        (N,) int64 row numbers, -1 where there is no answer.
+
+    Raises:
+        PredictionsError: ids are given twice, are not planned, or are missing.
+    """
+    answered, planned = predictions.trial_id.cpu().numpy(), trial_id.cpu().numpy()
+    ids, first, copies = np.unique(answered, return_index=True, return_counts=True)
+    _refuse(source, "given more than once", ids[copies > 1], "give one row for each trial")
+    unknown = "give only planned trials, or plan more of them (--splits, --trials)"
+    _refuse(source, "not in the plan", np.setdiff1d(ids, planned), unknown)
+    if len(ids) == 0:
+        return torch.full((len(planned),), -1, dtype=torch.int64, device="cpu")
+    at = np.minimum(np.searchsorted(ids, planned), len(ids) - 1)
+    found = ids[at] == planned
+    if not allow_missing:
+        how = "predict every planned trial, plan fewer (--trials), or count them as failures with --allow-missing"
+        _refuse(source, "planned but missing", planned[~found], how)
+    return torch.from_numpy(np.where(found, first[at], -1).astype(np.int64))
+
+
+LOOKS_RIGID, FAR_M, OBJECT_M = 1e-2, 10.0, 0.35
+_PIECE = 65_536  # rows looked at together, which bounds the memory
+
+
+def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str]:
+    """Warnings about the poses, one line each: how many are not rigid, are far away as in other
+    units, or look as if grasp and handover were exchanged."""
+    lines = []
+    posed = predictions if motions is None else predictions[motions.length == 0]
+    named = (("T_obj_ee", "grasps", predictions), ("T_world_ee", "handover poses", posed))
+    for name, what, given in named:
+        T, n = getattr(given, name).numpy(), len(given)
+        if not n:
+            continue
+        pieces = [_odd(T[k : k + _PIECE]) for k in range(0, n, _PIECE)]
+        off, transposed, far = (np.concatenate([p[i] for p in pieces]) for i in range(3))
+        hint = ": transposed?" if (off & transposed).any() else ""
+        for odd, words in (
+            (off, f"are not rigid poses and count as invalid{hint}"),
+            (far, f"are more than {FAR_M:g} m away: lengths are in metres"),
+        ):
+            if odd.any():
+                first = int(given.trial_id[int(odd.argmax())])
+                where = f"({name}; the first of trial {first})"
+                lines.append(f"{int(odd.sum())} of {n} {what} {where} {words}")
+    grasp, handover = (
+        np.linalg.norm(T[:, :3, 3].numpy(), axis=1) for T in (posed.T_obj_ee, posed.T_world_ee)
+    )
+    swapped = (grasp > OBJECT_M) & (handover < grasp) & (grasp < FAR_M)
+    if 2 * int(swapped.sum()) > len(posed):
+        lines.append(
+            f"most grasps (T_obj_ee) are more than {OBJECT_M:g} m from the object's origin, and"
+            " handover poses (T_world_ee) nearer to the robot's base: exchanged?"
+        )
+    return lines
+
+
+def _odd(T: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of (n, 4, 4) poses (n,) masks: not rigid; with the translation in the last row; rigid and far
+    away."""
+    off = not_rigid(T, LOOKS_RIGID)
+    transposed = (T[:, :3, 3] == 0).all(1) & (T[:, 3, :3] != 0).any(1)
+    return off, transposed, ~off & (np.abs(T[:, :3, 3]).max(1, initial=0.0) > FAR_M)
+
+
+def _refuse(source: str, what: str, ids: np.ndarray, how: str) -> None:
+    if len(ids):
+        listed = ", ".join(map(str, ids[:10].tolist())) + (", ..." if len(ids) > 10 else "")
+        count = "1 trial id is" if len(ids) == 1 else f"{len(ids)} trial ids are"
+        raise PredictionsError(f"{source}: {count} {what}: {listed}; {how}")

@@ -1,0 +1,493 @@
+"""What every picture of one trial shows: bodies, their motion, marks and a camera.
+
+`Drawing` is the one description of a trial. `view/pictures.py` draws it with MuJoCo into images
+and films; `view/page.py` draws it with viser into a browser.
+"""
+
+import re
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import product
+
+import mujoco
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from r2h_batch.scene.model_parts import VISUAL
+from r2h_batch.view.export.mjcf import MARK, checked_pairs, spec_of, trajectory
+from r2h_batch.view.export.stored import StoredTrial
+
+Array = NDArray[np.float64]
+Color = tuple[float, float, float, float]
+
+MARKS = ("target", "region", "ball", "palm", "width", "witness")
+"""Groups of marks that a viewer can show or hide."""
+RED: Color = (0.86, 0.10, 0.10, 0.85)
+SPOT_M = 0.03  # radius of the red ball where the table is met
+YELLOW: Color = (0.95, 0.80, 0.10, 0.6)
+REGION = "object/region_visual"
+FIXED = ("world", "table", "hand", "target", "target_gripper", "receiver")
+"""Bodies that stand still while the arm moves."""
+UNSEEN = ("world", "table", "receiver", "target", "target_gripper")
+"""Bodies that the camera need not have in view; the target counts where nothing moves."""
+
+ROBOT, TORSO_ROOM = np.array([0.0, 0.0, 0.5]), 0.3
+"""A point of the robot that a picture shows, and by how much the torso's box counts as larger."""
+FOV_DEG = 45.0  # vertical, of every camera
+ELEVATION_DEG = -14.0
+BOUNDS_POSTURES = 60  # of a motion that the camera's bounds are made of
+AZIMUTHS_DEG = np.arange(0, 360, 5)  # directions in which the first camera may look
+SEEN_M = 0.04  # an event is seen where nothing but what takes part stands this far before it
+NEAR_M = 0.5  # farther pairs of bodies are not called near
+COARSE_M = 0.002  # grid on which vertices of large robot meshes are joined
+COARSE_FACES = 4000  # larger meshes of the robot are coarsened
+LIFT_M = 4e-4  # the region is drawn this far outside of the object's surface
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles of a geom in the frame of its body: vertices (V, 3) m, faces (F, 3), colour."""
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+    rgba: Color
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Something drawn to explain the verdict: a surface, a ball (one point), a line or an arrow
+    (two points), with or without words beside it."""
+
+    group: str  # one of MARKS
+    rgba: Color
+    body: str = "world"  # the body in whose frame the mark stands, and with which it moves
+    geom: int = -1  # the model's geom that is a surface of this mark; -1: none
+    points: Array | None = None  # (1, 3) or (2, 3) m in the body's frame
+    radius_m: float = 0.004
+    arrow: bool = False
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera: the point it looks at (world, m), its direction and its distance from there."""
+
+    look_at: Array
+    azimuth_deg: float
+    elevation_deg: float
+    distance_m: float
+
+    @property
+    def axes(self) -> Array:
+        """Right, up and forward (3, 3) of the picture, in the world."""
+        return _axes(self.azimuth_deg, self.elevation_deg)
+
+
+@dataclass(frozen=True)
+class Witness:
+    """What the first failure is seen by.
+
+    Two bodies that overlap or are nearest to each other. Of kind `unreachable` it is the line from
+    the gripper to a target that it does not reach, of kind `reach` the gap from object to ball.
+    """
+
+    geoms: tuple[str, ...]  # names of the two collision geoms; none of a line alone
+    kind: str  # of pair, as `CollidingPair` names it, `unreachable`, `reach` or `affordance`
+    distance_m: float  # negative: they overlap by that, or the target is that far away
+    line: Array  # (2, 3) the nearest points, world, m
+
+    @property
+    def caption(self) -> str:
+        """What overlaps what, or is how far from it, in one line."""
+        if self.kind == "unreachable":
+            return f"the gripper stays {-1e3 * self.distance_m:.1f} mm from its target"
+        if self.kind == "reach":
+            return f"{1e3 * self.distance_m:.1f} mm from the object to the ball"
+        if self.kind == "affordance":
+            return f"{_geom_name(self.geoms[0])} on the receiver's part"
+        a, b = map(_geom_name, self.geoms)
+        if self.distance_m < 0:
+            return f"{a} and {b} overlap by {-1e3 * self.distance_m:.1f} mm"
+        return f"{a} and {b} are {1e3 * self.distance_m:.1f} mm apart"
+
+
+class Drawing:
+    """One trial as something to draw: its compiled model, its motion and its marks."""
+
+    ended: tuple[str, bool] | None = None
+    """what came of a motion of its own, and whether that is a success; None: the stored verdict"""
+
+    def __init__(self, stored: StoredTrial) -> None:
+        self.stored = stored
+        self.model = spec_of(stored).compile()
+        self._data = mujoco.MjData(self.model)
+        for mark in self.marks:
+            if mark.geom >= 0 and mark.group == "witness":  # MuJoCo draws marks by their group
+                self.model.geom_rgba[mark.geom], self.model.geom_group[mark.geom] = mark.rgba, MARK
+
+    def at(self, q: Array) -> mujoco.MjData:
+        """The bodies with the arm at posture q (joints,) rad; the next call overwrites them."""
+        self._data.qpos[:] = q
+        mujoco.mj_forward(self.model, self._data)
+        return self._data
+
+    def motion(self, executed: bool = True) -> tuple[Array, Array]:
+        """Times (N,) s and postures (N, joints) rad.
+
+        The executed motion where it was simulated, else (or where `executed` is false) the planned
+        one. A trial without a path has one posture: the one that its target asks for.
+        """
+        stored = self.stored
+        if not stored.moves:
+            return np.zeros(1), stored.target_q[None]
+        if executed and stored.executed_q is not None:
+            sample_s = float(stored.header["motion"]["sample_s"])
+            return np.arange(len(stored.executed_q)) * np.float64(sample_s), stored.executed_q
+        return trajectory(stored)
+
+    def moments(self, n: int) -> list[tuple[float, Array, bool]]:
+        """`n` even times (s) from the start to rest, their postures (joints,), and whether the failure
+        is seen then.
+
+        Reach and Affordance fail at the end. Where Safe fails, the nearest of the times is moved to
+        the touch.
+        """
+        row, (times, q) = self.stored.row, self.motion()
+        at = np.linspace(0.0, min(row.get("t_exec_s") or times[-1], times[-1]), n)
+        seen = at[-1] if self.witness is not None or row["outcome"] == "stability" else None
+        if row["outcome"] == "safe" and (touch := row.get("witness_time_s")) is not None:
+            seen = at[np.abs(at - touch).argmin()] = touch
+        return [(float(t), q[np.abs(times - t).argmin()], bool(t == seen)) for t in at]
+
+    @cached_property
+    def witness(self) -> Witness | None:
+        """What speaks against the posture at the target; None where nothing does but a touch on the
+        way, or where Stability fails first: the pads show that (`marks`)."""
+        stored = self.stored
+        if stored.row["outcome"] == "stability":
+            return None
+        reason, pair = (stored.row.get(k) for k in ("plan_reason", "plan_pair"))
+        if stored.moves and stored.row["outcome"] == "affordance":
+            # the part of the gripper that is nearest to the receiver's part, or deepest in its hull
+            region = int(self.model.geom(REGION).id)
+            pairs = [(g, region, "affordance") for g in self._collision_geoms()["gripper"]]
+            return self._nearest(stored.target_q, pairs)
+        if stored.moves:
+            return self._gap() if stored.row["outcome"] == "reach" else None
+        if reason in ("ik_unreachable", "ik_not_found"):
+            data = self.at(stored.target_q)
+            line = np.stack([data.site("ee").xpos, data.site("target").xpos])
+            return Witness((), "unreachable", -float(np.linalg.norm(line[1] - line[0])), line)
+        home = reason == "start_in_collision"
+        q = np.array(stored.workplace.home_q) if home else stored.target_q
+        of_body = self._collision_geoms()
+        pairs = [
+            (a, b, kind)
+            for both, kind in checked_pairs(stored.robot).items()
+            for a, b in product(*(of_body.get(name, []) for name in sorted(both)))
+        ]
+        found = self._nearest(q, [p for p in pairs if p[2] == pair])
+        # the stored pair is the last branch's; in the drawn posture another one may overlap
+        return found if found and found.distance_m < 0 else self._nearest(q, pairs)
+
+    @cached_property
+    def event(self) -> tuple[Array, Array, frozenset[str]]:
+        """Where the verdict is decided: the posture (joints,) rad, the point (3,) m in the world, and the
+        bodies that take part."""
+        stored, witness = self.stored, self.witness
+        row, q = stored.row, stored.target_q
+        if row["outcome"] == "safe" and row.get("witness_point_m"):
+            times, motion = self.motion()
+            q = motion[np.abs(times - row["witness_time_s"]).argmin()]
+            return q, np.array(row["witness_point_m"], np.float64), frozenset({"hand", "gripper"})
+        if row.get("plan_reason") == "start_in_collision":
+            q = np.array(stored.workplace.home_q)
+        if witness is None:
+            return q, self.at(q).site("ee").xpos.copy(), frozenset({"gripper", "object"})
+        bodies = (self.body_of(int(self.model.geom(name).id)) for name in witness.geoms)
+        return q, witness.line.mean(0), frozenset(bodies)
+
+    def _collision_geoms(self) -> dict[str, list[int]]:
+        """Body -> its geoms that can collide."""
+        model, found = self.model, dict[str, list[int]]()
+        for g in np.flatnonzero((model.geom_contype != 0) & (model.geom_conaffinity != 0)):
+            found.setdefault(self.body_of(int(g)), []).append(int(g))
+        return found
+
+    def _nearest(self, q: Array, pairs: Iterable[tuple[int, int, str]]) -> Witness | None:
+        """The nearest of these pairs of geoms (with its kind) at posture q; None where all are
+        farther apart than NEAR_M."""
+        model, data = self.model, self.at(q)
+        best, least = None, NEAR_M
+        for a, b, kind in pairs:
+            apart = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
+            if apart - model.geom_rbound[a] - model.geom_rbound[b] > least:
+                continue
+            line = np.zeros(6)
+            distance = mujoco.mj_geomDistance(model, data, a, b, NEAR_M, line)
+            if distance < least:
+                names, least = (model.geom(a).name, model.geom(b).name), float(distance)
+                best = Witness(names, kind, least, line.reshape(2, 3))
+        return best
+
+    def _gap(self) -> Witness:
+        """From the object's nearest point to the ball that it should meet."""
+        data, g = self.at(self.stored.target_q), int(self.model.geom("object/mesh_visual").id)
+        body, made = data.body(self.body_of(g)), self.surface(g)
+        corners = made.vertices @ body.xmat.reshape(3, 3).T + body.xpos
+        center, radius = data.site("ball").xpos.copy(), float(self.model.site("ball").size[0])
+        everywhere = np.broadcast_to(center, (len(made.faces), 3))
+        points = trimesh.triangles.closest_point(corners[made.faces], everywhere)
+        apart = np.linalg.norm(points - center, axis=1)
+        point, distance = points[apart.argmin()], float(apart.min())
+        end = center + radius / distance * (point - center)
+        return Witness((), "reach", distance - radius, np.stack([point, end]))
+
+    def surface(self, geom: int) -> Surface:
+        """A geom of the model in the frame of its body."""
+        model = self.model
+        kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            k = int(model.geom_dataid[geom])
+            v, f, name = int(model.mesh_vertadr[k]), int(model.mesh_faceadr[k]), model.mesh(k).name
+            vertices = model.mesh_vert[v : v + model.mesh_vertnum[k]]
+            faces = model.mesh_face[f : f + model.mesh_facenum[k]]
+            if name.startswith("robot_") and len(faces) > COARSE_FACES:
+                vertices, faces = _coarse_robot(vertices.tobytes(), faces.tobytes())
+            elif name == "object_region":
+                mesh = trimesh.Trimesh(vertices, faces, process=False)
+                vertices = mesh.vertices + LIFT_M * mesh.vertex_normals
+        else:
+            made = _primitive(kind, tuple(map(float, size)))
+            vertices, faces = made.vertices, made.faces
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        moved = np.asarray(vertices) @ turn.reshape(3, 3).T + model.geom_pos[geom]
+        rgba = _color(model.geom_rgba[geom])
+        return Surface(moved.astype(np.float32), np.asarray(faces, np.uint32), rgba)
+
+    def visual_geoms(self, bodies: Collection[str] | None = None) -> list[int]:
+        """Geoms that are seen, of these bodies or of all but the world."""
+        model, found = self.model, []
+        for g in range(model.ngeom):
+            body = int(model.geom_bodyid[g])
+            seen = model.geom_group[g] == VISUAL and body > 0
+            if seen and (bodies is None or model.body(body).name in bodies):
+                found.append(g)
+        return found
+
+    def body_of(self, geom: int) -> str:
+        """The name of the body that carries a geom."""
+        return str(self.model.body(int(self.model.geom_bodyid[geom])).name)
+
+    @cached_property
+    def marks(self) -> tuple[Mark, ...]:
+        """All marks of the trial.
+
+        The ghost at the target, the part that the receiver wants, the ball and the palm's normal,
+        the material between the pads, and in red what the first failure is seen by: where Stability
+        fails, pads and width. Only one red mark has words: so no two labels overlap.
+        """
+        model, row, witness = self.model, self.stored.row, self.witness
+        data, found = self.at(self.stored.target_q), []
+
+        def surface(group: str, geom: str, rgba: Color | None = None) -> None:
+            g = int(model.geom(geom).id)
+            found.append(Mark(group, rgba or _color(model.geom_rgba[g]), self.body_of(g), g))
+
+        for g in range(model.ngeom):
+            name = model.geom(g).name
+            if name.startswith("target/"):
+                surface("target", name)
+            elif name == REGION and (witness is None or name not in witness.geoms):
+                surface("region", name)
+        green = _color(model.site("ball").rgba)[:3]
+        ball, palm = data.site("ball").xpos.copy(), data.site("palm")
+        radius = float(model.site("ball").size[0])
+        found.append(Mark("ball", (*green, 0.18), points=ball[None], radius_m=radius))
+        tip = palm.xpos + 0.08 * palm.xmat.reshape(3, 3)[:, 2]
+        line = np.stack([palm.xpos, tip])
+        found.append(Mark("palm", (*green, 1.0), points=line, radius_m=0.003, arrow=True))
+        pads = [f"gripper/{side}_pad" for side in ("left", "right")]
+        fails = row["outcome"] == "stability"
+        group, color = ("witness", RED) if fails else ("width", YELLOW)
+        for pad in pads:
+            surface(group, pad, color)
+        if row.get("width_m") is not None:
+            width = row["width_m"]
+            a, b = (model.geom(pad).pos for pad in pads)
+            half = width / 2 * (b - a) / np.linalg.norm(b - a)
+            line = np.stack([(a + b) / 2 - half, (a + b) / 2 + half])
+            text = f"{1e3 * width:.1f} mm" if fails else ""
+            body = self.body_of(int(model.geom(pads[0]).id))
+            found.append(Mark(group, color, body, points=line, radius_m=0.0015, text=text))
+        if witness is not None:
+            for name, point in zip(witness.geoms, witness.line, strict=False):
+                if name.startswith("table"):  # where it is met, not all of it
+                    found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
+                else:
+                    surface("witness", name, RED)
+            found.append(Mark("witness", RED, points=witness.line, text=witness.caption))
+        elif row["outcome"] == "safe" and row.get("witness_point_m"):
+            point = np.array(row["witness_point_m"], np.float64)[None]
+            text = f"{body_name(str(row.get('witness_safe_part')))} meets the hand at {row['witness_time_s']:.1f} s"
+            found.append(Mark("witness", RED, points=point, radius_m=0.015, text=text))
+        return tuple(found)
+
+    def bounds(self, close: bool = False) -> Array:
+        """Corners (N, 3) of boxes around robot, object and hand over the whole motion; `close`:
+        around gripper, object and hand where the verdict is decided."""
+        model = self.model
+        near = ("object", "hand", "gripper")
+        names = [model.body(i).name for i in range(model.nbody)]
+        geoms = self.visual_geoms(near if close else [n for n in names if n not in UNSEEN])
+        if not self.stored.moves:
+            geoms += [m.geom for m in self.marks if m.group == "target"]
+        _, q = self.motion()
+        some = np.linspace(0, len(q) - 1, min(len(q), BOUNDS_POSTURES)).round().astype(int)
+        home = np.array(self.stored.workplace.home_q)
+        corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
+        local = model.geom_aabb[geoms, None, :3] + corners * model.geom_aabb[geoms, None, 3:]
+        points = []
+        for posture in [self.event[0]] if close else [home, *q[some]]:
+            data = self.at(posture)
+            turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
+            world = local @ turn.swapaxes(1, 2) + data.geom_xpos[geoms, None]
+            points.append(world.reshape(-1, 3))
+        return np.concatenate(points)
+
+    @cached_property
+    def sides(self) -> Array:
+        """How well the trial is seen from each of `AZIMUTHS_DEG`.
+
+        First of all the event must be seen. Then the camera stands on the receiver's side, the
+        torso hides neither hand nor object nor robot, and hand and gripper stand beside each other.
+        """
+        data = self.at(self.stored.target_q)
+        hand, target = data.geom("hand/mesh_visual").xpos.copy(), data.site("target").xpos.copy()
+        apart = (hand - target)[:2]
+        flat = apart / max(float(np.linalg.norm(apart)), 1e-6)
+        angles = np.radians(AZIMUTHS_DEG)
+        side = np.abs(np.cos(angles) * flat[1] - np.sin(angles) * flat[0])
+        hidden = [self._hidden(np.stack([hand, target, ROBOT]), float(a)) for a in AZIMUTHS_DEG]
+        behind = np.cos(angles) > 1e-9
+        seen = self._seen()
+        around = sum(np.roll(seen, k) for k in (-2, -1, 0, 1, 2)) / 5
+        best = side - 0.35 * np.cos(angles - np.pi) ** 2 - np.array(hidden)
+        return best + 16.0 * seen + around - 8.0 * behind
+
+    def _seen(self) -> Array:
+        """1 for each of `AZIMUTHS_DEG` from which the event is seen, else 0: a ray from there meets
+        nothing before it but what takes part."""
+        q, point, bodies = self.event
+        model, data, shown = self.model, self.at(q), np.array([0, 0, 0, 0, 0, 0], np.uint8)
+        shown[VISUAL] = 1
+        found, geom = np.zeros(len(AZIMUTHS_DEG)), np.zeros(1, np.int32)
+        for k, azimuth in enumerate(AZIMUTHS_DEG):
+            forward = _axes(float(azimuth), ELEVATION_DEG)[2]
+            far = mujoco.mj_ray(model, data, point - 2.0 * forward, forward, shown, 1, -1, geom)
+            free = far < 0 or far > 2.0 - SEEN_M
+            found[k] = free or self.body_of(int(geom[0])) in bodies
+        return found
+
+    def _hidden(self, points: Array, azimuth_deg: float) -> int:
+        """How many of the points (N, 3) the torso hides from a camera in that direction."""
+        if self.stored.receiver is None:
+            return 0
+        receiver = np.asarray(self.stored.receiver, np.float64)
+        middle, half, x, y = receiver[3, :3], receiver[4, :3], receiver[3, 3], receiver[4, 3]
+        R_torso_world = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
+        towards = -R_torso_world @ _axes(azimuth_deg, ELEVATION_DEG)[2]
+        start = (points - middle) @ R_torso_world.T
+        # from a point to the camera: the ray start + t towards, t > 0, meets the box where its three slabs share a piece
+        ends = (np.stack([-half, half])[:, None] * (1 + TORSO_ROOM) - start) / (towards + 1e-12)
+        first, last = ends.min(0).max(1), ends.max(0).min(1)
+        return int(((last > first) & (last > 0)).sum())
+
+
+def view_of(
+    drawings: Sequence[Drawing], aspect: float, *, close: bool = False, apart_m: float = 0.0
+) -> View:
+    """The nearest camera that has all of these trials in the picture.
+
+    Args:
+        drawings: trials, as a rule the same one of several methods.
+        aspect: width of the picture divided by its height.
+        close: see `Drawing.bounds`.
+        apart_m: how far the trials stand from each other along y.
+    """
+    points = np.concatenate([d.bounds(close) + [0, k * apart_m, 0] for k, d in enumerate(drawings)])
+    best = np.sum([d.sides for d in drawings], 0)
+    if apart_m and len(drawings) > 1:  # none stands before another
+        best = np.where(np.abs(AZIMUTHS_DEG - 180) <= 30, best, -np.inf)
+    azimuth = float(AZIMUTHS_DEG[best.argmax()])
+    axes, half = _axes(azimuth, ELEVATION_DEG), np.tan(np.radians(FOV_DEG / 2))
+    at = points @ axes.T
+    middle = (at.min(0) + at.max(0)) / 2
+    right, up, forward = (at - middle).T
+    needed = np.maximum(np.abs(right) / (half * aspect), np.abs(up) / half) - forward
+    return View(middle @ axes, azimuth, ELEVATION_DEG, float(needed.max()))
+
+
+def _axes(azimuth_deg: float, elevation_deg: float) -> Array:
+    a, e = np.radians([azimuth_deg, elevation_deg])
+    right = np.array([np.sin(a), -np.cos(a), 0.0])
+    forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    return np.stack([right, np.cross(right, forward), forward])
+
+
+def _primitive(kind: mujoco.mjtGeom, size: tuple[float, ...]) -> trimesh.Trimesh:
+    """MuJoCo's sizes: half sides of a box, radius and half length along z."""
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return trimesh.creation.box(extents=2 * np.array(size))
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return trimesh.creation.icosphere(subdivisions=2, radius=size[0])
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=32)
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        made = trimesh.creation.capsule(radius=size[0], height=2 * size[1], count=[16, 16])
+        made.apply_translation(-made.bounds.mean(0))  # versions differ in where its origin is
+        return made
+    raise ValueError(f"{kind.name} is not a shape of an exported trial")
+
+
+@lru_cache(maxsize=16)
+def _coarse_robot(vertices: bytes, faces: bytes) -> tuple[Array, NDArray[np.int64]]:
+    v = np.frombuffer(vertices, np.float32).reshape(-1, 3).astype(np.float64)
+    return coarse(v, np.frombuffer(faces, np.int32).reshape(-1, 3).astype(np.int64), COARSE_M)
+
+
+def coarse(
+    vertices: Array, faces: NDArray[np.int64], cell_m: float
+) -> tuple[Array, NDArray[np.int64]]:
+    """The surface with all vertices of a grid's cell joined to one of them: no point moves farther
+    than the cell's diagonal."""
+    mesh = trimesh.Trimesh(vertices / cell_m, faces, process=False)
+    mesh.merge_vertices(digits_vertex=0)
+    f = np.asarray(mesh.faces)
+    kept = (f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 0] != f[:, 2])
+    mesh.update_faces(kept)
+    mesh.remove_unreferenced_vertices()
+    return cell_m * np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def _color(rgba: Sequence[float]) -> Color:
+    r, g, b, a = map(float, rgba)
+    return r, g, b, a
+
+
+def body_name(part: str) -> str:
+    """A part of the robot in words, without the number of its collision body: wrist_3_0: wrist 3."""
+    return re.sub(r"_\d+$", "", part).replace("_", " ")
+
+
+def _geom_name(geom: str) -> str:
+    """robot/wrist_3_0: wrist 3; hand/index2: hand index 2; object/hull: object."""
+    owner, _, part = geom.partition("/")
+    if owner in ("object", "table"):
+        return owner
+    if owner == "robot":
+        return body_name(part)
+    return f"{owner} {re.sub(r'(?<=[a-z])(?=[0-9])', ' ', part).replace('_', ' ')}"

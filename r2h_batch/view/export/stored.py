@@ -1,0 +1,330 @@
+"""One trial of a run folder, whole: what is stored, and what is not, computed again.
+
+The built-in methods and the evaluator draw by trial number and not from a stream, so one trial
+alone gives the same bits as in its batch. `StoredTrial.note` says where a computed verdict differs
+from the stored one (another machine, another version).
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+import torch
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from r2h_batch.base import se3
+from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.io.read import FileError
+from r2h_batch.config import EvalConfig, ExecutionError, Workplace
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.execution_error import executed_poses
+from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
+from r2h_batch.runs.store import Run, load_run
+from r2h_batch.scene.robot import Robot, load_robot
+from r2h_batch.sweep.answers import AnswerError
+from r2h_batch.sweep.jobs import job_of_run
+from r2h_batch.trials.benchmark.benchmark import Benchmark
+from r2h_batch.trials.benchmark.build import BenchmarkOverrides, benchmark_of_run
+from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
+from r2h_batch.types import Predictions, Trials
+from r2h_batch.verdicts import CRITERIA, MOST_SECONDS
+
+Array = NDArray[np.float64]
+
+CHECKED_TRIALS = 20_000
+"""Runs of at most this many trials have their whole trial list compared with its digest."""
+SAME_M = 1e-6
+"""Margins that differ by no more than this are the same: float32 of numbers below 10 m."""
+UNJUDGED = ("invalid_input", "missing")
+POSES = ("T_obj_ee", "T_world_ee")
+
+
+class ExportError(ValueError):
+    """A trial that cannot be shown: the message says what is there and what to do."""
+
+
+@dataclass(frozen=True)
+class StoredTrial:
+    """One trial of one method as it was judged: what a run folder says, and the trial itself made
+    from its protocol. Poses `T_a_b` are 4x4 in metres."""
+
+    header: dict[str, Any]  # as in run.json: configuration, protocol, motion
+    method: str
+    row: dict[str, Any]  # of trials and details
+    T_obj_ee: Array  # as predicted
+    T_obj_ee_attached: Array  # after closing moved the object between the pads
+    T_world_ee: Array
+    T_world_hand: Array
+    q: Array  # (W, joints) rad, waypoints; home alone where no path was found
+    time_s: Array  # (W,)
+    executed_q: Array | None  # (S, joints) rad every `motion.sample_s` s; None: not simulated
+    object_model: Any
+    hand_set: Any = None  # None: the built-in one
+    robot: Robot = field(default_factory=load_robot)
+    workplace: Workplace = field(default_factory=Workplace)
+    receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
+    asked_q: Array | None = None  # (joints,) rad at the target, or the nearest to it; None: q[-1]
+    asked_clearance_m: float | None = None  # of that posture, where there is no path
+    planned_q: Array | None = None  # (P, joints) rad where q was executed; None: q is the plan
+    note: str = ""  # where what was computed again is not what is stored
+
+    @property
+    def target_q(self) -> Array:
+        """The posture (joints,) at the target, or the one that comes nearest to it."""
+        return self.q[-1] if self.asked_q is None else self.asked_q
+
+    @property
+    def given(self) -> bool:
+        """Whether the motion came from a file: joints move at a constant rate between samples."""
+        return self.moves and self.row["t_plan_s"] is None
+
+    @property
+    def moves(self) -> bool:
+        """Whether there is a path."""
+        return len(self.q) > 1
+
+
+class Reader:
+    """Trials of one run folder, one after the other."""
+
+    def __init__(self, run: str | Path, given: BenchmarkOverrides | None = None) -> None:
+        self.where = str(run)
+        self.run: Run = load_run(run)
+        self.given = given or BenchmarkOverrides()
+        self._rows: dict[str, Any] = {}
+
+    def method(self, word: str | None = None) -> str:
+        """The full name of a method; the only one where none is named.
+
+        Raises:
+            ExportError: no such method, several, or not all its rows are there.
+        """
+        names, folder = self.run.methods, self.run.folder
+        if word is None and len(names) == 1:
+            return str(names[0])
+        if word is None:
+            if not names:
+                raise ExportError(f"{folder}: no method is complete; run its sweep again to go on")
+            listed = ", ".join(names)
+            raise ExportError(f"{folder}: has several methods; choose one with --method: {listed}")
+        try:
+            name = str(self.run.named(word))
+        except ValueError as error:
+            raise ExportError(str(error)) from None
+        if name not in names:
+            raise ExportError(f"{folder}: {name!r} is not complete; run its sweep again to go on")
+        return name
+
+    def rows(self, method: str) -> Any:
+        """All rows of a method, a pyarrow table."""
+        if method not in self._rows:
+            self._rows[method] = self.run.trials(method)
+        return self._rows[method]
+
+    def trial(self, trial_id: int, method: str | None = None) -> StoredTrial:
+        """The trial as it was scored.
+
+        Raises:
+            ExportError: no such trial or method, it was not judged, or it cannot be computed again.
+            RunError: the run folder is damaged.
+        """
+        name, stored = self.method(method), self.run.header["stored"]
+        found = _rows(self.rows(name), trial_id)
+        if not found:
+            ids = self.rows(name)["trial_id"].to_pylist()
+            more = f", ... up to {max(ids)}" if len(ids) > 10 else ""
+            some = f"{len(ids)}: {', '.join(map(str, ids[:10])) or 'none'}{more}"
+            raise ExportError(
+                f"{self.where}: method {name!r} has no trial {trial_id}; it has {some}"
+            )
+        row = found[0]
+        if row["outcome"] in UNJUDGED:
+            words = f"was not judged ({row['outcome']}): there is nothing to show"
+            raise ExportError(f"trial {trial_id} of {name!r} {words}")
+        for details in _rows(self.run.details(name), trial_id) if "details" in stored else ():
+            row |= details
+        trial = self._trial(row)
+        poses = _rows(self.run.poses(name), trial_id) if "poses" in stored else []
+        path = _rows(self.run.paths(name), trial_id) if "paths" in stored else []
+        if not _possible(poses, path):
+            words = "no motion can be: numbers are missing, not finite or out of order"
+            raise ExportError(f"{self.where}: trial {trial_id} of {name!r} is stored as {words}")
+        answer = None
+        if poses:
+            T = {k: _tensor(poses[0][k], torch.float32).reshape(1, 4, 4) for k in POSES}
+            answer = Predictions(trial.trial_id, **T, method=name)
+        if answer is not None and path and "details" in stored:
+            own = self.benchmark
+            place = (own.objects, own.hand_set, own.robot, own.workplace)
+            return _stored(self.run.header, name, row, path[0], trial, answer, *place)
+        try:
+            header, evaluator = self.run.header, self.evaluator
+            source = self.run.entry(name).source
+            answer = answer or job_of_run(header, source, evaluator).predict(trial, None)
+        except (UsageError, AnswerError) as error:
+            words = (
+                f"are not stored, and it cannot answer again ({error}); sweep without --no-poses"
+            )
+            raise ExportError(f"{self.where}: the poses of {name!r} {words}") from error
+        return judged_again(evaluator, trial, answer, name, row=row, header=header)
+
+    @cached_property
+    def benchmark(self) -> Benchmark:
+        """The run's benchmark, compared with the run's digests."""
+        header = self.run.header
+        parts = {"plan", "execute"} <= header["configuration"].keys()
+        if not {"objects", "motion", "seed"} <= header.keys() or not parts:
+            words = "run.json lacks objects or configuration; it was not made by a sweep"
+            raise ExportError(f"{self.where}: {words}")
+        try:
+            benchmark = benchmark_of_run(header, self.given, self.where)
+        except FileError as error:
+            raise ExportError(str(error)) from None
+        # the run's trials once more, as far as that is cheap
+        counts = header["trials"]
+        listed = benchmark.listed is not None or len(set(counts.values())) == 1
+        if sum(counts.values()) <= CHECKED_TRIALS and listed:
+            trials = make_trials(list(counts), max(counts.values()), benchmark=benchmark)
+            if trials_digest(trials, objects=benchmark.objects) != header["digests"]["trials"]:
+                version, commit = header["versions"].get("r2h_batch"), header.get("git_commit")
+                words = f"was made with other trials: use r2h_batch {version} at commit {commit}"
+                raise ExportError(f"{self.where}: {words}")
+        return benchmark
+
+    @cached_property
+    def evaluator(self) -> Evaluator:
+        """An evaluator on the CPU with the run's configuration."""
+        header = self.run.header
+        try:
+            text = json.dumps(header["configuration"])
+            config = TypeAdapter(EvalConfig).validate_json(text, strict=True)
+            if config.execute.sim == "mjwarp" and header["device"]["kind"] != "cpu":
+                config = replace(config, execute=replace(config.execute, sim="mujoco"))
+            return Evaluator.from_benchmark(self.benchmark, config)
+        except ValueError as error:  # pydantic's ValidationError is one
+            what = " ".join(str(error).split())[:200]
+            words = f"its configuration cannot be judged by this version ({what})"
+            raise ExportError(f"{self.where}: {words}") from None
+
+    def _trial(self, row: dict[str, Any]) -> Trials:
+        """This row's trial, made from the protocol."""
+        objects = self.benchmark.objects
+        trial = trials_of(self.benchmark, _tensor([row["trial_id"]], torch.int64))
+        hand, name = int(trial.hand_index[0]), objects[int(trial.object_index[0])].name
+        if name != row["object"] or hand != row.get("hand_index", hand):
+            words = f"trial {row['trial_id']} is not the one of {self.run.header['protocol']!r}"
+            raise ExportError(f"{self.where}: {words}")
+        return trial.named(objects)
+
+
+def judged_again(
+    evaluator: Evaluator,
+    trial: Trials,
+    answer: Predictions,
+    method: str,
+    *,
+    row: dict[str, Any] | None = None,
+    header: dict[str, Any] | None = None,
+) -> StoredTrial:
+    """One answer judged with its motion, as if a run folder had stored it.
+
+    Args:
+        evaluator: judges the answer.
+        trial: one trial.
+        answer: one prediction for it.
+        method: the name of who answered.
+        row: what was stored of the verdict; it stands where it differs, and `note` says so.
+        header: of the run folder; the evaluator's configuration where there is none.
+    """
+    if header is None:
+        execute = evaluator.config.execute
+        sample_s = execute.step_s * execute.record_steps
+        header = {"configuration": asdict(evaluator.config), "protocol": ""}
+        header["motion"] = {"sample_s": sample_s}
+    scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, keep_motion=True)
+    names, path = TrialNames.of(evaluator.scene), path_rows(scores).to_pylist()
+    again = score_rows(trial, scores, names).to_pylist()[0]
+    again |= detail_rows(trial, scores, names).to_pylist()[0]
+    plan = CRITERIA.index("plan")
+    if path:
+        q, clearance_m = np.array(path[0]["q"][-1], np.float64), float(scores.margin[0, plan])
+    else:
+        posed = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, stages="pose")
+        q, clearance_m = posed.q_goal[0].double().cpu().numpy(), float(posed.margin[0, plan])
+    scene = evaluator.scene
+    stored = _stored(
+        header, method, again | (row or {}), path[0] if path else None, trial, answer,
+        scene.objects, scene.hands.set, scene.robot, evaluator.config.workplace,
+    )  # fmt: skip
+    note = "" if row is None else difference(row, again)
+    return replace(stored, asked_q=q, asked_clearance_m=clearance_m, note=note)
+
+
+def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:
+    """What differs between a stored verdict and the one computed here; empty where nothing does."""
+    if stored["outcome"] != again["outcome"]:
+        words = f"the outcome is {again['outcome']}, stored is {stored['outcome']}"
+        return f"computed again here {words}"
+    for name in CRITERIA:
+        a, b = (row[f"margin_{name}_m"] for row in (stored, again))
+        if (a is None) != (b is None) or (a is not None and a != b and abs(a - b) > SAME_M):
+            return f"computed again here the margin of {name} is {b} m, stored is {a} m"
+    return ""
+
+
+def _stored(
+    header: dict[str, Any], method: str, row: dict[str, Any], path: dict[str, Any] | None,
+    trial: Trials, answer: Predictions, objects: Sequence[Any], hand_set: Any, robot: Robot,
+    workplace: Workplace,
+) -> StoredTrial:  # fmt: skip
+    stored = header["configuration"].get("execution_error", {})
+    error = TypeAdapter(ExecutionError).validate_python(stored)
+    poses = executed_poses(error, answer.T_obj_ee, answer.T_world_ee, trial)
+    T_obj_ee, T_world_ee = map(_orthonormal, poses)
+    attached = T_obj_ee.copy()
+    attached[:3, 3] += T_obj_ee[:3, 1] * np.float32(row["grasp_shift_m"])
+    q = np.array(path["q"] if path else [workplace.home_q], np.float64)
+    time_s = np.array(path["time_s"] if path else [0.0], np.float64)
+    executed_q = np.array(path["executed_q"], np.float64) if path and path["executed_q"] else None
+    plan = path["planned_q"] if path else None
+    receiver = None if trial.receiver is None else trial.receiver[0].double().cpu().numpy()
+    return StoredTrial(
+        header, method, row, T_obj_ee, attached, T_world_ee, _orthonormal(trial.T_world_hand), q,
+        time_s, executed_q, objects[int(trial.object_index[0])], hand_set, robot, workplace, receiver,
+        planned_q=None if plan is None else np.array(plan, np.float64),
+    )  # fmt: skip
+
+
+def _rows(table: Any, trial_id: int) -> list[dict[str, Any]]:
+    if trial_id >= 1 << 63:  # no id is, and Arrow compares no such number
+        return []
+    rows: list[dict[str, Any]] = table.filter(pc.equal(table["trial_id"], trial_id)).to_pylist()
+    return rows
+
+
+def _possible(poses: Sequence[Mapping[str, Any]], paths: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether stored poses and paths of a judged trial are numbers that a motion can have."""
+    found = all(np.isfinite(row[k]).all() for row in poses for k in POSES)
+    for row in paths:
+        q, time_s = (np.array(row[k], np.float64) for k in ("q", "time_s"))
+        every = [q, time_s, np.array(row["executed_q"] or 0.0)]
+        found &= len(q) == len(time_s) > 0 and all(bool(np.isfinite(x).all()) for x in every)
+        found &= bool((np.diff(time_s, prepend=0.0) >= 0).all())
+        found &= bool(time_s.max(initial=0.0) <= MOST_SECONDS)
+    return found
+
+
+def _tensor(values: Any, dtype: torch.dtype) -> torch.Tensor:
+    return torch.tensor(values, dtype=dtype, device="cpu")
+
+
+def _orthonormal(T: torch.Tensor) -> Array:
+    """The first of poses (1, 4, 4) as the evaluator reads it: float32, z kept, x and y made
+    orthonormal."""
+    return se3.orthonormalise(T.cpu().float())[0].double().numpy()

@@ -1,0 +1,176 @@
+"""The commands `report` (table, page, gallery) and `figures` (the paper's). Light until there is
+work."""
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+from r2h_batch.base.command_line import LOG, UsageError
+from r2h_batch.base.io.write import check_output_file, check_output_folder, write_text
+from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
+
+MOST = 20
+"""Pictures of one method and outcome in a gallery."""
+FIGURES, ENDINGS = ("protocol", "methods", "failures"), ("pdf", "png")
+"""Files of `figures`."""
+
+
+def report(
+    runs: tuple[Path, ...],
+    /,
+    *,
+    format: Literal["md", "latex", "csv", "json", "html"] = "md",
+    by_object: bool = False,
+    columns: Literal[1, 2] = 2,
+    intervals: bool = False,
+    method: tuple[str, ...] = (),
+    gallery: int = 0,
+    perceived: bool = False,
+    out: Path | None = None,
+    overwrite: bool = False,
+    benchmark: BenchmarkFlags = BUILT_IN,
+) -> int:
+    """Print the table of run folders, or write their page.
+
+    Args:
+        runs: run folders, as `r2h-batch sweep --out` writes them: one table for all. The word
+            baselines stands for the built-in methods' rows, which ship with the package.
+        format: md, latex, csv or json; html: one page with figures and a search over trials, no
+            network needed.
+        by_object: print the rates of each object instead of Table I; in md also which criteria fail
+            together. The html page has both.
+        columns: latex: width of the table in columns of the page: 2 for all of Table I, 1 for the SR
+            of each split.
+        intervals: latex: 95 % intervals below the rates; the other formats always have them.
+        method: only these methods, by the sweep's word (fc) or the table's name; all by default.
+        gallery: html: draw this many successes and failures of each kind and method. Each picture leads
+            to a page of its trial in three dimensions, in a folder beside --out.
+        perceived: print the run's measures beside people's ratings of the paper's four methods,
+            instead of Table I; md only. It tries 256 receiving grasps for each pose: 8 ms a trial.
+        out: the file to write instead of printing.
+        overwrite: replace what is there under these names.
+        benchmark: the flags that the sweep had; none for the built-in benchmark.
+    """
+    if not 0 <= gallery <= MOST:
+        raise UsageError(f"--gallery is {gallery}; it must be 0 to {MOST}")
+    if gallery and (format != "html" or out is None):
+        words = "--format html and --out FILE.html, for the pages of its trials"
+        raise UsageError(f"--gallery needs {words}")
+    if perceived and (format != "md" or len(runs) > 1 or by_object):
+        raise UsageError("--perceived prints one run as md; leave --format and --by-object out")
+    if out is not None:
+        check_output_file(out, overwrite=overwrite)
+    if gallery and out is not None:
+        check_output_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
+    from r2h_batch.report.compare.command import load_runs, stored_rows
+    from r2h_batch.runs.store import join
+
+    loaded = load_runs(runs, method)
+    stored = join(loaded)
+    if not stored.methods:
+        raise ValueError(f"{runs[0]}: no method is complete; run its sweep again to go on")
+    if gallery and len(runs) > 1:
+        raise ValueError("--gallery shows one run; give one, or leave --gallery out")
+    if format == "html":
+        from r2h_batch.report.page import page
+        from r2h_batch.report.statistics.common import common_trials
+
+        pictures, common = None, None
+        if gallery and out:
+            from r2h_batch.scene.offscreen import ready
+            from r2h_batch.trials.benchmark.build import BenchmarkOverrides
+            from r2h_batch.view.export.stored import Reader
+            from r2h_batch.view.gallery.pictures import gallery as draw
+
+            ready()
+            if _pages(out).is_symlink():
+                what = f"{out.stem}_trials beside {out.name} is a link"
+                raise UsageError(f"{what}; its pages would be written elsewhere")
+            reader = Reader(runs[0], BenchmarkOverrides.of(benchmark))
+            own = reader.run.only(method)
+            pictures = draw(own, reader, gallery, _pages(out), out.parent)
+        try:
+            common = common_trials(loaded, proven=stored_rows())
+        except ValueError as error:
+            LOG.info(f"report: not compared with each other: {error}")
+        text = page(stored, pictures, common=common)
+    elif perceived:
+        from r2h_batch.sweep.results.reception import tables_of_run
+        from r2h_batch.sweep.study.perceived import measured_trials, of_the_paper
+        from r2h_batch.sweep.study.perceived import perceived as beside_people
+
+        rated = of_the_paper(loaded[0])
+        text = beside_people(tables_of_run(rated, benchmark, "cpu", measured_trials))
+    elif by_object:
+        from r2h_batch.report.table import object_lines
+
+        text = object_lines(stored, format)
+    else:
+        from r2h_batch.report.table import render, table_of
+
+        text = render(table_of(stored), format, columns=columns, intervals=intervals)
+    if out is None:
+        sys.stdout.write(text)
+    else:
+        write_text(out, text)
+        print(out)
+    for name in stored.unfinished:
+        missing = sum(s.last - s.first for s in stored.missing(name))
+        LOG.info(f"report: {name} is not in the table, {missing} of its trials are not scored yet")
+    return 1 if stored.unfinished else 0
+
+
+def _pages(out: Path) -> Path:
+    """The folder of a gallery's pages."""
+    return out.parent / f"{out.stem}_trials"
+
+
+def figures(
+    run: Path,
+    /,
+    *,
+    out: Path,
+    method: tuple[str, ...] = (),
+    trial: int | None = None,
+    overwrite: bool = False,
+    benchmark: BenchmarkFlags = BUILT_IN,
+) -> int:
+    """Draw the paper's figures of a run folder as PDF and PNG: protocol, methods over time, success
+    and failures.
+
+    Args:
+        run: a run folder, as `r2h-batch sweep --out` writes it; what it does not store is computed
+            again.
+        out: folder to write.
+        method: only these methods; the first one shows the protocol.
+        trial: trial id of the protocol and of the methods over time; the command chooses one by
+            default.
+        overwrite: replace figures that are there.
+        benchmark: the flags that the sweep had; none for the built-in benchmark.
+    """
+    from r2h_batch.report.figures import needs_matplotlib
+    from r2h_batch.scene.offscreen import ready
+    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
+    from r2h_batch.view.export.stored import Reader
+
+    for name in FIGURES:
+        for ending in ENDINGS:
+            check_output_file(out / f"{name}.{ending}", overwrite=overwrite)
+    needs_matplotlib()
+    reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    stored = reader.run.only(method)
+    if not stored.methods:
+        raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+    ready()
+    from r2h_batch.view.gallery import pictures
+
+    shown = stored.named(method[0]) if method else stored.methods[0]
+    drawn = (
+        pictures.protocol(stored, reader, shown, trial),
+        pictures.methods_over_time(stored, reader, stored.methods, trial),
+        pictures.failures(stored, reader, stored.methods),
+    )
+    for name, (figure, caption) in zip(FIGURES, drawn, strict=True):
+        pdf, png = pictures.write(figure, out, name)
+        print(f"{pdf}, {png.name}: {caption}")
+    return 0

@@ -1,0 +1,216 @@
+"""`r2h-batch import ...`: the commands of the importers, and `import robot`, which also solves for the
+robot and draws it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from r2h_batch.base.command_line import Command, UsageError, check_range
+from r2h_batch.base.io.write import check_output_folder
+from r2h_batch.data.command import COMMANDS as FILES
+
+if TYPE_CHECKING:
+    from r2h_batch.data.robot import Imported
+    from r2h_batch.scene.robot import Robot
+
+TARGETS = 10_000
+"""Random postures within limits whose poses the inverse kinematics is asked for."""
+PIXELS = 640
+TOO_LARGE_MM = 3.0
+
+
+def robot(
+    *,
+    base: str,
+    flange: str,
+    out: Path,
+    urdf: Path | None = None,
+    mjcf: Path | None = None,
+    srdf: Path | None = None,
+    gripper: Literal["2f85"] = "2f85",
+    fingers: str = "",
+    home: str = "",
+    name: str = "",
+    payload: float | None = None,
+    package: tuple[str, ...] = (),
+) -> int:
+    """Write an arm with a gripper as a folder for --robot: robot.yaml, robot.npz, report.json, home.png.
+
+    Args:
+        base: The link that stands on the table.
+        flange: The link that carries the gripper.
+        out: A new or empty folder.
+        urdf: The arm. Its meshes are .obj, .stl, .ply or .glb, beside it or in a --package.
+        mjcf: The arm as MuJoCo's XML, in place of --urdf. Meshes and includes lie in its folder.
+        srdf: Names postures, and pairs of links that never collide. The report compares these pairs with
+            the command's own.
+        gripper: The gripper at the flange.
+        fingers: LINK,LINK: the two links of the file's own gripper that grasp, in place of --gripper.
+        home: Posture at the start: rad with commas, as --home=-0.5,1,..., or the name of a state in --srdf.
+        name: Name of the robot in tables; by default the folder's and the gripper's.
+        payload: Payload of the arm in its data sheet, gripper included, kg.
+        package: NAME=FOLDER: the folder that package://NAME/ means.
+    """
+    from dataclasses import replace
+
+    from r2h_batch.base.io.write import write_json
+    from r2h_batch.data.robot import import_robot
+    from r2h_batch.scene.offscreen import RenderError
+    from r2h_batch.scene.robot import write_robot
+
+    if (urdf is None) == (mjcf is None):
+        raise UsageError("give the arm as --urdf FILE or as --mjcf FILE")
+    if payload is not None:
+        check_range("--payload", payload, 0.01, 1e4, " kg")
+    check_output_folder(out, overwrite=None)
+    folders = {k: Path(v) for k, _, v in (p.partition("=") for p in package)}
+    if wrong := [p for p in package if not all(p.partition("="))]:
+        raise UsageError(f"--package {wrong[0]}: write NAME=FOLDER")
+    one, _, other = fingers.partition(",")
+    if fingers and not (one and other):
+        raise UsageError(f"--fingers {fingers}: write LINK,LINK")
+    found = import_robot(
+        urdf or mjcf or Path(), name=name or f"{out.name}_{'jaws' if fingers else gripper}", base=base, flange=flange,
+        packages=folders, fingers=(one, other) if fingers else None, srdf=srdf, home=_posture(home),
+    )  # fmt: skip
+    count = missed(found.robot)
+    arm = replace(found.robot, ik_missed=(TARGETS, count), payload_kg=payload)
+    report = found.report | {"ik_targets": TARGETS, "ik_missed": count}
+    if mjcf is not None:
+        how = "2 rad/s a joint; edit max_velocity_rad_s of robot.yaml"
+        report["speeds"] = f"an MJCF has none: {how}"
+    write_robot(out, arm)
+    write_json(out / "report.json", report)
+    _tell(arm, report)
+    try:
+        draw(found, out / "home.png")
+        print(f"{arm.name}: look at {out / 'home.png'}: what the file shows, and what collides")
+    except RenderError as error:
+        print(f"{arm.name}: no home.png: {error}")
+    print(f"{arm.name}: written to {out}")
+    return 0
+
+
+def _posture(home: str) -> "tuple[float, ...] | str":
+    """Numbers, or a name."""
+    try:
+        return tuple(float(x) for x in home.split(",")) if home else ()
+    except ValueError:
+        return home
+
+
+def missed(robot: "Robot", targets: int = TARGETS) -> int:
+    """How many poses of random postures within limits the inverse kinematics finds no posture for."""
+    import numpy as np
+    import torch
+
+    from r2h_batch.judge.ik import solve_ik
+    from r2h_batch.scene.robot import ee_pose
+
+    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (targets, len(robot.joints)))
+    poses = torch.from_numpy(ee_pose(robot, q).astype(np.float32))
+    return int((~solve_ik(poses, robot=robot).reachable).sum())
+
+
+def _tell(robot: "Robot", report: dict[str, Any]) -> None:
+    """The report in lines."""
+    for link, row in report["links"].items():
+        large = row["mean_mm"] > TOO_LARGE_MM
+        print(
+            f"{link:10s} {row['primitives']} bodies, overshoot mean {row['mean_mm']:.2f} mm,"
+            f" mesh outside {max(row['worst_protrusion_mm'], 0):.3f} mm"
+            + (f"; {row['from']}" if "from" in row else "")
+            + (f"; {row['not_used']}: not used" if "not_used" in row else "")
+            + (": a body that is too large fails motions that are free" if large else "")
+        )
+    checked = {
+        " - ".join(robot.links[k] for k in sorted(pair)) for pair in robot.self_pairs.tolist()
+    }
+    for pair, why in report["pairs"].items():
+        if pair not in checked:
+            print(f"not checked: {pair}: {why}")
+    for key, words in (
+        ("off_but_checked", "the SRDF does not check, here checked"),
+        ("on_but_not_checked", "the SRDF checks, here not"),
+    ):
+        for pair, why in report.get("srdf", {}).get(key, {}).items():
+            print(f"{words}: {pair}: {why}")
+    if states := report.get("srdf", {}).get("states"):
+        print(f"postures of the SRDF, for --home: {', '.join(states)}")
+    for joint, row in report["joints"].items():
+        print(
+            f"{joint}: {row['lower_rad']:.3f} to {row['upper_rad']:.3f} rad, {row['speed_rad_s']:.3g} rad/s,"
+            f" {row['torque_nm']:.3g} N m"
+        )
+    if robot.payload_kg is not None:
+        left = f"{robot.carries_kg:.2f} kg for objects"
+        print(f"payload: {robot.payload_kg:g} kg at the flange, {left}")
+    if "speeds" in report:
+        print(f"speeds: {report['speeds']}")
+    kind = "closed form" if robot.family == "ur" else "numerical"
+    print(
+        f"{robot.name}: inverse kinematics {kind}, {report['ik_missed']} of {report['ik_targets']} reachable poses"
+        f" missed; reach {1e3 * robot.reach_m:.0f} mm, home {list(robot.home_q)} rad"
+    )
+
+
+def draw(imported: "Imported", file: Path) -> None:
+    """Writes a picture of the robot at home: what its file shows on the left, what collides on the right.
+
+    Raises:
+        RenderError: nothing draws on this machine.
+    """
+    import mujoco
+    import numpy as np
+
+    from r2h_batch.scene.model_parts import (
+        COLLISION,
+        VISUAL,
+        add_mesh,
+        add_mesh_geom,
+        add_primitive,
+    )
+    from r2h_batch.scene.offscreen import renderer
+    from r2h_batch.scene.robot import forward_kinematics, gripper_primitives_at
+    from r2h_batch.view.pictures import save_picture
+
+    robot, spec = imported.robot, mujoco.MjSpec()
+    T = forward_kinematics(robot, np.array(robot.home_q))
+    world, corners = spec.worldbody, []
+    for k, triangles in enumerate(imported.seen):
+        points = triangles.reshape(-1, 3)
+        corners.append(points @ T[k, :3, :3].T + T[k, :3, 3])
+        faces = np.arange(len(points)).reshape(-1, 3)
+        add_mesh(spec, f"seen_{k}", points, faces, convex=False)
+        add_mesh_geom(world, f"seen_{k}", f"seen_{k}", "upper_arm", T=T[k])
+    for i, link in enumerate(robot.arm.link):
+        place = T[link] @ robot.arm.T_link_prim[i]
+        add_primitive(spec, world, robot.arm, i, place, 0, 0, f"body_{i}")
+    T_ee = T[-2] @ robot.T_wrist3_ee
+    for i, place in enumerate(gripper_primitives_at(robot, robot.open_gap_m)):
+        add_primitive(spec, world, robot.gripper, i, T_ee @ place, 0, 0, f"part_{i}")
+        corners.append((T_ee @ place)[None, :3, 3])
+    for geom in spec.geoms:
+        geom.rgba[3] = 1.0
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=[1, 1, 1], rgb2=[1, 1, 1], width=16, height=96,
+    )  # fmt: skip
+    model = spec.compile()
+    model.vis.headlight.ambient[:], model.vis.headlight.diffuse[:] = 0.35, 0.6
+    model.vis.global_.offwidth = model.vis.global_.offheight = PIXELS
+    data, camera, option = mujoco.MjData(model), mujoco.MjvCamera(), mujoco.MjvOption()
+    mujoco.mj_forward(model, data)
+    low, high = np.concatenate(corners).min(0), np.concatenate(corners).max(0)
+    camera.lookat[:], camera.distance = (low + high) / 2, 1.2 * float(np.linalg.norm(high - low))
+    camera.azimuth, camera.elevation = 125.0, -15.0
+    images = []
+    with renderer(model, PIXELS, PIXELS) as drawer:
+        for group in (VISUAL, COLLISION):
+            option.geomgroup[:] = 0
+            option.geomgroup[group] = 1
+            drawer.update_scene(data, camera, option)
+            images.append(np.array(drawer.render()))
+    save_picture(file, np.concatenate(images, 1))
+
+
+COMMANDS: dict[str, Command] = {**FILES, "robot": robot}

@@ -1,0 +1,119 @@
+"""What is kept on disk: made once, by one process, and made again whenever it cannot be read or depends on other things."""
+
+import multiprocessing
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+# what goes to disk and back; the public way builds a mesh
+from r2h_batch.base.io import cache as module
+from r2h_batch.base.io.cache import SEAL, ArraySpec, cache_folder, cached
+
+KEY = "ab" * 32
+FORM = {"x": ArraySpec("float64", ("rows",)), "n": ArraySpec("text", ("names",))}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+class Maker:
+    def __init__(self) -> None:
+        self.times = 0
+
+    def __call__(self) -> dict[str, np.ndarray]:
+        self.times += 1
+        return {"x": np.arange(5.0), "n": np.array(["a", "b"])}
+
+
+def test_made_once_and_again_when_damaged_or_forbidden(folder, monkeypatch):
+    make = Maker()
+    for _ in range(2):
+        found = cached("things", KEY, make, FORM)
+        assert found["x"].tolist() == [0, 1, 2, 3, 4] and found["n"].tolist() == ["a", "b"]
+    assert make.times == 1
+    cached("things", "cd" * 32, make, FORM)
+    assert make.times == 2
+    (file,) = (folder / "things").glob(f"{KEY}.npz")
+    data = bytearray(file.read_bytes())
+    data[60] ^= 1
+    file.write_bytes(data)
+    assert cached("things", KEY, make, FORM)["x"].tolist() == [0, 1, 2, 3, 4] and make.times == 3
+    np.savez(file, x=np.array([object()], object))
+    assert cached("things", KEY, make, FORM)["x"].shape == (5,) and make.times == 4  # a pickle is not opened
+    monkeypatch.setenv("R2H_BATCH_CACHE", "off")
+    assert cache_folder() is None and cached("things", KEY, make, FORM) and make.times == 5
+    monkeypatch.setenv("R2H_BATCH_CACHE", "/dev/null/no")
+    with pytest.warns(UserWarning, match="the cache cannot be written there .Not a directory"):
+        assert cached("things", KEY, make, FORM) and make.times == 6
+    assert not list(folder.rglob(".*"))
+
+
+def _entry(folder: Path) -> Path:
+    (file,) = folder.glob(f"things/{KEY}.npz")
+    return file
+
+
+def test_an_entry_of_another_key_or_with_other_arrays_is_made_again(folder):
+    """Files that read well: swapped, changed, of another form. Nobody's word is taken for what an entry is."""
+    make = Maker()
+    cached("things", "cd" * 32, make, FORM)
+    cached("things", KEY, make, FORM)
+    file = _entry(folder)
+    good = dict(np.load(file))
+    other = {**dict(np.load(file.with_name("cd" * 32 + ".npz")))}
+    sealed = {"x": np.array([0.0, np.nan]), "n": np.array(["a"])}
+    named = {"x": np.arange(5.0), "y": np.arange(5.0)}
+    for wrong in (
+        other, {**good, "x": good["x"] + 1}, {**good, "y": good["x"]}, {k: good[k] for k in ("x", "n")},
+        *({**a, SEAL: np.array(f"things {KEY} {module._sha256(a)}")} for a in (sealed, named)),  # a seal that fits, to the wrong
+    ):  # fmt: skip
+        np.savez(file, **wrong)
+        before = make.times
+        assert cached("things", KEY, make, FORM)["x"].tolist() == [0, 1, 2, 3, 4] and make.times == before + 1
+        assert cached("things", KEY, make, FORM)["x"].tolist() == [0, 1, 2, 3, 4] and make.times == before + 1
+    assert dict(np.load(file))[SEAL] == good[SEAL]
+
+
+@pytest.mark.parametrize("there", ["pipe", "link", "folder"])
+def test_what_stands_in_the_locks_place_is_neither_followed_nor_waited_for(folder, tmp_path, there):
+    lock, precious = folder / "things" / f"{KEY}.lock", tmp_path / "precious"
+    lock.parent.mkdir(parents=True)
+    if there == "pipe":
+        os.mkfifo(lock)
+    elif there == "link":
+        lock.symlink_to(precious)
+    else:
+        lock.mkdir()
+    make = Maker()
+    for _ in range(2):
+        assert cached("things", KEY, make, FORM)["x"].shape == (5,) and make.times == 1
+    assert not precious.exists()
+
+
+def _one(folder: str, queue: "multiprocessing.Queue[int]") -> None:
+    os.environ["R2H_BATCH_CACHE"] = folder
+
+    def make() -> dict[str, np.ndarray]:
+        with (Path(folder) / "made").open("a") as f:
+            f.write(f"{os.getpid()}\n")
+        return {"x": np.arange(200_000)}
+
+    queue.put(int(cached("things", KEY, make, {"x": ArraySpec("int64", ("rows",))})["x"].sum()))
+
+
+def test_of_several_processes_one_makes_it_and_the_others_wait(folder):
+    folder.mkdir()
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    workers = [context.Process(target=_one, args=(str(folder), queue)) for _ in range(4)]
+    for w in workers:
+        w.start()
+    assert {queue.get(timeout=60) for _ in workers} == {sum(range(200_000))}
+    for w in workers:
+        w.join()
+    assert len((folder / "made").read_text().splitlines()) == 1

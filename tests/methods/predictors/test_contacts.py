@@ -1,0 +1,61 @@
+"""The contact network: its file, its training, and what is read from it."""
+
+import hashlib
+import json
+from importlib import resources
+
+import numpy as np
+import torch
+
+from r2h_batch.assets.receiving.contact_maps import contact_map, touched_points
+from r2h_batch.methods.predictors import predict_contacts
+from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD
+from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
+from r2h_batch.methods.predictors.voxnet import load_voxnet
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.holding.receiving import CONTACT_M, load_receiving, receiving_digest
+from r2h_batch.trials.protocol import make_trials
+
+FOLDER = resources.files("r2h_batch.assets.receiving")
+
+
+def test_the_stored_weights_are_the_logged_ones_and_were_trained_on_these_grasps() -> None:
+    stored, log = (FOLDER / "voxnet.safetensors").read_bytes(), json.loads((FOLDER / "voxnet.json").read_text())
+    assert len(stored) < 2_000_000 and hashlib.sha256(stored).hexdigest() == log["sha256"]
+    assert log["receiving_digest"] == receiving_digest()
+    assert log["parameters"] == sum(p.numel() for p in load_voxnet().parameters())
+
+
+def test_a_contact_map_says_where_the_grasps_touch() -> None:
+    (model,) = load_objects(["hammer"])
+    touched, grasps = touched_points(model), load_receiving([model])
+    row = 5
+    nearest = np.linalg.norm(model.points[:, None] - grasps.vertices[row].numpy()[None], axis=2).min(1)
+    assert (nearest[touched[row]] < CONTACT_M + 0.004).all()  # 4 mm: half of the longest edge of the skin
+    assert touched[row][nearest < CONTACT_M].all()
+    contact = contact_map(model)
+    assert contact.min() == 0.0 and contact.max() == 1.0
+    handle = model.receiver_face[model.point_face]
+    assert contact[handle].mean() > 5 * contact[~handle].mean()
+
+
+def test_contacts_are_read_at_the_clouds_points_and_do_not_depend_on_the_batch() -> None:
+    scene = Scene(objects=load_objects(["bowl", "hammer"]))
+    trials = make_trials(trials=4, objects=scene.objects)
+    found = predict_contacts(trials, scene)
+    assert found.shape == (len(trials), 2048) and found.dtype == torch.float32
+    for row in (0, 5):
+        model = scene.objects[int(trials.object_index[row])]
+        seen = predict_contacts(trials[row : row + 1], scene, left_out=False)[0]
+        for net, wanted in ((load_voxnet(model.name), found[row]), (load_voxnet(), seen)):  # the first never saw it
+            with torch.no_grad():
+                field = net(contact_grids([model]))[0]
+            assert torch.equal(wanted, field[tuple(voxel_of_points(model).T)])
+        assert not torch.equal(seen, found[row])
+    order = torch.tensor([5, 0, 6])
+    assert torch.equal(predict_contacts(trials[order], scene), found[order])
+    hammer = scene.objects[1]
+    handle = torch.from_numpy(hammer.receiver_face[hammer.point_face])
+    row = found[int(torch.nonzero(trials.object_index == 1)[0])]
+    assert (row[handle] >= CONTACT_THRESHOLD).float().mean() > (row[~handle] >= CONTACT_THRESHOLD).float().mean()

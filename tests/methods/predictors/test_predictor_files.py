@@ -1,0 +1,131 @@
+"""A user's own contact predictor: networks as data, code only from those whom the user trusts, one line for the rest."""
+
+import pickle
+import zipfile
+from importlib import resources
+
+import pytest
+import torch
+from needs import needs
+from onnx_files import contact_network, looping_network
+from safetensors.torch import save_file
+
+from r2h_batch.methods.predictors import PredictorError, files, load_predictor, predict_contacts
+from r2h_batch.methods.predictors.grid import contact_grids
+from r2h_batch.methods.predictors.voxnet import load_voxnet
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.scene import Scene
+from r2h_batch.sweep import command as sweep
+from r2h_batch.sweep.jobs import resolve
+from r2h_batch.sweep.options import parse
+from r2h_batch.trials.protocol import make_trials
+
+GRID = contact_grids(load_objects(["cup"]))
+
+
+def refused(path, *parts, **given):
+    with pytest.raises(PredictorError) as error:
+        load_predictor(str(path), **given)
+    message = str(error.value)
+    assert "\n" not in message and all(part in message for part in parts), message
+
+
+class Writes(torch.nn.Module):
+    """TorchScript can map a file into memory and write to it."""
+
+    def __init__(self, file: str) -> None:
+        super().__init__()
+        self.file = file
+
+    def forward(self, grid: torch.Tensor) -> torch.Tensor:
+        written = torch.from_file(self.file, True, 4, dtype=torch.uint8).fill_(88)
+        return torch.sigmoid(grid[:, 1]) + 0.0 * written.sum()
+
+
+@pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
+def test_torchscript_writes_no_file_unless_its_source_is_trusted(tmp_path, capsys):
+    victim = tmp_path / "victim.txt"
+    victim.write_text("mine")
+    torch.jit.save(torch.jit.script(Writes(str(victim))), tmp_path / "net.pt")
+    line = ["--method", "contact", "--predictor", str(tmp_path / "net.pt"), "--trials", "1", "--sim", "none"]
+    assert sweep.main([*line, "--out", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "ONNX (torch.onnx.export), or, if you trust its source, add --trust-code" in said
+    (tmp_path / "mine.yaml").write_text("trust_code: true\n")
+    assert sweep.main([*line, "--config", str(tmp_path / "mine.yaml")]) == 2
+    assert "mine.yaml: trust_code is not an option of a file; add the flag --trust-code" in capsys.readouterr().err
+    assert victim.read_text() == "mine"
+    resolve(parse([*line, "--trust-code"]))
+    load_predictor(str(tmp_path / "net.pt"), trust_code=True)(GRID)
+    assert victim.read_text() == "XXXX"
+
+
+@needs("onnxruntime")
+def test_an_onnx_network_answers_and_takes_its_weights_from_no_other_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    net = tmp_path / "net.onnx"
+    net.write_bytes(contact_network(channel=2))
+    assert torch.allclose(load_predictor("net.onnx")(GRID), torch.sigmoid(GRID[:, 2]), atol=1e-6)
+    (tmp_path / "weights.bin").write_bytes((2).to_bytes(8, "little"))
+    for file in ("weights.bin", "/dev/zero"):
+        net.write_bytes(contact_network(file=file))
+        refused("net.onnx", "keeps weights in other files")
+    net.write_bytes(contact_network(inputs=2))
+    refused("net.onnx", "2 inputs and 1 outputs; need one of each")
+    for data in (b"", contact_network()[:90], pickle.dumps(1)):
+        net.write_bytes(data)
+        refused("net.onnx", "not a readable ONNX file", "give an ONNX file")
+
+
+@needs("onnxruntime")
+def test_a_network_that_never_answers_is_ended_and_one_of_another_type_is_refused_by_its_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(files, "MOST_SECONDS", 0.5)
+    (tmp_path / "net.onnx").write_bytes(looping_network(3))
+    assert torch.equal(load_predictor("net.onnx")(GRID), GRID)
+    (tmp_path / "net.onnx").write_bytes(looping_network(1 << 62))
+    with pytest.raises(PredictorError, match=r"net.onnx: takes more than 0.5 s for 1 grids"):
+        load_predictor("net.onnx")(GRID)
+    (tmp_path / "net.onnx").write_bytes(looping_network(3, kind=7))
+    refused("net.onnx", "its input is a tensor(int64); it must be a tensor(float)")
+
+
+def test_safetensors_and_a_python_function_take_the_networks_place(tmp_path, monkeypatch):
+    scene = Scene(objects=load_objects(["hammer"]))
+    trials = make_trials(["S1"], 2, objects=scene.objects)
+    (tmp_path / "own_contacts.py").write_text("def half(grid):\n    return (grid[:, 1] > 0).float()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = predict_contacts(trials, scene, predictor=load_predictor("own_contacts:half"))
+    x = torch.from_numpy(scene.objects[0].points[:, 0])
+    assert torch.equal(found[0][x.abs() > 0.006] == 1, x[x.abs() > 0.006] > 0)
+    stored = resources.files("r2h_batch.assets.receiving") / "voxnet.safetensors"
+    (tmp_path / "own.safetensors").write_bytes(stored.read_bytes())
+    own = load_predictor(str(tmp_path / "own.safetensors"))
+    assert torch.equal(predict_contacts(trials, scene, predictor=own), predict_contacts(trials, scene, left_out=False))
+    weights = load_voxnet().state_dict()
+    del weights["out.bias"]
+    save_file({k: v.contiguous() for k, v in weights.items()}, tmp_path / "less.safetensors")
+    refused(tmp_path / "less.safetensors", "weight 'out.bias' is nothing, VoxNet needs (1,)")
+
+
+def test_files_that_are_no_network_are_refused_without_being_run(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "ran"), "w"))
+
+    (tmp_path / "net.pkl").write_bytes(pickle.dumps(Trap()))
+    torch.save({"weight": Trap()}, tmp_path / "net.pt")
+    (tmp_path / "net.bin").write_bytes(b"hello")
+    (tmp_path / "broken.safetensors").write_bytes(b"hello")
+    with zipfile.ZipFile(tmp_path / "bomb.pt", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("m/constants.pkl", b"")
+        archive.writestr("m/code/__torch__.py", bytes(50_000_000))
+    for name, message in (
+        ("net.pkl", "a pickle, which runs code when read; give an ONNX file"),
+        ("net.pt", "a torch.save file (a pickle, which runs code when read)"),
+        ("net.bin", "no network that is known here; give an ONNX file"),
+        ("broken.safetensors", "not a readable .safetensors file"),
+        ("bomb.pt", "at most 200 times"),
+    ):
+        refused(tmp_path / name, message, trust_code=True)
+    assert not (tmp_path / "ran").exists()

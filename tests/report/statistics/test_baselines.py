@@ -1,0 +1,108 @@
+"""The shipped rows of the built-in methods: whole, as the present code judges them, and comparable with a run of any size."""
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+import torch
+from made_runs import make_header, make_scores, make_trials
+
+from r2h_batch.__main__ import main
+from r2h_batch.base.schedule import PROTOCOL, trial_ids
+from r2h_batch.report.compare.command import FOLDERS, baselines_for, stored_rows
+from r2h_batch.report.statistics.common import common_trials
+from r2h_batch.report.statistics.paired import pair_up
+from r2h_batch.runs.rows import TrialNames, score_rows
+from r2h_batch.runs.store import load_run, open_run
+from r2h_batch.sweep.command import main as sweep
+from r2h_batch.sweep.options import METHODS
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
+def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
+    run = load_run(folder)
+    assert run.header["trials"] == {"S0": 500, "S1": 500} and not run.unfinished
+    assert {e.source["function"] for e in run.entries} == {
+        f"r2h_batch.methods.{m.replace('-', '_')}:predict" for m in METHODS
+    }
+    assert baselines_for(run.header) == folder
+
+
+def test_in_a_checkout_rows_of_the_runs_protocol_and_preset_are_the_baselines():
+    for protocol, preset, name in (("r2h-v0", "default", "v0"), ("r2h-v1", "paper", "v1-paper-preset")):
+        folder = baselines_for({"protocol": protocol, "configuration": {"name": preset}})
+        assert folder.name == name and load_run(folder).header["protocol"] == protocol
+        assert load_run(folder).header["configuration"]["name"] == preset and folder in stored_rows()
+
+
+def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_path, capsys, monkeypatch):
+    line = ["--method", "random", "--trials", "12", "--sim", "none", "--out", str(tmp_path / "mine")]
+    assert sweep(line) == 0
+    capsys.readouterr()
+    monkeypatch.chdir(tmp_path)
+    assert (
+        main(["compare", str(tmp_path / "mine"), "baselines", "--method", "random", "oracle", "--format", "csv"]) == 0
+    )
+    rows = {(r["group"], r["a"], r["b"]): r for r in csv.DictReader(io.StringIO(capsys.readouterr().out))}
+    assert {(a, b) for _, a, b in rows} == {
+        ("random", "oracle")
+    }  # the shipped random has the same answers and verdicts
+    assert rows["S0", "random", "oracle"]["n"] == "12" and float(rows["S0", "random", "oracle"]["difference"]) < 0
+    assert main(["compare", str(tmp_path / "mine"), "baselines", "--format", "json"]) == 0
+    whole = json.loads(capsys.readouterr().out)[-1]
+    assert [p["a"] for p in whole["pairs"]] == ["random"] * 5 and len(whole["names"]) == 6  # each baseline once
+    assert len(whole["ranked"]) == len(whole["rank"]) == 4 and not {"random", "oracle"} & set(whole["ranked"])
+    assert all(p["p_holm"] <= 5 * p["p"] + 1e-12 for p in whole["pairs"])
+    assert main(["compare", str(tmp_path / "mine"), "baselines", "--all-pairs"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert (
+        "the first 12 S0, 12 S1, which all of them hold" in text and "random is given twice, and counted once" in text
+    )
+    with pytest.raises(ValueError, match=r"differ in digests \(code\)|differ in configuration"):
+        mine, shipped = load_run(tmp_path / "mine"), load_run(FOLDERS[1])
+        mine.header["digests"]["code"] = "another"
+        common_trials([mine, shipped])
+    shipped.header["digests"]["objects"] = "others"
+    with pytest.raises(
+        ValueError, match=r"differ in digests \(objects\).*the shipped baselines have the default options"
+    ):
+        common_trials([mine, shipped], proven=FOLDERS)
+
+
+def write_protocol_run(folder, n, method, header, s1=None):
+    """A made run whose ids are the protocol's: 2 i in S0, 2 i + 1 in S1."""
+    m = n if s1 is None else s1
+    names = TrialNames(objects=("bowl", "knife"), object_splits=("S0", "S1"), hand_sides=("right", "left"))
+    trials = make_trials(n, m)
+    scores = make_scores(trials, np.random.default_rng(len(method) + n).choice([0, 2], n + m))
+    ids = torch.from_numpy(trial_ids({"S0": n, "S1": m}, 0, n + m))
+    trials.trial_id[:] = ids  # the scores' too
+    trials.object_index[:] = (ids % 2).int()
+    trials.hand_index[:] = (ids // 2 % 2).int()
+    run = open_run(folder, make_header(n, m, **header))
+    run.register(method, {"kind": "test"})
+    for shard in run.todo(method):
+        with run.write(method, shard) as writer:
+            writer.append(trials=score_rows(trials, scores, names))
+    return load_run(folder)
+
+
+def test_runs_of_different_size_are_compared_on_the_trials_that_both_hold(tmp_path):
+    same = {"protocol": PROTOCOL, "digests": {"trials": "t", "objects": "o", "hand_set": "h"}}
+    objects = [{"name": n, "split": s, "built_in": True} for s, n in (("S0", "bowl"), ("S1", "knife"))]
+    runs = [write_protocol_run(tmp_path / str(n), n, m, {**same, "objects": objects}) for m, n in (("a", 9), ("b", 5))]
+    common = common_trials(runs)
+    assert dict(common.trials) == {"S0": 5, "S1": 5} and "first 5 S0, 5 S1" in common.notes[0]
+    paired = pair_up(runs, common)
+    success = [np.array(r.trials(r.methods[0])["outcome"].to_pylist()) == "success" for r in runs]
+    kept = np.r_[0:5, 9:14]
+    assert int(paired.only.sum(0)[0, 1]) == int((success[0][kept] & ~success[1]).sum())
+    assert int(paired.trials.sum()) == 10
+    with pytest.raises(ValueError, match=r"differ in digests \(objects\)"):
+        other = {**same, "digests": {**same["digests"], "objects": "x"}, "objects": objects}
+        common_trials([runs[0], write_protocol_run(tmp_path / "x", 5, "c", other)])
+    with pytest.raises(ValueError, match="share no split"):
+        one = write_protocol_run(tmp_path / "one", 5, "c", {**same, "objects": objects}, s1=0)
+        common_trials([one, write_protocol_run(tmp_path / "two", 0, "d", {**same, "objects": objects}, s1=5)])

@@ -1,0 +1,167 @@
+"""Paired comparisons against statsmodels, by simulation, and what is refused."""
+
+import json
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+from made_runs import command, write_run
+from scipy import stats
+from statsmodels.stats.contingency_tables import mcnemar as reference_mcnemar
+from statsmodels.stats.multitest import multipletests
+
+from r2h_batch.report.statistics import paired as pairing
+from r2h_batch.report.statistics.paired import Paired
+from r2h_batch.runs.store import Run, load_run
+
+
+def paired(success, objects, split=None):
+    success = np.asarray(success, bool)
+    n = success.shape[1]
+    split = np.zeros(n, int) if split is None else np.asarray(split)
+    return Paired.of([f"m{i}" for i in range(len(success))], split, np.asarray(objects), success)
+
+
+@pytest.mark.parametrize("counts", [(0, 0), (1, 0), (5, 5), (3, 17), (40, 60), (0, 9), (200, 260)])
+def test_mcnemar_is_statsmodels_exact_test(counts):
+    expected = reference_mcnemar([[7, counts[0]], [counts[1], 11]], exact=True).pvalue
+    assert pairing.mcnemar(*counts) == pytest.approx(min(expected, 1.0), rel=1e-12)
+
+
+def test_holm_is_statsmodels_holm():
+    random = np.random.default_rng(0)
+    for n in (1, 2, 6, 15):
+        p = random.random(n) ** 3
+        p[: n // 3] = p[0]
+        assert pairing.holm(p) == pytest.approx(multipletests(p, method="holm")[1], abs=1e-15)
+
+
+def test_the_difference_and_the_discordant_trials_are_counted_on_the_same_trials():
+    a = np.array([1, 1, 1, 0, 0, 1, 1, 0], bool)
+    b = np.array([1, 0, 0, 0, 1, 1, 0, 0], bool)
+    (c,) = pairing.compare(paired([a, b], np.arange(8) % 4))
+    (pair,) = c.pairs
+    assert (pair.only_a, pair.only_b, pair.difference) == (3, 1, 25.0)
+    assert pair.p == pair.p_holm == pytest.approx(stats.binomtest(3, 4).pvalue)
+    assert c.rates == (62.5, 37.5)
+
+
+@pytest.mark.parametrize("splits", [1, 2])
+def test_the_interval_for_new_objects_covers_the_truth_and_knows_no_seed(splits):
+    """Methods whose difference varies by object: 16 drawn objects, the truth is the mean over all objects."""
+    random = np.random.default_rng(2)
+    hits, plain = 0, 0
+    runs, k, n = 300, 16, 40
+    split = np.repeat(np.arange(k) * splits // k, n)
+    for _ in range(runs):
+        rate = random.normal(0.55, 0.12, (2, k)).clip(0.02, 0.98)
+        success = (random.random((2, k, n)) < rate[:, :, None]).reshape(2, -1)
+        own = paired(success, np.repeat(np.arange(k), n), split)
+        pair, again = (pairing.compare(own, draws=2, seed=seed)[-1].pairs[0] for seed in (0, 1))
+        assert pair == again
+        hits += pair.low <= 0 <= pair.high
+        plain += pair.p >= 0.05
+    assert 0.93 < hits / runs < 0.975
+    assert plain / runs < 0.85  # McNemar speaks about these objects only and says so
+
+
+def test_the_interval_of_one_split_is_the_t_interval_of_the_objects_differences():
+    success = np.random.default_rng(3).random((2, 12 * 30)) < [[0.6], [0.4]]
+    (c,) = pairing.compare(paired(success, np.repeat(np.arange(12), 30)), draws=2)
+    means = 100 * (success[0].astype(float) - success[1]).reshape(12, 30).mean(1)
+    low, high = stats.t.interval(0.95, 11, loc=means.mean(), scale=stats.sem(means))
+    assert (c.pairs[0].low, c.pairs[0].high) == pytest.approx((low, high), abs=1e-9)
+
+
+def test_objects_and_splits_of_different_sizes_weigh_by_their_trials():
+    objects = np.repeat(np.arange(6), [5, 90, 20, 40, 1, 60])
+    split = (objects >= 3).astype(int)
+    success = np.stack([np.ones(216), np.zeros(216), objects == 1])
+    for c in pairing.compare(paired(success, objects, split)):
+        pair = c.pairs[0]
+        assert (pair.difference, pair.low, pair.high) == (100, 100, 100)
+    third = next(p for p in c.pairs if (p.a, p.b) == ("m1", "m2"))
+    assert third.difference == pytest.approx(-100 * 90 / 216) and third.low < third.difference < third.high
+
+
+def test_a_run_that_is_given_twice_is_counted_once(tmp_path, capsys):
+    """By another spelling, by a link, as a copy, scored again: each would be a method of its own in Holm's correction."""
+    random = np.random.default_rng(4)
+    rows = {m: random.choice([0, 2], 60) for m in ("m", "n")}
+    first = write_run(tmp_path / "a", rows, 30, 30, shard_trials=60).folder
+    shutil.copytree(first, tmp_path / "copy")
+    (tmp_path / "link").symlink_to(first)
+    write_run(tmp_path / "again", rows, 30, 30, shard_trials=7)
+    write_run(tmp_path / "other", {"m": rows["m"][::-1]}, 30, 30)
+    assert command("compare", first, format="json") == 0
+    once = json.loads(capsys.readouterr().out)
+    for second in (
+        first,
+        tmp_path / "." / "copy" / ".." / "a",
+        tmp_path / "link",
+        tmp_path / "copy",
+        tmp_path / "again",
+    ):
+        assert command("compare", first, second, format="json") == 0
+        captured = capsys.readouterr()
+        assert json.loads(captured.out) == once and captured.err.count("is given twice") == 2
+    assert command("compare", first, tmp_path / "copy") == 0
+    assert " ".join(capsys.readouterr().out.split()).count("is given twice, and counted once") == 2
+    assert command("compare", first, tmp_path / "other", format="json") == 0
+    assert json.loads(capsys.readouterr().out)[2]["names"] == ["m", "n", "other/m"]
+    assert command("compare", first, tmp_path / "copy", method="m") == 2
+    assert "'m' is given 2 times" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("change", ["ids", "objects"])
+def test_methods_that_answered_other_trials_are_refused(tmp_path, capsys, monkeypatch, change):
+    run = write_run(tmp_path / "a", {m: np.zeros(40, int) for m in "mn"}, 20, 20, shard_trials=7)
+    shards = Run.shards
+
+    def another(self, kind, method, columns=None):
+        for table in shards(self, kind, method, columns):
+            if method == "n" and change == "ids":
+                table = table.set_column(0, "trial_id", pc.add(table["trial_id"], 1))
+            if method == "n" and change == "objects":
+                table = table.set_column(2, "object", pa.array(["spoon"] * len(table)).dictionary_encode())
+            yield table
+
+    monkeypatch.setattr(Run, "shards", another)
+    with pytest.raises(
+        ValueError, match="other trial ids than 'm'" if change == "ids" else "n and m have other objects"
+    ):
+        pairing.pair_up([run])
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"protocol": "another"}, "protocol"),
+        ({"digests": {"trials": "f"}}, r"digests \(trials\)"),
+        ({"configuration": {"name": "paper"}}, r"configuration \(name\)"),
+    ],
+)
+def test_runs_that_were_not_asked_the_same_are_refused(tmp_path, capsys, change, what):
+    write_run(tmp_path / "a", {"m": np.zeros(4, int)}, 2, 2)
+    write_run(tmp_path / "b", {"n": np.zeros(4, int)}, 2, 2, **change)
+    assert command("compare", tmp_path / "a", tmp_path / "b") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    with pytest.raises(ValueError, match=f"differ in {what}: their trials cannot be paired"):
+        pairing.pair_up([load_run(tmp_path / n) for n in "ab"])
+
+
+def test_folders_with_other_shards_are_paired_row_by_row(tmp_path, capsys):
+    random, texts = np.random.default_rng(9), []
+    outcomes = {m: random.choice([0, 2, 5], 140) for m in "abc"}
+    for sizes in ((140, 140), (7, 33), (60, 11)):
+        folders = tuple(tmp_path / f"{sizes[0]}-{sizes[1]}" / name for name in "xy")
+        write_run(folders[0], {"a": outcomes["a"]}, 70, 70, shard_trials=sizes[0])
+        write_run(folders[1], {m: outcomes[m] for m in "bc"}, 70, 70, shard_trials=sizes[1])
+        assert command("compare", *folders, format="json") == 0
+        texts.append(capsys.readouterr().out)
+    assert texts[0] == texts[1] == texts[2]
+    pair = json.loads(texts[0])[2]["pairs"][0]
+    assert pair["only_a"] == int(((outcomes["a"] == 0) & (outcomes["b"] != 0)).sum())

@@ -1,0 +1,36 @@
+"""Direction cells never lose the farthest point. (Bounding capsules: tests/kernels/test_collision.py.)"""
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from r2h_batch.scene import bounds
+from r2h_batch.scene.objects import load_objects
+
+
+@pytest.mark.check
+def test_cells_never_lose_the_farthest_point() -> None:
+    rng = np.random.default_rng(2)
+    clouds = [o.hull_vertices.astype(np.float64) for o in load_objects(["hammer", "eyeglasses"])]
+    clouds.append(rng.normal(size=(8, 3)))
+    for points in clouds:
+        points = points[ConvexHull(points).vertices]
+        rows = bounds.support_cells(points)
+        d = rng.normal(size=(20000, 3))
+        d[:300] = np.round(d[:300])  # on cell borders
+        d = d[np.linalg.norm(d, axis=1) > 0]
+        axis = np.abs(d).argmax(1)
+        i = np.arange(len(d))
+        n = bounds.CELLS_PER_EDGE
+        u, v = (
+            np.clip((n / 2 * (1 + d[i, (axis + k) % 3] / np.abs(d[i, axis]))).astype(int), 0, n - 1) for k in (1, 2)
+        )
+        cell = ((2 * axis + (d[i, axis] < 0)) * n + u) * n + v
+        first, count = rows[cell, 0].astype(int), rows[cell, 1].astype(int)
+        k = bounds.BLOCK_POINTS
+        blocks = [rows[f : f + k * -(-c // k)].reshape(-1, 3, k) for f, c in zip(first, count, strict=True)]
+        kept = [b.transpose(0, 2, 1).reshape(-1, 3) for b in blocks]
+        assert all((x[c:] == x[c - 1]).all() for x, c in zip(kept, count, strict=True))
+        best = np.array([(x[:c] @ n).max() for x, c, n in zip(kept, count, d, strict=True)])
+        np.testing.assert_allclose(best, (points @ d.T).max(0), atol=1e-9)
+        assert count.mean() < 0.25 * len(points) or len(points) < 20

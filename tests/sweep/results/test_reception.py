@@ -1,0 +1,52 @@
+"""The command `results reception`: a table in the run folder, a funnel on the screen."""
+
+import shutil
+
+import pyarrow.parquet as pq
+import pytest
+
+from r2h_batch.__main__ import main
+from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.results.reception import SCHEMA
+
+QUICK = ["--sim", "none", "--quiet"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("reception") / "run"
+    assert (
+        main(["sweep", "--method", "random", "oracle,for=reception", "--trials", "2", "--out", str(folder), *QUICK])
+        == 0
+    )
+    return folder
+
+
+def test_every_stored_pose_has_a_row_and_the_funnel_counts_them(run, capsys):
+    assert main(["results", "reception", str(run)]) == 0
+    shown = capsys.readouterr().out
+    for entry in load_run(run).entries:
+        table = pq.read_table(run / "reception" / f"{entry.slug}.parquet")
+        assert table.schema.equals(SCHEMA) and len(table) == 4
+        rows = table.to_pylist()
+        assert all((r["grasp"] is None) == (not r["received"]) for r in rows)
+        assert all(r["n_hold"] <= r["n_arm"] <= r["known"] for r in rows)
+        judged = [r for r in rows if r["evaluated"]]
+        share = 100 * sum(r["received"] for r in judged) / len(judged)
+        line = next(
+            x for x in shown.splitlines() if x.startswith("| " + ("oracle" if "oracle" in entry.name else "random"))
+        )
+        assert f"{share:.1f}" in line and line.split("|")[2].strip() == str(len(judged))
+    best = [r for r in rows if r["success"]]
+    assert len(best) == 4 and sum(r["received"] for r in best) >= 3  # the bound
+    assert main(["results", "verify", str(run)]) == 0
+
+
+def test_a_link_in_place_of_the_tables_folder_is_refused_and_nothing_is_written_there(run, tmp_path, capsys):
+    copy, victim = tmp_path / "run", tmp_path / "victim"
+    shutil.copytree(run, copy, ignore=shutil.ignore_patterns("reception"))
+    victim.mkdir()
+    (copy / "reception").symlink_to(victim)
+    assert main(["results", "reception", str(copy)]) == 2
+    error = capsys.readouterr().err
+    assert "a symbolic link" in error and error.count("\n") == 1 and not list(victim.iterdir())

@@ -1,0 +1,258 @@
+"""Rows that the evaluator does not give again are found, whoever wrote them and however well the folder is made up."""
+
+import json
+import shutil
+from copy import copy
+from functools import partial
+
+import numpy as np
+import pytest
+from made_runs import forged, write_run
+
+from r2h_batch.__main__ import main
+from r2h_batch.closed_loop.env import LoopConfig
+from r2h_batch.closed_loop.episodes import Loop
+from r2h_batch.closed_loop.moving import ReceiverMotion
+from r2h_batch.judge.frontier.levels import planning_form
+from r2h_batch.methods import random
+from r2h_batch.runs.rows import TRIAL_SCHEMA
+from r2h_batch.runs.store import RunError, load_run
+from r2h_batch.sweep.command import main as sweep
+from r2h_batch.sweep.results import reevaluation as again
+from r2h_batch.sweep.results.reevaluation import Judge, configuration, reevaluate
+
+LINE = ["--method", "random", "--trials", "12", "--sim", "none", "--shard-trials", "9", "--save-paths"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """24 rows of `random` in 3 shards, as a sweep stores them unless told otherwise."""
+    out = tmp_path_factory.mktemp("rejudge") / "run"
+    assert sweep([*LINE, "--out", str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def judge(folder):
+    return Judge(load_run(folder))
+
+
+def test_rows_of_a_gpu_are_planned_again_in_the_form_of_a_gpu(folder, judge):
+    """Trials of `random` without a straight line to a goal: each form of the planner finds a path of its own."""
+    ids, evaluator = np.arange(64), judge.evaluator
+    answer = random.predict(judge.trials(ids), evaluator.scene, seed=7)
+    searched = evaluator.score(answer.T_obj_ee, answer.T_world_ee, judge.trials(ids)).path_len > 2
+    ids = ids[searched.numpy()][:3]
+    poses = [x[searched][:3] for x in (answer.T_obj_ee, answer.T_world_ee)]
+    with planning_form("frontier"):
+        seconds = evaluator.score(*poses, judge.trials(ids)).t_exec_s.tolist()
+    run = copy(load_run(folder))
+    object.__setattr__(run, "header", run.header | {"device": {"kind": "cuda", "name": "a GPU"}})
+    poses = [x.numpy() for x in poses]
+    assert Judge(run).tables(ids, *poses)["trials"]["t_exec_s"].to_pylist() == seconds and len(seconds) >= 2
+    assert judge.tables(ids, *poses)["trials"]["t_exec_s"].to_pylist() != seconds
+
+
+def as_success(row):
+    if row["outcome"] == "success":
+        return False
+    for name in [k.removeprefix("passed_") for k, v in row.items() if k.startswith("passed_") and v is False]:
+        row |= {f"passed_{name}": True, f"margin_{name}_m": 0.01}  # margins that go with it: the row could be a verdict
+    row["outcome"] = "success"
+    return True
+
+
+def test_every_row_of_an_honest_run_comes_out_bit_for_bit(folder, capsys, judge, monkeypatch):
+    assert main(["results", "reevaluate", str(folder), "--rows", "200"]) == 0
+    out = capsys.readouterr().out
+    assert "random: 24 of 24 rows judged again" in out and "none differs, 24 are equal bit for bit; asked again" in out
+    monkeypatch.setattr(again, "Judge", lambda *_, **__: judge)
+    assert main(["results", "reevaluate", str(folder), "--rows", "5", "--seed", "3"]) == 0
+    assert "5 of 24 rows judged again (--seed 3): none differs, 5 are equal" in capsys.readouterr().out
+
+
+def test_one_made_up_success_is_found_though_every_checksum_agrees(folder, tmp_path, capsys, judge, monkeypatch):
+    monkeypatch.setattr(again, "Judge", lambda *_, **__: judge)
+    done = []
+
+    def one(row):
+        if done or not as_success(row):
+            return False
+        done.append(row["trial_id"])
+        return True
+
+    assert forged(folder, tmp_path / "run", one) == done and len(done) == 1
+    assert main(["results", "verify", str(tmp_path / "run")]) == 0  # a checksum sees nothing
+    assert main(["results", "reevaluate", str(tmp_path / "run"), "--rows", "24"]) == 1
+    out = capsys.readouterr().out
+    assert "24 of 24 rows judged again" in out and ": 1 differs, 23 are equal bit for bit" in out
+    assert f"trial {done[0]}: outcome is stored as success, scored again it is" in out
+    told = {line.split(":")[0] for line in out.splitlines() if line.startswith("  trial")}
+    assert told == {f"  trial {done[0]}"}
+
+
+def test_episodes_are_played_again_and_a_made_up_one_is_found(tmp_path, capsys, monkeypatch):
+    run = tmp_path / "run"
+    monkeypatch.setattr("r2h_batch.closed_loop.env.LoopConfig", partial(LoopConfig, horizon_s=2.0))
+    line = ["--method", "random", "--trials", "1", "--sim", "none", "--quiet", "--receiver-motion", "moves:50mm,10deg"]
+    assert sweep([*line, "--policy", "servo", "--seed", "3", "--out", str(run)]) == 0
+    assert main(["results", "reevaluate", str(run)]) == 0
+    out = capsys.readouterr().out
+    assert "2 of 2 rows judged again" in out and "2 are equal bit for bit" in out and "episodes played again" in out
+    done = []
+
+    def won(row):
+        if done or row["end"] != "timeout":
+            return False
+        done.append(row["trial_id"])
+        row["end"] = "success"
+        return True
+
+    assert len(forged(run, tmp_path / "forged", won, "episodes")) == 1
+    assert main(["results", "reevaluate", str(tmp_path / "forged")]) == 1
+    out = capsys.readouterr().out
+    assert f"trial {done[0]}: episodes end is stored as success, scored again it is timeout" in out
+
+
+def test_a_loop_comes_back_from_its_words_and_users_policies_do_not():
+    loop = Loop(ReceiverMotion.parse("takes:50mm,10deg", 4), "replan", LoopConfig(seed=4, latency_s=0.2))
+    assert Loop.of(loop.identity) == loop
+    for words, why in (
+        (loop.identity.replace("replan", "mine.py:wait 12ab"), "mine.py:wait is not built in"),
+        (loop.identity.replace("kind takes", "kind replay"), "imported motion is not in the folder"),
+        (loop.identity.replace("rate_hz 20", "rate_hz 5000"), "no closed loop is"),
+        (loop.identity.replace("kind takes", "kind flies"), "no closed loop is"),
+        (loop.identity + ", gravity 3", "no closed loop is"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            Loop.of(words)
+
+
+def test_a_margin_moved_by_a_micrometre_is_found_here_and_by_a_millimetre_anywhere(folder, tmp_path, judge):
+    def moved(by):
+        def change(row):
+            if row["trial_id"] != 8:
+                return False
+            row["margin_stability_m"] += by
+            return True
+
+        return change
+
+    for name, by in (("micro", 1e-6), ("milli", 1e-3)):
+        forged(folder, tmp_path / name, moved(by))
+    micro, milli = (load_run(tmp_path / name) for name in ("micro", "milli"))
+    found = {}
+    assert judge.other == ()
+    for name, run in (("micro", micro), ("milli", milli)):
+        found[name] = reevaluate(run, "random", 24, judge).differences
+        assert [(d.trial_id, d.column) for d in found[name]] == [(8, "margin_stability_m")]
+    elsewhere = copy(judge)
+    elsewhere.other = ("processor",)
+    assert reevaluate(micro, "random", 24, elsewhere).differences == ()
+    assert reevaluate(milli, "random", 24, elsewhere).differences == found["milli"]
+
+
+CHANGES = {
+    "body_m": ("trials", lambda row: row | {"body_m": 0.01}),
+    "width_m": ("trials", lambda row: row | {"width_m": row["width_m"] + 2e-4}),
+    "t_exec_s": ("trials", lambda row: row | {"t_exec_s": row["t_exec_s"] and row["t_exec_s"] + 0.05}),
+    "presented_distance_m": ("trials", lambda row: row | {"presented_distance_m": None}),
+    "opening_m": ("details", lambda row: row | {"opening_m": row["opening_m"] + 2e-4}),
+    "q_goal": ("details", lambda row: row | {"q_goal": row["q_goal"] and [x + 0.01 for x in row["q_goal"]]}),
+    "witness_plan_part": ("details", lambda row: row | {"witness_plan_part": "shoulder"}),
+    "q": ("paths", lambda row: row | {"q": [[x + 0.01 for x in q] for q in row["q"]]}),
+}  # fmt: skip
+
+
+def test_what_is_judged_again_is_compared_whatever_versions_the_run_names(folder, tmp_path, judge):
+    elsewhere, run, edited = copy(judge), folder, set()
+    elsewhere.other = ("code", "torch", "processor")
+    assert reevaluate(load_run(folder), "random", 24, elsewhere).differences == ()
+    for column, (kind, change) in CHANGES.items():
+
+        def one(row, change=change):
+            new = change(row)
+            return new != dict(row) and not row.update(new)
+
+        made = tmp_path / column
+        edited |= {(i, column) for i in forged(run, made, one, kind)}
+        run = made
+    found = reevaluate(load_run(run), "random", 24, elsewhere).differences
+    assert {c for _, c in edited} == CHANGES.keys()
+    assert {(d.trial_id, d.column.rpartition(" ")[2]) for d in found} == edited
+
+
+def test_an_answer_that_is_said_to_be_missing_is_found_by_its_pose(folder, tmp_path, judge):
+    def silent(row):
+        if row["trial_id"] not in (2, 4):
+            return False
+        row |= {k: None for k in row if k not in ("trial_id", "object", "split", "side")} | {"outcome": "missing"}
+        return True
+
+    forged(folder, tmp_path / "run", silent)
+    with pytest.raises(RunError, match=r"details/random/.* holds 9 rows, planned were 7"):
+        reevaluate(load_run(tmp_path / "run"), "random", 24, judge)
+
+
+def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_name(folder, tmp_path, judge, capsys):
+    """Of seed 1 in the run of seed 0: verdicts, checksums and plan agree, only the method would not answer so."""
+    assert sweep([*LINE, "--seed", "1", "--out", str(tmp_path / "other")]) == 0
+    run = load_run(folder)
+    shutil.copytree(folder, tmp_path / "run")
+    for kind in ("trials", "details", "poses", "paths", "manifest"):
+        shutil.rmtree(tmp_path / "run" / kind)
+        shutil.copytree(tmp_path / "other" / kind, tmp_path / "run" / kind)
+    for receipt in (tmp_path / "run" / "manifest").rglob("*.json"):
+        receipt.write_text(json.dumps({**json.loads(receipt.read_text()), "run": run.header["hash"]}))
+    swapped = load_run(tmp_path / "run")
+    found = reevaluate(swapped, "random", 10, judge)
+    assert [d.column for d in found.differences] == ["answer"] * 10 and found.equal == 0
+    elsewhere = copy(judge)
+    elsewhere.other = ("processor",)
+    assert len(reevaluate(swapped, "random", 10, elsewhere).differences) == 10
+    elsewhere.other = ("code", "torch")
+    assert len(reevaluate(swapped, "random", 10, elsewhere).differences) == 10
+    file = tmp_path / "run" / "methods" / "random.json"
+    data = json.loads(file.read_text())
+    for function, words in (("oracle:predict", "is called 'oracle'"), ("no:predict", "only built-in methods can")):
+        file.write_text(json.dumps({**data, "source": {"function": f"r2h_batch.methods.{function}"}}))
+        if words.startswith("is"):
+            with pytest.raises(RunError, match=words):
+                reevaluate(load_run(tmp_path / "run"), "random", 1, judge)
+        else:
+            assert words in reevaluate(load_run(tmp_path / "run"), "random", 1, judge).asked
+    source = {"function": "r2h_batch.methods.fc:predict", "options": "bogus=1"}
+    file.write_text(json.dumps({**data, "source": source}))
+    with pytest.raises(RunError, match=r"'random' cannot be called again: .*bogus"):
+        reevaluate(load_run(tmp_path / "run"), "random", 1, elsewhere)
+
+
+def test_what_cannot_be_judged_again_is_refused_with_one_line(folder, tmp_path, capsys):
+    write_run(tmp_path / "a", {"m": np.zeros(4, int)}, 2, 2)
+    assert main(["results", "reevaluate", str(tmp_path / "a"), "--rows", "5"]) == 2
+    assert "stored without poses; sweep again without no_poses" in capsys.readouterr().err
+    assert main(["results", "reevaluate", str(folder), "--rows", "-5"]) == 2
+    assert "--rows is -5" in capsys.readouterr().err
+    assert main(["results", "reevaluate", str(folder), "--rows", "5", "--method", "fc"]) == 2
+    assert "no method 'fc'" in capsys.readouterr().err
+    assert main(["results", "reevaluate", str(folder), "--rows", "5", "--object-mesh", "mug.obj"]) == 2
+    assert "give what its sweep was given: no flag for objects" in capsys.readouterr().err
+
+
+@pytest.mark.check
+def test_a_configuration_comes_back_as_it_was_or_is_refused(tmp_path):
+    from dataclasses import asdict
+
+    from r2h_batch.config import EvalConfig
+
+    for name in ("default", "paper"):
+        config = EvalConfig.preset(name)
+        assert configuration(json.loads(json.dumps(asdict(config))), "run") == config
+    data = json.loads(json.dumps(asdict(EvalConfig())))
+    for wrong in ({"chunk": "many"}, {"chunk": 0}, {"gravity": 9.81}, {"width": "lips"}):
+        with pytest.raises(RunError, match="run: its configuration"):
+            configuration({**data, **wrong}, "run")
+    data.pop("stability")
+    with pytest.raises(RunError, match="of another version: stability"):
+        configuration(data, "run")
+    assert set(again.COMPARED["trials"]) == set(TRIAL_SCHEMA.names) - {"t_plan_s", "t_method_s"}

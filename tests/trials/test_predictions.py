@@ -1,0 +1,105 @@
+"""Predictions files: every fault of rows 12 to 16 of the fault matrix is refused with a line that says what to do."""
+
+import numpy as np
+import pytest
+import torch
+from made_runs import make_predictions, make_trials
+from prediction_files import arrays, refused, store
+
+from r2h_batch.trials.predictions import PredictionsError, align, doubts, load_predictions, write_predictions
+from r2h_batch.types import Predictions
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_written_predictions_are_read_back_equal(tmp_path, timed):
+    n = 33
+    seconds = torch.arange(n, dtype=torch.float32) if timed else None
+    made = make_predictions(make_trials(n, 0), method="Contact-Handover (é)")
+    made = Predictions(made.trial_id, made.T_obj_ee, made.T_world_ee, seconds, made.method)
+    write_predictions(tmp_path / "p.npz", made)
+    read = load_predictions(tmp_path / "p.npz")
+    assert read.method == made.method
+    for name in ("trial_id", "T_obj_ee", "T_world_ee"):
+        assert getattr(read, name).numpy().tobytes() == getattr(made, name).numpy().tobytes()
+        assert getattr(read, name).dtype == getattr(made, name).dtype
+    assert (read.t_method_s is None) if seconds is None else torch.equal(read.t_method_s, seconds)
+    assert [p.name for p in tmp_path.iterdir()] == ["p.npz"]
+
+
+# --- schema ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "parts"),
+    [
+        ({"T_world_ee": None}, ["has no T_world_ee"]),
+        ({"T_obj_eee": np.zeros(3)}, ["unknown", "T_obj_eee", "allowed are trial_id"]),
+        ({"T_obj_ee": np.zeros((5, 3, 4), np.float32)}, ["T_obj_ee is (5, 3, 4)", "need 5 x 4 x 4"]),
+        ({"T_obj_ee": np.zeros((5, 4, 4), int)}, ["T_obj_ee", "int64", "float32 or float64"]),
+        ({"trial_id": np.arange(5.0)}, ["trial_id", "float64", "whole numbers"]),
+        ({"trial_id": np.full(5, 2**63, np.uint64)}, ["does not fit int64"]),
+        ({"t_method_s": np.full(5, -1.0)}, ["'t_method_s'", "is -1; 0 to 1e+09"]),
+    ],
+    ids=str,
+)
+def test_a_wrong_schema_is_refused_naming_file_key_and_what_is_allowed(tmp_path, changes, parts):
+    refused(store(tmp_path / "p.npz", arrays(**changes)), *parts)
+
+
+# --- trials ------------------------------------------------------------------------------------------------------
+
+
+def predictions_for(ids) -> Predictions:
+    ids = torch.tensor(ids, dtype=torch.int64)
+    poses = torch.zeros(len(ids), 4, 4)
+    return Predictions(ids, poses, poses)
+
+
+def test_rows_in_any_order_are_aligned_by_trial_id():
+    planned = torch.tensor([10, 11, 12, 500, 501])
+    given = predictions_for([501, 11, 500, 12, 10])
+    rows = align(given, planned, source="p.npz")
+    assert torch.equal(given.trial_id[rows], planned)
+
+
+@pytest.mark.parametrize(
+    ("given", "count", "what", "listed"),
+    [
+        ([*range(40), *range(30)], 30, "given more than once", "0, 1, 2, 3, 4, 5, 6, 7, 8, 9, ...;"),
+        ([*range(41)], 1, "not in the plan", "40;"),
+    ],
+)
+def test_duplicate_and_unknown_ids_are_refused_with_the_first_ten(given, count, what, listed):
+    with pytest.raises(PredictionsError) as error:
+        align(predictions_for(given), torch.arange(40), source="my.npz", allow_missing=True)
+    ids = "1 trial id is" if count == 1 else f"{count} trial ids are"
+    assert str(error.value).startswith(f"my.npz: {ids} {what}: {listed}")
+
+
+def test_missing_ids_are_refused_with_the_first_ten_and_the_flag_that_allows_them():
+    with pytest.raises(PredictionsError) as error:
+        align(predictions_for(range(20, 40)), torch.arange(40), source="my.npz")
+    assert str(error.value).startswith(
+        "my.npz: 20 trial ids are planned but missing: 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, ...;"
+    )
+    assert "--allow-missing" in str(error.value)
+
+
+def test_poses_in_millimetres_and_transposed_ones_are_said_before_they_are_scored():
+    """The table would be one of zeros, and the file would look as if it had been understood."""
+    T = torch.eye(4).repeat(5, 1, 1)
+    T[:, :3, 3] = torch.tensor([0.4, 0.1, 0.5])
+    ids = torch.tensor([7, 3, 0, 1, 2])
+    assert doubts(Predictions(ids, T, T)) == []
+    T_bad, far = T.clone(), T.clone()
+    T_bad[1:, :3, 3], T_bad[1:, 3, :3] = 0.0, T[1:, :3, 3]
+    far[2:, :3, 3] *= 1000
+    assert doubts(Predictions(ids, T_bad, far)) == [
+        "4 of 5 grasps (T_obj_ee; the first of trial 3) are not rigid poses and count as invalid: transposed?",
+        "3 of 5 handover poses (T_world_ee; the first of trial 0) are more than 10 m away: lengths are in metres",
+    ]
+    far[0, 0, 0] = torch.nan
+    assert (
+        "1 of 5 handover poses (T_world_ee; the first of trial 7) are not rigid poses"
+        in doubts(Predictions(ids, T, far))[0]
+    )

@@ -1,0 +1,80 @@
+"""Predictions as CSV and JSON: the same rows as a binary file's, and refused as strictly."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from prediction_files import arrays, refused
+
+from r2h_batch.trials.predictions import load_predictions
+
+GOOD = {name: array.tolist() for name, array in arrays(3).items()}
+
+
+def test_json_gives_the_same_bits_as_a_binary_file(tmp_path):
+    data = arrays(4, T_obj_ee=np.full((4, 4, 4), np.float32(1 / 3)), t_method_s=np.array([0.5, np.nan, 1, 2]))
+    np.savez(tmp_path / "p.npz", **data)
+    text = {name: array.tolist() for name, array in data.items()}
+    (tmp_path / "p.json").write_text(json.dumps({"method": "mine", **text}))
+    wanted, found = load_predictions(tmp_path / "p.npz"), load_predictions(tmp_path / "p.json")
+    assert found.method == "mine" and torch.equal(found.trial_id, wanted.trial_id)
+    for name in ("T_obj_ee", "T_world_ee", "t_method_s"):
+        assert torch.equal(getattr(found, name).nan_to_num(7), getattr(wanted, name).nan_to_num(7))
+
+
+def as_csv(data, **columns):
+    """The text of a CSV file: arrays as columns, and other columns by name."""
+    table = {"trial_id": data["trial_id"].tolist()}
+    for name in ("T_obj_ee", "T_world_ee"):
+        table |= {f"{name}_{k}": data[name].reshape(-1, 16)[:, k].tolist() for k in range(16)}
+    table |= columns
+    return "\n".join([",".join(table), *(",".join(map(str, row)) for row in zip(*table.values(), strict=True))])
+
+
+def test_csv_gives_the_same_bits_as_a_binary_file(tmp_path):
+    data = arrays(4, T_obj_ee=np.full((4, 4, 4), np.float32(1 / 3)))
+    np.savez(tmp_path / "p.npz", **data)
+    (tmp_path / "p.csv").write_text(as_csv(data, t_method_s=[0.5, "nan", 1, 2]), encoding="utf-8-sig")
+    wanted, found = load_predictions(tmp_path / "p.npz"), load_predictions(tmp_path / "p.csv")
+    assert found.method == "p" and found.t_method_s.isnan().tolist() == [False, True, False, False]
+    for name in ("trial_id", "T_obj_ee", "T_world_ee"):
+        assert torch.equal(getattr(found, name), getattr(wanted, name))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("trial_id", "trial"), "column 'trial' is unknown; allowed are trial_id, T_obj_ee"),
+        (("\n0,", "\nx,"), "no readable CSV (In CSV column #0"),
+        (("\n0,", "\n,"), "trial_id is empty in 1 rows"),
+    ],
+)
+def test_csv_that_cannot_be_scored_is_refused_by_its_column(change, words, tmp_path):
+    (tmp_path / "p.csv").write_text(as_csv(arrays(1)).replace(*change))
+    refused(tmp_path / "p.csv", words, "write the columns trial_id")
+
+
+BAD = {
+    "must hold an object of lists": [GOOD],
+    "unknown array 'methods'": GOOD | {"methods": "x"},
+    "'T_obj_ee' is not a list of numbers or texts of one shape": GOOD | {"T_obj_ee": [[1.0], [2.0, 3.0], []]},
+    "T_world_ee is (3, 4, 4) ": GOOD | {"T_world_ee": [[["1"] * 4] * 4] * 3},
+    "has no T_world_ee": {k: v for k, v in GOOD.items() if k != "T_world_ee"},
+}
+
+
+@pytest.mark.parametrize("words", BAD)
+def test_json_that_cannot_be_scored_is_refused_by_its_name_and_told_how_it_is_written(words, tmp_path):
+    (tmp_path / "p.json").write_text(json.dumps(BAD[words]))
+    refused(tmp_path / "p.json", words, 'write {"trial_id"')
+
+
+@pytest.mark.parametrize("data", [b"[" * 200_000, b'{"trial_id": [], "trial_id": []}', b"nonsense", None])
+def test_hostile_text_is_refused_in_one_line_before_it_is_parsed(tmp_path, data):
+    path = tmp_path / "p.json"
+    path.write_bytes(data or b"")
+    if data is None:
+        with path.open("wb") as file:
+            file.truncate(1 << 41)
+    assert len(refused(path)) < 700
