@@ -24,6 +24,9 @@ class CriterionEntry(NamedTuple):
     color: str  # in charts
     splits: tuple[str, ...]  # in which every success must have been judged by it
     touching_passes: bool  # whether a margin of exactly 0 passes
+    since: str = (
+        ""  # the first version that judges by it; empty: all do. Older rows are not judged by it
+    )
 
 
 REGISTRY = (

@@ -1,5 +1,4 @@
-"""Scores as table rows: the documented Parquet schemas of a run folder and the way from tensors to
-them."""
+"""Scores as table rows: from tensors to the columns of `runs/columns.py`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
+from r2h_batch.runs.columns import BOOL, DETAILS, ENDS, TRIALS, Column, later, schema_of_kind
 from r2h_batch.verdicts import (
     CRITERIA,
     SIDES,
@@ -32,119 +32,13 @@ OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing")
 KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
 """Name of every kind of margin, in order from code 1."""
 
-_NAME = pa.dictionary(pa.int32(), pa.string())
-_POSE = pa.list_(pa.float32(), 16)
-
-ENDS = ("running", "success", "contact", "collision", "drop", "not_received", "timeout")
-"""How an episode of a closed loop ends, in the order of `closed_loop.env.End`."""
-
-EPISODE_NUMBERS = (
-    "time_s", "least_m", "slack_m", "near_speed_m_s", "ssm_s", "ssm_depth_m", "pfl_share", "robot_idle", "human_idle",
-    "concurrent", "delay", "hand_path_m",
-)  # fmt: skip
-
-TRIAL_SCHEMA = pa.schema(
-    [
-        pa.field("trial_id", pa.int64(), nullable=False),
-        pa.field("object", _NAME, nullable=False),
-        pa.field("split", _NAME, nullable=False),
-        pa.field("side", _NAME, nullable=False),  # of the receiving hand: right, left
-        pa.field("outcome", _NAME, nullable=False),  # OUTCOME_NAMES
-        *(pa.field(f"passed_{c}", pa.bool_()) for c in CRITERIA),  # null: not evaluated
-        # positive: passes; null: none is defined
-        *(pa.field(f"margin_{c}_m", pa.float32()) for c in CRITERIA),
-        # distance, bound or cap (verdicts.MarginKind); null: no margin
-        *(pa.field(f"margin_kind_{c}", _NAME) for c in CRITERIA),
-        pa.field("plan_reason", _NAME),  # verdicts.PlanReason
-        # what met where Plan failed: verdicts.CollidingPair, null: none
-        pa.field("plan_pair", _NAME),
-        # what is nearest along a path: verdicts.CollidingPair, null: none below 5 cm
-        pa.field("nearest_pair", _NAME),
-        pa.field("width_m", pa.float32()),  # of the material between the pads; null: nothing there
-        pa.field("borderline", pa.bool_()),
-        pa.field("presented", pa.bool_()),  # null: the object has no receiver's region
-        pa.field("presented_angle_deg", pa.float32()),
-        pa.field("presented_distance_m", pa.float32()),
-        # amortised: batch wall time / B; null: planning did not run
-        pa.field("t_plan_s", pa.float32()),
-        pa.field("t_exec_s", pa.float32()),  # null: no path
-        pa.field("t_method_s", pa.float32()),  # null: not measured
-        # robot to the receiver's arm and torso; null: no body, or no motion
-        pa.field("body_m", pa.float32()),
-    ]
+TRIAL_SCHEMA, DETAIL_SCHEMA, POSE_SCHEMA, PATH_SCHEMA, EPISODE_SCHEMA, FAILURE_SCHEMA = (
+    schema_of_kind(kind) for kind in ("trials", "details", "poses", "paths", "episodes", "failures")
 )
-LATER_COLUMNS = (
-    *(f"margin_kind_{c}" for c in CRITERIA),
-    *("nearest_pair", "width_m", "presented", "presented_angle_deg"),
-    *("presented_distance_m", "body_m"),
-)
+"""Of an arm of six joints: `schema_of_kind` has those of others."""
+
+LATER_COLUMNS = tuple(later("trials"))
 """Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""
-
-DETAIL_SCHEMA = pa.schema(
-    [
-        pa.field("trial_id", pa.int64(), nullable=False),
-        pa.field("hand_index", pa.int32(), nullable=False),
-        pa.field("width_m", pa.float32()),
-        pa.field("opening_m", pa.float32()),
-        pa.field("grasp_shift_m", pa.float32()),
-        pa.field("slip_m", pa.float32()),  # in the shake; null: not shaken
-        pa.field("q_goal", pa.list_(pa.float32(), 6)),  # rad, UR order; null: no goal
-        # robot part of Plan's and of Safe's smallest clearance
-        pa.field("witness_plan_part", _NAME),
-        pa.field("witness_safe_part", _NAME),
-        pa.field("witness_time_s", pa.float32()),  # of Safe's
-        pa.field("witness_point_m", pa.list_(pa.float32(), 3)),  # of Safe's, world frame
-    ]
-)
-POSE_SCHEMA = pa.schema(
-    [
-        pa.field("trial_id", pa.int64(), nullable=False),
-        pa.field("T_obj_ee", _POSE, nullable=False),  # row-major 4x4
-        pa.field("T_world_ee", _POSE, nullable=False),
-    ]
-)
-PATH_SCHEMA = pa.schema(
-    [
-        pa.field("trial_id", pa.int64(), nullable=False),
-        pa.field("q_goal", pa.list_(pa.float32(), 6)),
-        pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
-        pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad, UR order
-        # every run.json motion.sample_s; null: not simulated
-        pa.field("executed_q", pa.list_(pa.list_(pa.float32(), 6))),
-        # of motions in a file: the plan, where q is what was executed; null: q is the plan
-        pa.field("planned_q", pa.list_(pa.list_(pa.float32(), 6))),
-    ]
-)
-
-EPISODE_SCHEMA = pa.schema(
-    [
-        pa.field("trial_id", pa.int64(), nullable=False),
-        pa.field("end", _NAME, nullable=False),  # ENDS
-        pa.field("robot_touched", pa.bool_()),  # null: no contact
-        *(pa.field(name, pa.float32(), nullable=False) for name in EPISODE_NUMBERS),
-    ]
-)
-"""A row for each answered trial of a closed loop; columns as in `closed_loop.env.Episodes`."""
-
-FAILURE_SCHEMA = pa.schema(
-    [
-        pa.field("trial_id", pa.int64(), nullable=False),
-        pa.field("object", _NAME, nullable=False),
-        pa.field("hand_index", pa.int32(), nullable=False),
-        pa.field("T_world_hand", _POSE, nullable=False),  # row-major 4x4
-        pa.field("T_obj_ee", _POSE, nullable=False),
-        pa.field("T_world_ee", _POSE, nullable=False),
-        pa.field("opening_m", pa.float32()),
-        pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
-        # W x 6 rad: the reference
-        pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),
-        # what the simulator made of it, NaN and all
-        pa.field("executed_q", pa.list_(pa.list_(pa.float32(), 6))),
-        # qpos and qvel of the model before it failed
-        pa.field("failed_state", pa.list_(pa.float64())),
-    ]
-)
-"""Everything needed to run a trial again whose simulation failed, and how far it came."""
 
 
 @dataclass(frozen=True)
@@ -206,10 +100,15 @@ def _trial_columns(trials: "Trials", names: TrialNames) -> dict[str, Any]:
     }
 
 
-_SCORE_FLOATS = (
-    *("width_m", "presented_angle_deg", "presented_distance_m"),
-    *("t_plan_s", "t_exec_s", "body_m"),
-)
+def _stored(scores: "Scores", columns: Sequence[Column], made: dict[str, Any]) -> list[pa.Array]:
+    """Arrays of a table's columns: those `made` from several fields, and the attributes of `scores` that
+    have a column's name."""
+
+    def own(column: Column) -> pa.Array:
+        values = getattr(scores, column.name)
+        return pa.array(_array(values), BOOL) if column.type == BOOL else _floats(values)
+
+    return [made[c.name] if c.name in made else own(c) for c in columns]
 
 
 def score_rows(
@@ -233,19 +132,14 @@ def score_rows(
         "plan_reason": _named(scores.plan_reason, [r.name.lower() for r in PlanReason]),
         "plan_pair": _named(np.where(has_path | (pair == CollidingPair.NONE), -1, pair), pairs),
         "nearest_pair": _named(np.where(has_path & (pair != CollidingPair.NONE), pair, -1), pairs),
-        "borderline": pa.array(_array(scores.borderline), pa.bool_()),
         "presented": pa.array(_array(scores.presented), pa.bool_(), mask=nowhere),
         "t_method_s": _floats(seconds),
-        **{name: _floats(getattr(scores, name)) for name in _SCORE_FLOATS},
     }
     for i, c in enumerate(CRITERIA):
         columns[f"passed_{c}"] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
         columns[f"margin_{c}_m"] = _floats(margin[:, i])
         columns[f"margin_kind_{c}"] = _named(kind[:, i] - 1, KINDS)
-    return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
-
-
-_DETAIL_FLOATS = ("width_m", "opening_m", "grasp_shift_m", "slip_m", "witness_time_s")
+    return pa.table(_stored(scores, TRIALS, columns), schema=TRIAL_SCHEMA)
 
 
 def detail_rows(trials: "Trials", scores: "Scores", names: TrialNames) -> pa.Table:
@@ -254,14 +148,13 @@ def detail_rows(trials: "Trials", scores: "Scores", names: TrialNames) -> pa.Tab
     columns = {
         "trial_id": pa.array(_array(trials.trial_id), pa.int64()),
         "hand_index": pa.array(_array(trials.hand_index), pa.int32()),
-        **{k: _floats(getattr(scores, k)) for k in _DETAIL_FLOATS},
         "q_goal": _vectors(scores.q_goal),
         "witness_plan_part": _named(part[:, 0], names.parts),
         "witness_safe_part": _named(part[:, 1], names.parts),
         "witness_point_m": _vectors(scores.witness_point),
     }
-    schema = of_joints(DETAIL_SCHEMA, scores.q_goal.shape[1])
-    return pa.table([columns[f.name] for f in DETAIL_SCHEMA], schema=schema)
+    schema = schema_of_kind("details", scores.q_goal.shape[1])
+    return pa.table(_stored(scores, DETAILS, columns), schema=schema)
 
 
 def missing_rows(trials: "Trials", names: TrialNames) -> pa.Table:
@@ -290,7 +183,7 @@ def episode_rows(trial_id: Any, episodes: "Episodes") -> pa.Table:
         pa.array(_array(trial_id), pa.int64()),
         _named(end, ENDS),
         pa.array(by_robot, pa.bool_(), mask=end != ENDS.index("contact")),
-        *(_floats(getattr(episodes, name)) for name in EPISODE_NUMBERS),
+        *(_floats(getattr(episodes, name)) for name in EPISODE_SCHEMA.names[3:]),
     ]
     return pa.table(arrays, schema=EPISODE_SCHEMA)
 
@@ -303,7 +196,7 @@ def path_rows(scores: "Scores", planned: tuple[Any, Any] | None = None) -> pa.Ta
         pa.array(_array(scores.trial_id)[rows], pa.int64()),
         _vectors(_array(scores.q_goal)[rows]),
     ]
-    schema = of_joints(PATH_SCHEMA, scores.q_goal.shape[1])
+    schema = schema_of_kind("paths", scores.q_goal.shape[1])
     last = pa.nulls(len(rows), schema.field("planned_q").type)
     if planned is not None:
         q, length = (_array(x)[rows] for x in planned)
@@ -338,7 +231,7 @@ def failure_rows(
         *_motion_columns(scores, rows),
         pa.array(list(_array(scores.failed_state)[rows]), pa.list_(pa.float64())),
     ]
-    return pa.table(arrays, schema=of_joints(FAILURE_SCHEMA, scores.q_goal.shape[1]))
+    return pa.table(arrays, schema=schema_of_kind("failures", scores.q_goal.shape[1]))
 
 
 def _motion_columns(scores: "Scores", rows: np.ndarray) -> list[pa.ListArray]:

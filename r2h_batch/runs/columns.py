@@ -1,0 +1,199 @@
+"""The table of stored columns: name, type, unit, meaning, and the version that stored it first.
+
+Schemas (`schema_of_kind`), the reading of older rows (`later`) and the tables of docs/run_folder.md
+(`tools/columns.py`) follow it. A new column is one entry here. Its value is the attribute of `Scores`
+with its name, unless `runs/rows.py` makes it from several.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import pyarrow as pa
+
+from r2h_batch.verdicts import REGISTRY, CollidingPair, PlanReason
+
+NAME = pa.dictionary(pa.int32(), pa.string())
+"""A word: of a name or of an enumeration, in lower case."""
+POSE = pa.list_(pa.float32(), 16)
+"""A row-major 4x4 matrix."""
+POSTURE = pa.list_(pa.float32(), 6)
+"""Joint angles: six, or as many as the run's robot has joints (`schema_of_kind`)."""
+POSTURES = pa.list_(POSTURE)
+POINT = pa.list_(pa.float32(), 3)
+
+
+class Column(NamedTuple):
+    """One stored column.
+
+    Attributes:
+        name: in the Parquet file.
+        type: in the Parquet file, for an arm of six joints.
+        meaning: one or two sentences for docs/run_folder.md.
+        unit: m, s, deg, rad, m/s; empty: it has none.
+        nullable: whether a row may lack a value.
+        since: the first version of the package that stores it; empty: every version does. Rows of older
+            versions are read with null here.
+    """
+
+    name: str
+    type: pa.DataType
+    meaning: str
+    unit: str = ""
+    nullable: bool = True
+    since: str = ""
+
+
+ENDS = ("running", "success", "contact", "collision", "drop", "not_received", "timeout")
+"""How an episode of a closed loop ends, in the order of `closed_loop.env.End`."""
+
+
+def _words(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name.lower()}`" for name in names)
+
+
+FLOAT, BOOL = pa.float32(), pa.bool_()
+_FAILURES = _words(entry.name for entry in REGISTRY)
+_PAIRS = _words(pair.name for pair in CollidingPair if pair != CollidingPair.NONE)
+_REASONS = _words(reason.name for reason in PlanReason)
+
+# fmt: off
+_ID = Column("trial_id", pa.int64(), "number of the trial, in the protocol's order", nullable=False)
+_OBJECT = Column("object", NAME, "name of the object", nullable=False)
+_HAND = Column("hand_index", pa.int32(), "row of the hand set", nullable=False)
+_OPENING = Column("opening_m", FLOAT, "gap between the pads on the object", "m")
+_GOAL = Column("q_goal", POSTURE, "joint goal; null: no goal", "rad")
+_TIMES = Column("time_s", pa.list_(FLOAT), "times of the waypoints, from the start", "s", False)
+_POSES = (
+    Column("T_obj_ee", POSE, "grasp: ee in the object's frame, row-major 4x4", "m", False),
+    Column("T_world_ee", POSE, "handover pose: ee in the world, row-major 4x4", "m", False),
+)
+
+TRIALS = (
+    _ID,
+    _OBJECT,
+    Column("split", NAME, "`S0` or `S1`", nullable=False),
+    Column("side", NAME, "the receiving hand: `right` or `left`", nullable=False),
+    Column("outcome", NAME,
+           f"`success`, the first failure ({_FAILURES}), `invalid_input`, `invalid_sim`, or `missing`: no answer",
+           nullable=False),
+    *(Column(f"passed_{entry.name}", BOOL, "whether the criterion passed; null: not evaluated", since=entry.since)
+      for entry in REGISTRY),
+    *(Column(f"margin_{entry.name}_m", FLOAT,
+             "positive when the criterion passes, except for Plan with [sampled edges](choices.md#plan)", "m",
+             since=entry.since)
+      for entry in REGISTRY),
+    *(Column(f"margin_kind_{entry.name}", NAME,
+             "[`distance`, `bound` or `cap`](choices.md#margins). Leave caps out of averages",
+             since=entry.since or "0.2.0")
+      for entry in REGISTRY),
+    Column("plan_reason", NAME,
+           f"why Plan passed or failed: {_REASONS}. `motion_*` and `beyond_*`: of motions from a file"),
+    Column("plan_pair", NAME,
+           f"the pair that collides at start or goal: {_PAIRS}. With `--receiver body` the arm and torso are `hand`"),
+    Column("nearest_pair", NAME, "the nearest pair along a path; null beyond 5 cm", since="0.2.0"),
+    Column("width_m", FLOAT, "extent along y of the material between the pads; null: no material", "m", since="0.2.0"),
+    Column("borderline", BOOL, "[a margin is within 0.1 mm of its threshold](choices.md#margins)"),
+    Column("presented", BOOL,
+           "the receiver's region [faces the palm](choices.md#reach-affordance-safe) within reach; null: no region (S0)",
+           since="0.2.0"),
+    Column("presented_angle_deg", FLOAT, "0: the region points at the palm; 180: away from it", "deg", since="0.2.0"),
+    Column("presented_distance_m", FLOAT, "from c_h to the region's nearest point", "m", since="0.2.0"),
+    Column("t_plan_s", FLOAT, "wall time of planning a batch / its size; null: planning did not run", "s"),
+    Column("t_exec_s", FLOAT, "until the arm stays at its goal; null: no path", "s"),
+    Column("t_method_s", FLOAT, "the method's own time, as it says; else the sweep's time for a chunk / its trials", "s"),
+    Column("body_m", FLOAT,
+           "r2h-v1: distance of the robot to the receiver's arm and torso. Exact below 5 cm; 0.05 beyond."
+           " Negative: they overlap by at least this much", "m", since="0.2.0"),
+)
+
+DETAILS = (
+    _ID,
+    _HAND,
+    Column("width_m", FLOAT, "as in trials", "m"),
+    _OPENING,
+    Column("grasp_shift_m", FLOAT, "how far closing moves the object along y", "m"),
+    Column("slip_m", FLOAT, "slip of the object in the shake (`--set stability=physics`); null: not shaken", "m"),
+    _GOAL,
+    Column("witness_plan_part", NAME, "robot part of Plan's smallest clearance"),
+    Column("witness_safe_part", NAME, "robot part of Safe's smallest clearance"),
+    Column("witness_time_s", FLOAT, "when Safe's smallest clearance occurs", "s"),
+    Column("witness_point_m", POINT, "where Safe's smallest clearance occurs, in the world", "m"),
+)
+
+POSES = (_ID, *_POSES)
+
+PATHS = (
+    _ID,
+    _GOAL,
+    _TIMES,
+    Column("q", POSTURES, "postures at these times", "rad", False),
+    Column("executed_q", POSTURES,
+           "the simulated motion, from time 0 every `motion.sample_s` of run.json; null with `--sim none`", "rad"),
+    Column("planned_q", POSTURES, "the plan behind a motion from a file; null: `q` is the plan", "rad"),
+)
+
+EPISODES = (
+    _ID,
+    Column("end", NAME, f"how the episode ended: {_words(ENDS[1:])}", nullable=False),
+    Column("robot_touched", BOOL, "whether the robot caused the contact, not the hand; null: no contact"),
+    Column("time_s", FLOAT, "end of the episode; of a success the handover", "s", False),
+    Column("least_m", FLOAT, "least distance of robot and hand at the steps; with `--receiver body` of arm and torso too",
+           "m", False),
+    Column("slack_m", FLOAT, "between steps the distance is at most this much below `least_m`", "m", False),
+    Column("near_speed_m_s", FLOAT, "largest speed of the robot near the hand, a bound for its fastest point", "m/s", False),
+    Column("ssm_s", FLOAT, "how long robot and hand were nearer than ISO/TS 15066's protective distance", "s", False),
+    Column("ssm_depth_m", FLOAT, "largest shortfall from that protective distance", "m", False),
+    Column("pfl_share", FLOAT,
+           "`near_speed_m_s` / the speed that reaches ISO/TS 15066's transient force limit of a hand", "", False),
+    Column("robot_idle", FLOAT, "share of the time in which the robot stands", "", False),
+    Column("human_idle", FLOAT, "share of the time in which the hand stands", "", False),
+    Column("concurrent", FLOAT, "share of the time in which both move", "", False),
+    Column("delay", FLOAT, "share of the time in which neither moves", "", False),
+    Column("hand_path_m", FLOAT, "length of the wrist's path", "m", False),
+)
+
+FAILURES = (
+    _ID,
+    _OBJECT,
+    _HAND,
+    Column("T_world_hand", POSE, "the hand in the world, row-major 4x4", "m", False),
+    *_POSES,
+    _OPENING,
+    _TIMES,
+    Column("q", POSTURES, "postures at these times: the reference of the simulation", "rad", False),
+    Column("executed_q", POSTURES, "the simulated motion up to the failure, NaN and all", "rad"),
+    Column("failed_state", pa.list_(pa.float64()), "qpos, then qvel of the model before the failure"),
+)
+# fmt: on
+
+TABLES = {
+    "trials": TRIALS,
+    "details": DETAILS,
+    "poses": POSES,
+    "paths": PATHS,
+    "episodes": EPISODES,
+    "failures": FAILURES,
+}
+"""Kind of table in a run folder -> its columns, in order."""
+
+
+def schema_of_kind(kind: str, joints: int = 6) -> pa.Schema:
+    """The Arrow schema of a kind of table.
+
+    Args:
+        kind: a key of `TABLES`.
+        joints: of the run's robot; the length of postures.
+    """
+    columns = TABLES[kind]
+    return pa.schema([pa.field(c.name, _sized(c.type, joints), c.nullable) for c in columns])
+
+
+def _sized(kind: pa.DataType, joints: int) -> pa.DataType:
+    """The type with postures of so many joints."""
+    posture = pa.list_(pa.float32(), joints)
+    return {POSTURE: posture, POSTURES: pa.list_(posture)}.get(kind, kind)
+
+
+def later(kind: str) -> dict[str, str]:
+    """Columns of a kind that older rows may lack -> the first version that stores them."""
+    return {c.name: c.since for c in TABLES[kind] if c.since}

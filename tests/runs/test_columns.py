@@ -1,0 +1,66 @@
+"""The table of columns: schemas, documentation and the reading of older rows follow it."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from r2h_batch.closed_loop.env import End
+from r2h_batch.report.compare.command import stored_rows
+from r2h_batch.runs.columns import ENDS, TABLES, later, schema_of_kind
+from r2h_batch.runs.store import load_run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.check
+def test_the_page_of_files_shows_the_table_of_columns(tmp_path: Path) -> None:
+    command = [sys.executable, "tools/columns.py"]
+    assert subprocess.run([*command, "--check"], cwd=ROOT).returncode == 0, "run python tools/columns.py"
+    for part in ("tools", "docs"):  # a page that differs is refused, and written anew
+        shutil.copytree(ROOT / part, tmp_path / part, ignore=shutil.ignore_patterns("*.png"))
+    page = tmp_path / "docs" / "run_folder.md"
+    good = page.read_text()
+    page.write_text(good.replace("| `body_m` |", "| `body_mm` |"))
+    refused = subprocess.run([*command, "--check"], cwd=tmp_path, capture_output=True, text=True)
+    assert refused.returncode == 1 and "run python tools/columns.py" in refused.stderr
+    assert subprocess.run(command, cwd=tmp_path).returncode == 0 and page.read_text() == good
+
+
+def test_every_column_says_what_it_means_and_its_unit_agrees_with_its_name() -> None:
+    endings = {"_m": "m", "_s": "s", "_deg": "deg", "_m_s": "m/s", "q": "rad"}
+    for kind, columns in TABLES.items():
+        names = [c.name for c in columns]
+        assert len(set(names)) == len(names) and names[0] == "trial_id", kind
+        for column in columns:
+            assert column.meaning and not column.meaning.endswith("."), column.name
+            unit = next((endings[e] for e in sorted(endings, key=len, reverse=True) if column.name.endswith(e)), None)
+            assert unit in (None, column.unit), f"{kind}: {column.name} is in {column.unit!r}"
+            assert column.nullable or not column.since, f"{kind}: {column.name}: older rows lack it, so it may be null"
+
+
+def test_postures_are_as_long_as_the_arm_has_joints_and_nothing_else_changes() -> None:
+    for kind in TABLES:
+        six, seven = schema_of_kind(kind), schema_of_kind(kind, 7)
+        assert six.names == seven.names
+        longer = {a.name for a, b in zip(six, seven) if a.type != b.type}
+        assert longer == {"q_goal", "q", "executed_q", "planned_q"} & set(six.names)
+        assert all(str(seven.field(name).type).count("[7]") == 1 for name in longer)
+
+
+def test_shipped_rows_hold_every_column_of_the_table_or_one_that_came_later() -> None:
+    for folder in stored_rows():
+        run = load_run(folder, verify=False)
+        for path in folder.rglob("*.parquet"):
+            kind = path.relative_to(folder).parts[0]
+            lacking = set(schema_of_kind(kind).names) - set(pq.read_schema(path).names)
+            assert lacking <= set(later(kind)), path
+        table = run.trials(run.methods[0])
+        assert table.schema.names == schema_of_kind("trials").names
+
+
+def test_the_ends_of_episodes_are_those_of_the_closed_loop() -> None:
+    assert tuple(end.name.lower() for end in End) == ENDS
