@@ -86,9 +86,9 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
 def overview(run: Path, method: str, png: Path) -> None:
     """The paper's Figure 1: arm, hand and the ball where the object must be, at the end of the method's first success."""
     from r2h_batch.view.drawing import Drawing, view_of
-    from r2h_batch.view.export.stored import Reader
     from r2h_batch.view.gallery.pictures import first_of_each_outcome
     from r2h_batch.view.pictures import painter, save_picture
+    from r2h_batch.view.stored import Reader
 
     reader, size = Reader(run), (1200, 800)
     name = reader.run.named(method)

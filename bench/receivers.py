@@ -15,8 +15,8 @@ from r2h_batch.scene.hand import load_hand_set, palm_frame
 from r2h_batch.trials.protocol import make_trials, trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.view.drawing import Drawing, View
-from r2h_batch.view.export.stored import judged_again
 from r2h_batch.view.pictures import painter
+from r2h_batch.view.stored import judged_again
 
 DOCS = Path(__file__).parents[1] / "docs"
 

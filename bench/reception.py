@@ -114,8 +114,8 @@ def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
     """Writes the picture of the first trial that is received upright with a turn of the hand; gives its caption."""
     from r2h_batch.judge import reception as steps
     from r2h_batch.view.drawing import Drawing, view_of
-    from r2h_batch.view.export.stored import judged_again
     from r2h_batch.view.pictures import save_picture
+    from r2h_batch.view.stored import judged_again
 
     found = steps.reception(scores)
     lean = found.angles_deg[:, steps.ANGLES.index("lean")]
@@ -190,7 +190,7 @@ def frame(
 
     from r2h_batch.judge.ik import solve_ik
     from r2h_batch.scene.offscreen import renderer
-    from r2h_batch.view.export.mjcf import spec_of
+    from r2h_batch.view.mjcf import spec_of
 
     q, robot = stored.target_q, stored.robot
     row = {**stored.row, "opening_m": robot.open_gap_m} if released else stored.row

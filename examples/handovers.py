@@ -9,8 +9,8 @@ from torch import Tensor
 
 from r2h_batch import Evaluator, Trials
 from r2h_batch.base import se3
-from r2h_batch.methods.candidates import candidates_of, stacked
-from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch.methods import candidates_of, stacked
+from r2h_batch.trials import trials_with_ids
 
 FIRST_TRAINING_ID = 1_000_000  # the benchmark's own trials stay unseen
 

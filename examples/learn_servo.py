@@ -12,9 +12,7 @@ import time
 import torch
 
 from r2h_batch import Evaluator, make_trials
-from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
-from r2h_batch.closed_loop.episodes import play
-from r2h_batch.closed_loop.policies import Servo
+from r2h_batch.closed_loop import End, Episodes, HandoverEnv, LoopConfig, Servo, play
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.methods.oracle import predict
 from r2h_batch.types import Scores

@@ -10,8 +10,7 @@ import time
 import torch
 
 from r2h_batch import Evaluator, Predictions, Trials, make_trials
-from r2h_batch.base import twist
-from r2h_batch.base.loggers import LOGGERS, Logger
+from r2h_batch.base import LOGGERS, Logger, twist
 from r2h_batch.methods.random import predict
 
 LEVER_M = 0.1

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from r2h_batch import Evaluator, Trials, make_trials, reward
 from r2h_batch.base import se3
-from r2h_batch.report.statistics.aggregate import wilson_interval
+from r2h_batch.report.statistics import wilson_interval
 
 HELD_OUT = ("cup", "game_controller", "screwdriver", "bottle")
 TEMPERATURE_M = 0.005

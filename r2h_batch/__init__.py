@@ -2,11 +2,10 @@
 evaluator."""
 
 import os
-from collections.abc import Callable, Mapping
 from contextlib import suppress
-from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from r2h_batch.base.package import FOLDERS, VERSION, lazy_names
 
 if TYPE_CHECKING:
     from r2h_batch.config import EvalConfig
@@ -24,7 +23,7 @@ if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
     with suppress(ImportError):
         import triton  # noqa: F401
 
-__version__ = "0.2.0"
+__version__ = VERSION
 
 __all__ = [
     "CRITERIA",
@@ -41,33 +40,7 @@ __all__ = [
     "show",
 ]
 
-_root = Path(__file__).resolve().parent
-# a checkout or an editable install: kernels/ and assets/ stand beside the package
-if not (_root / "kernels").exists():
-    __path__.append(str(_root.parent))
-
-
-def lazy_names(
-    package: str, home: Mapping[str, str]
-) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package that offers names of its modules: imported when
-    first used.
-
-    `--help` must not wait for torch and Warp. `home`: public name -> module, relative to the
-    package; a module's own name stands for the module. Type checkers read the imports that stand
-    under TYPE_CHECKING in the same file.
-    """
-
-    def find(name: str) -> object:
-        if name not in home:
-            raise AttributeError(
-                f"module {package!r} has no attribute {name!r}; it has {', '.join(sorted(home))}"
-            )
-        module = import_module(f".{home[name]}", package)
-        return module if home[name].rpartition(".")[2] == name else getattr(module, name)
-
-    return find, lambda: sorted(home)
-
+__path__[:] = map(str, FOLDERS)
 
 if not TYPE_CHECKING:  # else any name would pass
     __getattr__, __dir__ = lazy_names(

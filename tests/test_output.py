@@ -10,7 +10,7 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.__main__ import main
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.verdicts import Outcome
 

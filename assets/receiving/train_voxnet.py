@@ -30,7 +30,7 @@ from scipy.stats import rankdata
 from torch import Tensor
 
 from r2h_batch.assets.receiving.contact_maps import contact_map
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD
 from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.methods.predictors.voxnet import LEFT_OUT_FILE, STORED_FILE, VoxNet, halved

@@ -12,30 +12,23 @@ import errno
 import inspect
 import io
 import itertools
-import logging
 import os
 import re
-import stat
 import sys
-import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import partial, wraps
-from logging.handlers import MemoryHandler
-from pathlib import Path
 from typing import Annotated, Any, Literal, TextIO, get_args, get_origin, get_type_hints
 
+from r2h_batch.base.io.log import LOG, silence
 from r2h_batch.base.io.read import FileError, printable
 from r2h_batch.base.validate import expand_home, parse_number, parse_whole_number
 
 Command = Callable[..., Any]
 
 MOST_SEED = (1 << 63) - 1
-
-MOST_KEPT = 1000
-"""Lines kept until there is a log file."""
 
 
 class UsageError(Exception):
@@ -208,7 +201,7 @@ def answer(name: str, work: Callable[[], int]) -> int:
         what = f"standard output takes {error.encoding} only, the answer has {shown}"
         return refuse(name, f"{what}; set PYTHONIOENCODING=utf-8", 1)
     except (OSError, ValueError) as error:
-        _silence(sys.stdout)
+        silence(sys.stdout)
         why = error.strerror if isinstance(error, OSError) else error
         return refuse(name, f"standard output: {why}; the answer is not complete", 1)
     if stopped is not None:
@@ -279,76 +272,6 @@ def refuse(name: str, error: object, code: int = 2) -> int:
 def counted(number: int, things: str) -> str:
     """A number and what it counts, a plural that ends with s: "1 hand", "2 hands"."""
     return f"{number} {things[:-1] if number == 1 else things}"
-
-
-class _Stderr(logging.Handler):
-    def emit(self, record: logging.LogRecord) -> None:
-        try:
-            print(printable(record.getMessage(), keep="\n"), file=sys.stderr, flush=True)
-        except (OSError, ValueError):
-            _silence(sys.stderr)
-
-
-class _LogFile(logging.Handler):
-    """Appends whole lines, also if other processes write; never follows a link or opens a pipe."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.path = path
-
-    def emit(self, record: logging.LogRecord) -> None:
-        stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(record.created))
-        line = f"{stamp} {' '.join(printable(record.getMessage(), keep=chr(10)).split())}\n"
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_NOFOLLOW
-        with contextlib.suppress(OSError):  # a full disk is the sweep's trouble, not the log's
-            handle = os.open(self.path, flags, 0o666)
-            try:
-                if stat.S_ISREG(os.fstat(handle).st_mode):
-                    os.write(handle, line.encode("utf-8", "replace"))
-            finally:
-                os.close(handle)
-
-
-LOG = logging.Logger("r2h_batch", logging.DEBUG)
-"""What a command says: errors, infos (not with --quiet) and debug lines (with --verbose)."""
-_stderr = _Stderr(logging.INFO)
-LOG.addHandler(_stderr)
-
-
-@contextlib.contextmanager
-def telling(*, quiet: bool = False, verbose: bool = False) -> Iterator[Callable[[Path], None]]:
-    """Set how much is printed inside; gives `log_to(FILE)`, which stores all lines since the start."""
-    before = MemoryHandler(MOST_KEPT, flushLevel=logging.CRITICAL + 1)
-    added: list[logging.Handler] = [before]
-    LOG.addHandler(before)
-    level = _stderr.level
-    _stderr.setLevel(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO)
-
-    def log_to(file: Path) -> None:
-        added.append(_LogFile(file))
-        before.setTarget(added[-1])
-        LOG.removeHandler(before)
-        before.flush()
-        LOG.addHandler(added[-1])
-
-    try:
-        yield log_to
-    finally:
-        _stderr.setLevel(level)
-        for handler in added:
-            LOG.removeHandler(handler)
-
-
-def is_quiet() -> bool:
-    """Whether stderr is for errors alone."""
-    return _stderr.level > logging.INFO
-
-
-def _silence(stream: TextIO) -> None:
-    """What is left in a stream that takes no more goes nowhere: Python flushes once more when it
-    ends, and would fail."""
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _deferred(function: Command) -> Command:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import FileError, printable
 
 F64 = NDArray[np.float64]

@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import (
     FileError,
     path_within,

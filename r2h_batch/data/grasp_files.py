@@ -36,7 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.command_line import LOG, nearest
+from r2h_batch.base.command_line import nearest
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import FileError, printable, read_json, read_npy, read_npz, read_yaml
 from r2h_batch.data.arrays import numbers, rigid
 from r2h_batch.data.hdf5 import read_datasets

@@ -33,7 +33,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import FileError, printable
 from r2h_batch.base.io.write import write_npz
 from r2h_batch.data.data_sets import DATA_SETS, HandMotion, oakink_receivers

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import FileError, path_within, printable, read_npz
 from r2h_batch.data.arrays import numbers
 from r2h_batch.scene.mesh_import.file import load_mesh_file

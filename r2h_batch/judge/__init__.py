@@ -1,2 +1,14 @@
 """Grasp, IK, plan, goal, criteria: one stage, one file. presented, reception and payload measure what is
 no part of the verdict."""
+
+from typing import TYPE_CHECKING
+
+from r2h_batch.base.package import lazy_names
+
+if TYPE_CHECKING:
+    from r2h_batch.judge.plan import plan_paths
+
+__all__ = ["plan_paths"]
+
+if not TYPE_CHECKING:  # else any name would pass
+    __getattr__, __dir__ = lazy_names(__name__, {"plan_paths": "plan"})

@@ -38,11 +38,18 @@ does)."""
 
 STORED: dict[Kind, str] = {"filtered": "grasps.npz", "as-generated": "grasps_as_generated.npz"}
 
-CODE = ("r2h_batch.methods", "r2h_batch.judge", "r2h_batch.scene") + tuple(
-    f"r2h_batch.kernels.{k}" for k in ("methods", "grasp", "robot", "geometry")
+CODE = (
+    *("r2h_batch.methods.box_grasps", "r2h_batch.methods.grasps", "r2h_batch.judge.grasp"),
+    *("r2h_batch.scene.grasp_set", "r2h_batch.scene.grasp_tables", "r2h_batch.scene.robot"),
+    *(
+        "r2h_batch.kernels.options",
+        "r2h_batch.kernels.methods.antipodal",
+        "r2h_batch.kernels.robot.gripper",
+    ),
+    *("r2h_batch.kernels.grasp", "r2h_batch.kernels.geometry"),
 )
 VERSIONS = ("numpy", "scipy", "torch", "warp-lang")
-"""What candidates are made by."""
+"""Modules and distributions that make candidates. Another of them makes every one again."""
 
 FORM = {
     "T_obj_ee": ArraySpec("float32", ("grasps", 4, 4)),

@@ -6,14 +6,14 @@ import io
 import os
 import platform
 import subprocess
-import sys
 from collections.abc import Iterable
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from r2h_batch.base.io.read import open_file
+from r2h_batch.base.package import FOLDERS, ROOT, VERSION
 
 PACKAGES = (
     *("mujoco", "mujoco-warp", "numpy", "pyarrow", "pytorch-kinematics", "scikit-learn"),
@@ -25,7 +25,7 @@ PACKAGES = (
 def versions() -> dict[str, str]:
     """Name -> version of this package, of Python and of `PACKAGES` (`not installed` where it is
     not)."""
-    found = {"r2h_batch": PACKAGE.__version__, "python": platform.python_version()}
+    found = {"r2h_batch": VERSION, "python": platform.python_version()}
     for name in PACKAGES:
         try:
             found[name] = metadata.version(name)
@@ -34,11 +34,9 @@ def versions() -> dict[str, str]:
     return found
 
 
-PACKAGE: Any = sys.modules["r2h_batch"]
-
 ONLY_READ_ROWS = (
     *("report", "view", "sweep/results", "sweep/study", "sweep/ls.py", "sweep/submission.py"),
-    *("base/loggers.py", "base/command_line.py", "__main__.py"),
+    *("base/loggers.py", "base/io/log.py", "base/command_line.py", "__main__.py"),
 )
 """Folders and modules of the package that look at rows or at command lines: no row depends on
 them."""
@@ -55,11 +53,10 @@ def code_digest() -> str:
     comment in a chart must not make two runs incomparable, or a sweep that is half done impossible
     to go on with.
     """
-    folders = [Path(p) for p in PACKAGE.__path__]
-    files = {p.relative_to(folders[0]): p for p in _sources(folders[0], (".py", *DATA))}
+    files = {p.relative_to(FOLDERS[0]): p for p in _sources(FOLDERS[0], (".py", *DATA))}
     for name, kinds in (("kernels", (".py", ".h")), ("assets", DATA)):
         # in a wheel inside the package, in a checkout beside it
-        folder = next((f for f in folders if (f / name).is_dir()), None)
+        folder = next((f for f in FOLDERS if (f / name).is_dir()), None)
         files = {key: p for key, p in files.items() if key.parts[0] != name}
         if folder is not None:
             files |= {p.relative_to(folder): p for p in _sources(folder / name, kinds)}
@@ -91,7 +88,7 @@ def file_digest(paths: Iterable[Path]) -> str:
 def git_commit() -> str | None:
     """Commit of the checkout that this package runs from, `-dirty` where files differ; None outside
     a checkout."""
-    root = Path(PACKAGE.__file__).resolve().parent.parent
+    root = ROOT.parent
     if not (root / ".git").exists():
         return None
     describe = ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]

@@ -1,6 +1,6 @@
 """Scores as table rows: from tensors to the columns of `runs/columns.py`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,6 @@ from r2h_batch.verdicts import (
 )
 
 if TYPE_CHECKING:  # readers of rows need no torch
-    from r2h_batch.closed_loop.env import Episodes
     from r2h_batch.types import Predictions, Scores, Trials
 
 MISSING = max(Outcome) + 1
@@ -176,14 +175,14 @@ def pose_rows(predictions: "Predictions") -> pa.Table:
     )
 
 
-def episode_rows(trial_id: Any, episodes: "Episodes") -> pa.Table:
-    """Rows of `EPISODE_SCHEMA`."""
-    end, by_robot = _array(episodes.end), _array(episodes.robot_touched)
+def episode_rows(trial_id: Any, episodes: Mapping[str, Any]) -> pa.Table:
+    """Rows of `EPISODE_SCHEMA`; `episodes`: its columns by name, tensors or arrays of (B,)."""
+    end, by_robot = _array(episodes["end"]), _array(episodes["robot_touched"])
     arrays = [
         pa.array(_array(trial_id), pa.int64()),
         _named(end, ENDS),
         pa.array(by_robot, pa.bool_(), mask=end != ENDS.index("contact")),
-        *(_floats(getattr(episodes, name)) for name in EPISODE_SCHEMA.names[3:]),
+        *(_floats(episodes[name]) for name in EPISODE_SCHEMA.names[3:]),
     ]
     return pa.table(arrays, schema=EPISODE_SCHEMA)
 

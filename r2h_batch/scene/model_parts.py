@@ -409,7 +409,7 @@ SEEN_CENTER, SEEN_EXTENT_M = (0.35, 0, 0.3), 1.2
 
 
 def look(spec: mujoco.MjSpec) -> None:
-    """Light, background and resolution of what is rendered; view/export/mjcf.py writes the same."""
+    """Light, background and resolution of what is rendered; view/mjcf.py writes the same."""
     light = spec.visual.headlight
     light.ambient, light.diffuse, light.specular = [AMBIENT] * 3, [DIFFUSE] * 3, [0.0] * 3
     spec.visual.global_.offwidth, spec.visual.global_.offheight = PICTURE_PIXELS

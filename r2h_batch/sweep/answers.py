@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.validate_tensors import as_numbers, check_tensor
 from r2h_batch.sweep.options import UsageError

@@ -18,7 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.command_line import LOG, refuse
+from r2h_batch.base.command_line import refuse
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.runs.store import TRIES, Shard, ShardWriter, differing
 from r2h_batch.sweep import jobs as sweep_jobs

@@ -11,7 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.base.command_line import LOG, answer, counted, failed, refuse, telling
+from r2h_batch.base.command_line import answer, counted, failed, refuse
+from r2h_batch.base.io.log import LOG, telling
 from r2h_batch.sweep.options import Options, UsageError, parse
 
 # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once

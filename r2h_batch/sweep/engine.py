@@ -14,7 +14,8 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from r2h_batch.base.command_line import LOG, counted, is_quiet, refuse
+from r2h_batch.base.command_line import counted, refuse
+from r2h_batch.base.io.log import LOG, is_quiet
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.runs.rows import (
@@ -291,7 +292,7 @@ def judged_tables(
                     plan = (own["planned_q"], own["planned_length"])
             tables[kind] = path_rows(moved, plan)
         elif kind == "episodes" and played is not None:
-            tables[kind] = episode_rows(part.trial_id, played)
+            tables[kind] = episode_rows(part.trial_id, vars(played))
     return tables
 
 

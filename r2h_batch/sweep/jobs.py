@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 
 import torch
 
-from r2h_batch.base.command_line import LOG, counted
+from r2h_batch.base.command_line import counted
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.user_code import HOW, UserFunction, load_function, user_files

@@ -11,7 +11,8 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from r2h_batch.base.command_line import LOG, UsageError, counted, refuse
+from r2h_batch.base.command_line import UsageError, counted, refuse
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import FileError, archive_members, open_archive, printable
 from r2h_batch.base.io.write import atomic_path, check_output_file, write_text
 from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags

@@ -81,7 +81,7 @@ def view(
 
         ready()
     from r2h_batch.trials.benchmark.build import BenchmarkOverrides
-    from r2h_batch.view.export.stored import Reader
+    from r2h_batch.view.stored import Reader
 
     reader = Reader(run, BenchmarkOverrides.of(benchmark))
     if trial is None or not (html or pictures):

@@ -16,8 +16,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from r2h_batch.scene.model_parts import VISUAL
-from r2h_batch.view.export.mjcf import MARK, checked_pairs, spec_of, trajectory
-from r2h_batch.view.export.stored import StoredTrial
+from r2h_batch.view.mjcf import MARK, checked_pairs, spec_of, trajectory
+from r2h_batch.view.stored import StoredTrial
 
 Array = NDArray[np.float64]
 Color = tuple[float, float, float, float]

@@ -14,7 +14,7 @@ from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.closed_loop.policies import kind_of_action
 from r2h_batch.trials.protocol import trials_of
 from r2h_batch.view.drawing import Drawing
-from r2h_batch.view.export.stored import Reader
+from r2h_batch.view.stored import Reader
 
 Array = NDArray[np.float64]
 

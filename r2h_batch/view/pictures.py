@@ -15,7 +15,7 @@ from r2h_batch.scene.model_parts import SHADOW_PIXELS
 from r2h_batch.scene.offscreen import RenderError, renderer
 from r2h_batch.view.captions import headline, legend, title
 from r2h_batch.view.drawing import Drawing, Mark, View, view_of
-from r2h_batch.view.export.mjcf import MARK
+from r2h_batch.view.mjcf import MARK
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from r2h_batch.base.command_line import LOG, UsageError
+from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.io.log import LOG
 from r2h_batch.report.text import plain
 from r2h_batch.runs.store import RunError
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.captions import as_markdown, summary
 from r2h_batch.view.drawing import MARKS, Drawing
-from r2h_batch.view.export.stored import ExportError, Reader
 from r2h_batch.view.page import APART_M, Drawn, aim, light, new_server, stop_server
+from r2h_batch.view.stored import ExportError, Reader
 
 ANY = "any"
 NO_METHOD = "none"

@@ -10,6 +10,10 @@ import pytest
 # what goes to disk and back; the public way builds a mesh
 from r2h_batch.base.io import cache as module
 from r2h_batch.base.io.cache import SEAL, ArraySpec, cache_folder, cached
+from r2h_batch.methods.candidates import CODE as CANDIDATES
+from r2h_batch.scene.mesh_import.cache import CODE as OBJECTS
+from r2h_batch.trials.holding.held_out import MADE_BY as HELD_OUT
+from r2h_batch.trials.holding.receiving import CODE as RECEIVING
 
 KEY = "ab" * 32
 FORM = {"x": ArraySpec("float64", ("rows",)), "n": ArraySpec("text", ("names",))}
@@ -117,3 +121,41 @@ def test_of_several_processes_one_makes_it_and_the_others_wait(folder):
     for w in workers:
         w.join()
     assert len((folder / "made").read_text().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("made_by", "decide", "leave"),
+    [
+        (
+            OBJECTS,
+            ("scene/objects.py", "scene/mesh_import/closed.py", "kernels/geometry/mesh_distance.py"),
+            ("scene/scene.py", "scene/model.py", "scene/robot.py"),
+        ),
+        (
+            RECEIVING,
+            ("trials/holding/sampler.py", "scene/hand.py", "kernels/receiver/close_hand.py"),
+            ("scene/scene.py", "trials/holding/held_out.py", "trials/protocol.py"),
+        ),
+        (
+            HELD_OUT,
+            ("trials/holding/sampler.py", "trials/holding/held_out.py"),
+            ("scene/scene.py", "trials/protocol.py"),
+        ),
+        (
+            CANDIDATES,
+            ("methods/grasps.py", "judge/grasp.py", "kernels/grasp/width.py"),
+            ("scene/scene.py", "methods/oracle.py", "judge/plan.py"),
+        ),
+    ],
+    ids=["objects", "receiving", "held_out", "candidates"],
+)
+def test_what_is_kept_is_made_again_after_an_edit_of_the_files_that_make_it_and_of_no_other(made_by, decide, leave):
+    files = [f.as_posix() for f in module.code_files(made_by)]
+    assert [name for name in decide if not any(f.endswith(f"/{name}") for f in files)] == []
+    assert [name for name in leave if any(f.endswith(f"/{name}") for f in files)] == []
+    assert len(set(files)) == len(files)
+
+
+def test_a_name_of_no_module_is_refused_where_code_is_digested():
+    with pytest.raises(ModuleNotFoundError, match=r"no module r2h_batch\.scene\.gone"):
+        module.code_digest(("r2h_batch.scene.gone",), ())

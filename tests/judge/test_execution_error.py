@@ -15,7 +15,7 @@ from r2h_batch.methods import fc, oracle
 from r2h_batch.scene.robot import ee_pose, load_robot
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions
-from r2h_batch.view.export.stored import judged_again
+from r2h_batch.view.stored import judged_again
 
 BOTH = ExecutionError(camera_m=0.010, camera_deg=2.0, object_m=0.005, object_deg=4.0)
 

@@ -10,31 +10,34 @@ from r2h_batch.runs import provenance
 
 DECIDE = (
     "r2h_batch/evaluate.py", "r2h_batch/judge/plan.py", "r2h_batch/methods/fc.py", "r2h_batch/runs/rows.py",
-    "r2h_batch/sweep/jobs.py", "r2h_batch/config.py", "kernels/plan/rrt.py", "kernels/geometry/gjk.py",
-    "kernels/native/lanes.h", "assets/robot/robot.json", "assets/hand/handset.npz",
-    "assets/receiving/voxnet.safetensors",
+    "r2h_batch/sweep/jobs.py", "r2h_batch/base/se3.py", "r2h_batch/scene/mesh_import/closed.py",
+    "r2h_batch/trials/noise.py", "r2h_batch/methods/predictors/hands.py", "r2h_batch/data/urdf.py",
+    "r2h_batch/config.py", "kernels/plan/rrt.py", "kernels/geometry/gjk.py", "kernels/native/lanes.h",
+    "assets/robot/robot.json", "assets/hand/handset.npz", "assets/receiving/voxnet.safetensors",
 )  # fmt: skip
 READ = (
     "r2h_batch/report/figures.py", "r2h_batch/report/page.html", "r2h_batch/report/statistics/paired.py",
-    "r2h_batch/sweep/results/rethreshold.py", "r2h_batch/view/export/mjcf.py", "r2h_batch/sweep/study/report.py",
+    "r2h_batch/sweep/results/rethreshold.py", "r2h_batch/view/mjcf.py", "r2h_batch/sweep/study/report.py",
     "r2h_batch/report/compare/command.py", "r2h_batch/__main__.py", "r2h_batch/base/command_line.py",
-    "r2h_batch/sweep/results/command.py", "assets/objects/build_objects.py", "assets/SOURCES.md",
+    "r2h_batch/sweep/results/command.py", "r2h_batch/sweep/ls.py", "r2h_batch/sweep/submission.py",
+    "r2h_batch/view/drawing.py", "r2h_batch/base/loggers.py", "assets/objects/build_objects.py",
+    "r2h_batch/base/io/log.py", "assets/SOURCES.md",
 )  # fmt: skip
 
 
-def package_at(folder: Path) -> list[str]:
-    """The package's `__path__`, its files as links that a test may replace."""
+def package_at(folder: Path) -> list[Path]:
+    """The package's folders, its files as links that a test may replace."""
     root = Path(r2h_batch.__file__).resolve().parent.parent
     for name in ("r2h_batch", "kernels", "assets"):
         shutil.copytree(
             root / name, folder / name, copy_function=os.symlink, ignore=shutil.ignore_patterns("__pycache__")
         )
-    return [str(folder / "r2h_batch"), str(folder)]
+    return [folder / "r2h_batch", folder]
 
 
 def test_the_code_digest_changes_with_what_decides_rows_and_with_nothing_else(tmp_path, monkeypatch):
     before = provenance.code_digest()
-    monkeypatch.setattr(r2h_batch, "__path__", package_at(tmp_path))
+    monkeypatch.setattr(provenance, "FOLDERS", package_at(tmp_path))
 
     def digest() -> str:
         provenance.code_digest.cache_clear()
@@ -63,12 +66,12 @@ def test_the_code_digest_changes_with_what_decides_rows_and_with_nothing_else(tm
 
 def test_a_wheel_and_a_checkout_of_the_same_files_have_the_same_code_digest(tmp_path, monkeypatch):
     checkout = package_at(tmp_path)
-    monkeypatch.setattr(r2h_batch, "__path__", checkout)
+    monkeypatch.setattr(provenance, "FOLDERS", checkout)
     provenance.code_digest.cache_clear()
     before = provenance.code_digest()
     for name in ("kernels", "assets"):
         (tmp_path / name).rename(tmp_path / "r2h_batch" / name)
-    monkeypatch.setattr(r2h_batch, "__path__", checkout[:1])
+    monkeypatch.setattr(provenance, "FOLDERS", checkout[:1])
     provenance.code_digest.cache_clear()
     assert provenance.code_digest() == before
     provenance.code_digest.cache_clear()
@@ -83,7 +86,7 @@ def test_the_commit_is_that_of_the_checkout_and_says_when_files_differ(tmp_path,
     (tmp_path / "r2h_batch").mkdir()
     file = tmp_path / "r2h_batch" / "__init__.py"
     file.write_text("1")
-    monkeypatch.setattr(r2h_batch, "__file__", str(file))
+    monkeypatch.setattr(provenance, "ROOT", file.parent)
     assert provenance.git_commit() is None
     git("init")
     git("add", ".")

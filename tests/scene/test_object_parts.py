@@ -8,7 +8,7 @@ import trimesh
 
 from r2h_batch.base.io.read import FileError
 from r2h_batch.scene import objects
-from r2h_batch.scene.mesh_import.build_ahead import build_ahead
+from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.mesh_import.cache import key_of
 from r2h_batch.scene.objects import ObjectMeshError, build_object, is_built, object_digest, object_from_argument
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides

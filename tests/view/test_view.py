@@ -12,7 +12,7 @@ from needs import needs
 from r2h_batch.__main__ import main
 from r2h_batch.view.captions import as_markdown
 from r2h_batch.view.drawing import Drawing
-from r2h_batch.view.export.stored import ExportError, Reader
+from r2h_batch.view.stored import ExportError, Reader
 
 pytestmark = needs("viser")
 

@@ -1,1 +1,2 @@
-"""Files: bounded reading (`read`), atomic writing (`write`), and a disk cache (`cache`)."""
+"""Files: bounded reading (`read`), atomic writing (`write`), a disk cache (`cache`), lines on
+stderr and in a log file (`log`)."""

@@ -17,14 +17,15 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import metadata, resources
+from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import read_npz
 from r2h_batch.base.io.write import write_npz
 
@@ -133,14 +134,25 @@ def cached(
 
 
 @lru_cache(maxsize=8)
-def code_digest(packages: Sequence[str], distributions: Sequence[str]) -> str:
-    """sha256 (hex) of the modules directly in these packages and of the versions of these
-    distributions."""
+def code_files(code: Sequence[str]) -> list[Path]:
+    """Files of modules, and the modules directly in packages, by dotted names, in the order given."""
+    files = []
+    for name in code:
+        spec = find_spec(name)
+        if spec is None or spec.origin is None:
+            raise ModuleNotFoundError(f"no module {name}", name=name)
+        file = Path(spec.origin)
+        files += (
+            [file] if spec.submodule_search_locations is None else sorted(file.parent.glob("*.py"))
+        )
+    return files
+
+
+def code_digest(code: Sequence[str], distributions: Sequence[str]) -> str:
+    """sha256 (hex) of the files of `code` (`code_files`) and of the versions of these distributions."""
     digest = hashlib.sha256()
-    for package in packages:
-        for file in sorted(resources.files(package).iterdir(), key=lambda f: f.name):
-            if file.name.endswith(".py"):
-                digest.update(file.name.encode() + file.read_bytes())
+    for file in code_files(code):
+        digest.update(file.name.encode() + file.read_bytes())
     for name in distributions:
         with contextlib.suppress(metadata.PackageNotFoundError):
             digest.update(f"{name} {metadata.version(name)}".encode())

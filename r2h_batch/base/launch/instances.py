@@ -7,7 +7,7 @@ from importlib.machinery import ModuleSpec
 from importlib.util import module_from_spec
 from typing import TypeVar
 
-import r2h_batch.kernels as kernels
+import r2h_batch.kernels
 
 Compiled = TypeVar("Compiled")
 
@@ -20,16 +20,16 @@ def of_joints(thing: Compiled, joints: int) -> Compiled:
     else is shared. Warp compiles and caches the second package under its own name,
     r2h_batch.kernels_7 for seven joints.
     """
-    if joints == kernels.JOINTS:
+    if joints == r2h_batch.kernels.JOINTS:
         return thing
     made = getattr(thing, "cls", None) or thing.func  # type: ignore[attr-defined]
-    package = f"{kernels.__name__}_{joints}"
+    package = f"{r2h_batch.kernels.__name__}_{joints}"
     if package not in sys.modules:
         spec = ModuleSpec(package, None, is_package=True)
-        spec.submodule_search_locations = list(kernels.__path__)
+        spec.submodule_search_locations = list(r2h_batch.kernels.__path__)
         second = module_from_spec(spec)
         second.JOINTS = joints  # type: ignore[attr-defined]
         sys.modules[package] = second
-    found = import_module(made.__module__.replace(kernels.__name__, package, 1))
+    found = import_module(made.__module__.replace(r2h_batch.kernels.__name__, package, 1))
     other: Compiled = getattr(found, made.__qualname__)
     return other

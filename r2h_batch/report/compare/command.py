@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from r2h_batch.base.command_line import LOG, check_seed, nearest
+from r2h_batch.base.command_line import check_seed, nearest
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 
 if TYPE_CHECKING:

@@ -17,13 +17,14 @@ from r2h_batch.base.io.read import FileError, read_file
 from r2h_batch.scene.mesh_import.limits import MOST_BYTES
 
 CODE = (
-    "r2h_batch.scene",
-    "r2h_batch.scene.mesh_import",
-    "r2h_batch.kernels.geometry",
-    "r2h_batch.kernels.receiver",
+    *(
+        f"r2h_batch.scene.{name}"
+        for name in ("arrays", "grasp_set", "mesh_import", "objects", "solid")
+    ),
+    *("r2h_batch.kernels.options", "r2h_batch.kernels.geometry.mesh_distance"),
 )
 VERSIONS = ("coacd", "libigl", "manifold3d", "numpy", "scipy", "trimesh", "warp-lang")
-"""What objects are made by."""
+"""Modules and distributions that make objects. Another of them makes every object again."""
 SAID = "warnings"
 
 FORM = {

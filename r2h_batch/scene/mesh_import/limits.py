@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 
 MOST_BYTES = 1 << 30
 """Of a mesh file, and of each file that it names."""

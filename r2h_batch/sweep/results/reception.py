@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import torch
 
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception
 from r2h_batch.report.text import aligned, notes_list, plain, short_names

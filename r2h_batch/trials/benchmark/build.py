@@ -20,6 +20,7 @@ from r2h_batch.base.schedule import PROTOCOL, PROTOCOLS, RELEASE
 from r2h_batch.config import Workplace
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.mano import hand_from
+from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.hand import (
     HandModel,
@@ -30,7 +31,6 @@ from r2h_batch.scene.hand import (
     neutral_hand_set,
 )
 from r2h_batch.scene.hand_file import HandChoice, read_hand_set
-from r2h_batch.scene.mesh_import.build_ahead import build_ahead
 from r2h_batch.scene.objects import (
     ObjectModel,
     build_object,

@@ -3,7 +3,8 @@
 import sys
 from pathlib import Path
 
-from r2h_batch.base.command_line import LOG, failed, refuse
+from r2h_batch.base.command_line import failed, refuse
+from r2h_batch.base.io.log import LOG
 
 
 def show(*, builtin: bool = False) -> int:

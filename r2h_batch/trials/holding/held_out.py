@@ -30,6 +30,7 @@ from r2h_batch.trials.holding.sampler import NoHoldError, sample_receiving
 
 PER_SIDE = 256
 SERIES = "held out "
+MADE_BY = (*CODE, "r2h_batch.trials.holding.held_out")
 
 CONTACT_M = 0.005
 """Palmar skin this near to the surface presses on it: what `receiving.CONTACT_M` says."""
@@ -98,7 +99,7 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     if hand is load_hand() and f"{(key := stored_key(model))}/side" in stored:
         return {k: stored[f"{key}/{k}"] for k in (*FIELDS, "grip_n")}
     made_of = (
-        f"{object_digest(model)} {hand.digest} {code_digest(CODE, VERSIONS)} {SERIES}{PER_SIDE}"
+        f"{object_digest(model)} {hand.digest} {code_digest(MADE_BY, VERSIONS)} {SERIES}{PER_SIDE}"
     )
     key = hashlib.sha256(made_of.encode()).hexdigest()
     form = {**FORM, "grip_n": ArraySpec("float32", ("holds", 6))}

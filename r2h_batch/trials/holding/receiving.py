@@ -34,9 +34,20 @@ SAME_M, SAME_POSED = 1e-6, 16
 """By how much a skin may be off the built-in hand's to be the same hand, and in how many random
 postures it is asked."""
 
-CODE = ("r2h_batch.trials.holding", "r2h_batch.kernels.receiver", "r2h_batch.kernels.geometry")
+CODE = (
+    *(
+        f"r2h_batch.trials.holding.{name}"
+        for name in ("hand_closing", "hand_contact", "instructions", "sampler")
+    ),
+    *(f"r2h_batch.scene.{name}" for name in ("hand", "solid", "vocabulary")),
+    *(
+        "r2h_batch.kernels.options",
+        "r2h_batch.kernels.receiver",
+        "r2h_batch.kernels.geometry.mesh_distance",
+    ),
+)
 VERSIONS = ("numpy", "scipy", "torch", "trimesh", "warp-lang")
-"""What receiving grasps are made by."""
+"""Modules and distributions that make receiving grasps. Another of them makes every one again."""
 
 FORM = {
     "side": ArraySpec("int8", ("holds",)),

@@ -43,9 +43,9 @@ def scene(
 
     from r2h_batch.trials.benchmark.build import BenchmarkOverrides
     from r2h_batch.view.drawing import Drawing
-    from r2h_batch.view.export.mjcf import export_trial
-    from r2h_batch.view.export.stored import Reader
+    from r2h_batch.view.mjcf import export_trial
     from r2h_batch.view.pictures import images, save_picture
+    from r2h_batch.view.stored import Reader
 
     reader = Reader(run, BenchmarkOverrides.of(benchmark))
     stored = reader.trial(reader.run.trial_id(trial), method or None)
@@ -128,7 +128,7 @@ def export(
         write_release_results,
         write_release_trial,
     )
-    from r2h_batch.view.export.stored import UNJUDGED, ExportError, Reader
+    from r2h_batch.view.stored import UNJUDGED, ExportError, Reader
 
     reader = Reader(run, BenchmarkOverrides.of(benchmark))
     if reader.run.robot != DEFAULT_ROBOT:

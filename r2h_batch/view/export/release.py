@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from r2h_batch.base.io.write import atomic_path, csv_cell, write_json, write_text
 from r2h_batch.data.release import PADS_M, T_world_release, along_z, palm_in_hand
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS
-from r2h_batch.view.export.mjcf import posture_at
 from r2h_batch.view.export.region_boxes import region_as_boxes
-from r2h_batch.view.export.stored import StoredTrial
+from r2h_batch.view.mjcf import posture_at
+from r2h_batch.view.stored import StoredTrial
 
 Array = NDArray[np.float64]
 

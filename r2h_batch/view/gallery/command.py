@@ -5,7 +5,8 @@ import sys
 from pathlib import Path
 from typing import Literal
 
-from r2h_batch.base.command_line import LOG, UsageError
+from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import check_output_file, check_output_folder, write_text
 from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
 
@@ -79,8 +80,8 @@ def report(
         if gallery and out:
             from r2h_batch.scene.offscreen import ready
             from r2h_batch.trials.benchmark.build import BenchmarkOverrides
-            from r2h_batch.view.export.stored import Reader
             from r2h_batch.view.gallery.pictures import gallery as draw
+            from r2h_batch.view.stored import Reader
 
             ready()
             if _pages(out).is_symlink():
@@ -151,7 +152,7 @@ def figures(
     from r2h_batch.report.figures import needs_matplotlib
     from r2h_batch.scene.offscreen import ready
     from r2h_batch.trials.benchmark.build import BenchmarkOverrides
-    from r2h_batch.view.export.stored import Reader
+    from r2h_batch.view.stored import Reader
 
     for name in FIGURES:
         for ending in ENDINGS:

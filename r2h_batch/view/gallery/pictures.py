@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from r2h_batch.base.command_line import LOG
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.report.figures import WORDS, style
 from r2h_batch.report.text import short_names
@@ -20,9 +20,9 @@ from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.view.captions import headline
 from r2h_batch.view.drawing import Drawing, view_of
-from r2h_batch.view.export.stored import Reader
 from r2h_batch.view.page import write_page
 from r2h_batch.view.pictures import Image, image_at_end, images, painter
+from r2h_batch.view.stored import Reader
 
 SHOWN = OUTCOME_NAMES[:6]
 """Outcomes of which there is something to see: success and the five failures."""

@@ -14,8 +14,8 @@ import trimesh
 
 from r2h_batch.config import HOME_Q
 from r2h_batch.scene.robot import load_robot
-from r2h_batch.view.export import mjcf as export
-from r2h_batch.view.export.stored import Reader
+from r2h_batch.view import mjcf as export
+from r2h_batch.view.stored import Reader
 
 TRIALS = (0, 3)
 CAP_M = 0.05

@@ -12,7 +12,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.scene import hand
 from r2h_batch.sweep import command as sweep
 from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.view.export.stored import ExportError, Reader
+from r2h_batch.view.stored import ExportError, Reader
 
 TIMES = ("t_plan_s", "t_method_s")
 

@@ -11,8 +11,8 @@ import trimesh
 from needs import needs
 
 from r2h_batch.config import CLOSED_GAP_M
-from r2h_batch.view.export.mjcf import export_trial
-from r2h_batch.view.export.stored import Reader
+from r2h_batch.view.mjcf import export_trial
+from r2h_batch.view.stored import Reader
 
 TRIALS = ((0, "oracle"), (3, "oracle"), (2, "random"), (1, "random"))
 CAP_M = 0.05

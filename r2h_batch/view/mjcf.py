@@ -60,7 +60,7 @@ from r2h_batch.scene.robot import (
 from r2h_batch.scene.robot_visuals import part_origin
 from r2h_batch.scene.tables import Hands
 from r2h_batch.verdicts import CRITERIA
-from r2h_batch.view.export.stored import StoredTrial
+from r2h_batch.view.stored import StoredTrial
 
 Array = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def export_trial(stored: StoredTrial, out: str | Path) -> Path:
     folder, robot = Path(out), stored.robot
     folder.mkdir(parents=True, exist_ok=True)
     write_scene(folder, spec_of(stored))
-    play = files("r2h_batch.view.export").joinpath("play.py").read_text()
+    play = files("r2h_batch.view").joinpath("play.py").read_text()
     (folder / "play.py").write_text(play, encoding="utf-8")
     _write_csv(folder / "trajectory.csv", robot.joints, *trajectory(stored))
     executed = folder / "executed.csv"

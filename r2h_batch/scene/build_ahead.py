@@ -1,6 +1,6 @@
 """Many objects built on all cores, before somebody asks for them one by one: workers fill the cache.
 
-`python -m r2h_batch.scene.mesh_import.build_ahead` is a worker: the arguments of its builds as JSON
+`python -m r2h_batch.scene.build_ahead` is a worker: the arguments of its builds as JSON
 on its stdin. What goes wrong in a worker goes wrong again where the object is asked for, and is said
 there.
 """
@@ -17,8 +17,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.command_line import LOG
 from r2h_batch.base.io.cache import cache_folder
+from r2h_batch.base.io.log import LOG
 from r2h_batch.scene.objects import build_object, is_built
 
 
@@ -40,7 +40,7 @@ def build_ahead(calls: Sequence[Mapping[str, Any]], *, cores: int | None = None)
         return 0
     LOG.info(f"building {len(todo)} objects on {workers} cores")
     path = os.pathsep.join(p or os.getcwd() for p in sys.path)
-    command = [sys.executable, "-P", "-m", "r2h_batch.scene.mesh_import.build_ahead"]
+    command = [sys.executable, "-P", "-m", "r2h_batch.scene.build_ahead"]
     started: list[subprocess.Popen[str]] = []
     try:
         for k in range(workers):

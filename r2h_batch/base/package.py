@@ -1,0 +1,43 @@
+"""The package itself: its version, the folders of its modules, names that it imports when first used."""
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+
+VERSION = "0.2.0"
+
+ROOT = Path(__file__).resolve().parents[1]
+"""r2h_batch/."""
+
+FOLDERS = (ROOT,) if (ROOT / "kernels").exists() else (ROOT, ROOT.parent)
+"""Where modules of r2h_batch are found. In a wheel kernels/ and assets/ stand inside the package; in a checkout or an editable
+install they stand beside it."""
+
+
+def lazy_names(
+    package: str, home: Mapping[str, str]
+) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package that offers names of its modules: imported when
+    first used.
+
+    `--help` must not wait for torch and Warp. Type checkers read the imports that stand under
+    TYPE_CHECKING in the same file.
+
+    Args:
+        package: its dotted name.
+        home: public name -> module, relative to the package; a module's own name stands for the
+            module.
+
+    Returns:
+        `__getattr__` and `__dir__`.
+    """
+
+    def find(name: str) -> object:
+        if name not in home:
+            raise AttributeError(
+                f"module {package!r} has no attribute {name!r}; it has {', '.join(sorted(home))}"
+            )
+        module = import_module(f".{home[name]}", package)
+        return module if home[name].rpartition(".")[2] == name else getattr(module, name)
+
+    return find, lambda: sorted(home)
