@@ -1,4 +1,5 @@
-"""What benches share: figures as lines and JSON with commit, versions and hardware; pages; quiet sweeps; memory; profiles."""
+"""Shared by benches: figures as lines and JSON with commit, versions and hardware; pages; quiet sweeps; memory;
+profiles."""
 
 import argparse
 import cProfile

@@ -85,7 +85,7 @@ def played(scores: Any, motion: str, policy: str) -> Any:
 
 
 def summary(episodes: Any, rows: slice) -> dict[str, Any]:
-    """What the page says of a method and a case."""
+    """Figures of a method and a case on the page."""
     from r2h_batch.closed_loop.env import End
 
     e, touched = episodes.end[rows].numpy(), episodes.robot_touched[rows].numpy()

@@ -96,7 +96,7 @@ def fastest(run, others=()) -> list[float]:
 
 
 def options() -> argparse.Namespace:
-    """What the command line asks for."""
+    """Command line."""
     parser = arguments(__doc__)
     parser.add_argument("--trials", type=int, default=32)
     parser.add_argument("--per-trial", type=int, default=320)

@@ -31,7 +31,7 @@ Cells = Callable[[str, str, str], float]
 
 @dataclass(frozen=True)
 class Finding:
-    """What the paper says; conditions, each with its words; why they hold here or not."""
+    """Claims of the paper; conditions, each with its words; why they hold here or not."""
 
     text: str
     holds: tuple[tuple[str, Callable[[Cells], bool]], ...]

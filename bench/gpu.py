@@ -46,7 +46,7 @@ KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 
 @dataclass
 class Bench:
-    """What the parts share: the device, how many trials, the report, when to stop."""
+    """Shared by the parts: the device, how many trials, the report, when to stop."""
 
     device: str
     trials: int
@@ -115,7 +115,7 @@ class Bench:
 
 
 def machine(bench: Bench) -> None:
-    """What it is."""
+    """Reports the device: name, architecture, memory, driver."""
     bench.report.add("gpu.device", torch.cuda.get_device_name(bench.device) if bench.cuda else "cpu")
     bench.report.add("gpu.torch_cuda", str(torch.version.cuda))
     if bench.cuda:

@@ -44,7 +44,7 @@ WITH_CALLS = re.compile(r"(\d+) bytes cumulative stack size")
 
 @dataclass(frozen=True)
 class Kernel:
-    """What ptxas says of one kernel."""
+    """Figures that ptxas prints for one kernel."""
 
     name: str
     registers: int

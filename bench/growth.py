@@ -128,7 +128,8 @@ def write(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
 
 
 def resume(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
-    """What the same command does before its first trial: the folder opened and verified, shards still to do listed."""
+    """Seconds that the same command needs before its first trial: the folder opened and verified, shards still to do
+    listed."""
     from r2h_batch.runs.store import mark_for_rerun
 
     start = time.perf_counter()

@@ -55,7 +55,7 @@ METHODS = ("fc", "handover-va", "random")
 
 @dataclass
 class Tally:
-    """What became of one criterion in one set; lengths in mm."""
+    """Agreement on one criterion in one set; lengths in mm."""
 
     rows: int = 0
     wrong: int = 0
@@ -199,7 +199,7 @@ class Again:
         return q
 
     def _clearance(self, q: Array) -> float:
-        """Of all pairs at a posture; below 0 the depth of the deepest."""
+        """Smallest clearance of all pairs at a posture; below 0 the depth of the deepest."""
         twin = self.seen
         least, _ = twin.least(q, cap=CLEARANCE_CAP_M)
         if least >= 0:

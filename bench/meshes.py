@@ -143,7 +143,7 @@ def random_grasps(mesh: trimesh.Trimesh, count: int) -> torch.Tensor:
 
 @dataclass(frozen=True, eq=False)
 class BareSurface:
-    """What Stability reads of an object."""
+    """Fields of an object that Stability reads."""
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32]
@@ -163,7 +163,7 @@ def stable(mesh: trimesh.Trimesh, T_obj_ee: torch.Tensor) -> NDArray[np.bool_]:
 def changed(
     model: Any, other: trimesh.Trimesh, given: trimesh.Trimesh, volume: float | None, count: int
 ) -> dict[str, Any]:
-    """What the import did to a surface: against `other`, whose volume is `volume`; None: it is open."""
+    """Change of a surface by the import: against `other`, whose volume is `volume`; None: it is open."""
     mesh, rng = model.mesh, np.random.default_rng(5)
     low, high = np.minimum(mesh.bounds[0], other.bounds[0]), np.maximum(mesh.bounds[1], other.bounds[1])
     points = rng.uniform(low, high, (1500, 3))
@@ -223,7 +223,7 @@ def measure(
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """What the import did to each mesh, as Markdown."""
+    """Change of each mesh by the import, as Markdown."""
     keys = ("faces", "build_cpu_s", "all_cpu_s", "volume_change", "within_99_mm", "flips", "oracle")
     return markdown_table(["object", *keys], [[r["object"], *(r.get(k, "-") for k in keys)] for r in rows])
 

@@ -171,7 +171,7 @@ def held(model, T_obj_ee, opening, hand, hand_faces, size):
 
 
 def grasps(png: Path) -> None:
-    """What each method holds: gripper, object (receiver's region orange) and the receiving hand that it was shown.
+    """Grasp of each method: gripper, object (receiver's region orange) and the receiving hand that it was shown.
 
     Without the error model; the word after the object is the verdict.
     """

@@ -52,7 +52,7 @@ def columns() -> dict[str, dict[str, float]]:
 
 
 def tested(case: str, a: str, b: str) -> str:
-    """What the page of a column says of a pair's difference there: marks, or p."""
+    """A pair's difference as the page of a column gives it: marks, or p."""
     from scipy.stats import binomtest
 
     if case in LEVELS.values():

@@ -24,7 +24,7 @@ from _report import Report, arguments
 from soak import compare, ended, receipts, sweep
 
 STORE_BYTES = 80_000_000
-"""Of each node's object store, about the least that Ray takes."""
+"""Size of each node's object store: about the least that Ray takes."""
 
 WAIT_S = 400
 

@@ -38,7 +38,7 @@ from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.export.release import TOOL_M
 
 SAMPLES = 3
-"""Of an executed motion where flags are compared: theirs takes a sixth of a second for each."""
+"""Samples of an executed motion at which flags are compared: their evaluator takes a sixth of a second for each."""
 
 
 def quietly(command: Any, *line: object) -> float:

@@ -1,4 +1,4 @@
-"""What each choice is worth: the four methods with one choice changed at a time, docs/results/sensitivity.{md,json}.
+"""Effect of each choice: the four methods with one choice changed at a time, docs/results/sensitivity.{md,json}.
 
 `make tables` measures it (bench/tables.py). Motion as planned (`--sim none`); each variant is one sweep. The paired test
 (`r2h-batch compare`) says which methods are apart in each, and the ranks how often their order is that of the base.
@@ -30,7 +30,7 @@ class Variant:
 
     @property
     def methods(self) -> list[str]:
-        """What is swept: everybody, or the methods whose options change."""
+        """Methods that are swept: all, or those whose options change."""
         if not self.options:
             return list(METHODS)
         return [f"{m},{said}" for m, said in self.options]

@@ -32,7 +32,7 @@ from r2h_batch.sweep.results.command import verify
 from r2h_batch.trials.protocol import make_trials
 
 FULL_BYTES = 4096
-"""What a process may still write to a file when its disk is full: a limit on file sizes, as quotas are."""
+"""Bytes that a process may still write to a file when its disk is full: a limit on file sizes, as quotas are."""
 
 COUNTS = (500, 10_000, 50_000, 100_000)
 """Calls after which memory is read."""
@@ -59,7 +59,7 @@ def receipts(out: Path) -> list[Path]:
 
 
 def digest(out: Path, shards: set[int]) -> str:
-    """Of those shards of a run."""
+    """Digest of these shards of a run."""
     run = load_run(out)
     entry = run.entry("random")
     kept = {i: r for i, r in entry.receipts.items() if i in shards}

@@ -43,7 +43,7 @@ from _report import ROOT, markdown_table, swept
 RESULTS = Path("docs/results")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
 KEPT = ("run.json", "methods", "manifest", "trials", "poses")
-"""Of a run folder: what is stored and read again."""
+"""Files of a run folder that are stored and read again."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ TIMES_NOTES = """- T_plan: wall time of planning a batch / its size. T_exec: mea
 
 
 def git(*words: str) -> str:
-    """What git prints in this checkout."""
+    """Output of git in this checkout."""
     return subprocess.run(["git", "-C", str(ROOT), *words], check=True, capture_output=True, text=True).stdout.strip()
 
 

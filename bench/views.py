@@ -1,4 +1,4 @@
-"""What Contact-Handover does when depth cameras show its network the object.
+"""Contact-Handover when depth cameras show its network the object.
 
 `python bench/views.py --out FOLDER` sweeps the method on r2h-v1, motion as planned, with the whole solid and with cameras (the
 same FOLDER goes on). `--render` prints the table of the JSON.

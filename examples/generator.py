@@ -14,7 +14,7 @@ from r2h_batch.base import se3
 
 CLOUD = 96
 SEEN = 512
-"""Of an object's points, those that features are made from: the first ones, themselves an area-weighted sample."""
+"""Points of an object that features are made from: the first ones, themselves an area-weighted sample."""
 NEAR_M, SCALE_M = 0.03, 0.05
 STEPS = 16
 """Euler steps from noise to sample."""

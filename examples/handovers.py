@@ -1,4 +1,5 @@
-"""What examples/train_generator.py learns from: clouds, palm frames, and rough handovers that the evaluator lets pass."""
+"""Training data of examples/train_generator.py: clouds, palm frames, and rough handovers that the evaluator lets
+pass."""
 
 from dataclasses import dataclass
 
@@ -40,7 +41,7 @@ class Clouds:
         return frame_of(n, self.points[objects.long()].mean(1) - p, p)
 
     def middle(self, objects: Tensor) -> Tensor:
-        """What is handed over: the middle of the receiver's region, of the whole object where there is none."""
+        """Anchor of the handover: the middle of the receiver's region, or of the object if it has no region."""
         points, _, region = self.rows(objects)
         use = (region | ~region.any(1, keepdim=True)).float()[..., None]
         return (points * use).sum(1) / use.sum(1)

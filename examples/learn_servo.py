@@ -22,7 +22,7 @@ LOW, HIGH = torch.tensor([0.03, 0.005, 0.02]), torch.tensor([0.25, 0.03, 0.6])
 CAUTIOUS = torch.tensor([0.22, 0.028, 0.04])
 """Where it begins."""
 A_SECOND = 0.03
-"""What a second costs of a success."""
+"""Cost of a second, as a share of a success."""
 
 
 def returns(episodes: Episodes) -> torch.Tensor:

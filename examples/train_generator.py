@@ -61,7 +61,7 @@ class Generator:
         return cloud, torch.cat([stands, middle * 10], -1)
 
     def lessons(self, data: Examples, evaluator: Evaluator) -> list[Tensor]:
-        """What training needs of all examples, worked out once: clouds and numbers to be reached."""
+        """Inputs of training for all examples, computed once: clouds and numbers to be reached."""
         parts = []
         for rows in torch.arange(len(data.point)).split(1024):
             trials, T_obj_ee, T_world_ee = data.trials[rows], data.T_obj_ee[rows], data.T_world_ee[rows]
@@ -196,7 +196,7 @@ def judged(evaluator: Evaluator, ways: dict, trials: Trials) -> dict[str, dict]:
 
 
 def options(argv: list[str] | None) -> argparse.Namespace:
-    """What the command line asks for."""
+    """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--proposals", type=int, default=60_000)
     parser.add_argument("--steps", type=int, default=3000)

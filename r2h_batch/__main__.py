@@ -101,7 +101,8 @@ def command_of(name: str) -> Any:
 
 
 def _about(name: str, given: Sequence[str], prog: str) -> int:
-    """What is asked of the command itself: its version, its help, shell completion; or a slip."""
+    """Answers what is asked of the command itself: version, help, shell completion, or an unknown
+    subcommand."""
     if name == "--version":
         print(f"r2h_batch {r2h_batch.__version__}")
         return 0

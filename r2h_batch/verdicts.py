@@ -14,8 +14,7 @@ SIDES = ("right", "left")
 
 
 class CriterionEntry(NamedTuple):
-    """What everything but its equation needs to know of a criterion (`judge.metrics` has the
-    equation)."""
+    """Description of a criterion without its equation (`judge.metrics` has the equation)."""
 
     name: str  # stored columns are passed_NAME and margin_NAME_m; the outcome is NAME in capitals
     rate: str  # key of the rate of trials that fail here first
@@ -68,7 +67,7 @@ if tuple(Outcome.__members__)[1 : len(REGISTRY) + 1] != tuple(c.upper() for c in
 
 
 class MarginKind(IntEnum):
-    """What a stored margin says (`Scores.margin_kind`). Averages of margins leave `CAP` out."""
+    """Meaning of a stored margin (`Scores.margin_kind`). Averages of margins leave `CAP` out."""
 
     NONE = 0
     """Not evaluated: there is no margin."""

@@ -1,4 +1,5 @@
-"""What every run does: GPU tests are skipped where there is none, and what was left out is listed with how to get it."""
+"""Set-up of every run: GPU tests are skipped where there is none, and what was left out is listed with how to get
+it."""
 
 import shutil
 import sys

@@ -1,4 +1,4 @@
-"""What somebody who had not written the commands broke: outputs over runs, links, pipes, stray files, Ctrl-C."""
+"""Attacks by somebody who had not written the commands: outputs over runs, links, pipes, stray files, Ctrl-C."""
 
 import re
 import warnings

@@ -101,7 +101,7 @@ FACTORIES = (
     *("arange", "empty", "eye", "full", "linspace", "logspace", "normal", "ones", "rand", "randint", "randn"),
     *("randperm", "scalar_tensor", "tensor", "tril_indices", "triu_indices", "zeros"),
 )
-"""Of torch: what they make is of the default dtype on the default device, which belong to the caller's program."""
+"""Functions of torch whose results have the default dtype and device, which belong to the caller's program."""
 
 
 def test_every_new_tensor_says_its_dtype_and_device() -> None:

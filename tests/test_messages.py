@@ -1,4 +1,4 @@
-"""What is said to somebody whose file is not what a command takes: what was given, what is allowed, what to do."""
+"""Messages about files that a command cannot take: what was given, what is allowed, what to do."""
 
 import numpy as np
 import pytest

@@ -62,7 +62,7 @@ class Text(html.parser.HTMLParser):
 
 
 def shown(markdown):
-    """What a Markdown engine that lets HTML through makes of a text."""
+    """HTML of a text by a Markdown engine that lets HTML through."""
     return Text(MarkdownIt("commonmark").enable(["table", "strikethrough"]).render(markdown))
 
 

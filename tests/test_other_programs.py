@@ -45,7 +45,7 @@ def outcomes(evaluator, batch, stages="all") -> np.ndarray:
 
 
 def answer(queue, evaluator, batch) -> None:
-    """What a child process says: its margins, and that torch itself works there on more than a grain."""
+    """Output of a child process: its margins, and that torch itself uses threads there."""
     large = float(torch.ones(1 << 20, dtype=torch.float32).exp().sum())
     queue.put((outcomes(evaluator, batch), large))
 

@@ -1,4 +1,4 @@
-"""What every command says when its stdout is closed, full or ASCII, and that no name in a file steers a terminal."""
+"""Output of every command when its stdout is closed, full or ASCII, and that no name in a file steers a terminal."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What the evaluator asks of a GPU, held without one: tensors that say cuda:0 (tests/support/pretend_cuda.py)."""
+"""The evaluator's use of a GPU, tested without one: tensors that say cuda:0 (tests/support/pretend_cuda.py)."""
 
 from collections.abc import Iterator
 from dataclasses import fields, replace

@@ -1,4 +1,5 @@
-"""What docs publish follows from stored rows, the rows from this code, and all of it from one clean commit (bench/tables.py)."""
+"""Published figures follow from stored rows, the rows from this code, and all of it from one clean commit
+(bench/tables.py)."""
 
 import hashlib
 import json

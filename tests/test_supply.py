@@ -1,4 +1,4 @@
-"""What comes from others: the lock is whole, licences are listed, an audit that was not made is no clean bill, no downloads."""
+"""Code of others: the lock is whole, licences are listed, an audit that was not made is no clean bill, no downloads."""
 
 import importlib.util
 import re

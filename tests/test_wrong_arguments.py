@@ -158,7 +158,7 @@ def _tally(tmp):
 
 
 def raw(call, name, values, arguments) -> list[str]:
-    """What a wrong value of an argument comes to where it is neither taken nor refused by its name."""
+    """Wrong values of an argument that are neither taken nor refused by its name, and what they raise."""
     found = []
     for what, value in values.items():
         try:

@@ -1,4 +1,4 @@
-"""What comes from others: the lock, its licences, its advisories. `python tools/supply.py lock|licences|audit`.
+"""Code of others: the lock, its licences, its advisories. `python tools/supply.py lock|licences|audit`.
 
 `make lock` writes constraints.txt from what is installed in the test environment, `make licences` docs/licences.md from
 its metadata, `make audit` asks an advisory source about the lock.

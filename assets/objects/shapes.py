@@ -28,7 +28,7 @@ class Parts:
 
 @dataclass(frozen=True)
 class Spec:
-    """What makes one object; ``size`` is scene.md's box.
+    """Parameters of one object; ``size`` is scene.md's box.
 
     ``edge`` is the triangles' size, ``fine`` that of single parts. ``cuts`` divide a part along a plane: faces with
     n.p > d get the new name. ``receiver`` names the parts of the receiver's region, ``take`` its name in the

@@ -39,9 +39,10 @@ ESTIMATORS = {  # published 2017 to 2022, each once; older ones are what nobody 
     "ArXiv_NYU_TriHorn_Net.txt": "TriHorn-Net (Rezaei et al. 2022)",
 }
 FOCAL_X, FOCAL_Y, MIDDLE_X, MIDDLE_Y = 588.03, -587.07, 320.0, 240.0
-"""Of NYU's camera, pixels; labels are (u, v, depth in mm)."""
+"""Intrinsics of NYU's camera, pixels; labels are (u, v, depth in mm)."""
 JOINTS, WRIST_A, WRIST_B, PALM = 14, 11, 12, 13
-"""Of the joints that are compared: two on the wrist, B on the thumb's side, and the palm's middle."""
+"""Number of compared joints, and rows of some of them: two on the wrist, B on the thumb's side, and the palm's
+middle."""
 KEPT = 4096
 PERCENTILES = (50, 90, 99, 99.9)
 MAX_BYTES = 1 << 24

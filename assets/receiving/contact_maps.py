@@ -1,4 +1,4 @@
-"""What the contact network learns from: where the receiving grasps touch each object's cloud."""
+"""Training data of the contact network: where the receiving grasps touch each object's cloud."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class SearchTarget(Target):
 
 
 def cost(target: SearchTarget, shapes: list[Shape], extra: Array) -> float:
-    """What the search minimises: mean overshoot in mm, its square, and a steep price for samples left outside."""
+    """Cost of the search: mean overshoot in mm, its square, and a steep price for samples left outside."""
     if min(float(s.size.min()) for s in shapes) < 5e-4:
         return 1e6
     points, areas = exposed_surface(shapes, target.spacing)

@@ -54,7 +54,7 @@ def triangle_shape(start: int):
 
 @wp.func_native("return r2h::farthest_in_blocks(points.data + start, count, d);")
 def farthest_in_blocks(points: wp.array(dtype=wp.vec3), start: int, count: int, d: wp.vec3) -> wp.vec3:
-    """Of `count` points in blocks of 16, from row `start` on, the one farthest along d; of several the first."""
+    """The point farthest along d of `count` points in blocks of 16, from row `start` on; the first one of several."""
     ...
 
 

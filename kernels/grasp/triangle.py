@@ -15,7 +15,7 @@ wp.set_module_options(OPTIONS)
 
 DEPTH_M = wp.constant(5.0e-6)
 GJK_M = wp.constant(1.0e-5)
-"""What GJK gives may be this much below the distance: a triangle that is farther than `best` and this cannot lower it."""
+"""GJK's result may be this much below the distance: a triangle that is farther than `best` and this cannot lower it."""
 
 
 @wp.func

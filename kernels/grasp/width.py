@@ -19,7 +19,7 @@ MAX_STEPS = wp.constant(64)
 
 @wp.struct
 class Closing:
-    """What the gripper closes on (m). `found` 0: nothing between the pads."""
+    """Width that the gripper closes on (m). `found` 0: nothing between the pads."""
 
     low: float
     high: float

@@ -48,7 +48,7 @@ TURN_M = wp.constant(0.3)
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 ENTRIES = wp.constant(6 * _JOINTS)
-"""Of a Jacobian."""
+"""Number of entries of a Jacobian."""
 TWO_PI = wp.constant(6.283185307179586)
 
 vec6 = wp.types.vector(6, float)
@@ -126,7 +126,7 @@ def pull_home(chain: Chain, q: wp.array(dtype=float), way: float) -> vecq:
 
 @wp.func
 def missed(chain: Chain, q: wp.array(dtype=float), goal_R: wp.mat33d, goal_p: wp.vec3d):
-    """What lies between a posture's ee and the goal: m, and axis times angle of the rotation."""
+    """Error between a posture's ee and the goal: m, and axis times angle of the rotation."""
     R, p = ee_of(chain, q)
     return goal_p - p, rotation_vector(goal_R * wp.transpose(R))
 

@@ -52,7 +52,8 @@ class Way:
 
 @wp.func
 def wanted_of(R: wp.mat33d, p5: wp.vec3d) -> Wanted:
-    """What the search needs of a target with rotation R; at sin q5 = 0 psi3 is any angle, so v = 0 counts as `SINGULAR_SIN`."""
+    """Inputs of the search from a target with rotation R; at sin q5 = 0 psi3 is any angle, so v = 0 counts as
+    `SINGULAR_SIN`."""
     w = Wanted()
     w.p5 = p5
     w.cos_a = ONE

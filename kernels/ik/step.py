@@ -67,7 +67,7 @@ def hand_error(s: vec12d, R: wp.mat33d):
 def damped_step(ur: UrParameters, s: vec12d, p: wp.vec3d, e: wp.vec3d, r: wp.vec3d) -> vec12d:
     """The state after one step: p the asked wrist centre, e and r what is missing of it and of the hand (shoulder frame).
 
-    The Jacobian's columns, taken where the wrist centre shall be, in the order of solving (robot/fk.py has u and w):
+    The Jacobian's columns, taken at the wanted wrist centre, in the order of solving (robot/fk.py has u and w):
       joint  wrist centre (x, n, z)                turn of the hand
       q1     (-p_n, p_x, 0)                        z
       psi3   (-d5 cos psi3, 0, d5 sin psi3)        n

@@ -1,4 +1,5 @@
-"""What bounds say of a robot body in motion and a part of the hand: all of it, a convex piece, a face of its mesh.
+"""Bounds on the distance between a moving robot body and a part of the hand: all of it, a convex piece, a face of its
+mesh.
 
 The hand's convex pieces enclose the mesh: a body that keeps clear of a piece's hull keeps clear of its triangles, so hulls
 and bounding volumes settle most of it, and triangles (hand_distance.py) decide the rest. The inequalities are those of
@@ -33,7 +34,7 @@ MEETS = wp.constant(3)  # it meets the body in the middle: look how deep
 
 @wp.func
 def allowed_of(tolerance: float, distance: float):
-    """What the smallest distance may be off, m: `tolerance`, or 0.2 % of it; half of an overlap (judge/safe.py)."""
+    """Allowed error of the smallest distance, m: `tolerance`, or 0.2 % of it; half of an overlap (judge/safe.py)."""
     return wp.max(tolerance, wp.where(distance < 0.0, -0.5 * distance, 0.002 * distance))
 
 

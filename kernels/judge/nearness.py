@@ -14,7 +14,7 @@ from ..robot.world import TrialBodies, World, body_pose, link_frame, robot_shape
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 NEARER = wp.constant(1.0e-5)
-"""What rounding may take off a distance, m: so much is added to a guess."""
+"""Rounding error of a distance, m, which is added to a guess."""
 PROJECTIONS = wp.constant(3)
 
 

@@ -130,7 +130,7 @@ def moved(T: wp.mat44, v: wp.vec3) -> wp.vec3:
 
 @wp.func
 def inverse(T: wp.mat44) -> wp.mat44:
-    """Of a rigid transform."""
+    """Inverse of a rigid transform."""
     x = column(T, 0)
     y = column(T, 1)
     z = column(T, 2)
@@ -174,8 +174,8 @@ def close_rows(
     margin_out: wp.array(dtype=wp.float32), squeezed_out: wp.array(dtype=wp.float32),
     attached_out: wp.array(dtype=wp.mat44), ball_out: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
-    """What closing leaves: Stability's margin, the fingers' opening, the grasp once the pads have met the object (moved by
-    `shift` along y), and the receiver's ball in that frame."""
+    """Result of closing: Stability's margin, the fingers' opening, the grasp once the pads have met the object (moved
+    by `shift` along y), and the receiver's ball in that frame."""
     row = first + wp.tid()
     margin_out[row] = wp.min(material_margin(empty_in[row], width_in[row], w_max, w_min), cut_in[row])
     squeezed_out[row] = squeezed(width_in[row], opening_in[row], w_max, pad_squeeze)

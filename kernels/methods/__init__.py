@@ -1,1 +1,1 @@
-"""What the methods need."""
+"""Kernels of the methods."""

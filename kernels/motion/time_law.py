@@ -1,4 +1,4 @@
-"""Where the servos shall be at a time, and how far a motion strays from that."""
+"""Servo setpoints at a time, and a motion's deviation from them."""
 
 import warp as wp
 
@@ -66,7 +66,7 @@ def servo_command(
     for j in range(JOINTS):
         q0 = f64(path[trial, k, j])
         d = f64(path[trial, k + 1, j]) - q0
-        # position servos lag by kv / kp times the speed: they are told where the arm shall be that much later
+        # position servos lag by kv / kp times the speed: their setpoint is the arm's reference that much later
         out[j] = q0 + d * (f + law.lead * rate)
     return out
 

@@ -1,4 +1,4 @@
-"""What a simulated world does around each step: take its command, record, note what went wrong, go on to the next trial.
+"""Work of a simulated world around each step: take its command, record, note what went wrong, go on to the next trial.
 
 Worlds are refilled: one that has finished its trial loads the next one's object and hand and starts it, so that all stay
 busy until the queue is empty. Which world a trial runs in makes no difference to it.
@@ -22,7 +22,7 @@ WINDOW = wp.constant(8)
 
 @wp.struct
 class Shapes:
-    """What a geom has with each mesh of the model; which geoms have a mesh of the trial's."""
+    """Fields of a geom with each mesh of the model; which geoms have a mesh of the trial's."""
 
     geom: wp.array(dtype=int)
     size: wp.array(dtype=wp.vec3)
@@ -124,7 +124,7 @@ class Fingers:
 
 @wp.struct
 class Record:
-    """What is kept of n trials; of `window_of` on their windows of WINDOW segments."""
+    """Record of n trials. Fields of size (windows,) have an entry for each window of WINDOW segments."""
 
     q: wp.array2d(dtype=float)  # (samples, JOINTS) of all trials, each from `Queue.sample` on
     acceleration: wp.array2d(dtype=float)  # (n, JOINTS)

@@ -35,7 +35,8 @@ def descend(level: int, index: int):
 
 @wp.func
 def next_interval(level: int, index: int):
-    """What follows a settled interval: its right neighbour on the finest level that has one. Level 0: the edge is done."""
+    """The interval after a settled one: its right neighbour on the finest level that has one. Level 0: the edge is
+    done."""
     while level > 0 and (index & 1) == 1:
         index = index >> 1
         level -= 1

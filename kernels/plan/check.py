@@ -78,7 +78,7 @@ def _tracked(query: Query, with_hand: bool):
 
 @wp.func
 def _target(query: Query, best: float, margin: float, with_hand: bool):
-    """What a pair has to keep: its margin, or what would improve on the smallest clearance so far."""
+    """Clearance that a pair has to keep: its margin, or what would improve on the smallest clearance so far."""
     return wp.where(_tracked(query, with_hand), best - query.tolerance, margin)
 
 

@@ -41,6 +41,7 @@ WAYPOINTS = wp.constant(32)
 BRANCHES = wp.constant(8)
 """IK branches of a pose (r2h_batch.judge.ik), and so goals of a trial."""
 MAX_OBSTACLES = wp.constant(64)
-"""What one body may be near to in `check`: the hand's pieces, the table and the arm's bodies fit (scene/tables.py)."""
+"""Number of bodies that one body may be near to in `check`: the hand's pieces, the table and the arm's bodies fit
+(scene/tables.py)."""
 MAX_ARM_BODIES = wp.constant(24)
 """Primitives of the arm that `posture_clearance` keeps in place; a UR5e has 21. On a GPU each takes 24 bytes of stack."""

@@ -83,7 +83,8 @@ class Near:
 
 @wp.func
 def least_rest(second: float, third: float):
-    """What a swept bound takes off at least: with less between two bodies they are not settled along any plane."""
+    """Smallest amount by which a swept bound lowers a distance: with less between two bodies they are not settled along
+    any plane."""
     return wp.min(0.5 * second, third / 6.0)
 
 

@@ -71,7 +71,7 @@ class BodyInPlace:
 
 @wp.struct
 class Obstacle:
-    """What a body may meet: a piece of the hand, the table, or a body of another link; its pose in the hand frame."""
+    """Obstacle of a body: a piece of the hand, the table, or a body of another link; its pose in the hand frame."""
 
     near: int  # 0: bounding volumes keep it farther away than the smallest clearance so far
     pair: int  # as if the robot itself met it

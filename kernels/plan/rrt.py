@@ -49,7 +49,7 @@ def add_node(
 
 @wp.func
 def squared_distance(nodes: wp.array2d(dtype=float), row: int, q: vecq):
-    """Of a node from q (joint space, Euclidean)."""
+    """Squared Euclidean distance of a node from q in joint space."""
     d = float(0.0)
     for j in range(JOINTS):
         e = nodes[row, j] - q[j]

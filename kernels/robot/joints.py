@@ -13,7 +13,7 @@ GRIPPER = wp.constant(_JOINTS + 1)
 OBJECT = wp.constant(_JOINTS + 2)
 LINKS = wp.constant(_JOINTS + 3)
 FRAMES = wp.constant(_JOINTS + 1)
-"""Of the arm's links, base to last link."""
+"""Frames of the arm's links, base to last link."""
 CHANGES = wp.constant(_JOINTS + 1)
 """Row from which on `twists` writes how the twists change."""
 FIELDS = wp.constant(2 * _JOINTS + 2)

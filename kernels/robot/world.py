@@ -1,4 +1,4 @@
-"""What every collision kernel reads: robot, hands, objects, table, and where each trial's bodies sit.
+"""Inputs of every collision kernel: robot, hands, objects, table, and where each trial's bodies sit.
 
 All work is done in the trial's *hand frame*: forward kinematics starts from T_hand_world, so the hand's pieces need no
 transform at all. Bodies are numbered: arm primitives, gripper primitives, then the attached object's hulls.

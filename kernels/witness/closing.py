@@ -90,7 +90,7 @@ def _extreme_of_triangle(
 
 @wp.struct
 class Met:
-    """What the pads come to stand on: state, the y between them, and the sweep's lowest gap, which cuts the prism."""
+    """The pads' place after closing: state, the y between them, and the sweep's lowest gap, which cuts the prism."""
 
     state: int
     low: float
@@ -102,7 +102,8 @@ class Met:
 def _met(
     g: Gripper, surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, open_gap: float, gap: float, width: float
 ) -> Met:
-    """What stops the pads at a gap: material as wide as the gap, a step of the object, or the linkage's own end.
+    """The cause that stops the pads at a gap: material as wide as the gap, a step of the object, or the linkage's own
+    end.
 
     `width` is the material's; the sweep from the gap to STEP_M below it contains what the pads met. On a step it is wider
     than the gap; the side that the prism just above does not have is the step's.

@@ -1,4 +1,4 @@
-"""What every room stands on: files, launches, checks, command lines, frames."""
+"""Used by every room: files, launches, checks, command lines, frames."""
 
 from typing import TYPE_CHECKING
 

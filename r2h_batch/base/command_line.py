@@ -1,4 +1,4 @@
-"""What all commands share: how a command line is read and refused. Imports nothing heavy.
+"""How a command line is read and refused, for all commands. Imports nothing heavy.
 
 A command is a function with plain types (its docstring is the help), a dataclass of options, or a
 dict of functions (subcommands). What cannot be understood is one line: what was given, the nearest
@@ -308,8 +308,8 @@ def _say_defaults(owner: Any) -> None:
 
 
 def _metavar(kind: Any) -> str | None:
-    """What stands behind the flag of a value that may be left out: PATH, not `{None}|PATH`; None: as
-    tyro has it."""
+    """Placeholder of an optional flag in the help: PATH, not `{None}|PATH`; None: as tyro has
+    it."""
     plain = get_args(kind)[0] if get_origin(kind) is Annotated else kind
     some = [k for k in get_args(plain) if k is not type(None)]
     if len(some) != 1 or len(get_args(plain)) != 2:

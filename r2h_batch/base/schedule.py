@@ -64,7 +64,7 @@ def assign_objects(
             raise ValueError(f"no object belongs to split {split}; {how}")
         rows = slice(None) if of_split.all() else of_split  # most shards are of one split
         place = ids[rows] >> 1
-        turn = place // len(members)  # divmod is slower: numpy divides faster than it takes rests
+        turn = place // len(members)  # in numpy division beats modulo, and divmod
         place = place - turn * len(members)
         object_index[rows] = members[place]
         side[rows] = (turn + place) & 1

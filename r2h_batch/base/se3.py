@@ -18,7 +18,7 @@ ROTATION_TOLERANCE = 1e-3
 
 
 Array = TypeVar("Array", Tensor, NDArray[np.float64])
-"""What works on either is written once."""
+"""NumPy or torch."""
 
 
 def dot(a: Array, b: Array) -> Array:

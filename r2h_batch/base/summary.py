@@ -1,4 +1,4 @@
-"""What batches look like: one line for a terminal, a small table for a notebook, numbers for a
+"""Printed form of batches: one line for a terminal, a small table for a notebook, numbers for a
 logger. No torch, no pandas."""
 
 from collections.abc import Callable, Mapping, Sequence

@@ -11,7 +11,7 @@ from r2h_batch.scene.hand import rotation_from_axis_angle
 from r2h_batch.scene.robot import Robot
 
 DAMPING = 0.03
-"""Of damped least squares: where the arm is singular its joints stay slow [choice]."""
+"""Damping of least squares: joints stay slow where the arm is singular [choice]."""
 
 
 @lru_cache(maxsize=4)

@@ -36,11 +36,12 @@ from r2h_batch.trials.noise import PredictorNoise, perturbed, trial_ids
 from r2h_batch.types import CRITERIA, Scores
 
 Action = Literal["velocity", "twist", "pose", "posture"]
-"""What a policy says: joint speeds (rad/s); speed and turn of the ee (m/s, rad/s, world axes); where the ee
-shall be (T_world_ee); the posture at the step's end (rad). The arm goes as far towards it as its limits let it."""
+"""Kinds of a policy's actions: joint speeds (rad/s); speed and turn of the ee (m/s, rad/s, world
+axes); the ee's target pose (T_world_ee); the posture at the step's end (rad). The arm goes as far
+towards it as its limits let it."""
 
 FRAME_SHARE = 0.2
-"""Of the noise per trial, what comes on top in every frame [choice]."""
+"""Noise of each frame, as a share of the noise per trial to which it is added [choice]."""
 EE_SPEED_M_S, EE_TURN_RAD_S, GAIN_S = 0.25, 1.0, 1.5
 """With which an asked pose is approached [choice]: gain per second up to this speed and turn."""
 REST_M_S = 0.03
@@ -232,7 +233,7 @@ class HandoverEnv(VectorEnv):
         self._hold()
 
     def _hold(self) -> None:
-        """What stays the same over episodes: the grasp and the pose that was asked."""
+        """Sets what all episodes share: the grasp and the pose that was asked."""
         inputs, scores = self.scores.inputs, self.scores
         assert inputs is not None
         shut = scores.opening_m.isfinite() & scores.grasp_shift_m.isfinite()
@@ -350,9 +351,9 @@ class HandoverEnv(VectorEnv):
     # --- the robot -----------------------------------------------------------------------------------------------
 
     def moved(self, actions: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """What actions (B rows) come to: postures (rad) of `rows` at the end of the step, as near to what is asked as
-        limits of speed, acceleration and joints allow, and the joint speeds (rad/s). An asked posture that they allow
-        is reached bit for bit."""
+        """Postures (rad) of `rows` at the end of one step with actions (B rows), as near to the
+        actions as limits of speed, acceleration and joints allow, and the joint speeds (rad/s). An
+        asked posture that they allow is reached bit for bit."""
         dt, q, old, target = self.step_s, self.q[rows], self.qd[rows].double(), actions[rows]
         if self.action == "velocity":
             v = target.double()
@@ -397,7 +398,7 @@ class HandoverEnv(VectorEnv):
         return free
 
     def _fastest(self, v: Tensor) -> Tensor:
-        """Of joint speeds (r, j) the largest one (r, 1) by its weight."""
+        """The largest of joint speeds (r, j) by its weight: (r, 1)."""
         return (v.abs() * self.weight).amax(1, keepdim=True)
 
     def _meets_nothing(self, rows: Tensor, motion: Float32[Tensor, "r s j"]) -> Tensor:
@@ -568,7 +569,7 @@ class HandoverEnv(VectorEnv):
         )  # fmt: skip
 
     def _observe(self) -> dict[str, Tensor]:
-        """What the policy sees now."""
+        """The policy's observations now."""
         k, c = self.k, self.config
         frame = max(0, k - round(c.latency_s * c.rate_hz))
         if frame > 0 or k == 0:  # a frame that is new

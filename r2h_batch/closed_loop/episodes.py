@@ -63,7 +63,7 @@ class Loop:
 
     @property
     def identity(self) -> str:
-        """What decides its episodes, as a text for run folders."""
+        """Text for run folders that names all settings which decide the episodes."""
         m, c = asdict(self.motion), asdict(self.config)
         if self.motion.file:
             m["file"] = provenance.file_digest([self.motion.path])[:16]

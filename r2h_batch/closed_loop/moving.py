@@ -39,9 +39,9 @@ STROKE_S, PAUSE_S, PAUSE_AT = (0.8, 1.4), (0.2, 1.0), 0.6
 BACK_M, BACK_S, AFRAID_M, AWAY_S = 0.20, 0.5, (0.03, 0.08), (0.5, 1.5)
 TAKE_AFTER_S, TAKE_S = (0.1, 0.4), (0.6, 1.0)
 REPLAYED_S = 4.0
-"""Of an imported motion the last seconds before the frame in which the hand receives."""
+"""Length of a replayed motion: the last seconds before the frame in which the hand receives."""
 STRETCHED = 0.98
-"""Of the arm's length: no wrist is farther from its shoulder."""
+"""Largest distance of a wrist from its shoulder, as a share of the arm's length."""
 OVER_TABLE_M = 0.05
 _PURPOSE_TIMES, _PURPOSE_PLACE = 1, 2
 _KEY = rng.key_of("receivers that move")
@@ -67,7 +67,7 @@ class ReceiverMotion:
 
     @property
     def path(self) -> Path:
-        """Of the file."""
+        """Path of the file."""
         return Path(self.file)
 
     @staticmethod
@@ -427,7 +427,7 @@ def _lengths(person: Float64[Tensor, "b 5 4"]) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _draws(trials: Trials, motion: ReceiverMotion) -> dict[str, Tensor]:
-    """What each trial's receiver does when, and where its hand goes."""
+    """Random times and targets of each trial's receiver."""
     ids = trials.trial_id.cpu().numpy().astype(np.int64)
     key = (_KEY[0] ^ (motion.seed & 0xFFFFFFFF), _KEY[1])
     spans = {

@@ -153,7 +153,7 @@ class Replan:
     MOVED_M, MOVED_RAD = 0.01, 0.07
     """A hand seen elsewhere by so much is planned to anew: more than the noise of frames [choice]."""
     ROUNDS = (50,)
-    """Of a search: what most need (`PlanConfig.rounds`)."""
+    """Rounds of a search: as many as most searches need (`PlanConfig.rounds`)."""
     THERE_RAD = 1e-3
 
     def __init__(self, env: HandoverEnv) -> None:
@@ -221,5 +221,5 @@ POLICIES: dict[str, Any] = {
 
 
 def kind_of_action(policy: Callable[..., Any]) -> str:
-    """What a policy says: its `action`, else joint velocities."""
+    """A policy's kind of action: its `action`, else joint velocities."""
     return str(getattr(policy, "action", "velocity"))

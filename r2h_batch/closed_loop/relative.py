@@ -19,7 +19,7 @@ from r2h_batch.types import Trials
 CAP_M = 0.25
 """Distances are exact up to here, lower bounds beyond."""
 ROUNDING_M = 2e-6
-"""Of float32 in postures and poses."""
+"""Rounding error of float32 in postures and poses."""
 RESOLUTION_M = 1e-4
 """Where robot and hand go no farther than this together and are not certified apart, they touch: they came
 within half of it."""

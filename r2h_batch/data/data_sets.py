@@ -361,7 +361,7 @@ def _h2o(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMotion
 
 
 def _h2o_action(labels: Path | None) -> str:
-    """What is done first, in H2O's words: action_label/*.txt holds 0 until then."""
+    """The first action, in H2O's words: action_label/*.txt holds 0 until then."""
     for file in sorted(labels.glob("*.txt"))[:H2O_FRAMES] if labels else ():
         number = int(_h2o_numbers(file, 1)[0])
         if 0 < number < len(H2O_ACTIONS):

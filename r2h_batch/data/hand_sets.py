@@ -80,7 +80,7 @@ class Collected:
 
     @staticmethod
     def row_of(hand: HandMotion, frame: int, posture: str, **more: Any) -> dict[str, Any]:
-        """What hands.npz says of a hand that receives as in this frame; ValueError for what --hands
+        """Row of hands.npz for a hand that receives as in this frame; ValueError for what --hands
         would refuse."""
 
         def at(value: F64 | None, shape: tuple[int, ...]) -> F64:

@@ -41,8 +41,8 @@ ON_PART = 0.05
 these parts are not of this mesh, or not in its frame. From a cloud it may be farther by the gaps
 between the cloud's points."""
 CLOUD_GAP = 2.1
-"""Of points that are spread evenly on a surface: the distance that 95 % of the surface keep to the
-nearest point, over the median distance between nearest points."""
+"""Gap of points that are spread evenly on a surface: the distance that 95 % of the surface keep to
+the nearest point, over the median distance between nearest points."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -442,8 +442,8 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, Any]:
 
 
 def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
-    """What the receivers are made of, and the columns of a trials file that say them: postures of
-    our model where our exporter wrote every trial, else meshes of one topology, else boxes."""
+    """Geometry of the receivers, and its columns in a trials file: postures of our model where our
+    exporter wrote every trial, else meshes of one topology, else boxes."""
     side = np.array([t.side for t in trials], np.int8)
     owned = [t.own for t in trials if t.own is not None]
     if len(owned) == len(trials):

@@ -178,7 +178,7 @@ class Receiver(Entry):
 
 
 class Own(Entry):
-    """What our own exporter adds to a trial."""
+    """Fields that our own exporter adds to a trial."""
 
     pose: Annotated[list[Angle], Field(min_length=48, max_length=48)]
     shape: Annotated[list[Metres], Field(min_length=10, max_length=10)]
@@ -194,7 +194,7 @@ class Own(Entry):
 
 
 def _own(provenance: Any) -> Any:
-    """What our own exporter wrote into a trial's provenance, which may be anything; else None."""
+    """Provenance that our own exporter wrote into a trial; None if another program wrote it."""
     written = provenance.get("r2h_batch") if isinstance(provenance, dict) else None
     if not isinstance(written, dict) or "pose" not in written:
         return None
@@ -202,7 +202,7 @@ def _own(provenance: Any) -> Any:
 
 
 class Planning(Entry):
-    """What the release's planner, or another one, said."""
+    """Result of the release's planner, or of another one."""
 
     status: Literal["succeeded", "failed"] = "succeeded"
 
@@ -260,7 +260,7 @@ def validated(row: Any, where: str, kind: type[Kind]) -> Kind:
 
 
 PALM_NORMAL = [1.0, 0.0, 0.0]
-"""Of a scene that names none, in the object's frame."""
+"""Palm normal of a scene that names none, in the object's frame."""
 
 
 class _Object(Entry):

@@ -28,7 +28,7 @@ def _printable(text: str) -> str:
 
 
 MAX_BYTES = 32 << 20
-"""Of a results.json: 100,000 trials. Reading takes up to 28 bytes of memory for each."""
+"""Largest results.json: 100,000 trials. Reading takes up to 28 bytes of memory for each."""
 
 Text = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
 Seconds = Annotated[float, Field(ge=0, le=MOST_SECONDS)]

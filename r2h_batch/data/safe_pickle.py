@@ -59,7 +59,7 @@ _STATE = {
     "Select": ("a", "idxs", "preferred_shape"),
     **{f"cs{a}_{kind}": _SPARSE for a in "cr" for kind in ("matrix", "array")},
 }
-"""What is read of an object's state; chumpy also keeps sets of names and caches there."""
+"""Keys that are read of an object's state; chumpy also keeps sets of names and caches there."""
 _OPCODES = {o.code.encode("latin-1"): o for o in pickletools.opcodes}
 _CONSTANTS: dict[str, Callable[[], Any]] = {
     "NONE": lambda: None, "NEWTRUE": lambda: True, "NEWFALSE": lambda: False,
@@ -80,7 +80,8 @@ def read_pickle_file(path: Path) -> Any:
 
 
 def read_npy(path: Path) -> Any:
-    """What an .npy file holds, dictionaries and lists of arrays too, as ARCTIC stores them."""
+    """Content of an .npy file: arrays, and dictionaries and lists of arrays, as ARCTIC stores
+    them."""
     return files.read_npy(path, objects=read_pickle)
 
 
@@ -114,7 +115,8 @@ class _Name:
 
 @dataclass(eq=False)
 class _Made:
-    """What the file says is made: a name, its arguments, the state and items set afterwards."""
+    """An object that the file describes: a name, its arguments, the state and items set
+    afterwards."""
 
     name: str
     arguments: tuple[Any, ...]

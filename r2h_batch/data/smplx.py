@@ -24,7 +24,8 @@ from r2h_batch.scene.mesh_import.file import load_mesh_file
 
 F64 = NDArray[np.float64]
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
-"""Of pelvis, hips, spine, legs, neck, collars, head and arms; face and fingers follow."""
+"""Parent joints of pelvis, hips, spine, legs, neck, collars, head and arms; face and fingers
+follow."""
 CHAINS = ((0, 3, 6, 9, 14, 17, 19, 21), (0, 3, 6, 9, 13, 16, 18, 20))
 """From the pelvis to the right wrist, and to the left one."""
 GENDERS = ("male", "female", "neutral")

@@ -51,8 +51,8 @@ def attach_object(
     trials: Trials,
     config: EvalConfig,
 ) -> AttachedBatch:
-    """B trials with the gripper closed on the object; rows with a pose that is none, or an unknown
-    object or hand, are not active.
+    """B trials with the gripper closed on the object; rows with an invalid transform, or an
+    unknown object or hand, are not active.
 
     Args:
         scene: robot, objects and hands.

@@ -189,11 +189,9 @@ def over_motion(
 def bound_with_slack(
     distance_m: Float32[Tensor, " b"], slack_m: Float32[Tensor, " b"]
 ) -> Float32[Tensor, " b"]:
-    """What a signed distance says of bodies that may be off their place.
-
-    Apart, they are no nearer than distance less slack; where they meet, no less deep than the overlap
-    less slack. Bodies that are apart by less than the slack may meet, but not by any known depth:
-    -1e-6 m.
+    """Signed distance that is safe for bodies whose poses have errors. Apart, they are no nearer
+    than distance less slack; where they meet, no less deep than the overlap less slack. Bodies that
+    are apart by less than the slack may meet, but not by any known depth: -1e-6 m.
 
     Args:
         distance_m: (B,) m, below 0: minus the overlap.

@@ -23,8 +23,8 @@ Stability's margins."""
 
 @dataclass(frozen=True)
 class Grasp:
-    """What closing does to B trials, in metres. `cut_m` is the open gripper's clearance, at most
-    `cut_cap_m`.
+    """Result of closing the gripper in B trials, in metres. `cut_m` is the open gripper's
+    clearance, at most `cut_cap_m`.
 
     Nothing between the pads (`empty`): width NaN. Empty or too wide for the gripper: it stays open,
     shift 0.

@@ -31,7 +31,8 @@ TORQUE_NM = 1.5
 """At the drivers: about 30 N between the pads, a light grasp of a hand that may squeeze with 235
 N."""
 FORCE_N, JAW_ARMATURE_KG, JAW_GAINS = 25.0, 0.3, (30_000.0, 600.0)
-"""Of jaws on slides, N, kg, N/m and N s/m: what the linkage has at its pads."""
+"""Force, armature and gains of jaws on slides, N, kg, N/m and N s/m, as the linkage has them at its
+pads."""
 SETTLE_S = 0.35
 FRICTION = 0.8
 """Rubber pads on plastic or metal [choice]."""

@@ -63,8 +63,8 @@ class IkResult:
 
     @property
     def unproven(self) -> Bool[Tensor, "b"]:
-        """Of an arm without a closed form, where the target is not provably out of reach: what was
-        found, nothing or up to 8 postures in the order of finding, need not be all there is."""
+        """Whether more postures may exist than were found (none, or up to 8 in the order of
+        finding): the arm has no closed form, and the target is not provably out of reach."""
         return (self.status >= int(any_arm.STATUS_NOT_FOUND)).any(1)
 
     @property
@@ -93,7 +93,7 @@ class IkResult:
 
 @dataclass(frozen=True)
 class SearchedIk(IkResult):
-    """Of an arm without a closed form: also how near the search came where it found nothing."""
+    """IK of an arm without a closed form: also how near the search came where it found nothing."""
 
     nearest: Float[Tensor, "b j"]
     """The posture that came nearest, rad; NaN where one was found."""
@@ -249,8 +249,8 @@ def _seed_states(device: str) -> wp.array:
 
 
 def build_tables(robot: Robot, home: tuple[float, ...], device: str) -> None:
-    """What the solvers read, on a CUDA device before this returns: see `Scene`, whose tables are
-    there at once too."""
+    """Makes the solvers' tables; they are on a CUDA device before this returns, as `Scene`'s own
+    are."""
     home_posture(device, home)
     if robot.family == "ur":
         _seed_states(device), _jacobian_tables(robot, home, device)

@@ -20,10 +20,10 @@ from r2h_batch.scene.robot import Robot, ee_pose, forward_kinematics
 SEEDS = 1024
 """Postures from which the nearest are taken; more find little more, and the search among them costs more."""
 FROM_HOME_M2 = 0.003
-"""What a squared radian from home counts for when the nearest are chosen: so postures lie as near to home as those of a
-search that takes no account of it and tries three times as many."""
+"""Weight of a squared radian from home in the choice of the nearest: with it postures lie as near
+to home as those of a search that takes no account of it and tries three times as many."""
 TRIED = 64
-"""Of these, the nearest of a target that are tried, and where all fail as many others."""
+"""Number of seeds nearest to a target that are tried; where all fail, as many others are tried."""
 ITERATIONS = 20
 """Steps from a seed; four times as many from those of the others that come near."""
 APART_RAD = 0.25

@@ -44,7 +44,7 @@ FIRST_SEEDS = 16
 """Seeds of an arm without a closed form that every row tries; the others are for rows without a posture."""
 
 SEED_LEVER_M = 0.3
-"""What a radian counts for when the nearest seeds are chosen."""
+"""Weight of a radian in the choice of the nearest seeds."""
 
 
 @torch.no_grad()
@@ -57,7 +57,7 @@ def solve_ik(
     seeds: Float[np.ndarray, "s 6"] | None = None,
     iterations: int = ITERATIONS,
 ) -> fused.IkResult:
-    """What `judge.ik.solve_ik` gives, with joint angles from pytorch-kinematics on the device of
+    """The result of `judge.ik.solve_ik`, with joint angles from pytorch-kinematics on the device of
     `T_world_ee`.
 
     Slots, statuses and residuals mean the same. A pair of branches is CONVERGED where both of its

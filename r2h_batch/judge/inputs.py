@@ -1,5 +1,5 @@
-"""What `Evaluator.score` accepts: one row per candidate, from (B, 4, 4) or (N, K, 4, 4); everything
-else is refused by name."""
+"""Checks of the inputs of `Evaluator.score`: one row per candidate, from (B, 4, 4) or (N, K, 4, 4);
+everything else is refused by name."""
 
 import warnings
 from dataclasses import replace
@@ -115,14 +115,14 @@ def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tens
             "receiver is 'body', these trials have none; take protocol r2h-v1, or receiver='hand'"
         )
     found = trials.receiver
-    if found.is_cpu and not torch.compiler.is_compiling():  # a person that is none would never meet
+    if found.is_cpu and not torch.compiler.is_compiling():  # a malformed receiver never collides
         thick = torch.cat([found[:, :2, 3], found[:, 4, :3]], 1)  # radii and half sizes, m
         wrong = ~(found.abs() < MOST_M).all(2).all(1) | ~(thick > 0).all(1)
         if bool(wrong.any()):
             row = int(wrong.int().argmax())
             raise ValueError(
-                f"trials.receiver of row {row} has a number that is none, or a size that is not above"
-                " 0; take protocol r2h-v1, or receiver='hand'"
+                f"trials.receiver of row {row} has NaN, infinity or a number beyond {MOST_M:g} m, or a size that"
+                " is not above 0; take protocol r2h-v1, or receiver='hand'"
             )
     if torch.is_grad_enabled() and any(T.requires_grad for T in poses):
         raise ValueError(

@@ -29,7 +29,8 @@ with 235 N."""
 
 @dataclass(frozen=True)
 class Payload:
-    """What weight does to B closed grasps; NaN where Stability fails, for the pads then hold nothing."""
+    """Loads by weight on B closed grasps; NaN where Stability fails, for the pads then hold
+    nothing."""
 
     lever_m: Float64[Array, " b"]
     """distance of the centre of mass from the axis through the pads' centres"""

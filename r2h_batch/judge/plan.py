@@ -44,7 +44,7 @@ def random_key(trial_id: Int64[Tensor, " b"]) -> Int32[Tensor, " b"]:
 
 @dataclass(frozen=True)
 class Plan:
-    """What planning found for B trials. `path` rows beyond `length` are meaningless; `length` 0
+    """Result of planning for B trials. `path` rows beyond `length` are meaningless; `length` 0
     means no path."""
 
     reason: Int32[Tensor, " b"]  # PlanReason

@@ -18,7 +18,8 @@ FACING_DEG = 90.0
 
 @dataclass(frozen=True)
 class Presented:
-    """Of B trials, NaN and False where the object has no region or the row is not judged."""
+    """How the region is presented in B trials; NaN and False where the object has no region or the
+    row is not judged."""
 
     angle_deg: Float32[Tensor, " b"]
     """at the TCP, between the directions to the region's centre and to the palm's"""

@@ -34,9 +34,10 @@ from r2h_batch.trials.holding.held_out import GRAVITY, HeldOut, load_held_out
 from r2h_batch.types import CRITERIA, ScoreInputs, Scores
 
 STEPS = ("arm", "free", "way", "clear", "release", "hold")
-"""What a grasp must pass, in this order. arm: joint ranges allow it. free: the hand is clear of the closed
-gripper. way: it can come straight from 10 cm away. clear: arm and torso are clear of the robot. release: the
-fingers can open and back off by 10 cm. hold: the hand carries the object with at most `GRIP_N`."""
+"""Steps that a grasp must pass, in this order. arm: joint ranges allow it. free: the hand is clear
+of the closed gripper. way: it can come straight from 10 cm away. clear: arm and torso are clear of
+the robot. release: the fingers can open and back off by 10 cm. hold: the hand carries the object
+with at most `GRIP_N`."""
 
 ANGLES = (
     "shoulder_flexion",
@@ -52,7 +53,7 @@ LEANS_DEG = (0.0, 10.0, 20.0, 30.0)
 ROOM_M = 0.0005
 """Between hand and gripper [choice]."""
 GRIP_N = 40.0
-"""What one digit or the palm may press with [choice]."""
+"""Largest force of one digit or the palm [choice]."""
 WAYS_TRIED = 8
 """The easiest grasps whose whole way is looked at, one after the other."""
 TRIALS_AT_ONCE, PAIRS_CHUNK = 256, 16
@@ -62,7 +63,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Reception:
-    """Of B handovers.
+    """Whether and how B receivers can take the object.
 
     Attributes:
         evaluated: whether the object is in the gripper (Stability) and the robot has a goal posture.
@@ -299,14 +300,14 @@ def _arms(batch: _Batch, leans_deg: tuple[float, ...]) -> dict[str, Tensor]:
 
 
 def _launch(batch: _Batch, kernel: Any, n: int, **inputs: Any) -> dict[str, Tensor]:
-    """What a kernel over n pairs writes."""
+    """Outputs of a kernel over n pairs."""
     run = over_trials(batch.sized(kernel), n, batch.device, chunk=PAIRS_CHUNK)
     found: dict[str, Tensor] = run(**inputs)
     return found
 
 
 _PAIR_COLUMNS = ("row", "turn", "object", "attached", "opening")
-"""What a look at gripper and hand needs of a pair."""
+"""Inputs of the gripper-hand check, for a pair."""
 
 
 def _come(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> Int32[Tensor, "b k"]:
@@ -455,7 +456,7 @@ _A = np.array(
     ]
 )  # fmt: skip
 _B = np.array([1, 2, 3, 5])
-"""Of trunk 1 to 4, neck 1, legs 1."""
+"""RULA's posture score for trunk 1 to 4, neck 1, legs 1."""
 _C = np.array(
     [
         [1, 2, 3, 3, 4, 5, 5], [2, 2, 3, 4, 4, 5, 5], [3, 3, 3, 4, 4, 5, 6], [3, 3, 3, 4, 5, 6, 6],

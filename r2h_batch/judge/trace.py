@@ -27,7 +27,7 @@ LIMIT_TOLERANCE_RAD = 1e-5
 """A joint may stand this far beyond its limit, or turn this much farther between two samples: what
 float32 makes of an angle at the limit."""
 SPEED_TOLERANCE = 1e-3
-"""Of a joint's largest speed: what float32 makes of times."""
+"""Tolerance as a share of a joint's largest speed: the rounding of times in float32."""
 Q_WORDS = "a torch tensor (N, W, joints) of angles in rad"
 START_RAD = 0.1
 """A plan of a motion begins this near to it, joint by joint."""
@@ -143,7 +143,7 @@ def plan_of_trace(
     trace: Trace,
     active: Bool[Tensor, " b"],
 ) -> Plan:
-    """What Plan says of the motions: free of collisions from the first to the last sample, and
+    """Plan's verdict on the motions: free of collisions from the first to the last sample, and
     within the robot's limits of angles and speeds.
 
     `body_poses`: what the motion must keep clear of. Where bodies meet, the clearance is minus the
@@ -166,9 +166,10 @@ def plan_of_trace(
 
 
 def worse_plan(plan: Plan, followed: Plan, touches: Bool[Tensor, " b"]) -> Plan:
-    """What Plan says of plans that a robot or a simulator executed: the plan must be free, and so
-    must be what was made of it, whose path it is. `touches`: rows in which the robot touches the hand
-    and that fail by Safe; there Plan judges the plan alone, as the authors' release does."""
+    """Plan's verdict on plans that a robot or a simulator executed: the plan must be free, and
+    so must be the executed motion, whose path this returns. `touches`: rows in which the robot
+    touches the hand and that fail by Safe; there Plan judges the plan alone, as the authors'
+    release does."""
     worse = (followed.clearance_m < plan.clearance_m) & ~touches
     columns = {
         name: torch.where(worse, getattr(followed, name), getattr(plan, name))

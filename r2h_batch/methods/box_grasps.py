@@ -22,7 +22,7 @@ from r2h_batch.scene.robot import Kind, Robot
 from r2h_batch.scene.scene import Scene
 
 FINGER_PARTS = ("pad", "inner_finger")
-"""What counts as a finger; the rest of the gripper is the third box."""
+"""Bodies that count as a finger; the rest of the gripper is the third box."""
 
 Array = NDArray[np.float64]
 

@@ -58,10 +58,10 @@ FORM = {
     "part": ArraySpec("uint8", ("grasps",)),
     "region_m": ArraySpec("float32", ("grasps",), gaps=True),
 }
-"""What is kept of `Candidates`."""
+"""Stored fields of `Candidates`."""
 
 ENOUGH = 240
-"""Of a user's object: what its candidates are chosen from. The stored ones are of 1,200."""
+"""Number of grasps that a user's object's candidates are chosen from; for the stored ones 1,200."""
 
 NOTHING_FITS = "no grasp found; the gripper needs a part narrower than {:.0f} mm that it can reach"
 

@@ -50,7 +50,7 @@ from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "Contact-Handover", "VoxNet, built-in contacts"
 SEES = ("receiving", "target", "contacts")
-"""What it is shown, of `predictors.Observations`."""
+"""Fields of `predictors.Observations` that the method is shown."""
 
 THRESHOLD = 0.4
 """Contact probability from which a point counts (published)."""
@@ -68,8 +68,8 @@ MIN_SAMPLES = 3
 chance, three are a place."""
 
 CLEARANCE_M = 0.0
-"""What gripper and hand on the object must keep: the paper filters collisions, it asks for no
-room."""
+"""Distance that gripper and hand must keep: the paper filters collisions and asks for no
+clearance."""
 
 
 Contacts = Literal["left-out", "all"]

@@ -39,14 +39,14 @@ from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "FC-Handover", "oracle hand"
 SEES = ("receiving", "target")
-"""What it is shown, of `predictors.Observations`."""
+"""Fields of `predictors.Observations` that the method is shown."""
 
 ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
 
 CLEARANCE_M = 0.0
-"""What gripper and hand must keep: the paper drops candidates "that collide", it asks for no
-room."""
+"""Distance that gripper and hand must keep: the paper drops candidates "that collide" and asks for
+no clearance."""
 
 
 def predict(

@@ -48,7 +48,7 @@ def carrier(robot: Robot | None) -> Robot:
 
 
 def widest_m(robot: Robot) -> float:
-    """What a candidate may be wide: leaves the open pads 1.5 mm on each side."""
+    """Largest width of a candidate: it leaves the open pads 1.5 mm on each side."""
     return round(robot.open_gap_m - 0.003, 9)
 
 
@@ -243,7 +243,7 @@ def scored(
 def pad_contact(
     model: ObjectModel, mesh: wp.Mesh, T: F32, width: F32, opening: F32, robot: Robot
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
-    """What `antipodal.pad_contact` says: share of the lesser pad, mean cosine, part."""
+    """Result of `antipodal.pad_contact`: share of the lesser pad, mean cosine, part."""
     link = robot.linkage
     share, cosine = np.zeros((2, len(T)), np.float32)
     part = np.zeros(len(T), np.int32)
@@ -428,7 +428,8 @@ def _pool(
     found_of: Callable[[np.random.Generator], Candidates],
     suffices: Callable[[Candidates], bool],
 ) -> Candidates:
-    """What rounds of proposals find until it suffices; the object's name and the round draw them."""
+    """Grasps from rounds of proposals until they suffice; the object's name and the round's number
+    seed each round."""
     key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
     rounds: list[Candidates] = []
     with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):

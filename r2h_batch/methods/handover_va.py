@@ -45,7 +45,7 @@ from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "Handover-VA", "oracle labels"
 SEES = ("parts", "target")
-"""What it is shown, of `predictors.Observations`."""
+"""Fields of `predictors.Observations` that the method is shown."""
 
 VOXEL_M, CROP_M = 0.02, 0.10
 """Grid of grasp points, and half side of the box of obstacles about one (published)."""
@@ -70,8 +70,8 @@ Loops = Literal["original", "one"]
 object's class. one: the best grasp, one distance, seven even turns about the handle."""
 
 BodyPoses = Literal["gripper", "object", "handle"]
-"""What stands on the palm's normal: the gripper's TCP; the aligned template's origin; the handle's
-centre (all of the object's, where nothing is a handle)."""
+"""Point that stands on the palm's normal: the gripper's TCP; the aligned template's origin; the
+handle's centre (all of the object's, where nothing is a handle)."""
 
 
 def predict(

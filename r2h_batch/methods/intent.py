@@ -54,7 +54,7 @@ from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "Intent-Handover", "retrieval"
 SEES = ("receiving", "target")
-"""What it is shown, of `predictors.Observations`."""
+"""Fields of `predictors.Observations` that the method is shown."""
 
 ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
@@ -63,8 +63,8 @@ INWARD_DEG = 15.0
 """Published. Inward is towards the thumb here: the paper does not say which way."""
 
 CLEARANCE_M = 0.0
-"""What the gripper and the target hand must keep when rolls are tried: touching is a collision, no
-room is required."""
+"""Distance that the gripper and the target hand must keep when rolls are tried: touching is a
+collision, no clearance is required."""
 
 BACK_OFF_M = 0.10
 """The approach ray starts this far behind the TCP: inside the gripper's body, where a candidate has
@@ -80,7 +80,7 @@ Place = Literal["object", "gripper", "ergonomic"]
 """`placing.Anchor`, or where the receiver's arm suggests (`ergonomic_pose`)."""
 
 EXTENSION_DEG = 15.0
-"""Of the wrist in `ergonomic_pose` (published)."""
+"""Extension of the wrist in `ergonomic_pose` (published)."""
 
 Orientation = Literal["transform", "axis"]
 """transform: the predicted hand and the gripper keep their places on the object (the original's

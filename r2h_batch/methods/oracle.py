@@ -24,16 +24,16 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CRITERIA, Outcome, Predictions, Scores, Trials
 
 Aim = Literal["success", "reception"]
-"""What a solution is. reception: the person can take the object too."""
+"""Kinds of solutions. reception: the person can take the object too."""
 
 SOLUTIONS = 4
-"""Of so many that the person can take the easiest is kept."""
+"""Number of receivable solutions of which the easiest is kept."""
 
 ROUNDS = 64
 """Proposals a trial gets at most."""
 
 MARGIN_M = 0.001
-"""What a candidate's Stability and Affordance must have to spare, where an object has such
+"""Smallest margins of a candidate's Stability and Affordance, where an object has such
 candidates."""
 
 TILT_DEG = 60.0
@@ -93,7 +93,7 @@ def predict(
         if for_ == "reception" and solved.any():
             rows = torch.nonzero(solved)[:, 0]
             taken = reception(scores[rows])
-            # beyond every failure and every success that nobody can take
+            # beyond every failure and every unreceivable success
             ease = 1.0 / (1.0 + taken.effort.double())
             reached[rows] += torch.where(taken.received, 1.0 + ease, 0.0)
             solved[rows] = taken.received

@@ -23,16 +23,16 @@ from r2h_batch.scene.robot import Robot, ee_pose
 from r2h_batch.scene.scene import Scene
 
 Gate = Literal["hand", "ik", "none"]
-"""What a roll must pass. hand: the arm reaches it, and the gripper is clear of the estimated hand;
+"""Conditions on a roll. hand: the arm reaches it, and the gripper is clear of the estimated hand;
 ik: the arm reaches it; none: nothing."""
 
 Anchor = Literal["gripper", "object"]
-"""What stands on the palm's normal: the gripper's TCP, or the centre of the object's bounding
+"""Point that stands on the palm's normal: the gripper's TCP, or the centre of the object's bounding
 box."""
 
 HEIGHT_M = 0.15
-"""Of the anchor above the estimated palm centre: the paper's figure for Contact-Handover; the
-authors' release puts every method's object there (docs/baselines.md)."""
+"""Height of the anchor above the estimated palm centre: the paper's figure for Contact-Handover;
+the authors' release puts every method's object there (docs/baselines.md)."""
 
 
 HOME_X = (-1.0, 0.0, 0.0)

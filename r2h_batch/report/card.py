@@ -1,4 +1,4 @@
-"""What a finished sweep leaves for people beside its rows: the table, the same numbers as JSON, and a
+"""Files of a finished sweep for people, beside its rows: the table, the same numbers as JSON, and a
 card that makes the run folder a data set of the Hugging Face library."""
 
 from dataclasses import replace

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEVELS = ("0mm,0deg", "3mm,0.5deg", "5mm,1deg", "10mm,2deg", "20mm,3deg")
-"""Of `execution_error`; each is a run folder of this name. The first is the reference."""
+"""Values of `execution_error`; each has a run folder of this name. The first is the reference."""
 
 FORMATS = ("md", "csv", "json")
 

@@ -68,7 +68,7 @@ BEST_NOTE = (
 
 @dataclass(frozen=True)
 class Table:
-    """What a report shows.
+    """Content of a report.
 
     Attributes:
         rows: lines of the table in order.
@@ -84,7 +84,7 @@ class Table:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What stands under the table."""
+        """Lines under the table."""
         return (*FOOTNOTES, *self.misses)
 
 
@@ -110,7 +110,8 @@ def table_of(run: Run, counted: Sequence[Tally] | None = None) -> Table:
 
 
 def _misses(header: Mapping[str, Any]) -> str:
-    """What the import measured of a robot's numerical inverse kinematics; empty: a closed form, or an older run."""
+    """Miss rate of a robot's numerical inverse kinematics, as its import measured it; empty for a
+    closed form or an older run."""
     robot = header.get("robot") or {}
     targets, missed = robot.get("ik_missed") or (0, 0)
     if not targets:
@@ -132,7 +133,7 @@ def _joined(origins: Sequence[tuple[str, Mapping[str, str]]]) -> dict[str, str]:
 
 
 def _origin(header: Mapping[str, Any]) -> dict[str, str]:
-    """What run.json says of where its rows come from."""
+    """Origin of the rows, from run.json."""
     configuration = header["configuration"]
     origin = {
         "preset": str(configuration.get("name", "custom")),

@@ -1,4 +1,4 @@
-"""What a figure was made with: versions, digest of the code and its data, commit, device. For
+"""Versions, digest of the code and its data, commit and device that a figure was made with. For
 run.json and bench."""
 
 import hashlib

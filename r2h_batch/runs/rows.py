@@ -34,7 +34,7 @@ KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
 TRIAL_SCHEMA, DETAIL_SCHEMA, POSE_SCHEMA, PATH_SCHEMA, EPISODE_SCHEMA, FAILURE_SCHEMA = (
     schema_of_kind(kind) for kind in ("trials", "details", "poses", "paths", "episodes", "failures")
 )
-"""Of an arm of six joints: `schema_of_kind` has those of others."""
+"""Schemas for an arm of six joints; `schema_of_kind` gives those of other arms."""
 
 LATER_COLUMNS = tuple(later("trials"))
 """Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""
@@ -52,7 +52,7 @@ class TrialNames:
 
     @classmethod
     def of(cls, scene: Any) -> "TrialNames":
-        """Of the rows that are judged in a `Scene`."""
+        """Names for the rows that are judged in a `Scene`."""
         return cls(
             objects=[o.name for o in scene.objects],
             object_splits=[o.split for o in scene.objects],

@@ -30,8 +30,8 @@ LEAST_INERTIA = 1e-12
 
 
 class MassProperties(NamedTuple):
-    """Of n bodies: mass (kg), centre and principal axes (rotation matrices) in their frames,
-    moments about these (kg m^2)."""
+    """Mass properties of n bodies: mass (kg), centre and principal axes (rotation matrices) in
+    their frames, moments about these (kg m^2)."""
 
     mass: Array  # (n,)
     com: Array  # (n, 3)
@@ -75,7 +75,7 @@ def quats_wxyz(R: Array) -> Array:
 
 
 class PayloadTables:
-    """What depends on the payload in one model, for any number of them."""
+    """Fields of one model that depend on the payload, for any number of payloads."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model

@@ -48,7 +48,7 @@ class GraspSet:
         return arrays_digest({**self.arrays(), "gripper": np.array(self.gripper)})
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What the file holds."""
+        """Arrays of the file."""
         return {k: getattr(self, k) for k in SPECS}
 
     def rows(self, rows: Any) -> GraspSet:

@@ -1,4 +1,4 @@
-"""What closing the gripper reads: every object's surface and receiver region, and the gripper, as
+"""Tables for closing the gripper: every object's surface and receiver region, and the gripper, as
 tables on a device."""
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What a user's hand.npz and hand set must hold, checked before anything is made of it."""
+"""Arrays that a user's hand.npz and hand set must hold, checked before use."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ BODY: dict[str, Spec] = {
     "up": ("f", ("H", 3)),
     "T_world_hand": ("f", ("H", 4, 4)),
 }
-"""What a hand set may know of a hand's body and place when it was recorded, in one world."""
+"""Fields of a hand set on a hand's body and place when it was recorded, in one world."""
 ARM: dict[str, Spec] = {"arm": ("f", ("H", 3, 3))}
 """Its shoulder, elbow and wrist there."""
 LONGEST_M = 1.0
-"""Of an upper arm or a forearm."""
+"""Longest upper arm or forearm."""
 
 MOST_TURN_RAD = 2 * math.pi
 MOST_SHAPE = 100.0
@@ -66,8 +66,8 @@ def check_postures(pose: NDArray[Any], shape: NDArray[Any]) -> None:
 
 
 SMALLEST_M, LARGEST_M, MOST_BEND_M = 0.05, 1.0, 0.1
-"""Of a hand's largest side, and how far one unit of a blend shape may move a vertex: else lengths
-are no metres."""
+"""Limits of a hand's largest side, and of a vertex's shift by one unit of a blend shape; beyond
+them lengths are not in metres."""
 
 
 def check_lengths(arrays: Mapping[str, Any]) -> None:
@@ -189,9 +189,9 @@ class HandChoice:
 
 
 def read_hand_set(path: str | Path, choice: HandChoice = HandChoice()) -> dict[str, np.ndarray]:
-    """Of the chosen hands: pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set, and in_body (H, 3, 5)
-    float64: how hand and arm stood to the body (`HandSet.in_body`), NaN where the file does not know.
-    Raises `FileError`, one line."""
+    """Arrays of the chosen hands: pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand
+    set, and in_body (H, 3, 5) float64: how hand and arm stood to the body (`HandSet.in_body`), NaN
+    where the file does not know. Raises `FileError`, one line."""
     where, arrays = printable(path), read_npz(Path(path))
     sizes = check_arrays(arrays, SET, where)
     if not 1 <= sizes["H"] <= MAX_HANDS:

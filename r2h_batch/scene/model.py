@@ -50,12 +50,12 @@ KEPT = 2
 """Compiled models that a process holds: 50 MB with 16 hands, 190 MB with all 400."""
 
 MESH_FIELDS = ("geom_dataid", "geom_size", "geom_aabb", "geom_rbound", "geom_pos", "geom_quat")
-"""What of a geom depends on its mesh."""
+"""Mesh-dependent geom fields."""
 
 
 @dataclass(frozen=True)
 class TrialScene:
-    """What one trial puts into the scene."""
+    """Bodies that one trial puts into the scene."""
 
     payload: Payload
     object_index: int
@@ -66,7 +66,7 @@ class TrialScene:
 
 @dataclass(frozen=True)
 class TrialScenes:
-    """What n trials put into the scene; `[i]` is one of them."""
+    """Bodies that n trials put into the scene; `[i]` is one of them."""
 
     objects: Sequence[ObjectModel]
     T_gripper_obj: Array  # (n, 4, 4)
@@ -151,8 +151,8 @@ class SceneModel:
         load(model, trial.payload, data)
 
     def loaded(self, trials: TrialScenes) -> dict[str, Array]:
-        """What `load` writes for each of n trials: fields of the model, as `PayloadTables.rows`
-        gives them."""
+        """Fields that `load` writes for each of n trials: those of the model, as
+        `PayloadTables.rows` gives them."""
         return self._payloads.rows(trials.T_gripper_obj, trials.held)
 
     @cached_property
@@ -209,7 +209,7 @@ class SceneModel:
         return at[..., 0], at[..., 2], np.abs(at[..., 0] + at[..., 1])
 
     def hold(self, trial: TrialScene | TrialScenes) -> Array:
-        """What the actuators beyond the arm's are told, all the time: (nu - 6,) or (n, nu - 6)."""
+        """Constant controls of the actuators beyond the arm's: (nu - 6,) or (n, nu - 6)."""
         drive = self._drive(trial)
         if self.model.nu == len(self.robot.joints):
             return np.zeros((*drive.shape, 0))

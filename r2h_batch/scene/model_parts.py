@@ -36,8 +36,8 @@ LOOP_IMPEDANCE = (0.99, 0.999, 1e-4, 0.5, 2.0)
 loops: nearly rigid."""
 
 FINGER_COM_M, FINGER_GYRATION_M = 0.02, 0.015
-"""Of the inner finger beyond its pin; the other parts' centres are half way along them [choice: 70
-g in all]."""
+"""Centre of mass and radius of gyration of the inner finger beyond its pin; the other parts'
+centres are half way along them [choice: 70 g in all]."""
 
 COLORS = {
     "base": (0.45, 0.46, 0.48), "shoulder": (0.62, 0.65, 0.68), "upper_arm": (0.72, 0.74, 0.77),
@@ -60,7 +60,7 @@ _SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
 def link_color(link: str) -> tuple[float, float, float]:
-    """What a link of an arm looks like."""
+    """Visual geometry of a link of an arm."""
     return COLORS.get(link, COLORS["upper_arm"])
 
 
@@ -396,7 +396,7 @@ class Light:
 
 
 AMBIENT, DIFFUSE = 0.35, 0.45
-"""Of the headlight, which has no highlights."""
+"""Light of the headlight, which has no highlights."""
 LIGHTS = (
     Light((-0.6, -1.2, 2.4), (0.45, 0.5, -1), 0.45, True),
     Light((1.4, 1.0, 2.0), (-0.5, -0.4, -1), 0.25, False),

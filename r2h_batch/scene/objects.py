@@ -46,7 +46,7 @@ S1_NAMES = (
 OBJECT_NAMES = S0_NAMES + S1_NAMES
 """The 16 objects of r2h-v0 and r2h-v1, in their order."""
 MORE_NAMES = ("can", "dispenser")
-"""What only r2h-release has."""
+"""Objects that only r2h-release has."""
 BUILT_IN_NAMES = OBJECT_NAMES + MORE_NAMES
 
 POINTS = 2048
@@ -228,7 +228,7 @@ SAID = ("grasps", "roles", "words", "repair", "receiver_boxes")
 
 
 def _said(value: GraspSet | Mapping[str, str] | Thing | NDArray[np.float64]) -> str:
-    """What the digest takes of a field that somebody filled."""
+    """Arrays of a filled field that enter the digest."""
     if isinstance(value, GraspSet):
         return value.digest
     if isinstance(value, np.ndarray):
@@ -359,7 +359,7 @@ def _built(
 
 
 def _as_arrays(model: ObjectModel) -> dict[str, Any]:
-    """What is kept of a built object."""
+    """Stored arrays of a built object."""
     arrays = {k: np.asarray(v) for k, v in vars(model).items() if k not in SAID}
     repair = np.array(json.dumps(asdict(model.repair) if model.repair else None))
     return {**arrays, "repair": repair}

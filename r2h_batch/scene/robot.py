@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 DEFAULT_ROBOT = "ur5e_2f85"
 ROBOTS = (DEFAULT_ROBOT, "ur3e_2f85", "ur10e_2f85", "panda_hand")
-"""What is built in."""
+"""Names of the built-in robots."""
 JOINT_KEYS = ("T_parent_joint", "lower", "upper", "max_velocity", "max_torque")
 
 
@@ -62,7 +62,7 @@ GRIPPER_MASS_KG = 1.05
 """2F-85 with its coupling."""
 
 PAYLOAD_KG = 5.0
-"""Of the UR5e at its flange (data sheet): what the gripper weighs is part of it."""
+"""Payload of the UR5e at its flange (data sheet); it includes the gripper's mass."""
 
 TABLE_ROWS = 8
 """Different motions of one finger's parts, at most."""
@@ -206,7 +206,7 @@ class Robot:
 
     @cached_property
     def joint_weight(self) -> Array:
-        """What a radian of each joint counts for when a motion is timed: the slowest joint's limit of
+        """Weight of a radian of each joint when a motion is timed: the slowest joint's limit of
         speed over its own, 1 at most (J,)."""
         return frozen(self.max_velocity.min() / self.max_velocity)
 
@@ -605,13 +605,13 @@ def frozen(value: Any, dtype: Any = np.float64) -> Any:
 # name: its shapes and its linkage are those of the built-in robot that carries it.
 
 MAX_BYTES = 1 << 20
-"""Of robot.npz: 24 hulls of the arm have 60 kB."""
+"""Largest robot.npz: 24 hulls of the arm have 60 kB."""
 SCENE_BODIES = ("world", "object", "hand", "table")
 """Names that the simulated scene gives to bodies that are not the robot's."""
 MAX_BODIES = 24
 """As kernels/plan/codes.py, MAX_ARM_BODIES."""
 MAX_CORNERS = 256
-"""Of a hull."""
+"""Most corners of a hull."""
 
 Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
@@ -688,20 +688,22 @@ SPECS: dict[str, Spec] = {
 HULL_SPECS: dict[str, Spec] = {
     "corner_count": ("iu", ("bodies",)), "corners": ("f", ("corners", 3)),
 }  # fmt: skip
-"""What it holds besides where a body is a hull: how many corners each has, and all of them, in the bodies' frames."""
+"""Further arrays where a body is a hull: how many corners each has, and all of them, in the bodies'
+frames."""
 
 GRIPPER_SPECS: dict[str, Spec] = {
     "T_flange_ee": ("f", (4, 4)), "T_flange_gripper": ("f", (4, 4)), "gripper_kind": ("iu", ("parts",)),
     "gripper_side": ("iu", ("parts",)), "T_gripper_prim": ("f", ("parts", 4, 4)),
     "gripper_size": ("f", ("parts", 3)),
 }  # fmt: skip
-"""What it holds besides where the gripper does not go by name."""
+"""Further arrays of a gripper that is not built in."""
 
 
 TABLE_SPECS: dict[str, Spec] = {
     "finger_table": ("f", ("motions", "samples", 3)), "gripper_motion": ("iu", ("parts",)),
 }  # fmt: skip
-"""What it holds besides where a table moves the fingers: `Linkage.table`, and the row of each part that is on a side."""
+"""Further arrays where a table moves the fingers: `Linkage.table`, and the row of each part that is
+on a side."""
 MAX_SAMPLES = 256
 
 
@@ -895,7 +897,7 @@ def _sizes_and_corners(a: dict[str, Array]) -> tuple[Array, tuple[Array, ...]]:
 
 
 def part_names(parts: Sequence[str], side: ArrayLike) -> list[str]:
-    """What the bodies of a gripper with jaws are called: left_pad, right_pad, the others by number."""
+    """Names of the bodies of a gripper with jaws: left_pad, right_pad, the others by number."""
     sides = {-1: "left", 1: "right"}
     return [
         f"{sides[int(s)]}_pad" if part == "pad" and int(s) in sides else f"{part}_{i}"
@@ -959,7 +961,7 @@ def table_linkage(
 
 
 def robot_arrays(robot: Robot) -> dict[str, Array]:
-    """What robot.npz holds of a robot."""
+    """Arrays of robot.npz."""
     arm, own = robot.arm, robot.dynamics
     found = {
         "T_parent_joint": robot.T_parent_joint, "T_wrist3_flange": robot.T_wrist3_flange,
@@ -992,7 +994,7 @@ def robot_law(robot: Robot) -> Literal["linkage", "slide", "table"]:
 
 
 def robot_file(robot: Robot) -> RobotFile:
-    """What robot.yaml holds of a robot; ValueError where a name or number cannot be in one."""
+    """Fields of robot.yaml; ValueError where a name or number cannot be in one."""
     own, law = robot.dynamics, robot_law(robot)
     return RobotFile(
         format=1,

@@ -1,4 +1,4 @@
-"""What airo-models says about the robot: joints, linkage, visual meshes in our frames."""
+"""Data of airo-models about the robot: joints, linkage, visual meshes in our frames."""
 
 import re
 import xml.etree.ElementTree as ElementTree

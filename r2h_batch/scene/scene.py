@@ -42,7 +42,8 @@ PLACED = (
     "p_wrist_obj",
     "motion_radius",
 )
-"""What `body_poses` writes for each trial, in the order of `BodyPoses.owners` behind object and hand."""
+"""Rows that `body_poses` writes for each trial, in the order of `BodyPoses.owners` behind object
+and hand."""
 
 
 class Scene:

@@ -1,4 +1,4 @@
-"""What solids are made of and asked about: signed distance, winding number, voxels."""
+"""Queries of closed meshes: signed distance, winding number, voxels."""
 
 from __future__ import annotations
 

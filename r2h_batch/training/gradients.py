@@ -259,7 +259,7 @@ class MarginChanges:
         return first_order.missed_by(T_world_ee, self.safe_arm.T_world_ee, ROTATION_LEVER_M)
 
     def _carrier(self, body: Tensor, links: Tensor, n_robot: int) -> Tensor:
-        """What carries a robot body (`Scene.part_names`): a code of first_order.py."""
+        """The link that carries a robot body (`Scene.part_names`), as a code of first_order.py."""
         link = links[body.clamp(min=0, max=n_robot - 1).long()].long()
         held = len(self.robot.joints) + 2
         return torch.where(body < 0, first_order.FIXED, torch.where(body >= n_robot, held, link))

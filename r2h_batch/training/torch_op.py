@@ -16,7 +16,7 @@ from r2h_batch.types import CRITERIA, Scores, Trials
 
 
 class Scorer(Protocol):
-    """What the operator calls: the `Evaluator`, as far as this module knows it."""
+    """Interface that the operator calls: the `Evaluator`, as far as this module knows it."""
 
     scene: Any
 
@@ -34,15 +34,15 @@ MOST_JOINTS = 16
 PATH_WIDTH = {"pose": 0, "all": WAYPOINTS}
 """Width of `Scores.path`."""
 WIDTH, JOINTS = -1, -2
-"""Of `_SHAPES`: the path's width and the robot's joints."""
+"""Codes in `_SHAPES` for the path's width and the robot's number of joints."""
 
 RETURNED = tuple(
     f.name
     for f in fields(Scores)
     if f.name not in ("trial_id", "motion", "motion_len", "failed_state")
 )
-"""What the operator returns, in order; it may not return an input, so trial ids are put back
-outside. It keeps no motion."""
+"""Outputs of the operator, in order; it may not return an input, so trial ids are put back outside.
+It keeps no motion."""
 
 _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "outcome": (torch.int8, ()),
@@ -116,7 +116,7 @@ def score_backward_op(
     margin_gradient: Tensor,
     evaluator: int,
 ) -> list[Tensor]:
-    """What a gradient of the margins is with respect to the two poses; scores once more to find the
+    """Gradient of the margins with respect to the two poses; scores once more to find the
     witnesses."""
     trials = Trials(trial_id, object_index, hand_index, T_world_hand)
     stream = torch.cuda.current_stream(T_obj_ee.device) if T_obj_ee.is_cuda else None

@@ -22,8 +22,8 @@ from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training.first_order import Arm, Closing, Contact
 
 DAMPING = 1e-3
-"""Of the arm's inverse Jacobian (metres and radians alike): postures with smaller singular values
-count as stuck there."""
+"""Damping of the arm's inverse Jacobian (metres and radians alike): postures with smaller singular
+values count as stuck there."""
 
 SLACK_M = 3e-5
 """A witness may be this much nearer or farther than the evaluator's number, which is a certified
@@ -37,8 +37,8 @@ def closing(
     width_m: Float32[Tensor, " b"],
     opening_m: Float32[Tensor, " b"],
 ) -> Closing:
-    """What the pads met, where the evaluator found these (width NaN: nothing); `T_obj_ee` before
-    the object moved."""
+    """Points that the pads met, where the evaluator found them (width NaN: nothing); `T_obj_ee`
+    before the object moved."""
     kernel, b = closing_kernels.closing_witness, len(T_obj_ee)
     tables, sizes = scene.grasp_tables, {"point": 4, "slope_x": 4, "slope_z": 4}
     made = over_trials(kernel, b, scene.device, sizes=sizes)(

@@ -18,9 +18,9 @@ from r2h_batch.scene.hand import rotation_from_axis_angle
 from r2h_batch.scene.scene import Scene
 
 Errors = Literal["normal", "frames", "tails"]
-"""Of the target hand. normal: the deviations below. frames: what published estimators were off by
-in single frames, with their outliers and flipped hands (assets/receiving/build_hand_errors.py).
-tails: both, one after the other."""
+"""Error models of the target hand. normal: the deviations below. frames: what published estimators
+were off by in single frames, with their outliers and flipped hands
+(assets/receiving/build_hand_errors.py). tails: both, one after the other."""
 _TARGET, _FRAME = 2, 3  # purposes of the random counters; 0, 1: methods/predictors/hands.py
 
 

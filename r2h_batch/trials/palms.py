@@ -25,7 +25,7 @@ LOW_M, HIGH_M = (0.60, 0.30, 0.13), (0.72, 0.45, 0.23)
 LOW_DEG, HIGH_DEG = (-25.0, -25.0, 30.0), (25.0, 25.0, 130.0)
 """Turns about the world's x, then y, then z; theirs about z is -150 to -50."""
 HEIGHT_M = 0.15
-"""Of the object's centre above the palm, along its normal."""
+"""Height of the object's centre above the palm, along its normal."""
 
 SHOULDER_M, UPPER_M, FOREARM_M = 0.1625, 0.425, 0.3922
 D4_M, D5_M, D6_M = 0.1333, 0.0997, 0.0996

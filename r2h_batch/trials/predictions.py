@@ -28,7 +28,7 @@ MAX_BYTES = 8 << 30
 """Largest declared size of a file: about 60 million trials."""
 MAX_METHOD_CHARS = 100
 MOST_SAMPLES = 4_500
-"""Of one motion: 9 s at 500 Hz, 75 s at 60 Hz."""
+"""Most samples of one motion: 9 s at 500 Hz, 75 s at 60 Hz."""
 
 _NEEDED = ("trial_id", "T_obj_ee", "T_world_ee")
 _POSES = ("T_obj_ee", "T_world_ee")
@@ -87,7 +87,7 @@ def _slots(length: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What a file answers: poses, motions or both."""
+    """Answers of a file: poses, motions or both."""
 
     predictions: Predictions
     motions: Motions | None = None
@@ -390,8 +390,8 @@ def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str
 
 
 def _odd(T: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of (n, 4, 4) poses (n,) masks: not rigid; with the translation in the last row; rigid and far
-    away."""
+    """Masks (n,) of invalid poses (n, 4, 4): not rigid; with the translation in the last row; rigid
+    and far away."""
     off = not_rigid(T, LOOKS_RIGID)
     transposed = (T[:, :3, 3] == 0).all(1) & (T[:, 3, :3] != 0).any(1)
     return off, transposed, ~off & (np.abs(T[:, :3, 3]).max(1, initial=0.0) > FAR_M)

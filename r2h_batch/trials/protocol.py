@@ -59,7 +59,7 @@ SECTOR_DEG, CONE_DEG, TURNED_AWAY_DEG = 50.0, 75.0, 120.0
 """c_h within +-50 degrees of +x; palm normal within 75 degrees of the direction to the robot or of
 up, never more than 120 degrees from the former [choice]."""
 TCP_ROOM_M, TABLE_ROOM_M, ROBOT_ROOM_M = 0.20, 0.005, 0.005
-"""What no vertex of the hand comes nearer to, with the robot at home: the TCP, the table, the arm
+"""Least distance of the hand's vertices, with the robot at home: the TCP, the table, the arm
 [choice]."""
 
 _POSE = 1  # purpose of the random counters; `schedule` has 0

@@ -60,9 +60,9 @@ ACROSS_DEG, OUTWARDS_DEG = 45.0, 30.0
 """Direction from shoulder to wrist, seen from above: across the chest, and away from it [choice]."""
 DOWN_DEG = (0.0, 75.0)
 SWIVEL_DEG = (0.0, 45.0)
-"""Of the elbow about that line, outwards from hanging [choice]."""
+"""Range of the elbow about that line, outwards from hanging [choice]."""
 PRONATED_DEG, SUPINATED_DEG = 20.0, 80.0
-"""Of the forearm, 0: thumb up. 80: AAOS; 20 [choice]."""
+"""Range of the forearm, 0: thumb up. 80: AAOS; 20 [choice]."""
 WRIST_BENT_DEG, WRIST_ASIDE_DEG = 40.0, 20.0
 """Flexion and deviation, sums of two uniform numbers: Ryu et al. 1991, J. Hand Surg. 16A (abstract)."""
 

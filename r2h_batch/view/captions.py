@@ -1,4 +1,4 @@
-"""What is said beside a picture of a trial: its verdict in words and the five margins."""
+"""Text beside a picture of a trial: its verdict in words and the five margins."""
 
 from collections.abc import Collection, Sequence
 from html import escape
@@ -17,7 +17,7 @@ MEANING = {
     "affordance": "distance from the fingers to the receiver's part of the object",
     "safe": "smallest distance from the robot to the hand",
 }
-"""What each margin measures; a criterion that is not named here has no tooltip."""
+"""Meaning of each margin; a criterion that is not named here has no tooltip."""
 REASONS = {
     "start_in_collision": "the arm collides at home",
     "ik_unreachable": "the arm cannot reach the target",
@@ -38,7 +38,7 @@ FAILS = {
     "affordance": "the gripper holds the receiver's part",
     "safe": "the robot meets the hand",
 }
-"""What a failed criterion means; `headline` adds by how much."""
+"""Meaning of a failed criterion; `headline` adds by how much."""
 PAIRS = {"hand": "robot and hand", "table": "robot and table", "self": "robot and robot"}
 """Pairs whose stored name (`CollidingPair`) leaves out the robot."""
 
@@ -51,7 +51,7 @@ LEGEND = {
     "width": "between the pads",
     "witness": "what fails",
 }
-"""What the marks of each group of `MARKS` show."""
+"""Meaning of each group of `MARKS`."""
 
 
 def legend(drawings: Sequence[Drawing], groups: Collection[str] = MARKS) -> list[tuple[str, str]]:
@@ -153,7 +153,7 @@ def _margin(row: dict[str, Any], name: str) -> str:
 
 
 def _facts(drawing: Drawing) -> list[str]:
-    """What else is known of the trial, a line each."""
+    """Further facts of the trial, a line each."""
     row, lines = drawing.stored.row, []
     if row.get("width_m") is not None:
         width, opening = (f"{1e3 * row[k]:.1f} mm" for k in ("width_m", "opening_m"))

@@ -1,4 +1,4 @@
-"""What every picture of one trial shows: bodies, their motion, marks and a camera.
+"""Content of every picture of one trial: bodies, their motion, marks and a camera.
 
 `Drawing` is the one description of a trial. `view/pictures.py` draws it with MuJoCo into images
 and films; `view/page.py` draws it with viser into a browser.
@@ -87,7 +87,7 @@ class View:
 
 @dataclass(frozen=True)
 class Witness:
-    """What the first failure is seen by.
+    """Marks that explain the failure.
 
     Two bodies that overlap or are nearest to each other. Of kind `unreachable` it is the line from
     the gripper to a target that it does not reach, of kind `reach` the gap from object to ball.
@@ -100,7 +100,8 @@ class Witness:
 
     @property
     def caption(self) -> str:
-        """What overlaps what, or is how far from it, in one line."""
+        """The witness in one line: two bodies and their overlap or distance, or the remaining
+        distance to a target."""
         if self.kind == "unreachable":
             return f"the gripper stays {-1e3 * self.distance_m:.1f} mm from its target"
         if self.kind == "reach":
@@ -163,8 +164,8 @@ class Drawing:
 
     @cached_property
     def witness(self) -> Witness | None:
-        """What speaks against the posture at the target; None where nothing does but a touch on the
-        way, or where Stability fails first: the pads show that (`marks`)."""
+        """The two bodies that make the posture at the target fail; None where only the way touches
+        something, or where Stability fails first: the pads show that (`marks`)."""
         stored = self.stored
         if stored.row["outcome"] == "stability":
             return None

@@ -76,7 +76,7 @@ CAMERAS = {
 """Fixed cameras and where they stand (m, world); all look at the middle of the scene."""
 _posed = lru_cache(maxsize=2)(Hands.posed)  # all hands of a set, once
 DIGITS = 17
-"""Of numbers in scene.xml: they read back to the same bits. MuJoCo writes 6 by default."""
+"""Digits of numbers in scene.xml: they read back to the same bits. MuJoCo writes 6 by default."""
 MESHES = "meshes"
 MARK = 4
 """Group of sites and geoms that are hidden by default: fingers as they hold and as they come, the

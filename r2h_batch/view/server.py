@@ -22,7 +22,7 @@ from r2h_batch.view.stored import ExportError, Reader
 ANY = "any"
 NO_METHOD = "none"
 ORDERS = ("trial", *(f"margin of {name}" for name in CRITERIA))
-"""What the list can be sorted by: the trial's number, or a margin, the smallest first."""
+"""Orders of the list: the trial's number, or a margin, the smallest first."""
 FILTERS = {"object": "object", "outcome": "outcome", "plan's reason": "plan_reason"}
 """Controls that choose trials, and the columns that they look at."""
 LISTED = 500

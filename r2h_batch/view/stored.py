@@ -267,7 +267,7 @@ def judged_again(
 
 
 def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:
-    """What differs between a stored verdict and the one computed here; empty where nothing does."""
+    """Differences between a stored verdict and the one computed here; empty if they are equal."""
     if stored["outcome"] != again["outcome"]:
         words = f"the outcome is {again['outcome']}, stored is {stored['outcome']}"
         return f"computed again here {words}"

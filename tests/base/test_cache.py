@@ -1,4 +1,5 @@
-"""What is kept on disk: made once, by one process, and made again whenever it cannot be read or depends on other things."""
+"""Entries of the disk cache: made once, by one process, and made again whenever it cannot be read or depends on other
+things."""
 
 import multiprocessing
 import os

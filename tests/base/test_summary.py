@@ -1,4 +1,4 @@
-"""What batches look like in a terminal, a notebook and a logger: short, true, and without a second evaluation."""
+"""Batches printed in a terminal, a notebook and a logger: short, true, and without a second evaluation."""
 
 import pytest
 from needs import needs

@@ -19,7 +19,7 @@ def block(x0, x1):
 @pytest.fixture
 def oakink(tmp_path):
     """A knife with parts, a mug without and with two meshes, a virtual knife; one object that is not on this disk, and two
-    entries that are none."""
+    invalid entries."""
     shape = tmp_path / "oakink" / "shape"
     (shape / "metaV2").mkdir(parents=True)
     real = {"C10001": "knife 1", "C20001": "mug", "C90001": "elsewhere", "C9": None, "C8": "../../x"}
@@ -74,7 +74,7 @@ def test_what_is_not_as_it_should_be_is_named_and_skipped_or_refused(oakink, tmp
 
 
 def imported(folder, meta, capsys):
-    """What a refused import of a list of objects says, by line."""
+    """Lines of a refused import of a list of objects."""
     (folder / "shape" / "metaV2").mkdir(parents=True)
     (folder / "shape" / "metaV2" / "object_id.json").write_text(meta)
     assert main(["import", "objects", str(folder), "--from", "oakink", "--out", str(folder / "mine")]) == 2

@@ -205,7 +205,7 @@ def as_rows(boxes):
 
 
 def region_distances(regions, T_object_gripper, opening):
-    """Of region i to the release's fingers at grasp i, m."""
+    """Distance of region i to the release's fingers at grasp i, m."""
     cube = trimesh.creation.box((0.01, 0.01, 0.01))
     tables = grasp_tables([replace(model_of(cube), receiver_boxes=r) for r in regions], release_fingers())
     T = torch.tensor(np.array(T_object_gripper) @ shift(-TIPS), dtype=torch.float32)
@@ -249,7 +249,7 @@ def test_with_the_releases_fingers_usage_boxes_are_volumes_as_there():
 
 
 def test_usage_boxes_come_back_as_they_came(tmp_path):
-    """Of a box that no face's middle lies in too; its inside is asked all the same."""
+    """A box that contains no face's middle comes back too; its inside is compared."""
     turned = trimesh.transformations.rotation_matrix(0.4, (1, 2, 3))
     trial = fixture("hammer", "intent_aware", tool=MATCHED)
     more = box(turned, (0.0, 0.01, -0.02), (0.003, 0.002, 0.001))
@@ -263,7 +263,7 @@ def test_usage_boxes_come_back_as_they_came(tmp_path):
 
 
 def test_a_sweep_judges_their_files_in_one_step_and_keeps_their_ids(tmp_path):
-    """Of our gripper (`T_tcp_asset_tool`) the executed motion is judged, of another one the pose is planned to."""
+    """The executed motion is judged for our gripper (`T_tcp_asset_tool`); for another one the pose is planned to."""
     trials = [fixture("bottle", v, tool=MATCHED) for v in ("region_agnostic", "missed_delivery")]
     trials.append(fixture("bottle", "region_agnostic") | {"id": "box_tool"})
     source = written(tmp_path / "in", [t | {"obstacle_boxes_world": []} for t in trials])

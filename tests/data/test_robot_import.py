@@ -30,7 +30,7 @@ def made(path: Path, **more):
 
 @pytest.fixture(scope="module", autouse=True)
 def coarse():
-    """Of plain shapes few samples say enough."""
+    """Few samples suffice for plain shapes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(importer, "POSTURES", 500)
         patch.setattr(robot_shapes, "PROTRUSION_SPACING_M", 2e-3)

@@ -71,7 +71,7 @@ def laughs():
 
 
 class Says:
-    """What a pickle of this asks for: a call, and a state."""
+    """A pickle of this asks for a call and a state."""
 
     def __init__(self, *reduced):
         self.reduced = reduced

@@ -1,4 +1,4 @@
-"""What a robot adds to the poses that it is asked for (`EvalConfig.execution_error`)."""
+"""Errors that a robot adds to the poses that it is asked for (`EvalConfig.execution_error`)."""
 
 import copy
 from dataclasses import replace

@@ -18,7 +18,7 @@ from r2h_batch.trials.protocol import make_trials
 
 @pytest.fixture(scope="module")
 def targets():
-    """Reachable ones from joint angles (one at a wrist singularity), one out of reach, one that is no pose."""
+    """Reachable ones from joint angles (one at a wrist singularity), one out of reach, one invalid transform."""
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (80, 6))
     q[7, 4] = 0.0
     T = torch.from_numpy(ee_pose(load_robot(), q).astype(np.float32))

@@ -45,7 +45,7 @@ STAGES = ("clearance_m", "goal_reached", "moves", "reason", "nearest")
 
 
 def evidence(active: torch.Tensor, safe_margin_m: float = 0.0, **found: Any) -> Any:
-    """What the named stages found, and nothing else."""
+    """Results of the named stages alone."""
     config = EvalConfig(thresholds=Thresholds(safe_margin_m=safe_margin_m))
     held = SimpleNamespace(active=active, **{k: v for k, v in found.items() if k not in STAGES})
     stages = {k: v for k, v in found.items() if k in STAGES}

@@ -195,5 +195,5 @@ def test_a_body_with_a_number_that_is_none_is_refused_by_its_row(asked, place, v
     T_obj_ee, T_world_ee, trials = asked
     receiver = trials.receiver.clone()
     receiver[2, *place] = value
-    with pytest.raises(ValueError, match=r"trials\.receiver of row 2 has a number that is none"):
+    with pytest.raises(ValueError, match=r"trials\.receiver of row 2 has NaN, infinity or a number beyond"):
         evaluator("body").score(T_obj_ee, T_world_ee, replace(trials, receiver=receiver), "pose")

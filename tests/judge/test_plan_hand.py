@@ -79,7 +79,7 @@ def test_the_goal_of_the_pose_stage_is_free_where_the_plan_says_so(asked, estima
 def test_a_path_clear_of_the_estimated_hand_does_not_rule_a_contact_with_the_true_one_out(
     asked, hand, certain, monkeypatch
 ):
-    """What `execute` takes for certified lets the arm move alone: nothing would push it then."""
+    """A motion that `execute` takes for certified moves the arm alone: nothing pushes it."""
     seen = []
 
     def execute(*args, clearance_m, **more):

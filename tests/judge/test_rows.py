@@ -1,4 +1,4 @@
-"""What a row needs beside its geometry: kernels against `se3` and against the definition, in plain Python."""
+"""Parts of a row beside its geometry: kernels against `se3` and against the definition, in plain Python."""
 
 import math
 from dataclasses import replace

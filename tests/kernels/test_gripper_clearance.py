@@ -1,4 +1,5 @@
-"""What the gripper cuts, and how far its fingers are from a region: against float64 and python-fcl."""
+"""Overlap of the gripper with an object, and the distance of its fingers from a region: against float64 and
+python-fcl."""
 
 import numpy as np
 import pytest

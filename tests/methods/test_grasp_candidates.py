@@ -1,4 +1,4 @@
-"""What the stored grasps promise, recomputed with manifold3d, fcl and float64 rays."""
+"""Properties of the stored grasps, recomputed with manifold3d, fcl and float64 rays."""
 
 import json
 from dataclasses import replace
@@ -79,7 +79,8 @@ def test_there_are_100_of_every_object_and_the_report_belongs_to_them() -> None:
 @needs("rtree")
 @pytest.mark.parametrize(("name", "robot"), [*((n, ROBOT) for n in MODELS), ("hammer", PANDA), ("wineglass", PANDA)])
 def test_a_grasp_is_narrow_centred_clear_and_within_the_friction_cone(name: str, robot: Robot) -> None:
-    """Of the Panda's hand with its own shapes: some of the 2F-85's are wider than its 80 mm, its pads are half as long."""
+    """The Panda's hand is tried with its own shapes: some of the 2F-85's are wider than its 80 mm, its pads are half as
+    long."""
     model, T_obj_ee, widths = MODELS[name], _stored()[f"{name}/T_obj_ee"], _stored()[f"{name}/width"]
     if robot is PANDA:
         (found,) = candidates_of((model,), robot=PANDA)

@@ -1,4 +1,4 @@
-"""What a finished sweep leaves for people: table, numbers and a card; and what `ls` lists."""
+"""Files of a finished sweep for people: table, numbers and a card; and what `ls` lists."""
 
 import json
 from dataclasses import replace

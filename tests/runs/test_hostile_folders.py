@@ -199,7 +199,7 @@ FORGED = {
     "more rows than planned": lambda t: pa.concat_tables([t] * 1000),
     "fewer rows": lambda t: t.slice(1),
     "no object": lambda t: t.set_column(1, "object", pa.nulls(len(t), t.schema.field(1).type)),
-    "an outcome that is none": lambda t: with_words(t, "outcome", ["banana"]),
+    "an unknown outcome": lambda t: with_words(t, "outcome", ["banana"]),
     "an object that moves the cursor": lambda t: with_words(t, "object", [ESC]),
     "a word that is empty": lambda t: with_words(t, "object", [""]),
     "a column of another type": lambda t: t.set_column(1, "object", t["object"].cast(pa.string())),

@@ -1,4 +1,4 @@
-"""What run.json and the benchmarks say about where a figure comes from."""
+"""Provenance of a figure in run.json and in the benches."""
 
 import os
 import shutil

@@ -150,7 +150,7 @@ USUAL = {
 
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
-    """Of a palm that is a box few samples say enough."""
+    """Few samples suffice for a palm that is a box."""
     monkeypatch.setattr(robot_shapes, "PROTRUSION_SPACING_M", 2e-3)
 
 

@@ -52,7 +52,7 @@ class FakeEvaluator:
 
 
 def prepare(options) -> Setting:
-    """What `jobs.prepare` gives, with a fake evaluator: trial ids are 0, 1, 2, ... in the plan's order."""
+    """The result of `jobs.prepare`, with a fake evaluator: trial ids are 0, 1, 2, ... in the plan's order."""
     n = {s: options.trials if s in options.splits else 0 for s in ("S0", "S1")}
     planned = {s: k for s, k in n.items() if k}
     config = {"name": "default", "execution_error": asdict(execution_error(options.execution_error))}

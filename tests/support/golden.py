@@ -1,4 +1,4 @@
-"""What "unchanged" means: digests of rows, candidates and an export. `python tests/support/golden.py --write`.
+"""The meaning of "unchanged": digests of rows, candidates and an export. `python tests/support/golden.py --write`.
 
 `golden.json` holds, for each case, a sha256 over everything but times and machine facts, and the outcomes one by one.
 The digests hold on processors of the kind named in the file, with the versions named there: torch and the physics
@@ -29,7 +29,7 @@ CANDIDATES = 512
 NOT_COMPARED = ("t_plan_s", "t_method_s", "body_m", "planned_q")  # the last: of motions from files alone
 """Times; and what trials of r2h-v0, which these are, do not have."""
 MACHINE_FACTS = ("t_plan_s", "versions", "git_commit", "digests", "configuration")
-"""Of trial.json: what says where and with what it was made. The digest of the code changes with every comment."""
+"""Fields of trial.json on where and with what it was made. The digest of the code changes with every comment."""
 
 ENGINES = ("none", "mujoco", "mjwarp")
 

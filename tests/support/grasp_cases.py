@@ -15,7 +15,7 @@ from r2h_batch.scene.robot import Robot, drive_from_gap, load_robot, pad_center_
 
 @dataclass(eq=False)
 class Body:
-    """What of an `ObjectModel` grasp tables read."""
+    """Fields of an `ObjectModel` that grasp tables read."""
 
     vertices: np.ndarray
     faces: np.ndarray

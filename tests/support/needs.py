@@ -1,4 +1,5 @@
-"""What a test may miss on a machine, and how to get it: the one place that decides what is skipped for want of what.
+"""Programs and packages that a test may miss on a machine, and how to get them: the one place that decides what is
+skipped.
 
 `@needs("chromium")` before a test, `pytestmark = needs("ray")` before a file. The `gpu` marker does the same for a GPU.
 What was skipped is listed at the end of every run (tests/conftest.py).
@@ -115,7 +116,7 @@ def is_here(name: str) -> bool:
 
 
 def reason(name: str) -> str:
-    """What the summary says: the thing and how to get it."""
+    """A line of the summary: the missing thing and how to get it."""
     return f"{WANTS[name].what}: {WANTS[name].how}"
 
 

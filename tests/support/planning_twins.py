@@ -106,7 +106,8 @@ class Checker:
 
 @dataclass(frozen=True)
 class Rechecked:
-    """What dense samples of a motion saw: how many, overlapping ones (first posture), smallest hand distance (capped)."""
+    """Result of dense samples of a motion: how many, overlapping ones (first posture), smallest hand distance
+    (capped)."""
 
     samples: int
     penetrating: int

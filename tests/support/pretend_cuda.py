@@ -38,8 +38,8 @@ INDEXED = {"aten::index", "aten::index_put", "aten::index_put_", "aten::_index_p
 
 @dataclass
 class Seen:
-    """What happened: (what, where in our code) of everything the host waited for; where Warp's arrays were made on the device;
-    names of the launched kernels."""
+    """Recorded events: (what, where in our code) of everything the host waited for; where Warp's arrays were made on
+    the device; names of the launched kernels."""
 
     waits: list[tuple[str, str]] = field(default_factory=list)
     arrays: list[str] = field(default_factory=list)
@@ -113,7 +113,7 @@ def _is_cuda(device: Any) -> bool:
 
 
 def _by_name(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
-    """What torch answers before any operator is reached: `to`, `cpu`, NumPy, lists; NotImplemented: something else."""
+    """Torch's answer before any operator is reached: `to`, `cpu`, NumPy, lists; NotImplemented: something else."""
     if func is torch.Tensor.to:
         return _to(args[0], args[1:], kwargs)
     if func is torch.Tensor.cpu:

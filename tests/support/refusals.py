@@ -1,4 +1,4 @@
-"""What every refusal of a user's file must be."""
+"""Rules for every refusal of a user's file."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

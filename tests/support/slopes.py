@@ -13,7 +13,7 @@ LEVER_M = 0.05
 """Slopes per radian are compared times this: they then are of order 1, like those per metre."""
 
 STEPS = torch.tensor(([1e-4] * 3 + [1e-3] * 3) * 2)
-"""Of the differences, m and rad."""
+"""Steps of the differences, m and rad."""
 SCALE = torch.tensor(([1.0] * 3 + [LEVER_M] * 3) * 2)
 
 

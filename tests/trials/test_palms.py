@@ -15,7 +15,7 @@ from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_with_ids
 
 FROZEN = "9505c8b1c1d2cc85c643825972cbbbc4b7ebc017f4635707ba40fe71c237d8bb"
-"""Of 504 trials a split."""
+"""Digest of 504 trials a split."""
 THEIRS = np.diag([-1.0, -1.0, 1.0, 1.0])  # our base in their frame: turned by 180 degrees, 0.75 m high
 THEIRS[2, 3] = 0.75
 

@@ -39,7 +39,7 @@ lock is tried."""
 
 @dataclass(frozen=True)
 class ArraySpec:
-    """What one array of an entry must be."""
+    """Type and shape that one array of an entry must have."""
 
     dtype: str
     """numpy's name; `text` for words of any length"""

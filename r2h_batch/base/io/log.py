@@ -46,7 +46,7 @@ class _LogFile(logging.Handler):
 
 
 LOG = logging.Logger("r2h_batch", logging.DEBUG)
-"""What a command says: errors, infos (not with --quiet) and debug lines (with --verbose)."""
+"""Logger of a command: errors, infos (not with --quiet) and debug lines (with --verbose)."""
 _stderr = _Stderr(logging.INFO)
 LOG.addHandler(_stderr)
 
@@ -81,7 +81,7 @@ def is_quiet() -> bool:
 
 
 def silence(stream: TextIO) -> None:
-    """What is left in a stream that takes no more goes nowhere: Python flushes once more when it
-    ends, and would fail."""
+    """Sends the rest of a broken stream to the null device: Python flushes streams again at exit
+    and would fail."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

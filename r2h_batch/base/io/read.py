@@ -160,7 +160,7 @@ _DAMAGED_ARCHIVE = (
     *(zipfile.BadZipFile, zlib.error, EOFError, OSError, struct.error),
     *(NotImplementedError, RuntimeError, UnicodeDecodeError, OverflowError),
 )
-"""What zipfile raises for a damaged archive."""
+"""Exceptions that zipfile raises for a damaged archive."""
 
 
 class _SmallReads(BufferedReader):

@@ -82,7 +82,8 @@ def check_output_folder(path: Path, *, overwrite: bool | None = False, flag: str
 
 
 def _found(path: Path, shown: str) -> os.stat_result | None:
-    """What exists at the path, links as such. A path that a run folder may use is refused."""
+    """`lstat` of the path, None if nothing is there. A path that a run folder may use is
+    refused."""
     if (folder := run_folder_of(path)) is not None:
         inside = Path(os.path.abspath(path)).relative_to(folder)
         own = inside.parts[0] in RUN_FOLDERS or inside.parts[0].startswith(".")

@@ -348,8 +348,8 @@ class _Runner:
         return made["sample"]
 
     def _deviation(self, motion: Tensor, length: Tensor, sample_s: float) -> Tensor:
-        """Of the lines between samples from the planned path: at the samples, and what the path
-        curves between two in time."""
+        """Deviation of the lines between samples from the planned path: at the samples, and by the
+        path's curvature between two in time."""
         law = servo_law(self.config, self.scene.robot.joint_weight, lead_s=0.0, step_s=sample_s)
         lever = self.scene.motion_radii.float().to(motion.device).contiguous()
         held = self.body_poses.object_motion_radius

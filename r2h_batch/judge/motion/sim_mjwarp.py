@@ -63,7 +63,7 @@ _kept: "OrderedDict[tuple[Any, ...], StandingWorlds]" = OrderedDict()
 
 @dataclass(frozen=True)
 class Run:
-    """What one run of n trials recorded (as `Record`); rows of q repeat their last sample."""
+    """Recorded motion of one run of n trials (as `Record`); rows of q repeat their last sample."""
 
     q: np.ndarray  # (n, W, 6)
     acceleration: np.ndarray
@@ -129,7 +129,7 @@ class StandingWorlds:
             mjw.step(self.model, self.data)
 
     def run(self, job: Job, todo: np.ndarray) -> Run:
-        """What the trials at places `todo` of the job do, and what went wrong (OVERFLOW,
+        """Simulates the trials at places `todo` of the job; the record, and faults (OVERFLOW,
         NOT_FINITE)."""
         n = len(todo)
         wp.synchronize_device(self.device)  # the job's tables were written on torch's stream
@@ -177,8 +177,8 @@ class StandingWorlds:
 
     @property
     def _written(self) -> dict[str, Any]:
-        """What every kernel of a run writes: where the worlds stand in the queue, their state, what
-        is kept of it."""
+        """Outputs of every kernel of a run: the worlds' places in the queue, their state, the
+        recorded part of it."""
         return {"worlds": self.worlds, "fields": self.fields, "record": self.record}
 
     def _make_room(self, n: int, samples: int, waypoints: int) -> None:
@@ -453,7 +453,7 @@ def _worlds_for(n: int, device: str) -> int:
 
 
 def _run(job: Job, todo: np.ndarray, nworld: int, njmax: int, naconmax: int) -> Run:
-    """What the trials at places `todo` of the job do in `nworld` worlds, and what went wrong
+    """Simulates the trials at places `todo` of the job in `nworld` worlds; the record, and faults
     (OVERFLOW, NOT_FINITE)."""
     try:
         return standing_worlds(job, nworld, njmax, naconmax).run(job, todo)

@@ -1,5 +1,5 @@
-"""What methods see: estimated hands, parts and contacts. With `PredictorNoise().scaled(0)` they see
-the truth."""
+"""Inputs of methods: estimated hands, parts and contacts. With `PredictorNoise().scaled(0)` they
+see the truth."""
 
 from r2h_batch.methods.predictors.contacts import predict_contacts
 from r2h_batch.methods.predictors.depth_view import DepthView

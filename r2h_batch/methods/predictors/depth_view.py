@@ -1,4 +1,4 @@
-"""What depth cameras leave of an object's voxel grid: a contact network that never sees the far side.
+"""An object's voxel grid as depth cameras see it: a contact network never sees the far side.
 
 A voxel is full unless some camera looks through it: cameras carve the box of the grid, so what is
 hidden stays full. The box itself is known, as from a silhouette. Cameras stand around the object as

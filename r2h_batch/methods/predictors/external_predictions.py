@@ -100,7 +100,7 @@ class ExternalPoints:
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What networks predicted. The built-in error model stands for what is None."""
+    """Predictions of networks. The built-in error model replaces each that is None."""
 
     receiving: ExternalHands | None = None
     target: ExternalHands | None = None

@@ -22,7 +22,7 @@ from r2h_batch.methods.predictors.voxnet import read_voxnet
 MAX_BYTES = 4 << 30
 MAX_MEMBERS = 20_000
 MOST_SECONDS = 600.0
-"""Of one call of an ONNX network."""
+"""Time limit of one call of an ONNX network."""
 _HOW = (
     "give an ONNX file (.onnx), VoxNet weights (.safetensors), or a function of your own code,"
     f" {HOW}"

@@ -1,5 +1,5 @@
-"""What a contact predictor takes and returns: an object's voxel grid in, a probability of contact
-per voxel out.
+"""Input and output of a contact predictor: an object's voxel grid in, a probability of contact per
+voxel out.
 
 A contact predictor is a callable: grid (K, 5, 64, 64, 64) float32 in, contact probability (K, 64,
 64, 64) in [0, 1] out. The grid's axes are the object's x, y, z; its channels are occupancy, the

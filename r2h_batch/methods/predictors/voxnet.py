@@ -24,7 +24,7 @@ MIDDLE_M, SPREAD_M = 0.1, 0.05
 """Scales of objects that fit a hand."""
 
 _PLAIN: dict[str, Any] = {"dtype": torch.float32, "device": "cpu"}
-"""What the weights are stored as, whatever the caller's program has as its defaults."""
+"""Type of the stored weights, whatever default the caller's program has set."""
 
 
 class VoxNet(nn.Module):
@@ -48,7 +48,7 @@ class VoxNet(nn.Module):
                 nn.init.constant_(layer.bias, 0.0)  # type: ignore[arg-type]  # there is one
 
     def features(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k f 32 32 32"]:
-        """What is known of each 2 x 2 x 2 voxels."""
+        """Features of each block of 2 x 2 x 2 voxels."""
         x1 = self.down1(_centred(grid))
         x2 = self.down2(x1)
         x3 = self.deep(self.down3(x2))

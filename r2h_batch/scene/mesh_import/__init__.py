@@ -1,2 +1,2 @@
-"""What becomes of a user's object before it is one of ours: its mesh closed, its labels carried
-over, its build kept."""
+"""A user's object made fit for judging: its mesh closed, its labels carried over, its build
+kept."""

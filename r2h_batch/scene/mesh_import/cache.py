@@ -51,7 +51,7 @@ FORM = {
     "com": ArraySpec("float64", (3,)),
     "inertia": ArraySpec("float64", (3, 3)),
 }
-"""What is kept of an `ObjectModel`, with the warnings."""
+"""Stored fields of an `ObjectModel`, with the warnings."""
 
 
 def key_of(mesh: object, options: Mapping[str, Any]) -> str | None:

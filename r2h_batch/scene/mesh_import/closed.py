@@ -58,7 +58,7 @@ FLAT_M = 1e-5
 
 @dataclass(frozen=True)
 class Repair:
-    """What was done to a mesh, and what came of it."""
+    """Repairs of a mesh, and their effect."""
 
     steps: tuple[str, ...]
     """in words, in order; none: the mesh is as it was given"""

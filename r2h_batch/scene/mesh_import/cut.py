@@ -78,7 +78,7 @@ class _Part:
         self.excess = max(0.0, self.hull - self.volume)
 
     def halves(self) -> list[_Part]:
-        """What the best plane leaves, bodies apart as parts of their own; less than two: nothing to
+        """Parts that the best plane leaves, each connected body a part; fewer than two: nothing to
         cut."""
         edges = np.concatenate([self.faces[:, k] for k in ([0, 1], [1, 2], [2, 0])])
         edges = edges[edges[:, 0] < edges[:, 1]]

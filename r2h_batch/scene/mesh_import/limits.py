@@ -1,5 +1,5 @@
-"""What a user's mesh may cost: its sizes, its time, and the one line that says so when it is too
-much."""
+"""Limits of a user's mesh: its sizes, its time, and the one line that refuses a mesh beyond
+them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from r2h_batch.base.io.log import LOG
 
 MOST_BYTES = 1 << 30
-"""Of a mesh file, and of each file that it names."""
+"""Largest mesh file, and largest file that it names."""
 MOST_GIVEN_FACES = 5_000_000
 MOST_BODIES = 1000
 """Bodies that do not touch: more are a cloud of triangles, no object."""

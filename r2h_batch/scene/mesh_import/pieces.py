@@ -1,4 +1,4 @@
-"""What convex bodies an object is taken for: its hull, and its convex decomposition."""
+"""Convex bodies that stand for an object: its hull, and its convex decomposition."""
 
 from __future__ import annotations
 

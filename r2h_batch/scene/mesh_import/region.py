@@ -19,7 +19,7 @@ from r2h_batch.scene.mesh_import.limits import ObjectMeshError
 from r2h_batch.scene.solid import Surface
 
 MAX_REGION_BYTES = 64 << 20
-"""Of a file that says which faces the receiver's region has: eight bytes for each of millions."""
+"""Largest file of the receiver's faces: eight bytes for each of millions."""
 RIGID, ON_SIDE_M = 1e-6, 1e-6
 """How far a box's rows may be from a rotation; faces of an object may lie on the sides of its boxes."""
 PLANE = re.compile(r"\s*([xyz])\s*([<>])\s*([0-9.]+)\s*")

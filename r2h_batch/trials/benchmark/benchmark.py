@@ -1,5 +1,4 @@
-"""What makes a benchmark, in memory: two with one digest ask the same of a method and judge it
-alike."""
+"""A benchmark in memory: two with one digest ask the same of a method and judge it alike."""
 
 from __future__ import annotations
 
@@ -41,8 +40,8 @@ DECIDES = (
     *("name", "split", "instruction", "vertices", "faces", "face_part", "part_names"),
     *("receiver_face", "mass", "com", "inertia"),
 )
-"""Of an object: what the rest of it is made of. The convex pieces are not here: a sweep makes them
-only where it needs them."""
+"""Fields of an object from which its other fields follow. The convex pieces are not here: a sweep
+makes them only where it needs them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +67,7 @@ class Benchmark:
 
     @property
     def protocol(self) -> str:
-        """What says the trials: the rule that draws them, or `listed`."""
+        """Source of the trials: the rule that draws them, or `listed`."""
         return self.drawn if self.listed is None else LISTED
 
     def __post_init__(self) -> None:
@@ -91,7 +90,7 @@ class Benchmark:
         """sha256 (hex) over everything that decides what is asked and how it is judged, whatever
         file said it."""
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
-        if self.receiver != "hand":  # what there was before it could be said keeps its digest
+        if self.receiver != "hand":  # benchmarks without this field keep their digest
             digest.update(f"receiver {self.receiver}\n".encode())
         if self.robot != load_robot():  # a folder may give another one its name
             digest.update(f"robot {self.robot.digest} {self.persons}\n".encode())

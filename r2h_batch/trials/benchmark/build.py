@@ -135,7 +135,7 @@ def _hand_entries(file: BenchmarkFile) -> list[HandsEntry]:
 
 
 def _file_of(entry: ObjectEntry, field: str) -> str | None:
-    """What an object's field names as a file; None where it names none."""
+    """File that an object's field names; None where it names none."""
     name: str | None = getattr(entry, field)
     if name is None or (field == "receiver" and not name.endswith(".npy")):
         return None
@@ -349,7 +349,7 @@ MAX_FILES = 1000
 
 @dataclass(frozen=True)
 class BenchmarkOverrides(BenchmarkFlags):
-    """What flags change of a benchmark; empty: the built-in one."""
+    """Fields of a benchmark that flags change; empty for the built-in one."""
 
     protocol: str = ""
     receiver: Literal["", "hand", "body"] = ""

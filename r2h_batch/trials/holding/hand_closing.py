@@ -108,7 +108,7 @@ FAN = (1.0, 0.2, -1.2, -0.6)
 
 @dataclass(frozen=True, eq=False)
 class Families:
-    """What `ClosingHands` holds, and the same as numbers: shape (K, 10), turns (K, 16, 3) in
+    """Fields of `ClosingHands`, and the same as numbers: shape (K, 10), turns (K, 16, 3) in
     degrees, skins at rest."""
 
     tables: Any

@@ -1,4 +1,4 @@
-"""What a posed hand touches of an object and how deep it cuts in, measured on the exact meshes of
+"""Contact of a posed hand with an object, and how deep it cuts in, measured on the exact meshes of
 both."""
 
 from __future__ import annotations

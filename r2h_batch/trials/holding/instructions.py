@@ -1,5 +1,4 @@
-"""What a person may say to be handed an object, and what is understood of it: object, part and
-purpose.
+"""Sentences by which a person asks for an object, and their meaning: object, part and purpose.
 
 An intent is a part that the receiver wants to take and what for. Understanding looks for known
 words, whatever the sentence around them: names of objects, of their parts, and of purposes, in any
@@ -39,7 +38,7 @@ class Intent:
 
 @dataclass(frozen=True)
 class Understood:
-    """What a sentence asks for: `intent` is the row of `intents_of(object)` that answers it."""
+    """Meaning of a sentence: `intent` is the row of `intents_of(object)` that answers it."""
 
     object_index: int
     object: str
@@ -261,7 +260,7 @@ def _stem(word: str, inflected: bool) -> str:
 
 @lru_cache(maxsize=256)
 def _thing(model: ObjectModel) -> Thing:
-    """What is known of an object; a user's object has the words of its name and of its parts."""
+    """Vocabulary of an object; a user's object has the words of its name and of its parts."""
     if model.words is not None:
         return model.words
     if model.name in THINGS and any(

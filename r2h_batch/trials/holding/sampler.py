@@ -42,8 +42,8 @@ from r2h_batch.trials.holding.instructions import intents_of
 
 PER_SIDE = 32
 PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 600, 20, 160, 16
-"""Of a round, rounds, and holds of a pool that the choice begins with: the last two for `PER_SIDE`, more
-in proportion for more."""
+"""Proposals of a round, rounds, and the holds with which the choice begins: in all, and of one
+part. The last two are for `PER_SIDE`, and in proportion for more."""
 HOPELESS = 6
 """Rounds after which an object that nothing seemed to hold is given up: one of 3,600 proposals
 would be three of all."""
@@ -141,7 +141,7 @@ class _Side:
 
     @cached_property
     def points(self) -> F32:
-        """What of the object is looked for in a hand."""
+        """Points of the object that may lie inside a hand."""
         return np.concatenate([self.model.points * self.flip, self.surface.vertices])
 
     def holds(self, skin: F32, about: F32) -> bool:

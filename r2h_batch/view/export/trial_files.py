@@ -1,4 +1,4 @@
-"""What a method needs to make predictions, as a folder: `r2h-batch trials --out FOLDER`.
+"""Inputs of a method, as a folder: `r2h-batch trials --out FOLDER`.
 
     trials.npz, hands.npz, objects/NAME.npz    arrays; manifest.json and README.md say what they are
 
@@ -102,7 +102,7 @@ def write_trials(
 def _header(
     benchmark: Benchmark, planned: Trials, splits: Sequence[str], chosen: Sequence[int], digest: str
 ) -> dict[str, Any]:
-    """What the manifest says before the arrays."""
+    """Fields of the manifest before the arrays."""
     shown = ("name", "split", "instruction")
     return {
         "format": 1,

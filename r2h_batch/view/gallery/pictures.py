@@ -27,7 +27,7 @@ from r2h_batch.view.stored import Reader
 SHOWN = OUTCOME_NAMES[:6]
 """Outcomes of which there is something to see: success and the five failures."""
 JUDGED = ("region", "ball", "palm")
-"""What a success is judged by: drawn where it ends."""
+"""Marks of a success, drawn at its end."""
 CLOSE = ("stability", "affordance", "safe")
 """Failures between gripper, object and hand: the camera goes near."""
 LOOKED_AT = 200_000  # rows of a method that are searched for examples

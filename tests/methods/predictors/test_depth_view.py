@@ -1,4 +1,4 @@
-"""What depth cameras leave of an object, against rays cast in float64."""
+"""The voxels that depth cameras leave of an object, against rays cast in float64."""
 
 import numpy as np
 import torch

@@ -54,7 +54,7 @@ def seen_in(scene, tmp_path):
 
 
 def hand_arrays(kind, hand, model, form):
-    """What a file says of a predicted hand, as MANO's numbers or as a skin with 21 joints."""
+    """A file's fields for a predicted hand, as MANO's numbers or as a skin with 21 joints."""
     if form == "skin":
         tips = hand.vertices[:, model.tip_vertices.long()].numpy()
         return {f"{kind}_joints": openpose(hand.joints.numpy(), tips), f"{kind}_vertices": hand.vertices.numpy()}

@@ -1,4 +1,4 @@
-"""What methods see: exact without noise, as far off as stated with it, and the same for a trial in any batch."""
+"""Inputs of methods: exact without noise, as far off as stated with it, and the same for a trial in any batch."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is understood of a sentence: listed phrases, free ones, and what is refused."""
+"""Understanding of sentences: listed phrases, free ones, and what is refused."""
 
 import pytest
 

@@ -23,7 +23,7 @@ def written(run, tmp_path_factory):
 
 
 def test_trials_that_are_read_back_get_the_verdicts_that_they_had(run, written):
-    """Of the motion as given and of one that is planned anew."""
+    """Verdicts of the motion as given and of one that is planned anew."""
     own = {r["trial_id"]: r for r in load_run(run).trials("oracle").to_pylist()}
     for more in ([], ["--replan"]):
         out = written / f"run{len(more)}"
@@ -188,7 +188,7 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
 
 
 def test_compare_pairs_a_run_of_imported_trials_with_results_of_the_same_names(written, tmp_path, capsys):
-    """Of one trial's name less, it refuses."""
+    """With one trial's name missing, it refuses."""
     done = in_process("--trials-from", written / "files", "--sim", "none", "--out", tmp_path / "mine")
     assert done.returncode == 0, done.stderr
     results = json.loads((written / "files" / "results.json").read_text())
