@@ -15,9 +15,11 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -29,7 +31,9 @@ from _report import ROOT, Report, arguments
 from r2h_batch.base import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.frontier.levels import FORMS, planning_form
+from r2h_batch.judge import planner
+from r2h_batch.judge.frontier.levels import FORMS, Frontier, planning_form
+from r2h_batch.judge.search import Search
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import make_trials, trials_with_ids
 
@@ -170,20 +174,18 @@ def equal_to_cpu(bench: Bench) -> None:
     """Whole trials here and on the CPU: outcomes, margins, paths."""
     for name, batch in (("mix", bench.mix), ("random", bench.random)):
         there = bench.evaluator.score(*bench.there(batch)).to("cpu")
-        here = bench.on_cpu.score(*batch)  # one thread a trial: other paths where they are searched, the same outcomes
-        with planning_form("frontier"):
-            alike = bench.on_cpu.score(*batch)
+        here = bench.on_cpu.score(*batch)
         sharp = ~(here.borderline | there.borderline)
         differ = (here.outcome != there.outcome) & sharp
-        both = alike.margin.isfinite() & there.margin.isfinite()
-        off = (alike.margin - there.margin).abs().where(both, torch.zeros(()))
-        other_path = (alike.path_len != there.path_len).nonzero().flatten()
+        both = here.margin.isfinite() & there.margin.isfinite()
+        off = (here.margin - there.margin).abs().where(both, torch.zeros(()))
+        other_path = (here.path_len != there.path_len).nonzero().flatten()
         bench.report.add(f"gpu.{name}.trials", len(here))
         bench.report.add(f"gpu.{name}.outcomes_that_differ", int(differ.sum()))
         bench.report.add(f"gpu.{name}.borderline", int((~sharp).sum()))
         bench.report.add(f"gpu.{name}.margin_difference_max_m", float(off.max()))
         bench.report.add(f"gpu.{name}.paths_that_differ", " ".join(map(str, here.trial_id[other_path][:50].tolist())))
-        same_path = alike.path_len == there.path_len
+        same_path = here.path_len == there.path_len
         if differ.any() or off[same_path].max() > MARGIN_M:
             raise RuntimeError(f"{name}: {int(differ.sum())} outcomes differ, margins by {float(off.max()):.1e} m")
 
@@ -230,7 +232,7 @@ def throughput(bench: Bench) -> None:
 
 
 def both_forms(bench: Bench) -> None:
-    """The same rows planned in both forms: level by level (kernels/frontier/), one thread a trial (kernels/plan/)."""
+    """The same rows in both forms of postures, straight lines, clearances and Safe: by levels, or one thread a trial."""
     n = FORM_ROWS if bench.cuda else bench.trials
     batch = bench.repeated(bench.mix, n)
     evaluator = Evaluator(replace(KINEMATIC, chunk=n), device=bench.device)
@@ -246,6 +248,58 @@ def both_forms(bench: Bench) -> None:
     bench.report.add("gpu.forms.loser", loser)
     bench.report.add("gpu.forms.winner_is_faster_by", rates[winner] / rates[loser])
     bench.report.add("gpu.forms.outcomes_that_differ", int((outcomes[0] != outcomes[1]).sum()))
+
+
+SEARCHED = {
+    "straight_lines": (Frontier, "straight"),
+    "search": (Search, "_connect"),
+    "shortcuts": (Search, "_shorten"),
+    "clearances": (Frontier, "clearance"),
+}
+
+
+def search(bench: Bench) -> None:
+    """What the search costs a trial, beside the parts of planning that go level by level: it runs one thread a problem, and a
+    launch takes as long as its longest problem."""
+    n = FORM_ROWS if bench.cuda else bench.trials
+    batch = bench.repeated(bench.random, n)
+    evaluator = Evaluator(replace(KINEMATIC, chunk=n), device=bench.device)
+    spent = dict.fromkeys(SEARCHED, 0.0)
+    problems: list[int] = []
+    launch_trials = planner.launch_trials
+
+    def launched(kernel: Any, rows: int, **ways: Any) -> None:
+        if kernel.key == "rrt_connect":
+            problems.append(rows)
+        launch_trials(kernel, rows, **ways)
+
+    def timed(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            bench.wait()
+            start = time.perf_counter()
+            try:
+                return call(*args, **kwargs)
+            finally:
+                bench.wait()
+                spent[name] += time.perf_counter() - start
+
+        return timed
+
+    with planning_form("frontier"):
+        seconds = bench.seconds(partial(evaluator.score, *batch))
+        with ExitStack() as stack:
+            stack.enter_context(mock.patch.object(planner, "launch_trials", launched))
+            for name, (owner, method) in SEARCHED.items():
+                stack.enter_context(mock.patch.object(owner, method, timed(name, getattr(owner, method))))
+            scores = evaluator.score(*batch)
+    bench.report.add("gpu.search.rows", n)
+    bench.report.add("gpu.search.searched_paths", int((scores.path_len > 2).sum()))
+    bench.report.add("gpu.search.whole_us_per_trial", seconds / n * 1e6)
+    for name, took in spent.items():
+        bench.report.add(f"gpu.search.{name}_us_per_trial", took / n * 1e6)
+    bench.report.add("gpu.search.share_of_whole", (spent["search"] + spent["shortcuts"]) / seconds)
+    bench.report.add("gpu.search.launches", len(problems))
+    bench.report.add("gpu.search.most_problems_of_a_launch", max(problems, default=0))
 
 
 def pose_stage(bench: Bench) -> None:
@@ -279,7 +333,7 @@ def worlds(bench: Bench) -> None:
 
 
 PARTS: tuple[Callable[[Bench], None], ...] = (
-    machine, capture_first, compile_times, equal_to_cpu, equal_bits, both_forms, throughput, pose_stage, worlds,
+    machine, capture_first, compile_times, equal_to_cpu, equal_bits, both_forms, search, throughput, pose_stage, worlds,
     marked_tests, memcheck,
 )  # fmt: skip
 """In the order of what is missed most when the time ends."""

@@ -31,5 +31,8 @@ def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path,
     rates = {form: values[f"gpu.forms.{form}.trials_per_s"] for form in ("frontier", "one_thread")}
     assert values["gpu.forms.loser"] == min(rates, key=rates.get) and values["gpu.forms.winner_is_faster_by"] >= 1
     assert values["gpu.forms.rows"] == 2 and values["gpu.forms.outcomes_that_differ"] == 0
+    assert values["gpu.search.rows"] == 2 and values["gpu.search.launches"] >= 1
+    parts = [values[f"gpu.search.{x}_us_per_trial"] for x in ("straight_lines", "search", "shortcuts", "clearances")]
+    assert min(parts) > 0 and values["gpu.search.share_of_whole"] > 0
     assert f"| gpu.forms.loser | {values['gpu.forms.loser']} |" in (tmp_path / "gpu.md").read_text()
     assert "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()

@@ -98,10 +98,7 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
     seen = gpu[0]
     there = scored(gpu, poses, trials, "all", plan=plan)
     assert 1 <= len(seen.waits) <= 4 + (trials.receiver is not None), seen.waits  # bodies have a queue of their own
-    assert ("rrt_connect" if plan.edge_check == "moveit" else "enter_edges") in seen.launches
-    if plan.edge_check != "moveit":
-        assert {"take_arcs", "draw_arcs"} <= {*seen.launches} and not {"rrt_connect", "shortcut"} & {*seen.launches}
-    assert {"pair_distances", "face_distances"} <= {*seen.launches}
+    assert {"rrt_connect", "shortcut", "pair_distances", "face_distances"} <= {*seen.launches}
     assert not {"straight_lines", "safe_distance"} & {*seen.launches}
     seen.waits.clear()
     copied = there.to("cpu")
@@ -109,7 +106,7 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
     assert copied.inputs is not None and copied.inputs.trials.T_world_hand.device.type == "cpu"
     evaluator = Evaluator(replace(KINEMATIC, plan=plan))
     here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
-    assert torch.equal(copied.outcome, here.outcome)  # paths are searched in another way (tests/judge/test_frontier.py)
+    assert torch.equal(copied.outcome, here.outcome) and torch.equal(copied.path_len, here.path_len)
     with planning_form("frontier"):
         here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     assert bits(copied) == bits(here)

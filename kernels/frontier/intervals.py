@@ -18,7 +18,6 @@ from .queues import (
     PAIRS,
     PIECES,
     POSTURE_LEVEL,
-    REQUESTS,
     TAKEN,
     Counts,
     Edges,
@@ -73,7 +72,6 @@ def add_edge(
         level = 0
     elif mode == SAMPLES:
         n = parts_of(a, b, MOVEIT_SEGMENT_RAD)
-    edges.left[i] = n
     for k in range(n):
         row = take(counts, NOW + parity, queue.edge.shape[0])
         if row >= 0:
@@ -95,7 +93,6 @@ def queue_edges(
 ):  # fmt: skip
     """Queues the first intervals of all edges in use."""
     i = first + wp.tid()
-    edges.left[i] = 0
     if used_in[i]:
         add_edge(world, edges, queue, counts, parity, i, mode, hand_only)
 
@@ -136,7 +133,6 @@ def interval_frames(
         counts.n[BODIES + PIECES] = 0
         counts.n[PAIRS] = 0
         counts.n[TAKEN] = 0
-        counts.n[REQUESTS] = 0
     for s in range(first + wp.tid(), wp.min(counts.n[NOW + parity], queue.edge.shape[0]), lanes):
         for k in range(3):
             frames.open[s, k] = wp.int64(0)
@@ -173,7 +169,6 @@ def halve(
         table = frames.open[s, TABLE]
         self_bits = frames.open[s, SELF]
         level = queue.level[s]
-        more = int(-1)
         if level >= 0 and (hand | table | self_bits) != wp.int64(0) and not is_done(track, edges.found[owner]):
             if level + 1 < MAX_LEVEL:
                 for half in range(2):
@@ -190,7 +185,5 @@ def halve(
                             table,
                             self_bits,
                         )
-                more = 1
             elif certify == 1:
                 wp.atomic_min(edges.found, owner, key_of(0.0, NOTHING - 1))
-        wp.atomic_add(edges.left, edge, more)

@@ -30,8 +30,7 @@ TAKEN = wp.constant(6)  # pairs that a lane has taken
 FULL = wp.constant(7)  # 1: some queue was too short, and nothing counts
 EDGES = wp.constant(8)  # edges of paths
 PAIRS = wp.constant(9)
-REQUESTS = wp.constant(10)  # lanes that ask for an edge
-COUNTS = wp.constant(11)
+COUNTS = wp.constant(10)
 
 POSTURE_LEVEL = wp.constant(-1)
 """Level of an interval that is one posture: number `index` + 1 of `part` steps of its edge."""
@@ -57,7 +56,6 @@ class Edges:
     b: wp.array2d(dtype=float)
     hand_margin: wp.array(dtype=float)
     found: wp.array(dtype=wp.int64)  # (owners,) smallest key so far (`key_of`)
-    left: wp.array(dtype=int)  # (E,) intervals that are not settled
 
 
 @wp.struct

@@ -11,14 +11,10 @@ from r2h_batch.base.launch import load
 from r2h_batch.base.launch.instances import of_joints
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
-from r2h_batch.judge.frontier.levels import uses_frontier
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.judge.planner import Planner
 from r2h_batch.judge.search import Search, edge_mode_of
 from r2h_batch.kernels import JOINTS
-from r2h_batch.kernels.frontier.arcs import draw_arcs
-from r2h_batch.kernels.frontier.shortcuts import take_arcs
-from r2h_batch.kernels.frontier.trees import enter_edges
 from r2h_batch.kernels.judge.overlap import path_overlap
 from r2h_batch.kernels.plan.codes import BRANCHES, SAMPLES, WAYPOINTS
 from r2h_batch.kernels.plan.rrt import rrt_connect
@@ -136,8 +132,7 @@ def plan_paths(
 def load_searches(device: str, joints: int = JOINTS) -> None:
     """Compiles what only some trials need (searches, shortcuts, how deep bodies meet), or loads it
     from the kernel cache."""
-    one_thread, frontier = (rrt_connect, shortcut), (enter_edges, draw_arcs, take_arcs)
-    for kernel in (*(frontier if uses_frontier(device) else one_thread), path_overlap):
+    for kernel in (rrt_connect, shortcut, path_overlap):
         load(of_joints(kernel, joints), device)
 
 

@@ -14,8 +14,10 @@ from r2h_batch.scene.scene import BodyPoses, Scene
 
 
 class Planner:
-    """Runs planning kernels, which all take the scene's world and the trials' bodies; on a GPU what
-    can goes in `frontier`."""
+    """Runs planning kernels, which all take the scene's world and the trials' bodies.
+
+    Postures, straight lines and clearances go through `frontier` where there is one (on a GPU).
+    """
 
     def __init__(self, scene: Scene, body_poses: BodyPoses, rows: int | None = None) -> None:
         """`rows`: for how many paths of at most WAYPOINTS the frontier has room; None: one a trial."""

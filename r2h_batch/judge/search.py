@@ -8,8 +8,6 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import ExecConfig, PlanConfig
-from r2h_batch.judge.frontier.search import connect_by_frontier
-from r2h_batch.judge.frontier.shortcuts import shorten_by_frontier
 from r2h_batch.judge.motion.time_law import pace, path_time
 from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, SAMPLES
@@ -137,30 +135,30 @@ class Search:
         # or to be blocked; how many is not bounded, so a tree that is full ends the search
         # (`rrt_connect`)
         capacity = 4 * iterations + 16
-        problem = {
+        inputs = {
             "iterations": iterations,
             "capacity": capacity,
             "range_rad": self.config.range_rad,
             "shorter": shorter,
             "seed": seed,
+            "edge_mode": edge_mode_of(self.config),
             "start": self.start,
             "key": self.key,
             "goals": kept.flatten(0, 1),
             "n_goals": n_kept,
             "margin": margin,
         }
-        found, node_budget = {"path": path, "length": length}, _scratch_nodes(device)
-        edge_mode = edge_mode_of(self.config)
-        if self.planner.frontier is not None and edge_mode == CERTIFY:
-            connect_by_frontier(self.planner.frontier, rows, problem, found, node_budget)
-            return margin
-        for part in rows.split(max(1, node_budget // (2 * capacity))):
+        for part in rows.split(max(1, _scratch_nodes(device) // (2 * capacity))):
             size = len(part) * 2 * capacity
-            nodes = torch.empty((size, path.shape[2] + 1), dtype=torch.float32, device=device)
-            parents = torch.empty(size, dtype=torch.int32, device=device)
-            inputs = problem | {"edge_mode": edge_mode, "trial": part}
-            outputs = {"nodes": nodes, "parents": parents, **found}
-            self.planner(rrt_connect, len(part), inputs=inputs, outputs=outputs, chunk=1)
+            outputs = {
+                "nodes": torch.empty((size, path.shape[2] + 1), dtype=torch.float32, device=device),
+                "parents": torch.empty(size, dtype=torch.int32, device=device),
+                "path": path,
+                "length": length,
+            }
+            self.planner(
+                rrt_connect, len(part), inputs=inputs | {"trial": part}, outputs=outputs, chunk=1
+            )
         return margin
 
     def _shorten(
@@ -169,20 +167,18 @@ class Search:
     ) -> None:  # fmt: skip
         """Shortcuts on the paths that `rows` have, as long as they save time under the arm's
         limits; in place."""
-        shortcut_inputs = {
+        inputs = {
             "tries": self.config.shortcuts,
             "enough": GOOD_ENOUGH_RATIO,
             "pace": pace(self.execute, self.planner.joint_weight),
             "seed": seed,
+            "edge_mode": edge_mode_of(self.config),
             "key": self.key,
             "margin": margin,
+            "trial": rows,
         }
-        paths, edge_mode = {"path": path, "length": length}, edge_mode_of(self.config)
-        if self.planner.frontier is not None and edge_mode == CERTIFY:
-            shorten_by_frontier(self.planner.frontier, rows, shortcut_inputs, paths)
-            return
-        inputs = shortcut_inputs | {"edge_mode": edge_mode, "trial": rows}
-        self.planner(shortcut, len(rows), inputs=inputs, outputs=paths, chunk=1)
+        outputs = {"path": path, "length": length}
+        self.planner(shortcut, len(rows), inputs=inputs, outputs=outputs, chunk=1)
 
     def _time(self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]) -> Tensor:
         """Seconds of each path."""

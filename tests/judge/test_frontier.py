@@ -1,8 +1,8 @@
-"""The planner level by level (a GPU's form) against one thread a trial (a CPU's): the same goals, lines, verdicts."""
+"""The planner level by level (a GPU's form) against one thread a trial (a CPU's): the same goals, paths, verdicts."""
 
 from contextlib import ExitStack
+from dataclasses import fields
 from functools import cache
-from types import ModuleType
 from unittest import mock
 
 import numpy as np
@@ -10,15 +10,16 @@ import pytest
 import torch
 from problems import Problems, assert_same, default_evaluator, make_batch, solve
 
-from r2h_batch.config import CLEARANCE_TOLERANCE_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.frontier import levels, safe, shortcuts
+from r2h_batch.judge.distance import SAFE_TOLERANCE_M
+from r2h_batch.judge.frontier import levels, safe
 from r2h_batch.judge.plan import Plan
-from r2h_batch.judge.planner import Planner  # of one thread, on paths that are given
 from r2h_batch.methods import oracle, random
+from r2h_batch.scene.robot import load_robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import make_trials, trials_with_ids
-from r2h_batch.types import Scores
+from r2h_batch.types import CRITERIA, Scores
 
 PLANS = {"exact": PlanConfig(), "moveit": PlanConfig(goals="one", edge_check="moveit")}
 
@@ -33,33 +34,17 @@ def by_frontier(scene: Scene, plan: str, n: int) -> Plan:
         return solve(scene, make_batch(scene, n, random_share=0.5), PLANS[plan]).plan
 
 
-def free_paths_to_goals(scene: Scene, problems: Problems, plan: Plan, rows: torch.Tensor) -> None:
-    """Paths of those rows begin at home, end in a joint solution, and keep clear of everything, as one thread sees it."""
-    least, _, _ = Planner(scene, problems.body_poses, None).clearance(plan.path, plan.length)
-    assert (least[rows] > 0).all() and (least - plan.clearance_m)[rows].abs().max() <= CLEARANCE_TOLERANCE_M
-    assert torch.equal(plan.path[rows, 0], torch.tensor(HOME_Q, dtype=torch.float32).expand(int(rows.sum()), 6))
-    ends = plan.path[torch.arange(len(rows)), plan.length.long() - 1]
-    assert ((problems.ik.q == ends[:, None]).all(-1) & problems.ik.valid).any(1)[rows].all()
-    bounds = [torch.from_numpy(x).float() for x in (scene.robot.lower, scene.robot.upper)]
-    assert ((plan.path >= bounds[0]) & (plan.path <= bounds[1]))[rows].all(-1)[:, 0].all()
-
-
 def compare(scene: Scene, plan: str, n: int) -> Plan:
-    """Of n trials, half of them sensible, what one thread finds: reasons, and paths, other ones only where they were searched.
+    """Of n trials, half of them sensible, what one thread finds: the same reasons and the same paths to the bit.
 
-    Clearances of the same path are within the tolerance of both. Sampled edges (moveit) are searched by one thread in both forms.
+    Clearances are within the tolerance of both.
     """
-    problems, there = one_thread(scene, plan, n), by_frontier(scene, plan, n)
-    here = problems.plan
-    for name in ("reason", "straight"):
+    here, there = one_thread(scene, plan, n).plan, by_frontier(scene, plan, n)
+    for name in ("reason", "straight", "length"):
         assert torch.equal(getattr(here, name), getattr(there, name)), name
-    assert torch.equal(here.pair[here.length == 0], there.pair[here.length == 0])  # what rules a start or all goals out
-    searched = (here.length > 0) & ~here.straight
-    assert searched.sum() >= n // 50
-    if plan == "exact":
-        free_paths_to_goals(scene, problems, there, searched)
-    found = (here.length > 0) & (here.straight if plan == "exact" else True)
-    assert torch.equal(here.length[found], there.length[found])
+    found = here.length > 0
+    assert torch.equal(here.pair[~found], there.pair[~found])  # what rules a start or all goals out
+    assert (found & ~here.straight).sum() >= n // 50
     assert torch.equal(here.path[found], there.path[found])
     assert (here.clearance_m - there.clearance_m)[found].abs().max() <= CLEARANCE_TOLERANCE_M
     assert torch.equal(here.clearance_m[found] < 0, there.clearance_m[found] < 0)
@@ -75,20 +60,35 @@ def test_the_frontier_finds_what_one_thread_finds(scene: Scene, plan: str, n: in
     assert found.straight.sum() >= 20 and (found.length == 0).sum() >= 20
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", [random, oracle], ids=["random", "oracle"])
-def test_a_problem_that_one_form_solves_the_other_solves_too(scene: Scene, method: ModuleType) -> None:
-    """Random answers, whose searches are the hardest; an oracle's, which are the most crowded. Whoever finds no path spends
-    all rounds."""
-    trials = trials_with_ids(torch.arange(2048), objects=scene.objects, protocol="r2h-v0")
-    poses = method.predict(trials, scene, seed=0)
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=2048))
-    here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+SAFE = CRITERIA.index("safe")
+SAFE_DIFFERS_SHARE = 0.005
+"""Of faces that are equally near within Safe's tolerance each form may take another, in few rows."""
+FULL = [pytest.param(robot, 2000, marks=pytest.mark.slow, id=robot) for robot in ("ur5e_2f85", "panda_hand")]
+
+
+@pytest.mark.parametrize(("robot", "n"), [("ur5e_2f85", 300), *FULL])
+def test_rows_of_both_forms_have_the_same_bits(robot: str, n: int) -> None:
+    """Straight, searched and failed; Safe's margin and witness may differ, within its tolerance, in 0.5 % of the rows."""
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=n), robot=load_robot(robot))
+    trials = trials_with_ids(torch.arange(20_000, 20_000 + n), objects=evaluator.scene.objects, protocol="r2h-v1")
+    poses = random.predict(trials, evaluator.scene, seed=5)
+    asked = poses.T_obj_ee, poses.T_world_ee, trials
+    here = evaluator.score(*asked)
     with levels.planning_form("frontier"):
-        there = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
-    differ = (here.outcome != there.outcome) & ~here.borderline & ~there.borderline
-    assert torch.equal(here.path_len > 0, there.path_len > 0) and not differ.any()
-    assert (here.path != there.path).flatten(1).any(1).sum() >= 100
+        there = evaluator.score(*asked)
+    counts = {"straight": here.path_len == 2, "searched": here.path_len > 2, "failed": here.path_len == 0}
+    print(robot, {name: int(rows.sum()) for name, rows in counts.items()})
+    assert counts["searched"].sum() >= n // 25 and min(counts["straight"].sum(), counts["failed"].sum()) >= n // 4
+    off = (here.margin[:, SAFE] - there.margin[:, SAFE]).abs().nan_to_num(0.0)
+    other = (off > 0) | (here.witness_point.nan_to_num(9.0) != there.witness_point.nan_to_num(9.0)).any(1)
+    print(f"{int(other.sum())} with other bits of Safe, by {float(off.max()):.1e} m at most")
+    assert (off <= (0.002 * here.margin[:, SAFE].abs().nan_to_num(0.0)).clamp(min=SAFE_TOLERANCE_M)).all()
+    assert other.sum() <= SAFE_DIFFERS_SHARE * n
+    assert_same(here[~other], there[~other])
+    assert torch.equal(here.margin[other, :SAFE].nan_to_num(9.0), there.margin[other, :SAFE].nan_to_num(9.0))
+    for f in fields(Scores):
+        if f.name not in ("margin", "witness_point", "t_plan_s"):
+            assert getattr(here, f.name).numpy().tobytes() == getattr(there, f.name).numpy().tobytes(), f.name
 
 
 SHORT = {
@@ -121,11 +121,10 @@ def test_rows_do_not_depend_on_their_batch_their_place_or_the_number_of_lanes(sc
             part, part_moved = judged(rows)
             assert_same(part, scores[rows])
             assert_same(part_moved, moved[torch.arange(48)[rows][torch.arange(48)[rows] < 24]])
-        for module, name, few in ((levels, "LANES", 7), (shortcuts, "LANES_AT_ONCE", 24)):  # 24: three paths at once
-            with mock.patch.object(module, name, few):
-                part, part_moved = judged(slice(None))
-            assert_same(part, scores)
-            assert_same(part_moved, moved)
+        with mock.patch.object(levels, "LANES", 7):
+            part, part_moved = judged(slice(None))
+        assert_same(part, scores)
+        assert_same(part_moved, moved)
 
 
 @pytest.mark.parametrize("what", SHORT)

@@ -116,17 +116,18 @@ class Levels:
 
     def new(self, kind: Any, n: int, tensors: dict[str, Tensor] | None = None, **sizes: int) -> Any:
         """A struct of the kernels, with room for `n` entries (`new_struct`)."""
-        return new_struct(self._sized(kind), n, self.device, tensors, **sizes)
+        return new_struct(kind, n, self.device, tensors, **sizes)
 
     def new_frames(self, n: int) -> Any:
         """Room for the link frames of n intervals."""
-        frames = self.joints + 1
-        return self.new(
-            queues.Frames, n, d=self.joints, open=3, R=frames, p=frames, w=2 * frames, v=2 * frames
-        )
+        joints, frames = self.joints, self.joints + 1
+        sizes = {"d": joints, "open": 3, "R": frames, "p": frames, "w": 2 * frames, "v": 2 * frames}
+        return self.new(self._sized(queues.Frames), n, **sizes)
 
-    def _sized(self, kernel: Any) -> Any:
-        return of_joints(kernel, self.joints)
+    def _sized(self, thing: Any) -> Any:
+        """A kernel or struct that depends on the number of joints (all of queues.py, none of
+        safe_queues.py), for this arm."""
+        return of_joints(thing, self.joints)
 
     def clear(self) -> None:
         """Empties all queues."""
@@ -160,19 +161,18 @@ class Frontier(Levels):
     """Levels over `rows` trials; `world` and `bodies` (`scene`) as the planning kernels take them."""
 
     def __init__(self, world: Any, bodies: Any, device: str, rows: int) -> None:
-        self.scene = {"world": world, "bodies": bodies}
-        super().__init__(self.scene, device)
+        super().__init__({"world": world, "bodies": bodies}, device)
         self._room = max(PER_ROW * rows, LEAST)
         self.tables |= self._queues(self._room)
 
     def _queues(self, n: int) -> dict[str, Any]:
         """Room for n intervals."""
-        self.intervals = [self.new(queues.Intervals, n, look=3) for _ in range(2)]
+        self.intervals = [self.new(self._sized(queues.Intervals), n, look=3) for _ in range(2)]
         bodies = int(queues.KINDS) * BODIES_PER_INTERVAL * n
         return {
             "frames": self.new_frames(n),
-            "body_queue": self.new(queues.BodyQueue, bodies),
-            "pairs": self.new(queues.Pairs, PAIRS_PER_INTERVAL * n),
+            "body_queue": self.new(self._sized(queues.BodyQueue), bodies),
+            "pairs": self.new(self._sized(queues.Pairs), PAIRS_PER_INTERVAL * n),
             "lanes": self.lanes,
         }
 
@@ -287,7 +287,7 @@ class Frontier(Levels):
                 k: torch.cat([x, x.new_empty((more, *x.shape[1:]))]) for k, x in tensors.items()
             }
         columns = {k: x.contiguous() for k, x in tensors.items()} | {"found": found}
-        return self.new(queues.Edges, len(columns["trial"]), columns)
+        return self.new(self._sized(queues.Edges), len(columns["trial"]), columns)
 
     def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
         """Queues the edges in use, and runs all levels that they may need."""

@@ -129,7 +129,7 @@ class Judge:
         self.evaluator = Evaluator.from_benchmark(self.benchmark, config, device=device)
         self.other = _other(header, device)
         self.loop, self.played = _loop_of(header["digests"].get("closed_loop"), run)
-        # searched paths, and what depends on them, are the form's own (docs/gpu.md)
+        # the last bits of Safe's margins are the form's own (docs/gpu.md)
         self.form: Form = "one_thread" if header["device"]["kind"] == "cpu" else "frontier"
 
     def trials(self, trial_id: Any) -> Trials:
