@@ -17,6 +17,9 @@ from scipy.stats import qmc
 
 from r2h_batch.base.io.read import FileError, printable
 from r2h_batch.config import Workplace
+from r2h_batch.data.robot_chain import Box, Chain, Fingers, read_chain, read_fingers
+from r2h_batch.data.robot_links import Link, Meshes, check_meshes, link_of, seen_of
+from r2h_batch.data.robot_model import read_model
 from r2h_batch.data.robot_pairs import contact_rates, touching
 from r2h_batch.data.robot_shapes import (
     BOX,
@@ -29,7 +32,6 @@ from r2h_batch.data.robot_shapes import (
     mouths_for,
 )
 from r2h_batch.data.robot_srdf import compared, home_of, read_srdf
-from r2h_batch.data.urdf import Box, Chain, Fingers, Link, read_chain, read_fingers
 from r2h_batch.scene.robot import (
     DEFAULT_ROBOT,
     MAX_BODIES,
@@ -116,9 +118,9 @@ def import_robot(
     Raises:
         FileError: one line that says what the file has and what is allowed.
     """
-    beside = None if srdf is None else read_srdf(srdf)
-    chain = read_chain(path, base, flange, packages, bare=fingers is not None)
-    shown, n = printable(path), len(chain.joints)
+    beside, model = None if srdf is None else read_srdf(srdf), read_model(path)
+    chain = read_chain(model, base, flange, bare=fingers is not None)
+    shown, n = model.shown, len(chain.joints)
     if not LEAST_JOINTS <= n <= MOST_JOINTS:
         raise FileError(
             f"{shown}: {n} joints move {flange}; allowed are {LEAST_JOINTS} or {MOST_JOINTS}"
@@ -141,9 +143,17 @@ def import_robot(
         max_torque=frozen(chain.effort),
         digest=f"{name}, being imported",
     )
+    dynamics = _dynamics(chain, bare, shown)
+    hand = None if fingers is None else read_fingers(model, flange, fingers)
+    parts = chain.links if hand is None else (*chain.links, hand.palm)
+    moving = () if hand is None else hand.parts
+    check_meshes(parts, moving, shown)
+    geoms = [*(g for part in parts for g in seen_of(part)), *(g for p in moving for g in p.seen)]
+    meshes = Meshes(model, geoms, packages)
+    links = [link_of(part, meshes) for part in chain.links]
     palm: dict[str, Any] = {}
-    if fingers is not None:
-        gripper, palm = gripper_of(read_fingers(path, flange, fingers, packages), fingers, n, shown)
+    if fingers is not None and hand is not None:
+        gripper, palm = gripper_of(hand, fingers, n, meshes)
         bare = replace(bare, **gripper)
     names: tuple[str, ...] = tuple(part.name for part in chain.links)
     mouths: list[list[Array]] = [[]] * (n + 1)
@@ -155,7 +165,7 @@ def import_robot(
         # what the next links close in the sleeves: those of the UR5e at other lengths
         mouths = [
             mouths_for(like, box_of(visual_triangles(like)), box_of(link.triangles))
-            for link, like in zip(chain.links, names, strict=True)
+            for link, like in zip(links, names, strict=True)
         ]
     else:
         bare = replace(
@@ -163,13 +173,13 @@ def import_robot(
         )
     hulls: list[Shape | Hull] = []
     where: list[int] = []
-    links: dict[str, Any] = {}
-    for k, link in enumerate(chain.links):
-        found, links[names[k]] = _bodies(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
+    rows: dict[str, Any] = {}
+    for k, link in enumerate(links):
+        found, rows[names[k]] = _bodies(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
         hulls, where = [*hulls, *found], [*where, *[k] * len(found)]
     numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
     arm = _primitives_of(hulls, where, numbered)
-    bare = replace(bare, arm=arm, dynamics=_dynamics(chain, bare, shown))
+    bare = replace(bare, arm=arm, dynamics=dynamics)
     robot = replace(bare, home_q=start or _home(bare))
     pairs = _checked_pairs(robot)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
@@ -181,7 +191,7 @@ def import_robot(
     _check(robot, shown)
     of_joints = (robot.lower, robot.upper, robot.max_velocity, robot.max_torque)
     report = {
-        "links": links | palm,
+        "links": rows | palm,
         "pairs": {f"{a} - {b}": says for (a, b), (_, says) in pairs.items()},
         "home_rad": list(robot.home_q),
         "inverse_kinematics": robot.family,
@@ -197,7 +207,7 @@ def import_robot(
         report["srdf"] = compared(beside, chain, robot.links, pairs) | {
             "states": sorted(beside.states)
         }
-    return Imported(robot, report, tuple(part.triangles for part in chain.links))
+    return Imported(robot, report, tuple(link.triangles for link in links))
 
 
 def _check(robot: Robot, shown: str) -> None:
@@ -257,7 +267,7 @@ def _primitives_of(
 
 
 def gripper_of(
-    fingers: Fingers, pads: tuple[str, str], joints: int, shown: str
+    fingers: Fingers, pads: tuple[str, str], joints: int, meshes: Meshes
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The fields of a `Robot` that its gripper fills, and the palm's figures.
 
@@ -268,11 +278,12 @@ def gripper_of(
         fingers: what the URDF has.
         pads: the two links that grasp.
         joints: of the arm.
-        shown: the URDF's name in messages.
+        meshes: those of palm and fingers.
 
     Raises:
         FileError: fingers that do not close symmetrically, with pads that stay parallel.
     """
+    shown = meshes.shown
     named = [next(part for part in fingers.parts if part.name == pad) for pad in pads]
     way = [part.T[-1, :3, 3] - part.T[0, :3, 3] for part in named]
     opens = (way[0] - way[1]) / 2
@@ -283,7 +294,7 @@ def gripper_of(
     y = np.array([opens[0], opens[1], 0.0]) / np.hypot(*opens[:2])
     T_flange_gripper = np.eye(4)
     T_flange_gripper[:3, :3] = np.stack([np.cross(y, [0.0, 0.0, 1.0]), y, [0.0, 0.0, 1.0]], 1)
-    turned = fingers.palm.triangles @ T_flange_gripper[:3, :3]
+    turned = link_of(fingers.palm, meshes).triangles @ T_flange_gripper[:3, :3]
     shapes = boxes_of(turned, PALM_BOXES)
     report = {fingers.palm.name: Target(turned, []).report(shapes)}
     moves = {p.name: T_flange_gripper.T @ p.T for p in fingers.parts}  # it only turns
@@ -329,15 +340,17 @@ def gripper_of(
     rows, used = [row_of(named[0].name, 1)], {(0, 1)}
     part, side, motion = ["body"] * len(shapes), [0] * len(shapes), [0] * len(shapes)
     room = (MAX_PARTS - len(shapes) - sum(len(p.boxes) for p in fingers.parts)) // max(
-        sum(bool(p.meshes) for p in fingers.parts), 1
+        sum(bool(p.seen) for p in fingers.parts), 1
     )
     mass = {1: 0.0, -1: 0.0}
     for p in fingers.parts:
-        if not p.boxes and not p.meshes:
+        if not p.boxes and not p.seen:
             continue
         bodies = list(p.boxes) or [
             Box(_frame(s), s.size)
-            for s in _close_boxes(np.concatenate(p.meshes), min(room, FINGER_BOXES))
+            for s in _close_boxes(
+                np.concatenate([meshes.triangles(g) for g in p.seen]), min(room, FINGER_BOXES)
+            )
         ]
         placed = [(moves[p.name][0] @ T, h) for T, h in bodies]
         sign = 1 if np.mean([(moves[p.name][-1] @ T)[1, 3] for T, _ in bodies]) > 0 else -1

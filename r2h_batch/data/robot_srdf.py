@@ -10,7 +10,8 @@ from itertools import combinations
 from pathlib import Path
 
 from r2h_batch.base.io.read import FileError, printable
-from r2h_batch.data.urdf import Chain, parsed
+from r2h_batch.data.robot_chain import Chain
+from r2h_batch.data.robot_model import parsed
 
 MAX_PAIRS = 65536
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from needs import needs
 from refusals import one_line
-from robot_files import write_mjcf, write_urdf
+from robot_files import read_arm, write_mjcf, write_urdf
 
 from r2h_batch.__main__ import main
 from r2h_batch.config import Workplace
@@ -17,7 +17,6 @@ from r2h_batch.data import robot_shapes
 from r2h_batch.data.robot import import_robot
 from r2h_batch.data.robot_pairs import touching
 from r2h_batch.data.robot_srdf import read_srdf
-from r2h_batch.data.urdf import read_chain
 from r2h_batch.scene.robot import Kind, ee_pose, read_robot, robot_arrays, robot_file
 
 HAND = ("left_finger", "right_finger")
@@ -54,7 +53,7 @@ def test_a_urdf_and_an_mjcf_of_one_arm_give_one_robot(arm, tmp_path):
 
 
 def test_an_mjcfs_frames_angles_includes_and_anchors_are_read(tmp_path):
-    usual = read_chain(write_mjcf(tmp_path), "base", "flange", {}, bare=True)
+    usual, _ = read_arm(write_mjcf(tmp_path), bare=True)
     # the body is turned by 45 degrees, which ref takes back; its joint's anchor lies 30 mm along its z
     (tmp_path / "motors.xml").write_text('<mujoco><actuator><motor joint="j7" ctrlrange="-33 33"/></actuator></mujoco>')
     changes = {
@@ -65,7 +64,7 @@ def test_an_mjcfs_frames_angles_includes_and_anchors_are_read(tmp_path):
         "<sensor/>": '<include file="motors.xml"/>',
     }
     path = write_mjcf(tmp_path, **changes)
-    read = read_chain(path, "base", "flange", {}, bare=True)
+    read, _ = read_arm(path, bare=True)
     assert read.joints == usual.joints and read.effort[6] == 33
     assert read.T_parent_joint[1][:3, 3] == pytest.approx([0.03 * 0.5**0.5, 0, 0.15 + 0.03 * 0.5**0.5])
     assert np.abs(read.T_parent_joint[1][:3, :3] - usual.T_parent_joint[1][:3, :3]).max() < 1e-9
@@ -78,7 +77,7 @@ def test_a_cylinder_between_two_balls_is_a_capsule_and_bad_collision_shapes_are_
     ball = '<visual><origin xyz="0 0 {}"/><geometry><sphere radius="0.05"/></geometry></visual>'
     tube = '<visual><origin xyz="0 0 0.09"/><geometry><'
     changes = {own: own + ball.format("0.03") + ball.format("0.15"), f"{tube}capsule": f"{tube}cylinder"}
-    (shape,) = read_chain(write_urdf(tmp_path, **changes), "base", "flange", {}, bare=True).links[2].shapes
+    (shape,) = read_arm(write_urdf(tmp_path, **changes), bare=True)[1][2].shapes
     assert shape.kind == "capsule" and np.allclose(shape.size, [0.05, 0.06])
     mesh = '<mesh filename="parts/block.stl" scale="0.001 0.001 0.001"/></geometry></collision>'
     for side, source, note in ((0.0702, "collision shapes of the file", False), (0.06, None, True)):
@@ -105,7 +104,7 @@ BAD = {
 def test_a_bad_mjcf_is_refused_in_one_line(new, tmp_path):
     old, words = BAD[new]
     with one_line(words):
-        read_chain(write_mjcf(tmp_path, **{old: new}), "base", "flange", {}, bare=True)
+        read_arm(write_mjcf(tmp_path, **{old: new}), bare=True)
 
 
 SRDF = """<robot name="made"><disable_collisions link1="base" link2="l3" reason="Never"/>

@@ -1,6 +1,7 @@
 """Robot files: what is written is read as the same robot, built-in arms hold what the import promises, bad files say why."""
 
 import json
+from contextlib import nullcontext
 from dataclasses import fields
 from importlib.resources import files
 from pathlib import Path
@@ -10,13 +11,16 @@ import pytest
 import trimesh
 import yaml
 from refusals import one_line
+from robot_files import read_arm
 from seven import seven_joints, with_hulls, with_jaws, with_table
 
-from r2h_batch.data import robot_shapes, urdf
+from r2h_batch.data import robot_links, robot_shapes
 from r2h_batch.data.robot import gripper_of
+from r2h_batch.data.robot_chain import read_chain, read_fingers
+from r2h_batch.data.robot_links import Meshes, check_meshes, link_of, seen_of
+from r2h_batch.data.robot_model import read_model
 from r2h_batch.data.robot_pairs import touching
 from r2h_batch.data.robot_shapes import CORNERS, Target, fit_hulls
-from r2h_batch.data.urdf import read_chain, read_fingers
 from r2h_batch.scene import robot as robots
 from r2h_batch.scene.robot import Robot, ee_pose, load_robot, read_robot, robot_arrays, slide_table, write_robot
 from r2h_batch.scene.robot_visuals import arm_urdf
@@ -110,7 +114,8 @@ def test_a_wrong_robot_npz_is_refused_in_one_line(hulls, change, words, tmp_path
 
 
 URDF = """<robot name="one"><link name="base"><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link>
-<link name="hand"/><joint name="turn" type="{kind}"><parent link="base"/><child link="hand"/><axis xyz="0 0 1"/>
+<link name="hand"><visual><geometry><box size="0.1 0.1 0.1"/></geometry></visual></link>
+<joint name="turn" type="{kind}"><parent link="base"/><child link="hand"/><axis xyz="0 0 1"/>
 <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
 
 
@@ -130,7 +135,7 @@ URDF = """<robot name="one"><link name="base"><visual><geometry><mesh filename="
 def test_a_bad_urdf_is_refused_in_one_line(text, words, tmp_path):
     (tmp_path / "one.urdf").write_text(text.replace("{kind}", "revolute").replace("{mesh}", "a.stl"))
     with one_line(words):
-        read_chain(tmp_path / "one.urdf", "base", "hand", {})
+        read_arm(tmp_path / "one.urdf", "base", "hand")
 
 
 JAWS = """<robot name="jaws"><link name="flange"><visual><geometry><mesh filename="palm.stl"/></geometry></visual>{mass}</link>
@@ -160,19 +165,22 @@ def jaws_of(folder: Path, urdf: str = JAWS, **changes: str):
     for key, value in (USUAL | changes).items():
         text = text.replace("{" + key + "}", value)
     (folder / "jaws.urdf").write_text(text)
-    fingers = read_fingers(folder / "jaws.urdf", "flange", ("l", "r"), {})
-    return fingers, gripper_of(fingers, ("l", "r"), 6, "jaws.urdf")[0]
+    model = read_model(folder / "jaws.urdf")
+    fingers = read_fingers(model, "flange", ("l", "r"))
+    check_meshes([fingers.palm], fingers.parts, model.shown)
+    meshes = Meshes(model, [*seen_of(fingers.palm), *(g for p in fingers.parts for g in p.seen)], {})
+    return fingers, gripper_of(fingers, ("l", "r"), 6, meshes)[0], meshes
 
 
 def test_jaws_of_a_urdf_stand_and_open_as_it_says(tmp_path):
-    jaws, gripper = jaws_of(tmp_path)
+    jaws, gripper, meshes = jaws_of(tmp_path)
     one, two = jaws.parts
     assert jaws.palm.mass == one.mass == two.mass == 0.2
     assert np.allclose(one.T[[0, -1], :3, 3], [[0, 0, 0.1], [0, 0.04, 0.1]])
     assert np.allclose(two.T[[0, -1], :3, 3], [[0, 0, 0.1], [0, -0.04, 0.1]])
     ((T, half),) = one.boxes
     assert np.array_equal(T, np.eye(4)) and np.allclose(half, [0.01, 0.005, 0.015])
-    assert np.allclose(np.ptp(jaws.palm.triangles.reshape(-1, 3), axis=0), [0.1, 0.1, 0.05])
+    assert np.allclose(np.ptp(link_of(jaws.palm, meshes).triangles.reshape(-1, 3), axis=0), [0.1, 0.1, 0.05])
     # the jaws' boxes are 10 mm thick and begin with their middles in one place
     assert np.allclose(gripper["linkage"].table, slide_table(0.0, 0.07)) and np.isclose(gripper["open_gap_m"], 0.07)
 
@@ -195,8 +203,8 @@ TURNING = {
 
 
 def test_fingers_on_cranks_become_a_table_of_their_circle(tmp_path):
-    fingers, gripper = jaws_of(tmp_path, CRANKS, **TURNING)
-    other = gripper_of(fingers, ("r", "l"), 6, "")[0]  # in whatever order they are named
+    fingers, gripper, meshes = jaws_of(tmp_path, CRANKS, **TURNING)
+    other = gripper_of(fingers, ("r", "l"), 6, meshes)[0]  # in whatever order they are named
     assert np.allclose(gripper["T_flange_gripper"], np.eye(4)) and np.allclose(other["T_flange_gripper"], np.eye(4))
     link = gripper["linkage"]
     gap = np.linspace(-2 * link.drive_upper, -2 * link.drive_lower, link.table.shape[1])
@@ -225,10 +233,20 @@ def test_jaws_that_are_none_are_refused_in_one_line(urdf, changes, words, tmp_pa
 
 
 def test_the_chain_of_the_ur5es_urdf_is_the_built_in_one() -> None:
-    chain, robot = read_chain(arm_urdf("ur5e"), "base_link", "tool0", {}), load_robot()
+    chain, robot = read_chain(read_model(arm_urdf("ur5e")), "base_link", "tool0"), load_robot()
     assert np.array_equal(chain.T_parent_joint, robot.T_parent_joint)
     assert np.array_equal(chain.T_last_flange, robot.T_wrist3_flange)
     assert np.array_equal(chain.effort, robot.max_torque)
+
+
+def test_the_chain_of_the_ur3es_urdf_is_the_shipped_one() -> None:
+    chain, robot = read_chain(read_model(arm_urdf("ur3e")), "base_link", "tool0"), load_robot("ur3e_2f85")
+    moving, dynamics = chain.links[1:], robot.dynamics
+    read = (chain.T_parent_joint, chain.T_last_flange, chain.lower, chain.upper, chain.velocity, chain.effort)
+    kept = (robot.T_parent_joint, robot.T_wrist3_flange, robot.lower, robot.upper, robot.max_velocity, robot.max_torque)
+    read += tuple(np.array([getattr(link, name) for link in moving]) for name in ("mass", "com", "inertia"))
+    kept += (dynamics.mass, dynamics.com, dynamics.inertia)
+    assert all(np.abs(a - b).max() < 1e-12 for a, b in zip(read, kept, strict=True))
 
 
 def test_a_mesh_in_millimetres_and_too_many_meshes_are_refused_before_they_are_covered(tmp_path, monkeypatch) -> None:
@@ -236,10 +254,10 @@ def test_a_mesh_in_millimetres_and_too_many_meshes_are_refused_before_they_are_c
     text = URDF.format(mesh="a.stl", kind="revolute")
     for link, words in (("", "900 m long"), ('scale="0.001 0.001 0.001"', None), ('scale="0 0 0"', "0 m long")):
         (tmp_path / "one.urdf").write_text(text.replace('"a.stl"', f'"a.stl" {link}'))
-        with one_line(words or "link hand has no visual mesh"):
-            read_chain(tmp_path / "one.urdf", "base", "hand", {})
+        with one_line(words) if words else nullcontext():
+            read_arm(tmp_path / "one.urdf", "base", "hand")
     visual = text[text.index("<visual>") : text.index("</link>")]
     (tmp_path / "one.urdf").write_text(text.replace(visual, 3 * visual))
-    monkeypatch.setattr(urdf, "MAX_MESHES", 2)  # each is read by a process of its own
+    monkeypatch.setattr(robot_links, "MAX_MESHES", 2)  # each is read by a process of its own
     with one_line("more than 2 visual meshes"):
-        read_chain(tmp_path / "one.urdf", "base", "hand", {})
+        read_arm(tmp_path / "one.urdf", "base", "hand")

@@ -4,6 +4,10 @@ from pathlib import Path
 
 import trimesh
 
+from r2h_batch.data.robot_chain import Chain, read_chain
+from r2h_batch.data.robot_links import Link, Meshes, check_meshes, link_of, seen_of
+from r2h_batch.data.robot_model import read_model
+
 ARM = [  # offset of the joint from the one before, its axis, its range, torque
     ((0, 0, 0.15), "0 0 1", (-2.9, 2.9), 80),
     ((0, 0, 0.18), "0 1 0", (-1.8, 1.8), 80),
@@ -126,3 +130,12 @@ def _body(name: str, offset: tuple, shape: tuple, joint: str = "") -> str:
         f'<inertial pos="0 0 0.05" mass="{MASS_KG}" diaginertia="0.01 0.012 0.008"/>'
         f'<geom {what} {place}/><geom class="seen" {what} {place}/>'
     )
+
+
+def read_arm(path: Path, base: str = "base", flange: str = "flange", *, bare: bool = False) -> tuple[Chain, list[Link]]:
+    """The chain of a file and its links with their meshes, read as the import reads them."""
+    model = read_model(path)
+    chain = read_chain(model, base, flange, bare=bare)
+    check_meshes(chain.links, (), model.shown)
+    meshes = Meshes(model, [g for part in chain.links for g in seen_of(part)], {})
+    return chain, [link_of(part, meshes) for part in chain.links]

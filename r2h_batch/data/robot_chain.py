@@ -1,0 +1,290 @@
+"""The chain of joints of a robot's file between two links, and the fingers of its gripper."""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.data.robot_model import Body, Geom, Joint, Model, moved
+
+Array = NDArray[np.float64]
+
+SAMPLES = 513
+"""Of a gripper's way from closed to open."""
+
+
+class Box(NamedTuple):
+    """A box that collides: its frame and its half sides."""
+
+    T: Array
+    half: Array
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """A rigid part: its own link and what is fixed to it, in the frame of the joint that moves it."""
+
+    name: str
+    geoms: tuple[Geom, ...]
+    mass: float
+    com: Array  # (3,)
+    inertia: Array  # (3, 3) about com
+    members: tuple[str, ...]
+    """the links of the file that are this part"""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A link of a gripper that moves."""
+
+    name: str
+    boxes: tuple[Box, ...]
+    """what it collides as, in its frame"""
+    seen: tuple[Geom, ...]
+    """the meshes that are seen of it, where it has no such boxes"""
+    mass: float
+    T: Array
+    """(SAMPLES, 4, 4) in the flange's frame, from closed to open in even steps of what drives it"""
+
+
+@dataclass(frozen=True)
+class Fingers:
+    """A gripper: what stands still, flange frame, and what moves."""
+
+    palm: Rigid
+    parts: tuple[Part, ...]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """N joints from base to flange, each about z of its frame, and the N + 1 rigid parts."""
+
+    joints: tuple[str, ...]
+    T_parent_joint: Array  # (N, 4, 4)
+    T_last_flange: Array
+    lower: Array  # (N,) rad
+    upper: Array
+    velocity: Array
+    effort: Array
+    links: tuple[Rigid, ...]
+    beyond: frozenset[str]
+    """the flange and the links of the file that it carries"""
+
+
+def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> Chain:
+    """The chain between two links.
+
+    Args:
+        model: the robot's file.
+        base: the link that stands still.
+        flange: the link that carries the gripper.
+        bare: without what is fixed to the flange.
+
+    Raises:
+        FileError: one line that says what the file has and what is allowed.
+    """
+    shown, links = model.shown, model.links
+    for flag, name in (("--base", base), ("--flange", flange)):
+        if name not in links:
+            found = ", ".join(printable(n)[:40] for n in list(links)[:12])
+            raise FileError(f"{shown}: {flag} {printable(name)} is not a link; it has {found}")
+    way, at = [], flange
+    while at != base:
+        if not at:
+            raise FileError(f"{shown}: no chain of joints leads from {base} to {flange}")
+        way.append(links[at])
+        at = links[at].parent
+    way.reverse()
+    moving, carried, back = [], [base], [np.eye(4)]
+    T_before, frames = np.eye(4), []
+    for link in way:
+        T_before = T_before @ link.T_parent
+        if link.joint is None:
+            continue
+        if link.joint.kind != "revolute" or link.joint.follows is not None:
+            kind = link.joint.kind if link.joint.follows is None else "a mimic joint"
+            what = f"{printable(link.joint.name)} is {kind}; the arm's joints must be revolute"
+            raise FileError(f"{shown}: joint {what}")
+        turn = _to_axis(link.joint)
+        frames.append(T_before @ turn)
+        T_before = turn.T
+        moving.append(link.joint)
+        carried.append(link.name)
+        back.append(turn.T)
+    limits = np.array([_limits(joint, shown) for joint in moving]).reshape(-1, 4)
+    ends = {*carried, flange} if bare else set(carried)
+    parts = [_rigid(model, name, T, ends) for name, T in zip(carried, back, strict=True)]
+    low, high, speed, effort = limits.T
+    beyond, todo = {flange}, [flange]
+    while todo:
+        new = {link.name for link in model.below(todo.pop())}
+        beyond |= new
+        todo += new
+    return Chain(
+        tuple(joint.name for joint in moving), _exact(np.array(frames)), _exact(T_before), low, high, speed, effort,
+        tuple(parts), frozenset(beyond),
+    )  # fmt: skip
+
+
+def read_fingers(model: Model, flange: str, pads: tuple[str, str]) -> Fingers:
+    """The gripper at a flange, moved from where the two `pads` are nearest to each other.
+
+    Args:
+        model: the robot's file.
+        flange: the link that carries the gripper.
+        pads: two links that grasp. A joint that mimics no other runs through its limits, others
+            follow it.
+
+    Raises:
+        FileError: one line that says what the file has and what is allowed.
+    """
+    shown, links = model.shown, model.links
+    below: dict[str, Body] = {}
+    todo = [flange]
+    while todo:
+        new = {link.name: link for link in model.below(todo.pop(0))}
+        below |= new
+        todo += new
+    moving = {link.joint.name: link.joint for link in below.values() if link.joint is not None}
+    carried = {name for name, link in below.items() if link.joint is not None}
+    carrier = {}  # the moving link that a link is fixed to, or is
+    for name, link in below.items():
+        carrier[name] = name if name in carried else carrier.get(link.parent, "")
+    for pad in pads:
+        if not carrier.get(pad):
+            what = f"is not a link that a joint of the gripper at {flange} moves"
+            raise FileError(f"{shown}: --fingers {printable(pad)} {what}")
+    roots = sorted({_root(joint, moving, shown)[0] for joint in moving.values()})
+    if len(roots) > 2:
+        raise FileError(
+            f"{shown}: {len(roots)} joints of the gripper move by themselves ({printable(', '.join(roots))[:80]});"
+            " one, or one of each finger, is allowed, the others mimic them"
+        )
+
+    def placed(opened: Mapping[str, Array]) -> dict[str, Array]:
+        """Frames (S, 4, 4) of all links with the roots' joints at these positions (S,)."""
+        frames = {flange: np.tile(np.eye(4), (SAMPLES, 1, 1))}
+        for name, link in below.items():
+            T = frames[link.parent] @ link.T_parent
+            if link.joint is not None:
+                root, factor, offset = _root(link.joint, moving, shown)
+                T = T @ moved(link.joint, factor * opened[root] + offset)
+            frames[name] = T
+        return frames
+
+    ends = {name: np.linspace(*_range(moving[name], shown), SAMPLES) for name in roots}
+    ways = [
+        placed({n: x[::turn] for (n, x), turn in zip(ends.items(), turns, strict=True)})
+        for turns in itertools.product((1, -1), repeat=len(roots))
+    ]
+    middle = [np.mean([b.T[:3, 3] for b in _boxes(links[pad])] or [np.zeros(3)], 0) for pad in pads]
+
+    def apart(frames: Mapping[str, Array], at: int) -> float:
+        one, two = (
+            frames[pad][at, :3, :3] @ x + frames[pad][at, :3, 3]
+            for pad, x in zip(pads, middle, strict=True)
+        )
+        return float(np.linalg.norm(one - two))
+
+    frames = max(ways, key=lambda f: apart(f, -1))
+    palm = _rigid(model, flange, np.eye(4), carried)
+    parts: list[Part] = []
+    for name, link in below.items():
+        if not carrier[name]:
+            continue
+        boxes = _boxes(link)
+        seen = () if boxes else tuple(g for g in link.geoms if g.seen and g.kind == "mesh")
+        if not boxes and not seen and (name in pads or not all(g.seen for g in link.geoms)):
+            what = "has neither boxes to collide nor a visual mesh"
+            raise FileError(f"{shown}: {printable(name)} of the gripper {what}")
+        parts.append(Part(name, boxes, seen, link.mass, frames[name]))
+    if palm.mass <= 0:
+        raise FileError(f"{shown}: the gripper's palm has {palm.mass:g} kg; it needs a mass")
+    return Fingers(palm, tuple(parts))
+
+
+def _root(joint: Joint, moving: Mapping[str, Joint], shown: str) -> tuple[str, float, float]:
+    """The joint that a moving joint follows (itself), and by what factor and offset."""
+    name, factor, offset = joint.name, 1.0, 0.0
+    for _ in range(len(moving) + 1):
+        if joint.kind not in ("revolute", "prismatic"):
+            what = f"joint {printable(joint.name)} is {joint.kind}; a gripper's turn or slide"
+            raise FileError(f"{shown}: {what}")
+        if joint.follows is None:
+            return joint.name, factor, offset
+        like, times, more = joint.follows
+        if like not in moving:
+            what = f"{printable(like)[:40]!r}, which is not a joint that moves the gripper"
+            raise FileError(f"{shown}: a mimic joint follows {what}")
+        offset += factor * more
+        factor *= times
+        joint = moving[like]
+    raise FileError(f"{shown}: joint {printable(name)} follows itself")
+
+
+def _boxes(link: Body) -> tuple[Box, ...]:
+    """What a link collides as, where all of it is boxes; else none."""
+    solid = [g for g in link.geoms if not g.seen]
+    plain = all(g.kind == "box" for g in solid)
+    return tuple(Box(g.T, g.size) for g in solid) if plain else ()
+
+
+def _to_axis(joint: Joint) -> Array:
+    """The turn (4, 4) that takes z to the joint's axis."""
+    T = np.eye(4)
+    if not np.array_equal(joint.axis, [0, 0, 1]):
+        T[:3, :3] = Rotation.align_vectors(joint.axis[None], [[0, 0, 1]])[0].as_matrix()
+    return T
+
+
+def _range(joint: Joint, shown: str) -> tuple[float, float]:
+    """Lower and upper limit, rad or m; a continuous joint gets one turn each way."""
+    low, high = joint.lower, joint.upper
+    if joint.kind == "revolute" and np.isnan(low):
+        low, high = -2 * np.pi, 2 * np.pi
+    if not low < high:
+        where = f"{shown}: joint {printable(joint.name)}"
+        raise FileError(f"{where}: limits {low:g} {high:g}; it needs lower < upper")
+    return low, high
+
+
+def _limits(joint: Joint, shown: str) -> tuple[float, float, float, float]:
+    """Lower, upper (rad), speed and torque."""
+    low, high = _range(joint, shown)
+    if not (joint.speed > 0 and joint.effort > 0):
+        given = f"velocity {joint.speed:g} and effort {joint.effort:g}"
+        where = f"{shown}: joint {printable(joint.name)}"
+        raise FileError(f"{where}: {given}; it needs velocity and effort above 0")
+    return low, high, joint.speed, joint.effort
+
+
+def _exact(T: Array) -> Array:
+    """Entries rounded to 1e-9: 1.570796327 becomes a quarter turn, 1e-11 m become 0."""
+    return np.round(T, 9) + 0.0
+
+
+def _rigid(model: Model, name: str, T: Array, ends: set[str]) -> Rigid:
+    """A link and all that is fixed to it; T: the link in the frame of the joint that moves it."""
+    geoms: list[Geom] = []
+    bodies, members, todo = [], {name}, [(model.links[name], T)]
+    while todo:
+        link, T_at = todo.pop()
+        geoms += [g._replace(T=T_at @ g.T) for g in link.geoms]
+        R = T_at[:3, :3]
+        bodies.append((link.mass, R @ link.com + T_at[:3, 3], R @ link.inertia @ R.T))
+        for child in model.below(link.name):
+            if child.joint is None and child.name not in ends:
+                members.add(child.name)
+                todo.append((child, T_at @ child.T_parent))
+    mass = sum(m for m, _, _ in bodies)
+    com = sum((m * c for m, c, _ in bodies), np.zeros(3)) / (mass or 1.0)
+    about = np.zeros((3, 3))
+    for m, c, inertia in bodies:  # the parallel axis theorem
+        d = c - com
+        about += inertia + m * ((d @ d) * np.eye(3) - np.outer(d, d))
+    return Rigid(name, tuple(geoms), mass, com, about, tuple(sorted(members)))

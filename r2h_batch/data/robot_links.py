@@ -1,0 +1,155 @@
+"""The shape of a robot's links: triangles of their meshes, shapes of the file as bodies."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from r2h_batch.base.io.read import FileError, path_within, printable
+from r2h_batch.data.robot_chain import Part, Rigid
+from r2h_batch.data.robot_model import Geom, Model
+from r2h_batch.data.robot_shapes import BOX, CAPSULE, CYLINDER, Shape
+from r2h_batch.scene.mesh_import.file import load_mesh_file
+
+Array = NDArray[np.float64]
+
+MAX_MESHES = 32
+"""Of a link, and of all fingers."""
+LONGEST_M = 3.0
+"""Of a link: a mesh that is longer is in millimetres, and would be covered point by point."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """How a rigid part looks and collides, in the frame of the joint that moves it."""
+
+    name: str
+    triangles: Array  # (F, 3, 3) of what is seen, m: of meshes first
+    meshed: int
+    """how many of the triangles are of meshes"""
+    shapes: tuple[Shape, ...]
+    """what is seen besides: cylinders, spheres, boxes, capsules"""
+    collides: tuple[Shape, ...]
+    """what it collides as, if that is such shapes alone"""
+
+
+class Meshes:
+    """The mesh files that geoms of a robot's file name."""
+
+    def __init__(self, model: Model, geoms: Iterable[Geom], packages: Mapping[str, Path]) -> None:
+        """Reads them.
+
+        Args:
+            model: the robot's file: meshes lie in its folder.
+            geoms: those whose meshes are asked for.
+            packages: folder of each package that `package://NAME/` names.
+
+        Raises:
+            FileError: one line that says which file is missing, elsewhere or no mesh.
+        """
+        self.shown = model.shown
+        names = dict.fromkeys(g.file for g in geoms if g.kind == "mesh")
+        files = {name: _file_of(model, name, packages) for name in names}
+        try:
+            self._loaded = {
+                name: load_mesh_file(file, "a visual mesh") for name, file in files.items()
+            }
+        except ValueError as error:
+            raise FileError(f"{self.shown}: {error}") from None
+
+    def triangles(self, geom: Geom) -> Array:
+        """(F, 3, 3) of a mesh in its link's frame."""
+        mesh, T = self._loaded[geom.file], geom.T
+        corners = np.asarray(mesh.vertices, np.float64) * geom.size
+        return np.asarray((corners @ T[:3, :3].T + T[:3, 3])[mesh.faces])
+
+
+def seen_of(part: Rigid) -> list[Geom]:
+    """What a part looks like: what it collides as, where the file shows nothing else."""
+    return [g for g in part.geoms if g.seen] or list(part.geoms)
+
+
+def check_meshes(parts: Sequence[Rigid], fingers: Sequence[Part], shown: str) -> None:
+    """Refuses parts that nothing shows, or more meshes than are read.
+
+    Raises:
+        FileError: one line that says what the file has and what is allowed.
+    """
+    for part in parts:
+        where, seen = f"{shown}: link {printable(part.name)}", seen_of(part)
+        if not seen:
+            raise FileError(f"{where} has no visual mesh or shape")
+        if sum(g.kind == "mesh" for g in seen) > MAX_MESHES:
+            raise FileError(f"{where} has more than {MAX_MESHES} visual meshes; join them into one")
+    if (many := sum(len(part.seen) for part in fingers)) > MAX_MESHES:
+        what = f"the gripper's fingers have {many} visual meshes; {MAX_MESHES} are allowed"
+        raise FileError(f"{shown}: {what}")
+
+
+def link_of(part: Rigid, meshes: Meshes) -> Link:
+    """The shape of a part.
+
+    Raises:
+        FileError: it is in millimetres, or has shapes that are not read.
+    """
+    where, seen = f"{meshes.shown}: link {printable(part.name)}", seen_of(part)
+    triangles = [meshes.triangles(g) for g in seen if g.kind == "mesh"]
+    meshed = sum(map(len, triangles))
+    shapes = _shapes([g for g in seen if g.kind != "mesh"], where)
+    triangles += [shape.triangles() for shape in shapes]
+    if not sum(map(len, triangles)):
+        raise FileError(f"{where} has no visual mesh or shape")
+    faces = np.concatenate(triangles)
+    size = float(np.ptp(faces.reshape(-1, 3), axis=0).max())
+    if not 1e-3 <= size <= LONGEST_M:
+        how = f"1 mm to {LONGEST_M:g} m are allowed; correct the scale of its meshes"
+        raise FileError(f"{where} is {size:g} m long; {how}")
+    solid = [g for g in part.geoms if not g.seen]
+    plain = len(solid) < len(part.geoms) and not any(g.kind == "mesh" for g in solid)
+    return Link(part.name, faces, meshed, shapes, _shapes(solid, where) if plain else ())
+
+
+def _shapes(geoms: list[Geom], where: str) -> tuple[Shape, ...]:
+    """Shapes as bodies: a cylinder between two spheres of its radius is a capsule, another sphere a capsule
+    0.2 mm longer than it."""
+    found: list[Shape] = []
+    balls: list[Shape] = []
+    capped: set[int] = set()
+    for geom in geoms:
+        kind = geom.kind
+        if kind not in (BOX, CYLINDER, CAPSULE, "sphere"):
+            allowed = "a mesh, box, cylinder, sphere or capsule is"
+            raise FileError(f"{where}: a <{printable(kind)[:40]}> is not read; {allowed}")
+        size = {BOX: geom.size, "sphere": np.append(geom.size[:1], 1e-4)}.get(kind, geom.size[:2])
+        if not 1e-4 <= size.min() <= size.max() <= LONGEST_M:
+            raise FileError(
+                f"{where}: a {kind} of {size} m; radii and half sides of 0.1 mm to {LONGEST_M:g} m are allowed"
+            )
+        shape = Shape(CAPSULE if kind == "sphere" else kind, geom.T[:3, 3], geom.T[:3, :3], size)
+        (balls if kind == "sphere" else found).append(shape)
+    for i, shape in enumerate(found):
+        ends = [shape.pos + s * shape.size[1] * shape.R[:, 2] for s in (1, -1)]
+        caps = [
+            {
+                k
+                for k, b in enumerate(balls)
+                if np.abs([*b.pos - end, b.size[0] - shape.size[0]]).max() < 1e-5
+            }
+            for end in ends
+        ]
+        if shape.kind == CYLINDER and all(caps):
+            found[i] = Shape(CAPSULE, shape.pos, shape.R, shape.size)
+            capped |= caps[0] | caps[1]
+    return (*found, *(b for k, b in enumerate(balls) if k not in capped))
+
+
+def _file_of(model: Model, name: str, packages: Mapping[str, Path]) -> Path:
+    if not name.startswith("package://"):
+        return path_within(model.path.parent, name)
+    package, _, inside = name.removeprefix("package://").partition("/")
+    if package not in packages:
+        how = f"give --package {printable(package)}=FOLDER"
+        raise FileError(f"{model.shown}: {printable(name)[:120]}: {how}")
+    return path_within(packages[package], inside)

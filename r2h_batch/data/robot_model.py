@@ -1,0 +1,521 @@
+"""The links and joints of a URDF or MJCF, as MuJoCo compiles it.
+
+The file comes from a stranger. It is text of bounded size without a doctype, so it has no entities.
+MuJoCo gets a copy with nothing in it but bodies, joints, geoms, masses and motors, and no name of a file:
+it opens none. Meshes are kept here by name, and found in the file's folder or in a package's.
+"""
+
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.base.io.read import FileError, path_within, printable, read_file
+
+Array = NDArray[np.float64]
+
+MAX_BYTES, MAX_LINKS, MAX_ELEMENTS, MAX_INCLUDES = 8 << 20, 256, 8192, 16
+SPEED_RAD_S = 2.0
+"""Of a joint of an MJCF, which has no limits of speed [choice]."""
+
+_IN_BODY = {"body", "frame", "joint", "freejoint", "geom", "inertial"}
+_MOTORS = {"motor", "general", "position", "velocity", "intvelocity", "damper"}
+MJCF: dict[str, set[str]] = {
+    "mujoco": {"compiler", "default", "asset", "worldbody", "actuator", "equality"},
+    "default": {"default", "mesh", "geom", "joint", *_MOTORS},
+    "asset": {"mesh"}, "worldbody": _IN_BODY, "body": _IN_BODY, "frame": _IN_BODY,
+    "actuator": _MOTORS, "equality": {"joint"},
+}  # fmt: skip
+"""Element -> the children of it that MuJoCo gets."""
+URDF: dict[str, set[str]] = {
+    "robot": {"link", "joint"}, "link": {"inertial", "visual", "collision"},
+    "joint": {"origin", "parent", "child", "axis", "limit", "mimic"},
+    "inertial": {"origin", "mass", "inertia"}, "visual": {"origin", "geometry"}, "collision": {"origin", "geometry"},
+    "geometry": {"mesh", "box", "cylinder", "sphere", "capsule"},
+}  # fmt: skip
+NUMBERS = {
+    "xyz": 3, "rpy": 3, "scale": 3, "size": 3, "radius": 1, "length": 1, "value": 1, "multiplier": 1, "offset": 1,
+    "lower": 1, "upper": 1, "velocity": 1, "effort": 1, "ixx": 1, "ixy": 1, "ixz": 1, "iyy": 1, "iyz": 1, "izz": 1,
+}  # fmt: skip
+"""Attribute of a URDF -> how many numbers it has."""
+REFUSED = {
+    "plugin": "plugins run code", "extension": "plugins run code",
+    "attach": "write the other model's bodies into it", "model": "write the other model's bodies into it",
+    "replicate": "save it with MuJoCo, which writes all copies",
+    "composite": "it is not a rigid body", "flexcomp": "it is not a rigid body",
+}  # fmt: skip
+COMPILER = {
+    "angle", "eulerseq", "autolimits", "inertiafromgeom", "inertiagrouprange", "settotalmass",
+    "boundmass", "boundinertia", "balanceinertia",
+}  # fmt: skip
+"""Options of an MJCF's <compiler> that MuJoCo gets; the folder of meshes is read here."""
+
+
+class Geom(NamedTuple):
+    """A shape of a link: `kind` as MuJoCo calls it, `size` as in MuJoCo, T in the link's frame."""
+
+    kind: str
+    size: Array
+    T: Array
+    file: str
+    """of a mesh: its name in the robot's file"""
+    seen: bool
+    """it collides with nothing"""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """How a link moves on its parent, at 0 where the link's `T_parent` says."""
+
+    name: str
+    kind: str
+    """revolute, prismatic, or words for another"""
+    axis: Array
+    """(3,) in the link's frame, length 1"""
+    lower: float
+    """rad or m; NaN: no limit"""
+    upper: float
+    speed: float
+    effort: float
+    """N m or N; 0: the file does not say"""
+    follows: tuple[str, float, float] | None
+    """the joint that it mimics, factor, offset; a name of "" follows in no line"""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A link of the file. Its origin lies on its joint's axis."""
+
+    name: str
+    parent: str
+    T_parent: Array  # (4, 4), the joint at 0
+    joint: Joint | None
+    """None: fixed to its parent"""
+    mass: float
+    com: Array  # (3,)
+    inertia: Array  # (3, 3) about com, the link's axes
+    geoms: tuple[Geom, ...]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A robot's file: its links by name, parents first."""
+
+    path: Path
+    links: Mapping[str, Body]
+
+    @property
+    def shown(self) -> str:
+        """The file in messages."""
+        return printable(self.path)
+
+    def below(self, name: str) -> Iterator[Body]:
+        """The links that a link carries itself."""
+        return (link for link in self.links.values() if link.parent == name)
+
+
+def read_model(path: Path) -> Model:
+    """The links and joints of a URDF or MJCF. No mesh is read.
+
+    A hinge of an MJCF without a range turns continuously. A joint's effort is the limit of its forces, or
+    of its motor's.
+
+    Raises:
+        FileError: one line that says what the file has and what is allowed.
+    """
+    root = parsed(path)
+    return _of_urdf(root, path) if root.tag == "robot" else _of_mjcf(root, path)
+
+
+def parsed(path: Path) -> Element:
+    """The root of a stranger's <robot> or <mujoco>: bounded in size, without a document type."""
+    text, shown = read_file(path, MAX_BYTES).decode("utf-8", errors="replace"), printable(path)
+    if re.search(r"<!\s*(doctype|entity)", text, re.IGNORECASE):
+        raise FileError(f"{shown}: declares a document type; remove it, a robot needs none")
+    if "xacro:" in text or path.suffix == ".xacro":
+        how = "expand it with: xacro FILE > robot.urdf"
+        raise FileError(f"{shown}: is a xacro program, which is not run here; {how}")
+    try:  # prefixes that a file does not declare, such as drake:, say nothing that is read here
+        text = re.sub(r"(</?|\s)[A-Za-z]+:(?=[A-Za-z_]+[\s=/>])", r"\1", text)
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, RecursionError) as error:
+        raise FileError(f"{shown}: is not XML: {printable(error)[:100]}") from None
+    if root.tag not in ("robot", "mujoco", "mujocoinclude"):
+        raise FileError(
+            f"{shown}: begins with <{printable(root.tag)[:40]}>, not <robot> or <mujoco>"
+        )
+    return root
+
+
+# ---- URDF
+
+
+def _of_urdf(root: Element, path: Path) -> Model:
+    shown, links, joints = printable(path), root.findall("link"), root.findall("joint")
+    if (most := max(len(links), len(joints))) > MAX_LINKS:
+        raise FileError(f"{shown}: has {most} links or joints; {MAX_LINKS} are allowed")
+    _check_tree(links, joints, shown)
+    for link in links:
+        _check_link(link, shown)
+    kept, files = _kept(root, URDF), {}
+    for i, element in enumerate(kept.iter()):
+        _check_numbers(element, shown)
+        if element.tag == "mesh":  # MuJoCo gets a number in place of the name
+            files[str(i)] = element.get("filename", "")
+            element.set("filename", str(i))
+        if element.tag == "limit" and element.get("lower") == element.get("upper"):
+            for end in {"lower", "upper"} & set(element.attrib):  # MuJoCo would print a warning
+                del element.attrib[end]
+        if element.tag == "inertial":
+            _complete(element)
+    options = {"strippath": "false", "fusestatic": "false", "discardvisual": "false"}
+    SubElement(SubElement(kept, "mujoco"), "compiler", options)
+    names = {str(e.get("name")) for e in links}
+    if "world" not in names:  # to MuJoCo the one link that may have no mass
+        SubElement(kept, "link", name="world")
+        for name in sorted(names - {_end(j, "child", shown) for j in joints}):
+            joint = SubElement(kept, "joint", name=f"joint of {name}", type="fixed")
+            SubElement(joint, "parent", link="world")
+            SubElement(joint, "child", link=name)
+    spec = _spec(kept, shown)
+    meshes = _meshes_of(spec, files, shown)
+    masses = {str(b.name): _given_mass(b) for b in spec.bodies}
+    model = _model(spec, path, meshes, masses, {str(j.get("name")): j for j in joints})
+    if "world" not in names:
+        return Model(path, {n: _rooted(b) for n, b in model.links.items() if n != "world"})
+    return model
+
+
+def _rooted(body: Body) -> Body:
+    return replace(body, parent="") if body.parent == "world" else body
+
+
+def _check_tree(links: list[Element], joints: list[Element], shown: str) -> None:
+    """Refuses links and joints that do not form trees, by name."""
+    names = [str(e.get("name")) for e in links]
+    parent: dict[str, str] = {}
+    for joint in joints:
+        own, child = _end(joint, "parent", shown), _end(joint, "child", shown)
+        mimic, name = joint.find("mimic"), joint.get("name")
+        if mimic is not None and mimic.get("joint") == name:
+            raise FileError(f"{shown}: joint {printable(name)[:40]} follows itself")
+        if unknown := {own, child} - set(names):
+            raise FileError(f"{shown}: a joint names {printable(min(unknown))[:40]!r}, no link")
+        if child in parent:
+            both = f"{printable(parent[child])[:40]} and {printable(own)[:40]}"
+            raise FileError(f"{shown}: link {printable(child)[:40]} has two parents, {both}")
+        parent[child] = own
+    for kind, found in (("link", names), ("joint", [str(j.get("name")) for j in joints])):
+        if twice := [name for name in found if found.count(name) > 1]:
+            raise FileError(f"{shown}: two {kind}s are called {printable(twice[0])[:40]}")
+    for name in names:
+        at = name
+        for _ in names:
+            at = parent.get(at, "")
+        if at:
+            raise FileError(f"{shown}: link {printable(name)[:40]} hangs in a circle of joints")
+
+
+def _check_link(link: Element, shown: str) -> None:
+    where = f"{shown}: link {printable(link.get('name'))[:40]}"
+    for shape in (*link.findall("visual"), *link.findall("collision")):
+        node = shape.find("geometry")
+        if node is None or not len(node):
+            raise FileError(f"{where}: a <{shape.tag}> has no shape in its <geometry>")
+        if node[0].tag not in URDF["geometry"]:
+            allowed = "a mesh, box, cylinder, sphere or capsule is"
+            raise FileError(f"{where}: a <{printable(node[0].tag)[:40]}> is not read; {allowed}")
+
+
+def _end(joint: Element, which: str, shown: str) -> str:
+    found = joint.find(which)
+    if found is None or found.get("link") is None:
+        raise FileError(f"{shown}: joint {printable(joint.get('name'))} has no {which} link")
+    return str(found.get("link"))
+
+
+def _complete(inertial: Element) -> None:
+    """A mass or tensor of 0 where an <inertial> has none: whoever asks for this link refuses it."""
+    if inertial.find("mass") is None:
+        SubElement(inertial, "mass", value="0")
+    if inertial.find("inertia") is None:
+        SubElement(
+            inertial, "inertia", {f"i{ij}": "0" for ij in ("xx", "xy", "xz", "yy", "yz", "zz")}
+        )
+
+
+def _check_numbers(element: Element, shown: str) -> None:
+    for name in set(element.attrib) & NUMBERS.keys():
+        text = element.get(name, "")
+        try:
+            found = np.array([float(x) for x in text.split()])
+        except ValueError:
+            found = np.zeros(0)
+        count = NUMBERS[name]
+        if len(found) != count or not (np.abs(found) <= 1e6).all():
+            where = f"{shown}: {name} of <{printable(element.tag)[:40]}>"
+            raise FileError(f"{where} is {printable(text)[:60]!r}; it must be {count} numbers")
+
+
+def _given_mass(body: mujoco.MjsBody) -> tuple[float, Array]:
+    """Mass and tensor (3, 3) in the frame of the body's inertia, as its <inertial> has them. MuJoCo gets a
+    unit ball: it would refuse the whole file for the tensor of one link that nobody asks for."""
+    xx, yy, zz, xy, xz, yz = body.fullinertia
+    given = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    mass = float(body.mass) if body.explicitinertial else 0.0
+    if not body.explicitinertial:
+        given, body.ipos = np.zeros((3, 3)), np.zeros(3)
+    body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)
+    body.fullinertia = np.full(6, np.nan)
+    return mass, given
+
+
+# ---- MJCF
+
+
+def _of_mjcf(root: Element, path: Path) -> Model:
+    shown = printable(path)
+    try:
+        _include(root, path, [MAX_INCLUDES])
+        kept = _kept(root, MJCF)
+    except RecursionError:
+        raise FileError(f"{shown}: is nested too deeply") from None
+    for element in root.iter():
+        if element.tag in REFUSED or "plugin" in element.attrib:
+            tag = element.tag if element.tag in REFUSED else "plugin"
+            raise FileError(f"{shown}: <{tag}> is not read: {REFUSED[tag]}; remove it")
+    for element in kept.iter():
+        element.attrib.pop("material", None)
+        if element.tag == "compiler":
+            for option in set(element.attrib) - COMPILER:
+                del element.attrib[option]
+    for motors in kept.findall("actuator"):
+        for motor in [m for m in motors if "joint" not in m.attrib]:  # of a tendon, a site
+            motors.remove(motor)
+    folder = ""
+    for compiler in root.findall("compiler"):
+        folder = compiler.get("meshdir", compiler.get("assetdir", folder))
+    spec = _spec(kept, shown)
+    files = {m.file: str(PurePosixPath(folder, m.file)) for m in spec.meshes}
+    known = {str(b.name): _knows_mass(spec, b) for b in spec.bodies}
+    meshes = _meshes_of(spec, files, shown)
+    masses = {name: (0.0, np.zeros((3, 3))) for name, own in known.items() if not own}
+    return _model(spec, path, meshes, masses, None)
+
+
+def _include(at: Element, path: Path, left: list[int]) -> None:
+    """Puts what an <include> names in its place."""
+    for i, child in reversed(list(enumerate(at))):
+        if child.tag == "include":
+            left[0] -= 1
+            if left[0] < 0:
+                raise FileError(f"{printable(path)}: more than {MAX_INCLUDES} includes")
+            other = parsed(path_within(path.parent, child.get("file", "")))
+            at[i : i + 1] = list(other)
+            _include(at, path, left)
+            return
+        _include(child, path, left)
+
+
+def _knows_mass(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> bool:
+    """Whether the file says a body's mass: in its <inertial>, or by geoms that are no meshes."""
+    given = spec.compiler.inertiafromgeom != mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    low, high = spec.compiler.inertiagrouprange
+    weighs = [g for g in body.geoms if low <= g.group <= high and g.mass != 0 and g.density != 0]
+    return (given and bool(body.explicitinertial)) or not any(g.meshname for g in weighs)
+
+
+# ---- both
+
+
+def _kept(element: Element, allowed: Mapping[str, set[str]]) -> Element:
+    """A copy of the element with those of its children that are allowed."""
+    kept = Element(element.tag, dict(element.attrib))
+    kept.extend(_kept(e, allowed) for e in element if e.tag in allowed.get(element.tag, ()))
+    return kept
+
+
+def _spec(kept: Element, shown: str) -> mujoco.MjSpec:
+    if (count := sum(1 for _ in kept.iter())) > MAX_ELEMENTS:
+        raise FileError(f"{shown}: {count} elements say what it is; {MAX_ELEMENTS} are allowed")
+    try:
+        return mujoco.MjSpec.from_string(ElementTree.tostring(kept, encoding="unicode"))
+    except (ValueError, mujoco.FatalError) as error:
+        raise _refused_by_mujoco(error, shown) from None
+
+
+def _refused_by_mujoco(error: Exception, shown: str) -> FileError:
+    return FileError(f"{shown}: MuJoCo: {printable(' '.join(str(error).split()))[:160]}")
+
+
+def _meshes_of(
+    spec: mujoco.MjSpec, files: Mapping[str, str], shown: str
+) -> dict[int, tuple[str, Array]]:
+    """Number of each geom that is a mesh -> its file and scale. To MuJoCo it becomes a ball without mass at
+    the same place, and there are no meshes."""
+    named = {}
+    for mesh in list(spec.meshes):
+        if not mesh.file or mesh.refpos.any() or not np.array_equal(mesh.refquat, [1, 0, 0, 0]):
+            what = "needs a file, and neither refpos nor refquat"
+            raise FileError(f"{shown}: mesh {printable(mesh.name)[:60]} {what}")
+        named[mesh.name] = files[mesh.file], np.array(mesh.scale)
+        spec.delete(mesh)
+    found = {}
+    for i, geom in enumerate(spec.geoms):
+        if geom.type != mujoco.mjtGeom.mjGEOM_MESH:
+            if geom.meshname:
+                raise FileError(f"{shown}: a geom is fitted to a mesh; write its own size")
+            continue
+        if geom.meshname not in named:
+            raise FileError(f"{shown}: a geom names no mesh: {printable(geom.meshname)[:60]!r}")
+        found[i] = named[geom.meshname]
+        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_SPHERE, ""
+        geom.size, geom.mass = [1.0, 0.0, 0.0], 0.0
+    return found
+
+
+def _model(
+    spec: mujoco.MjSpec,
+    path: Path,
+    meshes: Mapping[int, tuple[str, Array]],
+    masses: Mapping[str, tuple[float, Array]],
+    said: Mapping[str, Element] | None,
+) -> Model:
+    """The model that MuJoCo compiles.
+
+    Args:
+        spec: without meshes.
+        path: the file.
+        meshes: number of a geom -> file and scale.
+        masses: name of a body -> mass and tensor in the frame of its inertia, in place of MuJoCo's.
+        said: name of a joint -> <joint> of a URDF.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a model that cannot be simulated
+            model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise _refused_by_mujoco(error, printable(path)) from None
+    numbers = (
+        model.body_pos, model.body_quat, model.body_ipos, model.body_iquat, model.body_inertia, model.body_mass,
+        model.jnt_pos, model.jnt_axis, model.geom_pos, model.geom_quat, model.geom_size, model.qpos0,
+    )  # fmt: skip
+    if not all((np.abs(x) < 1e6).all() for x in numbers):
+        raise FileError(
+            f"{printable(path)}: a place, size or mass is not finite or above a million"
+        )
+    names = ["world", *(model.body(i).name or f"body{i}" for i in range(1, model.nbody))]
+    # a link's origin lies at the anchor of its body's joint
+    T_body_link = np.tile(np.eye(4), (model.nbody, 1, 1))
+    T_body_link[model.jnt_bodyid, :3, 3] = model.jnt_pos
+    T_link_body = np.linalg.inv(T_body_link)
+    links = {}
+    for i, name in enumerate(names):
+        parent = int(model.body_parentid[i])
+        T = T_link_body[parent] @ _frame(model.body_pos[i], model.body_quat[i]) @ T_body_link[i]
+        joint = _joint(model, i, name, said)
+        if joint is not None and joint.kind in ("revolute", "prismatic"):
+            start = model.qpos0[model.jnt_qposadr[model.body_jntadr[i]]]
+            T = T @ moved(joint, -start) if start else T  # the file's posture is at its `ref`
+        T_inertia = T_link_body[i] @ _frame(model.body_ipos[i], model.body_iquat[i])
+        usual = float(model.body_mass[i]), np.diag(model.body_inertia[i])
+        mass, tensor = masses.get(name, usual)
+        R = T_inertia[:3, :3]
+        geoms = tuple(
+            _geom(model, int(g), T_link_body[i], meshes)
+            for g in np.flatnonzero(model.geom_bodyid == i)
+        )
+        links[name] = Body(
+            name, names[parent] if i else "", T, joint, mass, T_inertia[:3, 3], R @ tensor @ R.T, geoms
+        )  # fmt: skip
+    return Model(path, links)
+
+
+def _joint(
+    model: mujoco.MjModel, body: int, name: str, said: Mapping[str, Element] | None
+) -> Joint | None:
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    if count == 0:
+        return None
+    kinds = {mujoco.mjtJoint.mjJNT_HINGE: "revolute", mujoco.mjtJoint.mjJNT_SLIDE: "prismatic"}
+    kind = kinds.get(mujoco.mjtJoint(model.jnt_type[first]), "free or a ball")
+    own = _joint_name(model, first)
+    low, high = model.jnt_range[first] if model.jnt_limited[first] else (np.nan, np.nan)
+    speed = SPEED_RAD_S
+    if said is not None:
+        limit = said[own].find("limit")
+        none: Mapping[str, str] = {}
+        given = none if limit is None else limit.attrib
+        speed = float(given.get("velocity", "0"))
+        if said[own].get("type") == "continuous":
+            low = high = np.nan
+        elif not model.jnt_limited[first] and given.keys() & {"lower", "upper"}:
+            low, high = float(given.get("lower", "0")), float(given.get("upper", "0"))
+    follows = None
+    of_joints = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0
+    for e in np.flatnonzero(of_joints & (model.eq_obj1id == first)):
+        other, data = int(model.eq_obj2id[e]), model.eq_data[e]
+        like = "" if other < 0 or data[2:5].any() else _joint_name(model, other)
+        follows = like, float(data[1]), float(data[0])
+    return Joint(
+        own if count == 1 else f"joint of {name}", kind if count == 1 else "several joints",
+        np.array(model.jnt_axis[first]), float(low), float(high), speed, _effort(model, first), follows,
+    )  # fmt: skip
+
+
+def _joint_name(model: mujoco.MjModel, joint: int) -> str:
+    return model.joint(joint).name or f"joint{joint}"
+
+
+def _effort(model: mujoco.MjModel, joint: int) -> float:
+    """The largest torque (force of a slide) that the file lets a joint have; 0: it does not say."""
+    if model.jnt_actfrclimited[joint]:
+        return float(np.abs(model.jnt_actfrcrange[joint]).max())
+    found = [0.0]
+    for i in np.flatnonzero(model.actuator_trnid[:, 0] == joint):
+        gear, fixed = abs(float(model.actuator_gear[i, 0])), model.actuator_biastype[i] == 0
+        if model.actuator_forcelimited[i]:
+            found.append(gear * float(np.abs(model.actuator_forcerange[i]).max()))
+        elif fixed and model.actuator_ctrllimited[i]:  # a motor: its control is its force
+            gain = abs(float(model.actuator_gainprm[i, 0]))
+            found.append(gear * gain * float(np.abs(model.actuator_ctrlrange[i]).max()))
+    return max(found)
+
+
+def _geom(
+    model: mujoco.MjModel, geom: int, T: Array, meshes: Mapping[int, tuple[str, Array]]
+) -> Geom:
+    T = T @ _frame(model.geom_pos[geom], model.geom_quat[geom])
+    seen = not (model.geom_contype[geom] or model.geom_conaffinity[geom])
+    if geom in meshes:
+        return Geom("mesh", meshes[geom][1], T, meshes[geom][0], seen)
+    kind = mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
+    return Geom(kind, np.array(model.geom_size[geom]), T, "", seen)
+
+
+def moved(joint: Joint, at: Array) -> Array:
+    """(..., 4, 4) what a joint does to its link at positions (...)."""
+    T = np.zeros((*np.shape(at), 4, 4))
+    T[...] = np.eye(4)
+    way = np.asarray(at)[..., None] * joint.axis
+    if joint.kind == "prismatic":
+        T[..., :3, 3] = way
+    else:
+        T[..., :3, :3] = Rotation.from_rotvec(way.reshape(-1, 3)).as_matrix().reshape(*way.shape, 3)
+    return T
+
+
+def _frame(position: Array, quat_wxyz: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(quat_wxyz, scalar_first=True).as_matrix()
+    T[:3, 3] = position
+    return T
