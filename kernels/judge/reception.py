@@ -20,7 +20,7 @@ from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap
 from ..robot.joints import FRAMES, GRIPPER, vecq
 from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, link_frame, robot_shape
 
-wp.set_module_options(OPTIONS)
+wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, it takes many times as long to compile
 
 vec7 = wp.types.vector(length=7, dtype=float)
 """Angles of an arm, degrees: shoulder flexion and abduction, elbow, forearm (+ supinated), wrist flexion and deviation

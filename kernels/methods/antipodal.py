@@ -4,7 +4,7 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 
-wp.set_module_options(OPTIONS | {"fuse_fp": True})
+wp.set_module_options(OPTIONS | {"fuse_fp": True, "max_unroll": 0})  # unrolled, it takes many times as long to compile
 
 STEP_M = wp.constant(2.0e-5)
 MAX_HITS = wp.constant(6)
