@@ -96,7 +96,8 @@ CALLS = {
     "mean_rate": (aggregate.mean_rate, lambda _: {"rates": [aggregate.Rate(1.0, 0.0, 2.0)]}),
     "summarise": (aggregate.summarise, lambda tmp: {"methods": [_tally(tmp)]}),
     "average_row": (aggregate.average_row, lambda tmp: {"rows": aggregate.summarise([_tally(tmp)])[:2]}),
-    "group_row": (aggregate.group_row, lambda tmp: {"counted": _tally(tmp), "split": "S0", "name": None}),
+    "split_row": (aggregate.split_row, lambda tmp: {"counted": _tally(tmp), "split": "S0"}),
+    "object_rows": (aggregate.object_rows, lambda tmp: {"counted": _tally(tmp), "split": "S0"}),
     "rethreshold": (
         rethreshold,
         lambda tmp: {"run": _run(tmp), "reach_radius_m": [0.1], "w_max_m": [0.08], "safe_margin_m": [0.0]},

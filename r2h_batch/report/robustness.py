@@ -3,6 +3,7 @@ the methods paired at each level."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from r2h_batch.report.text import (
     short_names,
 )
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import SPLITS, Outcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -120,13 +120,11 @@ def robustness(runs: Sequence[Run]) -> Robustness:
 
 def _by_object(counted: Tally) -> list[tuple[np.ndarray, np.ndarray]]:
     """Successes and trials (K,) of each object, split by split; objects by name."""
-    order = np.argsort(counted.objects).argsort()
     found = []
     for split in counted.splits:
-        inside = counted.split == SPLITS.index(split)
-        place, n = order[counted.object[inside]], counted.n[inside]
-        solved = n * (counted.outcome[inside] == Outcome.SUCCESS)
-        found.append((np.bincount(place, solved, len(order)), np.bincount(place, n, len(order))))
+        cells = sorted(counted.of_split(split).by("object"), key=itemgetter("object"))
+        successes, n = (np.array([cell[k] for cell in cells]) for k in ("successes", "n"))
+        found.append((successes, n))
     return found
 
 

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.report.statistics.aggregate import Row, group_row
-from r2h_batch.report.statistics.tally import FAILED, PATTERNS, UNEVALUATED, Tally, codes
+from r2h_batch.report.statistics.aggregate import Row, object_rows
+from r2h_batch.report.statistics.codes import FAILED, UNEVALUATED, codes, states
+from r2h_batch.report.statistics.tally import Tally
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, SPLITS
+from r2h_batch.verdicts import CRITERIA
 
 
 @dataclass(frozen=True)
@@ -28,20 +29,17 @@ class CoFailures:
 
 def co_failures(counted: Tally, split: str | None = None) -> CoFailures:
     """Which criteria fail together among the trials of a split, or among all."""
-    n = counted.n if split is None else counted.n * (counted.split == SPLITS.index(split))
-    pattern = PATTERNS[counted.pattern]
-    both = [np.einsum("k,ki,kj->ij", n, x, x) for x in (pattern == FAILED, pattern != UNEVALUATED)]
+    groups = (counted if split is None else counted.of_split(split)).groups
+    state = np.column_stack(list(states(groups).values()))
+    n = groups["n"].to_numpy()
+    both = [np.einsum("k,ki,kj->ij", n, x, x) for x in (state == FAILED, state != UNEVALUATED)]
     return CoFailures(*both)
 
 
 def by_object(counted: Tally) -> tuple[tuple[str, Row], ...]:
     """(object, its line of the table) split by split; objects in alphabetical order."""
-    lines = []
-    for split in counted.splits:
-        present = np.unique(counted.object[counted.split == SPLITS.index(split)])
-        for name in sorted(counted.objects[code] for code in present):
-            lines.append((name, group_row(counted, split, name)))
-    return tuple(lines)
+    rows = {split: object_rows(counted, split) for split in counted.splits}
+    return tuple((name, by_name[name]) for by_name in rows.values() for name in sorted(by_name))
 
 
 BINS = 60

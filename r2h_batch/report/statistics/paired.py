@@ -19,8 +19,9 @@ from r2h_batch.base.validate import (
     sequence_of,
 )
 from r2h_batch.report.statistics.aggregate import ratio
+from r2h_batch.report.statistics.codes import codes
 from r2h_batch.report.statistics.common import Common, common_trials
-from r2h_batch.report.statistics.tally import check_planned, codes
+from r2h_batch.report.statistics.tally import check_planned
 from r2h_batch.runs.store import Run, robot_words
 from r2h_batch.verdicts import SPLITS, Outcome
 
@@ -313,7 +314,7 @@ class _Stream:
             while len(waiting) >= PIECE:
                 yield waiting[:PIECE]
                 waiting = waiting[PIECE:]
-        check_planned(self.method, planned, found)
+        check_planned(self.method, planned, dict(zip(SPLITS, found.tolist())))
         if waiting is not None:
             yield waiting
 

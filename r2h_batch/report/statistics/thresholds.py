@@ -13,15 +13,8 @@ import pyarrow as pa
 
 from r2h_batch.base.validate import array, check_arguments, instance_of, sequence_of
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, FARTHEST_M
+from r2h_batch.report.statistics.codes import FAILED, PASSED, codes, first_failures, states
 from r2h_batch.report.statistics.paired import rank_probabilities
-from r2h_batch.report.statistics.tally import (
-    FAILED,
-    PASSED,
-    codes,
-    pattern,
-    pattern_outcomes,
-    states,
-)
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import REGISTRY, SPLITS, Outcome
@@ -168,7 +161,7 @@ class _Margins:
                 good = good & (old == PASSED)  # w_max only falls: what failed still fails
             state[criterion] = np.where(old > 0, np.where(good, PASSED, FAILED), old)
             near |= (old > 0) & (np.abs(margin) < ROUNDING_M)
-        outcome = pattern_outcomes()[self.split, pattern(state)].astype(np.int64)
+        outcome = first_failures(state, self.split)
         outcome = np.where(self.outcome < Outcome.INVALID_INPUT, outcome, self.outcome)
         if (outcome < 0).any():
             count = int((outcome < 0).sum())

@@ -41,7 +41,7 @@ def values(text: str, name: str) -> tuple[float, ...]:
 
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     """Tables of rates for every point and method, and the ranks over the points."""
-    from r2h_batch.report.statistics.aggregate import FAILURES, RATES
+    from r2h_batch.report.statistics.aggregate import FAILURES
     from r2h_batch.report.statistics.thresholds import ROUNDING_M, rank_stability
     from r2h_batch.report.text import NA, aligned, legend, notes_list, plain, short_names
 
@@ -53,8 +53,8 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
             for k, counts in enumerate(point.counts[method]):
                 if n := counts.sum():
                     rates = [f"{100 * counts[Outcome.SUCCESS] / n:.1f}"]
-                    for rate, entry in FAILURES.items():
-                        failed = 100 * counts[list(RATES[rate])].sum() / n
+                    for entry in FAILURES.values():
+                        failed = 100 * counts[Outcome[entry.name.upper()]] / n
                         rates.append(f"{failed:.1f}" if SPLITS[k] in entry.splits else NA)
                     at = (point.reach_radius_m, point.w_max_m, point.safe_margin_m)
                     cells = [*(f"{v:.4g}" for v in at), *rates, str(point.undecided[method])]

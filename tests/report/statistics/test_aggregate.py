@@ -88,7 +88,7 @@ def test_the_interval_of_a_mean_rate_covers():
 @pytest.mark.check
 def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
     outcome = np.repeat(np.arange(MISSING + 1), [5, 4, 3, 2, 1, 6, 7, 8, 9])
-    row = aggregate.group_row(tally_of(outcome, np.ones(45)), "S1")
+    row = aggregate.split_row(tally_of(outcome, np.ones(45)), "S1")
     assert row.n == 45
     assert sum(r.percent for r in row.rates.values()) == pytest.approx(100)
     assert {k: r.count for k, r in row.rates.items()} == {
@@ -98,7 +98,7 @@ def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
 
 
 def test_times_are_means_over_the_trials_in_which_the_stage_ran():
-    row = aggregate.group_row(tally_of([0, 0, 2, 2], t_plan_s=[1.0, 2.0, None, 6.0]), "S0")
+    row = aggregate.split_row(tally_of([0, 0, 2, 2], t_plan_s=[1.0, 2.0, None, 6.0]), "S0")
     assert (row.times["t_plan_s"].value, row.times["t_plan_s"].count) == (3.0, 3)
     assert (row.times["t_exec_s"].value, row.times["t_exec_s"].count) == (None, 0)
     assert row.times["t_tot_s"].value is None
@@ -131,3 +131,17 @@ def test_the_table_is_the_same_for_any_shards(tmp_path):
         counted = tally(run, "m")
         rows.append((aggregate.summarise([counted]), breakdown.by_object(counted)))
     assert rows[0] == rows[1] == rows[2]
+
+
+def test_an_unknown_outcome_is_refused_by_name():
+    with pytest.raises(ValueError, match=r"outcome holds 'odd'; known are success, .*missing"):
+        tally_of([0, len(OUTCOME_NAMES), 2])
+
+
+def test_every_object_counts_the_same_where_averages_are_of_objects():
+    counted = tally_of([0, 0, 0, 2, 2, 2], objects=[0, 0, 0, 0, 1, 2], splits=("S0",), t_plan_s=[1, 1, 1, 1, 5, None])
+    (row,) = aggregate.summarise([counted], "objects")
+    assert row.rates["sr"].percent == pytest.approx((75 + 0 + 0) / 3) and row.rates["sr"].count == 3
+    assert row.times["t_plan_s"].value == pytest.approx((1 + 5) / 2)
+    (plain,) = aggregate.summarise([counted])
+    assert (row.rates["sr"].low, row.rates["sr"].high) == (plain.rates["sr"].low, plain.rates["sr"].high)

@@ -1,12 +1,15 @@
 """Per object and co-failures, against counting by hand."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from made_runs import OBJECTS, write_run
 
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import group_row
-from r2h_batch.report.statistics.tally import FAILED, PASSED, PATTERNS, pattern_outcomes, tally
+from r2h_batch.report.statistics.aggregate import split_row
+from r2h_batch.report.statistics.codes import FAILED, PASSED, UNEVALUATED, first_failures
+from r2h_batch.report.statistics.tally import tally
 from r2h_batch.types import CRITERIA, Outcome
 
 OUTCOMES = np.random.default_rng(3).choice([0, 0, 0, 1, 2, 3, 5, 6, 8], 120)
@@ -19,9 +22,11 @@ def made(tmp_path_factory):
     return tally(run, "m"), table
 
 
-def test_the_outcome_of_every_pattern_is_its_first_failure_and_never_a_success_that_was_not_fully_judged():
+def test_the_outcome_is_the_first_failure_and_never_a_success_that_was_not_fully_judged():
+    patterns = np.array(list(product((UNEVALUATED, FAILED, PASSED), repeat=len(CRITERIA))), np.uint8)
+    by_name = dict(zip(CRITERIA, patterns.T, strict=True))
     for split, needed in enumerate(([0, 1, 2, 4], [0, 1, 2, 3, 4])):
-        for pattern, code in zip(PATTERNS, pattern_outcomes()[split]):
+        for pattern, code in zip(patterns, first_failures(by_name, np.full(len(patterns), split)), strict=True):
             failed = [c for c, state in zip(CRITERIA, pattern) if state == FAILED]
             if failed:
                 assert Outcome(code).name.lower() == failed[0]
@@ -46,7 +51,7 @@ def test_object_rows_add_up_to_their_split(made):
     rows = breakdown.by_object(counted)
     assert [name for name, _ in rows] == sorted(OBJECTS[:3]) + sorted(OBJECTS[3:])
     for split in ("S0", "S1"):
-        whole = group_row(counted, split)
+        whole = split_row(counted, split)
         parts = [row for _, row in rows if row.split == split]
         assert {n: sum(r.counts[n] for r in parts) for n in whole.counts} == dict(whole.counts)
         assert all(r.n_objects == 1 and r.sr_new_objects is None for r in parts)

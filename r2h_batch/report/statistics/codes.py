@@ -1,0 +1,56 @@
+"""Stored words as numbers: codes of words, states of criteria, and the outcome that follows."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
+
+UNEVALUATED, FAILED, PASSED = 0, 1, 2
+"""States of a criterion in a trial."""
+
+
+def codes(table: pa.Table, name: str, order: Sequence[str]) -> np.ndarray:
+    """(N,) int64 places in `order` of a dictionary column's words.
+
+    Raises:
+        ValueError: if `order` lacks a word.
+    """
+    column = table[name].combine_chunks()
+    words = column.dictionary.to_pylist()
+    place = {w: i for i, w in enumerate(order)}
+    if unknown := [w for w in words if w not in place]:
+        raise ValueError(f"{name} holds {unknown[0]!r}; known are {', '.join(order)}")
+    found = np.array([place[w] for w in words], np.int64)
+    return found[column.indices.to_numpy(zero_copy_only=False)]
+
+
+def states(table: pa.Table) -> dict[str, np.ndarray]:
+    """Criterion -> (N,) uint8 `UNEVALUATED`, `FAILED` or `PASSED`, from the columns `passed_*`."""
+    columns = {c: table[f"passed_{c}"].cast(pa.uint8()) for c in CRITERIA}
+    return {
+        c: pc.add(v, np.uint8(FAILED)).fill_null(UNEVALUATED).to_numpy() for c, v in columns.items()
+    }
+
+
+def first_failures(state: Mapping[str, np.ndarray], split: np.ndarray) -> np.ndarray:
+    """The outcome that the criteria of each trial give.
+
+    Args:
+        state: criterion -> (N,) `UNEVALUATED`, `FAILED` or `PASSED`.
+        split: (N,) int, place in `SPLITS`.
+
+    Returns:
+        (N,) int8 code of `Outcome`: the first failed criterion, or success; -1 if no criterion
+        failed and one that the split requires was not evaluated.
+    """
+    found = np.full(len(split), Outcome.SUCCESS, np.int8)
+    unseen = np.zeros(len(split), bool)
+    for entry in reversed(REGISTRY):
+        found[state[entry.name] == FAILED] = Outcome[entry.name.upper()]
+        required = np.array([name in entry.splits for name in SPLITS])
+        unseen |= (state[entry.name] == UNEVALUATED) & required[split]
+    found[unseen & (found == Outcome.SUCCESS)] = -1
+    return found
