@@ -14,6 +14,7 @@ from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_betwe
 from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig, single
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, Planned, Replan
+from r2h_batch.closed_loop.relative import CAP_M
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle as oracle_method
@@ -325,6 +326,31 @@ def test_hands_take_what_is_held_still_and_ends_and_shares_add_up(scores):
     total = (1 - e.robot_idle) + (1 - e.human_idle) - e.concurrent + e.delay
     assert (total[lived] - 1).abs().max() < 1e-4 and (e.delay[lived] > -1e-4).all()
     assert (e.slack_m[lived] >= 0).all()
+
+
+def test_times_too_near_and_shares_of_the_allowed_force_are_those_of_iso_ts_15066(scores):
+    """Counted again from each step's posture and distance. Protective distance: 1.6 m/s for 0.4 s, and what the robot goes in its
+    reaction of 0.1 s and its stop of 0.3 s. Allowed speed: 280 N, 75 N/mm, a hand of 0.6 kg, half of the arm's mass."""
+    env = HandoverEnv(scores, "moves", action=POLICIES["servo"].action)
+    seen, _ = env.reset()
+    policy = POLICIES["servo"](env)
+    seconds, depth = torch.zeros(env.num_envs), torch.zeros(env.num_envs, 2)
+    while running(env):
+        q, live = env.q.clone(), env.ends == int(End.RUNNING)
+        seen, *_ = env.step(policy(seen))
+        inside = live & (env.q != q).any(1) & (env.gap < CAP_M)
+        seconds += env.step_s * inside
+        fastest = env.episodes().near_speed_m_s
+        for k, speed in enumerate((0.0 * fastest, fastest)):  # this step's speed lies between
+            short = 1.6 * 0.4 + speed * 0.1 + 0.5 * speed * 0.3 - env.gap
+            depth[:, k] = torch.where(inside, torch.maximum(depth[:, k], short), depth[:, k])
+    e = env.episodes()
+    assert (seconds > 0).sum() >= 4 and (e.ssm_s - seconds).abs().max() < 1e-4
+    assert (depth[:, 0] <= e.ssm_depth_m + 1e-5).all() and (e.ssm_depth_m <= depth[:, 1] + 1e-5).all()
+    assert (e.ssm_depth_m > depth[:, 0] + 1e-3)[seconds > 0].any()
+    arm_kg = float(np.sum(env.scene.robot.dynamics.mass))
+    allowed = 280.0 / np.sqrt(75e3 / (1 / 0.6 + 1 / (arm_kg / 2)))
+    assert (e.near_speed_m_s > 0).any() and np.allclose(e.pfl_share, e.near_speed_m_s / allowed, rtol=1e-5)
 
 
 def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, scores):

@@ -90,6 +90,30 @@ def test_rows_are_the_same_in_any_batch_and_differ_by_seed(scene, trials):
             assert not torch.equal(MovingHands.of(scene, trials, ReceiverMotion(kind, seed=1)).pose(99.0), whole)
 
 
+@pytest.mark.parametrize("turn_deg", [20.0, 35.0])
+def test_the_turn_of_a_hand_that_moves_has_the_root_mean_square_that_is_asked(scene, turn_deg):
+    trials = make_trials(trials=400, protocol="r2h-v1")
+    hands = MovingHands.of(scene, trials, ReceiverMotion("moves", 0.1, turn_deg))
+    before, after = (hands.pose(t)[:, :3, :3].double().numpy() for t in (0.0, 99.0))
+    turned = np.degrees(Rotation.from_matrix(after @ before.transpose(0, 2, 1)).magnitude())
+    # of 3 normal numbers a row the mean square is known to sqrt(2 / (3 n)) of it, its root to half of that
+    assert abs(np.sqrt((turned**2).mean()) / turn_deg - 1) < 5 * 0.5 * np.sqrt(2 / (3 * len(turned)))
+
+
+def test_a_hand_withdraws_once(scene, trials):
+    near, far = torch.full((len(trials),), 0.01), torch.full((len(trials),), 0.2)
+    hands = MovingHands.of(scene, trials, ReceiverMotion("withdraws"))
+    hands.react(3.0, far)
+    assert torch.equal(hands.pose(99.0), MovingHands.of(scene, trials, ReceiverMotion("moves")).pose(99.0))
+    hands.react(4.0, near)
+    times = (4.2, 4.5, 6.0, 9.0, 99.0)
+    once = [hands.pose(t) for t in times]
+    assert (once[1] - once[-1])[:, :3, 3].norm(dim=1).min() > 0.1
+    for again in (4.1, 7.0):
+        hands.react(again, near)
+        assert all(torch.equal(hands.pose(t), x) for t, x in zip(times, once, strict=True))
+
+
 def test_elbows_are_those_from_which_persons_are_drawn_and_arms_keep_their_lengths(scene, trials):
     """The same person and swivel with the wrist elsewhere: `propose` has the elbow."""
     n = 500

@@ -1,7 +1,7 @@
 """Errors that a robot adds to the poses that it is asked for (`EvalConfig.execution_error`)."""
 
 import copy
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.judge.execution_error import executed_poses
+from r2h_batch.judge.reception import reception
 from r2h_batch.methods import fc, oracle
 from r2h_batch.scene.robot import ee_pose, load_robot
 from r2h_batch.trials.protocol import make_trials
@@ -53,6 +54,17 @@ def test_a_run_with_errors_is_one_of_the_poses_that_the_robot_carries_out(asked)
         assert torch.equal(getattr(off, name).nan_to_num(), getattr(moved, name).nan_to_num())
     assert not torch.equal(off.margin.nan_to_num(), evaluator(ExecutionError()).score(*asked).margin.nan_to_num())
     assert torch.equal(off.inputs.T_world_ee, T_world_ee)  # what is stored is the answer
+
+
+def test_reception_is_asked_where_the_robot_brings_the_object(asked):
+    T_obj_ee, T_world_ee, trials = asked
+    off = reception(evaluator(BOTH).score(*asked))
+    moved = reception(evaluator(ExecutionError()).score(*executed_poses(BOTH, T_obj_ee, T_world_ee, trials), trials))
+    meant = reception(evaluator(ExecutionError()).score(*asked))
+    for f in fields(off):
+        assert torch.equal(getattr(off, f.name).nan_to_num(), getattr(moved, f.name).nan_to_num()), f.name
+    both = off.received & meant.received
+    assert both.sum() >= 2 and (off.T_world_hand - meant.T_world_hand)[both].abs().amax((1, 2)).min() > 1e-4
 
 
 def test_errors_have_the_sizes_that_were_asked_and_are_independent():

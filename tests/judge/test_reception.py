@@ -60,6 +60,20 @@ def steps(scores):
     return batch, arms, passes, way
 
 
+def test_turn_and_travel_are_those_of_the_hand_from_how_it_waits(scores, found):
+    """From the poses of the hand: scipy's angle between them, and the way of the wrist joint."""
+    rows = found.received.nonzero().flatten()
+    trials = scores.inputs.trials[rows]
+    before, after = (T.double().numpy() for T in (trials.T_world_hand, found.T_world_hand[rows]))
+    turned = Rotation.from_matrix(after[:, :3, :3] @ before[:, :3, :3].transpose(0, 2, 1)).magnitude()
+    assert len(rows) >= 4 and np.abs(np.degrees(turned) - found.turn_deg[rows].numpy()).max() < 0.05
+    wrist = evaluator().scene.hands.joints[trials.hand_index.long(), 0].double().numpy()
+    ends = [np.einsum("nij,nj->ni", T[:, :3, :3], wrist) + T[:, :3, 3] for T in (before, after)]
+    assert np.abs(np.linalg.norm(ends[1] - ends[0], axis=1) - found.travel_m[rows].numpy()).max() < 1e-4
+    assert found.turn_deg[rows].max() > 20 and found.travel_m[rows].max() > 0.05
+    assert found.turn_deg[~found.received].isnan().all() and found.travel_m[~found.received].isnan().all()
+
+
 # --- the arm ---------------------------------------------------------------------------------------------------------
 
 

@@ -30,6 +30,17 @@ def test_mcnemar_is_statsmodels_exact_test(counts):
     assert pairing.mcnemar(*counts) == pytest.approx(min(expected, 1.0), rel=1e-12)
 
 
+def test_methods_with_equal_rates_share_their_ranks_evenly():
+    draws = np.array([[0.5, 0.5, 0.2], [0.4, 0.6, 0.6], [0.3, 0.3, 0.3], [0.1, 0.2, 0.3]])
+    expected = np.zeros((3, 3))
+    for rates in draws:  # scipy's ranks: the first and the last that a method may have
+        first, last = (stats.rankdata(-rates, method=m).astype(int) for m in ("min", "max"))
+        for i in range(3):
+            expected[i, first[i] - 1 : last[i]] += 1 / (last[i] - first[i] + 1) / len(draws)
+    assert pairing.rank_probabilities(draws) == pytest.approx(expected, abs=1e-15)
+    assert expected[0].tolist() == pytest.approx([0.5 / 4 + 1 / 12, 0.5 / 4 + 1 / 12, 1 / 4 + 1 / 12 + 1 / 4])
+
+
 def test_holm_is_statsmodels_holm():
     random = np.random.default_rng(0)
     for n in (1, 2, 6, 15):
