@@ -1,4 +1,4 @@
-"""Twenty faults, put into the code one at a time: does a quick test fail? `python tools/mutate.py [NAME ...] [--list]`.
+"""Faults, put into the code one at a time: does a quick test fail? `python tools/mutate.py [NAME ...] [--list]`.
 
 Each mutation replaces one text in one file of a temporary copy of the repository and runs the tests that must fail there.
 A row of the table says `killed` or `SURVIVED`. Exit codes: 0 all killed, 1 one survived, 2 the tests fail without any
@@ -38,6 +38,8 @@ T_METRICS, T_ROWS, T_MOTION = (
     "tests/judge/test_rows.py",
     "tests/judge/motion/test_motion.py",
 )
+MOVING, ENV = "r2h_batch/closed_loop/moving.py", "r2h_batch/closed_loop/env.py"
+T_ISO = "tests/closed_loop/test_env.py::test_times_too_near_and_shares_of_the_allowed_force_are_those_of_iso_ts_15066"
 T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed"
 T_GRASP = f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit"
 T_BALL = f"{T_ROWS}::test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit"
@@ -182,6 +184,48 @@ MUTATIONS = (
         "failed = PATTERNS == FAILED",
         "failed = PATTERNS <= FAILED",
         ("tests/report/statistics/test_breakdown.py::test_the_outcome_of_every_pattern_is_its_first_failure_and_never_a_success_that_was_not_fully_judged",),
+    ),
+    Mutation(
+        "statistics: methods with equal rates share no ranks",
+        "r2h_batch/report/statistics/paired.py",
+        "probability[i, first : first + size] += count / size",
+        "probability[i, first] += count",
+        ("tests/report/statistics/test_compare.py::test_methods_with_equal_rates_share_their_ranks_evenly",),
+    ),
+    Mutation(
+        "closed loop: every hand turns by 20 degrees",
+        MOVING,
+        "np.radians(motion.turn_deg)",
+        "np.radians(20.0)",
+        ("tests/closed_loop/test_moving.py::test_the_turn_of_a_hand_that_moves_has_the_root_mean_square_that_is_asked",),
+    ),
+    Mutation(
+        "closed loop: a hand withdraws again and again",
+        MOVING,
+        " & self.way.begin[1].isinf()",
+        "",
+        ("tests/closed_loop/test_moving.py::test_a_hand_withdraws_once",),
+    ),
+    Mutation(
+        "closed loop: a robot that stands counts as too near",
+        ENV,
+        's["ssm"][rows] += dt * inside',
+        's["ssm"][rows] += dt * near',
+        (T_ISO,),
+    ),
+    Mutation(
+        "closed loop: half of the distance counts",
+        ENV,
+        "protective - passed.gap_m, 0.0",
+        "protective - 0.5 * passed.gap_m, 0.0",
+        (T_ISO,),
+    ),
+    Mutation(
+        "closed loop: the whole arm's mass meets the hand",
+        ENV,
+        "2.0 / arm_kg",
+        "1.0 / arm_kg",
+        (T_ISO,),
     ),
 )  # fmt: skip
 
