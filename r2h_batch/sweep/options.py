@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from r2h_batch.base.command_line import UsageError, nearest, read
 from r2h_batch.base.io.read import FileError
@@ -41,179 +41,263 @@ MOST = 10**12
 """Largest count: a larger number is a slip that something else would refuse much later."""
 
 
-GROUPS = {
-    "methods": "method predictions motions seed",
-    "trials": "trials_from trials splits protocol receiver trials_file benchmark objects object_mesh"
-    " grasps robot hands",
-    "verdict": "preset sim",
-    "output": "out format save_paths quiet",
-    "work": "device threads shard engine",
-}
-"""Flags by the groups of the help; the other options belong to `--set` and `--config`."""
+class Flag(NamedTuple):
+    """What the help says of an option, and the group in which `--help` lists it."""
+
+    help: str
+    group: str = ""  # of `GROUPS`; empty: for --set and --config
+
+
+GROUPS = ("methods", "trials", "verdict", "output", "work")
+"""Groups of the help, in order."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Score handover methods on the benchmark's trials and print Table I.
+    """Score handover methods on the benchmark's trials and print Table I."""
 
-    Args:
-        method: fc, handover-va, contact, intent, random, oracle; your own: package.module:function,
-            FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik
-        predictions: files of poses: .npz, .csv, .json
-        motions: files of joint motions, judged as they are: .npz, .parquet
-        seed: seed of the methods; it does not change the trials
-        trials_from: judge trials and motions of the authors' release: a folder or file
-        trials: trials of each split
-        splits: S0: free handover; S1: functional handover
-        protocol: r2h-v1 (default): hands of people who reach; r2h-v0: hands alone; r2h-release:
-            palms, objects and table of the authors' release
-        receiver: what planning and Safe see: hand (default), or body (with r2h-v1)
-        trials_file: your own trials, .npz or .parquet
-        benchmark: your benchmark.yaml (r2h-batch benchmark show)
-        objects: other objects: folder, or benchmark.yaml
-        object_mesh: more objects, FILE[:S0|S1[:REGION]]; REGION, the receiver's part: its name, a
-            plane such as z<0.3, or an .npy of faces
-        grasps: grasp candidates: NAME=FILE, a file, or a folder
-        robot: ur5e_2f85 (default), another of ls robots, or a folder of import robot
-        persons: where persons stand. for-robot (default): scaled by the robot's reach; as-for-ur5e:
-            as for the UR5e
-        hands: another hand set: .npz of import hands
-        hand_model: MANO_RIGHT.pkl, or .npz of import hand
-        preset: default: certified planning to any IK branch; paper: one goal, sampled edges, as in
-            the paper; release: the rules of the authors' release
-        sim: engine that moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset
-            release
-        out: run folder; the same command continues it
-        format: format of the table
-        save_paths: store waypoints, goals, grasps and witnesses, for r2h-batch scene
-        quiet: print only errors on stderr
-        device: cpu, cuda or cuda:N
-        threads: CPU threads; default: all cores
-        shard: I/N: part I of N, for job arrays with one --out
-        shard_trials: trials of a shard; 0: a minute of work
-        engine: this process, or a Ray cluster
-        address: Ray cluster to join: auto or HOST:PORT
-        replan: with trials_from: plan every motion anew instead of judging that of the file
-        predictor: contact network of method contact: .onnx, VoxNet weights as .safetensors, or
-            package.module:function or FILE.py:function; default: the built-in VoxNet
-        trust_code: also accept a TorchScript file as predictor; such a program can write any file.
-            A --config file cannot set this: use --trust-code
-        predictor_noise: factor on the error model of what the methods see; 0: they see the truth
-        predicted_hands: hands of your own network instead of the error model, .npz; fc,
-            handover-va, contact and intent see them
-        predicted_parts: part labels or affordances of your own network; handover-va sees them
-        predicted_contacts: contact probabilities of your own network; contact sees them
-        hand_errors: error model of the target hand. normal: no outliers; frames: errors of
-            published estimators in single frames; tails: both; preset: normal, with preset paper
-            tails
-        candidates: grasps that methods choose from. filtered: those that this gripper can hold;
-            as-generated: all that the sampler proposes; narrow: those across which the whole object
-            fits; preset: filtered, with preset paper as-generated, with preset release narrow
-        width: Stability measures the material between the pads, or the whole object's extent along
-            the closing axis; preset: pads, with preset release whole
-        reach: Reach measures the object, or its convex hull; preset: solid, with preset release
-            hull
-        stability: physics: friction must also hold the object against its weight and a shake along
-            three axes
-        object_collision: the attached object in planning: its convex hull (as in the paper), or its
-            convex decomposition
-        edge_check: edges of a path: certified, or sampled at MoveIt's resolution
-        plan_hand: hand that planned paths avoid: the true hand, or the estimated hand that methods
-            see. Safe judges the true hand. preset: true, with preset paper estimated
-        ik: inverse kinematics: a Warp kernel, or pytorch-kinematics (slower)
-        sim_model: scene: simulate everything, with contacts; arm: a rigid gripper, no contacts;
-            auto: the arm, and the scene for each trial in which a contact is possible
-        execution_error: errors of the executed poses as standard deviations per axis. 5mm,1deg:
-            both the camera's calibration and the object in the gripper err anew in every trial;
-            camera:5mm,1deg or object:5mm,1deg: one of both errs; bias:5mm,1deg: one error of the
-            camera for all trials
-        robustness: sweep without and with each of four execution errors, into folders of --out, and
-            print how SR falls
-        receiver_motion: also play every handover in closed loop; the receiver's hand: still, moves,
-            reaches, hesitates, withdraws or takes, with a size such as moves:100mm,20deg; or
-            replay:NAME_motion.npz of import hands (needs the extra env)
-        policy: policy that moves the arm in closed loop: planned, stop, servo, replan, or your
-            package.module:function, which takes an observation of HandoverEnv
-        log: also write the table's numbers into a logger, in the run folder (offline)
-        no_poses: do not store the scored poses: saves 51 to 81 bytes a trial; reevaluate needs them
-        verbose: print every step and shard on stderr; log.txt always has them
-        allow_empty_candidates: count trials of objects without a grasp as failures of built-in
-            methods
-        allow_missing: count trials that a predictions file leaves out as failures
-        chunk: trials scored at once; 0: 256 on a CPU, 2048 on a GPU
-        ray_timeout: seconds after which a Ray cluster that does not answer counts as lost
-        workers: Ray actors; 0: one for each GPU, or for each 4 CPUs
-        gpus_per_worker: GPUs of each actor; 0: 1 with device cuda
-    """
-
-    method: tuple[str, ...] = ()
-    predictions: tuple[str, ...] = ()
-    motions: tuple[str, ...] = ()
-    seed: int = 0
-    trials_from: str = ""
-    trials: int = 500
-    splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1")
-    protocol: Literal["", "r2h-v0", "r2h-v1", "r2h-release"] = ""
-    receiver: Literal["", "hand", "body"] = ""
-    trials_file: str = ""
-    benchmark: str = ""
-    objects: str = ""
-    object_mesh: tuple[str, ...] = ()
-    grasps: tuple[str, ...] = ()
-    robot: str = ""
-    persons: Literal["", "for-robot", "as-for-ur5e"] = ""
-    hands: str = ""
-    hand_model: str = ""
-    preset: Literal["default", "paper", "release"] = "default"
-    sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
-    out: str = ""
-    format: Literal["md", "latex", "csv", "json"] = "md"
-    save_paths: bool = False
-    quiet: bool = False
-    device: str = "cpu"
-    threads: int | None = None
-    shard: str = "1/1"
-    shard_trials: int = 0
-    engine: Literal["local", "ray"] = "local"
-    address: str = ""
-    replan: bool = False
-    predictor: str = ""
-    trust_code: bool = False
-    predictor_noise: float = 1.0
-    predicted_hands: str = ""
-    predicted_parts: str = ""
-    predicted_contacts: str = ""
-    hand_errors: Literal["preset", "normal", "frames", "tails"] = "preset"
-    candidates: Literal["preset", "filtered", "as-generated", "narrow"] = "preset"
-    width: Literal["preset", "pads", "whole"] = "preset"
-    reach: Literal["preset", "solid", "hull"] = "preset"
-    stability: Literal["geometric", "physics"] = "geometric"
-    object_collision: Literal["hull", "pieces"] = "hull"
-    edge_check: Literal["preset", "exact", "moveit"] = "preset"
-    plan_hand: Literal["preset", "true", "estimated"] = "preset"
-    ik: Literal["fused", "pytorch-kinematics"] = "fused"
-    sim_model: Literal["auto", "scene", "arm"] = "auto"
-    execution_error: str = ""
-    robustness: bool = False
-    receiver_motion: str = ""
-    policy: str = "planned"
-    log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = ""
-    no_poses: bool = False
-    verbose: bool = False
-    allow_empty_candidates: bool = False
-    allow_missing: bool = False
-    chunk: int = 0
-    ray_timeout: float = 30.0
-    workers: int = 0
-    gpus_per_worker: float = 0.0
-
-    @property
-    def stored(self) -> list[str]:
-        """What is stored beside the trials; paths bring everything that opening a trial needs."""
-        played = ["episodes"] if self.receiver_motion else []
-        if self.save_paths or self.motions or self.trials_from:  # nobody plans the last two again
-            return [*KINDS, *played]
-        return [*([] if self.no_poses else ["poses"]), *played]
+    method: Annotated[
+        tuple[str, ...],
+        Flag(
+            "fc, handover-va, contact, intent, random, oracle; your own: package.module:function, "
+            "FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik",
+            "methods",
+        ),
+    ] = ()
+    predictions: Annotated[
+        tuple[str, ...], Flag("files of poses: .npz, .csv, .json", "methods")
+    ] = ()
+    motions: Annotated[
+        tuple[str, ...],
+        Flag("files of joint motions, judged as they are: .npz, .parquet", "methods"),
+    ] = ()
+    seed: Annotated[int, Flag("seed of the methods; it does not change the trials", "methods")] = 0
+    trials_from: Annotated[
+        str, Flag("judge trials and motions of the authors' release: a folder or file", "trials")
+    ] = ""
+    trials: Annotated[int, Flag("trials of each split", "trials")] = 500
+    splits: Annotated[
+        tuple[Literal["S0", "S1"], ...],
+        Flag("S0: free handover; S1: functional handover", "trials"),
+    ] = ("S0", "S1")
+    protocol: Annotated[
+        Literal["", "r2h-v0", "r2h-v1", "r2h-release"],
+        Flag(
+            "r2h-v1 (default): hands of people who reach; r2h-v0: hands alone; r2h-release: palms, objects "
+            "and table of the authors' release",
+            "trials",
+        ),
+    ] = ""
+    receiver: Annotated[
+        Literal["", "hand", "body"],
+        Flag("what planning and Safe see: hand (default), or body (with r2h-v1)", "trials"),
+    ] = ""
+    trials_file: Annotated[str, Flag("your own trials, .npz or .parquet", "trials")] = ""
+    benchmark: Annotated[str, Flag("your benchmark.yaml (r2h-batch benchmark show)", "trials")] = ""
+    objects: Annotated[str, Flag("other objects: folder, or benchmark.yaml", "trials")] = ""
+    object_mesh: Annotated[
+        tuple[str, ...],
+        Flag(
+            "more objects, FILE[:S0|S1[:REGION]]; REGION, the receiver's part: its name, a plane such as "
+            "z<0.3, or an .npy of faces",
+            "trials",
+        ),
+    ] = ()
+    grasps: Annotated[
+        tuple[str, ...], Flag("grasp candidates: NAME=FILE, a file, or a folder", "trials")
+    ] = ()
+    robot: Annotated[
+        str,
+        Flag("ur5e_2f85 (default), another of ls robots, or a folder of import robot", "trials"),
+    ] = ""
+    persons: Annotated[
+        Literal["", "for-robot", "as-for-ur5e"],
+        Flag(
+            "where persons stand. for-robot (default): scaled by the robot's reach; as-for-ur5e: as for the "
+            "UR5e"
+        ),
+    ] = ""
+    hands: Annotated[str, Flag("another hand set: .npz of import hands", "trials")] = ""
+    hand_model: Annotated[str, Flag("MANO_RIGHT.pkl, or .npz of import hand")] = ""
+    preset: Annotated[
+        Literal["default", "paper", "release"],
+        Flag(
+            "default: certified planning to any IK branch; paper: one goal, sampled edges, as in the paper; "
+            "release: the rules of the authors' release",
+            "verdict",
+        ),
+    ] = "default"
+    sim: Annotated[
+        Literal["auto", "none", "mujoco", "mjwarp"],
+        Flag(
+            "engine that moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset release",
+            "verdict",
+        ),
+    ] = "auto"
+    out: Annotated[str, Flag("run folder; the same command continues it", "output")] = ""
+    format: Annotated[
+        Literal["md", "latex", "csv", "json"], Flag("format of the table", "output")
+    ] = "md"
+    save_paths: Annotated[
+        bool, Flag("store waypoints, goals, grasps and witnesses, for r2h-batch scene", "output")
+    ] = False
+    quiet: Annotated[bool, Flag("print only errors on stderr", "output")] = False
+    device: Annotated[str, Flag("cpu, cuda or cuda:N", "work")] = "cpu"
+    threads: Annotated[int | None, Flag("CPU threads; default: all cores", "work")] = None
+    shard: Annotated[str, Flag("I/N: part I of N, for job arrays with one --out", "work")] = "1/1"
+    shard_trials: Annotated[int, Flag("trials of a shard; 0: a minute of work")] = 0
+    engine: Annotated[Literal["local", "ray"], Flag("this process, or a Ray cluster", "work")] = (
+        "local"
+    )
+    address: Annotated[str, Flag("Ray cluster to join: auto or HOST:PORT")] = ""
+    replan: Annotated[
+        bool, Flag("with trials_from: plan every motion anew instead of judging that of the file")
+    ] = False
+    predictor: Annotated[
+        str,
+        Flag(
+            "contact network of method contact: .onnx, VoxNet weights as .safetensors, or "
+            "package.module:function or FILE.py:function; default: the built-in VoxNet"
+        ),
+    ] = ""
+    trust_code: Annotated[
+        bool,
+        Flag(
+            "also accept a TorchScript file as predictor; such a program can write any file. A --config file "
+            "cannot set this: use --trust-code"
+        ),
+    ] = False
+    predictor_noise: Annotated[
+        float, Flag("factor on the error model of what the methods see; 0: they see the truth")
+    ] = 1.0
+    predicted_hands: Annotated[
+        str,
+        Flag(
+            "hands of your own network instead of the error model, .npz; fc, handover-va, contact and intent "
+            "see them"
+        ),
+    ] = ""
+    predicted_parts: Annotated[
+        str, Flag("part labels or affordances of your own network; handover-va sees them")
+    ] = ""
+    predicted_contacts: Annotated[
+        str, Flag("contact probabilities of your own network; contact sees them")
+    ] = ""
+    hand_errors: Annotated[
+        Literal["preset", "normal", "frames", "tails"],
+        Flag(
+            "error model of the target hand. normal: no outliers; frames: errors of published estimators in "
+            "single frames; tails: both; preset: normal, with preset paper tails"
+        ),
+    ] = "preset"
+    candidates: Annotated[
+        Literal["preset", "filtered", "as-generated", "narrow"],
+        Flag(
+            "grasps that methods choose from. filtered: those that this gripper can hold; as-generated: all "
+            "that the sampler proposes; narrow: those across which the whole object fits; preset: filtered, "
+            "with preset paper as-generated, with preset release narrow"
+        ),
+    ] = "preset"
+    width: Annotated[
+        Literal["preset", "pads", "whole"],
+        Flag(
+            "Stability measures the material between the pads, or the whole object's extent along the closing "
+            "axis; preset: pads, with preset release whole"
+        ),
+    ] = "preset"
+    reach: Annotated[
+        Literal["preset", "solid", "hull"],
+        Flag(
+            "Reach measures the object, or its convex hull; preset: solid, with preset release hull"
+        ),
+    ] = "preset"
+    stability: Annotated[
+        Literal["geometric", "physics"],
+        Flag(
+            "physics: friction must also hold the object against its weight and a shake along three axes"
+        ),
+    ] = "geometric"
+    object_collision: Annotated[
+        Literal["hull", "pieces"],
+        Flag(
+            "the attached object in planning: its convex hull (as in the paper), or its convex decomposition"
+        ),
+    ] = "hull"
+    edge_check: Annotated[
+        Literal["preset", "exact", "moveit"],
+        Flag("edges of a path: certified, or sampled at MoveIt's resolution"),
+    ] = "preset"
+    plan_hand: Annotated[
+        Literal["preset", "true", "estimated"],
+        Flag(
+            "hand that planned paths avoid: the true hand, or the estimated hand that methods see. Safe "
+            "judges the true hand. preset: true, with preset paper estimated"
+        ),
+    ] = "preset"
+    ik: Annotated[
+        Literal["fused", "pytorch-kinematics"],
+        Flag("inverse kinematics: a Warp kernel, or pytorch-kinematics (slower)"),
+    ] = "fused"
+    sim_model: Annotated[
+        Literal["auto", "scene", "arm"],
+        Flag(
+            "scene: simulate everything, with contacts; arm: a rigid gripper, no contacts; auto: the arm, and "
+            "the scene for each trial in which a contact is possible"
+        ),
+    ] = "auto"
+    execution_error: Annotated[
+        str,
+        Flag(
+            "errors of the executed poses as standard deviations per axis. 5mm,1deg: both the camera's "
+            "calibration and the object in the gripper err anew in every trial; camera:5mm,1deg or "
+            "object:5mm,1deg: one of both errs; bias:5mm,1deg: one error of the camera for all trials"
+        ),
+    ] = ""
+    robustness: Annotated[
+        bool,
+        Flag(
+            "sweep without and with each of four execution errors, into folders of --out, and print how SR "
+            "falls"
+        ),
+    ] = False
+    receiver_motion: Annotated[
+        str,
+        Flag(
+            "also play every handover in closed loop; the receiver's hand: still, moves, reaches, hesitates, "
+            "withdraws or takes, with a size such as moves:100mm,20deg; or replay:NAME_motion.npz of import "
+            "hands (needs the extra env)"
+        ),
+    ] = ""
+    policy: Annotated[
+        str,
+        Flag(
+            "policy that moves the arm in closed loop: planned, stop, servo, replan, or your "
+            "package.module:function, which takes an observation of HandoverEnv"
+        ),
+    ] = "planned"
+    log: Annotated[
+        Literal["", "tensorboard", "wandb", "mlflow", "trackio"],
+        Flag("also write the table's numbers into a logger, in the run folder (offline)"),
+    ] = ""
+    no_poses: Annotated[
+        bool,
+        Flag("do not store the scored poses: saves 51 to 81 bytes a trial; reevaluate needs them"),
+    ] = False
+    verbose: Annotated[
+        bool, Flag("print every step and shard on stderr; log.txt always has them")
+    ] = False
+    allow_empty_candidates: Annotated[
+        bool, Flag("count trials of objects without a grasp as failures of built-in methods")
+    ] = False
+    allow_missing: Annotated[
+        bool, Flag("count trials that a predictions file leaves out as failures")
+    ] = False
+    chunk: Annotated[int, Flag("trials scored at once; 0: 256 on a CPU, 2048 on a GPU")] = 0
+    ray_timeout: Annotated[
+        float, Flag("seconds after which a Ray cluster that does not answer counts as lost")
+    ] = 30.0
+    workers: Annotated[int, Flag("Ray actors; 0: one for each GPU, or for each 4 CPUs")] = 0
+    gpus_per_worker: Annotated[float, Flag("GPUs of each actor; 0: 1 with device cuda")] = 0.0
 
     @property
     def part(self) -> tuple[int, int]:
@@ -225,9 +309,9 @@ class Options:
 def help_text(prog: str) -> str:
     """The flags in groups, each with its meaning."""
     usage = f"usage: {prog} [--config FILE.yaml] [--set NAME=VALUE ...] [FLAGS]"
-    lines = [usage, "", str(Options.__doc__).partition("\n")[0]]
-    for group, names in GROUPS.items():
-        lines += ["", f"{group}:", *_described(names.split(), "--")]
+    lines = [usage, "", str(Options.__doc__)]
+    for group in GROUPS:
+        lines += ["", f"{group}:", *_described(group, "--")]
     config = (
         ("--config FILE", "a YAML file with any option; a flag wins over it"),
         ("--set NAME=VALUE ...", "any option; `--set help` lists them"),
@@ -237,18 +321,23 @@ def help_text(prog: str) -> str:
 
 def set_help() -> str:
     """The options that only `--set` and `--config` take."""
-    flags = " ".join(GROUPS.values()).split()
-    chosen = [f.name for f in fields(Options) if f.name not in flags]
     head = "Options for --set NAME=VALUE. A --config file takes these and the flags by name:"
-    return "\n".join([head, "", *_described(chosen, "")]) + "\n"
+    return "\n".join([head, "", *_described("", "")]) + "\n"
 
 
-def _described(names: Sequence[str], dashes: str) -> list[str]:
-    rows, kinds = [], {f.name: typing.cast(Any, f.type) for f in fields(Options)}
-    meanings = re.findall(r"^ {8}(\w+): (.+(?:\n {12}.+)*)", str(Options.__doc__), re.MULTILINE)
-    helps = {name: " ".join(words.split()) for name, words in meanings}
-    for name in names:
-        kind, more = kinds[name], ""
+def _flags() -> dict[str, tuple[Any, Flag]]:
+    """Name of an option -> its type and what the help says of it."""
+    hints = typing.get_type_hints(Options, include_extras=True)
+    return {name: (hint.__origin__, hint.__metadata__[0]) for name, hint in hints.items()}
+
+
+def _described(group: str, dashes: str) -> list[str]:
+    """The lines of a group of options."""
+    rows = []
+    for name, (kind, flag) in _flags().items():
+        if flag.group != group:
+            continue
+        more = ""
         if get_origin(kind) is tuple:
             kind, more = get_args(kind)[0], " ..."
         if get_origin(kind) is Literal:
@@ -256,7 +345,7 @@ def _described(names: Sequence[str], dashes: str) -> list[str]:
         else:
             value = {bool: "", str: "TEXT", float: "NUMBER"}.get(kind, "INT")
         shown = name.replace("_", "-") if dashes else name
-        rows.append((f"{dashes}{shown} {value}{more}".rstrip(), helps[name]))
+        rows.append((f"{dashes}{shown} {value}{more}".rstrip(), flag.help))
     return _columns(rows)
 
 
@@ -456,7 +545,7 @@ def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None, di
     rest, path = list(arguments), None
     flags: list[str] = []
     chosen: dict[str, Any] = {}
-    switches = [f.name for f in fields(Options) if f.type is bool]
+    switches = [name for name, (kind, _) in _flags().items() if kind is bool]
     while rest:
         argument = rest.pop(0)
         name, equals, value = argument.partition("=")
