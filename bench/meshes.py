@@ -41,7 +41,7 @@ from r2h_batch.scene.mesh_import.pieces import convex_pieces
 from r2h_batch.scene.objects import ObjectMeshError, build_object
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.sweep.jobs import Setting, make_jobs
-from r2h_batch.sweep.options import Options
+from r2h_batch.sweep.request import Methods
 from r2h_batch.trials.holding.receiving import load_receiving
 
 METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
@@ -216,7 +216,7 @@ def measure(
     evaluator, trials = Evaluator(objects=[model]), make_trials(["S0"], n, objects=[model])
     setting = Setting(evaluator, {}, lambda first, last: trials.trial_id[first:last], lambda ids: trials)
     for method in METHODS if grasps else ():
-        (job,) = make_jobs(Options(method=(method,)), [], setting)
+        (job,) = make_jobs(Methods((method,)), [], setting)
         answer = job.predict(trials, None)
         row[method] = int(evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials).success.sum())
     return row

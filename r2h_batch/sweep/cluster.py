@@ -24,9 +24,9 @@ from r2h_batch.base.io.read import printable
 from r2h_batch.runs.store import TRIES, Shard, ShardWriter, differing
 from r2h_batch.sweep import jobs as sweep_jobs
 from r2h_batch.sweep.answers import AnswerError
-from r2h_batch.sweep.engine import Stopped, Work, progress, score_shard, warm_up
+from r2h_batch.sweep.engine import Scoring, Stopped, progress, score_shard, warm_up
 from r2h_batch.sweep.jobs import Setting
-from r2h_batch.sweep.options import Options
+from r2h_batch.sweep.request import Request
 
 STARTS = 5
 """Actors that may die one after the other before their first shard; then the cluster is given
@@ -152,10 +152,10 @@ class Head:
 class Worker:
     """Lives in an actor: an evaluator, its kernels warm, that scores the shards it is sent."""
 
-    def __init__(self, make_setting: Callable[[Options], Setting], options: Options) -> None:
-        self.setting = make_setting(options)
-        files = sweep_jobs.load_files(options)
-        self.jobs = {j.name: j for j in sweep_jobs.make_jobs(options, files, self.setting)}
+    def __init__(self, set_up: Callable[[Request], Setting], request: Request) -> None:
+        self.setting = set_up(request)
+        files = sweep_jobs.load_files(request.methods)
+        self.jobs = {j.name: j for j in sweep_jobs.make_jobs(request.methods, files, self.setting)}
         for job in self.jobs.values():
             warm_up(job, self.setting)
 
@@ -206,9 +206,9 @@ def _lost(error: Exception) -> ClusterError:
     )
 
 
-def score_on_ray(work: Work) -> list[str]:
-    """Every job's shards of this part through a pool of actors; only this process writes to the run
-    folder.
+def score_on_ray(work: Scoring, request: Request) -> list[str]:
+    """Every job's shards of this part through a pool of actors, which set up `request` again; only this
+    process writes to the run folder.
 
     An actor or node that dies loses the shard it was at, which is queued again behind the others. After `TRIES`
     failures a shard is quarantined and the others go on. Ctrl-C stores what is finished. Returns
@@ -226,18 +226,19 @@ def score_on_ray(work: Work) -> list[str]:
     for name, shard in todo:
         folder.give_another_try(name, shard)
     with contextlib.redirect_stdout(sys.stderr):  # Ray's threads print; stdout is for the table
-        return _on_cluster(ray, work, todo)
+        return _on_cluster(ray, work, request, todo)
 
 
-def _on_cluster(ray: Any, work: Work, todo: "deque[Task]") -> list[str]:
-    options = work.options
+def _on_cluster(ray: Any, work: Scoring, request: Request, todo: "deque[Task]") -> list[str]:
+    cluster, device = request.work.cluster, request.work.device
+    assert cluster is not None  # of a request for --engine ray
     handlers = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     # local: a cluster of its own; without an address Ray would join whatever a file in /tmp or the
     # environment names
-    own = {} if options.address else {"include_dashboard": False}
+    own = {} if cluster.address else {"include_dashboard": False}
     try:
-        with contextlib.nullcontext() if options.address else _own_token():
-            address = options.address or "local"
+        with contextlib.nullcontext() if cluster.address else _own_token():
+            address = cluster.address or "local"
             ray.init(address=address, log_to_driver=False, logging_level="ERROR", **own)
     except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
         words = f"could be started or joined: {printable(error)[:300]}"
@@ -246,18 +247,19 @@ def _on_cluster(ray: Any, work: Work, todo: "deque[Task]") -> list[str]:
     for number, handler in handlers.items():
         signal.signal(number, handler)
     # a Ray client (ray://) has no head of its own to ask
-    watched = options.address and "://" not in options.address
-    head = Head(ray.get_runtime_context().gcs_address if watched else "", options.ray_timeout)
+    watched = cluster.address and "://" not in cluster.address
+    head = Head(ray.get_runtime_context().gcs_address if watched else "", cluster.timeout_s)
     try:
-        gpus = options.gpus_per_worker or (1.0 if options.device != "cpu" else 0.0)
+        gpus = cluster.gpus_per_worker or (1.0 if device != "cpu" else 0.0)
         there = ray.cluster_resources()
         devices = there.get("GPU", 0) / gpus if gpus else there.get("CPU", 1) / 4
-        size = options.workers or max(1, int(devices))
+        size = cluster.workers or max(1, int(devices))
         # an actor sees its own GPUs only, as cuda:0; max_restarts 0: the pool replaces actors
         # itself
-        on_node = replace(options, device="cuda" if options.device != "cpu" else "cpu")
+        own_device = replace(request.work, device="cuda" if device != "cpu" else "cpu")
+        on_node = replace(request, work=own_device)
         remote = ray.remote(Worker).options(num_cpus=1, num_gpus=gpus, max_restarts=0)
-        pool = Pool(ray, partial(remote.remote, sweep_jobs.prepare, on_node), head.check)
+        pool = Pool(ray, partial(remote.remote, sweep_jobs.set_up, on_node), head.check)
         try:
             total = sum(s.last - s.first for _, s in todo)
             with progress("all methods", total, log=work.log) as advance:
@@ -272,7 +274,7 @@ def _on_cluster(ray: Any, work: Work, todo: "deque[Task]") -> list[str]:
 
 
 def _feed(
-    pool: Pool, size: int, todo: "deque[Task]", work: Work, advance: Callable[[int], None]
+    pool: Pool, size: int, todo: "deque[Task]", work: Scoring, advance: Callable[[int], None]
 ) -> list[str]:
     refused: list[str] = []
     errors: dict[Task, list[str]] = {}
@@ -327,7 +329,7 @@ def _feed(
     return refused
 
 
-def _came_up(pool: Pool, ref: Any, work: Work) -> None:
+def _came_up(pool: Pool, ref: Any, work: Scoring) -> None:
     actor = pool.starting.pop(ref)
     try:
         header = pool.ray.get(ref)

@@ -19,7 +19,8 @@ from r2h_batch.sweep.options import Options, UsageError, parse
 if TYPE_CHECKING:
     from r2h_batch.base.loggers import LoggerName
     from r2h_batch.runs.store import Run
-    from r2h_batch.sweep.engine import Work
+    from r2h_batch.sweep.engine import Scoring
+    from r2h_batch.sweep.request import Request, Storage
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.sweep") -> int:
@@ -123,36 +124,30 @@ def _run(
     log_to: Callable[[Path], None],
     command: list[str],
 ) -> int:
-    from importlib.util import find_spec
-
     from r2h_batch.runs.store import RunError, open_run, write_labels
     from r2h_batch.sweep import jobs as sweep_jobs
     from r2h_batch.sweep.cluster import ClusterError, reach
-    from r2h_batch.sweep.engine import Log, Stopped, Work, shard_size
+    from r2h_batch.sweep.engine import Log, Scoring, Stopped, shard_size
+    from r2h_batch.sweep.request import requested
 
     try:
-        for module, flag, extra in (
-            ("ray" if options.engine == "ray" else "", "--engine ray", "ray"),
-            (options.log, f"--log {options.log}", options.log),
-            ("gymnasium" if options.receiver_motion else "", "--receiver-motion", "env"),
-        ):
-            if module and find_spec(module) is None:
-                raise UsageError(f"{flag} needs {module}: pip install 'r2h_batch[{extra}]'")
+        _check_installed(options)
         if options.address:
             reach(options.address, options.ray_timeout)
-        options = sweep_jobs.with_trials(options)
-        files = sweep_jobs.load_files(options)
-        sweep_jobs.resolve(options)
+        request = requested(options)
+        methods, storage = request.methods, request.storage
+        files = sweep_jobs.load_files(methods)
+        sweep_jobs.resolve(methods, request.loop)
         start = time.perf_counter()
-        setting = sweep_jobs.prepare(options)
+        setting = sweep_jobs.set_up(request)
         planned, seconds = counted(setting.planned, "trials"), time.perf_counter() - start
         LOG.debug(f"ready in {seconds:.1f} s: {setting.evaluator!r}, {planned}")
-        jobs = sweep_jobs.make_jobs(options, files, setting)
-        new = not (Path(options.out) / "run.json").exists()
-        size = options.shard_trials or (shard_size(setting, jobs) if new else 0)
+        jobs = sweep_jobs.make_jobs(methods, files, setting)
+        new = not (storage.folder / "run.json").exists()
+        size = storage.shard_trials or (shard_size(setting, jobs) if new else 0)
         # the first of two sweeps that start together decides the shard size; the other takes it
         header = {**setting.header, "command": command, "shard_trials": size}
-        folder = open_run(options.out, header, exact=bool(options.shard_trials))
+        folder = open_run(storage.folder, header, exact=bool(storage.shard_trials))
         log_to(folder.folder / setting.own_file("log.txt"))
         if setting.labels:
             write_labels(folder.folder, setting.labels)
@@ -167,13 +162,26 @@ def _run(
         return _failed(error, Path(options.out))
     try:
         log = Log(folder.folder / setting.own_file("progress.json"))
-        return _score(Work(setting, jobs, folder, options, stopping, log))
+        return _score(Scoring(setting, jobs, folder, stopping, log), request)
     except OSError as error:
         return _failed(error, folder.folder)
     except Stopped:
         raise KeyboardInterrupt from None
     except (ClusterError, RunError) as error:  # RunError: somebody changed the folder meanwhile
         return refuse("sweep", error, 1)
+
+
+def _check_installed(options: Options) -> None:
+    """Raises `UsageError` where an option needs a package that is not installed."""
+    from importlib.util import find_spec
+
+    for module, flag, extra in (
+        ("ray" if options.engine == "ray" else "", "--engine ray", "ray"),
+        (options.log, f"--log {options.log}", options.log),
+        ("gymnasium" if options.receiver_motion else "", "--receiver-motion", "env"),
+    ):
+        if module and find_spec(module) is None:
+            raise UsageError(f"{flag} needs {module}: pip install 'r2h_batch[{extra}]'")
 
 
 def _failed(error: OSError, folder: Path) -> int:
@@ -184,17 +192,18 @@ def _failed(error: OSError, folder: Path) -> int:
     return failed("sweep", error, "writing the run folder")
 
 
-def _score(work: "Work") -> int:
+def _score(work: "Scoring", request: "Request") -> int:
     """Score what is missing or damaged, in this process or on a cluster; the exit code."""
     from r2h_batch.runs.store import mark_for_rerun
     from r2h_batch.sweep.cluster import score_on_ray
     from r2h_batch.sweep.engine import score_local
 
-    folder, options = work.folder, work.options
+    folder = work.folder
     for line in mark_for_rerun(folder.folder, folder.header):
         LOG.info(line)
-    refused = (score_on_ray if options.engine == "ray" else score_local)(work)
-    code = _finish(options, [j.name for j in work.jobs if j.name not in refused])
+    refused = score_on_ray(work, request) if request.work.cluster else score_local(work)
+    names = [j.name for j in work.jobs if j.name not in refused]
+    code = _finish(request.storage, names, alone=request.work.part[1] == 1)
     return 2 if refused else code
 
 
@@ -211,14 +220,16 @@ def _log(stored: "Run", kind: "LoggerName") -> None:
             logger.log({f"{place}/{name}": value for name, value in numbers.items()})
 
 
-def _finish(options: Options, names: list[str]) -> int:
-    """Print the table if every method of this sweep is complete, else what is left; the exit
-    code."""
+def _finish(storage: "Storage", names: list[str], *, alone: bool) -> int:
+    """Print the table if every method of this sweep is complete, else what is left; the exit code.
+
+    `alone`: no other part of this sweep scores what is left.
+    """
     from r2h_batch.report import table as report
     from r2h_batch.report.card import write_summary
     from r2h_batch.runs import store as results
 
-    stored = results.load_run(options.out)
+    stored = results.load_run(storage.folder)
     code = 0
     for name in names:
         if bad := [str(s.index) for s in stored.quarantined(name)]:
@@ -226,22 +237,22 @@ def _finish(options: Options, names: list[str]) -> int:
             code = 1
     left = {name: len(stored.missing(name)) for name in names if stored.missing(name)}
     if left and not code:
-        if options.part[1] == 1:
+        if alone:
             code = 1
         words = ", ".join(f"{name} {n}" for name, n in left.items())
         LOG.info(f"shards that other parts have to score: {words}; the table comes with the last")
     if names and not stored.unfinished:
         write_summary(stored)
-        if options.log:
-            _log(stored, options.log)
+        if storage.log:
+            _log(stored, storage.log)
     if names and not left:
-        sys.stdout.write(report.render(report.table_of(stored), options.format))
-        if options.receiver_motion:
+        sys.stdout.write(report.render(report.table_of(stored), storage.format))
+        if "episodes" in storage.kinds:
             from r2h_batch.report.closed_loop import render
 
             words = render(stored)
             (stored.folder / "closed_loop.md").write_text(words)
-            (sys.stdout if options.format == "md" else sys.stderr).write(f"\n{words}")
+            (sys.stdout if storage.format == "md" else sys.stderr).write(f"\n{words}")
         sys.stdout.flush()
-    LOG.info(f"run folder: {options.out}")
+    LOG.info(f"run folder: {storage.folder}")
     return code

@@ -31,7 +31,6 @@ from r2h_batch.runs.rows import (
 from r2h_batch.runs.store import SHARD_TRIALS, TRIES, RunFolder, Shard, ShardWriter, replace_json
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import CPU_CHUNK, Job, Setting
-from r2h_batch.sweep.options import Options
 from r2h_batch.types import Outcome, Predictions, Trials
 
 if TYPE_CHECKING:
@@ -123,18 +122,17 @@ def progress(name: str, total: int, *, log: Log | None = None) -> Iterator[Calla
 
 
 @dataclass(frozen=True)
-class Work:
-    """What a process scores: setting, jobs, the folder for rows, options, and what stops it."""
+class Scoring:
+    """What a process scores: setting, jobs, the folder for rows, and what stops it."""
 
     setting: Setting
     jobs: Sequence[Job]
     folder: RunFolder
-    options: Options
     stopping: Callable[[], bool]
     log: Log
 
 
-def score_local(work: Work) -> list[str]:
+def score_local(work: Scoring) -> list[str]:
     """Every job's shards of this part into the run folder, sharing them with other sweeps that work
     on it.
 
@@ -163,7 +161,7 @@ def score_local(work: Work) -> list[str]:
     return refused
 
 
-def _score_job(work: Work, job: Job, todo: list[Shard], advance: Callable[[int], None]) -> None:
+def _score_job(work: Scoring, job: Job, todo: list[Shard], advance: Callable[[int], None]) -> None:
     folder, stopping = work.folder, work.stopping
     since, printed = time.monotonic(), ""
     while todo:

@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import import_module
 from itertools import groupby
@@ -25,17 +25,14 @@ from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_st
 from r2h_batch.sweep.options import (
     METHODS,
     SEEN_BY,
-    Options,
     UsageError,
     base_of,
-    check,
-    execution_error,
     options_of,
     own_name,
     text_of_options,
 )
+from r2h_batch.sweep.request import Methods, Request, Work
 from r2h_batch.trials.benchmark.benchmark import Benchmark
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 from r2h_batch.trials.benchmark.trials_file import Labels
 from r2h_batch.trials.predictions import (
     Answers,
@@ -46,13 +43,13 @@ from r2h_batch.trials.predictions import (
     load_answers,
 )
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import SIDES, SPLITS
+from r2h_batch.verdicts import SIDES
 
 if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.methods.predictors import Observations, PredictorNoise
+    from r2h_batch.methods.predictors import Observations
     from r2h_batch.scene.objects import ObjectModel
     from r2h_batch.trials.noise import Errors
 
@@ -118,8 +115,39 @@ class Job:
     """for people: what it cannot answer, or what of it is not compared on a resume"""
 
 
-def prepare(options: Options) -> Setting:
-    """The setting that the options describe."""
+def set_up(request: Request) -> Setting:
+    """The setting of a sweep.
+
+    Raises:
+        UsageError: there is no such device, or a split without objects.
+        ValueError: one line about a file.
+    """
+    if request.work.device != "cpu" and not torch.cuda.is_available():
+        what = f"torch sees no CUDA device ({why_no_cuda()})"
+        raise UsageError(f"--device {request.work.device}: {what}; use --device cpu")
+    # a convex decomposition takes up to a minute: only where it is used
+    collision = request.configuration.plan.object_collision
+    benchmark = request.trials.read(pieces=collision == "pieces")
+    plan = request.trials.plan(benchmark)
+    config = benchmark.config(request.configuration)
+    setting = prepare(benchmark, plan, config, request.work, request.loop)
+    setting.header.update(
+        benchmark={"flags": request.trials.benchmark.flags()},
+        seed=request.methods.seed,
+        predictors=request.methods.about_predictors(),
+        stored=request.storage.kinds,
+    )
+    return setting
+
+
+def prepare(
+    benchmark: Benchmark,
+    plan: dict[str, int],
+    config: "EvalConfig",
+    work: Work,
+    loop: "Loop | None",
+) -> Setting:
+    """The setting of a plan (split -> trials of it); its header lacks what it does not depend on."""
     import platform
 
     from r2h_batch.evaluate import Evaluator
@@ -127,22 +155,11 @@ def prepare(options: Options) -> Setting:
     from r2h_batch.scene.robot import load_robot
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 
-    if options.device != "cpu" and not torch.cuda.is_available():
-        what = f"torch sees no CUDA device ({why_no_cuda()})"
-        raise UsageError(f"--device {options.device}: {what}; use --device cpu")
-    overrides = BenchmarkOverrides(
-        **{f.name: getattr(options, f.name) for f in fields(BenchmarkOverrides)}
-    )
-    if splits := overrides.said_splits():
-        _check_splits(options, splits)
-    # a convex decomposition takes up to a minute: only where it is used
-    benchmark = overrides.read(pieces=options.object_collision == "pieces")
-    loop = loop_of(options)
-    config, objects = benchmark.config(_configuration(options)), benchmark.objects
-    plan = _plan(options, benchmark)
-    count, where = min(max(plan.values()), DIGEST_TRIALS), options.device
+    count, objects = min(max(plan.values()), DIGEST_TRIALS), benchmark.objects
     first_trials = make_trials(list(plan), count, benchmark=benchmark)
-    evaluator = Evaluator.from_benchmark(benchmark, config, device=where, threads=options.threads)
+    evaluator = Evaluator.from_benchmark(
+        benchmark, config, device=work.device, threads=work.threads
+    )
     robot, execute = benchmark.robot, config.execute
     about_robot: dict[str, Any] = {"name": robot.name, "digest": robot.digest}
     if robot.ik_missed and robot.family != "ur":
@@ -151,6 +168,7 @@ def prepare(options: Options) -> Setting:
     if execute.sim != "none":
         motion |= {"model": execute.model, "step_s": execute.step_s}
         motion["sample_s"] = execute.step_s * execute.record_steps
+    sides = evaluator.scene.hands.set.side.tolist()
     header = {
         "protocol": benchmark.protocol,
         "trials": plan,
@@ -168,16 +186,10 @@ def prepare(options: Options) -> Setting:
         "robot": about_robot,
         "motion": motion,
         "objects": [_about_object(o) for o in objects],
-        "hands": [
-            [SIDES[s], len(list(g))] for s, g in groupby(evaluator.scene.hands.set.side.tolist())
-        ],
-        "benchmark": {"flags": overrides.flags()},
-        "seed": options.seed,
-        "predictors": _predictors(options),
-        "stored": options.stored,
+        "hands": [[SIDES[s], len(list(group))] for s, group in groupby(sides)],
         "device": {
-            "kind": options.device.partition(":")[0],
-            "name": provenance.device_name(options.device),
+            "kind": work.device.partition(":")[0],
+            "name": provenance.device_name(work.device),
         },
         "versions": provenance.versions(),
         "platform": platform.platform(),
@@ -188,10 +200,10 @@ def prepare(options: Options) -> Setting:
     def ids(first: int, last: int) -> torch.Tensor:
         return torch.from_numpy(trial_ids(plan, first, last))
 
-    own_chunk = CPU_CHUNK if options.device == "cpu" else evaluator.rows_at_once()
+    own_chunk = CPU_CHUNK if work.device == "cpu" else evaluator.rows_at_once()
     return Setting(
         evaluator, header, ids, partial(trials_of, benchmark), loop, benchmark.labels,
-        chunk=options.chunk or own_chunk, part=options.part,
+        chunk=work.chunk or own_chunk, part=work.part,
     )  # fmt: skip
 
 
@@ -208,117 +220,16 @@ def _about_object(model: "ObjectModel") -> dict[str, Any]:
     return fields if model.repair is None else {**fields, "repair": asdict(model.repair)}
 
 
-def _check_splits(options: Options, known: set[str]) -> None:
-    if missing := [s for s in SPLITS if s in options.splits and s not in known]:
-        how = f"give at least one, or --splits {' '.join(sorted(known))}"
-        raise UsageError(f"no object belongs to split {missing[0]}; {how}")
-
-
-def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
-    """Split -> trials of it."""
-    splits = [str(s) for s in SPLITS if s in options.splits]
-    if benchmark.listed is None:
-        _check_splits(options, {o.split for o in benchmark.objects})
-        return dict.fromkeys(splits, options.trials)
-    if options.trials != Options.trials:
-        words = "a trials file has its own number, so leave --trials out"
-        raise UsageError(f"--trials sets how many trials the protocol draws; {words}")
-    counts = {s: int((benchmark.listed.trial_id % 2 == SPLITS.index(s)).sum()) for s in splits}
-    if not any(counts.values()):
-        raise UsageError(f"the trials file has none of --splits {' '.join(splits)}")
-    return {s: n for s, n in counts.items() if n}
-
-
-def _configuration(options: Options) -> "EvalConfig":
-    """The preset with what the options change."""
-    from r2h_batch.config import EstimateConfig, EvalConfig, IkConfig
-
-    config = EvalConfig.preset(options.preset)
-    edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
-    hand = config.plan.hand if options.plan_hand == "preset" else options.plan_hand
-    collision = options.object_collision
-    plan = replace(config.plan, object_collision=collision, edge_check=edge_check, hand=hand)
-    # settings that no verdict uses stay at their defaults: runs that differ in them can be compared
-    estimate = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
-    sim = config.execute.sim if options.sim == "auto" else options.sim
-    execute = replace(config.execute, sim=sim, model=options.sim_model)
-    execute = replace(execute, sim=execute.engine(options.device))
-    return replace(
-        config, ik=IkConfig(options.ik), plan=plan, execute=execute, stability=options.stability,
-        width=config.width if options.width == "preset" else options.width,
-        reach=config.reach if options.reach == "preset" else options.reach,
-        estimate=estimate if hand == "estimated" else EstimateConfig(),
-        execution_error=execution_error(options.execution_error, options.seed),
-        candidates=config.candidates if options.candidates == "preset" else options.candidates,
-    )  # fmt: skip
-
-
-def _errors(options: Options) -> "Errors":
-    """The error model of the target hand that the options mean."""
-    from r2h_batch.config import EvalConfig
-
-    if options.hand_errors != "preset":
-        return options.hand_errors
-    return EvalConfig.preset(options.preset).estimate.errors
-
-
-def _noise(options: Options) -> "PredictorNoise":
-    """The error model of what the methods see."""
-    from r2h_batch.methods.predictors import PredictorNoise
-
-    return PredictorNoise(target_errors=_errors(options)).scaled(options.predictor_noise)
-
-
-def _predictors(options: Options) -> dict[str, Any]:
-    """What the methods see: the error model, which contact network (its file, or the files of its
-    Python module), and the files of networks' answers."""
-    contact: dict[str, Any] = {"built_in": "VoxNet"}
-    if spec := options.predictor:
-        files = [Path(spec)] if Path(spec).is_file() else load_function(spec).files().values()
-        contact = {"file": spec, "sha256": provenance.file_digest(files)}
-    networks = {
-        name: {"file": file, "sha256": provenance.file_digest([Path(file)])}
-        for name in SEEN_BY
-        if (file := getattr(options, name))
-    }
-    return {
-        "noise_factor": options.predictor_noise,
-        "noise": asdict(_noise(options)),
-        "contact": contact,
-        **networks,
-    }
-
-
-def with_trials(options: Options) -> Options:
-    """The options with --trials-from as the benchmark and the answers that it is read into, a folder
-    in the run folder."""
-    if not options.trials_from:
-        return options
-    from r2h_batch.data.release import imported
-
-    own = ("benchmark", "trials_file", "objects", "object_mesh", "hands", "hand_model", "protocol")
-    if taken := [name for name in own if getattr(options, name)]:
-        flag = taken[0].replace("_", "-")
-        raise UsageError(f"--{flag} and --trials-from both say the trials; give one of the two")
-    folder = imported(Path(options.trials_from), Path(options.out))
-    motions = folder / "motions.npz"
-    options = replace(options, benchmark=str(folder / "benchmark.yaml"))
-    if options.replan or not motions.exists():
-        file = str(folder / "predictions.npz")
-        return replace(options, predictions=(*options.predictions, file))
-    return replace(options, motions=(*options.motions, str(motions)))
-
-
 Files = list[tuple[str, str, Answers]]
 
 
-def load_files(options: Options) -> Files:
+def load_files(methods: Methods) -> Files:
     """(path, sha256, answers) of every file: refused before anything slow starts."""
-    loaded = [(path, load_answers(path)) for path in (*options.predictions, *options.motions)]
+    loaded = [(path, load_answers(path)) for path in (*methods.predictions, *methods.motions)]
     for path, answers in loaded:
-        if (answers.motions is not None) != (path in options.motions):
+        if (answers.motions is not None) != (path in methods.motions):
             flags = ("--predictions", "--motions")
-            flag, other = flags if path in options.predictions else flags[::-1]
+            flag, other = flags if path in methods.predictions else flags[::-1]
             words = f"{path}: {flag} needs {flag[2:]}, the file holds {other[2:]}; say {other}"
             raise PredictionsError(words)
         for words in doubts(answers.predictions, answers.motions):
@@ -326,13 +237,13 @@ def load_files(options: Options) -> Files:
     return [(path, provenance.file_digest([Path(path)]), answers) for path, answers in loaded]
 
 
-def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
+def make_jobs(methods: Methods, files: Files, setting: Setting) -> list[Job]:
     """Every method and file as a job, aligned with the plan; names must differ."""
-    _check_postures(options, setting.evaluator)
-    seen = _seen(options, setting)
-    if any(base_of(name) in METHODS for name in options.method):
-        check_grasps(setting.evaluator.scene, options.allow_empty_candidates)
-    jobs = [_method_job(name, setting.evaluator, options, seen) for name in options.method]
+    _check_postures(methods.names, setting.evaluator)
+    seen = _seen(methods.seen, setting)
+    if any(base_of(name) in METHODS for name in methods.names):
+        check_grasps(setting.evaluator.scene, methods.allow_empty_candidates)
+    jobs = [_method_job(name, setting.evaluator, methods, seen) for name in methods.names]
     for path, digest, answers in files:
         planned, answers = setting.ids(0, setting.planned), answers.named(setting.names, path)
         predictions, motions = answers.predictions, answers.motions
@@ -340,7 +251,7 @@ def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
         if motions is not None and motions.q.shape[1] != len(robot.joints) and len(motions.q):
             words = f"motions of {motions.q.shape[1]} joints; {robot.name} has {len(robot.joints)}"
             raise PredictionsError(f"{path}: {words}; name their robot with --robot")
-        rows = align(predictions, planned, source=path, allow_missing=options.allow_missing)
+        rows = align(predictions, planned, source=path, allow_missing=methods.allow_missing)
         kind = "predictions" if motions is None else "motions"
         source = {"kind": kind, "file": path, "sha256": digest}
         jobs.append(Job(predictions.method, source, partial(_rows_of, predictions), rows, motions))
@@ -355,11 +266,11 @@ def _rows_of(predictions: Predictions, _: Trials, rows: torch.Tensor | None) -> 
     return predictions if rows is None else predictions[rows]
 
 
-def _check_postures(options: Options, evaluator: "Evaluator") -> None:
+def _check_postures(names: Sequence[str], evaluator: "Evaluator") -> None:
     """Raises `UsageError` where hands without postures meet who needs them."""
     if getattr(evaluator.scene.hands.set, "skin", None) is None:
         return
-    needing = [m for m in options.method if base_of(m) in SEEN_BY["predicted_hands"]]
+    needing = [m for m in names if base_of(m) in SEEN_BY["predicted_hands"]]
     if evaluator.config.plan.hand == "estimated":
         needing.append("plan_hand=estimated")
     if needing:
@@ -367,16 +278,18 @@ def _check_postures(options: Options, evaluator: "Evaluator") -> None:
         raise UsageError(f"{needing[0]} {what}; take another method, or --set plan_hand=true")
 
 
-def _seen(options: Options, setting: Setting) -> "Observations | None":
-    """What networks of the user's saw, checked against the plan; None where no file is given."""
-    named = {name.removeprefix("predicted_"): getattr(options, name) for name in SEEN_BY}
-    files = {name: file for name, file in named.items() if file}
+def _seen(files: Mapping[str, str], setting: Setting) -> "Observations | None":
+    """What networks of the user's saw, checked against the plan; None where no file is given.
+
+    `files`: as `Methods.seen`.
+    """
     if not files:
         return None
     from r2h_batch.methods.predictors import read_observations
 
     scene = setting.evaluator.scene
-    seen = read_observations(scene.objects, scene.hands.model, **files)
+    named = {name.removeprefix("predicted_"): file for name, file in files.items()}
+    seen = read_observations(scene.objects, scene.hands.model, **named)
     planned = setting.ids(0, setting.planned)
     seen.check_plan(planned.numpy())
     if seen.parts is not None:
@@ -394,36 +307,24 @@ class _Method:
     options: Mapping[str, Any]
 
 
-def loop_of(options: Options) -> "Loop | None":
-    """How the handovers are played in closed loop; None: they are not."""
-    if not options.receiver_motion:
-        return None
-    from r2h_batch.closed_loop.env import LoopConfig
-    from r2h_batch.closed_loop.episodes import Loop
-    from r2h_batch.closed_loop.moving import ReceiverMotion
-
-    motion = ReceiverMotion.parse(options.receiver_motion, options.seed)
-    return Loop(motion, options.policy, LoopConfig(seed=options.seed))
-
-
-def resolve(options: Options) -> None:
+def resolve(methods: Methods, loop: "Loop | None" = None) -> None:
     """Raises `UsageError` or `ValueError` for a --method, --policy or --predictor that is not there, before
     anything slow starts."""
-    if (loop := loop_of(options)) is not None:
+    if loop is not None:
         from r2h_batch.closed_loop.episodes import policy_of
 
         try:
             policy_of(loop.policy)
         except (ImportError, TypeError) as error:
             raise UsageError(f"--policy {loop.policy}: {error}") from None
-    for name in options.method:
+    for name in methods.names:
         _method(name)
-    if options.predictor and options.predicted_contacts:
+    if methods.predictor and "predicted_contacts" in methods.seen:
         raise UsageError("--predictor and --predicted-contacts both say the contacts; give one")
-    if options.predictor:
+    if methods.predictor:
         from r2h_batch.methods.predictors import load_predictor
 
-        load_predictor(options.predictor, trust_code=options.trust_code)
+        load_predictor(methods.predictor, trust_code=methods.trust_code)
 
 
 def _function_of(word: str) -> str:
@@ -461,7 +362,7 @@ def _method(argument: str) -> _Method:
 
 
 def _method_job(
-    name: str, evaluator: "Evaluator", options: Options, seen: "Observations | None" = None
+    name: str, evaluator: "Evaluator", methods: Methods, seen: "Observations | None" = None
 ) -> Job:
     method, method_options = _method(name), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
@@ -484,25 +385,25 @@ def _method_job(
     if "noise" in takes:
         from r2h_batch.methods.predictors import load_predictor
 
-        extra["noise"] = _noise(options)
-        own = options.predictor if built_in and "predictor" in takes else ""
+        extra["noise"] = methods.noise
+        own = methods.predictor if built_in and "predictor" in takes else ""
         if own:
-            extra["predictor"] = load_predictor(own, trust_code=options.trust_code)
+            extra["predictor"] = load_predictor(own, trust_code=methods.trust_code)
         if seen is not None and "seen" in takes:
             extra["seen"] = seen
         if built_in:
             stand_in = Path(own).name or module.STAND_IN
             shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in module.SEES}
-            noise, errors = options.predictor_noise, _errors(options)
+            noise, errors = methods.noise_factor, methods.errors
             title = table_name(
                 module.TITLE, stand_in, noise, shown, module.SEES, method_options, errors=errors
             )
-        source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
+        source["predictors"] = json.dumps(methods.about_predictors(), sort_keys=True)
 
     def answer(trials: Trials) -> Predictions:
         before = set(sys.modules)
         with on_threads(evaluator.threads):
-            function = partial(method.found.function, seed=options.seed, **extra)
+            function = partial(method.found.function, seed=methods.seed, **extra)
             answer = answer_of(title, trials, lambda copied: function(copied, evaluator.scene))
         late = user_files(sys.modules.keys() - before)
         for k in late.keys() - files.keys() if not built_in else ():
@@ -562,11 +463,11 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         raise UsageError(f"run.json names the error model {named!r}; allowed are {allowed}")
     method_options = source.get("options", "")
     noise_factor = predictors.get("noise_factor", 1.0)
-    options = Options(
-        method=(f"{word},{method_options}" if method_options else word,), seed=header["seed"],
-        predictor_noise=noise_factor, hand_errors=cast(Errors, errors), allow_empty_candidates=True,
-    )  # fmt: skip
-    return _method_job(options.method[0], evaluator, check(options))
+    name = f"{word},{method_options}" if method_options else word
+    methods = Methods(
+        (name,), seed=header["seed"], noise_factor=noise_factor, errors=cast("Errors", errors)
+    )
+    return _method_job(name, evaluator, methods)
 
 
 SHOWN_AS = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}

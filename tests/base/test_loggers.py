@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fake_bench import prepare as prepare_fake
+from fake_bench import set_up as set_up_fake
 from needs import needs
 
 from r2h_batch.base.loggers import LOGGERS, Logger
@@ -17,7 +17,7 @@ from r2h_batch.sweep import jobs
 def test_a_sweep_writes_its_table_into_tensorboard(tmp_path, monkeypatch, capsys):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    monkeypatch.setattr(jobs, "prepare", prepare_fake)
+    monkeypatch.setattr(jobs, "set_up", set_up_fake)
     line = ["--method", "fake_bench:best", "--trials", "4", "--out", str(tmp_path / "run")]
     assert sweep.main([*line, "--log", "tensorboard"]) == 0
     (events,) = (tmp_path / "run" / "tensorboard").iterdir()

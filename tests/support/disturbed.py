@@ -45,7 +45,7 @@ class Fork:
             sys.stdout, sys.stderr = (os.fdopen(n, "w", buffering=1) for n in (1, 2))
             sys.argv = line
             os.environ.update(env)
-            jobs.prepare = fake_bench.prepare
+            jobs.set_up = fake_bench.set_up
             before()
             code = sweep.main(line[1:])
             sys.stdout.flush()

@@ -16,7 +16,8 @@ import torch
 from made_runs import NAMES, make_header, make_scores, make_trials
 
 from r2h_batch.sweep.jobs import CPU_CHUNK, Setting
-from r2h_batch.sweep.options import execution_error
+from r2h_batch.sweep.options import Options
+from r2h_batch.sweep.request import Request
 from r2h_batch.types import Outcome
 
 
@@ -51,17 +52,19 @@ class FakeEvaluator:
         )
 
 
-def prepare(options) -> Setting:
-    """The result of `jobs.prepare`, with a fake evaluator: trial ids are 0, 1, 2, ... in the plan's order."""
-    n = {s: options.trials if s in options.splits else 0 for s in ("S0", "S1")}
+def set_up(request: Request) -> Setting:
+    """The result of `jobs.set_up`, with a fake evaluator: trial ids are 0, 1, 2, ... in the plan's order."""
+    count = request.trials.count or Options.trials
+    n = {s: count if s in request.trials.splits else 0 for s in ("S0", "S1")}
     planned = {s: k for s, k in n.items() if k}
-    config = {"name": "default", "execution_error": asdict(execution_error(options.execution_error))}
-    more = {"seed": options.seed, "stored": options.stored, "configuration": config}
+    error = replace(request.configuration.execution_error, seed=0)
+    config = {"name": "default", "execution_error": asdict(error)}
+    more = {"seed": request.methods.seed, "stored": request.storage.kinds, "configuration": config}
     header = make_header(0, 0, trials=planned, **more)
     trials = make_trials(n["S0"], n["S1"])
     return Setting(
         FakeEvaluator(), header, lambda first, last: torch.arange(first, last), lambda ids: trials[ids],
-        chunk=options.chunk or CPU_CHUNK, part=options.part,
+        chunk=request.work.chunk or CPU_CHUNK, part=request.work.part,
     )  # fmt: skip
 
 
@@ -111,5 +114,5 @@ if __name__ == "__main__":
     from r2h_batch.sweep import command as sweep
     from r2h_batch.sweep import jobs
 
-    jobs.prepare = fake_bench.prepare
+    jobs.set_up = fake_bench.set_up
     sys.exit(sweep.main())

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 import torch
 from fake_bench import best
-from fake_bench import prepare as prepare_fake
+from fake_bench import set_up as set_up_fake
 from made_runs import NAMES, make_header, make_scores
 from made_runs import make_trials as planned
 
@@ -148,7 +148,7 @@ def fake(monkeypatch):
     mine.late, mine.best, mine.number = late, best, 3
     mine.other = lambda a, b, c, *, seed: None
     monkeypatch.setitem(sys.modules, "mine", mine)
-    monkeypatch.setattr(jobs, "prepare", prepare_fake)
+    monkeypatch.setattr(jobs, "set_up", set_up_fake)
 
 
 def test_other_methods_finish_when_one_answers_nonsense(fake, tmp_path, capsys):
@@ -178,7 +178,7 @@ def test_other_methods_finish_when_one_answers_nonsense(fake, tmp_path, capsys):
 def test_a_method_that_is_none_is_refused_before_any_preparation(fake, monkeypatch, tmp_path, capsys, spec, words):
     (tmp_path / "broken_rules.py").write_text("raise SystemExit(7)\n")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(jobs, "prepare", lambda options: pytest.fail("prepared before the method was looked for"))
+    monkeypatch.setattr(jobs, "set_up", lambda request: pytest.fail("prepared before the method was looked for"))
     assert sweep.main(["--method", spec, "--trials", "3", "--out", str(tmp_path / "run")]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1

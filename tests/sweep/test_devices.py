@@ -5,7 +5,7 @@ import sys
 import pytest
 import torch
 from fake_bench import FakeEvaluator, best
-from fake_bench import prepare as prepare_fake
+from fake_bench import set_up as set_up_fake
 
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
@@ -63,7 +63,7 @@ def test_a_gpu_that_is_lost_is_one_line_and_the_same_command_goes_on(what, who, 
     mine.best = method
     monkeypatch.setitem(sys.modules, "mine", mine)
     monkeypatch.setattr(FakeEvaluator, "score", score)
-    monkeypatch.setattr(jobs, "prepare", prepare_fake)
+    monkeypatch.setattr(jobs, "set_up", set_up_fake)
     line = ["--method", "mine:best", "--trials", "9", "--shard-trials", "3", "--out", str(tmp_path / "run")]
     assert sweep.main(line) == 1
     said = capsys.readouterr().err

@@ -9,6 +9,7 @@ import torch
 from r2h_batch.runs.store import RunError, load_run, open_run
 from r2h_batch.sweep import engine, jobs
 from r2h_batch.sweep.options import Options
+from r2h_batch.sweep.request import requested
 from r2h_batch.types import Outcome
 
 
@@ -32,7 +33,7 @@ class Failing(fake_bench.FakeEvaluator):
 
 
 def test_trials_that_the_simulator_failed_on_are_dumped_into_the_run_folder_and_others_are_not(tmp_path):
-    bench = replace(fake_bench.prepare(Options(method=("x",), trials=12, chunk=5)), evaluator=Failing())
+    bench = replace(fake_bench.set_up(requested(Options(method=("x",), trials=12, chunk=5))), evaluator=Failing())
     run = open_run(tmp_path / "run", {**bench.header, "shard_trials": 8})
     run.register("m", {"kind": "test"})
     for shard in run.todo("m"):
@@ -57,7 +58,7 @@ def predict(trials, _):
 def test_planned_ids_are_those_of_the_protocol_in_any_range(splits):
     from r2h_batch.trials.protocol import make_trials
 
-    plan = jobs.prepare(Options(method=("random",), trials=11, splits=splits))
+    plan = jobs.set_up(requested(Options(method=("random",), trials=11, splits=splits)))
     expected = make_trials([s for s in ("S0", "S1") if s in splits], 11)
     assert plan.planned == len(expected)
     assert plan.ids(0, plan.planned).tolist() == expected.trial_id.tolist()

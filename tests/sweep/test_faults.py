@@ -115,14 +115,14 @@ def test_a_shard_that_always_kills_the_sweep_comes_last_is_quarantined_listed_an
 
 
 def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
+    monkeypatch.setattr(jobs, "set_up", fake_bench.set_up)
     monkeypatch.setattr(store.pq, "write_table", lambda *a, **k: (_ for _ in ()).throw(OSError(28, "No space left")))
     line = ["--method", "fake_bench:best", "--trials", "6", "--out", str(tmp_path / "run")]
     for _ in range(4):
         assert sweep.main(line) == 1
     assert not list((tmp_path / "run" / ".claims").glob("*.begun"))
     monkeypatch.undo()
-    monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
+    monkeypatch.setattr(jobs, "set_up", fake_bench.set_up)
     mark = tmp_path / "run" / ".claims" / "fake_bench_best-000000.begun"
     mark.symlink_to(tmp_path / "elsewhere")
     assert sweep.main(line) == 1
@@ -140,7 +140,7 @@ def test_what_stands_in_the_place_of_a_runs_own_file_is_named_with_the_run_folde
     place, kind, tmp_path, monkeypatch, capsys
 ):
     """A line before that was of an inner file: `.progress.json.198102dc09de.tmp: Is a directory`."""
-    monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
+    monkeypatch.setattr(jobs, "set_up", fake_bench.set_up)
     out = tmp_path / "run"
     name = "fake_bench:best"
     line = ["--method", name, "--trials", "6", "--out", str(out)]

@@ -25,6 +25,8 @@ def test_a_variants_flags_and_options_are_a_sweeps():
 
     from r2h_batch.sweep import jobs
     from r2h_batch.sweep.options import parse
+    from r2h_batch.sweep.request import requested
 
     for v in sensitivity.variants():
-        jobs.resolve(parse(["--method", *v.methods, *(v.flags or sensitivity.BASE)]))
+        request = requested(parse(["--method", *v.methods, *(v.flags or sensitivity.BASE)]))
+        jobs.resolve(request.methods, request.loop)

@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from fake_bench import prepare as prepare_fake
+from fake_bench import set_up as set_up_fake
 
 from r2h_batch.base.user_code import user_files
 from r2h_batch.runs.store import load_run
@@ -48,7 +48,7 @@ def place(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    monkeypatch.setattr(jobs, "prepare", prepare_fake)
+    monkeypatch.setattr(jobs, "set_up", set_up_fake)
     yield tmp_path
     forget()
 

@@ -13,7 +13,7 @@ from r2h_batch.runs.provenance import file_digest
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
-from r2h_batch.sweep.options import Options
+from r2h_batch.sweep.request import Methods
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -23,14 +23,14 @@ def bench():
     return jobs.Setting(default_evaluator(), {}, lambda *_: None, lambda _: None)
 
 
-def names(bench, **options) -> list[str]:
-    return [j.name for j in jobs.make_jobs(Options(**options), [], bench)]
+def names(bench, **given) -> list[str]:
+    return [j.name for j in jobs.make_jobs(Methods(**given), [], bench)]
 
 
 def test_a_users_network_is_named_and_reaches_contact_alone(bench, tmp_path, monkeypatch):
     (tmp_path / "my_net.py").write_text("def half(grid):\n    return 0.5 * grid[:, 0]\n")
     monkeypatch.syspath_prepend(tmp_path)
-    given = jobs.make_jobs(Options(method=("fc", "contact"), predictor="my_net:half"), [], bench)
+    given = jobs.make_jobs(Methods(("fc", "contact"), predictor="my_net:half"), [], bench)
     assert [j.name for j in given] == ["FC-Handover (oracle hand + noise)", "Contact-Handover (my_net:half + noise)"]
     contact = {"file": "my_net:half", "sha256": file_digest([tmp_path / "my_net.py"])}
     assert json.loads(given[1].source["predictors"])["contact"] == contact

@@ -51,12 +51,12 @@ def fake(monkeypatch):
     """Replaces everything that needs geometry; `fake.evaluator` is the one of the last run."""
     state = SimpleNamespace(evaluator=None)
 
-    def prepare(options):
-        bench = fake_bench.prepare(options)
+    def set_up(request):
+        bench = fake_bench.set_up(request)
         state.evaluator = bench.evaluator
         return bench
 
-    monkeypatch.setattr(jobs, "prepare", prepare)
+    monkeypatch.setattr(jobs, "set_up", set_up)
     return state
 
 

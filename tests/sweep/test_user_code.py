@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from fake_bench import prepare as prepare_fake
+from fake_bench import set_up as set_up_fake
 
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
@@ -29,7 +29,7 @@ def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    monkeypatch.setattr(jobs, "prepare", prepare_fake)
+    monkeypatch.setattr(jobs, "set_up", set_up_fake)
     yield tmp_path
     for name in [n for n in sys.modules if n.startswith("uc_")]:
         del sys.modules[name]

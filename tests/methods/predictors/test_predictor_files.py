@@ -18,6 +18,7 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep.jobs import resolve
 from r2h_batch.sweep.options import parse
+from r2h_batch.sweep.request import requested
 from r2h_batch.trials.protocol import make_trials
 
 GRID = contact_grids(load_objects(["cup"]))
@@ -55,7 +56,7 @@ def test_torchscript_writes_no_file_unless_its_source_is_trusted(tmp_path, capsy
     assert sweep.main([*line, "--config", str(tmp_path / "mine.yaml")]) == 2
     assert "mine.yaml: trust_code is not an option of a file; add the flag --trust-code" in capsys.readouterr().err
     assert victim.read_text() == "mine"
-    resolve(parse([*line, "--trust-code"]))
+    resolve(requested(parse([*line, "--trust-code"])).methods)
     load_predictor(str(tmp_path / "net.pt"), trust_code=True)(GRID)
     assert victim.read_text() == "XXXX"
 

@@ -1,0 +1,292 @@
+"""What a sweep is asked for: `requested` turns the options of a command line into the benchmark, the
+configuration, the methods, the work and the storage. Nothing behind it sees the options."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from r2h_batch.base.user_code import load_function
+from r2h_batch.config import EstimateConfig, EvalConfig, IkConfig
+from r2h_batch.runs import provenance
+from r2h_batch.sweep.options import (
+    KINDS,
+    SEEN_BY,
+    Options,
+    UsageError,
+    execution_error,
+)
+from r2h_batch.trials.benchmark.build import BenchmarkOverrides
+from r2h_batch.verdicts import SPLITS
+
+if TYPE_CHECKING:
+    from r2h_batch.closed_loop.episodes import Loop
+    from r2h_batch.methods.predictors import PredictorNoise
+    from r2h_batch.trials.benchmark.benchmark import Benchmark
+    from r2h_batch.trials.noise import Errors
+
+
+@dataclass(frozen=True)
+class TrialPlan:
+    """Which trials are planned: the benchmark by its flags, splits, and how many of each."""
+
+    benchmark: BenchmarkOverrides
+    splits: tuple[str, ...]  # in the order of `SPLITS`
+    count: int | None  # None: not said
+
+    def read(self, *, pieces: bool) -> "Benchmark":
+        """The benchmark; `pieces` as `read_benchmark` takes it.
+
+        Raises:
+            ValueError: one line; a `UsageError` where a split has no object.
+        """
+        if splits := self.benchmark.said_splits():  # before any mesh is built
+            self._check_splits(splits)
+        return self.benchmark.read(pieces=pieces)
+
+    def plan(self, benchmark: "Benchmark") -> dict[str, int]:
+        """Split -> trials of it."""
+        if benchmark.listed is None:
+            self._check_splits({o.split for o in benchmark.objects})
+            return dict.fromkeys(self.splits, self.count or Options.trials)
+        if self.count is not None:
+            words = "a trials file has its own number, so leave --trials out"
+            raise UsageError(f"--trials sets how many trials the protocol draws; {words}")
+        listed = benchmark.listed.trial_id % 2
+        counts = {s: int((listed == SPLITS.index(s)).sum()) for s in self.splits}
+        if not any(counts.values()):
+            raise UsageError(f"the trials file has none of --splits {' '.join(self.splits)}")
+        return {s: n for s, n in counts.items() if n}
+
+    def _check_splits(self, known: set[str]) -> None:
+        if missing := [s for s in self.splits if s not in known]:
+            how = f"give at least one, or --splits {' '.join(sorted(known))}"
+            raise UsageError(f"no object belongs to split {missing[0]}; {how}")
+
+
+@dataclass(frozen=True)
+class Methods:
+    """Who answers, and what they see.
+
+    Attributes:
+        names: methods as `--method` names them.
+        predictions: files of poses.
+        motions: files of joint motions.
+        seed: of the methods.
+        noise_factor: on the error model of what they see.
+        errors: the error model of the target hand.
+        predictor: the contact network of the method contact; empty: the built-in one.
+        trust_code: whether it may be a program.
+        seen: key of `SEEN_BY` -> file of a network's answers.
+        allow_empty_candidates: count trials of objects without grasps as failures.
+        allow_missing: count trials that a file leaves out as failures.
+    """
+
+    names: tuple[str, ...] = ()
+    predictions: tuple[str, ...] = ()
+    motions: tuple[str, ...] = ()
+    seed: int = 0
+    noise_factor: float = 1.0
+    errors: "Errors" = "normal"
+    predictor: str = ""
+    trust_code: bool = False
+    seen: Mapping[str, str] = field(default_factory=dict)
+    allow_empty_candidates: bool = False
+    allow_missing: bool = False
+
+    @property
+    def noise(self) -> "PredictorNoise":
+        """The error model of what the methods see."""
+        from r2h_batch.methods.predictors import PredictorNoise
+
+        return PredictorNoise(target_errors=self.errors).scaled(self.noise_factor)
+
+    def about_predictors(self) -> dict[str, Any]:
+        """What run.json says of what the methods see: the error model, which contact network (its file,
+        or the files of its Python module), and the files of networks' answers."""
+        contact: dict[str, Any] = {"built_in": "VoxNet"}
+        if spec := self.predictor:
+            is_file = Path(spec).is_file()
+            files = [Path(spec)] if is_file else load_function(spec).files().values()
+            contact = {"file": spec, "sha256": provenance.file_digest(files)}
+        networks = {
+            name: {"file": file, "sha256": provenance.file_digest([Path(file)])}
+            for name, file in self.seen.items()
+        }
+        return {
+            "noise_factor": self.noise_factor,
+            "noise": asdict(self.noise),
+            "contact": contact,
+            **networks,
+        }
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """The Ray cluster that scores.
+
+    Attributes:
+        address: to join; empty: one on this machine.
+        timeout_s: after which a cluster that does not answer counts as lost.
+        workers: actors; 0: one for each GPU, or for each 4 CPUs.
+        gpus_per_worker: of each actor; 0: one with device cuda.
+    """
+
+    address: str
+    timeout_s: float
+    workers: int
+    gpus_per_worker: float
+
+
+@dataclass(frozen=True)
+class Work:
+    """How it is scored.
+
+    Attributes:
+        device: cpu, cuda or cuda:N.
+        threads: CPU threads; None: all cores.
+        chunk: trials scored at once; 0: what suits the device.
+        part: (I, N): part I of N.
+        cluster: None: this process scores.
+    """
+
+    device: str
+    threads: int | None
+    chunk: int
+    part: tuple[int, int]
+    cluster: Cluster | None
+
+
+@dataclass(frozen=True)
+class Storage:
+    """What is stored and shown.
+
+    Attributes:
+        folder: the run folder.
+        kinds: tables beside the trials.
+        shard_trials: trials of a shard; 0: a minute of work.
+        format: of the printed table.
+        log: logger that gets the table's numbers; empty: none.
+    """
+
+    folder: Path
+    kinds: list[str]
+    shard_trials: int
+    format: str
+    log: str
+
+
+@dataclass(frozen=True)
+class Request:
+    """A sweep: `loop` says how the handovers are also played in closed loop."""
+
+    trials: TrialPlan
+    configuration: EvalConfig
+    methods: Methods
+    work: Work
+    storage: Storage
+    loop: "Loop | None" = None
+
+
+def requested(options: Options) -> Request:
+    """What the options ask for. Trials of `--trials-from` are imported into the run folder.
+
+    Raises:
+        ValueError: one line about an option that cannot be.
+    """
+    options = _with_trials(options)
+    flags = {f.name: getattr(options, f.name) for f in fields(BenchmarkOverrides)}
+    splits = tuple(s for s in SPLITS if s in options.splits)
+    count = None if options.trials == Options.trials else options.trials
+    cluster = None
+    if options.engine == "ray":
+        cluster = Cluster(
+            options.address, options.ray_timeout, options.workers, options.gpus_per_worker
+        )
+    methods = Methods(
+        names=options.method, predictions=options.predictions, motions=options.motions,
+        seed=options.seed, noise_factor=options.predictor_noise, errors=_errors(options),
+        predictor=options.predictor, trust_code=options.trust_code,
+        seen={name: file for name in SEEN_BY if (file := getattr(options, name))},
+        allow_empty_candidates=options.allow_empty_candidates, allow_missing=options.allow_missing,
+    )  # fmt: skip
+    return Request(
+        TrialPlan(BenchmarkOverrides(**flags), splits, count),
+        _configuration(options),
+        methods,
+        Work(options.device, options.threads, options.chunk, options.part, cluster),
+        Storage(
+            Path(options.out), _stored(options), options.shard_trials, options.format, options.log
+        ),
+        _loop(options),
+    )
+
+
+def _with_trials(options: Options) -> Options:
+    """The options with --trials-from as the benchmark and the answers that it is read into, a folder
+    in the run folder."""
+    if not options.trials_from:
+        return options
+    from r2h_batch.data.release import imported
+
+    own = ("benchmark", "trials_file", "objects", "object_mesh", "hands", "hand_model", "protocol")
+    if taken := [name for name in own if getattr(options, name)]:
+        flag = taken[0].replace("_", "-")
+        raise UsageError(f"--{flag} and --trials-from both say the trials; give one of the two")
+    folder = imported(Path(options.trials_from), Path(options.out))
+    motions = folder / "motions.npz"
+    options = replace(options, benchmark=str(folder / "benchmark.yaml"))
+    if options.replan or not motions.exists():
+        file = str(folder / "predictions.npz")
+        return replace(options, predictions=(*options.predictions, file))
+    return replace(options, motions=(*options.motions, str(motions)))
+
+
+def _errors(options: Options) -> "Errors":
+    """The error model of the target hand."""
+    if options.hand_errors != "preset":
+        return options.hand_errors
+    return EvalConfig.preset(options.preset).estimate.errors
+
+
+def _configuration(options: Options) -> EvalConfig:
+    """The preset with what the options change."""
+    config = EvalConfig.preset(options.preset)
+    edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
+    hand = config.plan.hand if options.plan_hand == "preset" else options.plan_hand
+    collision = options.object_collision
+    plan = replace(config.plan, object_collision=collision, edge_check=edge_check, hand=hand)
+    # settings that no verdict uses stay at their defaults: runs that differ in them can be compared
+    estimate = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
+    sim = config.execute.sim if options.sim == "auto" else options.sim
+    execute = replace(config.execute, sim=sim, model=options.sim_model)
+    execute = replace(execute, sim=execute.engine(options.device))
+    return replace(
+        config, ik=IkConfig(options.ik), plan=plan, execute=execute, stability=options.stability,
+        width=config.width if options.width == "preset" else options.width,
+        reach=config.reach if options.reach == "preset" else options.reach,
+        estimate=estimate if hand == "estimated" else EstimateConfig(),
+        execution_error=execution_error(options.execution_error, options.seed),
+        candidates=config.candidates if options.candidates == "preset" else options.candidates,
+    )  # fmt: skip
+
+
+def _stored(options: Options) -> list[str]:
+    """Tables beside the trials; paths bring everything that opening a trial needs."""
+    played = ["episodes"] if options.receiver_motion else []
+    # nobody plans motions from a file again
+    if options.save_paths or options.motions or options.trials_from:
+        return [*KINDS, *played]
+    return [*([] if options.no_poses else ["poses"]), *played]
+
+
+def _loop(options: Options) -> "Loop | None":
+    """How the handovers are played in closed loop; None: they are not."""
+    if not options.receiver_motion:
+        return None
+    from r2h_batch.closed_loop.env import LoopConfig
+    from r2h_batch.closed_loop.episodes import Loop
+    from r2h_batch.closed_loop.moving import ReceiverMotion
+
+    motion = ReceiverMotion.parse(options.receiver_motion, options.seed)
+    return Loop(motion, options.policy, LoopConfig(seed=options.seed))
