@@ -5,12 +5,14 @@ The classes are frozen dataclasses. Their fields are held to their annotations w
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
 from r2h_batch.base.validate import one_of, validate_fields
+from r2h_batch.registry import PRESET_NAMES, EngineName, EngineWord
 
 HOME_Q = (-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483)
 """The arm's posture at the start of every trial, rad. The gripper points straight down, the TCP is
@@ -44,9 +46,6 @@ BORDERLINE_M = 1e-4
 
 PAD_SQUEEZE_CAP_M = 0.01
 """Largest deformation of both rubber pads together."""
-
-PRESETS = ("default", "paper", "release")
-"""Names of `EvalConfig.preset`."""
 
 HALF_DEGREE = math.radians(0.5)
 
@@ -241,7 +240,7 @@ class ExecConfig(_Checked):
     scale: Positive = 0.1
     max_velocity_rad_s: Positive = math.pi
     max_acceleration_rad_s2: Positive = 5.0
-    sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
+    sim: EngineWord = "auto"
     model: Literal["auto", "scene", "arm"] = "auto"
     step_s: Positive = 0.002
     record_steps: Annotated[int, Field(ge=1)] = 4
@@ -251,7 +250,7 @@ class ExecConfig(_Checked):
     settle_s: Positive = 12.0
     dwell_s: Positive = 0.5
 
-    def engine(self, device: str) -> Literal["none", "mujoco", "mjwarp"]:
+    def engine(self, device: str) -> EngineName:
         """The engine that `sim` means on a device (`cpu`, `cuda:0`)."""
         if self.sim != "auto":
             return self.sim
@@ -321,24 +320,41 @@ class EvalConfig(_Checked):
             name: `default`, `paper` to compare with the paper's figures, or `release` for the
                 definitions of the authors' public release (docs/release.md).
         """
-        if one_of(*PRESETS)("name", name) == "default":
-            return EvalConfig()
-        if name == "release":
-            return EvalConfig(
-                plan=PlanConfig(hand_clearance_m=0.0, range_rad=0.25, rounds=(200,), shortcuts=0),
-                execute=ExecConfig(
-                    scale=1.0, max_velocity_rad_s=0.6, max_acceleration_rad_s2=1e3, sim="none"
-                ),
-                candidates="narrow",
-                width="whole",
-                reach="hull",
-                averages="objects",
-                name="release",
-            )
-        plan = PlanConfig(goals="one", hand="estimated", edge_check="moveit", hand_clearance_m=0.0)
-        return EvalConfig(
-            plan=plan,
-            estimate=EstimateConfig(errors="tails"),
-            candidates="as-generated",
-            name="paper",
-        )
+        return MADE_BY[one_of(*PRESET_NAMES)("name", name)]()
+
+
+def _paper() -> EvalConfig:
+    plan = PlanConfig(goals="one", hand="estimated", edge_check="moveit", hand_clearance_m=0.0)
+    return EvalConfig(
+        plan=plan,
+        estimate=EstimateConfig(errors="tails"),
+        candidates="as-generated",
+        name="paper",
+    )
+
+
+def _release() -> EvalConfig:
+    return EvalConfig(
+        plan=PlanConfig(hand_clearance_m=0.0, range_rad=0.25, rounds=(200,), shortcuts=0),
+        execute=ExecConfig(
+            scale=1.0, max_velocity_rad_s=0.6, max_acceleration_rad_s2=1e3, sim="none"
+        ),
+        candidates="narrow",
+        width="whole",
+        reach="hull",
+        averages="objects",
+        name="release",
+    )
+
+
+MADE_BY: dict[str, Callable[[], EvalConfig]] = {
+    "default": EvalConfig,
+    "paper": _paper,
+    "release": _release,
+}
+"""Name of a preset -> the function that makes it."""
+
+if tuple(MADE_BY) != PRESET_NAMES:
+    raise ValueError(
+        f"registry.PRESETS names {', '.join(PRESET_NAMES)}; MADE_BY must name the same"
+    )

@@ -11,14 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base import rng
+from r2h_batch.registry import DEFAULT_PROTOCOL
 from r2h_batch.verdicts import SPLITS
 
-PROTOCOL = "r2h-v1"
-"""The default protocol."""
-RELEASE = "r2h-release"
-PROTOCOLS = ("r2h-v0", "r2h-v1", RELEASE)
-"""v0: hands alone, with a free roll. v1: hands on the arms of people (docs/receivers.md). release:
-palms, objects and place of the authors' public release (docs/release.md)."""
 _HAND = 0  # purpose of the random counters
 
 
@@ -75,7 +70,7 @@ def assign_hands(
     ids: NDArray[np.int64],
     side: NDArray[np.int64],
     sides: NDArray[np.int64],
-    protocol: str = PROTOCOL,
+    protocol: str = DEFAULT_PROTOCOL,
 ) -> NDArray[np.int64]:
     """The hand of each trial: a random one of its side, or of the other where there is none.
 

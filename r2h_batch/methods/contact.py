@@ -49,8 +49,6 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "Contact-Handover", "VoxNet, built-in contacts"
-SEES = ("receiving", "target", "contacts")
-"""Fields of `predictors.Observations` that the method is shown."""
 
 THRESHOLD = 0.4
 """Contact probability from which a point counts (published)."""

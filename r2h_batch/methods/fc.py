@@ -38,8 +38,6 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "FC-Handover", "oracle hand"
-SEES = ("receiving", "target")
-"""Fields of `predictors.Observations` that the method is shown."""
 
 ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""

@@ -44,8 +44,6 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "Handover-VA", "oracle labels"
-SEES = ("parts", "target")
-"""Fields of `predictors.Observations` that the method is shown."""
 
 VOXEL_M, CROP_M = 0.02, 0.10
 """Grid of grasp points, and half side of the box of obstacles about one (published)."""

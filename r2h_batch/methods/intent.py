@@ -53,8 +53,6 @@ from r2h_batch.trials.holding.instructions import ANYWHERE, intents_of, understa
 from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "Intent-Handover", "retrieval"
-SEES = ("receiving", "target")
-"""Fields of `predictors.Observations` that the method is shown."""
 
 ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""

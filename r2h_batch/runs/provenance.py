@@ -14,10 +14,13 @@ from typing import cast
 
 from r2h_batch.base.io.read import open_file
 from r2h_batch.base.package import FOLDERS, ROOT, VERSION
+from r2h_batch.registry import ENGINES
 
-PACKAGES = (
-    *("mujoco", "mujoco-warp", "numpy", "pyarrow", "pytorch-kinematics", "scikit-learn"),
-    *("scipy", "torch", "trimesh", "warp-lang"),
+PACKAGES = sorted(
+    {
+        *("numpy", "pyarrow", "pytorch-kinematics", "scikit-learn", "scipy", "torch", "trimesh"),
+        *("warp-lang", *(package for engine in ENGINES for package in engine.packages)),
+    }
 )
 """Packages whose version can change a verdict or a time."""
 

@@ -20,10 +20,10 @@ from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.user_code import HOW, UserFunction, load_function, user_files
+from r2h_batch.registry import METHOD_NAMES, METHODS
 from r2h_batch.runs import provenance
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import (
-    METHODS,
     SEEN_BY,
     UsageError,
     base_of,
@@ -241,7 +241,7 @@ def make_jobs(methods: Methods, files: Files, setting: Setting) -> list[Job]:
     """Every method and file as a job, aligned with the plan; names must differ."""
     _check_postures(methods.names, setting.evaluator)
     seen = _seen(methods.seen, setting)
-    if any(base_of(name) in METHODS for name in methods.names):
+    if any(base_of(name) in METHOD_NAMES for name in methods.names):
         check_grasps(setting.evaluator.scene, methods.allow_empty_candidates)
     jobs = [_method_job(name, setting.evaluator, methods, seen) for name in methods.names]
     for path, digest, answers in files:
@@ -334,7 +334,7 @@ def _function_of(word: str) -> str:
 
 def _method(argument: str) -> _Method:
     name = base_of(argument)
-    built_in = name in METHODS
+    built_in = name in METHOD_NAMES
     form = f"it must be {HOW}; the function takes (trials, scene, *, seed)"
     try:
         with own_streams(f"--method {name}"):
@@ -367,6 +367,7 @@ def _method_job(
     method, method_options = _method(name), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
     extra = dict(method.options)
+    sees = next((m.sees for m in METHODS if m.name == base_of(name)), ())
     if "evaluator" in takes:
         extra["evaluator"] = evaluator
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)
@@ -393,10 +394,10 @@ def _method_job(
             extra["seen"] = seen
         if built_in:
             stand_in = Path(own).name or module.STAND_IN
-            shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in module.SEES}
+            shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in sees}
             noise, errors = methods.noise_factor, methods.errors
             title = table_name(
-                module.TITLE, stand_in, noise, shown, module.SEES, method_options, errors=errors
+                module.TITLE, stand_in, noise, shown, sees, method_options, errors=errors
             )
         source["predictors"] = json.dumps(methods.about_predictors(), sort_keys=True)
 
@@ -421,7 +422,7 @@ def _method_job(
         if hasattr(module, "METHOD_FILES"):
             lines = ()
         return Job(title, source, lambda trials, _: answer(trials), lines=lines)
-    coverage = coverage_of(name, getattr(module, "SEES", ()), evaluator.scene, seen)
+    coverage = coverage_of(name, sees, evaluator.scene, seen)
 
     def covered(trials: Trials, _: Any) -> Predictions:
         return coverage.answer(trials, answer)
@@ -452,7 +453,7 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
     predictors = header.get("predictors", {})
     function = source.get("function", "")
     word = function.removeprefix("r2h_batch.methods.").removesuffix(":predict").replace("_", "-")
-    if function != _function_of(word) or word not in METHODS:
+    if function != _function_of(word) or word not in METHOD_NAMES:
         raise NotBuiltIn("only built-in methods can be called again")
     if files := [k for k, v in predictors.items() if isinstance(v, dict) and "file" in v]:
         raise NotBuiltIn(f"{', '.join(files)} came from files of its own, which are not opened")

@@ -7,13 +7,6 @@ from typing import Literal
 
 Line = tuple[str, ...]
 
-ABOUT = {
-    "r2h-v0": "hands alone, any roll about the palm's normal",
-    "r2h-v1": "hands on the arms of people who stand and reach",
-    "r2h-release": "palms, objects, table and home of the authors' release",
-}
-"""Protocol -> what its trials are."""
-
 
 def ls(
     what: Literal["methods", "objects", "robots", "protocols", "runs"],
@@ -39,9 +32,9 @@ def ls(
 def _methods() -> Iterator[Line]:
     from importlib import import_module
 
-    from r2h_batch.sweep.options import METHODS
+    from r2h_batch.registry import METHOD_NAMES
 
-    for name in METHODS:
+    for name in METHOD_NAMES:
         words = import_module(f"r2h_batch.methods.{name.replace('-', '_')}").__doc__ or ""
         yield name, " ".join(words.partition(".\n")[0].partition(";")[0].split()).rstrip(".")
 
@@ -64,10 +57,10 @@ def _robots() -> Iterator[Line]:
 
 
 def _protocols() -> Iterator[Line]:
-    from r2h_batch.base.schedule import PROTOCOL, PROTOCOLS
+    from r2h_batch.registry import DEFAULT_PROTOCOL, PROTOCOLS
 
-    for name in PROTOCOLS:
-        yield name, ABOUT.get(name, ""), "default" if name == PROTOCOL else ""
+    for entry in PROTOCOLS:
+        yield entry.name, entry.about, "default" if entry.name == DEFAULT_PROTOCOL else ""
 
 
 def _runs(folder: Path) -> Iterator[Line]:

@@ -19,18 +19,27 @@ from r2h_batch.base.command_line import UsageError, nearest, read
 from r2h_batch.base.io.read import FileError
 from r2h_batch.base.user_code import HOW
 from r2h_batch.base.validate import expand_home
+from r2h_batch.registry import (
+    DEFAULT_PROTOCOL,
+    METHOD_NAMES,
+    METHODS,
+    PRESETS,
+    PROTOCOLS,
+    EngineWord,
+    PresetName,
+    ProtocolWord,
+)
 
 if TYPE_CHECKING:
     from r2h_batch.config import ExecutionError
 
-METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
-"""Built-in methods: modules of `r2h_batch.methods` (- as _) with a `predict(trials, scene, *,
-seed)`, which may also take `evaluator`, `noise`, `predictor` (sweep/jobs.py)."""
-
 SEEN_BY = {
-    "predicted_hands": ("fc", "handover-va", "contact", "intent"),
-    "predicted_parts": ("handover-va",),
-    "predicted_contacts": ("contact",),
+    name: tuple(m.name for m in METHODS if set(m.sees) & set(kinds))
+    for name, kinds in {
+        "predicted_hands": ("receiving", "target"),
+        "predicted_parts": ("parts",),
+        "predicted_contacts": ("contacts",),
+    }.items()
 }
 """Files of networks' answers -> the methods that are shown them."""
 
@@ -50,6 +59,13 @@ class Flag(NamedTuple):
 
 GROUPS = ("methods", "trials", "verdict", "output", "work")
 """Groups of the help, in order."""
+
+
+_PROTOCOL_HELP = "; ".join(
+    f"{p.name}{' (default)' if p.name == DEFAULT_PROTOCOL else ''}: {p.help}"
+    for p in sorted(PROTOCOLS, key=lambda p: p.name != DEFAULT_PROTOCOL)
+)
+_PRESET_HELP = "; ".join(f"{p.name}: {p.help}" for p in PRESETS)
 
 
 @dataclass(frozen=True)
@@ -80,14 +96,7 @@ class Options:
         tuple[Literal["S0", "S1"], ...],
         Flag("S0: free handover; S1: functional handover", "trials"),
     ] = ("S0", "S1")
-    protocol: Annotated[
-        Literal["", "r2h-v0", "r2h-v1", "r2h-release"],
-        Flag(
-            "r2h-v1 (default): hands of people who reach; r2h-v0: hands alone; r2h-release: palms, objects "
-            "and table of the authors' release",
-            "trials",
-        ),
-    ] = ""
+    protocol: Annotated[ProtocolWord, Flag(_PROTOCOL_HELP, "trials")] = ""
     receiver: Annotated[
         Literal["", "hand", "body"],
         Flag("what planning and Safe see: hand (default), or body (with r2h-v1)", "trials"),
@@ -119,16 +128,9 @@ class Options:
     ] = ""
     hands: Annotated[str, Flag("another hand set: .npz of import hands", "trials")] = ""
     hand_model: Annotated[str, Flag("MANO_RIGHT.pkl, or .npz of import hand")] = ""
-    preset: Annotated[
-        Literal["default", "paper", "release"],
-        Flag(
-            "default: certified planning to any IK branch; paper: one goal, sampled edges, as in the paper; "
-            "release: the rules of the authors' release",
-            "verdict",
-        ),
-    ] = "default"
+    preset: Annotated[PresetName, Flag(_PRESET_HELP, "verdict")] = "default"
     sim: Annotated[
-        Literal["auto", "none", "mujoco", "mjwarp"],
+        EngineWord,
         Flag(
             "engine that moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset release",
             "verdict",
@@ -390,13 +392,13 @@ def check(options: Options) -> Options:
     """The options, or a `UsageError` about the first that cannot be."""
     if not (options.method or options.predictions or options.motions or options.trials_from):
         flags = "--predictions FILE, --motions FILE or --trials-from FILE"
-        raise UsageError(f"nothing to score: give --method {' '.join(METHODS)}, {flags}")
+        raise UsageError(f"nothing to score: give --method {' '.join(METHOD_NAMES)}, {flags}")
     bases = [base_of(name) for name in options.method]
     for name, base in zip(options.method, bases, strict=True):
-        if base not in METHODS and ":" not in base:
-            allowed = f"allowed are {', '.join(METHODS)} or your own {HOW}"
-            raise UsageError(f"unknown method {base!r}{nearest(base, METHODS)}; {allowed}")
-        if base in METHODS and own_name(name):
+        if base not in METHOD_NAMES and ":" not in base:
+            allowed = f"allowed are {', '.join(METHOD_NAMES)} or your own {HOW}"
+            raise UsageError(f"unknown method {base!r}{nearest(base, METHOD_NAMES)}; {allowed}")
+        if base in METHOD_NAMES and own_name(name):
             words = f"{base} is built in and keeps its name in tables; leave {own_name(name)}= out"
             raise UsageError(f"--method {name}: {words}")
     least = {"trials": 1, "threads": 1, "shard_trials": 0, "chunk": 0, "workers": 0}

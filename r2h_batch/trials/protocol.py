@@ -11,7 +11,8 @@ release (palms.py).
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -23,17 +24,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
-from r2h_batch.base.schedule import (
-    PROTOCOL,
-    PROTOCOLS,
-    RELEASE,
-    assign_hands,
-    assign_objects,
-    trial_ids,
-)
+from r2h_batch.base.schedule import assign_hands, assign_objects, trial_ids
 from r2h_batch.base.validate import instance_of, integer, one_of, optional, sequence_of
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig, Workplace
+from r2h_batch.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
 from r2h_batch.scene.bounds import capsule_of_shape
 from r2h_batch.scene.hand import HandSet, palm_frame
 from r2h_batch.scene.objects import ObjectModel, checked_objects
@@ -103,7 +98,7 @@ def make_trials(
     if len(set(splits)) != len(splits):
         raise ValueError(f"splits are {', '.join(splits)}; each may be given once")
     trials = integer(0, MOST_TRIALS)("trials", trials)
-    optional(one_of(*PROTOCOLS))("protocol", protocol)
+    optional(one_of(*PROTOCOL_NAMES))("protocol", protocol)
     if benchmark is not None:
         instance_of((Benchmark, str, Path), "a file, or read_benchmark(FILE)")(
             "benchmark", benchmark
@@ -126,7 +121,7 @@ def make_trials(
         hand_set=hand_set,
         robot=robot,
         config=config,
-        protocol=protocol or PROTOCOL,
+        protocol=protocol or DEFAULT_PROTOCOL,
     )
 
 
@@ -166,7 +161,7 @@ def trials_with_ids(
     hand_set: HandSet | None = None,
     robot: Robot | None = None,
     config: EvalConfig | None = None,
-    protocol: str = PROTOCOL,
+    protocol: str = DEFAULT_PROTOCOL,
 ) -> Trials:
     """The trials of these ids, in this order, on the CPU.
 
@@ -189,17 +184,14 @@ def trials_with_ids(
     ids = trial_id.cpu().numpy().copy()
     if len(ids) and ids.min() < 0:
         raise ValueError(f"trial id {ids.min()} is negative; ids are 2 i (S0) and 2 i + 1 (S1)")
-    one_of(*PROTOCOLS)("protocol", protocol)
+    one_of(*PROTOCOL_NAMES)("protocol", protocol)
     optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
     optional(instance_of(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
-    with_people, defaults = protocol == PROTOCOLS[1], built_in(protocol)
+    with_people, defaults = protocol in WITH_BODIES, built_in(protocol)
     objects = defaults.objects if objects is None else checked_objects(objects)
     robot = defaults.robot if robot is None else robot
     config = defaults.config() if config is None else config
     hands = _hands(defaults.hand_set if hand_set is None else hand_set)
-    offset = np.zeros((len(objects), 3))
-    if protocol == RELEASE:
-        offset = np.array([palms.reference_offset(o) for o in objects])
     object_index, side = assign_objects(ids, [o.split for o in objects])
     hand_index = np.zeros(len(ids), np.int64)
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
@@ -208,16 +200,12 @@ def trials_with_ids(
         rows = slice(first, first + _ROWS)
         hand_index[rows] = assign_hands(ids[rows], side[rows], hands.side, protocol)
         try:
-            if with_people:
-                T_world_hand[rows], receiver[rows] = _draw_people(
-                    ids[rows], hand_index[rows], hands, robot, config, protocol
-                )
-            elif protocol == RELEASE:
-                T_world_hand[rows] = _draw_palms(
-                    ids[rows], hand_index[rows], hands, offset[object_index[rows]]
-                )
-            else:
-                T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, robot, config)
+            place = Place(hands, robot, config, objects)
+            T_world_hand[rows], people = _DRAWS[protocol](
+                rng.key_of(protocol), ids[rows], hand_index[rows], object_index[rows], place
+            )
+            if people is not None:
+                receiver[rows] = people
         except rng.NothingFits as error:
             raise ValueError(
                 f"no place for a hand where {protocol} draws them: {error}. Table (center {config.workplace.table_center}, half "
@@ -241,7 +229,7 @@ def trials_digest(trials: Trials, *, objects: Sequence[ObjectModel] | None = Non
     """
     instance_of(Trials, "make_trials(...)")("trials", trials)
     names = dict(enumerate(o.name for o in checked_objects(objects)))
-    digest = hashlib.sha256(f"{PROTOCOLS[0 if trials.receiver is None else 1]}\n".encode())
+    digest = hashlib.sha256(b"r2h-v0\n" if trials.receiver is None else b"r2h-v1\n")
     digest.update(trials.trial_id.cpu().numpy().astype("<i8").tobytes())
     digest.update(
         "\n".join(names.get(i, f"object {i}") for i in trials.object_index.tolist()).encode()
@@ -300,16 +288,47 @@ def _hands(hand_set: HandSet) -> _Hands:
     return _Hands(hand_set)
 
 
+@dataclass(frozen=True)
+class Place:
+    """The things among which hands are placed."""
+
+    hands: _Hands
+    robot: Robot
+    config: EvalConfig
+    objects: Sequence[ObjectModel]
+
+
+Drawn = tuple[NDArray[np.float32], NDArray[np.float32] | None]
+"""T_world_hand (n, 4, 4), and `Trials.receiver` (n, 5, 4) of a protocol whose receivers have bodies."""
+Draw = Callable[
+    [tuple[int, int], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Place], Drawn
+]
+"""Draws n trials: from a key of random counters, trial ids, hand and object indices (n,), and a place.
+A row may depend on nothing but these: a trial is the same alone or among a million."""
+_DRAWS: dict[str, Draw] = {}
+
+
+def draws(protocol: str) -> Callable[[Draw], Draw]:
+    """Register the function that draws a protocol's trials, under its name in `registry.PROTOCOLS`."""
+
+    def register(function: Draw) -> Draw:
+        _DRAWS[one_of(*PROTOCOL_NAMES)("protocol", protocol)] = function
+        return function
+
+    return register
+
+
+@draws("r2h-v0")
 def _draw_poses(
+    key: tuple[int, int],
     ids: NDArray[np.int64],
     hand_index: NDArray[np.int64],
-    hands: _Hands,
-    robot: Robot,
-    config: EvalConfig,
-) -> NDArray[np.float32]:
-    """T_world_hand (n, 4, 4), each the first proposal of its trial that lies in the reachable
-    set."""
-    key, offset_m = rng.key_of(PROTOCOLS[0]), config.thresholds.reach_offset_m
+    object_index: NDArray[np.int64],
+    place: Place,
+) -> Drawn:
+    """Hands alone: each the first proposal of its trial that lies in the reachable set."""
+    hands, robot, config = place.hands, place.robot, place.config
+    offset_m = config.thresholds.reach_offset_m
 
     def propose(
         rows: NDArray[np.int64], attempt: int | NDArray[np.int64]
@@ -334,20 +353,27 @@ def _draw_poses(
 
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
     rng.accepted(len(ids), propose, T_world_hand)
-    return T_world_hand
+    return T_world_hand, None
 
 
+@draws(RELEASE)
 def _draw_palms(
-    ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands, offset: Array
-) -> NDArray[np.float32]:
-    """T_world_hand (n, 4, 4) of palms that `palms.draw_palms` draws; `offset` (n, 3) as there."""
-    world, palm = palms.draw_palms(rng.key_of(RELEASE), ids, offset)
+    key: tuple[int, int],
+    ids: NDArray[np.int64],
+    hand_index: NDArray[np.int64],
+    object_index: NDArray[np.int64],
+    place: Place,
+) -> Drawn:
+    """Palms in the release's box (`palms.draw_palms`)."""
+    offset = np.array([palms.reference_offset(o) for o in place.objects])[object_index]
+    world, palm = palms.draw_palms(key, ids, offset)
+    hands = place.hands
     n, a = hands.palm_normal[hand_index], hands.along[hand_index]
     R = _from_frames(world, np.stack([a, np.cross(n, a), n], 2))
     T = np.zeros((len(ids), 4, 4), np.float32)
     T[:, :3, :3], T[:, 3, 3] = R, 1.0
     T[:, :3, 3] = palm - se3.rotate(R, hands.palm_point[hand_index])
-    return T
+    return T, None
 
 
 def _from_frames(world: Array, local: Array) -> Array:
@@ -358,17 +384,17 @@ def _from_frames(world: Array, local: Array) -> Array:
     return np.asarray(R)
 
 
+@draws("r2h-v1")
 def _draw_people(
+    key: tuple[int, int],
     ids: NDArray[np.int64],
     hand_index: NDArray[np.int64],
-    hands: _Hands,
-    robot: Robot,
-    config: EvalConfig,
-    protocol: str,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """T_world_hand (n, 4, 4) and `Trials.receiver` (n, 5, 4): the first proposal in r2h-v0's
-    reachable set (ball centre and palm), whose hand is clear as there, and whose arm is clear of
-    the table and of the robot at home."""
+    object_index: NDArray[np.int64],
+    place: Place,
+) -> Drawn:
+    """People who reach: the first proposal in r2h-v0's reachable set (ball centre and palm), whose hand
+    is clear as there, and whose arm is clear of the table and of the robot at home."""
+    hands, robot, config = place.hands, place.robot, place.config
     offset_m, at = config.thresholds.reach_offset_m, config.workplace
 
     def place_hand(
@@ -410,9 +436,7 @@ def _draw_people(
         return fits, T[clear], people
 
     edge_m = round(at.table_center[0] + at.table_half[0], 6)
-    return receivers.draw_receivers(
-        rng.key_of(protocol), ids, hands.side[hand_index], place_hand, edge_m
-    )
+    return receivers.draw_receivers(key, ids, hands.side[hand_index], place_hand, edge_m)
 
 
 def _in_set(center: Array, room: "Room") -> NDArray[np.bool_]:
@@ -524,4 +548,10 @@ def _home(robot: Robot, home_q: tuple[float, ...]) -> tuple[Array, Array, Array]
         np.round(ee_pose(robot, home_q)[:3, 3], 9),
         np.round(ends, 9),
         np.round([c[1] for c in capsules], 9),
+    )
+
+
+if set(_DRAWS) != set(PROTOCOL_NAMES):
+    raise ValueError(
+        f"registry.PROTOCOLS names {', '.join(PROTOCOL_NAMES)}; draws() must name each"
     )

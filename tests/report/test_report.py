@@ -133,7 +133,7 @@ def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):
 def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only_when_asked(
     tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(common, "PROTOCOLS", ("made",))
+    monkeypatch.setattr(common, "PROTOCOL_NAMES", ("made",))
     of = {"digests": {"trials": "1" * 16, "objects": "a", "hand_set": "b"}}
     other = {
         **of,

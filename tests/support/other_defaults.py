@@ -18,13 +18,13 @@ def everything() -> dict[str, np.ndarray]:
     from r2h_batch import Evaluator, make_trials, reward
     from r2h_batch.base.twist import exp, log
     from r2h_batch.methods.predictors import PredictorNoise
-    from r2h_batch.sweep.options import METHODS
+    from r2h_batch.registry import METHOD_NAMES
 
     trials = make_trials(("S0", "S1"), 1)
     evaluator = Evaluator(device="cpu", threads=1)
     out = dict(vars(trials))
     answers = {}
-    for name in METHODS:
+    for name in METHOD_NAMES:
         function = import_module(f"r2h_batch.methods.{name.replace('-', '_')}").predict
         names = function.__code__.co_varnames
         given = {"evaluator": evaluator, "noise": PredictorNoise()}

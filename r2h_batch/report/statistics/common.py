@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.schedule import PROTOCOLS
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of
 from r2h_batch.config import EvalConfig
+from r2h_batch.registry import PROTOCOL_NAMES
 from r2h_batch.runs.store import FOREIGN, Run
 from r2h_batch.verdicts import SPLITS
 
@@ -101,7 +101,9 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
         names = [{i: name for i, (name, _) in run.labels.items()} for run in (a, b)]
         return "" if names[0] == names[1] else "the names of their trials"
     same_plan = left["trials"] == right["trials"]
-    follow = left["protocol"] in PROTOCOLS and {"objects", "hand_set"} <= left["digests"].keys()
+    follow = (
+        left["protocol"] in PROTOCOL_NAMES and {"objects", "hand_set"} <= left["digests"].keys()
+    )
     if not same_plan and not follow:
         return f"trials ({_other_keys(left['trials'], right['trials'])})"
     skipped = set(FINER) if same_plan else {"trials", *FINER}

@@ -22,6 +22,7 @@ from r2h_batch.base.validate import check_arguments, instance_of, integer, optio
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.levels import Form, planning_form
+from r2h_batch.registry import PROTOCOL_NAMES
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
 from r2h_batch.runs.store import TIMING, Entry, Run, RunError
@@ -31,7 +32,7 @@ from r2h_batch.sweep.options import UsageError
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides, benchmark_of_run
 from r2h_batch.trials.benchmark.trials_file import LISTED
 from r2h_batch.trials.predictions import Motions
-from r2h_batch.trials.protocol import PROTOCOLS, trials_of
+from r2h_batch.trials.protocol import trials_of
 from r2h_batch.types import Predictions, Trials
 
 if TYPE_CHECKING:
@@ -121,8 +122,8 @@ class Judge:
         instance_of(Run, "what load_run(FOLDER) gives")("run", run)
         optional(instance_of(BenchmarkOverrides, "flags of the benchmark"))("given", given)
         header, where = run.header, run.folder
-        if header["protocol"] not in (*PROTOCOLS, LISTED):
-            words = f"this version makes the trials of {', '.join(PROTOCOLS)}"
+        if header["protocol"] not in (*PROTOCOL_NAMES, LISTED):
+            words = f"this version makes the trials of {', '.join(PROTOCOL_NAMES)}"
             raise RunError(f"{where}: protocol {header['protocol']!r}; {words}")
         config = configuration(header["configuration"], str(where))
         self.benchmark = benchmark_of_run(header, given or BenchmarkOverrides(), str(where))

@@ -10,17 +10,14 @@ from typing import Literal, Self
 
 import numpy as np
 
-from r2h_batch.base.schedule import PROTOCOL, PROTOCOLS, RELEASE
 from r2h_batch.base.validate import instance_of, optional
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
+from r2h_batch.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
 from r2h_batch.scene.hand import HandSet, load_hand_set, neutral_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects, without_region
 from r2h_batch.scene.robot import Robot, load_robot
 from r2h_batch.trials.benchmark.trials_file import LISTED, Labels
 from r2h_batch.types import Trials
-
-WITH_BODIES = PROTOCOLS[1]
-"""The protocol whose trials have receivers with a body."""
 
 RELEASE_S0 = (
     *("bottle", "bowl", "can", "cup"),
@@ -56,8 +53,8 @@ class Benchmark:
     """trials of its own (`trials_file.py`); None: the protocol draws them"""
     labels: Labels | None = None
     """what the owner of listed trials calls them; judges nothing, so the digest leaves it out"""
-    drawn: str = PROTOCOL
-    """the protocol that draws trials: of `schedule.PROTOCOLS`"""
+    drawn: str = DEFAULT_PROTOCOL
+    """the protocol that draws trials: of `registry.PROTOCOLS`"""
     robot: Robot = field(default_factory=load_robot)
     persons: Literal["for-robot", "as-for-ur5e"] = "for-robot"
     """where persons stand: as the protocol places them for the robot's home and reach, or for the
@@ -74,15 +71,15 @@ class Benchmark:
         checked_objects(self.objects)
         if not self.objects:
             raise ValueError("a benchmark needs at least one object")
-        if self.drawn not in PROTOCOLS:
+        if self.drawn not in PROTOCOL_NAMES:
             raise ValueError(
-                f"Benchmark.drawn is {self.drawn!r}; allowed are {', '.join(PROTOCOLS)}"
+                f"Benchmark.drawn is {self.drawn!r}; allowed are {', '.join(PROTOCOL_NAMES)}"
             )
         if self.receiver not in ("hand", "body"):
             raise ValueError(f"Benchmark.receiver is {self.receiver!r}; allowed are hand, body")
-        if self.receiver == "body" and self.protocol != WITH_BODIES:
+        if self.receiver == "body" and self.protocol not in WITH_BODIES:
             raise ValueError(
-                f"receiver is body, trials of {self.protocol} have none; take {WITH_BODIES}"
+                f"receiver is body, trials of {self.protocol} have none; take {' or '.join(WITH_BODIES)}"
             )
 
     @cached_property
@@ -95,7 +92,7 @@ class Benchmark:
         if self.robot != load_robot():  # a folder may give another one its name
             digest.update(f"robot {self.robot.digest} {self.persons}\n".encode())
         # it says how hands stand in these trials
-        if self.protocol == WITH_BODIES and self.hand_set.in_body is not None:
+        if self.protocol in WITH_BODIES and self.hand_set.in_body is not None:
             digest.update(self.hand_set.in_body.contiguous().numpy().tobytes())
         for part in (self.thresholds, self.workplace):
             digest.update(json.dumps(asdict(part), sort_keys=True).encode())
@@ -148,7 +145,7 @@ class Benchmark:
 
 
 @cache
-def built_in(protocol: str = PROTOCOL) -> Benchmark:
+def built_in(protocol: str = DEFAULT_PROTOCOL) -> Benchmark:
     """This package's own benchmark of a protocol.
 
     Args:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.read import FileError, path_within, printable, read_file, read_npy
-from r2h_batch.base.schedule import PROTOCOL, PROTOCOLS, RELEASE
 from r2h_batch.config import Workplace
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.mano import hand_from
+from r2h_batch.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.hand import (
@@ -41,7 +41,7 @@ from r2h_batch.scene.objects import (
 )
 from r2h_batch.scene.robot import ROBOTS, Robot, load_robot, read_robot
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
-from r2h_batch.trials.benchmark.benchmark import WITH_BODIES, Benchmark, built_in
+from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
 from r2h_batch.trials.benchmark.flags import BenchmarkFlags
 from r2h_batch.trials.benchmark.model import (
     BUILT_IN,
@@ -365,7 +365,7 @@ class BenchmarkOverrides(BenchmarkFlags):
         Raises:
             ValueError: one line, mostly a `FileError`.
         """
-        base = built_in(self.protocol or PROTOCOL)
+        base = built_in(self.protocol or DEFAULT_PROTOCOL)
         if self.benchmark:
             base = read_benchmark(self.benchmark, pieces=pieces)
         objects = _objects_of(Path(self.objects), pieces) if self.objects else base.objects
@@ -385,9 +385,9 @@ class BenchmarkOverrides(BenchmarkFlags):
             how = "draws trials, and these are listed; give one of the two"
             raise FileError(f"--protocol {self.protocol} {how}")
         drawn, seen = self.protocol or base.drawn, self.receiver or base.receiver
-        if seen == "body" and (listed is not None or drawn != WITH_BODIES):
+        if seen == "body" and (listed is not None or drawn not in WITH_BODIES):
             named = "listed trials" if listed is not None else f"trials of {drawn}"
-            how = f"take --protocol {WITH_BODIES}, or --receiver hand"
+            how = f"take --protocol {' or '.join(WITH_BODIES)}, or --receiver hand"
             raise FileError(f"--receiver body: {named} have no body; {how}")
         if other or listed is not base.listed or (drawn, seen) != (base.drawn, base.receiver):
             base = replace(
@@ -530,8 +530,8 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
         FileError: the flags give another benchmark; the message says what to give.
     """
     protocol, digests = header["protocol"], header["digests"]
-    if protocol not in (*PROTOCOLS, LISTED):
-        known = f"this version makes the trials of {', '.join(PROTOCOLS)}"
+    if protocol not in (*PROTOCOL_NAMES, LISTED):
+        known = f"this version makes the trials of {', '.join(PROTOCOL_NAMES)}"
         raise FileError(f"{where}: protocol {protocol!r}; {known}")
     robots = [
         f.partition(" ")[2]

@@ -16,6 +16,7 @@ from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.read import FileError, printable, read_yaml
 from r2h_batch.base.validate import rule_of
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
+from r2h_batch.registry import DEFAULT_PROTOCOL, ProtocolName
 from r2h_batch.scene.objects import BUILT_IN_NAMES, OBJECT_NAMES, ObjectModel, load_objects
 from r2h_batch.scene.robot import DEFAULT_ROBOT
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, VERB_WORDS
@@ -142,8 +143,8 @@ class BenchmarkFile(_Entry):
     relative to this one, beside or below it."""
 
     format: Literal[1] = 1
-    protocol: Literal["r2h-v0", "r2h-v1", "r2h-release"] = Field(
-        default="r2h-v1", description="the rule that draws the trials"
+    protocol: ProtocolName = Field(
+        default=DEFAULT_PROTOCOL, description="the rule that draws the trials"
     )
     receiver: Literal["hand", "body"] = Field(
         default="hand",

@@ -9,6 +9,7 @@ import tyro
 from r2h_batch.base.command_line import UsageError, check_range, counted
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import check_output_file, check_output_folder
+from r2h_batch.registry import ProtocolWord
 from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
 
 MOST_TRIALS = 10**6
@@ -60,7 +61,7 @@ def scene(
 def trials(
     *,
     out: Path,
-    protocol: Literal["", "r2h-v0", "r2h-v1", "r2h-release"] = "",
+    protocol: ProtocolWord = "",
     trials: int = 500,
     splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1"),
     benchmark: BenchmarkFlags = BUILT_IN,

@@ -11,13 +11,13 @@ from made_runs import make_header, make_scores, make_trials
 
 from r2h_batch.__main__ import main
 from r2h_batch.base.schedule import PROTOCOL, trial_ids
+from r2h_batch.registry import METHOD_NAMES
 from r2h_batch.report.compare.command import FOLDERS, baselines_for, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import pair_up
 from r2h_batch.runs.rows import TrialNames, score_rows
 from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.sweep.command import main as sweep
-from r2h_batch.sweep.options import METHODS
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
@@ -25,7 +25,7 @@ def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
     run = load_run(folder)
     assert run.header["trials"] == {"S0": 500, "S1": 500} and not run.unfinished
     assert {e.source["function"] for e in run.entries} == {
-        f"r2h_batch.methods.{m.replace('-', '_')}:predict" for m in METHODS
+        f"r2h_batch.methods.{m.replace('-', '_')}:predict" for m in METHOD_NAMES
     }
     assert baselines_for(run.header) == folder
 

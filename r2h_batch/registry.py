@@ -1,0 +1,95 @@
+"""What a command line can name: protocols, presets, engines and methods, each an entry here and a function
+in its folder. Standard library only.
+
+Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.POLICIES`, robots of
+`scene.robot.ROBOTS`.
+"""
+
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+
+class Protocol(NamedTuple):
+    """A rule that draws trials. `trials/protocol.py` has its function, under `draws(NAME)`."""
+
+    name: str
+    help: str  # of --protocol
+    about: str  # for `ls protocols`
+    bodies: bool = False  # receivers have arms and a torso
+
+
+RELEASE = "r2h-release"
+PROTOCOLS = (
+    Protocol("r2h-v0", "hands alone", "hands alone, any roll about the palm's normal"),
+    Protocol(
+        "r2h-v1",
+        "hands of people who reach",
+        "hands on the arms of people who stand and reach",
+        bodies=True,
+    ),
+    Protocol(
+        RELEASE,
+        "palms, objects and table of the authors' release",
+        "palms, objects, table and home of the authors' release",
+    ),
+)
+DEFAULT_PROTOCOL = "r2h-v1"
+PROTOCOL_NAMES = tuple(entry.name for entry in PROTOCOLS)
+WITH_BODIES = tuple(entry.name for entry in PROTOCOLS if entry.bodies)
+"""Protocols whose receivers have arms and a torso."""
+
+
+class Preset(NamedTuple):
+    """A named configuration. `config.py` has its function, in `MADE_BY`."""
+
+    name: str
+    help: str
+
+
+PRESETS = (
+    Preset("default", "certified planning to any IK branch"),
+    Preset("paper", "one goal, sampled edges, as in the paper"),
+    Preset("release", "the rules of the authors' release"),
+)
+PRESET_NAMES = tuple(entry.name for entry in PRESETS)
+
+
+class Engine(NamedTuple):
+    """A simulator. `judge/motion/sim_NAME.py` has its `simulate`."""
+
+    name: str
+    packages: tuple[str, ...]  # whose versions can change its motions
+
+
+ENGINES = (
+    Engine("mujoco", ("mujoco",)),
+    Engine("mjwarp", ("mujoco-warp", "warp-lang")),
+)
+ENGINE_NAMES = tuple(entry.name for entry in ENGINES)
+
+
+class Method(NamedTuple):
+    """A built-in method. `methods/NAME.py` (- as _) has its `predict(trials, scene, *, seed)`, which may
+    also take `evaluator`, `noise`, `predictor` and `seen`."""
+
+    name: str
+    sees: tuple[str, ...] = ()  # fields of `predictors.Observations` that it is shown
+
+
+METHODS = (
+    Method("random"),
+    Method("oracle"),
+    Method("fc", ("receiving", "target")),
+    Method("handover-va", ("parts", "target")),
+    Method("contact", ("receiving", "target", "contacts")),
+    Method("intent", ("receiving", "target")),
+)
+METHOD_NAMES = tuple(entry.name for entry in METHODS)
+
+if TYPE_CHECKING:
+    ProtocolName = ProtocolWord = PresetName = EngineName = EngineWord = str
+else:  # in a checked field: one of the names; a word may also be empty, or leave the choice open
+    ProtocolName = Literal[PROTOCOL_NAMES]
+    ProtocolWord = Literal[("", *PROTOCOL_NAMES)]
+    PresetName = Literal[PRESET_NAMES]
+    EngineName = Literal[("none", *ENGINE_NAMES)]
+    EngineWord = Literal[("auto", "none", *ENGINE_NAMES)]
