@@ -534,7 +534,7 @@ class Evaluator:
         scores = pose_scores(trials.trial_id, shared, goal, nearest, body_m=body_m)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             poses = T_obj_ee, T_world_ee
-            return differentiable(scene, config, scores, poses, held, goal)
+            return differentiable(scene, config, scores, poses, held, goal, nearest)
         return scores
 
     def _judge(

@@ -101,6 +101,12 @@ def judge(evidence: Evidence) -> list[Criterion]:
     return [functions[entry.name](evidence) for entry in REGISTRY]
 
 
+def margin_of(name: str, evidence: Evidence) -> Float32[Tensor, " b"]:
+    """The margin of one criterion, m."""
+    margin: Tensor = globals()[name](evidence).margin
+    return margin
+
+
 def stability(e: Evidence) -> Criterion:
     """Stability(g) <=> w_O(g) <= w_max, and something is held that the open gripper does not cut
     into.

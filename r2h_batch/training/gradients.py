@@ -17,6 +17,7 @@ to first order (Danskin):
                           base's axis. Arms without a closed form: what the nearest posture misses
     Plan, start           the nearest pair at home. Of T_obj_ee
     Safe                  nearest points of the hand's mesh and a robot primitive at the goal; as Plan
+    any other criterion   torch follows the poses through its function in judge/metrics.py
 """
 
 from dataclasses import replace
@@ -30,7 +31,9 @@ from torch import Tensor
 from r2h_batch.base import se3
 from r2h_batch.base.soft import with_gradient
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, Thresholds
+from r2h_batch.judge import metrics
 from r2h_batch.judge.attach import AttachedBatch
+from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.grasp import CUT_CAP_M
 from r2h_batch.judge.ik import ROTATION_LEVER_M
@@ -47,13 +50,14 @@ def differentiable(
     poses: tuple[Float[Tensor, "b 4 4"], Float[Tensor, "b 4 4"]],
     held: AttachedBatch,
     goal: Goal,
+    nearest: NearestApproach,
 ) -> Scores:
     """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses; rows
     that are no poses do not.
 
     `poses`: T_obj_ee and T_world_ee as they were given, with their history.
     """
-    changes = MarginChanges(scene, config.thresholds, scores, held, goal)
+    changes = MarginChanges(scene, config, scores, held, goal, nearest)
     first_order_only = [FirstOrderOnly.apply(T) for T in poses]
     return replace(scores, margin=with_gradient(scores.margin, changes(*first_order_only)))
 
@@ -102,12 +106,18 @@ class MarginChanges:
     def __init__(
         self,
         scene: Scene,
-        thresholds: Thresholds,
+        config: EvalConfig,
         scores: Scores,
         held: AttachedBatch,
         goal: Goal,
+        nearest: NearestApproach,
     ) -> None:
         self.held, self.goal, self.evaluated = held, goal, scores.evaluated
+        thresholds = config.thresholds
+        slip_m = scores.slip_m.double() if config.stability == "physics" else None
+        self.evidence = metrics.Evidence(
+            scene, config, held, goal.free, held.active, goal.clearance_m, goal.reason, nearest, slip_m
+        )
         margin = scores.margin.detach()
         by_name = dict(zip(CRITERIA, margin.unbind(1), strict=True))
         self.robot = scene.robot
@@ -247,9 +257,16 @@ class MarginChanges:
         plan = torch.where(self.unreachable, missed, se3.dot(self.goal.push, apart))
         changes = {"stability": stability, "plan": plan, "reach": reach}
         changes |= {"affordance": affordance, "safe": safe}
-        # a criterion without a first-order change here has the gradient 0
-        out = torch.stack([changes.get(name, torch.zeros_like(safe)) for name in CRITERIA], 1)
+        moved = replace(held, T_obj_ee=T_obj_ee, T_world_ee=T_world_ee, attached=attached)
+        others = [name for name in CRITERIA if name not in changes]
+        changes |= {name: self._followed(name, moved) for name in others}
+        out = torch.stack([changes[name] for name in CRITERIA], 1)
         return torch.where(self.evaluated, out, torch.zeros_like(out))
+
+    def _followed(self, name: str, held: AttachedBatch) -> Float[Tensor, " b"]:
+        """The margin of a criterion without witnesses here, as its own function computes it: torch
+        follows the poses through it, and through no Warp kernel."""
+        return metrics.margin_of(name, replace(self.evidence, held=held))
 
     def _missed(self, T_world_ee: Tensor) -> Float[Tensor, " b"]:
         """By how much the arm misses the poses that it does not reach; without a closed form, by

@@ -63,7 +63,7 @@ def test_poses_come_back_bit_for_bit_even_when_they_are_not_numbers(tmp_path):
     run = open_run(tmp_path / "run", make_header(4, 4, stored=["poses"]))
     run.register("m", {})
     with run.write("m", *run.todo("m")) as writer:
-        scores = make_scores(trials, np.array([0, 0, 6, 6, 0, 0, 0, 0]))  # 6: invalid_input
+        scores = make_scores(trials, np.array([0, 0, Outcome.INVALID_INPUT, Outcome.INVALID_INPUT, 0, 0, 0, 0]))
         writer.append(trials=score_rows(trials, scores, NAMES), poses=pose_rows(predictions))
     table = load_run(tmp_path / "run").poses("m")
     for name in ("T_obj_ee", "T_world_ee"):

@@ -13,7 +13,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.runs import store as results
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, pose_rows, score_rows
 from r2h_batch.runs.store import RunFolder, open_run, sha256_of
-from r2h_batch.types import CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
+from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
 
 OBJECTS = ("bowl", "cup", "eyeglasses", "hammer", "knife", "scissors")
 NAMES = TrialNames(
@@ -22,7 +22,8 @@ NAMES = TrialNames(
     hand_sides=("right", "right", "left", "left"),
     parts=("base", "forearm", "left_pad"),
 )
-FAILED = {Outcome.STABILITY: 0, Outcome.PLAN: 1, Outcome.REACH: 2, Outcome.AFFORDANCE: 3, Outcome.SAFE: 4}
+FAILED = {Outcome[name.upper()]: column for column, name in enumerate(CRITERIA)}
+PLAN, REACH, AFFORDANCE, SAFE = (CRITERIA.index(name) for name in ("plan", "reach", "affordance", "safe"))
 TABLE_1 = Path(__file__).resolve().parents[2] / "r2h_batch" / "sweep" / "study" / "paper" / "table1.csv"
 
 
@@ -52,18 +53,18 @@ def make_scores(
     n = len(outcome)
     s1 = trials.object_index.numpy() >= 3 if s1 is None else s1
     invalid = outcome >= Outcome.INVALID_INPUT
-    passed, evaluated = np.ones((n, 5), bool), np.ones((n, 5), bool)
+    passed, evaluated = np.ones((n, len(CRITERIA)), bool), np.ones((n, len(CRITERIA)), bool)
     for code, column in FAILED.items():
         passed[outcome == code, column] = False
-    passed[np.isin(outcome, [Outcome.STABILITY, Outcome.PLAN]), 2] = False
-    evaluated[outcome == Outcome.PLAN, 4] = False
-    evaluated[~s1, 3] = False
+    passed[np.isin(outcome, [Outcome.STABILITY, Outcome.PLAN]), REACH] = False
+    evaluated[outcome == Outcome.PLAN, SAFE] = False
+    evaluated[~s1, AFFORDANCE] = False
     evaluated[invalid] = False
     passed &= evaluated
     margin = np.where(passed, 0.01, -0.02).astype(np.float32)
     margin[~evaluated] = np.nan
-    margin[outcome == Outcome.PLAN, 1] = -np.inf
-    has_path = evaluated[:, 1] & passed[:, 1]
+    margin[outcome == Outcome.PLAN, PLAN] = -np.inf
+    has_path = evaluated[:, PLAN] & passed[:, PLAN]
     lengths = np.where(has_path, 2 + np.arange(n) % 3, 0)
     path = np.random.default_rng(7).normal(size=(n, 5, 6)).astype(np.float32)
     reason = np.where(outcome == Outcome.PLAN, PlanReason.IK_IN_COLLISION, PlanReason.OK)
@@ -191,7 +192,11 @@ def read_json(path: Path) -> dict:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-OUTCOMES = np.array([0, 1, 2, 3, 5, 6, 7, 0, 4, 5, 2, 0])
+_O = Outcome
+OUTCOMES = np.array([
+    *(_O.SUCCESS, _O.STABILITY, _O.PLAN, _O.REACH, _O.SAFE, _O.INVALID_INPUT, _O.INVALID_SIM),
+    *(_O.SUCCESS, _O.AFFORDANCE, _O.SAFE, _O.PLAN, _O.SUCCESS),
+])  # fmt: skip
 
 
 def write(folder, outcome=OUTCOMES, method="m", **changes):

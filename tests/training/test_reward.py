@@ -23,7 +23,7 @@ def scores() -> Scores:
 def test_margins_are_finite_clipped_and_agree_with_the_verdict(scores):
     for limit in (0.05, 0.01, 1.0):
         m = reward.margin_vector(scores, limit_m=limit)
-        assert m.shape == (N * K, 5) and torch.isfinite(m).all() and (m.abs() <= limit).all()
+        assert m.shape == (N * K, len(CRITERIA)) and torch.isfinite(m).all() and (m.abs() <= limit).all()
         judged = scores.outcome < int(Outcome.INVALID_INPUT)
         assert (m[~judged] == -limit).all() and (~judged).any()
         inside = scores.evaluated & (scores.margin.abs() < limit)
