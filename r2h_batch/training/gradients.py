@@ -116,7 +116,15 @@ class MarginChanges:
         thresholds = config.thresholds
         slip_m = scores.slip_m.double() if config.stability == "physics" else None
         self.evidence = metrics.Evidence(
-            scene, config, held, goal.free, held.active, goal.clearance_m, goal.reason, nearest, slip_m
+            scene,
+            config,
+            held,
+            goal.free,
+            held.active,
+            goal.clearance_m,
+            goal.reason,
+            nearest,
+            slip_m,
         )
         margin = scores.margin.detach()
         by_name = dict(zip(CRITERIA, margin.unbind(1), strict=True))

@@ -200,7 +200,8 @@ _TALLY = instance_of(Tally, "what tally(RUN, METHOD) gives")
 
 @check_arguments(counted=_TALLY, split=one_of(*SPLITS))
 def split_row(counted: Tally, split: str) -> Row:
-    """The table line of a split. The rate of a criterion that the split does not require is None.
+    """The table line of a split. The rate of a criterion that the split does not require, or that came after
+    these rows, is None.
 
     Args:
         counted: a method's trials.
@@ -209,7 +210,7 @@ def split_row(counted: Tally, split: str) -> Row:
     Raises:
         ValueError: if a trial fails a criterion that its split does not require.
     """
-    return _row(counted.method, split, counted.of_split(split).by("object", "outcome"))
+    return _row(counted, split, counted.of_split(split).by("object", "outcome"))
 
 
 @check_arguments(counted=_TALLY, split=one_of(*SPLITS))
@@ -218,10 +219,10 @@ def object_rows(counted: Tally, split: str) -> dict[str, Row]:
     cells: dict[str, list[dict[str, Any]]] = {name: [] for name in counted.objects}
     for cell in counted.of_split(split).by("object", "outcome"):
         cells[cell["object"]].append(cell)
-    return {name: _row(counted.method, split, own) for name, own in cells.items() if own}
+    return {name: _row(counted, split, own) for name, own in cells.items() if own}
 
 
-def _row(method: str, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
+def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
     """The table line of the trials in these cells, each of one object and outcome."""
     counts = dict.fromkeys(OUTCOME_NAMES, 0)
     trials, successes = Counter[str](), Counter[str]()
@@ -232,10 +233,10 @@ def _row(method: str, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
     n = trials.total()
     rates = {rate: _rate(sum(counts[o] for o in of_it), n) for rate, of_it in RATES.items()}
     for rate, entry in FAILURES.items():
-        if split not in entry.splits:
-            if failed := counts[entry.name]:
-                what = f"trials failed {entry.name.capitalize()}, which {split} skips"
-                raise ValueError(f"{method}: {failed} {split} {what}")
+        if split not in entry.splits and (failed := counts[entry.name]):
+            what = f"trials failed {entry.name.capitalize()}, which {split} skips"
+            raise ValueError(f"{counted.method}: {failed} {split} {what}")
+        if split not in entry.splits or entry.name not in counted.judged:
             rates[rate] = None
 
     def added(name: str) -> tuple[float, int]:
@@ -252,7 +253,7 @@ def _row(method: str, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
     shares = {name: added(name) for name in SHARES}
     return Row(
         split=split,
-        method=method,
+        method=counted.method,
         n=n,
         counts=counts,
         rates=rates,

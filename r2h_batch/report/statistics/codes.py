@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
 
 UNEVALUATED, FAILED, PASSED = 0, 1, 2
@@ -35,12 +36,24 @@ def states(table: pa.Table) -> dict[str, np.ndarray]:
     }
 
 
-def first_failures(state: Mapping[str, np.ndarray], split: np.ndarray) -> np.ndarray:
+def judged_by(run: Run, method: str) -> tuple[str, ...]:
+    """The criteria that a method's rows were judged by, in the order of `CRITERIA`: all but those that
+    came after its rows."""
+    if not any(entry.since for entry in REGISTRY) or not sum(run.planned(method).values()):
+        return CRITERIA
+    columns = run.shard("trials", method, 0).column_names
+    return tuple(name for name in CRITERIA if f"passed_{name}" in columns)
+
+
+def first_failures(
+    state: Mapping[str, np.ndarray], split: np.ndarray, judged: Sequence[str] = CRITERIA
+) -> np.ndarray:
     """The outcome that the criteria of each trial give.
 
     Args:
         state: criterion -> (N,) `UNEVALUATED`, `FAILED` or `PASSED`.
         split: (N,) int, place in `SPLITS`.
+        judged: criteria that the rows were judged by (`judged_by`).
 
     Returns:
         (N,) int8 code of `Outcome`: the first failed criterion, or success; -1 if no criterion
@@ -50,7 +63,7 @@ def first_failures(state: Mapping[str, np.ndarray], split: np.ndarray) -> np.nda
     unseen = np.zeros(len(split), bool)
     for entry in reversed(REGISTRY):
         found[state[entry.name] == FAILED] = Outcome[entry.name.upper()]
-        required = np.array([name in entry.splits for name in SPLITS])
+        required = np.array([s in entry.splits and entry.name in judged for s in SPLITS])
         unseen |= (state[entry.name] == UNEVALUATED) & required[split]
     found[unseen & (found == Outcome.SUCCESS)] = -1
     return found

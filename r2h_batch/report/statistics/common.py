@@ -9,8 +9,9 @@ from typing import Any
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of
 from r2h_batch.config import EvalConfig
 from r2h_batch.registry import PROTOCOL_NAMES
+from r2h_batch.report.statistics.codes import judged_by
 from r2h_batch.runs.store import FOREIGN, Run
-from r2h_batch.verdicts import SPLITS
+from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS
 
 FINER = ("apart_from_objects", "each_object")
 """Digests of parts of what other digests cover; older runs lack them."""
@@ -86,7 +87,23 @@ def common_trials(
             "The shipped baselines were scored by an earlier version of the code; "
             "the project's tests check that this version gives the same verdicts."
         )
+    notes += _lacking(runs)
     return Common(trials, tuple(notes))
+
+
+def _lacking(runs: Sequence[Run]) -> list[str]:
+    """A note for each run whose rows are older than a criterion by which another run was judged."""
+    since = {entry.name: entry.since for entry in REGISTRY}
+    judged = [{name for m in run.methods for name in judged_by(run, m)} for run in runs]
+    notes = []
+    for run, own in zip(runs, judged, strict=True):
+        if lacks := [c for c in CRITERIA if c not in own and any(c in other for other in judged)]:
+            named = ", ".join(f"{c} (since {since[c]})" for c in lacks)
+            notes.append(
+                f"The rows of {run.folder.name} lack {named}: their SR counts trials as successes that were not"
+                " judged by it."
+            )
+    return notes
 
 
 def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) -> str:

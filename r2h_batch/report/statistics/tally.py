@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from r2h_batch.config import BORDERLINE_M
-from r2h_batch.report.statistics.codes import first_failures, states
+from r2h_batch.report.statistics.codes import first_failures, judged_by, states
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
@@ -45,12 +45,14 @@ class Tally:
             evaluated), the number n of trials, its successes, and for each of `SECONDS` and `SHARES`
             the NAME_sum of its values (seconds, or 0 and 1) and the NAME_count of trials that have
             one.
+        judged: criteria that the rows were judged by.
     """
 
     method: str
     splits: tuple[str, ...]
     objects: tuple[str, ...]
     groups: pa.Table
+    judged: tuple[str, ...] = CRITERIA
 
     @staticmethod
     def of(method: str, splits: Sequence[str], tables: Iterable[pa.Table]) -> "Tally":
@@ -97,6 +99,7 @@ def tally(run: Run, method: str) -> Tally:
     """
     trials = run.planned(method)
     counted = Tally.of(method, tuple(trials), run.shards("trials", method, _STORED))
+    counted = replace(counted, judged=judged_by(run, method))
     n = {found["split"]: found["n"] for found in counted.by("split")}
     check_planned(method, trials, n)
     groups = counted.groups
@@ -104,7 +107,8 @@ def tally(run: Run, method: str) -> Tally:
         np.array([order.index(word) for word in groups[name].to_pylist()], np.int64)
         for name, order in (("split", SPLITS), ("outcome", OUTCOME_NAMES))
     )
-    other = (outcome < Outcome.INVALID_INPUT) & (outcome != first_failures(states(groups), split))
+    says = first_failures(states(groups), split, counted.judged)
+    other = (outcome < Outcome.INVALID_INPUT) & (outcome != says)
     if odd := int(groups["n"].to_numpy()[other].sum()):
         words = "rows have another outcome than their criteria say"
         raise ValueError(

@@ -13,7 +13,14 @@ import pyarrow as pa
 
 from r2h_batch.base.validate import array, check_arguments, instance_of, sequence_of
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, FARTHEST_M
-from r2h_batch.report.statistics.codes import FAILED, PASSED, codes, first_failures, states
+from r2h_batch.report.statistics.codes import (
+    FAILED,
+    PASSED,
+    codes,
+    first_failures,
+    judged_by,
+    states,
+)
 from r2h_batch.report.statistics.paired import rank_probabilities
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.runs.store import Run
@@ -108,8 +115,9 @@ def rethreshold(
         for point in points:
             point.counts[method] = np.zeros((len(SPLITS), MISSING + 1), np.int64)
             point.undecided[method] = 0
+        judged = judged_by(run, method)
         for table in run.shards("trials", method):
-            shard = _Margins(table, base)
+            shard = _Margins(table, base, judged)
             for point in points:
                 counts, undecided = shard.outcomes(point)
                 point.counts[method] += counts
@@ -120,7 +128,7 @@ def rethreshold(
 class _Margins:
     """A shard's distances in float64, and the verdicts of its other criteria."""
 
-    def __init__(self, table: pa.Table, base: dict[str, Any]) -> None:
+    def __init__(self, table: pa.Table, base: dict[str, Any], judged: Sequence[str]) -> None:
         def margin(name: str) -> np.ndarray:
             return table[f"margin_{name}_m"].to_numpy().astype(np.float64)
 
@@ -141,7 +149,7 @@ class _Margins:
             what = f"its margin of Stability says at most {older[row]:g}"
             raise ValueError(f"{where}, {what}; `r2h-batch results reevaluate` scores it again")
         self.clearance = margin("safe") + np.float32(base["safe_margin_m"]).astype(np.float64)
-        self.base = base
+        self.base, self.judged = base, judged
 
     def outcomes(self, point: Point) -> tuple[np.ndarray, int]:
         """(2, 9) trials by split and outcome at other thresholds, and how many are undecided."""
@@ -161,7 +169,7 @@ class _Margins:
                 good = good & (old == PASSED)  # w_max only falls: what failed still fails
             state[criterion] = np.where(old > 0, np.where(good, PASSED, FAILED), old)
             near |= (old > 0) & (np.abs(margin) < ROUNDING_M)
-        outcome = first_failures(state, self.split)
+        outcome = first_failures(state, self.split, self.judged)
         outcome = np.where(self.outcome < Outcome.INVALID_INPUT, outcome, self.outcome)
         if (outcome < 0).any():
             count = int((outcome < 0).sum())
