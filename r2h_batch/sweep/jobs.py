@@ -1,4 +1,4 @@
-"""What a process needs to score a part of a sweep: the setting (evaluator, plan, header) and the
+"""All that a process needs to score a part of a sweep: the setting (evaluator, plan, header) and the
 jobs (who answers)."""
 
 import inspect
@@ -208,7 +208,7 @@ def prepare(
 
 
 def _about_object(model: "ObjectModel") -> dict[str, Any]:
-    """What run.json says of an object: a repaired mesh with what was done, and what came of it."""
+    """The entry of run.json about an object: a repaired mesh with what was done, and what came of it."""
     from r2h_batch.scene.objects import object_digest, stored_key
 
     fields = {
@@ -279,7 +279,7 @@ def _check_postures(names: Sequence[str], evaluator: "Evaluator") -> None:
 
 
 def _seen(files: Mapping[str, str], setting: Setting) -> "Observations | None":
-    """What networks of the user's saw, checked against the plan; None where no file is given.
+    """Observations of the user's networks, checked against the plan; None where no file is given.
 
     `files`: as `Methods.seen`.
     """
@@ -472,7 +472,7 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
 
 
 SHOWN_AS = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}
-"""What a method is shown, as its name in tables says it."""
+"""Observation -> its name in a method's name in tables."""
 
 
 def table_name(

@@ -44,14 +44,14 @@ SEEN_BY = {
 """Files of networks' answers -> the methods that are shown them."""
 
 KINDS = ("details", "poses", "paths")
-"""What can be stored beside the trials."""
+"""Tables that can be stored beside the trials."""
 
 MOST = 10**12
 """Largest count: a larger number is a slip that something else would refuse much later."""
 
 
 class Flag(NamedTuple):
-    """What the help says of an option, and the group in which `--help` lists it."""
+    """The help of an option, and the group in which `--help` lists it."""
 
     help: str
     group: str = ""  # of `GROUPS`; empty: for --set and --config
@@ -597,7 +597,7 @@ def own_name(method: str) -> str:
 
 
 def text_of_options(method: str) -> str:
-    """What stands after the name, for tables and run folders: `gate=ik, height_m=0.12`; empty
+    """The text after the name, for tables and run folders: `gate=ik, height_m=0.12`; empty
     without options."""
     return ", ".join(part.strip() for part in method.split(",")[1:])
 

@@ -1,4 +1,4 @@
-"""What a sweep is asked for: `requested` turns the options of a command line into the benchmark, the
+"""The request for a sweep: `requested` turns the options of a command line into the benchmark, the
 configuration, the methods, the work and the storage. Nothing behind it sees the options."""
 
 from collections.abc import Mapping
@@ -102,7 +102,7 @@ class Methods:
         return PredictorNoise(target_errors=self.errors).scaled(self.noise_factor)
 
     def about_predictors(self) -> dict[str, Any]:
-        """What run.json says of what the methods see: the error model, which contact network (its file,
+        """The entry of run.json about what the methods see: the error model, which contact network (its file,
         or the files of its Python module), and the files of networks' answers."""
         contact: dict[str, Any] = {"built_in": "VoxNet"}
         if spec := self.predictor:
@@ -159,7 +159,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Storage:
-    """What is stored and shown.
+    """The run folder, its tables, and the printed one.
 
     Attributes:
         folder: the run folder.
@@ -189,12 +189,16 @@ class Request:
 
 
 def requested(options: Options) -> Request:
-    """What the options ask for. Trials of `--trials-from` are imported into the run folder.
+    """The request that the options make. Trials of `--trials-from` are imported into the run folder.
 
     Raises:
         ValueError: one line about an option that cannot be.
     """
     options = _with_trials(options)
+    preset = EvalConfig.preset(options.preset)
+    errors = options.hand_errors
+    if errors == "preset":
+        errors = preset.estimate.errors
     flags = {f.name: getattr(options, f.name) for f in fields(BenchmarkOverrides)}
     splits = tuple(s for s in SPLITS if s in options.splits)
     count = None if options.trials == Options.trials else options.trials
@@ -205,14 +209,14 @@ def requested(options: Options) -> Request:
         )
     methods = Methods(
         names=options.method, predictions=options.predictions, motions=options.motions,
-        seed=options.seed, noise_factor=options.predictor_noise, errors=_errors(options),
+        seed=options.seed, noise_factor=options.predictor_noise, errors=errors,
         predictor=options.predictor, trust_code=options.trust_code,
         seen={name: file for name in SEEN_BY if (file := getattr(options, name))},
         allow_empty_candidates=options.allow_empty_candidates, allow_missing=options.allow_missing,
     )  # fmt: skip
     return Request(
         TrialPlan(BenchmarkOverrides(**flags), splits, count),
-        _configuration(options),
+        _configuration(options, preset, errors),
         methods,
         Work(options.device, options.threads, options.chunk, options.part, cluster),
         Storage(
@@ -242,22 +246,14 @@ def _with_trials(options: Options) -> Options:
     return replace(options, motions=(*options.motions, str(motions)))
 
 
-def _errors(options: Options) -> "Errors":
-    """The error model of the target hand."""
-    if options.hand_errors != "preset":
-        return options.hand_errors
-    return EvalConfig.preset(options.preset).estimate.errors
-
-
-def _configuration(options: Options) -> EvalConfig:
-    """The preset with what the options change."""
-    config = EvalConfig.preset(options.preset)
+def _configuration(options: Options, config: EvalConfig, errors: "Errors") -> EvalConfig:
+    """A preset with what the options change; `errors` of the target hand."""
     edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
     hand = config.plan.hand if options.plan_hand == "preset" else options.plan_hand
     collision = options.object_collision
     plan = replace(config.plan, object_collision=collision, edge_check=edge_check, hand=hand)
     # settings that no verdict uses stay at their defaults: runs that differ in them can be compared
-    estimate = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
+    estimate = EstimateConfig(errors, options.predictor_noise, options.seed)
     sim = config.execute.sim if options.sim == "auto" else options.sim
     execute = replace(config.execute, sim=sim, model=options.sim_model)
     execute = replace(execute, sim=execute.engine(options.device))
