@@ -56,6 +56,11 @@ PADS_M = {
 OWN = ("2f-85-base", "graspgen-2f-85", "ee")
 """Frames of our own gripper: its grasps stay where they are."""
 GRIPPERS = (*PADS_M, *OWN)
+TURNED = {
+    "acronym-panda": "panda-hand", "graspgen-franka": "panda-hand",
+    "panda-hand": "acronym-panda or graspgen-franka", "2f-85": "graspgen-2f-85 or 2f-85-base",
+}  # fmt: skip
+"""Gripper of a `GraspSet` -> GRIPPER words for the same fingers, closing 90 degrees from its axis."""
 YAML = (".yaml", ".yml")
 FRAMELESS = (*YAML, ".json")
 """Files that do not say whose frame they are in: FILE:GRIPPER does."""

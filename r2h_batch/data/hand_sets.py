@@ -137,7 +137,7 @@ def collect(
         paths = oakink_receivers(paths, folder)
     model = hand.model if hand else None
     found = Collected() if into is None else into
-    before, skipped = sum(found.counts()), len(found.skipped)
+    before, skipped, idle_before = sum(found.counts()), len(found.skipped), found.idle
     for path in _shown(paths, f"reading {source}"):
         try:
             hands = data_set.read(path, hand, bodies)
@@ -165,10 +165,14 @@ def collect(
         for row, h in taken:
             found.add(row, h)
     if sum(found.counts()) == before:
-        why = "all hands are idle (--idle takes them)"
-        if found.skipped[skipped:]:
-            why = f"the first: {found.skipped[skipped]}"
-        raise FileError(f"{printable(folder)}: none of {len(paths)} files could be read; {why}")
+        unread, left_out = found.skipped[skipped:], found.idle - idle_before
+        where = f"{printable(folder)}: of {len(paths)} files"
+        if left_out:
+            what = f"all {left_out} hands are idle, none carries the object for {HELD_S:g} s"
+            more = f"; {len(unread)} files could not be read" if unread else ""
+            raise FileError(f"{where} {what}: take them with --idle{more}")
+        first = f"; the first: {unread[0]}" if unread else ""
+        raise FileError(f"{where} none could be read{first}")
     return found
 
 

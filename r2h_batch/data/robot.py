@@ -4,6 +4,7 @@ the pairs of links that are checked, a posture to start from.
 The gripper is the 2F-85, or that of the same URDF.
 """
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +16,23 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
+from r2h_batch.base.command_line import LOG
 from r2h_batch.base.io.read import FileError, printable
 from r2h_batch.config import Workplace
-from r2h_batch.data.robot_chain import Box, Chain, Fingers, read_chain, read_fingers
-from r2h_batch.data.robot_links import Link, Meshes, check_meshes, link_of, seen_of
+from r2h_batch.data.robot_chain import (
+    HELD_KG,
+    LEAST_NM,
+    Box,
+    Chain,
+    Fingers,
+    Part,
+    at_flange,
+    read_chain,
+    read_fingers,
+)
+from r2h_batch.data.robot_links import Link, Meshes, check_meshes, files_of, link_of
 from r2h_batch.data.robot_model import read_model
+from r2h_batch.data.robot_pads import Window, find_pads
 from r2h_batch.data.robot_pairs import contact_rates, touching
 from r2h_batch.data.robot_shapes import (
     BOX,
@@ -71,6 +84,8 @@ TABLE_SAMPLES = 65
 """Gaps at which the fingers' places are stored."""
 SYMMETRIC_M, PARALLEL_RAD = 1e-4, 5e-3
 """By how much the fingers may close differently, and the pads turn."""
+MOST_TURN_RAD = np.radians(2.0)
+"""By how much the pads of a linkage may turn that is parallel in the data sheet and not quite in the file."""
 NEAR_M = 0.010
 """Links that never touch and never come this near are not checked against each other."""
 DENSE_JOINTS = 2
@@ -101,6 +116,8 @@ def import_robot(
     visuals: str = "",
     srdf: Path | None = None,
     home: Sequence[float] | str = (),
+    offset: Array | None = None,
+    pads: Window | None = None,
 ) -> Imported:
     """A robot with a gripper at its flange, and the figures of its import.
 
@@ -108,23 +125,31 @@ def import_robot(
         path: the URDF or MJCF.
         name: of the robot, in rows and tables.
         base: the link that stands on the table.
-        flange: the link that carries the gripper.
+        flange: the link or site that carries the gripper.
         packages: folder of each `package://NAME/`.
         fingers: the two links of the URDF's own gripper that grasp; None: a 2F-85.
         visuals: the arm of airo-models whose meshes show it.
         srdf: the file whose pairs are compared with those that are checked.
         home: the posture at the start, rad, or the name of a state of the SRDF; by default it is chosen.
+        offset: (4, 4) the flange in the frame of that link or site; None: there.
+        pads: where the pads are on the meshes of the fingers; None: boxes of the file, or flats that are found.
 
     Raises:
         FileError: one line that says what the file has and what is allowed.
     """
     beside, model = None if srdf is None else read_srdf(srdf), read_model(path)
-    chain = read_chain(model, base, flange, bare=fingers is not None)
+    own = fingers is not None
+    model, flange = at_flange(model, flange, np.eye(4) if offset is None else offset, bare=own)
+    chain = read_chain(model, base, flange, bare=own)
     shown, n = model.shown, len(chain.joints)
     if not LEAST_JOINTS <= n <= MOST_JOINTS:
         raise FileError(
             f"{shown}: {n} joints move {flange}; allowed are {LEAST_JOINTS} or {MOST_JOINTS}"
         )
+    if chain.assumed:
+        what = f"{shown}: no torque limit of {printable(', '.join(chain.assumed))[:120]}"
+        how = f"twice what holds the stretched arm with {HELD_KG:g} kg, at least {LEAST_NM:g} N m"
+        warnings.warn(f"{what}: {how}; edit max_torque_nm of robot.yaml", stacklevel=2)
     start = home_of(beside, home, chain.joints) if isinstance(home, str) else tuple(home)
     if start and len(start) != n:
         raise FileError(f"--home has {len(start)} numbers; {shown} has {n} joints")
@@ -147,13 +172,15 @@ def import_robot(
     hand = None if fingers is None else read_fingers(model, flange, fingers)
     parts = chain.links if hand is None else (*chain.links, hand.palm)
     moving = () if hand is None else hand.parts
-    check_meshes(parts, moving, shown)
-    geoms = [*(g for part in parts for g in seen_of(part)), *(g for p in moving for g in p.seen)]
+    meshed = [p for p in moving if not p.boxes or (pads is not None and p.name in (fingers or ()))]
+    check_meshes(parts, meshed, shown)
+    geoms = [*(g for part in parts for g in files_of(part)), *(g for p in meshed for g in p.shown)]
     meshes = Meshes(model, geoms, packages)
     links = [link_of(part, meshes) for part in chain.links]
     palm: dict[str, Any] = {}
+    told: dict[str, Any] = {}
     if fingers is not None and hand is not None:
-        gripper, palm = gripper_of(hand, fingers, n, meshes)
+        gripper, palm, told = gripper_of(hand, fingers, n, meshes, pads)
         bare = replace(bare, **gripper)
     names: tuple[str, ...] = tuple(part.name for part in chain.links)
     mouths: list[list[Array]] = [[]] * (n + 1)
@@ -175,6 +202,7 @@ def import_robot(
     where: list[int] = []
     rows: dict[str, Any] = {}
     for k, link in enumerate(links):
+        LOG.info(f"{name}: link {k + 1} of {n + 1}: {printable(link.name)}")
         found, rows[names[k]] = _bodies(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
         hulls, where = [*hulls, *found], [*where, *[k] * len(found)]
     numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
@@ -203,6 +231,10 @@ def import_robot(
             )
         },
     }
+    if told:
+        report["pads"] = told
+    if chain.assumed:
+        report["assumed_torque"] = list(chain.assumed)
     if beside is not None:
         report["srdf"] = compared(beside, chain, robot.links, pairs) | {
             "states": sorted(beside.states)
@@ -267,18 +299,23 @@ def _primitives_of(
 
 
 def gripper_of(
-    fingers: Fingers, pads: tuple[str, str], joints: int, meshes: Meshes
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The fields of a `Robot` that its gripper fills, and the palm's figures.
+    fingers: Fingers,
+    pads: tuple[str, str],
+    joints: int,
+    meshes: Meshes,
+    window: Window | None = None,
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """The fields of a `Robot` that its gripper fills, the palm's figures, and what to tell of the pads.
 
     z of the gripper is the flange's, +y the way in which one of the fingers opens. The box of a pad's
-    link that reaches farthest along z is the pad.
+    link that reaches farthest along z is the pad, or the flat of its mesh that faces the other finger.
 
     Args:
         fingers: what the URDF has.
         pads: the two links that grasp.
         joints: of the arm.
         meshes: those of palm and fingers.
+        window: where on the fingers' meshes the pads are, in place of the file's boxes.
 
     Raises:
         FileError: fingers that do not close symmetrically, with pads that stay parallel.
@@ -298,22 +335,23 @@ def gripper_of(
     shapes = boxes_of(turned, PALM_BOXES)
     report = {fingers.palm.name: Target(turned, []).report(shapes)}
     moves = {p.name: T_flange_gripper.T @ p.T for p in fingers.parts}  # it only turns
-    pad, faces = [], []
-    for sign, one in zip((1, -1), named, strict=True):
-        boxes = [(moves[one.name] @ T, half) for T, half in one.boxes]
-        axes = [np.abs(T[0, :3, :3]) for T, _ in boxes]
-        square = [b for b, R in zip(boxes, axes, strict=True) if np.abs(R - R.round()).max() < 2e-3]
-        if not square:
-            raise FileError(f"{shown}: {printable(one.name)} needs a box along the gripper's axes")
-        square = [(T, np.abs(T[0, :3, :3]).round() @ half) for T, half in square]
-        pad.append(max(square, key=lambda b: float(b[0][0, 2, 3] + b[1][2])))
+    boxes = [_pad_boxes(one, moves[one.name]) for one in named]
+    flats: dict[str, Box] = {}
+    told: dict[str, Any] = {}
+    if window is not None or not all(boxes):
+        flats, told = _flats(named, moves, meshes, window)
+        boxes = [[(moves[n] @ box.T, box.half)] for n, box in flats.items()]
+    pad, faces, turned_by = [], [], 0.0
+    for sign, found in zip((1, -1), boxes, strict=True):
+        pad.append(max(found, key=lambda b: float(b[0][0, 2, 3] + b[1][2])))
         faces.append(sign * pad[-1][0][:, 1, 3] - pad[-1][1][1])
         turns = Rotation.from_matrix(pad[-1][0][0, :3, :3].T @ pad[-1][0][:, :3, :3]).magnitude()
-        if turns.max() > PARALLEL_RAD:
-            raise FileError(
-                f"{shown}: {printable(one.name)} turns by {np.degrees(turns.max()):.1f} degrees as the gripper closes; pads must"
-                " stay parallel"
-            )
+        turned_by = max(turned_by, float(turns.max()))
+    degrees = f"{np.degrees(turned_by):.1f} degrees as the gripper closes"
+    if turned_by > MOST_TURN_RAD:
+        raise FileError(f"{shown}: the pads turn by {degrees}; they must stay parallel")
+    if turned_by > PARALLEL_RAD:
+        told["turn"] = f"{degrees}: here they stay parallel"
     half, gap = pad[0][1], faces[0] + faces[1]
     heights = [p[0][:, 2, 3] for p in pad]
     uneven = max(np.abs(x[0] - x[1]).max() for x in (faces, heights))
@@ -340,18 +378,19 @@ def gripper_of(
     rows, used = [row_of(named[0].name, 1)], {(0, 1)}
     part, side, motion = ["body"] * len(shapes), [0] * len(shapes), [0] * len(shapes)
     room = (MAX_PARTS - len(shapes) - sum(len(p.boxes) for p in fingers.parts)) // max(
-        sum(bool(p.seen) for p in fingers.parts), 1
+        sum(bool(p.shown) and not p.boxes for p in fingers.parts), 1
     )
     mass = {1: 0.0, -1: 0.0}
     for p in fingers.parts:
-        if not p.boxes and not p.seen:
+        if not p.boxes and not p.shown:
             continue
         bodies = list(p.boxes) or [
             Box(_frame(s), s.size)
             for s in _close_boxes(
-                np.concatenate([meshes.triangles(g) for g in p.seen]), min(room, FINGER_BOXES)
+                np.concatenate([meshes.triangles(g) for g in p.shown]), min(room, FINGER_BOXES)
             )
         ]
+        bodies += [flats[p.name]] if p.name in flats else []
         placed = [(moves[p.name][0] @ T, h) for T, h in bodies]
         sign = 1 if np.mean([(moves[p.name][-1] @ T)[1, 3] for T, _ in bodies]) > 0 else -1
         mass[sign] += p.mass
@@ -372,7 +411,7 @@ def gripper_of(
             motion.append(k)
     if {k for k, s in used if s == 1} != {k for k, s in used if s == -1}:
         raise FileError(f"{shown}: the two fingers must close symmetrically, part by part")
-    rows[0] = rows[0] + [gap[0] / 2, 0.0, 0.0]
+    rows[0] = (rows[0] + [gap[0] / 2, 0.0, 0.0]) * [1.0, 1.0, turned_by <= PARALLEL_RAD]
     if not np.isclose(mass[1], mass[-1], rtol=1e-3) or mass[1] <= 0:
         what = f"{mass[1]:g} and {mass[-1]:g} kg"
         raise FileError(f"{shown}: the gripper's fingers have {what}; they need equal masses")
@@ -393,7 +432,48 @@ def gripper_of(
         "linkage": table_linkage(
             table, closed, opened, half, T_flange_ee[2, 3], fingers.palm.mass + 2 * mass[1], mass[1]
         ),
-    }, report  # fmt: skip
+    }, report, told  # fmt: skip
+
+
+def _pad_boxes(one: Part, T: Array) -> list[tuple[Array, Array]]:
+    """The boxes of a finger along the gripper's axes: frames (S, 4, 4) and half sides."""
+    found = []
+    for box in one.boxes:
+        frames = T @ box.T
+        R = frames[:, :3, :3]
+        off = np.abs(R - R.round()).max((1, 2))
+        if off.min() < 2e-3:
+            best = R[int(off.argmin())].round()
+            found.append((frames, np.abs(best) @ box.half))
+    return found
+
+
+def _flats(
+    named: Sequence[Part], moves: Mapping[str, Array], meshes: Meshes, window: Window | None
+) -> tuple[dict[str, Box], dict[str, Any]]:
+    """The pads of two fingers as boxes in the fingers' frames, and what is told of them."""
+    fingers = []
+    for one in named:
+        geoms = [g for g in one.shown if g.kind == "mesh"]
+        if not geoms or (one.boxes and window is None):
+            what = "needs a box along the gripper's axes, or a mesh and --pads"
+            raise FileError(f"{meshes.shown}: {printable(one.name)} {what}")
+        T = moves[one.name][0]
+        triangles = np.concatenate([meshes.triangles(g) for g in geoms])
+        fingers.append(triangles @ T[:3, :3].T + T[:3, 3])
+    found = find_pads((fingers[0], fingers[1]), window, meshes.shown)
+    boxes = {}
+    for sign, one in zip((1, -1), named, strict=True):
+        T = np.eye(4)
+        T[:3, 3] = [0.0, sign * (found.face + found.half[1]), found.height]
+        boxes[one.name] = Box(np.linalg.inv(moves[one.name][0]) @ T, found.half)
+    low, high = found.height - found.half[2], found.height + found.half[2]
+    row = {
+        "from": "flats of the meshes" if window is None else "--pads",
+        "low_m": float(low), "high_m": float(high), "width_m": float(2 * found.half[0]),
+        "proud_mm": float(1e3 * found.proud),
+    }  # fmt: skip
+    return boxes, row
 
 
 def _close_boxes(triangles: Array, most: int) -> list[Shape]:

@@ -1,8 +1,8 @@
 """The chain of joints of a robot's file between two links, and the fingers of its gripper."""
 
 import itertools
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +10,18 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.base.io.read import FileError, printable
-from r2h_batch.data.robot_model import Body, Geom, Joint, Model, moved
+from r2h_batch.data.robot_model import Body, Geom, Joint, Loop, Model, moved
 
 Array = NDArray[np.float64]
 
 SAMPLES = 513
 """Of a gripper's way from closed to open."""
+GRAVITY_M_S2, HELD_KG, LEAST_NM = 9.81, 2.0, 10.0
+"""A joint without a limit of torque gets twice what holds the stretched arm with so much at its flange, and
+at least so much [choice]."""
+MOST_TURNS = 60
+CLOSED_M = 1e-4
+"""By how much a loop of a gripper may stay open."""
 
 
 class Box(NamedTuple):
@@ -45,8 +51,8 @@ class Part:
     name: str
     boxes: tuple[Box, ...]
     """what it collides as, in its frame"""
-    seen: tuple[Geom, ...]
-    """the meshes that are seen of it, where it has no such boxes"""
+    shown: tuple[Geom, ...]
+    """the meshes that are seen of it, else those that it collides as"""
     mass: float
     T: Array
     """(SAMPLES, 4, 4) in the flange's frame, from closed to open in even steps of what drives it"""
@@ -74,6 +80,43 @@ class Chain:
     links: tuple[Rigid, ...]
     beyond: frozenset[str]
     """the flange and the links of the file that it carries"""
+    assumed: tuple[str, ...]
+    """joints whose torque the file does not say"""
+
+
+def at_flange(model: Model, name: str, offset: Array, *, bare: bool) -> tuple[Model, str]:
+    """The file with a link of its own as the flange, and that link's name.
+
+    Args:
+        model: the robot's file.
+        name: a link, or a site.
+        offset: (4, 4) the flange in the frame of that link or site.
+        bare: the gripper at the flange is the file's: it carries what the link carries.
+
+    Raises:
+        FileError: the file has no link or site of this name.
+    """
+    if name not in model.links and name not in model.sites:
+        found = ", ".join(printable(n)[:40] for n in [*model.links, *model.sites][-12:])
+        raise FileError(
+            f"{model.shown}: --flange {printable(name)} is not a link or site; the last are {found}"
+        )
+    link, T = (name, np.eye(4)) if name in model.links else model.sites[name]
+    T = T @ offset
+    moves = model.links[link].joint is not None
+    if name in model.links and np.array_equal(T, np.eye(4)) and not (bare and moves):
+        return model, name
+    own = f"flange at {name}"
+    flange = Body(own, link, T, None, 0.0, np.zeros(3), np.zeros((3, 3)), ())
+    links: dict[str, Body] = {}
+    for body in model.links.values():
+        if bare and body.parent == link:
+            T_child = np.linalg.inv(T) @ body.T_parent
+            body = replace(body, parent=own, T_parent=T_child)
+        links[body.name] = body
+        if body.name == link:
+            links[own] = flange
+    return replace(model, links=links), own
 
 
 def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> Chain:
@@ -116,18 +159,22 @@ def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> C
         moving.append(link.joint)
         carried.append(link.name)
         back.append(turn.T)
-    limits = np.array([_limits(joint, shown) for joint in moving]).reshape(-1, 4)
     ends = {*carried, flange} if bare else set(carried)
     parts = [_rigid(model, name, T, ends) for name, T in zip(carried, back, strict=True)]
-    low, high, speed, effort = limits.T
+    T_joints, T_flange = _exact(np.array(frames).reshape(-1, 4, 4)), _exact(T_before)
+    low, high = np.array([_range(joint, shown) for joint in moving]).reshape(-1, 2).T
+    speed = np.array([_speed(joint, shown) for joint in moving])
+    effort = np.array([joint.effort for joint in moving])
+    missing = effort <= 0
+    effort = np.where(missing, _holding_torque(T_joints, T_flange, parts), effort)
     beyond, todo = {flange}, [flange]
     while todo:
         new = {link.name for link in model.below(todo.pop())}
         beyond |= new
         todo += new
     return Chain(
-        tuple(joint.name for joint in moving), _exact(np.array(frames)), _exact(T_before), low, high, speed, effort,
-        tuple(parts), frozenset(beyond),
+        tuple(joint.name for joint in moving), T_joints, T_flange, low, high, speed, effort,
+        tuple(parts), frozenset(beyond), tuple(j.name for j, no in zip(moving, missing, strict=True) if no),
     )  # fmt: skip
 
 
@@ -159,7 +206,9 @@ def read_fingers(model: Model, flange: str, pads: tuple[str, str]) -> Fingers:
         if not carrier.get(pad):
             what = f"is not a link that a joint of the gripper at {flange} moves"
             raise FileError(f"{shown}: --fingers {printable(pad)} {what}")
-    roots = sorted({_root(joint, moving, shown)[0] for joint in moving.values()})
+    loops = [loop for loop in model.loops if set(loop.links) <= below.keys() | {flange}]
+    passive = _passive(loops, below, shown)
+    roots = sorted({_root(joint, moving, shown)[0] for joint in moving.values()} - set(passive))
     if len(roots) > 2:
         raise FileError(
             f"{shown}: {len(roots)} joints of the gripper move by themselves ({printable(', '.join(roots))[:80]});"
@@ -167,7 +216,7 @@ def read_fingers(model: Model, flange: str, pads: tuple[str, str]) -> Fingers:
         )
 
     def placed(opened: Mapping[str, Array]) -> dict[str, Array]:
-        """Frames (S, 4, 4) of all links with the roots' joints at these positions (S,)."""
+        """Frames (S, 4, 4) of all links with these joints at positions (S,)."""
         frames = {flange: np.tile(np.eye(4), (SAMPLES, 1, 1))}
         for name, link in below.items():
             T = frames[link.parent] @ link.T_parent
@@ -177,11 +226,19 @@ def read_fingers(model: Model, flange: str, pads: tuple[str, str]) -> Fingers:
             frames[name] = T
         return frames
 
+    def closing(opened: Mapping[str, Array]) -> dict[str, Array]:
+        """The frames in which the loops are closed."""
+        joints = [moving[name] for name in passive]
+        solved = (
+            opened if not loops else {**opened, **_closed(joints, loops, opened, placed, shown)}
+        )
+        return placed(solved)
+
     ends = {name: np.linspace(*_range(moving[name], shown), SAMPLES) for name in roots}
-    ways = [
-        placed({n: x[::turn] for (n, x), turn in zip(ends.items(), turns, strict=True)})
-        for turns in itertools.product((1, -1), repeat=len(roots))
-    ]
+    ways = []
+    for turns in itertools.product((1, -1), repeat=max(len(roots) - 1, 0)):
+        one = closing({n: ends[n][::t] for n, t in zip(roots, (1, *turns), strict=True)})
+        ways += [one, {n: T[::-1] for n, T in one.items()}]
     middle = [np.mean([b.T[:3, 3] for b in _boxes(links[pad])] or [np.zeros(3)], 0) for pad in pads]
 
     def apart(frames: Mapping[str, Array], at: int) -> float:
@@ -198,14 +255,88 @@ def read_fingers(model: Model, flange: str, pads: tuple[str, str]) -> Fingers:
         if not carrier[name]:
             continue
         boxes = _boxes(link)
-        seen = () if boxes else tuple(g for g in link.geoms if g.seen and g.kind == "mesh")
-        if not boxes and not seen and (name in pads or not all(g.seen for g in link.geoms)):
-            what = "has neither boxes to collide nor a visual mesh"
+        meshes = [g for g in link.geoms if g.file]
+        shown_as = tuple([g for g in meshes if g.seen] or meshes)
+        if not boxes and not shown_as and (name in pads or not all(g.seen for g in link.geoms)):
+            what = "has neither boxes to collide nor a mesh"
             raise FileError(f"{shown}: {printable(name)} of the gripper {what}")
-        parts.append(Part(name, boxes, seen, link.mass, frames[name]))
+        parts.append(Part(name, boxes, shown_as, link.mass, frames[name]))
     if palm.mass <= 0:
         raise FileError(f"{shown}: the gripper's palm has {palm.mass:g} kg; it needs a mass")
     return Fingers(palm, tuple(parts))
+
+
+def _passive(loops: list[Loop], below: Mapping[str, Body], shown: str) -> list[str]:
+    """The joints that loops move: those of theirs without a motor or a line with another joint."""
+    lined = {joint.follows[0] for b in below.values() if (joint := b.joint) and joint.follows}
+    found: dict[str, None] = {}
+    for loop in loops:
+        ways = []
+        for link in loop.links:
+            way = []
+            while link in below:
+                way.append(link)
+                link = below[link].parent
+            ways.append(way)
+        joints = [j for b in below if (b in ways[0]) != (b in ways[1]) and (j := below[b].joint)]
+        free = [j.name for j in joints if not (j.follows or j.driven or j.name in lined)]
+        if not free or len(free) == len(joints):
+            both = " and ".join(printable(link)[:40] for link in loop.links)
+            what = "one joint of it needs a motor, or an equality with the other finger's"
+            raise FileError(f"{shown}: the loop that {both} close: {what}")
+        found |= dict.fromkeys(free)
+    return list(found)
+
+
+def _closed(
+    joints: list[Joint],
+    loops: list[Loop],
+    opened: Mapping[str, Array],
+    placed: Callable[[Mapping[str, Array]], Mapping[str, Array]],
+    shown: str,
+) -> dict[str, Array]:
+    """Positions (S,) of joints at which loops close: within their limits, where springs pull least.
+
+    Gauss-Newton in all samples at once; a joint that a spring presses against its limit stays there.
+    """
+    low = np.array([-np.inf if np.isnan(j.lower) else j.lower for j in joints])
+    high = np.array([np.inf if np.isnan(j.upper) else j.upper for j in joints])
+    pull, rest = np.array([j.spring for j in joints]).T
+    weight = 1e-4 * np.sqrt(pull / max(pull.max(), 1e-12)) + 1e-7
+
+    def gaps(x: Array) -> Array:
+        """(S, 3 loops) m."""
+        frames = placed({**opened, **{j.name: x[:, k] for k, j in enumerate(joints)}})
+        ends = [
+            [
+                frames[link][:, :3, :3] @ p + frames[link][:, :3, 3]
+                for link, p in zip(*loop, strict=True)
+            ]
+            for loop in loops
+        ]
+        return np.concatenate([one - other for one, other in ends], 1)
+
+    x = np.tile(np.clip(0.0, low, high), (SAMPLES, 1))
+    eye, step = np.eye(len(joints)), 1e-6
+    for turn in range(MOST_TURNS):
+        springs = (
+            weight if turn < MOST_TURNS - 8 else 0 * weight
+        )  # the last turns close the loops alone
+        r = gaps(x)
+        J = np.stack([(gaps(x + step * e) - gaps(x - step * e)) / (2 * step) for e in eye], 2)
+        slope = np.einsum("srk,sr->sk", J, r) + springs**2 * (x - rest)
+        held = ((x <= low) & (slope > 0)) | ((x >= high) & (slope < 0))
+        if turn >= MOST_TURNS - 8:
+            held = (x <= low) | (x >= high)
+        J = J * ~held[:, None]
+        H = np.einsum("srk,srl->skl", J, J) + (springs**2 + 1e-12) * eye
+        slope = np.where(held, 0.0, slope)
+        dx = -np.linalg.solve(H, slope[..., None])[..., 0]
+        x = np.clip(x + np.clip(dx, -0.2, 0.2), low, high)
+    if (most := np.abs(gaps(x)).max()) > CLOSED_M:
+        names = printable(", ".join(f"{a} and {b}" for (a, b), _ in loops))[:80]
+        raise FileError(f"{shown}: the loops of {names} stay open by {1e3 * most:.2f} mm")
+    return {joint.name: x[:, k] for k, joint in enumerate(joints)}
 
 
 def _root(joint: Joint, moving: Mapping[str, Joint], shown: str) -> tuple[str, float, float]:
@@ -230,7 +361,7 @@ def _root(joint: Joint, moving: Mapping[str, Joint], shown: str) -> tuple[str, f
 def _boxes(link: Body) -> tuple[Box, ...]:
     """What a link collides as, where all of it is boxes; else none."""
     solid = [g for g in link.geoms if not g.seen]
-    plain = all(g.kind == "box" for g in solid)
+    plain = all(g.kind == "box" and not g.fitted for g in solid)
     return tuple(Box(g.T, g.size) for g in solid) if plain else ()
 
 
@@ -253,14 +384,26 @@ def _range(joint: Joint, shown: str) -> tuple[float, float]:
     return low, high
 
 
-def _limits(joint: Joint, shown: str) -> tuple[float, float, float, float]:
-    """Lower, upper (rad), speed and torque."""
-    low, high = _range(joint, shown)
-    if not (joint.speed > 0 and joint.effort > 0):
-        given = f"velocity {joint.speed:g} and effort {joint.effort:g}"
-        where = f"{shown}: joint {printable(joint.name)}"
-        raise FileError(f"{where}: {given}; it needs velocity and effort above 0")
-    return low, high, joint.speed, joint.effort
+def _speed(joint: Joint, shown: str) -> float:
+    if not joint.speed > 0:
+        where = f"{shown}: joint {printable(joint.name)}: velocity {joint.speed:g}"
+        raise FileError(f"{where}; it needs velocity and effort above 0")
+    return joint.speed
+
+
+def _holding_torque(T_joints: Array, T_flange: Array, parts: list[Rigid]) -> Array:
+    """(N,) N m for joints whose file does not say theirs."""
+    lengths = np.linalg.norm(T_joints[1:, :3, 3], axis=1)
+    found = np.zeros(len(T_joints))
+    for j in range(len(found)):
+        along = np.concatenate([[0.0], np.cumsum(lengths[j:])])  # from joint j to each after it
+        held = sum(
+            part.mass * (way + np.linalg.norm(part.com))
+            for part, way in zip(parts[j + 1 :], along, strict=True)
+        )
+        held += HELD_KG * (along[-1] + np.linalg.norm(T_flange[:3, 3]))
+        found[j] = max(2 * GRAVITY_M_S2 * held, LEAST_NM)
+    return found
 
 
 def _exact(T: Array) -> Array:

@@ -4,14 +4,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base.io.read import FileError, path_within, printable
 from r2h_batch.data.robot_chain import Part, Rigid
-from r2h_batch.data.robot_model import Geom, Model
+from r2h_batch.data.robot_model import Geom, Model, frame
 from r2h_batch.data.robot_shapes import BOX, CAPSULE, CYLINDER, Shape
-from r2h_batch.scene.mesh_import.file import load_mesh_file
+from r2h_batch.scene.mesh_import.file import load_robot_meshes, reads_collada
 
 Array = NDArray[np.float64]
 
@@ -50,14 +51,37 @@ class Meshes:
             FileError: one line that says which file is missing, elsewhere or no mesh.
         """
         self.shown = model.shown
-        names = dict.fromkeys(g.file for g in geoms if g.kind == "mesh")
+        names = dict.fromkeys(g.file for g in geoms if g.file)
         files = {name: _file_of(model, name, packages) for name in names}
         try:
-            self._loaded = {
-                name: load_mesh_file(file, "a visual mesh") for name, file in files.items()
-            }
+            meshes = load_robot_meshes(list(files.values()), "the robot's meshes")
         except ValueError as error:
             raise FileError(f"{self.shown}: {error}") from None
+        self._loaded = dict(zip(files, meshes, strict=True))
+
+    def fitted(self, geom: Geom) -> Geom:
+        """A shape whose size the file leaves to its mesh, as MuJoCo fits it; others as they are.
+
+        Raises:
+            FileError: MuJoCo fits nothing to this mesh.
+        """
+        if not geom.fitted:
+            return geom
+        mesh, spec = self._loaded[geom.file], mujoco.MjSpec()
+        corners = np.asarray(mesh.vertices, np.float64) * geom.size
+        spec.compiler.fitaabb = geom.fitted == "aabb"
+        spec.add_mesh(
+            name="fitted", uservert=corners.ravel(), userface=np.asarray(mesh.faces).ravel()
+        )
+        kind = getattr(mujoco.mjtGeom, f"mjGEOM_{geom.kind.upper()}")
+        spec.worldbody.add_geom(type=kind, meshname="fitted")
+        try:
+            model = spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            why = printable(" ".join(str(error).split()))[:120]
+            raise FileError(f"{self.shown}: a {geom.kind} fitted to {geom.file}: {why}") from None
+        T = geom.T @ frame(model.geom_pos[0], model.geom_quat[0])
+        return Geom(geom.kind, np.array(model.geom_size[0]), T, geom.seen)
 
     def triangles(self, geom: Geom) -> Array:
         """(F, 3, 3) of a mesh in its link's frame."""
@@ -67,8 +91,16 @@ class Meshes:
 
 
 def seen_of(part: Rigid) -> list[Geom]:
-    """What a part looks like: what it collides as, where the file shows nothing else."""
-    return [g for g in part.geoms if g.seen] or list(part.geoms)
+    """What a part looks like: what it collides as, where the file shows nothing else that can be read."""
+    seen, solid = [g for g in part.geoms if g.seen], [g for g in part.geoms if not g.seen]
+    if solid and not reads_collada() and any(g.file.lower().endswith(".dae") for g in seen):
+        return solid
+    return seen or solid
+
+
+def files_of(part: Rigid) -> list[Geom]:
+    """The geoms of a part whose meshes are asked for."""
+    return [*seen_of(part), *(g for g in part.geoms if g.fitted)]
 
 
 def check_meshes(parts: Sequence[Rigid], fingers: Sequence[Part], shown: str) -> None:
@@ -83,7 +115,7 @@ def check_meshes(parts: Sequence[Rigid], fingers: Sequence[Part], shown: str) ->
             raise FileError(f"{where} has no visual mesh or shape")
         if sum(g.kind == "mesh" for g in seen) > MAX_MESHES:
             raise FileError(f"{where} has more than {MAX_MESHES} visual meshes; join them into one")
-    if (many := sum(len(part.seen) for part in fingers)) > MAX_MESHES:
+    if (many := sum(len(part.shown) for part in fingers)) > MAX_MESHES:
         what = f"the gripper's fingers have {many} visual meshes; {MAX_MESHES} are allowed"
         raise FileError(f"{shown}: {what}")
 
@@ -97,7 +129,7 @@ def link_of(part: Rigid, meshes: Meshes) -> Link:
     where, seen = f"{meshes.shown}: link {printable(part.name)}", seen_of(part)
     triangles = [meshes.triangles(g) for g in seen if g.kind == "mesh"]
     meshed = sum(map(len, triangles))
-    shapes = _shapes([g for g in seen if g.kind != "mesh"], where)
+    shapes = _shapes([meshes.fitted(g) for g in seen if g.kind != "mesh"], where)
     triangles += [shape.triangles() for shape in shapes]
     if not sum(map(len, triangles)):
         raise FileError(f"{where} has no visual mesh or shape")
@@ -106,7 +138,7 @@ def link_of(part: Rigid, meshes: Meshes) -> Link:
     if not 1e-3 <= size <= LONGEST_M:
         how = f"1 mm to {LONGEST_M:g} m are allowed; correct the scale of its meshes"
         raise FileError(f"{where} is {size:g} m long; {how}")
-    solid = [g for g in part.geoms if not g.seen]
+    solid = [meshes.fitted(g) for g in part.geoms if not g.seen]
     plain = len(solid) < len(part.geoms) and not any(g.kind == "mesh" for g in solid)
     return Link(part.name, faces, meshed, shapes, _shapes(solid, where) if plain else ())
 
@@ -149,7 +181,13 @@ def _file_of(model: Model, name: str, packages: Mapping[str, Path]) -> Path:
     if not name.startswith("package://"):
         return path_within(model.path.parent, name)
     package, _, inside = name.removeprefix("package://").partition("/")
-    if package not in packages:
+    folder = packages.get(package) or _package_around(model.path, package)
+    if folder is None:
         how = f"give --package {printable(package)}=FOLDER"
         raise FileError(f"{model.shown}: {printable(name)[:120]}: {how}")
-    return path_within(packages[package], inside)
+    return path_within(folder, inside)
+
+
+def _package_around(path: Path, package: str) -> Path | None:
+    """The folder of this name in which the file lies, as ROS has a package."""
+    return next((folder for folder in path.resolve().parents if folder.name == package), None)

@@ -8,7 +8,7 @@ it opens none. Meshes are kept here by name, and found in the file's folder or i
 import re
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -27,13 +27,13 @@ MAX_BYTES, MAX_LINKS, MAX_ELEMENTS, MAX_INCLUDES = 8 << 20, 256, 8192, 16
 SPEED_RAD_S = 2.0
 """Of a joint of an MJCF, which has no limits of speed [choice]."""
 
-_IN_BODY = {"body", "frame", "joint", "freejoint", "geom", "inertial"}
+_IN_BODY = {"body", "frame", "joint", "freejoint", "geom", "inertial", "site"}
 _MOTORS = {"motor", "general", "position", "velocity", "intvelocity", "damper"}
 MJCF: dict[str, set[str]] = {
     "mujoco": {"compiler", "default", "asset", "worldbody", "actuator", "equality"},
-    "default": {"default", "mesh", "geom", "joint", *_MOTORS},
+    "default": {"default", "mesh", "geom", "joint", "site", *_MOTORS},
     "asset": {"mesh"}, "worldbody": _IN_BODY, "body": _IN_BODY, "frame": _IN_BODY,
-    "actuator": _MOTORS, "equality": {"joint"},
+    "actuator": _MOTORS, "equality": {"joint", "connect"},
 }  # fmt: skip
 """Element -> the children of it that MuJoCo gets."""
 URDF: dict[str, set[str]] = {
@@ -55,7 +55,7 @@ REFUSED = {
 }  # fmt: skip
 COMPILER = {
     "angle", "eulerseq", "autolimits", "inertiafromgeom", "inertiagrouprange", "settotalmass",
-    "boundmass", "boundinertia", "balanceinertia",
+    "boundmass", "boundinertia", "balanceinertia", "fitaabb",
 }  # fmt: skip
 """Options of an MJCF's <compiler> that MuJoCo gets; the folder of meshes is read here."""
 
@@ -66,10 +66,12 @@ class Geom(NamedTuple):
     kind: str
     size: Array
     T: Array
-    file: str
-    """of a mesh: its name in the robot's file"""
     seen: bool
     """it collides with nothing"""
+    file: str = ""
+    """of a mesh: its name in the robot's file; its scale is `size`"""
+    fitted: str = ""
+    """how a shape that is no mesh is fitted to that mesh: inertia or aabb"""
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,10 @@ class Joint:
     """N m or N; 0: the file does not say"""
     follows: tuple[str, float, float] | None
     """the joint that it mimics, factor, offset; a name of "" follows in no line"""
+    spring: tuple[float, float]
+    """stiffness, and where it pulls nothing"""
+    driven: bool
+    """by a motor of its own"""
 
 
 @dataclass(frozen=True)
@@ -106,12 +112,22 @@ class Body:
     geoms: tuple[Geom, ...]
 
 
+class Loop(NamedTuple):
+    """Two points, in the frames of two links, that stay together."""
+
+    links: tuple[str, str]
+    points: tuple[Array, Array]
+
+
 @dataclass(frozen=True)
 class Model:
-    """A robot's file: its links by name, parents first."""
+    """A robot's file: its links by name, parents first; named places on links; what closes loops."""
 
     path: Path
     links: Mapping[str, Body]
+    sites: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
+    """name -> link and place in its frame"""
+    loops: tuple[Loop, ...] = ()
 
     @property
     def shown(self) -> str:
@@ -141,7 +157,10 @@ def parsed(path: Path) -> Element:
     text, shown = read_file(path, MAX_BYTES).decode("utf-8", errors="replace"), printable(path)
     if re.search(r"<!\s*(doctype|entity)", text, re.IGNORECASE):
         raise FileError(f"{shown}: declares a document type; remove it, a robot needs none")
-    if "xacro:" in text or path.suffix == ".xacro":
+    plain = re.sub(
+        r"<!--.*?-->", "", text, flags=re.DOTALL
+    )  # a comment may say what it was made from
+    if re.search(r"<\s*xacro:|\$\{", plain) or path.suffix == ".xacro":
         how = "expand it with: xacro FILE > robot.urdf"
         raise FileError(f"{shown}: is a xacro program, which is not run here; {how}")
     try:  # prefixes that a file does not declare, such as drake:, say nothing that is read here
@@ -188,10 +207,12 @@ def _of_urdf(root: Element, path: Path) -> Model:
             SubElement(joint, "child", link=name)
     spec = _spec(kept, shown)
     meshes = _meshes_of(spec, files, shown)
+    _check_masses(spec, shown)
     masses = {str(b.name): _given_mass(b) for b in spec.bodies}
     model = _model(spec, path, meshes, masses, {str(j.get("name")): j for j in joints})
     if "world" not in names:
-        return Model(path, {n: _rooted(b) for n, b in model.links.items() if n != "world"})
+        links = {n: _rooted(b) for n, b in model.links.items() if n != "world"}
+        return replace(model, links=links)
     return model
 
 
@@ -272,11 +293,16 @@ def _given_mass(body: mujoco.MjsBody) -> tuple[float, Array]:
     xx, yy, zz, xy, xz, yz = body.fullinertia
     given = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     mass = float(body.mass) if body.explicitinertial else 0.0
+    _set_unit_ball(body)
+    return mass, np.nan_to_num(given)
+
+
+def _set_unit_ball(body: mujoco.MjsBody) -> None:
+    """A mass that MuJoCo takes, where it is not asked for."""
     if not body.explicitinertial:
-        given, body.ipos = np.zeros((3, 3)), np.zeros(3)
+        body.ipos = np.zeros(3)
     body.explicitinertial, body.mass, body.inertia = True, 1.0, np.ones(3)
     body.fullinertia = np.full(6, np.nan)
-    return mass, given
 
 
 # ---- MJCF
@@ -306,10 +332,20 @@ def _of_mjcf(root: Element, path: Path) -> Model:
         folder = compiler.get("meshdir", compiler.get("assetdir", folder))
     spec = _spec(kept, shown)
     files = {m.file: str(PurePosixPath(folder, m.file)) for m in spec.meshes}
-    known = {str(b.name): _knows_mass(spec, b) for b in spec.bodies}
+    _check_masses(spec, shown)
+    # bodies of the world's have names, as masses are kept by name
+    for i, body in enumerate(spec.bodies):
+        body.name = body.name or f"body{i}"
+    unknown = [body for body in spec.bodies if not _knows_mass(spec, body)]
     meshes = _meshes_of(spec, files, shown)
-    masses = {name: (0.0, np.zeros((3, 3))) for name, own in known.items() if not own}
-    return _model(spec, path, meshes, masses, None)
+    by_geoms = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    if spec.compiler.inertiafromgeom == by_geoms:
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+        for body in spec.bodies:
+            body.explicitinertial = False
+    for body in unknown:
+        _set_unit_ball(body)
+    return _model(spec, path, meshes, {b.name: (0.0, np.zeros((3, 3))) for b in unknown}, None)
 
 
 def _include(at: Element, path: Path, left: list[int]) -> None:
@@ -337,6 +373,13 @@ def _knows_mass(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> bool:
 # ---- both
 
 
+def _check_masses(spec: mujoco.MjSpec, shown: str) -> None:
+    for body in spec.bodies:
+        if body.explicitinertial and body.mass < 0:
+            what = f"{printable(body.name)[:40]} has a mass of {body.mass:g} kg"
+            raise FileError(f"{shown}: link {what}; a mass is above 0")
+
+
 def _kept(element: Element, allowed: Mapping[str, set[str]]) -> Element:
     """A copy of the element with those of its children that are allowed."""
     kept = Element(element.tag, dict(element.attrib))
@@ -357,11 +400,16 @@ def _refused_by_mujoco(error: Exception, shown: str) -> FileError:
     return FileError(f"{shown}: MuJoCo: {printable(' '.join(str(error).split()))[:160]}")
 
 
-def _meshes_of(
-    spec: mujoco.MjSpec, files: Mapping[str, str], shown: str
-) -> dict[int, tuple[str, Array]]:
-    """Number of each geom that is a mesh -> its file and scale. To MuJoCo it becomes a ball without mass at
-    the same place, and there are no meshes."""
+class _Named(NamedTuple):
+    kind: str
+    file: str
+    scale: Array
+    fitted: str
+
+
+def _meshes_of(spec: mujoco.MjSpec, files: Mapping[str, str], shown: str) -> dict[int, _Named]:
+    """Number of each geom that has a mesh -> its kind, file, scale and fit. To MuJoCo it becomes a ball
+    without mass at the same place, and there are no meshes."""
     named = {}
     for mesh in list(spec.meshes):
         if not mesh.file or mesh.refpos.any() or not np.array_equal(mesh.refquat, [1, 0, 0, 0]):
@@ -370,23 +418,28 @@ def _meshes_of(
         named[mesh.name] = files[mesh.file], np.array(mesh.scale)
         spec.delete(mesh)
     found = {}
+    fit = "aabb" if spec.compiler.fitaabb else "inertia"
     for i, geom in enumerate(spec.geoms):
-        if geom.type != mujoco.mjtGeom.mjGEOM_MESH:
-            if geom.meshname:
-                raise FileError(f"{shown}: a geom is fitted to a mesh; write its own size")
+        is_mesh = geom.type == mujoco.mjtGeom.mjGEOM_MESH
+        if not is_mesh and not geom.meshname:
             continue
         if geom.meshname not in named:
             raise FileError(f"{shown}: a geom names no mesh: {printable(geom.meshname)[:60]!r}")
-        found[i] = named[geom.meshname]
+        file, scale = named[geom.meshname]
+        found[i] = _Named(_kind_of(geom.type), file, scale, "" if is_mesh else fit)
         geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_SPHERE, ""
         geom.size, geom.mass = [1.0, 0.0, 0.0], 0.0
     return found
 
 
+def _kind_of(kind: int) -> str:
+    return mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
+
+
 def _model(
     spec: mujoco.MjSpec,
     path: Path,
-    meshes: Mapping[int, tuple[str, Array]],
+    meshes: Mapping[int, _Named],
     masses: Mapping[str, tuple[float, Array]],
     said: Mapping[str, Element] | None,
 ) -> Model:
@@ -395,7 +448,7 @@ def _model(
     Args:
         spec: without meshes.
         path: the file.
-        meshes: number of a geom -> file and scale.
+        meshes: number of a geom -> the mesh that it has.
         masses: name of a body -> mass and tensor in the frame of its inertia, in place of MuJoCo's.
         said: name of a joint -> <joint> of a URDF.
     """
@@ -421,12 +474,12 @@ def _model(
     links = {}
     for i, name in enumerate(names):
         parent = int(model.body_parentid[i])
-        T = T_link_body[parent] @ _frame(model.body_pos[i], model.body_quat[i]) @ T_body_link[i]
+        T = T_link_body[parent] @ frame(model.body_pos[i], model.body_quat[i]) @ T_body_link[i]
         joint = _joint(model, i, name, said)
         if joint is not None and joint.kind in ("revolute", "prismatic"):
             start = model.qpos0[model.jnt_qposadr[model.body_jntadr[i]]]
             T = T @ moved(joint, -start) if start else T  # the file's posture is at its `ref`
-        T_inertia = T_link_body[i] @ _frame(model.body_ipos[i], model.body_iquat[i])
+        T_inertia = T_link_body[i] @ frame(model.body_ipos[i], model.body_iquat[i])
         usual = float(model.body_mass[i]), np.diag(model.body_inertia[i])
         mass, tensor = masses.get(name, usual)
         R = T_inertia[:3, :3]
@@ -437,7 +490,14 @@ def _model(
         links[name] = Body(
             name, names[parent] if i else "", T, joint, mass, T_inertia[:3, 3], R @ tensor @ R.T, geoms
         )  # fmt: skip
-    return Model(path, links)
+    sites = {
+        model.site(k).name: (
+            names[i],
+            T_link_body[i] @ frame(model.site_pos[k], model.site_quat[k]),
+        )
+        for k, i in enumerate(model.site_bodyid)
+    }
+    return Model(path, links, sites, tuple(_loops(model, names, T_link_body)))
 
 
 def _joint(
@@ -469,6 +529,8 @@ def _joint(
     return Joint(
         own if count == 1 else f"joint of {name}", kind if count == 1 else "several joints",
         np.array(model.jnt_axis[first]), float(low), float(high), speed, _effort(model, first), follows,
+        (float(model.jnt_stiffness[first]), float(model.qpos_spring[model.jnt_qposadr[first]])),
+        bool((model.actuator_trnid[:, 0] == first).any()),
     )  # fmt: skip
 
 
@@ -491,15 +553,27 @@ def _effort(model: mujoco.MjModel, joint: int) -> float:
     return max(found)
 
 
-def _geom(
-    model: mujoco.MjModel, geom: int, T: Array, meshes: Mapping[int, tuple[str, Array]]
-) -> Geom:
-    T = T @ _frame(model.geom_pos[geom], model.geom_quat[geom])
+def _geom(model: mujoco.MjModel, geom: int, T: Array, meshes: Mapping[int, _Named]) -> Geom:
+    T = T @ frame(model.geom_pos[geom], model.geom_quat[geom])
     seen = not (model.geom_contype[geom] or model.geom_conaffinity[geom])
     if geom in meshes:
-        return Geom("mesh", meshes[geom][1], T, meshes[geom][0], seen)
-    kind = mujoco.mjtGeom(model.geom_type[geom]).name.removeprefix("mjGEOM_").lower()
-    return Geom(kind, np.array(model.geom_size[geom]), T, "", seen)
+        kind, file, scale, fitted = meshes[geom]
+        return Geom(kind, scale, T, seen, file, fitted)
+    return Geom(_kind_of(model.geom_type[geom]), np.array(model.geom_size[geom]), T, seen)
+
+
+def _loops(model: mujoco.MjModel, names: list[str], T_link_body: Array) -> Iterator[Loop]:
+    for e in np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_CONNECT) & model.eq_active0):
+        ids = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        points = model.eq_data[e, 0:3], model.eq_data[e, 3:6]
+        if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
+            points = model.site_pos[ids[0]], model.site_pos[ids[1]]
+            ids = int(model.site_bodyid[ids[0]]), int(model.site_bodyid[ids[1]])
+        one, other = (
+            T_link_body[i, :3, :3] @ x + T_link_body[i, :3, 3]
+            for i, x in zip(ids, points, strict=True)
+        )
+        yield Loop((names[ids[0]], names[ids[1]]), (one, other))
 
 
 def moved(joint: Joint, at: Array) -> Array:
@@ -514,7 +588,8 @@ def moved(joint: Joint, at: Array) -> Array:
     return T
 
 
-def _frame(position: Array, quat_wxyz: Array) -> Array:
+def frame(position: Array, quat_wxyz: Array) -> Array:
+    """(4, 4) of a position and a quaternion as MuJoCo has them."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_quat(quat_wxyz, scalar_first=True).as_matrix()
     T[:3, 3] = position

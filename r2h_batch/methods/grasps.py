@@ -24,6 +24,7 @@ from threadpoolctl import threadpool_limits
 from r2h_batch.base.launch import init_warp, launch_trials
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.config import Thresholds
+from r2h_batch.data.grasp_files import TURNED
 from r2h_batch.judge.grasp import (
     attach,
     close_pads,
@@ -498,6 +499,31 @@ def own_grasps(model: ObjectModel, grasps: GraspSet, robot: Robot) -> Candidates
     return Candidates(T, width, grasps.score[order], part, np.full(len(T), np.nan, np.float32))
 
 
+FEW, TRIED = 0.5, 256
+"""Share of seated grasps below which `TRIED` of them are tried with their closing axis turned."""
+
+
+def _named_wrongly(
+    model: ObjectModel,
+    tables: GraspTables,
+    mesh: wp.Mesh,
+    grasps: GraspSet,
+    seated: list[int],
+    robot: Robot,
+) -> str:
+    """A question, if far more grasps hold with the fingers turned by 90 degrees about the approach; else ""."""
+    rows = np.linspace(0, len(grasps) - 1, min(len(grasps), TRIED)).astype(np.int64)
+    T = grasps.T_obj_ee[rows].copy()
+    T[:, :3, :2] = np.stack([T[:, :3, 1], -T[:, :3, 0]], 2)
+    _, held = graded(model, tables, mesh, T, robot)
+    before = int(np.isin(rows, seated).sum())
+    if len(held) < max(2 * before, 0.1 * len(rows)):
+        return ""
+    name = TURNED.get(grasps.gripper)
+    other = f"is GRIPPER {name}?" if name else "is their GRIPPER right?"
+    return f"; turned by 90 degrees {len(held)} of {len(rows)} hold, as they are {before}: {other}"
+
+
 def seat_grasps(model: ObjectModel, grasps: GraspSet, robot: Robot | None = None) -> Candidates:
     """The user's grasps that keep every promise of `sample_grasps`, best score of the user's first.
 
@@ -520,16 +546,19 @@ def seat_grasps(model: ObjectModel, grasps: GraspSet, robot: Robot | None = None
         T[:, :3, 3] += np.float32(depth) * T[:, :3, 2]
         found, rows = graded(model, tables, mesh, T, robot)
         seated |= {int(left[r]): (found.rows([k]), depth) for k, r in enumerate(rows)}
+    asked = ""
+    if len(seated) < FEW * len(grasps):
+        asked = _named_wrongly(model, tables, mesh, grasps, sorted(seated), robot)
     if not seated:
         raise NoGraspError(
             f"{model.name}: none of {len(grasps)} grasps can be held by the {own}; are they in the object's frame, in"
-            " metres, and named for the right gripper?"
+            f" metres, and named for the right gripper?{asked}"
         )
     moved = sum(depth != 0 for _, depth in seated.values())
     if moved or len(seated) < len(grasps):
         dropped = len(grasps) - len(seated)
         warnings.warn(
-            f"{model.name}: of {len(grasps)} grasps of the {grasps.gripper}, {moved} seated elsewhere, {dropped} dropped",
+            f"{model.name}: of {len(grasps)} grasps of the {grasps.gripper}, {moved} seated elsewhere, {dropped} dropped{asked}",
             stacklevel=2,
         )
     order = sorted(seated, key=lambda i: (-float(grasps.score[i]), i))

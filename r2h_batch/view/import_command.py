@@ -9,13 +9,19 @@ from r2h_batch.base.io.write import check_output_folder
 from r2h_batch.data.command import COMMANDS as FILES
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from r2h_batch.data.robot import Imported
+    from r2h_batch.data.robot_pads import Window
     from r2h_batch.scene.robot import Robot
 
 TARGETS = 10_000
 """Random postures within limits whose poses the inverse kinematics is asked for."""
 PIXELS = 640
 TOO_LARGE_MM = 3.0
+PROUD_MM = 0.5
+PAD_RGBA = (0.1, 0.7, 0.2, 1.0)
 
 
 def robot(
@@ -28,6 +34,8 @@ def robot(
     srdf: Path | None = None,
     gripper: Literal["2f85"] = "2f85",
     fingers: str = "",
+    offset: str = "",
+    pads: str = "",
     home: str = "",
     name: str = "",
     payload: float | None = None,
@@ -37,18 +45,21 @@ def robot(
 
     Args:
         base: The link that stands on the table.
-        flange: The link that carries the gripper.
+        flange: The link that carries the gripper, or a site of an MJCF. Its z points away from the arm.
         out: A new or empty folder.
-        urdf: The arm. Its meshes are .obj, .stl, .ply or .glb, beside it or in a --package.
+        urdf: The arm. Its meshes are .obj, .stl, .ply, .glb or .dae, beside it or in a --package.
         mjcf: The arm as MuJoCo's XML, in place of --urdf. Meshes and includes lie in its folder.
         srdf: Names postures, and pairs of links that never collide. The report compares these pairs with
             the command's own.
         gripper: The gripper at the flange.
         fingers: LINK,LINK: the two links of the file's own gripper that grasp, in place of --gripper.
+        offset: X,Y,Z,ROLL,PITCH,YAW: the flange in the frame of --flange, m and rad.
+        pads: LOW,HIGH,WIDTH: where the pads are on the fingers' meshes: heights above the flange and width with
+            the gripper closed, m. By default: the file's boxes, or flats of the meshes that face each other.
         home: Posture at the start: rad with commas, as --home=-0.5,1,..., or the name of a state in --srdf.
         name: Name of the robot in tables; by default the folder's and the gripper's.
         payload: Payload of the arm in its data sheet, gripper included, kg.
-        package: NAME=FOLDER: the folder that package://NAME/ means.
+        package: NAME=FOLDER: the folder that package://NAME/ means; not needed where the file lies in NAME.
     """
     from dataclasses import replace
 
@@ -71,6 +82,7 @@ def robot(
     found = import_robot(
         urdf or mjcf or Path(), name=name or f"{out.name}_{'jaws' if fingers else gripper}", base=base, flange=flange,
         packages=folders, fingers=(one, other) if fingers else None, srdf=srdf, home=_posture(home),
+        offset=_pose("--offset", offset), pads=_window(pads, fingers),
     )  # fmt: skip
     count = missed(found.robot)
     arm = replace(found.robot, ik_missed=(TARGETS, count), payload_kg=payload)
@@ -88,6 +100,42 @@ def robot(
         print(f"{arm.name}: no home.png: {error}")
     print(f"{arm.name}: written to {out}")
     return 0
+
+
+def _numbers(flag: str, text: str, count: int, form: str) -> list[float]:
+    try:
+        found = [float(x) for x in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != count or not all(abs(x) < 10 for x in found):
+        raise UsageError(f"{flag} {text}: write {form}, m and rad, each below 10")
+    return found
+
+
+def _pose(flag: str, text: str) -> "NDArray[np.float64] | None":
+    """(4, 4), or None where nothing is given."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    if not text:
+        return None
+    numbers, T = _numbers(flag, text, 6, "X,Y,Z,ROLL,PITCH,YAW"), np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
+    T[:3, 3] = numbers[:3]
+    return T
+
+
+def _window(text: str, fingers: str) -> "Window | None":
+    from r2h_batch.data.robot_pads import Window
+
+    if not text:
+        return None
+    if not fingers:
+        raise UsageError("--pads needs --fingers: the 2F-85 has pads of its own")
+    found = Window(*_numbers("--pads", text, 3, "LOW,HIGH,WIDTH"))
+    if not (found.low < found.high and found.width > 0):
+        raise UsageError(f"--pads {text}: LOW must be below HIGH, and WIDTH above 0")
+    return found
 
 
 def _posture(home: str) -> "tuple[float, ...] | str":
@@ -144,6 +192,16 @@ def _tell(robot: "Robot", report: dict[str, Any]) -> None:
     if robot.payload_kg is not None:
         left = f"{robot.carries_kg:.2f} kg for objects"
         print(f"payload: {robot.payload_kg:g} kg at the flange, {left}")
+    if row := report.get("pads"):
+        if "from" in row:
+            print(
+                f"pads: {row['from']}, {1e3 * row['low_m']:.1f} to {1e3 * row['high_m']:.1f} mm above the flange,"
+                f" {1e3 * row['width_m']:.1f} mm wide, green in home.png; other ones: --pads=LOW,HIGH,WIDTH"
+            )
+            if row["proud_mm"] > PROUD_MM:
+                print(f"pads: the fingers stand {row['proud_mm']:.1f} mm before them")
+        if "turn" in row:
+            print(f"pads: the file turns them by {row['turn']}")
     if "speeds" in report:
         print(f"speeds: {report['speeds']}")
     kind = "closed form" if robot.family == "ur" else "numerical"
@@ -186,11 +244,14 @@ def draw(imported: "Imported", file: Path) -> None:
         place = T[link] @ robot.arm.T_link_prim[i]
         add_primitive(spec, world, robot.arm, i, place, 0, 0, f"body_{i}")
     T_ee = T[-2] @ robot.T_wrist3_ee
+    pads = {f"part_{i}" for i, part in enumerate(robot.gripper_part) if part == "pad"}
     for i, place in enumerate(gripper_primitives_at(robot, robot.open_gap_m)):
         add_primitive(spec, world, robot.gripper, i, T_ee @ place, 0, 0, f"part_{i}")
         corners.append((T_ee @ place)[None, :3, 3])
     for geom in spec.geoms:
         geom.rgba[3] = 1.0
+        if geom.name in pads:
+            geom.rgba = PAD_RGBA
     spec.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
         rgb1=[1, 1, 1], rgb2=[1, 1, 1], width=16, height=96,

@@ -161,3 +161,17 @@ def test_grasps_of_our_gripper_stay_and_those_of_another_are_seated_anew_or_drop
     T[:] = T[0]
     with pytest.raises(ValueError, match="hammer: none of 100 grasps can be held"):
         seat_grasps(hammer, as_set(own, T=T))
+
+
+@pytest.mark.parametrize(
+    ("said", "asked"),
+    [("panda-hand", "acronym-panda or graspgen-franka"), ("2f-85", "graspgen-2f-85 or 2f-85-base")],
+)
+def test_grasps_whose_fingers_close_along_another_axis_ask_for_their_grippers_name(said, asked):
+    (hammer,) = load_objects(["hammer"])
+    (own,) = candidates_of((hammer,))
+    T = own.T_obj_ee.copy()
+    T[:, :3, :2] = np.stack([T[:, :3, 1], -T[:, :3, 0]], 2)  # read as closing along x
+    words = rf"; turned by 90 degrees \d+ of 100 hold, as they are \d+: is GRIPPER {asked}\?"
+    with pytest.warns(UserWarning, match=words):
+        seat_grasps(hammer, as_set(own, said, T))

@@ -186,6 +186,15 @@ def test_hands_that_never_carry_the_object_are_left_out_and_counted(tmp_path, ca
     assert code == 0 and "4 hands" in out and (hands["held_s"] == 0).tolist() == [False, False, False, True]
 
 
+def test_a_data_set_of_idle_hands_alone_says_so(tmp_path, capsys):
+    write_grab(tmp_path, idle=(0, 1))
+    code, _, err, *_ = imported(capsys, tmp_path, "grab")
+    assert (
+        code != 0
+        and "of 1 files all 2 hands are idle, none carries the object for 0.25 s: take them with --idle" in err
+    )
+
+
 class Runs:
     def __reduce__(self):
         return eval, ("__import__('pathlib').Path('/tmp/r2h_batch_hands_ran').touch()",)

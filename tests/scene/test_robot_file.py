@@ -168,7 +168,7 @@ def jaws_of(folder: Path, urdf: str = JAWS, **changes: str):
     model = read_model(folder / "jaws.urdf")
     fingers = read_fingers(model, "flange", ("l", "r"))
     check_meshes([fingers.palm], fingers.parts, model.shown)
-    meshes = Meshes(model, [*seen_of(fingers.palm), *(g for p in fingers.parts for g in p.seen)], {})
+    meshes = Meshes(model, [*seen_of(fingers.palm), *(g for p in fingers.parts for g in p.shown)], {})
     return fingers, gripper_of(fingers, ("l", "r"), 6, meshes)[0], meshes
 
 
@@ -221,7 +221,7 @@ def test_fingers_on_cranks_become_a_table_of_their_circle(tmp_path):
     [
         (JAWS, {"kind": "revolute"}, "must stay parallel"),
         (JAWS, {"axis": "0 -1 0"}, "must be mirror images"),
-        (JAWS, {"box": ""}, "neither boxes to collide nor a visual mesh"),
+        (JAWS, {"box": ""}, "neither boxes to collide nor a mesh"),
         (CRANKS, TURNING | {"other": "-1"}, "must open apart"),
         (CRANKS.replace('joint="one" multiplier="{other}"', 'joint="two"'), TURNING, "follows itself"),
         (CRANKS.replace('<mimic joint="one" multiplier="{pad}"/>', "{limit}"), TURNING, "3 joints of the gripper move"),

@@ -8,10 +8,14 @@ r2h_batch.scene.mesh_import.file` is the child.
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import os
 import re
+import shutil
 import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,47 +28,83 @@ from r2h_batch.base.io.read import FileError, open_file, path_within, printable,
 from r2h_batch.scene.mesh_import.limits import MOST_BYTES, MOST_SECONDS, ObjectMeshError
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
+ROBOT_SUFFIXES = (*SUFFIXES, ".dae")
+"""Of meshes of a robot's links."""
 
 
 def load_mesh_file(path: str | Path, label: str, *, points: bool = False) -> trimesh.Trimesh:
     """The triangles of a mesh file as it stands, with `points` also the vertices of a file without
     any; whatever is wrong with it is one `ObjectMeshError`."""
-    path, label = Path(path), printable(label)
-    shown = printable(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise ObjectMeshError(f"{label}: {shown} is not one of {', '.join(SUFFIXES)}; convert it")
-    if not os.path.exists(path):  # also of a name that is too long
-        raise ObjectMeshError(f"{label}: no file {shown}; give a mesh ({', '.join(SUFFIXES)})")
+    (mesh,) = _load([Path(path)], printable(label), SUFFIXES, points=points)
+    return mesh
+
+
+def load_robot_meshes(paths: Sequence[Path], label: str) -> list[trimesh.Trimesh]:
+    """The triangles of mesh files, read by one process; COLLADA's in metres, its up axis ignored, as
+    RViz reads them. Whatever is wrong with one is one `ObjectMeshError`."""
+    if not paths:
+        return []
     try:
-        with open_file(path, MOST_BYTES) as file:
-            if os.fstat(file.fileno()).st_size == 0:
-                raise ObjectMeshError(f"{label}: {shown} is empty (0 bytes); export the mesh again")
+        return _load(list(paths), printable(label), ROBOT_SUFFIXES)
+    except ObjectMeshError:
+        if len(paths) == 1:
+            raise
+        # each alone: one that ends its reader, or takes too long, is named
+        return [_load([path], printable(label), ROBOT_SUFFIXES)[0] for path in paths]
+
+
+def _load(
+    paths: list[Path], label: str, suffixes: Sequence[str], *, points: bool = False
+) -> list[trimesh.Trimesh]:
+    for path in paths:
+        shown = printable(path)
+        if path.suffix.lower() not in suffixes:
+            raise ObjectMeshError(
+                f"{label}: {shown} is not one of {', '.join(suffixes)}; convert it"
+            )
+        if not os.path.exists(path):  # also of a name that is too long
+            raise ObjectMeshError(f"{label}: no file {shown}; give a mesh ({', '.join(suffixes)})")
+    what = paths[0].name if len(paths) == 1 else f"{len(paths)} meshes"
+    shown = printable(paths[0])
+    try:
+        with tempfile.TemporaryFile() as joined:
+            files = []
+            for path in paths:
+                with open_file(path, MOST_BYTES) as file:
+                    size = os.fstat(file.fileno()).st_size
+                    if size == 0:
+                        empty = f"{printable(path)} is empty (0 bytes); export the mesh again"
+                        raise ObjectMeshError(f"{label}: {empty}")
+                    shutil.copyfileobj(file, joined)
+                folder = str(path.parent.resolve())
+                files.append({"type": path.suffix[1:].lower(), "folder": folder, "size": size})
+            joined.flush()
+            joined.seek(0)
             try:
-                vertices, faces, part, names = read_in_child(
+                answers = read_in_child(
                     "r2h_batch.scene.mesh_import.file",
-                    file,
-                    {
-                        "type": path.suffix[1:].lower(),
-                        "folder": str(path.parent.resolve()),
-                        "points": points,
-                    },
-                    count=4,
+                    joined,
+                    {"files": files, "points": points},
+                    count=4 * len(paths),
                     seconds=MOST_SECONDS,
-                    doing=f"{label}: reading {path.name}",
+                    doing=f"{label}: reading {what}",
                 )
             except FileError as error:
                 how = "" if ";" in str(error) else "; export it as a plain STL or OBJ"
                 raise FileError(f"{shown} {error}{how}") from None
     except FileError as error:
         raise ObjectMeshError(f"{label}: {error}") from None
-    if len(faces) == 0 and not (points and len(vertices)):
-        raise ObjectMeshError(
-            f"{label}: {shown} is empty: no triangles in it; export a triangle mesh"
-        )
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    if len(names) > 1:
-        mesh.metadata[LABELS] = (part, tuple(str(n) for n in names))
-    return mesh
+    found = []
+    for i, path in enumerate(paths):
+        vertices, faces, part, names = answers[4 * i : 4 * i + 4]
+        if len(faces) == 0 and not (points and len(vertices)):
+            empty = f"{printable(path)} is empty: no triangles in it; export a triangle mesh"
+            raise ObjectMeshError(f"{label}: {empty}")
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        if len(names) > 1:
+            mesh.metadata[LABELS] = (part, tuple(str(n) for n in names))
+        found.append(mesh)
+    return found
 
 
 def labels_of(mesh: trimesh.Trimesh) -> tuple[NDArray[np.int64], tuple[str, ...]] | None:
@@ -107,7 +147,7 @@ def _read_grouped(
     none: tuple[NDArray[np.int64], list[str]] = (np.zeros(0, np.int64), [])
     if kind == "obj" and (found := _obj_groups(data.getvalue())) is not None:
         return found
-    if kind not in ("glb", "gltf"):
+    if kind not in ("glb", "gltf", "dae"):
         return trimesh.load_mesh(data, file_type=kind, resolver=resolver, **options), *none
     scene = trimesh.load_scene(data, file_type=kind, resolver=resolver, **options)
     vertices, faces, part, count = [], [], [], 0
@@ -117,7 +157,11 @@ def _read_grouped(
         mesh = scene.geometry[geometry]
         if not isinstance(mesh, trimesh.Trimesh):
             continue
-        vertices.append(trimesh.transform_points(mesh.vertices, T))
+        scale = 1.0
+        if kind == "dae":  # "0.01 * meters", "meters"
+            number = str(mesh.metadata.get("units", "")).partition(" ")[0]
+            scale = float(number) if number[:1].isdigit() else 1.0
+        vertices.append(scale * trimesh.transform_points(mesh.vertices, T))
         turned = np.linalg.det(T[:3, :3]) < 0  # a mirrored node
         faces.append((mesh.faces[:, ::-1] if turned else mesh.faces) + count)
         part.append(np.full(len(mesh.faces), len(names)))
@@ -188,10 +232,20 @@ def _word(name: str) -> str:
 
 
 def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
-    """Vertices, faces, the part of each face, the parts' names."""
-    kind, resolver = options["type"], _Beside(options["folder"])
+    """Of each file vertices, faces, the part of each face, the parts' names."""
+    answers, at = [], 0
+    for file in options["files"]:
+        answers += _arrays_of(data[at : at + file["size"]], file, options["points"])
+        at += file["size"]
+    return answers
+
+
+def _arrays_of(data: bytes, file: dict[str, Any], points: bool) -> list[Any]:
+    kind, resolver = file["type"], _Beside(file["folder"])
+    if kind == "dae":
+        _check_collada(data)
     mesh, part, names = _read_grouped(io.BytesIO(data), kind, resolver)
-    if options["points"] and not len(getattr(mesh, "faces", ())):
+    if points and not len(getattr(mesh, "faces", ())):
         mesh = trimesh.load(io.BytesIO(data), file_type=kind, process=False)
         found = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64)
         return [found, np.zeros((0, 3), np.int64), part, np.array([], dtype="U64")]
@@ -199,6 +253,18 @@ def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
         raise FileError(f"holds a {type(mesh).__name__}, no triangles; export a triangle mesh")
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     return [vertices, faces, part, np.array(names, dtype="U64")]
+
+
+def _check_collada(data: bytes) -> None:
+    if re.search(rb"<!\s*(doctype|entity)", data, re.IGNORECASE):
+        raise FileError("declares a document type; remove it, a mesh needs none")
+    if not reads_collada():
+        raise FileError("is COLLADA; pip install 'r2h_batch[import]', or convert it to STL")
+
+
+def reads_collada() -> bool:
+    """Whether this environment can read .dae files."""
+    return importlib.util.find_spec("collada") is not None
 
 
 if __name__ == "__main__":

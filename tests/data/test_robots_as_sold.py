@@ -1,0 +1,279 @@
+"""Robots as they are sold: sites and offsets as flanges, missing torques, loops, fitted shapes, pads from meshes, COLLADA."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from refusals import one_line
+from robot_files import ARM, read_arm, write_mjcf, write_urdf
+
+from r2h_batch.data import robot_links
+from r2h_batch.data.robot import gripper_of
+from r2h_batch.data.robot_chain import at_flange, read_chain, read_fingers
+from r2h_batch.data.robot_links import Meshes, files_of, link_of
+from r2h_batch.data.robot_model import read_model
+from r2h_batch.data.robot_pads import Window
+from r2h_batch.scene.mesh_import import file as mesh_file
+
+
+def turned(x: float = 0.0, y: float = 0.0, z: float = 0.0, pitch: float = 0.0) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = [[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]]
+    T[:3, 3] = x, y, z
+    return T
+
+
+def test_a_site_or_a_link_with_an_offset_is_a_flange(tmp_path):
+    site = '<site name="tool" pos="0.01 0 0.02" euler="0 90 0"/>'
+    path = write_mjcf(tmp_path, **{'<body name="flange"': f'{site}<body name="flange"'})
+    model = read_model(path)
+    by_site, name = at_flange(model, "tool", np.eye(4), bare=False)
+    chain = read_chain(by_site, "base", name)
+    assert np.abs(chain.T_last_flange - turned(0.01, 0, 0.02, np.pi / 2)).max() < 1e-9
+    offset = turned(0.03, 0, 0, np.pi / 2)
+    by_link, name = at_flange(model, "l7", offset, bare=False)
+    chain = read_chain(by_link, "base", name)
+    assert np.abs(chain.T_last_flange - offset).max() < 1e-9 and "flange" in chain.links[-1].members
+    # with the file's gripper the link carries nothing but itself, and the fingers stay where they are
+    model, name = at_flange(model, "l7", offset, bare=True)
+    bare, usual = read_chain(model, "base", name, bare=True), read_fingers(read_model(path), "flange", PADS)
+    assert bare.links[-1].members == ("l7",) and bare.links[-1].mass == 1.5
+    moved = read_fingers(model, name, PADS)
+    for one, other in zip(moved.parts, usual.parts, strict=True):
+        assert np.abs(offset @ one.T - turned(0, 0, 0.07) @ other.T).max() < 1e-9
+    with one_line("--flange hand is not a link or site; the last are .*, tool"):
+        at_flange(read_model(path), "hand", np.eye(4), bare=False)
+
+
+PADS = ("left_finger", "right_finger")
+
+
+def test_joints_without_a_torque_get_what_holds_the_stretched_arm_twice(tmp_path):
+    motor = '<motor joint="j2" ctrlrange="-40.0 40.0" gear="2"/>'
+    chain, _ = read_arm(write_mjcf(tmp_path, **{motor: '<position joint="j2" kp="100"/>'}))
+    assert chain.assumed == ("j2",) and chain.effort[0] == 80
+    lengths = [np.linalg.norm(ARM[k][0]) for k in range(2, 7)]
+    at = np.cumsum([0.0, *lengths])
+    moment = sum(link.mass * (a + np.linalg.norm(link.com)) for link, a in zip(chain.links[2:], at, strict=True))
+    moment += 2.0 * (at[-1] + 0.07)
+    assert chain.effort[1] == pytest.approx(2 * 9.81 * moment)
+    (tmp_path / "u").mkdir()
+    no_effort, _ = read_arm(write_urdf(tmp_path / "u", **{' effort="80"': ""}))
+    assert no_effort.assumed == ("j1", "j2", "j3", "j4") and no_effort.effort[1] == pytest.approx(chain.effort[1])
+
+
+LOOP = """<mujoco><compiler angle="radian"/><worldbody><body name="hand"><geom type="box" size="0.04 0.04 0.02" mass="0.3"/>
+{fingers}</body></worldbody><equality>
+<connect body1="left_pad" body2="left_bar" anchor="0 0 {end}"/><connect body1="right_pad" body2="right_bar" anchor="0 0 {end}"/>
+<joint joint1="right_crank" joint2="left_crank" polycoef="0 1 0 0 0"/></equality></mujoco>"""
+FINGER = """<body name="{side}_link" pos="0 {y}0.02 0.05" {turn}><joint name="{side}_crank" axis="-1 0 0" range="0 0.8"/>
+<geom type="box" size="0.004 0.002 0.02" pos="0 0 0.02" mass="0.02"/>
+<body name="{side}_pad" pos="0 0 0.05"><joint name="{side}_pin" axis="1 0 0" range="-1 1"/>
+<geom type="box" size="0.01 0.004 0.015" pos="0 0.005 0.02" mass="0.02"/></body></body>
+<body name="{side}_bar" pos="0 {y}{inner} 0.05" {turn}><joint name="{side}_bar" axis="-1 0 0" range="-1 1"/>
+<geom type="box" size="0.002 0.002 0.02" pos="0 0 0.02" mass="0.01"/></body>"""
+
+
+def write_loop(folder: Path, **changes: str) -> Path:
+    """Two parallelograms: cranks and bars of 50 mm, the bars 10 mm further in, pads between their ends."""
+    sides = (("left", "", 'euler="0 0 0"'), ("right", "-", 'euler="0 0 3.141592653589793"'))
+    fingers = "".join(FINGER.format(side=s, y=y, turn=turn, inner="0.01") for s, y, turn in sides)
+    text = LOOP.replace("{fingers}", fingers)
+    # the bars end where the pads' own points 10 mm further in are
+    text = text.replace('anchor="0 0 {end}"', 'anchor="0 -0.01 0"')
+    for old, new in changes.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    (folder / "loop.xml").write_text(text)
+    return folder / "loop.xml"
+
+
+def test_the_loops_of_a_gripper_close_and_its_pads_stay_parallel(tmp_path):
+    model = read_model(write_loop(tmp_path))
+    fingers = read_fingers(model, "hand", ("left_pad", "right_pad"))
+    pad = next(p for p in fingers.parts if p.name == "left_pad")
+    angle = np.linspace(0.0, 0.8, len(pad.T))
+    angle = angle if pad.T[-1, 1, 3] > pad.T[0, 1, 3] else angle[::-1]
+    # closed form: a crank of 50 mm about its pivot, the pad not turned
+    away = np.stack([0 * angle, 0.02 + 0.05 * np.sin(angle), 0.05 + 0.05 * np.cos(angle)], 1)
+    assert np.abs(pad.T[:, :3, 3] - away).max() < 1e-6 and np.abs(pad.T[:, :3, :3] - np.eye(3)).max() < 1e-5
+    bar = next(p for p in fingers.parts if p.name == "left_bar")
+    crank = next(p for p in fingers.parts if p.name == "left_link")
+    assert np.abs(bar.T[:, :3, :3] - crank.T[:, :3, :3]).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({'<joint joint1="right_crank" joint2="left_crank" polycoef="0 1 0 0 0"/>': ""}, "needs a motor"),
+        ({'name="left_pin" axis="1 0 0" range="-1 1"': 'name="left_pin" axis="1 0 0" range="-0.1 0.1"'}, "stay open"),
+    ],
+)
+def test_a_loop_that_nothing_drives_or_that_does_not_close_is_refused_in_one_line(changes, words, tmp_path):
+    with one_line(words):
+        read_fingers(read_model(write_loop(tmp_path, **changes)), "hand", ("left_pad", "right_pad"))
+
+
+def test_a_shape_fitted_to_a_mesh_is_measured(tmp_path):
+    fitted = {'<geom class="seen" type="mesh" mesh="block"': '<geom class="seen" type="box" mesh="block"'}
+    _, links = read_arm(write_mjcf(tmp_path, **fitted))
+    (shape,) = links[5].shapes
+    assert shape.kind == "box" and np.allclose(np.sort(shape.size), [0.035, 0.035, 0.09], atol=1e-6)
+    assert np.allclose(shape.pos, [0, 0, 0.09], atol=1e-6)
+
+
+JAWS = """<robot name="jaws"><link name="flange"><visual><geometry><box size="0.1 0.1 0.05"/></geometry></visual>{mass}</link>
+<link name="l"><visual><geometry><mesh filename="finger.stl"/></geometry></visual>{mass}</link>
+<link name="r"><visual><origin rpy="0 0 3.141592653589793"/>
+<geometry><mesh filename="finger.stl"/></geometry></visual>{mass}</link>
+<joint name="one" type="prismatic"><parent link="flange"/><child link="l"/><origin xyz="0 0 0.1"/><axis xyz="0 1 0"/>
+{limit}</joint>
+<joint name="two" type="prismatic"><parent link="flange"/><child link="r"/><origin xyz="0 0 0.1"/><axis xyz="0 -1 0"/>
+{limit}</joint></robot>"""
+MASS = '<inertial><mass value="0.2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+LIMIT = '<limit lower="0" upper="0.04" velocity="1" effort="1"/>'
+
+
+def jaws_of(folder: Path, window: Window | None = None):
+    """Fingers of a bar 12 mm thick, whose end of 20 mm by 16 mm stands 3 mm further in and is the pad."""
+    bar = trimesh.creation.box((0.02, 0.012, 0.06), trimesh.transformations.translation_matrix((0, 0.011, 0.03)))
+    tip = trimesh.creation.box((0.016, 0.010, 0.020), trimesh.transformations.translation_matrix((0, 0.007, 0.05)))
+    trimesh.util.concatenate([bar, tip]).export(folder / "finger.stl")
+    (folder / "jaws.urdf").write_text(JAWS.replace("{mass}", MASS).replace("{limit}", LIMIT))
+    model = read_model(folder / "jaws.urdf")
+    fingers = read_fingers(model, "flange", ("l", "r"))
+    meshes = Meshes(model, [*files_of(fingers.palm), *(g for p in fingers.parts for g in p.shown)], {})
+    return gripper_of(fingers, ("l", "r"), 6, meshes, window)
+
+
+def test_the_flats_of_two_fingers_that_face_each_other_are_the_pads(tmp_path):
+    gripper, _, told = jaws_of(tmp_path)
+    assert told["from"] == "flats of the meshes" and told["proud_mm"] < 1e-3
+    assert (told["low_m"], told["high_m"], told["width_m"]) == pytest.approx((0.14, 0.16, 0.016), abs=1e-6)
+    assert gripper["open_gap_m"] == pytest.approx(0.08 + 2 * 0.002) and gripper["gripper_part"].count("pad") == 2
+    assert gripper["T_flange_ee"][2, 3] == pytest.approx(0.15)
+
+
+def test_given_pads_replace_those_that_are_found(tmp_path):
+    gripper, _, told = jaws_of(tmp_path, Window(0.105, 0.135, 0.018))
+    assert told["from"] == "--pads" and told["high_m"] == 0.135
+    assert gripper["open_gap_m"] == pytest.approx(0.08 + 2 * 0.005) and gripper["T_flange_ee"][2, 3] == pytest.approx(
+        0.12
+    )
+    with one_line("no flats that face each other; give --pads=LOW,HIGH,WIDTH"):
+        jaws_of(tmp_path, Window(0.3, 0.4, 0.02))
+
+
+def test_collada_is_read_in_metres_or_the_collision_mesh_stands_in(tmp_path, monkeypatch):
+    pytest.importorskip("collada")
+    seen = '<visual><origin xyz="0 0 0.09"/><geometry><mesh filename="parts/block.'
+    scaled = 'stl" scale="0.001 0.001 0.001"/>'
+    path = write_urdf(tmp_path, **{seen + scaled: seen + 'dae"/>'})
+    text = trimesh.exchange.dae.export_collada(trimesh.creation.box((7, 7, 18))).decode()
+    assert "<unit" not in text
+    (tmp_path / "parts" / "block.dae").write_text(text.replace("</asset>", '<unit meter="0.01"/></asset>', 1))
+    sides = pytest.approx([0.07, 0.07, 0.18])
+    _, links = read_arm(path, bare=True)
+    assert links[5].meshed == 12 and np.ptp(links[5].triangles.reshape(-1, 3), axis=0) == sides
+    monkeypatch.setattr(robot_links, "reads_collada", lambda: False)
+    (tmp_path / "parts" / "block.dae").write_text("not read")
+    _, links = read_arm(path, bare=True)
+    assert np.ptp(links[5].triangles.reshape(-1, 3), axis=0) == sides
+
+
+def test_a_collada_file_with_a_document_type_is_refused(tmp_path):
+    pytest.importorskip("collada")
+    (tmp_path / "a.dae").write_text('<!DOCTYPE a [<!ENTITY b SYSTEM "/etc/hostname">]><COLLADA>&b;</COLLADA>')
+    with one_line("declares a document type", ValueError):
+        mesh_file.load_robot_meshes([tmp_path / "a.dae"], "x")
+
+
+def test_one_process_reads_all_meshes_and_a_bad_one_is_named(tmp_path, monkeypatch):
+    calls = []
+    read = mesh_file.read_in_child
+    monkeypatch.setattr(mesh_file, "read_in_child", lambda *a, **k: calls.append(1) or read(*a, **k))
+    for k in range(3):
+        trimesh.creation.box((k + 1, 1, 1)).export(tmp_path / f"{k}.stl")
+    paths = [tmp_path / f"{k}.stl" for k in range(3)]
+    found = mesh_file.load_robot_meshes(paths, "x")
+    assert len(calls) == 1 and [round(np.ptp(m.vertices[:, 0])) for m in found] == [1, 2, 3]
+    (tmp_path / "1.stl").write_bytes(b"solid nothing")
+    with one_line("1.stl", ValueError):
+        mesh_file.load_robot_meshes(paths, "x")
+
+
+def test_a_comment_about_xacro_is_not_a_program_and_a_file_finds_the_package_that_it_lies_in(tmp_path):
+    folder = tmp_path / "made_description" / "urdf"
+    folder.mkdir(parents=True)
+    path = write_urdf(
+        folder,
+        **{
+            "<robot": "<!-- made by xacro:macro --><robot",
+            '"parts/block.stl"': '"package://made_description/urdf/parts/block.stl"',
+        },
+    )
+    _, links = read_arm(path, bare=True)
+    assert links[5].meshed == 12
+    with one_line("--package other=FOLDER"):
+        read_arm(write_urdf(folder, **{'"parts/block.stl"': '"package://other/block.stl"'}), bare=True)
+
+
+TWICE = '<link name="l2"/><link name="base">'
+BAD = {
+    "link l3 has a mass of -1.5 kg": ('<link name="l3">', None),
+    "two links are called l2": ('<link name="base">', TWICE),
+    "link l5 has two parents, l4 and base": (
+        "</robot>",
+        '<joint name="k" type="fixed"><parent link="base"/><child link="l5"/></joint></robot>',
+    ),
+    "hangs in a circle of joints": (
+        "</robot>",
+        '<joint name="k" type="fixed"><parent link="left_finger"/><child link="base"/></joint></robot>',
+    ),
+    "two joints are called j2": ('name="j3"', 'name="j2"'),
+    "joint left_slide follows itself": (
+        '<joint name="left_slide" type="prismatic">',
+        '<joint name="left_slide" type="prismatic"><mimic joint="left_slide"/>',
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", BAD)
+def test_what_is_wrong_with_a_tree_is_named(words, tmp_path):
+    old, new = BAD[words]
+    path = write_urdf(tmp_path, **({} if new is None else {old: new}))
+    if new is None:
+        text = path.read_text()
+        at = text.index('<mass value="1.5"', text.index(old))
+        path.write_text(text[:at] + text[at:].replace('"1.5"', '"-1.5"', 1))
+    with one_line(words):
+        read_model(path)
+
+
+def test_links_are_counted_before_a_mesh_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(robot_links, "load_robot_meshes", lambda *_: pytest.fail("a mesh was read"))
+    from r2h_batch.data.robot import import_robot
+
+    def made(path: Path, **more):
+        return import_robot(path, name="m", base=more.pop("base", "base"), flange="flange", packages={}, **more)
+
+    with one_line("1 joints move flange; allowed are 6 or 7"):
+        made(write_urdf(tmp_path), base="l6")
+    with one_line("--fingers l7 is not a link that a joint of the gripper"):
+        made(write_urdf(tmp_path), fingers=("l7", "left_finger"))
+    with one_line("needs lower < upper"):
+        made(write_urdf(tmp_path, **{'lower="-1.8" upper="1.8"': 'lower="0.5" upper="0.5"'}))
+    with one_line("link l4 is not a body: mass 0 kg"):
+        path = write_urdf(tmp_path)
+        text = path.read_text()
+        at = text.index('<mass value="1.5"', text.index('<link name="l4">'))
+        path.write_text(text[:at] + text[at:].replace('"1.5"', '"0"', 1))
+        made(path)
+
+
+def test_link_of_a_part_that_only_collides_as_a_mesh_shows_that_mesh(tmp_path):
+    changes = {'<geom class="seen" type="mesh" mesh="block" pos="0 0 0.09"/>': ""}
+    model = read_model(write_mjcf(tmp_path, **changes))
+    part = read_chain(model, "base", "flange").links[5]
+    assert link_of(part, Meshes(model, files_of(part), {})).meshed == 12
