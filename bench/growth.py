@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 from _report import ROOT, Report, arguments
 
-from r2h_batch.base.schedule import PROTOCOL
+from r2h_batch.registry import DEFAULT_PROTOCOL
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.runs.store import SHARD_TRIALS
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
@@ -91,7 +91,7 @@ def header(trials: int) -> dict:
     """run.json of the synthetic run."""
     n_s0 = trials // 2
     return {
-        "protocol": PROTOCOL,
+        "protocol": DEFAULT_PROTOCOL,
         "trials": {"S0": n_s0, "S1": trials - n_s0},
         "objects": [{"name": n, "split": SPLITS[i >= 6], "built_in": False} for i, n in enumerate(OBJECTS)],
         "configuration": {"name": "default"},

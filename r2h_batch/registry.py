@@ -5,7 +5,7 @@ Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.P
 `scene.robot.ROBOTS`.
 """
 
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 
 class Protocol(NamedTuple):
@@ -86,7 +86,11 @@ METHODS = (
 METHOD_NAMES = tuple(entry.name for entry in METHODS)
 
 if TYPE_CHECKING:
-    ProtocolName = ProtocolWord = PresetName = EngineName = EngineWord = str
+    ProtocolName: TypeAlias = str
+    ProtocolWord: TypeAlias = str
+    PresetName: TypeAlias = str
+    EngineName: TypeAlias = str
+    EngineWord: TypeAlias = str
 else:  # in a checked field: one of the names; a word may also be empty, or leave the choice open
     ProtocolName = Literal[PROTOCOL_NAMES]
     ProtocolWord = Literal[("", *PROTOCOL_NAMES)]

@@ -13,7 +13,7 @@ from fake_bench import set_up as set_up_fake
 from made_runs import NAMES, make_header, make_scores
 from made_runs import make_trials as planned
 
-from r2h_batch.base.schedule import PROTOCOL
+from r2h_batch.registry import DEFAULT_PROTOCOL
 from r2h_batch.runs.rows import detail_rows, score_rows
 from r2h_batch.runs.store import RunError, load_run, open_run
 from r2h_batch.sweep import command as sweep
@@ -196,7 +196,7 @@ def test_a_method_that_is_none_is_refused_before_any_preparation(fake, monkeypat
     ],
 )
 def test_rows_that_are_not_the_plans_are_not_written(tmp_path, kind, ids, words):
-    run = open_run(tmp_path / "run", make_header(4, 4, protocol=PROTOCOL, stored=["details"]))
+    run = open_run(tmp_path / "run", make_header(4, 4, protocol=DEFAULT_PROTOCOL, stored=["details"]))
     run.register("m", {"kind": "test"})
     (shard,) = run.todo("m")
     trials = replace(planned(4, 4), trial_id=make_trials(("S0", "S1"), 4).trial_id)

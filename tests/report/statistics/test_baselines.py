@@ -10,8 +10,8 @@ import torch
 from made_runs import make_header, make_scores, make_trials
 
 from r2h_batch.__main__ import main
-from r2h_batch.base.schedule import PROTOCOL, trial_ids
-from r2h_batch.registry import METHOD_NAMES
+from r2h_batch.base.schedule import trial_ids
+from r2h_batch.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 from r2h_batch.report.compare.command import FOLDERS, baselines_for, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import pair_up
@@ -90,7 +90,7 @@ def write_protocol_run(folder, n, method, header, s1=None):
 
 
 def test_runs_of_different_size_are_compared_on_the_trials_that_both_hold(tmp_path):
-    same = {"protocol": PROTOCOL, "digests": {"trials": "t", "objects": "o", "hand_set": "h"}}
+    same = {"protocol": DEFAULT_PROTOCOL, "digests": {"trials": "t", "objects": "o", "hand_set": "h"}}
     objects = [{"name": n, "split": s, "built_in": True} for s, n in (("S0", "bowl"), ("S1", "knife"))]
     runs = [write_protocol_run(tmp_path / str(n), n, m, {**same, "objects": objects}) for m, n in (("a", 9), ("b", 5))]
     common = common_trials(runs)
