@@ -102,7 +102,7 @@ class Imported(NamedTuple):
     robot: Robot
     report: dict[str, Any]
     seen: tuple[Array, ...]
-    """triangles (F, 3, 3) of each link in its frame"""
+    """triangles (F, 3, 3) of each link in its frame; of the file's own gripper, open, in the flange's"""
 
 
 def import_robot(
@@ -239,7 +239,10 @@ def import_robot(
         report["srdf"] = compared(beside, chain, robot.links, pairs) | {
             "states": sorted(beside.states)
         }
-    return Imported(robot, report, tuple(link.triangles for link in links))
+    seen = [link.triangles for link in links]
+    if hand is not None:
+        seen.append(_opened(hand, {p.name for p in meshed}, meshes))
+    return Imported(robot, report, tuple(seen))
 
 
 def _check(robot: Robot, shown: str) -> None:
@@ -433,6 +436,18 @@ def gripper_of(
             table, closed, opened, half, T_flange_ee[2, 3], fingers.palm.mass + 2 * mass[1], mass[1]
         ),
     }, report, told  # fmt: skip
+
+
+def _opened(hand: Fingers, meshed: set[str], meshes: Meshes) -> Array:
+    """Triangles (F, 3, 3) of an open gripper, flange frame: its meshes, and boxes of parts without."""
+    found = [link_of(hand.palm, meshes).triangles]
+    for part in hand.parts:
+        T = part.T[-1]
+        own = [meshes.triangles(g) for g in part.shown] if part.name in meshed else [
+            Shape(BOX, b.T[:3, 3], b.T[:3, :3], b.half).triangles() for b in part.boxes
+        ]  # fmt: skip
+        found += [x @ T[:3, :3].T + T[:3, 3] for x in own]
+    return np.concatenate(found)
 
 
 def _pad_boxes(one: Part, T: Array) -> list[tuple[Array, Array]]:

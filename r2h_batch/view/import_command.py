@@ -236,10 +236,11 @@ def draw(imported: "Imported", file: Path) -> None:
     world, corners = spec.worldbody, []
     for k, triangles in enumerate(imported.seen):
         points = triangles.reshape(-1, 3)
-        corners.append(points @ T[k, :3, :3].T + T[k, :3, 3])
+        at = T[k] if k <= len(robot.joints) else T[-2] @ robot.T_wrist3_flange
+        corners.append(points @ at[:3, :3].T + at[:3, 3])
         faces = np.arange(len(points)).reshape(-1, 3)
         add_mesh(spec, f"seen_{k}", points, faces, convex=False)
-        add_mesh_geom(world, f"seen_{k}", f"seen_{k}", "upper_arm", T=T[k])
+        add_mesh_geom(world, f"seen_{k}", f"seen_{k}", "upper_arm", T=at)
     for i, link in enumerate(robot.arm.link):
         place = T[link] @ robot.arm.T_link_prim[i]
         add_primitive(spec, world, robot.arm, i, place, 0, 0, f"body_{i}")
