@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 from _report import ROOT, Report, arguments
 
-from r2h_batch.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.runs.store import SHARD_TRIALS
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason

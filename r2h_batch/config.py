@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 
+from r2h_batch.base.registry import PRESET_NAMES, EngineName, EngineWord
 from r2h_batch.base.validate import one_of, validate_fields
-from r2h_batch.registry import PRESET_NAMES, EngineName, EngineWord
 
 HOME_Q = (-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483)
 """The arm's posture at the start of every trial, rad. The gripper points straight down, the TCP is

@@ -162,7 +162,7 @@ def test_a_protocol_is_drawn_listed_swept_named_in_files_and_judged_again(tmp_pa
     tree = changed_tree(
         tmp_path / "tree",
         {
-            "r2h_batch/registry.py": {
+            "r2h_batch/base/registry.py": {
                 'RELEASE = "r2h-release"\nPROTOCOLS = (\n': 'RELEASE = "r2h-release"\nPROTOCOLS = (\n'
                 '    Protocol("r2h-near", "hands alone, lower", "hands alone, 5 cm lower"),\n',
             },
@@ -295,7 +295,7 @@ def test_an_engine_is_a_file_and_an_entry(tmp_path: Path, shipped: str) -> None:
     tree = changed_tree(
         tmp_path / "tree",
         {
-            "r2h_batch/registry.py": {'    Engine("mujoco", ("mujoco",)),\n': '    Engine("mujoco", ("mujoco",)),\n'
+            "r2h_batch/base/registry.py": {'    Engine("mujoco", ("mujoco",)),\n': '    Engine("mujoco", ("mujoco",)),\n'
                                       '    Engine("rk4", ("mujoco",)),\n'},
             "r2h_batch/judge/motion/sim_rk4.py": ENGINE,
         },

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base import rng
-from r2h_batch.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.verdicts import SPLITS
 
 _HAND = 0  # purpose of the random counters

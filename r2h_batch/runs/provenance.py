@@ -14,7 +14,7 @@ from typing import cast
 
 from r2h_batch.base.io.read import open_file
 from r2h_batch.base.package import FOLDERS, ROOT, VERSION
-from r2h_batch.registry import ENGINES
+from r2h_batch.base.registry import ENGINES
 
 PACKAGES = sorted(
     {

@@ -49,10 +49,10 @@ from r2h_batch.base.io.read import FileError, kind_of, open_file, printable, rea
 from r2h_batch.base.io.read import read_json as read_any_json
 from r2h_batch.base.io.tables import check_decoded_size
 from r2h_batch.base.io.write import atomic_path, csv_cell, packed_json, run_folder_of
+from r2h_batch.base.registry import PROTOCOL_NAMES
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.validate import boolean, check_arguments, rule_of, sequence_of, text
 from r2h_batch.base.validate import path as path_of
-from r2h_batch.registry import PROTOCOL_NAMES
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
     EPISODE_SCHEMA,

@@ -18,9 +18,9 @@ import torch
 from r2h_batch.base.command_line import counted
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch.threads import on_threads
+from r2h_batch.base.registry import METHOD_NAMES, METHODS
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.user_code import HOW, UserFunction, load_function, user_files
-from r2h_batch.registry import METHOD_NAMES, METHODS
 from r2h_batch.runs import provenance
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import (

@@ -32,7 +32,7 @@ def ls(
 def _methods() -> Iterator[Line]:
     from importlib import import_module
 
-    from r2h_batch.registry import METHOD_NAMES
+    from r2h_batch.base.registry import METHOD_NAMES
 
     for name in METHOD_NAMES:
         words = import_module(f"r2h_batch.methods.{name.replace('-', '_')}").__doc__ or ""
@@ -57,7 +57,7 @@ def _robots() -> Iterator[Line]:
 
 
 def _protocols() -> Iterator[Line]:
-    from r2h_batch.registry import DEFAULT_PROTOCOL, PROTOCOLS
+    from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOLS
 
     for entry in PROTOCOLS:
         yield entry.name, entry.about, "default" if entry.name == DEFAULT_PROTOCOL else ""

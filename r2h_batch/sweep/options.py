@@ -17,9 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args,
 
 from r2h_batch.base.command_line import UsageError, nearest, read
 from r2h_batch.base.io.read import FileError
-from r2h_batch.base.user_code import HOW
-from r2h_batch.base.validate import expand_home
-from r2h_batch.registry import (
+from r2h_batch.base.registry import (
     DEFAULT_PROTOCOL,
     METHOD_NAMES,
     METHODS,
@@ -29,6 +27,8 @@ from r2h_batch.registry import (
     PresetName,
     ProtocolWord,
 )
+from r2h_batch.base.user_code import HOW
+from r2h_batch.base.validate import expand_home
 
 if TYPE_CHECKING:
     from r2h_batch.config import ExecutionError

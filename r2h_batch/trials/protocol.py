@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
+from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
 from r2h_batch.base.schedule import assign_hands, assign_objects, trial_ids
 from r2h_batch.base.validate import instance_of, integer, one_of, optional, sequence_of
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig, Workplace
-from r2h_batch.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
 from r2h_batch.scene.bounds import capsule_of_shape
 from r2h_batch.scene.hand import HandSet, palm_frame
 from r2h_batch.scene.objects import ObjectModel, checked_objects

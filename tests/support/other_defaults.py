@@ -16,9 +16,9 @@ def everything() -> dict[str, np.ndarray]:
     from importlib import import_module
 
     from r2h_batch import Evaluator, make_trials, reward
+    from r2h_batch.base.registry import METHOD_NAMES
     from r2h_batch.base.twist import exp, log
     from r2h_batch.methods.predictors import PredictorNoise
-    from r2h_batch.registry import METHOD_NAMES
 
     trials = make_trials(("S0", "S1"), 1)
     evaluator = Evaluator(device="cpu", threads=1)

@@ -13,7 +13,7 @@ from fake_bench import set_up as set_up_fake
 from made_runs import NAMES, make_header, make_scores
 from made_runs import make_trials as planned
 
-from r2h_batch.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.runs.rows import detail_rows, score_rows
 from r2h_batch.runs.store import RunError, load_run, open_run
 from r2h_batch.sweep import command as sweep

@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from r2h_batch.base.registry import PROTOCOL_NAMES
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of
 from r2h_batch.config import EvalConfig
-from r2h_batch.registry import PROTOCOL_NAMES
 from r2h_batch.report.statistics.codes import judged_by
 from r2h_batch.runs.store import FOREIGN, Run
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS

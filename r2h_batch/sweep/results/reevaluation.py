@@ -18,11 +18,11 @@ import pyarrow.compute as pc
 import torch
 from pydantic import TypeAdapter
 
+from r2h_batch.base.registry import PROTOCOL_NAMES
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.levels import Form, planning_form
-from r2h_batch.registry import PROTOCOL_NAMES
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
 from r2h_batch.runs.store import TIMING, Entry, Run, RunError

@@ -10,9 +10,9 @@ from typing import Literal, Self
 
 import numpy as np
 
+from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
 from r2h_batch.base.validate import instance_of, optional
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
-from r2h_batch.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
 from r2h_batch.scene.hand import HandSet, load_hand_set, neutral_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects, without_region
 from r2h_batch.scene.robot import Robot, load_robot

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.read import FileError, path_within, printable, read_file, read_npy
+from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
 from r2h_batch.config import Workplace
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.mano import hand_from
-from r2h_batch.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.hand import (

@@ -14,9 +14,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.read import FileError, printable, read_yaml
+from r2h_batch.base.registry import DEFAULT_PROTOCOL, ProtocolName
 from r2h_batch.base.validate import rule_of
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
-from r2h_batch.registry import DEFAULT_PROTOCOL, ProtocolName
 from r2h_batch.scene.objects import BUILT_IN_NAMES, OBJECT_NAMES, ObjectModel, load_objects
 from r2h_batch.scene.robot import DEFAULT_ROBOT
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, VERB_WORDS

@@ -9,7 +9,7 @@ import tyro
 from r2h_batch.base.command_line import UsageError, check_range, counted
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import check_output_file, check_output_folder
-from r2h_batch.registry import ProtocolWord
+from r2h_batch.base.registry import ProtocolWord
 from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
 
 MOST_TRIALS = 10**6

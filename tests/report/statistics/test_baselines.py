@@ -10,8 +10,8 @@ import torch
 from made_runs import make_header, make_scores, make_trials
 
 from r2h_batch.__main__ import main
+from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 from r2h_batch.base.schedule import trial_ids
-from r2h_batch.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 from r2h_batch.report.compare.command import FOLDERS, baselines_for, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import pair_up
