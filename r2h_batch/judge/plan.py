@@ -1,5 +1,11 @@
 """From joint branches to a collision-free path: which goals are free, straight lines, RRT-Connect,
-shortcuts, clearance."""
+shortcuts, clearance.
+
+Every path keeps the robot's joint limits (`Robot.lower`, `.upper`): home and goals lie within them
+(judge/ik.py), the search draws postures within them (kernels/plan/rrt.py), and all else are straight
+lines between such postures. Speed and acceleration: judge/motion/time_law.py times the path. A
+motion that a caller gives is tested against angles and speeds in judge/trace.py (`plan_of_trace`).
+"""
 
 from dataclasses import dataclass
 
