@@ -259,8 +259,8 @@ SEARCHED = {
 
 
 def search(bench: Bench) -> None:
-    """What the search costs a trial, beside the parts of planning that go level by level: it runs one thread a problem, and a
-    launch takes as long as its longest problem."""
+    """Time of the search for a trial, beside the parts of planning that go level by level: it runs one thread a
+    problem, and a launch takes as long as its longest problem."""
     n = FORM_ROWS if bench.cuda else bench.trials
     batch = bench.repeated(bench.random, n)
     evaluator = Evaluator(replace(KINEMATIC, chunk=n), device=bench.device)

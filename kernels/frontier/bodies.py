@@ -16,7 +16,7 @@ from ..plan.obstacles import (
     hand_near,
     link_clears_hand,
     link_clears_table,
-    links_in_reach,
+    links_within,
     moving_body,
     pair_motion,
     pieces_near,
@@ -59,12 +59,12 @@ def moving_body_of(world: World, bodies: TrialBodies, frames: Frames, s: int, tr
 
 
 @wp.func
-def query_of(edges: Edges, frames: Frames, s: int, edge: int, track: int, tolerance: float):
+def query_of(edges: Edges, frames: Frames, s: int, edge: int, aim: int, tolerance: float):
     """The `Query` of an interval (obstacles.py)."""
     query = Query()
     query.d = load(frames.d, s)
     query.hand_margin = edges.hand_margin[edge]
-    query.track = track
+    query.aim = aim
     query.tolerance = tolerance
     return query
 
@@ -91,7 +91,7 @@ def queue_body(queue: BodyQueue, counts: Counts, kind: int, s: int, b: int, link
 # An interval whose owner is done is skipped: something blocks it already, or bodies meet on it.
 @wp.kernel
 def clear_links(
-    first: int, lanes: int, parity: int, track: int, tolerance: float, world: World, bodies: TrialBodies,
+    first: int, lanes: int, parity: int, aim: int, tolerance: float, world: World, bodies: TrialBodies,
     edges: Edges, queue: Intervals, frames: Frames, body_queue: BodyQueue, counts: Counts,
 ):  # fmt: skip
     """Each link as a whole against hand, table and other links; queues the bodies of links that are not clear."""
@@ -103,7 +103,7 @@ def clear_links(
         link = i / n
         edge = queue.edge[s]
         key = edges.found[edges.owner[edge]]
-        if is_done(track, key):
+        if is_done(aim, key):
             continue
         trial = edges.trial[edge]
         lo = int(world.n_robot)
@@ -118,9 +118,9 @@ def clear_links(
         on_self = (queue.look[s, SELF] & bits) != wp.int64(0)
         if not (on_hand or on_table or on_self):
             continue
-        query = query_of(edges, frames, s, edge, track, tolerance)
-        hand_target = target_of(track, tolerance, key, query.hand_margin)
-        target = target_of(track, tolerance, key, query.other_margin)
+        query = query_of(edges, frames, s, edge, aim, tolerance)
+        hand_target = target_of(aim, tolerance, key, query.hand_margin)
+        target = target_of(aim, tolerance, key, query.other_margin)
         with_links = world.self_links[link]
         if link < OBJECT:
             moving = wp.dot(query.d, query.d) > 0.0
@@ -139,7 +139,7 @@ def clear_links(
             if on_table:
                 on_table = not link_clears_table(world, query, target, link, c0, c1, up, table_p, moving)
             if on_self:
-                with_links = links_in_reach(
+                with_links = links_within(
                     world, query, target, link, c0, c1, moving, frames.R[s], frames.p[s], frames.w[s], frames.v[s]
                 )
                 on_self = with_links != 0
@@ -167,9 +167,9 @@ def put_pair(pairs: Pairs, counts: Counts, s: int, b: int, other: int, R: wp.mat
 
 
 @wp.func
-def needed_of(track: int, key: wp.int64, target: float, travel: float):
+def needed_of(aim: int, key: wp.int64, target: float, travel: float):
     """How much GJK has to prove: a clearance that becomes the smallest must have converged."""
-    return wp.where(track == 1, wp.max(target + travel, value_of(key)), target + travel)
+    return wp.where(aim == 1, wp.max(target + travel, value_of(key)), target + travel)
 
 
 @wp.func
@@ -180,7 +180,7 @@ def stays_open(frames: Frames, s: int, kind: int, bit: wp.int64):
 
 @wp.kernel
 def near_hand(
-    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    first: int, lanes: int, aim: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
     queue: Intervals, frames: Frames, body_queue: BodyQueue, counts: Counts,
 ):  # fmt: skip
     """Whether each queued body may come near to the ball around the whole hand; queues it for the pieces, if so."""
@@ -192,9 +192,9 @@ def near_hand(
         trial = edges.trial[edge]
         key = edges.found[edges.owner[edge]]
         body = moving_body_of(world, bodies, frames, s, trial, b)
-        query = query_of(edges, frames, s, edge, track, tolerance)
+        query = query_of(edges, frames, s, edge, aim, tolerance)
         moving = wp.dot(query.d, query.d) > 0.0
-        target = target_of(track, tolerance, key, query.hand_margin)
+        target = target_of(aim, tolerance, key, query.hand_margin)
         hand = bodies.hand[trial]
         near, halved = hand_near(query, target, body, world.hand_center[hand], world.hand_radius[hand], moving)
         if halved:
@@ -205,7 +205,7 @@ def near_hand(
 
 @wp.kernel
 def near_pieces(
-    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    first: int, lanes: int, aim: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
     queue: Intervals, frames: Frames, body_queue: BodyQueue, pairs: Pairs, counts: Counts,
 ):  # fmt: skip
     """Pieces of the hand that each body near to the hand may come near to."""
@@ -218,9 +218,9 @@ def near_pieces(
         trial = edges.trial[edge]
         key = edges.found[edges.owner[edge]]
         body = moving_body_of(world, bodies, frames, s, trial, b)
-        query = query_of(edges, frames, s, edge, track, tolerance)
+        query = query_of(edges, frames, s, edge, aim, tolerance)
         moving = wp.dot(query.d, query.d) > 0.0
-        target = target_of(track, tolerance, key, query.hand_margin)
+        target = target_of(aim, tolerance, key, query.hand_margin)
         hand = bodies.hand[trial]
         found = pieces_near(
             world, query, target, body, hand, world.hand_center[hand], world.hand_radius[hand], moving, 0, obstacle
@@ -231,13 +231,13 @@ def near_pieces(
             # a pair that cannot block needs no GJK where the interval has to be halved anyway
             if not (moving and found.open == 1 and obstacle[m] < MAY_MEET):
                 other = obstacle[m] & (MAY_MEET - 1)
-                needed = needed_of(track, key, target, body.travel)
+                needed = needed_of(aim, key, target, body.travel)
                 put_pair(pairs, counts, s, b, pair_of(HAND, other), body.R, body.p, needed)
 
 
 @wp.kernel
 def near_table(
-    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    first: int, lanes: int, aim: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
     queue: Intervals, frames: Frames, body_queue: BodyQueue, pairs: Pairs, counts: Counts,
 ):  # fmt: skip
     """Whether each queued body may come near to the table."""
@@ -250,9 +250,9 @@ def near_table(
         trial = edges.trial[edge]
         key = edges.found[edges.owner[edge]]
         body = moving_body_of(world, bodies, frames, s, trial, b)
-        query = query_of(edges, frames, s, edge, track, tolerance)
+        query = query_of(edges, frames, s, edge, aim, tolerance)
         moving = wp.dot(query.d, query.d) > 0.0
-        target = target_of(track, tolerance, key, query.other_margin)
+        target = target_of(aim, tolerance, key, query.other_margin)
         R_hand_world = bodies.R_hand_world[trial]
         up = wp.vec3(R_hand_world[0, 2], R_hand_world[1, 2], R_hand_world[2, 2])
         table_p = R_hand_world * world.table_center + bodies.p_hand_world[trial]
@@ -261,13 +261,13 @@ def near_table(
             stays_open(frames, s, TABLE, bit_of(world, b))
         if found.n > 0:
             Rt = wp.transpose(R_hand_world)
-            needed = needed_of(track, key, target, body.travel)
+            needed = needed_of(aim, key, target, body.travel)
             put_pair(pairs, counts, s, b, pair_of(TABLE, 0), Rt * body.R, Rt * (body.p - table_p), needed)
 
 
 @wp.kernel
 def near_bodies(
-    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    first: int, lanes: int, aim: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
     queue: Intervals, frames: Frames, body_queue: BodyQueue, pairs: Pairs, counts: Counts,
 ):  # fmt: skip
     """The robot's own bodies that each queued body may come near to."""
@@ -280,9 +280,9 @@ def near_bodies(
         trial = edges.trial[edge]
         key = edges.found[edges.owner[edge]]
         body = moving_body_of(world, bodies, frames, s, trial, b)
-        query = query_of(edges, frames, s, edge, track, tolerance)
+        query = query_of(edges, frames, s, edge, aim, tolerance)
         moving = wp.dot(query.d, query.d) > 0.0
-        target = target_of(track, tolerance, key, query.other_margin)
+        target = target_of(aim, tolerance, key, query.other_margin)
         found = bodies_near(
             world, bodies, trial, query, target, body, body_queue.links[SELF * capacity + i], moving, 0,
             frames.R[s], frames.p[s], frames.w[s], frames.v[s], 0, obstacle,
@@ -296,5 +296,5 @@ def near_bodies(
                 Rt = wp.transpose(Ro)
                 k = world.body_link[other]
                 travel, _second, _third = pair_motion(world, bodies, trial, body.link, b, k, query.d)
-                needed = needed_of(track, key, target, travel)
+                needed = needed_of(aim, key, target, travel)
                 put_pair(pairs, counts, s, b, pair_of(SELF, other), Rt * body.R, Rt * (body.p - po), needed)

@@ -6,7 +6,7 @@ from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, half_width, middle
 from r2h_batch.kernels.plan.codes import CERTIFY, CLEARANCE, HAND, SAMPLES, SELF, TABLE
 
-from ..plan.edge import MOVEIT_SEGMENT_RAD, PART_RAD
+from ..plan.edge import MOVEIT_SEGMENT_RAD, SECTION_RAD
 from ..robot.joints import JOINTS, vecq
 from ..robot.posture import load
 from ..robot.world import TrialBodies, World, forward_kinematics, twists
@@ -32,8 +32,8 @@ wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 
 @wp.func
-def parts_of(a: vecq, b: vecq, step: float):
-    """Into how many equal parts of at most `step` (rad, summed over the joints) an edge is cut."""
+def sections_of(a: vecq, b: vecq, step: float):
+    """Into how many equal sections of at most `step` (rad, summed over the joints) an edge is cut."""
     length = float(0.0)
     for j in range(JOINTS):
         length += wp.abs(b[j] - a[j])
@@ -42,12 +42,12 @@ def parts_of(a: vecq, b: vecq, step: float):
 
 @wp.func
 def add_interval(
-    queue: Intervals, row: int, edge: int, part: int, level: int, index: int,
+    queue: Intervals, row: int, edge: int, section: int, level: int, index: int,
     hand: wp.int64, table: wp.int64, self_bits: wp.int64,
 ):  # fmt: skip
     """Writes an interval to its row."""
     queue.edge[row] = edge
-    queue.part[row] = part
+    queue.section[row] = section
     queue.level[row] = level
     queue.index[row] = index
     queue.look[row, HAND] = hand
@@ -59,7 +59,7 @@ def add_interval(
 def add_edge(
     world: World, edges: Edges, queue: Intervals, counts: Counts, parity: int, i: int, mode: int, hand_only: int
 ):
-    """Queues the first intervals of an edge: its parts, its samples, or its first posture, as plan/edge.py has them."""
+    """Queues the first intervals of an edge: its sections, its samples, or its first posture, as plan/edge.py has them."""
     a = load(edges.a, i)
     b = load(edges.b, i)
     everything = wp.int64(-1)
@@ -68,10 +68,10 @@ def add_edge(
     n = int(1)
     level = int(POSTURE_LEVEL)
     if mode == CERTIFY or mode == CLEARANCE:  # noqa: SIM109 (Warp has no `in`)
-        n = parts_of(a, b, PART_RAD)
+        n = sections_of(a, b, SECTION_RAD)
         level = 0
     elif mode == SAMPLES:
-        n = parts_of(a, b, MOVEIT_SEGMENT_RAD)
+        n = sections_of(a, b, MOVEIT_SEGMENT_RAD)
     for k in range(n):
         row = take(counts, NOW + parity, queue.edge.shape[0])
         if row >= 0:
@@ -144,10 +144,10 @@ def interval_frames(
         d = vecq()
         level = queue.level[s]
         if level < 0:
-            q = a + (float(queue.index[s] + 1) / float(queue.part[s])) * delta
+            q = a + (float(queue.index[s] + 1) / float(queue.section[s])) * delta
         else:
-            one = 1.0 / float(parts_of(a, load(edges.b, edge), PART_RAD))
-            q = a + ((float(queue.part[s]) + middle(level, queue.index[s])) * one) * delta
+            one = 1.0 / float(sections_of(a, load(edges.b, edge), SECTION_RAD))
+            q = a + ((float(queue.section[s]) + middle(level, queue.index[s])) * one) * delta
             d = (half_width(level) * one) * delta
         for j in range(JOINTS):
             frames.d[s, j] = d[j]
@@ -157,7 +157,7 @@ def interval_frames(
 
 @wp.kernel
 def halve(
-    first: int, lanes: int, parity: int, track: int,
+    first: int, lanes: int, parity: int, aim: int,
     certify: int,  # 1: an interval that is open on the finest level blocks; 0: it counts as settled
     edges: Edges, queue: Intervals, later: Intervals, frames: Frames, counts: Counts,
 ):  # fmt: skip
@@ -169,7 +169,7 @@ def halve(
         table = frames.open[s, TABLE]
         self_bits = frames.open[s, SELF]
         level = queue.level[s]
-        if level >= 0 and (hand | table | self_bits) != wp.int64(0) and not is_done(track, edges.found[owner]):
+        if level >= 0 and (hand | table | self_bits) != wp.int64(0) and not is_done(aim, edges.found[owner]):
             if level + 1 < MAX_LEVEL:
                 for half in range(2):
                     row = take(counts, NOW + 1 - parity, later.edge.shape[0])
@@ -178,7 +178,7 @@ def halve(
                             later,
                             row,
                             edge,
-                            queue.part[s],
+                            queue.section[s],
                             level + 1,
                             2 * queue.index[s] + half,
                             hand,

@@ -43,32 +43,32 @@ def iterate(
     t1 = wp.vec3(s1)
     t2 = wp.vec3(s2)
     if not over:
-        part = int(1)
+        corner_bits = int(1)
         nearest = wp.vec3(w)
         if n == 0:
             t0 = w
         elif n == 1:
             t1 = w
-            part, _weight, nearest = nearest_on_edge(t0, t1)
+            corner_bits, _weight, nearest = nearest_on_edge(t0, t1)
         elif n == 2:
             t2 = w
-            part, _weight, nearest = nearest_on_face(t0, t1, t2)
+            corner_bits, _weight, nearest = nearest_on_face(t0, t1, t2)
         else:
-            part, _weight, nearest, face = nearest_on_tetrahedron(t0, t1, t2, w)
+            corner_bits, _weight, nearest, face = nearest_on_tetrahedron(t0, t1, t2, w)
             if face == 0:
                 t0 = w
             elif face == 1:
                 t1 = w
             elif face == 2:
                 t2 = w
-        if part != ALL_OF_IT and part != 1:
-            if (part & 1) == 0:  # close the gaps
-                t0 = wp.where((part & 2) != 0, t1, t2)
-            if part == 5 or part == 6:
+        if corner_bits != ALL_OF_IT and corner_bits != 1:
+            if (corner_bits & 1) == 0:  # close the gaps
+                t0 = wp.where((corner_bits & 2) != 0, t1, t2)
+            if corner_bits == 5 or corner_bits == 6:
                 t1 = t2
-        count = (part & 1) + ((part >> 1) & 1) + ((part >> 2) & 1)
+        count = (corner_bits & 1) + ((corner_bits >> 1) & 1) + ((corner_bits >> 2) & 1)
         far = wp.length(nearest)
-        if part == ALL_OF_IT or wp.dot(nearest, nearest) < 1.0e-14:
+        if corner_bits == ALL_OF_IT or wp.dot(nearest, nearest) < 1.0e-14:
             over = True
             # the origin is inside, unless a separating plane was already found: rounding has collapsed a thin simplex
             if low <= ROUNDING_M:

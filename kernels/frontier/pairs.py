@@ -48,12 +48,10 @@ def obstacle_of(world: World, bodies: TrialBodies, trial: int, other: int):
 
 
 @wp.func
-def note_distance(
-    edges: Edges, edge: int, track: int, gap: float, margin: float, order: int, lower: float, upper: float
-):
+def note_distance(edges: Edges, edge: int, aim: int, gap: float, margin: float, order: int, lower: float, upper: float):
     """Keeps the smallest clearance of an owner, or the first pair that blocks it."""
     owner = edges.owner[edge]
-    if track == 1:
+    if aim == 1:
         # a core that is met has no clearance, only an overlap that GJK does not measure
         value = wp.max(lower, -1.0e-6)
         if upper <= 0.0 and lower > -1.0e-6:
@@ -73,7 +71,7 @@ def note_distance(
 # Keys are not read here: what GJK has to prove was written with the pair, so a distance does not depend on who came first.
 @wp.kernel
 def pair_distances(
-    first: int, track: int, world: World, bodies: TrialBodies, edges: Edges, queue: Intervals, frames: Frames,
+    first: int, aim: int, world: World, bodies: TrialBodies, edges: Edges, queue: Intervals, frames: Frames,
     pairs: Pairs, counts: Counts,
 ):  # fmt: skip
     """Distance of each queued pair: certified lower bound, estimate, and the vector between the nearest points."""
@@ -111,7 +109,7 @@ def pair_distances(
             radii = a.radius + b.radius
             # GJK may stop 5 % short of the distance where a shorter interval asks again
             d = load(frames.d, s)
-            gap = wp.where(track == 0 and wp.dot(d, d) > 0.0, 0.05, 0.0)
+            gap = wp.where(aim == 0 and wp.dot(d, d) > 0.0, 0.05, 0.0)
             v = first_direction(p, center)
             best_v = v
             lower = -1.0e30
@@ -134,4 +132,4 @@ def pair_distances(
             edge = queue.edge[pairs.interval[i]]
             margin = wp.where(pairs.other[i] < 256, edges.hand_margin[edge], 0.0)
             order = order_of(pairs.body[i], pairs.other[i])
-            note_distance(edges, edge, track, gap, margin, order, low, high)
+            note_distance(edges, edge, aim, gap, margin, order, low, high)

@@ -33,10 +33,10 @@ PAIRS = wp.constant(9)
 COUNTS = wp.constant(10)
 
 POSTURE_LEVEL = wp.constant(-1)
-"""Level of an interval that is one posture: number `index` + 1 of `part` steps of its edge."""
+"""Level of an interval that is one posture: number `index` + 1 of `section` steps of its edge."""
 
 NOTHING = wp.constant(0x7FFFFFFF)
-"""Order of a pair that is none."""
+"""Order in place of a missing pair."""
 
 
 @wp.struct
@@ -63,7 +63,7 @@ class Intervals:
     """One queue of intervals (N,)."""
 
     edge: wp.array(dtype=int)
-    part: wp.array(dtype=int)
+    section: wp.array(dtype=int)
     level: wp.array(dtype=int)
     index: wp.array(dtype=int)
     look: wp.array2d(dtype=wp.int64)  # (N, 3) by kind of pair: bit = body to be checked
@@ -83,7 +83,7 @@ class Frames:
 
 @wp.struct
 class BodyQueue:
-    """Bodies to be checked (KINDS M,), a part for each kind of pair, and one for those near to the hand."""
+    """Bodies to be checked (KINDS M,), a section for each kind of pair, and one for those near to the hand."""
 
     interval: wp.array(dtype=int)
     body: wp.array(dtype=int)
@@ -157,15 +157,15 @@ def link_of(world: World, body: int):
 
 
 @wp.func
-def target_of(track: int, tolerance: float, key: wp.int64, margin: float):
-    """What a pair has to keep: its margin, or what would improve on the smallest clearance so far."""
-    return wp.where(track == 1, value_of(key) - tolerance, margin)
+def target_of(aim: int, tolerance: float, key: wp.int64, margin: float):
+    """Clearance that a pair has to keep: its margin, or what would improve on the smallest clearance so far."""
+    return wp.where(aim == 1, value_of(key) - tolerance, margin)
 
 
 @wp.func
-def is_done(track: int, key: wp.int64):
+def is_done(aim: int, key: wp.int64):
     """Whether an owner needs no more checks: something blocks it, or bodies meet on it."""
-    return wp.where(track == 1, value_of(key) < 0.0, order_in(key) != NOTHING)
+    return wp.where(aim == 1, value_of(key) < 0.0, order_in(key) != NOTHING)
 
 
 @wp.func

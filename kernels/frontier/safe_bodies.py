@@ -27,7 +27,8 @@ HALF_UM = wp.constant(2.0e-6)
 
 @wp.func
 def compared_with(tolerance: float, known: float, above: float):
-    """What a part of the hand is compared with: the smallest distance, or what follows from a point that is `above` away.
+    """Distance that a part of the hand is compared with: the smallest one, or what follows from a point that is `above`
+    away.
 
     That point's face must not be settled by the tolerance: D with D - allowed_of(D) just above `above`.
     """

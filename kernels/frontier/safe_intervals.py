@@ -18,22 +18,24 @@ from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, half_width, middle
 from r2h_batch.kernels.plan.codes import HAND
 
-from ..plan.edge import PART_RAD
+from ..plan.edge import SECTION_RAD
 from ..robot.joints import JOINTS, vecq
 from ..robot.posture import load_waypoint
 from ..robot.world import TrialBodies, World, forward_kinematics, twists
-from .intervals import parts_of
+from .intervals import sections_of
 from .queues import NOW, Counts, Frames, take
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 
 @wp.func
-def put_interval(queue: Moments, row: int, trial: int, segment: int, part: int, level: int, index: int, look: wp.int64):
+def put_interval(
+    queue: Moments, row: int, trial: int, segment: int, section: int, level: int, index: int, look: wp.int64
+):
     """Writes an interval to its row."""
     queue.trial[row] = trial
     queue.segment[row] = segment
-    queue.part[row] = part
+    queue.section[row] = section
     queue.level[row] = level
     queue.index[row] = index
     queue.look[row] = look
@@ -47,7 +49,7 @@ def all_bodies(world: World):
 
 @wp.func
 def interval_of(
-    path: wp.array3d(dtype=float), trial: int, segment: int, part: int, level: int, index: int
+    path: wp.array3d(dtype=float), trial: int, segment: int, section: int, level: int, index: int
 ):  # fmt: skip
     """An interval's middle posture, half its length, and the fraction of its segment where the middle is."""
     a = load_waypoint(path, trial, segment)
@@ -56,8 +58,8 @@ def interval_of(
     fraction = float(1.0)
     d = vecq()
     if level > GOAL_LEVEL:
-        one = 1.0 / float(parts_of(a, b, PART_RAD))
-        fraction = (float(part) + middle(level, index)) * one
+        one = 1.0 / float(sections_of(a, b, SECTION_RAD))
+        fraction = (float(section) + middle(level, index)) * one
         d = (half_width(level) * one) * delta
     return a + fraction * delta, d, fraction
 
@@ -86,17 +88,17 @@ def queue_segments(
     length_in: wp.array(dtype=int),  # (B,)
     counts: Counts,
 ):  # fmt: skip
-    """Queues all parts of a segment; SEGMENTS threads a trial, for the segments of one block."""
+    """Queues all sections of a segment; SEGMENTS threads a trial, for the segments of one block."""
     i = first + wp.tid()
     trial = i / SEGMENTS
     segment = block * SEGMENTS + i % SEGMENTS
     if segment < length_in[trial] - 1:
         a = load_waypoint(path_in, trial, segment)
         b = load_waypoint(path_in, trial, segment + 1)
-        for part in range(parts_of(a, b, PART_RAD)):
+        for section in range(sections_of(a, b, SECTION_RAD)):
             row = take(counts, NOW, queue.trial.shape[0])
             if row >= 0:
-                put_interval(queue, row, trial, segment, part, 0, 0, all_bodies(world))
+                put_interval(queue, row, trial, segment, section, 0, 0, all_bodies(world))
 
 
 @wp.kernel
@@ -115,7 +117,9 @@ def safe_frames(
     for s in range(first + wp.tid(), wp.min(counts.n[NOW + parity], queue.trial.shape[0]), lanes):
         trial = queue.trial[s]
         frames.open[s, HAND] = wp.int64(0)
-        q, d, _fraction = interval_of(path_in, trial, queue.segment[s], queue.part[s], queue.level[s], queue.index[s])
+        q, d, _fraction = interval_of(
+            path_in, trial, queue.segment[s], queue.section[s], queue.level[s], queue.index[s]
+        )
         for j in range(JOINTS):
             frames.d[s, j] = d[j]
         forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q, frames.R[s], frames.p[s])
@@ -133,4 +137,4 @@ def safe_halves(first: int, lanes: int, parity: int, queue: Moments, later: Mome
                 row = take(counts, NOW + 1 - parity, later.trial.shape[0])
                 if row >= 0:
                     index = 2 * queue.index[s] + half
-                    put_interval(later, row, queue.trial[s], queue.segment[s], queue.part[s], level + 1, index, look)
+                    put_interval(later, row, queue.trial[s], queue.segment[s], queue.section[s], level + 1, index, look)

@@ -50,7 +50,7 @@ class Moments:
 
     trial: wp.array(dtype=int)
     segment: wp.array(dtype=int)
-    part: wp.array(dtype=int)
+    section: wp.array(dtype=int)
     level: wp.array(dtype=int)
     index: wp.array(dtype=int)
     look: wp.array(dtype=wp.int64)  # bit = body to be checked
@@ -108,12 +108,12 @@ class Faces:
 # (finer ones are of later levels), then what tells apart entries of one level. So where a distance falls in a level, its place is
 # smaller than that of any level before, and the smallest place wins without anybody having to forget the old one.
 @wp.func
-def place_of(segment: int, level: int, part: int, index: int, body: int, face: int):
+def place_of(segment: int, level: int, section: int, index: int, body: int, face: int):
     """An interval's middle, a body and a face as one number of 63 bits."""
     place = wp.int64(segment / SEGMENTS)
     place = (place << wp.int64(4)) | wp.int64(MAX_LEVEL - 1 - level)
     place = (place << wp.int64(5)) | wp.int64(segment % SEGMENTS)
-    place = (place << wp.int64(6)) | wp.int64(part)
+    place = (place << wp.int64(6)) | wp.int64(section)
     place = (place << wp.int64(14)) | wp.int64(index)
     place = (place << wp.int64(6)) | wp.int64(body)
     return (place << wp.int64(15)) | wp.int64(face)
@@ -126,8 +126,8 @@ def bits_of(place: wp.int64, first: int, count: int):
 
 
 @wp.func
-def parts_of_place(place: wp.int64):
-    """Segment, level, part and index of a place, its robot body and its face."""
+def fields_of_place(place: wp.int64):
+    """Segment, level, section and index of a place, its robot body and its face."""
     segment = SEGMENTS * bits_of(place, 50, 13) + bits_of(place, 41, 5)
     level = MAX_LEVEL - 1 - bits_of(place, 46, 4)
     return segment, level, bits_of(place, 35, 6), bits_of(place, 21, 14), bits_of(place, 15, 6), bits_of(place, 0, 15)

@@ -1,4 +1,4 @@
-"""What the distances of faces say: whose place is the smallest distance, and which intervals have to be halved."""
+"""Verdict by the distances of faces: which place has the smallest distance, and which intervals have to be halved."""
 
 import warp as wp
 
@@ -11,7 +11,7 @@ from r2h_batch.kernels.frontier.safe_queues import (
     Faces,
     Moments,
     Nearest,
-    parts_of_place,
+    fields_of_place,
     place_of,
 )
 from r2h_batch.kernels.geometry.closest import rounded
@@ -49,7 +49,7 @@ def settle_faces(
         value = faces.value[i]
         face = faces.face[i]
         if value == distance:
-            place = place_of(queue.segment[s], queue.level[s], queue.part[s], queue.index[s], b, face)
+            place = place_of(queue.segment[s], queue.level[s], queue.section[s], queue.index[s], b, face)
             wp.atomic_min(nearest.place, trial, place)
         if queue.level[s] > GOAL_LEVEL and face != NO_FACE and body_queue.waits[m] == 0:
             body = moving_body_of(world, bodies, frames, s, trial, b)
@@ -86,8 +86,8 @@ def safe_witness(
     fraction = float(1.0)
     point = wp.vec3(0.0, 0.0, 0.0)
     if place != wp.int64(NOWHERE):
-        segment, level, part, index, body, face = parts_of_place(place)
-        q, _d, fraction = interval_of(path_in, trial, segment, part, level, index)
+        segment, level, section, index, body, face = fields_of_place(place)
+        q, _d, fraction = interval_of(path_in, trial, segment, section, level, index)
         forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q, R, p)
         Rb, pb = body_pose(world, bodies, trial, R, p, body)
         point = pb

@@ -1,4 +1,4 @@
-"""What GJK's distances say of whole intervals: plan/check.py's step 4, a thread for each pair."""
+"""Whole intervals settled by GJK's distances: plan/check.py's step 4, a thread for each pair."""
 
 import warp as wp
 
@@ -19,7 +19,7 @@ wp.set_module_options(OPTIONS | {"max_unroll": 0})
 # alone says whether it is free.
 @wp.kernel
 def settle_pairs(
-    first: int, lanes: int, track: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
+    first: int, lanes: int, aim: int, tolerance: float, world: World, bodies: TrialBodies, edges: Edges,
     queue: Intervals, frames: Frames, pairs: Pairs, counts: Counts,
 ):  # fmt: skip
     """Notes which pairs do not keep their margin on the whole interval (`settle_pair`)."""
@@ -29,7 +29,7 @@ def settle_pairs(
         edge = queue.edge[s]
         key = edges.found[edges.owner[edge]]
         d = load(frames.d, s)
-        if is_done(track, key) or wp.dot(d, d) == 0.0:
+        if is_done(aim, key) or wp.dot(d, d) == 0.0:
             continue
         trial = edges.trial[edge]
         kind = pairs.other[i] / 256
@@ -38,7 +38,7 @@ def settle_pairs(
         if kind == SELF:
             k = world.body_link[other]
         travel, second, third = pair_motion(world, bodies, trial, link_of(world, b), b, k, d)
-        margin = target_of(track, tolerance, key, wp.where(kind == HAND, edges.hand_margin[edge], 0.0))
+        margin = target_of(aim, tolerance, key, wp.where(kind == HAND, edges.hand_margin[edge], 0.0))
         shape, _center = obstacle_of(world, bodies, trial, pairs.other[i])
         body = moving_body_of(world, bodies, frames, s, trial, b)
         if not settle_pair(

@@ -17,21 +17,21 @@ def lowest_bit(bits: wp.uint64) -> int:
     ...
 
 
-@wp.func_native("return r2h::balls_within(centers.data + first, radii.data + first, count, c0, c1, radius, reach);")
+@wp.func_native("return r2h::balls_within(centers.data + first, radii.data + first, count, c0, c1, radius, cutoff);")
 def balls_within(
     centers: wp.array(dtype=wp.vec3), radii: wp.array(dtype=float), first: int, count: int,
-    c0: wp.vec3, c1: wp.vec3, radius: float, reach: float,
+    c0: wp.vec3, c1: wp.vec3, radius: float, cutoff: float,
 ) -> wp.uint64:  # fmt: skip
-    """Balls that may be within `reach` (m) of the capsule c0-c1 with `radius`."""
+    """Balls that may be within `cutoff` (m) of the capsule c0-c1 with `radius`."""
     ...
 
 
-@wp.func_native("return r2h::capsules_within(ends0.data, ends1.data, radii.data, count, c0, c1, radius, reach);")
+@wp.func_native("return r2h::capsules_within(ends0.data, ends1.data, radii.data, count, c0, c1, radius, cutoff);")
 def capsules_within(
     ends0: wp.array(dtype=wp.vec3), ends1: wp.array(dtype=wp.vec3), radii: wp.array(dtype=float), count: int,
-    c0: wp.vec3, c1: wp.vec3, radius: float, reach: float,
+    c0: wp.vec3, c1: wp.vec3, radius: float, cutoff: float,
 ) -> wp.uint64:  # fmt: skip
-    """Capsules that may be within `reach` (m) of the capsule c0-c1 with `radius`."""
+    """Capsules that may be within `cutoff` (m) of the capsule c0-c1 with `radius`."""
     ...
 
 

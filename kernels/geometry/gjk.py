@@ -89,8 +89,8 @@ def gjk(
             break
         if n >= 3 and w == s2:
             break
-        # w joins as the last point, and only the part that holds the nearest point stays
-        part = int(1)
+        # w joins as the last point, and only the corners around the nearest point stay
+        corner_bits = int(1)
         weight = wp.vec3(1.0, 0.0, 0.0)
         nearest = w
         if n == 0:
@@ -99,13 +99,13 @@ def gjk(
         elif n == 1:
             s1 = w
             a1 = pa
-            part, weight, nearest = nearest_on_edge(s0, s1)
+            corner_bits, weight, nearest = nearest_on_edge(s0, s1)
         elif n == 2:
             s2 = w
             a2 = pa
-            part, weight, nearest = nearest_on_face(s0, s1, s2)
+            corner_bits, weight, nearest = nearest_on_face(s0, s1, s2)
         else:
-            part, weight, nearest, face = nearest_on_tetrahedron(s0, s1, s2, w)
+            corner_bits, weight, nearest, face = nearest_on_tetrahedron(s0, s1, s2, w)
             if face == 0:
                 s0 = w
                 a0 = pa
@@ -116,16 +116,16 @@ def gjk(
                 s2 = w
                 a2 = pa
         point = a0
-        if part != ALL_OF_IT and part != 1:
+        if corner_bits != ALL_OF_IT and corner_bits != 1:
             point = weight[0] * a0 + weight[1] * a1 + weight[2] * a2
-            if (part & 1) == 0:  # close the gaps
-                s0 = wp.where((part & 2) != 0, s1, s2)
-                a0 = wp.where((part & 2) != 0, a1, a2)
-            if part == 5 or part == 6:
+            if (corner_bits & 1) == 0:  # close the gaps
+                s0 = wp.where((corner_bits & 2) != 0, s1, s2)
+                a0 = wp.where((corner_bits & 2) != 0, a1, a2)
+            if corner_bits == 5 or corner_bits == 6:
                 s1 = s2
                 a1 = a2
-        n = (part & 1) + ((part >> 1) & 1) + ((part >> 2) & 1)
-        if part == ALL_OF_IT or wp.dot(nearest, nearest) < 1.0e-14:
+        n = (corner_bits & 1) + ((corner_bits >> 1) & 1) + ((corner_bits >> 2) & 1)
+        if corner_bits == ALL_OF_IT or wp.dot(nearest, nearest) < 1.0e-14:
             # the origin is inside; unless a separating plane was already found: then rounding has collapsed a thin simplex
             if lower <= ROUNDING_M:
                 upper = 0.0

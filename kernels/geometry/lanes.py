@@ -42,35 +42,35 @@ def lane_point(lanes: wp.array(dtype=float), row: int, lane: int) -> wp.vec3:
 
 
 @wp.func_native(
-    "return r2h::boxes_near(lanes.data + 8 * row, count, R, t, reach, low.data, high.data, used, near.data);"
+    "return r2h::boxes_near(lanes.data + 8 * row, count, R, t, cutoff, low.data, high.data, used, near.data);"
 )
 def boxes_near(
-    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
+    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, cutoff: float,
     low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), used: int, near: wp.array(dtype=int),
 ) -> int:  # fmt: skip
-    """Boxes that may be within `reach` of some box [low[i], high[i]], i in the bits of `used`.
+    """Boxes that may be within `cutoff` of some box [low[i], high[i]], i in the bits of `used`.
 
-    `near` (8,): for each lane the bits of these i. Add what rounding may take off to `reach`.
+    `near` (8,): for each lane the bits of these i. Add what rounding may take off to `cutoff`.
     """
     ...
 
 
 @wp.func_native(
-    "return r2h::points_near(lanes.data + 8 * row, count, R, t, reach, low.data, high.data, used, near.data);"
+    "return r2h::points_near(lanes.data + 8 * row, count, R, t, cutoff, low.data, high.data, used, near.data);"
 )
 def points_near(
-    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
+    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, cutoff: float,
     low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), used: int, near: wp.array(dtype=int),
 ) -> int:  # fmt: skip
     """As `boxes_near`, for points in rows row .. row + 2."""
     ...
 
 
-@wp.func_native("return r2h::triangles_near(lanes.data + 8 * row, count, R, t, half, reach);")
+@wp.func_native("return r2h::triangles_near(lanes.data + 8 * row, count, R, t, half, cutoff);")
 def triangles_near(
-    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, half: wp.vec3, reach: float
+    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, half: wp.vec3, cutoff: float
 ) -> int:
-    """Triangles whose box, along the axes of the frame R, t, is within `reach` of the box |x| <= half there."""
+    """Triangles whose box, along the axes of the frame R, t, is within `cutoff` of the box |x| <= half there."""
     ...
 
 

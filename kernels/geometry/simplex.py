@@ -1,11 +1,12 @@
 """The point of a segment, triangle or tetrahedron that is nearest to the origin, with its weights: GJK's inner step.
 
 The nearest point lies inside exactly one of the simplex's parts (corners, edges, faces, all of it): the one in whose
-Voronoi region the origin is. That part alone is kept. Its point is sum w_i s_i with weights w_i >= 0 that sum to 1, and as
-s_i = a_i - b_i, the same weights give the nearest points sum w_i a_i and sum w_i b_i of both bodies.
+Voronoi region the origin is. Its corners alone are kept. Its point is sum w_i s_i with weights w_i >= 0 that sum to 1, and
+as s_i = a_i - b_i, the same weights give the nearest points sum w_i a_i and sum w_i b_i of both bodies.
 
-A part is said as bits (bit i: corner i is kept) beside the weights and the point, not as a struct: Warp writes a struct that
-differs between branches to memory and reads it back after each, which took a third of a GJK iteration.
+The kept corners are returned as bits (bit i: corner i is kept) beside the weights and the point, not as a struct: Warp
+writes a struct that differs between branches to memory and reads it back after each, which took a third of a GJK
+iteration.
 """
 
 import warp as wp
@@ -15,7 +16,7 @@ from r2h_batch.kernels.options import OPTIONS
 wp.set_module_options(OPTIONS)
 
 ALL_OF_IT = wp.constant(8)
-"""In place of a part: the origin is inside the tetrahedron."""
+"""In place of the bits: the origin is inside the tetrahedron."""
 
 
 @wp.func(inline=False)
@@ -24,35 +25,35 @@ def nearest_on_edge(a: wp.vec3, b: wp.vec3):
     d = b - a
     dd = wp.dot(d, d)
     t = -wp.dot(a, d)
-    part = int(1)
+    corner_bits = int(1)
     weight = wp.vec3(1.0, 0.0, 0.0)
     v = a
     if t > 0.0 and dd > 0.0:
         if t >= dd:
-            part = 2
+            corner_bits = 2
             weight = wp.vec3(0.0, 1.0, 0.0)
             v = b
         else:
             f = t / dd
-            part = 3
+            corner_bits = 3
             weight = wp.vec3(1.0 - f, f, 0.0)
             v = a + f * d
-    return part, weight, v
+    return corner_bits, weight, v
 
 
 @wp.func
 def _nearest_on_edge_of(a: wp.vec3, b: wp.vec3, c: wp.vec3, edge: int):
     """As `nearest_on_edge`, of the two corners of a triangle whose bits `edge` has."""
     kept, w, v = nearest_on_edge(wp.where(edge == 6, b, a), wp.where(edge == 3, b, c))
-    part = kept
+    corner_bits = kept
     weight = w
     if edge == 5:
-        part = (kept & 1) | ((kept & 2) << 1)
+        corner_bits = (kept & 1) | ((kept & 2) << 1)
         weight = wp.vec3(w[0], 0.0, w[1])
     elif edge == 6:
-        part = kept << 1
+        corner_bits = kept << 1
         weight = wp.vec3(0.0, w[0], w[1])
-    return part, weight, v
+    return corner_bits, weight, v
 
 
 @wp.func(inline=False)
@@ -72,19 +73,19 @@ def nearest_on_face(a: wp.vec3, b: wp.vec3, c: wp.vec3):
     vc = d1 * d4 - d3 * d2
     vb = d5 * d2 - d1 * d6
     va = d3 * d6 - d5 * d4
-    part = int(0)
+    corner_bits = int(0)
     weight = wp.vec3(0.0, 0.0, 0.0)
     v = a
     edge = int(0)  # the two corners of the edge in whose region the origin is
     if d1 <= 0.0 and d2 <= 0.0:
-        part = 1
+        corner_bits = 1
         weight = wp.vec3(1.0, 0.0, 0.0)
     elif d3 >= 0.0 and d4 <= d3:
-        part = 2
+        corner_bits = 2
         weight = wp.vec3(0.0, 1.0, 0.0)
         v = b
     elif d6 >= 0.0 and d5 <= d6:
-        part = 4
+        corner_bits = 4
         weight = wp.vec3(0.0, 0.0, 1.0)
         v = c
     elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
@@ -98,7 +99,7 @@ def nearest_on_face(a: wp.vec3, b: wp.vec3, c: wp.vec3):
         nn = wp.dot(n, n)
         total = va + vb + vc
         if nn > 0.0 and total > 0.0:
-            part = 7
+            corner_bits = 7
             # plane and areas seen from the nearest point: for thin triangles va, vb, vc are mostly rounding
             v = n * (wp.dot(a, n) / nn)
             w0 = wp.clamp(wp.dot(n, wp.cross(b - v, c - v)) / nn, 0.0, 1.0)
@@ -107,8 +108,8 @@ def nearest_on_face(a: wp.vec3, b: wp.vec3, c: wp.vec3):
         else:
             edge = 3
     if edge != 0:
-        part, weight, v = _nearest_on_edge_of(a, b, c, edge)
-    return part, weight, v
+        corner_bits, weight, v = _nearest_on_edge_of(a, b, c, edge)
+    return corner_bits, weight, v
 
 
 @wp.func(inline=False)
@@ -118,7 +119,7 @@ def nearest_on_tetrahedron(s0: wp.vec3, s1: wp.vec3, s2: wp.vec3, s3: wp.vec3):
     Fourth: the face, by the corner that it lacks, in whose place it has corner 3.
     """
     best = float(1.0e30)
-    part = int(ALL_OF_IT)
+    corner_bits = int(ALL_OF_IT)
     weight = wp.vec3(0.0, 0.0, 0.0)
     v = wp.vec3(0.0, 0.0, 0.0)
     face = int(3)
@@ -136,8 +137,8 @@ def nearest_on_tetrahedron(s0: wp.vec3, s1: wp.vec3, s2: wp.vec3, s3: wp.vec3):
             d = wp.dot(x, x)
             if d < best:
                 best = d
-                part = kept
+                corner_bits = kept
                 weight = w
                 v = x
                 face = i
-    return part, weight, v, face
+    return corner_bits, weight, v, face

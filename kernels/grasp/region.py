@@ -158,11 +158,11 @@ def _leaf_clearance(
 
 
 @wp.func
-def _primitives_near(group: int, surfaces: Surfaces, count: int, R: wp.mat33, t: wp.vec3, reach: float,
+def _primitives_near(group: int, surfaces: Surfaces, count: int, R: wp.mat33, t: wp.vec3, cutoff: float,
     group_low: wp.array(dtype=wp.vec3), group_high: wp.array(dtype=wp.vec3), mask: wp.array(dtype=int), near: wp.array(dtype=int),
 ) -> int:  # fmt: skip
-    """Bits of the primitives whose group's box may be `reach` or less from one of eight nodes."""
-    lanes = boxes_near(surfaces.node_lanes, NODE_ROWS * group, count, R, t, reach, group_low, group_high, GROUPS, near)
+    """Bits of the primitives whose group's box may be `cutoff` or less from one of eight nodes."""
+    lanes = boxes_near(surfaces.node_lanes, NODE_ROWS * group, count, R, t, cutoff, group_low, group_high, GROUPS, near)
     groups = int(0)
     while lanes != 0:
         groups = groups | near[first_lane(lanes)]
@@ -188,12 +188,12 @@ def _points_clearance(
     group = surfaces.group_first[s]
     while node < end and best >= enough:
         count = wp.min(LANES, end - node)
-        reach = wp.max(best, 0.0) + BOX_M
-        used = _primitives_near(group, surfaces, count, R_ee_obj, t_ee_obj, reach, group_low, group_high, mask, near)
+        cutoff = wp.max(best, 0.0) + BOX_M
+        used = _primitives_near(group, surfaces, count, R_ee_obj, t_ee_obj, cutoff, group_low, group_high, mask, near)
         lanes = int(0)
         row = NODE_ROWS * group + POINT_ROW
         if used != 0:
-            lanes = points_near(surfaces.node_lanes, row, count, R_ee_obj, t_ee_obj, reach, low, high, used, near)
+            lanes = points_near(surfaces.node_lanes, row, count, R_ee_obj, t_ee_obj, cutoff, low, high, used, near)
         while lanes != 0:
             lane = first_lane(lanes)
             lanes = lanes & (lanes - 1)
@@ -276,12 +276,12 @@ def primitives_clearance(
     group = surfaces.group_first[s]
     while node < end and best >= enough:
         count = wp.min(LANES, end - node)
-        reach = wp.max(best, 0.0) + GJK_M
-        some = _primitives_near(group, surfaces, count, R_ee_obj, t_ee_obj, reach, group_low, group_high, mask, near)
+        cutoff = wp.max(best, 0.0) + GJK_M
+        some = _primitives_near(group, surfaces, count, R_ee_obj, t_ee_obj, cutoff, group_low, group_high, mask, near)
         nodes = int(0)
         if some != 0:
             nodes = boxes_near(
-                surfaces.node_lanes, NODE_ROWS * group, count, R_ee_obj, t_ee_obj, reach, low, high, some, near
+                surfaces.node_lanes, NODE_ROWS * group, count, R_ee_obj, t_ee_obj, cutoff, low, high, some, near
             )
         while nodes != 0 and best >= enough:
             lane = first_lane(nodes)

@@ -46,20 +46,20 @@ def _parted(b: Shape, x: wp.vec3, u: wp.vec3, v: wp.vec3, w: wp.vec3, distance: 
     With h(g) the primitive's support along g, no point of the triangle is nearer than (min g . (u, v, w) - h(g)) / |g|.
     """
     g = x
-    reach = float(0.0)
+    extent = float(0.0)
     if b.kind == BOX:
         g = x - wp.max(wp.min(x, b.size), -b.size)
-        reach = wp.abs(g[0]) * b.size[0] + wp.abs(g[1]) * b.size[1] + wp.abs(g[2]) * b.size[2]
+        extent = wp.abs(g[0]) * b.size[0] + wp.abs(g[1]) * b.size[1] + wp.abs(g[2]) * b.size[2]
     elif b.kind == CAPSULE:
         g = wp.vec3(x[0], x[1], x[2] - wp.clamp(x[2], -b.size[1], b.size[1]))
-        reach = wp.abs(g[2]) * b.size[1]
+        extent = wp.abs(g[2]) * b.size[1]
     elif b.kind == CYLINDER:
         r = wp.sqrt(x[0] * x[0] + x[1] * x[1])
         f = wp.where(r > b.size[0], 1.0 - b.size[0] / r, 0.0)
         g = wp.vec3(f * x[0], f * x[1], x[2] - wp.clamp(x[2], -b.size[1], b.size[1]))
-        reach = wp.sqrt(g[0] * g[0] + g[1] * g[1]) * b.size[0] + wp.abs(g[2]) * b.size[1]
+        extent = wp.sqrt(g[0] * g[0] + g[1] * g[1]) * b.size[0] + wp.abs(g[2]) * b.size[1]
     n = wp.length(g)
-    return n > 0.0 and wp.min(wp.dot(g, u), wp.min(wp.dot(g, v), wp.dot(g, w))) - reach >= (distance + b.radius) * n
+    return n > 0.0 and wp.min(wp.dot(g, u), wp.min(wp.dot(g, v), wp.dot(g, w))) - extent >= (distance + b.radius) * n
 
 
 @wp.func

@@ -6,7 +6,7 @@ from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
 
-from ..plan.edge import PART_RAD
+from ..plan.edge import SECTION_RAD
 from ..robot.joints import FIELDS, FRAMES, JOINTS
 from ..robot.posture import load_waypoint
 from ..robot.world import TrialBodies, World
@@ -67,15 +67,15 @@ def safe_distance(
         length = float(0.0)
         for j in range(JOINTS):
             length += wp.abs(delta[j])
-        parts = wp.max(int(wp.ceil(length / PART_RAD)), 1)
-        part = parts - 1
-        one = 1.0 / float(parts)
+        sections = wp.max(int(wp.ceil(length / SECTION_RAD)), 1)
+        section = sections - 1
+        one = 1.0 / float(sections)
         stack[0] = everything
         level = int(0)
         index = int(0)
         running = bool(True)
         while running:
-            t = (float(part) + middle(level, index)) * one
+            t = (float(section) + middle(level, index)) * one
             d = (half_width(level) * one) * delta
             if step == 0:
                 t = 1.0
@@ -98,8 +98,8 @@ def safe_distance(
                 level, index = next_interval(level, index)
                 if level == 0:
                     index = 0
-                    part -= 1
-                    running = part >= 0
+                    section -= 1
+                    running = section >= 0
     distance_out[trial] = best
     body_out[trial] = body
     segment_out[trial] = segment

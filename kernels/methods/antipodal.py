@@ -33,7 +33,7 @@ def opposite_points(
     center_out: wp.array(dtype=wp.vec3), axis_out: wp.array(dtype=wp.vec3),
     thickness_out: wp.array(dtype=wp.float32),
 ):  # fmt: skip
-    """From each surface point a line into the solid, within the friction cone; one of the opposite points within reach.
+    """From each surface point a line into the solid, within the friction cone; one of the opposite points within cutoff.
 
     An opposite point is where the line leaves the solid, again within the cone. random: tilt, turn, choice in [0, 1).
     Thickness 0: no opposite point.
@@ -81,7 +81,7 @@ def opposite_points(
 def pad_contact(
     first: int,
     # tables
-    mesh: wp.uint64, face_part: wp.array(dtype=wp.uint8), half_x: float, half_z: float, reach: float,
+    mesh: wp.uint64, face_part: wp.array(dtype=wp.uint8), half_x: float, half_z: float, cutoff: float,
     # trials
     T_obj_ee_in: wp.array(dtype=wp.mat44), pad_z_in: wp.array(dtype=wp.float32),
     width_in: wp.array(dtype=wp.float32),
@@ -89,7 +89,7 @@ def pad_contact(
     contact_out: wp.array(dtype=wp.float32), alignment_out: wp.array(dtype=wp.float32),
     part_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Share of the lesser pad that has surface within `reach` of it, mean cosine of those surfaces to the closing axis,
+    """Share of the lesser pad that has surface within `cutoff` of it, mean cosine of those surfaces to the closing axis,
     and the part that the pads touch most. The pads stand `width` apart at height pad_z in the ee frame."""
     i = first + wp.tid()
     T = T_obj_ee_in[i]
@@ -99,7 +99,7 @@ def pad_contact(
     aligned = float(0.0)
     touched = int(0)
     parts = vec16i()
-    # rays from `reach` behind each pad's face to `reach` before it, on a grid over the pad
+    # rays from `cutoff` behind each pad's face to `cutoff` before it, on a grid over the pad
     for pad in range(2):
         side = wp.where(pad == 0, -1.0, 1.0)
         inward = R * wp.vec3(0.0, -side, 0.0)
@@ -108,8 +108,8 @@ def pad_contact(
             for k in range(ROWS_Z):
                 x = half_x * (2.0 * (float(j) + 0.5) / float(ROWS_X) - 1.0)
                 z = half_z * (2.0 * (float(k) + 0.5) / float(ROWS_Z) - 1.0)
-                start = R * wp.vec3(x, side * (0.5 * width_in[i] + reach), pad_z_in[i] + z) + origin
-                met, _at, face, normal = _first_hit(mesh, start, inward, 2.0 * reach)
+                start = R * wp.vec3(x, side * (0.5 * width_in[i] + cutoff), pad_z_in[i] + z) + origin
+                met, _at, face, normal = _first_hit(mesh, start, inward, 2.0 * cutoff)
                 if met:
                     on_pad += 1
                     aligned += wp.max(-wp.dot(normal, inward), 0.0)

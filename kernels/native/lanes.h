@@ -187,38 +187,38 @@ template <typename F> CUDA_CALLABLE inline int near_boxes(Lane lane, const Point
 
 // A box with middle c and half sides e is no nearer to [low, high] along an axis than
 // max(low - c, c - high) - e. A ball of radius r about c is no nearer than |outside| - r. The
-// lane counts where neither bound exceeds `reach`.
+// lane counts where neither bound exceeds `cutoff`.
 // Rows: centre x, y, z; half sides x, y, z; radius.
-R2H_FUNCTION int boxes_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t, float reach,
+R2H_FUNCTION int boxes_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t, float cutoff,
                             const wp::vec3 *low, const wp::vec3 *high, int used, int *near) {
     int bits = each_lane([&](Lane lane) {
         Points c = placed(lane, p, R, t), e = turned_sides(lane, p + 24, R);
-        floats far = lane.row(p, 6) + reach;
+        floats far = lane.row(p, 6) + cutoff;
         floats far2 = far * far;
-        float reach2 = reach * reach;
+        float cutoff2 = cutoff * cutoff;
         return near_boxes(lane, c, low, high, used, near, [&](const Points &d) {
             Points less = {d.x - e.x, d.y - e.y, d.z - e.z};
-            return (squared_distance(d) <= far2) & (squared_distance(less) <= reach2);
+            return (squared_distance(d) <= far2) & (squared_distance(less) <= cutoff2);
         });
     });
     return bits & first_lanes(count);
 }
 
 // As `boxes_near`, of points in rows 0 .. 2.
-R2H_FUNCTION int points_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t, float reach,
+R2H_FUNCTION int points_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t, float cutoff,
                              const wp::vec3 *low, const wp::vec3 *high, int used, int *near) {
     int bits = each_lane([&](Lane lane) {
-        float reach2 = reach * reach;
+        float cutoff2 = cutoff * cutoff;
         return near_boxes(lane, placed(lane, p, R, t), low, high, used, near,
-                          [&](const Points &d) { return squared_distance(d) <= reach2; });
+                          [&](const Points &d) { return squared_distance(d) <= cutoff2; });
     });
     return bits & first_lanes(count);
 }
 
-// Triangles (three points, 9 rows) whose box along the axes of R, t is within `reach` of the box
+// Triangles (three points, 9 rows) whose box along the axes of R, t is within `cutoff` of the box
 // with half sides `half` about the origin there.
 R2H_FUNCTION int triangles_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t, const wp::vec3 &half,
-                                float reach) {
+                                float cutoff) {
     int bits = each_lane([&](Lane lane) {
         floats d2 = (floats)(0.0f);
         for (int axis = 0; axis < 3; ++axis) {
@@ -234,7 +234,7 @@ R2H_FUNCTION int triangles_near(const float *p, int count, const wp::mat33 &R, c
             d = d > 0.0f ? d : (floats)(0.0f);
             d2 = d2 + d * d;
         }
-        return lane.bits(d2 <= reach * reach);
+        return lane.bits(d2 <= cutoff * cutoff);
     });
     return bits & first_lanes(count);
 }
@@ -476,28 +476,28 @@ R2H_FUNCTION float squared_distance(const Segment &of, Point x) {
     return dot(x, x);
 }
 
-// Balls within `reach` of the capsule c0-c1 of `radius`.
+// Balls within `cutoff` of the capsule c0-c1 of `radius`.
 R2H_FUNCTION bits64 balls_within(const wp::vec3 *centers, const float *radii, int count, const wp::vec3 &c0,
-                                 const wp::vec3 &c1, float radius, float reach) {
+                                 const wp::vec3 &c1, float radius, float cutoff) {
     Segment capsule = segment(c0, c1);
-    float around = reach + radius + rounding();
+    float around = cutoff + radius + rounding();
     return each_entry(count, [&](int i) {
         float far = around + radii[i];
         return (far > 0.0f) & (squared_distance(capsule, xyz(centers[i])) <= far * far);
     });
 }
 
-// Capsules within `reach` of the capsule c0-c1 of `radius`.
+// Capsules within `cutoff` of the capsule c0-c1 of `radius`.
 //
 // The sums are those of `from_segment` (closest.py). It returns the distance of two points of
-// the segments: where that is `reach` or more, so is this one, but for 10 um of rounding.
+// the segments: where that is `cutoff` or more, so is this one, but for 10 um of rounding.
 // Segments that are nearly parallel keep their bit: `from_segment` also looks at the ends there.
 R2H_FUNCTION bits64 capsules_within(const wp::vec3 *ends0, const wp::vec3 *ends1, const float *radii, int count,
-                                    const wp::vec3 &c0, const wp::vec3 &c1, float radius, float reach) {
+                                    const wp::vec3 &c0, const wp::vec3 &c1, float radius, float cutoff) {
     Point u = xyz(c1) - xyz(c0);
     float a = dot(u, u);
     float of_a = a > 1.0e-12f ? 1.0f / a : 0.0f;
-    float around = reach + radius + 1.0e-5f;
+    float around = cutoff + radius + 1.0e-5f;
     return each_entry(count, [&](int i) {
         Point p = xyz(ends0[i]);
         Point v = xyz(ends1[i]) - p, r = xyz(c0) - p;
@@ -638,9 +638,9 @@ R2H_FUNCTION bits64 balls_in_reach(const wp::vec4 *balls, int count, int kind, c
         unsigned int bits = 0;
         R2H_ROLLED
         for (int k = 0; k < 8; ++k) {
-            float reach = around + r[k];
-            reach = reach > 1.0e-5f ? reach : 1.0e-5f;
-            near[k] &= far2[k] >= reach * reach ? 0u : 1u;
+            float cutoff = around + r[k];
+            cutoff = cutoff > 1.0e-5f ? cutoff : 1.0e-5f;
+            near[k] &= far2[k] >= cutoff * cutoff ? 0u : 1u;
         }
         R2H_ROLLED
         for (int k = 0; k < 8; ++k)

@@ -2,7 +2,7 @@
 
 `check_interval` answers three questions with one enumeration of pairs and one call of GJK: is this posture free (d = 0), is
 this interval of an edge free (conservative advancement, edge.py), and what is the smallest clearance (branch and bound,
-`track`). Masks carry what is settled from an interval to its halves: one 64-bit word for each kind of pair (hand, table, self),
+`aim`). Masks carry what is settled from an interval to its halves: one 64-bit word for each kind of pair (hand, table, self),
 bit b for body b, and one bit for all hulls of the object.
 
 Coarse to fine, each step only for what the one before could not settle:
@@ -44,7 +44,7 @@ from .obstacles import (
     bodies_near,
     link_clears_hand,
     link_clears_table,
-    links_in_reach,
+    links_within,
     moving_body,
     pair_motion,
     pieces_near,
@@ -71,15 +71,15 @@ def _bit(i: int):
 
 
 @wp.func
-def _tracked(query: Query, with_hand: bool):
+def _seeks_smallest(query: Query, with_hand: bool):
     """Whether the smallest clearance counts pairs of this kind."""
-    return query.track == 1 or (query.track == 2 and with_hand)
+    return query.aim == 1 or (query.aim == 2 and with_hand)
 
 
 @wp.func
 def _target(query: Query, best: float, margin: float, with_hand: bool):
     """Clearance that a pair has to keep: its margin, or what would improve on the smallest clearance so far."""
-    return wp.where(_tracked(query, with_hand), best - query.tolerance, margin)
+    return wp.where(_seeks_smallest(query, with_hand), best - query.tolerance, margin)
 
 
 # The steps of this file's head, for links 0 .. 7 of the robot (a link's bodies share its motion) and for the object.
@@ -107,8 +107,8 @@ def check_interval(
 ):  # fmt: skip
     """FREE, BLOCKED by a pair or OPEN, after a look at the interval's middle; the masks keep the open bodies.
 
-    A pair has to keep `target`: its margin, or with `track` the smallest clearance so far less the tolerance. It blocks when
-    it is nearer than that in the middle (with `track` 2: nearer than its margin), and is settled when it is farther than
+    A pair has to keep `target`: its margin, or with `aim` the smallest clearance so far less the tolerance. It blocks when
+    it is nearer than that in the middle (with `aim` 2: nearer than its margin), and is settled when it is farther than
     `target` plus what it may travel.
     """
     out = Finding()
@@ -129,7 +129,7 @@ def check_interval(
     first_hull = world.hull_first[bodies.object[trial]]
     n_hulls = world.hull_first[bodies.object[trial] + 1] - first_hull
     # GJK may stop 5 % short of the distance where a shorter interval asks again
-    gap = wp.where(query.track == 1, 0.0, wp.where(moving, 0.05, 0.0))
+    gap = wp.where(query.aim == 1, 0.0, wp.where(moving, 0.05, 0.0))
 
     for link in range(LINKS):
         lo = int(world.n_robot)
@@ -167,7 +167,7 @@ def check_interval(
                     table_on = False
                     masks[1] = masks[1] & ~bits
             if self_on:
-                self_with = links_in_reach(world, query, target, link, c0, c1, moving, R, p, w, v)
+                self_with = links_within(world, query, target, link, c0, c1, moving, R, p, w, v)
                 if self_with == 0:
                     self_on = False
                     masks[2] = masks[2] & ~bits
@@ -267,13 +267,13 @@ def check_interval(
                         )
                 if link == OBJECT:
                     code = code + PAIR_OF_OBJECT
-                tracked = _tracked(query, i < n_hand)
+                seeks = _seeks_smallest(query, i < n_hand)
                 margin = _target(query, out.best, kept, i < n_hand)
                 needed = margin + travel
-                if tracked:
+                if seeks:
                     needed = wp.max(needed, out.best)  # a clearance that becomes the best must have converged
                 dist = gjk(body.shape, pair_R, pair_p, world.points, shape, world.points, center, needed, gap)
-                if tracked and (query.track == 1 or dist.lower >= kept):
+                if seeks and (query.aim == 1 or dist.lower >= kept):
                     if dist.lower < out.best:
                         # a core that is met has no clearance, only an overlap that GJK does not measure
                         out.best = wp.max(dist.lower, -1.0e-6)

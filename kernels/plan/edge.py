@@ -31,8 +31,8 @@ from .obstacles import Query
 
 wp.set_module_options(OPTIONS)
 
-PART_RAD = wp.constant(1.6)
-"""Longest part of an edge, summed over the joints, that starts as one interval; longer ones were never settled."""
+SECTION_RAD = wp.constant(1.6)
+"""Longest section of an edge, summed over the joints, that starts as one interval; longer ones were never settled."""
 MOVEIT_SEGMENT_RAD = wp.constant(0.691)
 """MoveIt's longest valid segment: 0.01 of the space's extent (69.1 rad summed over the joints of a UR5e)."""
 
@@ -45,8 +45,8 @@ def edge(
 ):  # fmt: skip
     """FREE or BLOCKED for the straight joint-space edge a-b; with CLEARANCE the smallest clearance along it.
 
-    CERTIFY: bisection of each part of PART_RAD; FREE when every interval is, BLOCKED as soon as one middle is, or when a
-    interval of 2^-14 of a part is still undecided. CLEARANCE: the same walk as branch and bound; a pair is settled when it
+    CERTIFY: bisection of each section of SECTION_RAD; FREE when every interval is, BLOCKED as soon as one middle is, or when a
+    interval of 2^-14 of a section is still undecided. CLEARANCE: the same walk as branch and bound; a pair is settled when it
     cannot come nearer than `best` less `tolerance` on the interval, `best` falls with every middle, and what is undecided at
     the end counts as settled. It stops where bodies meet. SAMPLES: postures at most MOVEIT_SEGMENT_RAD apart, b included, a
     not. POSTURE: a alone, and its smallest distance to the hand if that is below `best`.
@@ -74,7 +74,7 @@ def edge(
     query = Query()
     query.hand_margin = hand_margin
     query.other_margin = other_margin
-    query.track = wp.where(mode == CLEARANCE, 1, wp.where(mode == POSTURE and best > 0.0, 2, 0))
+    query.aim = wp.where(mode == CLEARANCE, 1, wp.where(mode == POSTURE and best > 0.0, 2, 0))
     query.tolerance = tolerance
     delta = b - a
     length = float(0.0)
@@ -86,14 +86,14 @@ def edge(
     level = int(0)
     index = int(0)
     bisected = mode != SAMPLES and mode != POSTURE
-    # equal parts of the edge, in leaps from the middle on: a body that blocks it is mostly found in the first ones
-    parts = int(1)
+    # equal sections of the edge, in leaps from the middle on: a body that blocks it is mostly found in the first ones
+    sections = int(1)
     if bisected:
-        parts = wp.max(int(wp.ceil(length / PART_RAD)), 1)
-    stride = wp.where(parts % 3 == 0, wp.where(parts % 5 == 0, 7, 5), 3)
+        sections = wp.max(int(wp.ceil(length / SECTION_RAD)), 1)
+    stride = wp.where(sections % 3 == 0, wp.where(sections % 5 == 0, 7, 5), 3)
     turn = int(0)
-    part = parts / 2
-    one = 1.0 / float(parts)
+    section = sections / 2
+    one = 1.0 / float(sections)
     running = bool(True)
     while running:
         if not bisected:
@@ -105,7 +105,7 @@ def edge(
             masks[1] = tabled
             masks[2] = everything
         else:
-            query.q = a + ((float(part) + middle(level, index)) * one) * delta
+            query.q = a + ((float(section) + middle(level, index)) * one) * delta
             query.d = (half_width(level) * one) * delta
             masks[0] = stack[3 * level]
             masks[1] = stack[3 * level + 1]
@@ -146,6 +146,6 @@ def edge(
             if level == 0:
                 index = 0
                 turn += 1
-                part = (parts / 2 + turn * stride) % parts
-                running = turn < parts
+                section = (sections / 2 + turn * stride) % sections
+                running = turn < sections
     return result

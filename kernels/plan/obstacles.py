@@ -48,7 +48,7 @@ class Query:
     d: vecq  # half the interval, rad (zero: the posture alone)
     hand_margin: float
     other_margin: float
-    track: int  # 1: look for the smallest clearance below `best` instead of a yes or no; 2: that of the hand, and both
+    aim: int  # 1: look for the smallest clearance below `best` instead of a yes or no; 2: that of the hand, and both
     tolerance: float  # of that smallest clearance
 
 
@@ -240,7 +240,7 @@ def link_clears_table(
 
 
 @wp.func
-def links_in_reach(
+def links_within(
     world: World, query: Query, target: float, link: int, c0: wp.vec3, c1: wp.vec3, moving: bool,
     R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
@@ -253,14 +253,14 @@ def links_in_reach(
             o1 = R[other] * world.link_c1[other] + p[other]
             toward = from_segment(o0, o1, c0, c1)
             far = wp.length(toward)
-            reach = far - rk - world.link_radius[other]
+            between = far - rk - world.link_radius[other]
             travel = float(0.0)
             if moving:
                 travel = motion(world.link_motion_radius, link, other, query.d)
-            clear = reach - travel >= target
-            if moving and not clear and reach > target:
+            clear = between - travel >= target
+            if moving and not clear and between > target:
                 second, third = bends(world.link_motion_radius, link, other, query.d)
-                if reach - least_rest(second, third) >= target:
+                if between - least_rest(second, third) >= target:
                     n_hat = toward / far
                     k = link_frame(link)
                     g, c = relative_acceleration(n_hat, w[k], v[k], w[CHANGES + k], v[CHANGES + k], other, w, v)

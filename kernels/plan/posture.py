@@ -234,14 +234,14 @@ class Overlap:
 #     AT_FLOOR_AGAIN  0.95 of that, as the rounding allowance makes a touch look like an overlap. Still met: given up
 #     GROW            scale grows by gap / rho(n) until the gap is TOUCH_M: the clearance is gap - (1 - scale) r
 #
-# Without a floor in reach of the body's ball growth starts at its centre (scale 0), which is clear unless it is inside.
+# Without a floor within the body's ball growth starts at its centre (scale 0), which is clear unless it is inside.
 @wp.func
 def pair_clearance(world: World, body: BodyInPlace, obstacle: Obstacle, known: float, floor: float):
     """Clearance of one pair if it is below `known` (else `known`), given up when it is not above `floor`.
 
     One call site of GJK serves all questions. A pair that meets at full size (MEET), or deeper than what is known
     (DEEPER), is first looked at as deep as `floor`; if it is not, that scale is clear and growth starts there. Without
-    a `floor` in reach of the body's ball it starts at its centre alone (scale 0), which is clear unless it is inside.
+    a `floor` within the body's ball it starts at its centre alone (scale 0), which is clear unless it is inside.
     """
     out = Overlap()
     out.clearance = known
@@ -287,11 +287,11 @@ def pair_clearance(world: World, body: BodyInPlace, obstacle: Obstacle, known: f
             n_hat = wp.normalize(dist.v)
             d = -(wp.transpose(R) * n_hat)
             # minus rho(n)
-            reach = wp.dot(n_hat, R * (support(body.shape, world.points, d) - body.middle)) - body.shape.radius
-            running = running and reach < -1.0e-9
+            extent = wp.dot(n_hat, R * (support(body.shape, world.points, d) - body.middle)) - body.shape.radius
+            running = running and extent < -1.0e-9
             if running:
-                scale = wp.min(scale - (dist.lower + TOUCH_M) / reach, 1.0)
-                out.push = (-body.inner / reach) * n_hat
+                scale = wp.min(scale - (dist.lower + TOUCH_M) / extent, 1.0)
+                out.push = (-body.inner / extent) * n_hat
                 out.point = dist.point
             steps += 1
             if scale >= 1.0 or steps >= GROWTH_STEPS:

@@ -28,22 +28,22 @@ EXTEND = wp.constant(0)  # one step towards a random posture
 CONNECT = wp.constant(1)  # the other tree's first step towards the new node, from its nearest one
 CONNECT_ON = wp.constant(2)  # its further steps, each from the one before
 
-REACH = wp.constant(JOINTS)
-"""Column of a node's reach (rad), after its posture."""
-LEAST_REACH = wp.constant(0.05)
-"""A node's reach is range_rad at first; blocked steps shorten it to this part of it at least."""
-FULL_REACH = wp.constant(3)
+RANGE = wp.constant(JOINTS)
+"""Column of a node's range, its longest step (rad), after its posture."""
+LEAST_RANGE = wp.constant(0.05)
+"""A node's range is range_rad at first; blocked steps shorten it to this share of it at least."""
+FULL_RANGE = wp.constant(3)
 """Every third random posture is stepped to as far as range_rad all the same."""
 
 
 @wp.func
 def add_node(
-    nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), row: int, q: vecq, parent: int, reach: float
+    nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), row: int, q: vecq, parent: int, step_rad: float
 ):
     """Writes a node, with how far its next step may go."""
     for j in range(JOINTS):
         nodes[row, j] = q[j]
-    nodes[row, REACH] = reach
+    nodes[row, RANGE] = step_rad
     parents[row] = parent
 
 
@@ -115,22 +115,22 @@ def random_posture(world: World, start: wp.array2d(dtype=float), trial: int, num
 def rrt_step(
     nodes: wp.array2d(dtype=float), base: int, near: int, origin: int, target: vecq, number: int, range_rad: float
 ):
-    """One step from a node towards `target`: its two ends, the node's reach (rad), and whether it gets there.
+    """One step from a node towards `target`: its two ends, the node's range (rad), and whether it gets there.
 
     All nodes of one line hang on `origin`, where the line begins. The new posture is taken on the line from there.
     """
     q_near = load(nodes, base + near)
     q_new = target
     dist = wp.length(target - q_near)
-    reach = nodes[base + near, REACH]
-    if number % FULL_REACH == 1:
-        reach = range_rad
-    reached = dist <= reach
+    step_rad = nodes[base + near, RANGE]
+    if number % FULL_RANGE == 1:
+        step_rad = range_rad
+    reached = dist <= step_rad
     if not reached:
         q_origin = load(nodes, base + origin)
         whole = wp.length(target - q_origin)
-        q_new = q_origin + ((whole - dist + reach) / whole) * (target - q_origin)
-    return q_near, q_new, reach, reached
+        q_new = q_origin + ((whole - dist + step_rad) / whole) * (target - q_origin)
+    return q_near, q_new, step_rad, reached
 
 
 @wp.func
@@ -151,13 +151,13 @@ def write_path(
 # RRT-Connect (Kuffner and LaValle 2000). Tree 0 grows from the start, tree 1 from all goals; edges are certified (edge.py). As
 # one loop, each turn of which adds at most one node, in one of three phases:
 #
-#     EXTEND      the smaller tree takes one step of at most the node's reach towards a random posture. Blocked: the node's
-#                 reach shrinks, and again; free: CONNECT
+#     EXTEND      the smaller tree takes one step of at most the node's range towards a random posture. Blocked: the node's
+#                 range shrinks, and again; free: CONNECT
 #     CONNECT     the other tree steps towards the node just added, from its own nearest node. Free: CONNECT_ON, or met
 #     CONNECT_ON  it goes on from where it came to, without asking for its nearest node, until it is blocked or has met
 #
 # A goal beside the hand can mostly be left in few directions, and only for a little way before the arm has to turn: with
-# steps of one length thousands of them fail from the same node. With a reach for each node (dynamic-domain RRTs give a
+# steps of one length thousands of them fail from the same node. With a range for each node (dynamic-domain RRTs give a
 # radius to nodes that keep failing; Yershova et al. 2005) it is left after some tens. Nodes of one line to a target all hang
 # on the node where it begins, so the path has one waypoint for it.
 #
@@ -170,7 +170,7 @@ def rrt_connect(
     iterations: int,
     capacity: int,  # nodes of one tree
     range_rad: float,
-    shorter: float,  # factor on a node's reach when a step from it is blocked; 1: all steps have one length
+    shorter: float,  # factor on a node's range when a step from it is blocked; 1: all steps have one length
     seed: int,
     edge_mode: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
@@ -227,7 +227,7 @@ def rrt_connect(
         if phase != CONNECT_ON:
             near = nearest_node(nodes_scratch, base, n, target)
             origin = near
-        q_near, q_new, reach, reached = rrt_step(nodes_scratch, base, near, origin, target, count, range_rad)
+        q_near, q_new, step_rad, reached = rrt_step(nodes_scratch, base, near, origin, target, count, range_rad)
         found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, edge_mode)
         if found.status == FREE:
             add_node(nodes_scratch, parents_scratch, base + n, q_new, origin, range_rad)
@@ -246,8 +246,8 @@ def rrt_connect(
                 near = n  # go on from the node just added
                 phase = CONNECT_ON
         else:
-            if phase == EXTEND and count % FULL_REACH != 1:
-                nodes_scratch[base + near, REACH] = wp.max(shorter * reach, LEAST_REACH * range_rad)
+            if phase == EXTEND and count % FULL_RANGE != 1:
+                nodes_scratch[base + near, RANGE] = wp.max(shorter * step_rad, LEAST_RANGE * range_rad)
             phase = EXTEND
     if met0 >= 0:
         write_path(nodes_scratch, parents_scratch, base0, base1, met0, met1, path_out, length_inout, trial)

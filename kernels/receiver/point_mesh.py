@@ -8,30 +8,30 @@ wp.set_module_options(OPTIONS | {"fuse_fp": True})
 
 
 @wp.func
-def signed_query(mesh: wp.uint64, p: wp.vec3, reach: float, by_normal: int):
+def signed_query(mesh: wp.uint64, p: wp.vec3, cutoff: float, by_normal: int):
     """The nearest point of a mesh, with a sign of one kind or the other."""
     if by_normal == 1:
-        return wp.mesh_query_point_sign_normal(mesh, p, reach)
-    return wp.mesh_query_point_sign_winding_number(mesh, p, reach, 2.0, 0.5)
+        return wp.mesh_query_point_sign_normal(mesh, p, cutoff)
+    return wp.mesh_query_point_sign_winding_number(mesh, p, cutoff, 2.0, 0.5)
 
 
 @wp.kernel
 def point_mesh_distance(
-    first: int, mesh: wp.uint64, reach: float, by_normal: int, point_in: wp.array(dtype=wp.vec3),
+    first: int, mesh: wp.uint64, cutoff: float, by_normal: int, point_in: wp.array(dtype=wp.vec3),
     distance_out: wp.array(dtype=wp.float32), normal_out: wp.array(dtype=wp.vec3),
     face_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """Negative inside (winding number above 0.5); nearest face and its normal. +reach and face -1 beyond `reach`.
+    """Negative inside (winding number above 0.5); nearest face and its normal. +cutoff and face -1 beyond `cutoff`.
 
     `by_normal` = 1 is five times as fast: negative behind the nearest face, edge or vertex, which may err where a surface
     touches itself (Baerentzen and Aanaes 2005).
     """
     i = first + wp.tid()
     p = point_in[i]
-    distance_out[i] = reach
+    distance_out[i] = cutoff
     normal_out[i] = wp.vec3(0.0, 0.0, 0.0)
     face_out[i] = -1
-    query = signed_query(mesh, p, reach, by_normal)
+    query = signed_query(mesh, p, cutoff, by_normal)
     if query.result:
         closest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
         distance_out[i] = query.sign * wp.length(p - closest)

@@ -42,7 +42,7 @@ def motion_radius_of_ball(world: World, center: wp.vec3, ball_radius: float):
         half = 0.5 * (high - low)
         # the cylinder (mid, axis, half, radius) inside a cylinder about z: exact for parallel or perpendicular axes
         tilt = wp.sqrt(axis[0] * axis[0] + axis[1] * axis[1])
-        reach_z = half * wp.abs(axis[2]) + radius * tilt
+        extent_z = half * wp.abs(axis[2]) + radius * tilt
         ax = float(1.0)
         ay = float(0.0)
         if tilt > 1.0e-6:
@@ -52,10 +52,10 @@ def motion_radius_of_ball(world: World, center: wp.vec3, ball_radius: float):
         v = wp.abs(ax * mid[1] - ay * mid[0]) + radius
         e0 = wp.length(wp.vec2(mid[0] - half * axis[0], mid[1] - half * axis[1]))
         e1 = wp.length(wp.vec2(mid[0] + half * axis[0], mid[1] + half * axis[1]))
-        reach = wp.min(wp.sqrt(u * u + v * v), wp.max(e0, e1) + radius)
-        radius = wp.min(reach, ball)
-        low = wp.max(mid[2] - reach_z, -ball)
-        high = wp.min(mid[2] + reach_z, ball)
+        extent = wp.min(wp.sqrt(u * u + v * v), wp.max(e0, e1) + radius)
+        radius = wp.min(extent, ball)
+        low = wp.max(mid[2] - extent_z, -ball)
+        high = wp.min(mid[2] + extent_z, ball)
         ball = wp.min(ball, wp.sqrt(radius * radius + _square(wp.max(wp.abs(low), wp.abs(high)))))
     return rho
 

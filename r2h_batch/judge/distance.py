@@ -29,10 +29,10 @@ TOUCH_M = 1e-6
 """Bodies that meet have at most minus this as their distance."""
 
 CALM_M = 2e-5
-"""A motion that stays this near to the lines between its samples is measured as one part."""
+"""A motion that stays this near to the lines between its samples is measured as one window."""
 
-PARTS_AT_ONCE = 8192
-"""Parts of motions that are measured together."""
+WINDOWS_AT_ONCE = 8192
+"""Windows of motions that are measured together."""
 
 Measure = Callable[[BodyPoses, Tensor, Tensor, Tensor | None], tuple[Tensor, ...]]
 """(bodies, path, length, rows) -> the smallest signed distance of the robot from other bodies
@@ -138,15 +138,15 @@ def over_motion(
     """How near each motion comes, with the slack between path and motion taken off.
 
     Returns a tuple: the bound of the signed distance (`bound_with_slack`); what else `measure`
-    says; the first segment of the part of the motion on which the bound was measured.
+    says; the first segment of the window of the motion on which the bound was measured.
 
-    On a part p of a motion every point of the robot is within slack_p of where the lines between
-    samples have it, with the fingers at an opening of the part's own. So
+    On a window p of a motion every point of the robot is within slack_p of where the lines between
+    samples have it, with the fingers at an opening of the window's own. So
 
-        min over time >= min over parts (smallest distance along the part's lines - slack_p).
+        min over time >= min over windows (smallest distance along the window's lines - slack_p).
 
-    A calm motion is one part, at the trial's opening. What something holds up has parts of WINDOW
-    segments: a blow costs the part that it falls into, and fingers that are pushed are judged where
+    A calm motion is one window, at the trial's opening. What something holds up has windows of WINDOW
+    segments: a blow costs the window that it falls into, and fingers that are pushed are judged where
     they are.
     """
     slack, opening, length = executed.window_slack_m, executed.window_opening_m, executed.length
@@ -171,7 +171,7 @@ def over_motion(
     sample = k[:, None] * width + torch.arange(width + 1, dtype=torch.int64, device=device)
     path = executed.path[row[:, None], sample.clamp(max=executed.path.shape[1] - 1)]
     parts: list[tuple[Tensor, ...]] = []
-    for some in torch.arange(len(row), dtype=torch.int64, device=device).split(PARTS_AT_ONCE):
+    for some in torch.arange(len(row), dtype=torch.int64, device=device).split(WINDOWS_AT_ONCE):
         moved = scene.reopened(body_poses, row[some], opening[row, k][some])
         parts.append(measure(moved, path[some], left[some], row[some]))
     distance, *more = (torch.cat(x) for x in zip(*parts, strict=True))
@@ -233,7 +233,7 @@ def hand_distance_at(
 
 
 def nearer_of(
-    hand: NearestApproach, person_m: Float32[Tensor, " b"], part: Int32[Tensor, " b"]
+    hand: NearestApproach, person_m: Float32[Tensor, " b"], body: Int32[Tensor, " b"]
 ) -> NearestApproach:
     """The nearer of the hand and the rest of the person.
 
@@ -242,12 +242,12 @@ def nearer_of(
     Args:
         hand: of B motions or postures.
         person_m: (B,) distance of arm and torso, m; NaN: not known.
-        part: (B,) the robot's body there.
+        body: (B,) the robot's body there.
     """
     nearer = person_m < hand.distance_m
     return NearestApproach(
         torch.minimum(hand.distance_m, person_m),  # NaN where either is NaN
-        torch.where(nearer, part, hand.body),
+        torch.where(nearer, body, hand.body),
         hand.segment,
         hand.fraction,
         torch.where(nearer[:, None], torch.nan, hand.point),

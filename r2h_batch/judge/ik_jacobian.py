@@ -164,9 +164,9 @@ def _nearest_seeds(
     ee = torch.from_numpy(ee_pose(robot, q)).to(targets.device)
     order = []
     for i in range(0, len(targets), ROWS):
-        part = targets[i : i + ROWS]
-        away = (part[:, None, :3, 3] - ee[None, :, :3, 3]).square().sum(2)
-        turned = (part[:, None, :3, :3] - ee[None, :, :3, :3]).square().sum((2, 3))
+        chunk = targets[i : i + ROWS]
+        away = (chunk[:, None, :3, 3] - ee[None, :, :3, 3]).square().sum(2)
+        turned = (chunk[:, None, :3, :3] - ee[None, :, :3, :3]).square().sum((2, 3))
         order.append(
             torch.argsort(away + 0.5 * SEED_LEVER_M**2 * turned, dim=1, stable=True)[
                 :, : ik_any.TRIED

@@ -15,8 +15,8 @@ from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
 
 _SCRATCH_NODES, _NODE_BYTES = 4_000_000, 32  # of all trees of one launch: 128 MB
-REACH_SHRINK = 0.9
-"""What is left of a node's reach when a step from it is blocked, in all rounds but the last."""
+RANGE_SHRINK = 0.9
+"""Factor on a node's range when a step from it is blocked, in all rounds but the last."""
 GOOD_ENOUGH_RATIO = 1.1
 """A path that takes at most this times the straight line between its ends is not shortened
 further."""
@@ -31,8 +31,8 @@ DETOUR_ITERATIONS = 500
 
 @dataclass(frozen=True)
 class Search:
-    """What searches of B trials share: the goals of each, (b * 8, 6), the first `n_goals` of them
-    free, and their margins."""
+    """Inputs of B searches: the goals of each, (b * 8, 6), the first `n_goals` of them free, and
+    their margins."""
 
     planner: Planner
     start: Float32[Tensor, "b 6"]
@@ -94,7 +94,7 @@ class Search:
         # a length of 1 stands for "has its path": searches pass over such rows
         other, lengths = path.clone(), torch.where(detour, 0, 1).to(torch.int32)
         margin = self._connect(
-            rows, DETOUR_ITERATIONS, seed, REACH_SHRINK, other, lengths, all_goals=False
+            rows, DETOUR_ITERATIONS, seed, RANGE_SHRINK, other, lengths, all_goals=False
         )
         lengths = torch.where(detour, lengths, 0)
         self._shorten(rows, seed, margin, other, lengths)
@@ -114,7 +114,7 @@ class Search:
         last = i == len(self.config.rounds) - 1
         # other numbers in each round: what begins as the round before would end as it did
         seed = self.config.seed + (0 if last else 10 * i)
-        shorter = 1.0 if last else REACH_SHRINK
+        shorter = 1.0 if last else RANGE_SHRINK
         return self._connect(
             rows, self.config.rounds[i], seed, shorter, path, length, all_goals=last
         )
@@ -148,8 +148,8 @@ class Search:
             "n_goals": n_kept,
             "margin": margin,
         }
-        for part in rows.split(max(1, _scratch_nodes(device) // (2 * capacity))):
-            size = len(part) * 2 * capacity
+        for chunk in rows.split(max(1, _scratch_nodes(device) // (2 * capacity))):
+            size = len(chunk) * 2 * capacity
             outputs = {
                 "nodes": torch.empty((size, path.shape[2] + 1), dtype=torch.float32, device=device),
                 "parents": torch.empty(size, dtype=torch.int32, device=device),
@@ -157,7 +157,7 @@ class Search:
                 "length": length,
             }
             self.planner(
-                rrt_connect, len(part), inputs=inputs | {"trial": part}, outputs=outputs, chunk=1
+                rrt_connect, len(chunk), inputs=inputs | {"trial": chunk}, outputs=outputs, chunk=1
             )
         return margin
 

@@ -156,7 +156,7 @@ def pad_height(robot: Robot, gap: NDArray[Any]) -> NDArray[np.float64]:
 
 CLEARANCE_M = 0.001
 CENTERED_M = 0.0005
-REACH_M = 0.0015
+CUTOFF_M = 0.0015
 LEAST_CONTACT = 0.05
 HOPELESS = 0.15
 """Below the friction cone's edge (cosine) after the first closing: the others move the pads along
@@ -257,7 +257,7 @@ def pad_contact(
             "face_part": wp.array(model.face_part, dtype=wp.uint8, device="cpu"),
             "half_x": link.pad_half_size[0],
             "half_z": link.pad_half_size[2],
-            "reach": REACH_M,
+            "cutoff": CUTOFF_M,
             "T_obj_ee": T,
             "pad_z": pad_z,
             "width": width,
@@ -469,7 +469,7 @@ def _on_region(model: ObjectModel, T: F32, width: F32, robot: Robot) -> NDArray[
         x, y, z = _in_gripper(model, T[rows])
         near = np.abs(x) <= link.pad_half_size[0]
         near &= np.abs(z - pad_z[rows, None]) <= link.pad_half_size[2]
-        near &= np.abs(np.abs(y) - 0.5 * width[rows, None]) <= REACH_M
+        near &= np.abs(np.abs(y) - 0.5 * width[rows, None]) <= CUTOFF_M
         touches[rows] = (near & region).any(1)
     return touches
 

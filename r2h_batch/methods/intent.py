@@ -274,7 +274,7 @@ def approach_hits(
         len(face),
         inputs={
             "back_off": back_off_m,
-            "reach": 1.0,
+            "cutoff": 1.0,
             "mesh": scene.object_mesh_ids,
             "object": table.object_index,
             "T_obj_ee": table.T_obj_ee,

@@ -548,13 +548,13 @@ def _sweep_of_cylinder(
     """The cylinder about z that holds a given cylinder: exact for axes parallel or perpendicular to
     z, else a bound."""
     tilt = float(np.hypot(axis[0], axis[1]))  # sine of the angle between the axes
-    reach_z = half * abs(float(axis[2])) + radius * tilt
+    extent_z = half * abs(float(axis[2])) + radius * tilt
     along = axis[:2] / tilt if tilt > 1e-9 else np.array([1.0, 0.0])
     u = abs(float(center[:2] @ along)) + half * tilt + radius * abs(float(axis[2]))
     v = abs(float(along[0] * center[1] - along[1] * center[0])) + radius
     ends = center[:2] + np.outer([-half, half], axis[:2])
-    reach = min(float(np.hypot(u, v)), float(np.hypot(ends[:, 0], ends[:, 1]).max()) + radius)
-    return reach, float(center[2]) - reach_z, float(center[2]) + reach_z
+    extent = min(float(np.hypot(u, v)), float(np.hypot(ends[:, 0], ends[:, 1]).max()) + radius)
+    return extent, float(center[2]) - extent_z, float(center[2]) + extent_z
 
 
 def rolled(tensor: ArrayLike, roll: float) -> Array:

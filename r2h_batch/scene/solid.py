@@ -49,22 +49,24 @@ class Surface:
         from r2h_batch.kernels.geometry.mesh_distance import signed_distance as kernel
 
         closest = wp.empty(len(points), dtype=wp.vec3, device="cpu")
-        reach = 4.0 * self.size + float(np.abs(points - self.center).max(initial=0.0))
-        distance = self._ask(kernel, points, reach, tick, closest=closest)
+        cutoff = 4.0 * self.size + float(np.abs(points - self.center).max(initial=0.0))
+        distance = self._ask(kernel, points, cutoff, tick, closest=closest)
         return distance, closest.numpy().astype(np.float64) + self.center
 
-    def within(self, points: F64, reach: float, tick: Tick = None) -> tuple[F64, NDArray[np.int64]]:
-        """(N,) distance without a sign, `reach` where nothing is nearer; (N,) the face there, -1
+    def within(
+        self, points: F64, cutoff: float, tick: Tick = None
+    ) -> tuple[F64, NDArray[np.int64]]:
+        """(N,) distance without a sign, `cutoff` where nothing is nearer; (N,) the face there, -1
         for none."""
         import warp as wp
 
         from r2h_batch.kernels.geometry.mesh_distance import nearest_face as kernel
 
         face = wp.empty(len(points), dtype=wp.int32, device="cpu")
-        distance = self._ask(kernel, points, reach, tick, face=face)
+        distance = self._ask(kernel, points, cutoff, tick, face=face)
         return distance, face.numpy().astype(np.int64)
 
-    def _ask(self, kernel: Any, points: F64, reach: float, tick: Tick, **more: Any) -> F64:
+    def _ask(self, kernel: Any, points: F64, cutoff: float, tick: Tick, **more: Any) -> F64:
         import warp as wp
 
         from r2h_batch.base.launch import launch
@@ -79,7 +81,7 @@ class Surface:
             launch(
                 kernel,
                 part.stop - first,
-                inputs={"mesh": self.mesh.id, "reach": reach, "points": where[part]},
+                inputs={"mesh": self.mesh.id, "cutoff": cutoff, "points": where[part]},
                 outputs={"distance": distance[part], **{k: v[part] for k, v in more.items()}},
                 device="cpu",
             )

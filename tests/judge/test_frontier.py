@@ -35,7 +35,7 @@ def by_frontier(scene: Scene, plan: str, n: int) -> Plan:
 
 
 def compare(scene: Scene, plan: str, n: int) -> Plan:
-    """Of n trials, half of them sensible, what one thread finds: the same reasons and the same paths to the bit.
+    """Both forms find in n trials, half of them sensible, the same reasons and the same paths to the bit.
 
     Clearances are within the tolerance of both.
     """
@@ -62,7 +62,7 @@ def test_the_frontier_finds_what_one_thread_finds(scene: Scene, plan: str, n: in
 
 SAFE = CRITERIA.index("safe")
 SAFE_DIFFERS_SHARE = 0.005
-"""Of faces that are equally near within Safe's tolerance each form may take another, in few rows."""
+"""In few rows each form may take another of the faces that are equally near within Safe's tolerance."""
 FULL = [pytest.param(robot, 2000, marks=pytest.mark.slow, id=robot) for robot in ("ur5e_2f85", "panda_hand")]
 
 

@@ -21,7 +21,7 @@ from r2h_batch.trials.protocol import trials_with_ids
 
 @dataclass(frozen=True)
 class Moved:
-    """What Safe is asked about."""
+    """Inputs of Safe."""
 
     scene: Scene
     body_poses: BodyPoses

@@ -1,4 +1,4 @@
-"""What the tests of killed sweeps compare with."""
+"""Reference of the tests of killed sweeps."""
 
 import pytest
 from disturbed import DEADLY, SLOW, finish, start

@@ -1,4 +1,4 @@
-"""What a method cannot do with a user's object is said before work starts, and fails that method and object only."""
+"""A user's object that a method cannot handle is named before work starts, and fails that method and object only."""
 
 import pytest
 import trimesh

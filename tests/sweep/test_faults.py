@@ -1,4 +1,4 @@
-"""What kills a sweep: after the same command has run again, the digest of all rows is that of an undisturbed run.
+"""Sweeps that are killed: after the same command has run again, the digest of all rows is that of an undisturbed run.
 
 The evaluator is a fake; processes, signals and files are real.
 """

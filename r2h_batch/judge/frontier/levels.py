@@ -108,7 +108,7 @@ class Levels:
         outputs: dict[str, Any] | None = None,
     ) -> None:
         """With what the kernel takes of `tables`; on a CPU one thread, as its additions are not
-        atomic. Of `lanes` threads each takes every so-manieth entry of the kernel's queue."""
+        atomic. Thread i of n `lanes` takes entries i, i+n, i+2n of the kernel's queue."""
         kernel = self._sized(kernel)
         taken = {k: v for k, v in self.tables.items() if k in _taken(kernel)} | (inputs or {})
         ways: dict[str, Any] = {"device": self.device, "threads": 1, "uneven": True}
@@ -182,12 +182,12 @@ class Frontier(Levels):
         """As plan/lines.py `check_postures`: free or not, the pair that collides, the hand
         clearance up to CLEARANCE_CAP."""
         room, trial = self._room // 2, self._arange(len(q)) // per_trial
-        parts = [
+        chunks = [
             self._check(*(x[i : i + room] for x in (q, active, trial)))
             for i in range(0, len(q), room)
         ]
         clear, pair, least = (
-            torch.cat(x) if len(parts) > 1 else x[0] for x in zip(*parts, strict=True)
+            torch.cat(x) if len(chunks) > 1 else x[0] for x in zip(*chunks, strict=True)
         )
         self._refuse_at_once()
         return clear, pair, least
@@ -251,8 +251,8 @@ class Frontier(Levels):
         for first in reversed(range(0, segments, at_once)):
             some = {"path": path, "length": length}
             if segments > at_once:
-                part = path[:, first : first + at_once + 1].contiguous()
-                some = {"path": part, "length": (length - first).clamp(min=0, max=part.shape[1])}
+                chunk = path[:, first : first + at_once + 1].contiguous()
+                some = {"path": chunk, "length": (length - first).clamp(min=0, max=chunk.shape[1])}
             self.clear()
             self.tables |= {"parity": 0, "edges": edges, "queue": self.intervals[0]}
             self.launch(queue_paths, b, {"row": b, **some})
@@ -261,10 +261,10 @@ class Frontier(Levels):
         self._refuse_at_once()
         return torch.where(length > 0, least, -torch.inf), pair, body
 
-    def ask(self, track: int, tolerance: float) -> None:
-        """What the next levels look for: the smallest clearance (1), to `tolerance`, or whether
-        margins are kept (0)."""
-        self.tables |= {"track": track, "tolerance": tolerance}
+    def ask(self, aim: int, tolerance: float) -> None:
+        """Aim of the next levels: the smallest clearance (1), to `tolerance`, or whether margins
+        are kept (0)."""
+        self.tables |= {"aim": aim, "tolerance": tolerance}
 
     def _refuse_at_once(self) -> None:
         """On a CPU, where asking costs nothing; on a GPU planning asks at its end."""

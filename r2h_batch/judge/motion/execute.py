@@ -370,10 +370,10 @@ class _Runner:
         weight = torch.tensor(
             self.scene.robot.joint_weight, dtype=torch.float64, device=motion.device
         )
-        reach = torch.maximum(
+        longest = torch.maximum(
             (lever.double() / weight).sum(1).amax(), (held.double() / weight).sum(1)
         )
-        return made["deviation"].double() + limits(self.config)[1] * sample_s**2 / 8 * reach
+        return made["deviation"].double() + limits(self.config)[1] * sample_s**2 / 8 * longest
 
 
 def executed_time_at(

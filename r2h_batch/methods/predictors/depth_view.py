@@ -165,7 +165,7 @@ def _depth(
         len(rays),
         inputs={
             "back_off": 0.0,
-            "reach": 2.0 * DISTANCE_M,
+            "cutoff": 2.0 * DISTANCE_M,
             "mesh": scene.object_mesh_ids,
             "object": torch.full((len(rays),), row, dtype=torch.int32, device=device),
             "T_obj_ee": torch.from_numpy(T).to(device),

@@ -145,9 +145,9 @@ class _Field:
             out[first : first + AT_ONCE] = self._tree.winding_number(block, 1.0)
         return out
 
-    def distance(self, points: F64, reach: float) -> tuple[F64, I64]:
-        """(N,) distance, `reach` where no face is nearer; (N,) the nearest face, -1 for none."""
-        return self._surface.within(points, reach, lambda share: self.tick())
+    def distance(self, points: F64, cutoff: float) -> tuple[F64, I64]:
+        """(N,) distance, `cutoff` where no face is nearer; (N,) the nearest face, -1 for none."""
+        return self._surface.within(points, cutoff, lambda share: self.tick())
 
     def thickness(self, most: float) -> F64:
         """(F,) depth of the inside behind the middle of each face: a multiple of `most` / 8."""
@@ -232,8 +232,8 @@ def _cells_near(field: _Field, low: F64, cell: float, grow: float) -> I64:
     shape = np.ceil((field.bounds[1] + 3 * cell + grow - low) / step).astype(np.int64) + 1
     cells = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, 3)
     for level in range(LEVELS + 1):
-        reach = step * 3**0.5 / 2 * 1.001 + grow  # half a cell's diagonal
-        cells = cells[field.distance(low + (cells + 0.5) * step, reach)[1] >= 0]
+        cutoff = step * 3**0.5 / 2 * 1.001 + grow  # half a cell's diagonal
+        cells = cells[field.distance(low + (cells + 0.5) * step, cutoff)[1] >= 0]
         if level < LEVELS:
             cells, step = (2 * cells[:, None] + CORNERS).reshape(-1, 3), step / 2
     return cells

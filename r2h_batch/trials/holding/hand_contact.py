@@ -23,7 +23,7 @@ from r2h_batch.scene.hand import HandModel, load_hand
 REGIONS = ("index", "middle", "pinky", "ring", "thumb", "palm")
 """Where a hand touches: five digits (joints 1-3, 4-6, 7-9, 10-12, 13-15) and the palm."""
 THUMB, PALM = 4, 5
-REACH_M = 0.02
+CUTOFF_M = 0.02
 BOX_M, DIRECTIONS = 1e-5, 40
 PALMAR_COSINE = 0.35
 """Palmar skin: its rest normal leans at least this much (70 degrees) towards the side that the
@@ -66,7 +66,7 @@ class ObjectSurface:
         )
 
     def distance(
-        self, points: NDArray[Any], reach: float, *, quick: bool = False
+        self, points: NDArray[Any], cutoff: float, *, quick: bool = False
     ) -> tuple[F32, F32, NDArray[np.int32]]:
         """Signed distance (n,), outward normal (n, 3) and nearest face (n,) of points (n, 3); see
         `point_mesh_distance`.
@@ -75,7 +75,7 @@ class ObjectSurface:
         """
         flat = np.ascontiguousarray(points, np.float32).reshape(-1, 3)
         made = over_trials(point_mesh_distance, len(flat), "cpu", chunk=2048)(
-            mesh=self.mesh.id, reach=reach, by_normal=int(quick), point=flat
+            mesh=self.mesh.id, cutoff=cutoff, by_normal=int(quick), point=flat
         )
         return made["distance"].numpy(), made["normal"].numpy(), made["face"].numpy()
 
@@ -131,7 +131,10 @@ def measure_contact(
     region = palmar_region(hand or load_hand())
     rows = np.arange(n)[:, None]
     if about is None:
-        distance, face = np.full((n, count), REACH_M, np.float32), np.full((n, count), -1, np.int32)
+        distance, face = (
+            np.full((n, count), CUTOFF_M, np.float32),
+            np.full((n, count), -1, np.int32),
+        )
         normal = np.zeros((n, count, 3), np.float32)
         low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         around = np.zeros((n, count), bool)
@@ -142,11 +145,11 @@ def measure_contact(
         # outside of the object's box the sign needs no winding number
         for points, outside in ((measured & ~around, False), (measured & around, True)):
             d, normal[points], face[points] = surface.distance(
-                vertices[points], REACH_M, quick=outside
+                vertices[points], CUTOFF_M, quick=outside
             )
             distance[points] = np.abs(d) if outside else d
     else:
-        distance = np.minimum(about, REACH_M)
+        distance = np.minimum(about, CUTOFF_M)
     nearest = np.stack(
         [
             np.flatnonzero(region == r)[distance[:, region == r].argmin(1)]
@@ -157,7 +160,7 @@ def measure_contact(
     if about is None:
         gap, normal, face = distance[rows, nearest], normal[rows, nearest], face[rows, nearest]
     else:
-        gap, normal, face = surface.distance(vertices[rows, nearest], REACH_M, quick=True)
+        gap, normal, face = surface.distance(vertices[rows, nearest], CUTOFF_M, quick=True)
         gap, normal, face = gap.reshape(n, -1), normal.reshape(n, -1, 3), face.reshape(n, -1)
     inside = np.maximum(-distance, 0.0)
     return Contact(

@@ -197,7 +197,8 @@ def test_an_answer_that_is_said_to_be_missing_is_found_by_its_pose(folder, tmp_p
 
 
 def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_name(folder, tmp_path, judge, capsys):
-    """Of seed 1 in the run of seed 0: verdicts, checksums and plan agree, only the method would not answer so."""
+    """Poses of seed 1 stand in the run of seed 0: verdicts, checksums and plan agree, only the method would not answer
+    so."""
     assert sweep([*LINE, "--seed", "1", "--out", str(tmp_path / "other")]) == 0
     run = load_run(folder)
     shutil.copytree(folder, tmp_path / "run")
