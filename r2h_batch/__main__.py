@@ -7,8 +7,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-import r2h_batch
 from r2h_batch.base.command_line import Command, answer, call, failed, nearest, read, refuse
+from r2h_batch.base.package import VERSION
 
 COMMANDS = {
     "sweep": (
@@ -104,7 +104,7 @@ def _about(name: str, given: Sequence[str], prog: str) -> int:
     """Answers what is asked of the command itself: version, help, shell completion, or an unknown
     subcommand."""
     if name == "--version":
-        print(f"r2h_batch {r2h_batch.__version__}")
+        print(f"r2h_batch {VERSION}")
         return 0
     if name in ("-h", "--help"):
         read(

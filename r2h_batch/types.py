@@ -201,7 +201,7 @@ class Trials(_Rows):
 
 
 SHOWN_ROWS = 10
-"""Of a table in a notebook."""
+"""Rows of a table in a notebook."""
 
 
 @dataclass(frozen=True)
@@ -382,7 +382,7 @@ class Scores(_Rows):
         return same._with_context(inputs)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What copies and pickles hold: the numbers, not the evaluator."""
+        """Content of copies and pickles: the numbers, not the evaluator."""
         return {k: v for k, v in self.__dict__.items() if k != "_context"}
 
     def __repr__(self) -> str:

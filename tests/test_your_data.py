@@ -59,5 +59,5 @@ def test_the_python_of_the_page_writes_files_that_are_read(tmp_path, monkeypatch
     trials, _, _ = read_trials_file(tmp_path / "two.npz", base.objects, base.hand_set)
     assert [base.objects[i].name for i in trials.object_index.tolist()] == ["cup", "hammer"]
     seen = read_observations(base.objects, base.hand_set.model, hands="exact.npz")
-    seen.check_plan(make_trials(trials=5).trial_id.numpy())
+    seen.check_trials(make_trials(trials=5).trial_id.numpy())
     assert seen.sources() == {"target": "exact"} and np.load("exact.npz")["trial_id"].shape == (10,)

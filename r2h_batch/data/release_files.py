@@ -246,10 +246,10 @@ class TrialFile(Entry):
     own: Annotated[Any, AfterValidator(_own)] = Field(default=None, alias="provenance")
 
 
-Kind = TypeVar("Kind", bound=BaseModel)
+Model = TypeVar("Model", bound=BaseModel)
 
 
-def validated(row: Any, where: str, kind: type[Kind]) -> Kind:
+def validated(row: Any, where: str, kind: type[Model]) -> Model:
     try:
         return kind.model_validate(row)
     except ValidationError as error:

@@ -48,9 +48,9 @@ from r2h_batch.data.robot_srdf import compared, home_of, read_srdf
 from r2h_batch.scene.robot import (
     DEFAULT_ROBOT,
     MAX_BODIES,
-    Kind,
     Primitives,
     Robot,
+    ShapeKind,
     check_robot,
     ee_pose,
     frozen,
@@ -69,17 +69,18 @@ __all__ = ["gripper_of", "import_robot"]
 Array = NDArray[np.float64]
 
 LEAST_JOINTS, MOST_JOINTS = 6, 7
-"""Of an arm: the kernels take any number, these have been tried."""
+"""Number of an arm's joints: the kernels take any number, these have been tried."""
 MOST_OVERSHOOT_MM = 3.0
 """Mean distance from a link's bodies to its mesh above which it gets one body more."""
 MOST_OUTSIDE_MM = 0.1
 """How much of a link's mesh the file's own shapes may leave outside."""
 MOST_HULLS = 6
-"""Of a link, as long as each link after it can have one of the bodies that the kernels hold."""
+"""Most hulls of a link, as long as each link after it can have one of the bodies that the kernels
+hold."""
 PALM_BOXES = 8
-"""Of a gripper that is imported: no hulls, as closing it asks how deep its bodies are met."""
+"""Most boxes of an imported gripper's palm: no hulls, as closing needs the depth of overlaps."""
 FINGER_BOXES, MAX_PARTS = 3, 31
-"""Of a mesh of a finger; of a whole gripper, as the kernels hold them."""
+"""Most boxes of a finger's mesh, and most parts of a whole gripper, as the kernels hold them."""
 TABLE_SAMPLES = 65
 """Gaps at which the fingers' places are stored."""
 SYMMETRIC_M, PARALLEL_RAD = 1e-4, 5e-3
@@ -293,7 +294,7 @@ def _primitives_of(
             size[i] = hull_size(corners[i])
         else:
             T[i, :3, :3], T[i, :3, 3], size[i, : len(s.size)] = s.R, s.pos, s.size
-    kind = [Kind[s.kind.upper()] for s in shapes]
+    kind = [ShapeKind[s.kind.upper()] for s in shapes]
     any_hull = any(map(len, corners))
     return Primitives(
         tuple(names), frozen(link, np.int32), frozen(kind, np.int32), frozen(T), frozen(size),
@@ -549,7 +550,7 @@ def _home(robot: Robot) -> tuple[float, ...]:
 
 
 def _middle_home(robot: Robot, off: Callable[[Array], Array]) -> tuple[float, ...]:
-    """Of the postures that 64 starts lead to the one that is nearest to the middle of its limits."""
+    """Home nearest to the middle of the limits, of the postures that 64 starts lead to."""
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     starts = qmc.Halton(len(lower), scramble=False).random(65)[1:]
     best, least = None, np.inf

@@ -15,10 +15,10 @@ from r2h_batch.data.robot_model import Body, Geom, Joint, Loop, Model, moved
 Array = NDArray[np.float64]
 
 SAMPLES = 513
-"""Of a gripper's way from closed to open."""
+"""Samples of a gripper's way from closed to open."""
 GRAVITY_M_S2, HELD_KG, LEAST_NM = 9.81, 2.0, 10.0
-"""A joint without a limit of torque gets twice what holds the stretched arm with so much at its flange, and
-at least so much [choice]."""
+"""A joint without a limit of torque gets twice the torque that holds the stretched arm with this mass at its flange, and
+at least the last of these [choice]."""
 MOST_TURNS = 60
 CLOSED_M = 1e-4
 """By how much a loop of a gripper may stay open."""
@@ -199,7 +199,7 @@ def read_fingers(model: Model, flange: str, pads: tuple[str, str]) -> Fingers:
         todo += new
     moving = {link.joint.name: link.joint for link in below.values() if link.joint is not None}
     carried = {name for name, link in below.items() if link.joint is not None}
-    carrier = {}  # the moving link that a link is fixed to, or is
+    carrier: dict[str, str] = {}  # the moving link that a link is fixed to, or is
     for name, link in below.items():
         carrier[name] = name if name in carried else carrier.get(link.parent, "")
     for pad in pads:
@@ -359,7 +359,7 @@ def _root(joint: Joint, moving: Mapping[str, Joint], shown: str) -> tuple[str, f
 
 
 def _boxes(link: Body) -> tuple[Box, ...]:
-    """What a link collides as, where all of it is boxes; else none."""
+    """Collision boxes of a link whose geometry is boxes alone; else empty."""
     solid = [g for g in link.geoms if not g.seen]
     plain = all(g.kind == "box" and not g.fitted for g in solid)
     return tuple(Box(g.T, g.size) for g in solid) if plain else ()

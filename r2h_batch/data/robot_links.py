@@ -17,9 +17,9 @@ from r2h_batch.scene.mesh_import.file import load_robot_meshes, reads_collada
 Array = NDArray[np.float64]
 
 MAX_MESHES = 32
-"""Of a link, and of all fingers."""
+"""Most meshes of a link, and of all fingers."""
 LONGEST_M = 3.0
-"""Of a link: a mesh that is longer is in millimetres, and would be covered point by point."""
+"""Longest link: a mesh that is longer is in millimetres, and would be covered point by point."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Meshes:
 
 
 def seen_of(part: Rigid) -> list[Geom]:
-    """What a part looks like: what it collides as, where the file shows nothing else that can be read."""
+    """Visual geoms of a part; its collision geoms where the file shows nothing else that can be read."""
     seen, solid = [g for g in part.geoms if g.seen], [g for g in part.geoms if not g.seen]
     if solid and not reads_collada() and any(g.file.lower().endswith(".dae") for g in seen):
         return solid

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 MAX_BYTES, MAX_LINKS, MAX_ELEMENTS, MAX_INCLUDES = 8 << 20, 256, 8192, 16
 SPEED_RAD_S = 2.0
-"""Of a joint of an MJCF, which has no limits of speed [choice]."""
+"""Speed limit of a joint of an MJCF, which has none [choice]."""
 
 _IN_BODY = {"body", "frame", "joint", "freejoint", "geom", "inertial", "site"}
 _MOTORS = {"motor", "general", "position", "velocity", "intvelocity", "damper"}

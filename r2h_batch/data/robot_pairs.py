@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.config import Workplace
-from r2h_batch.scene.robot import Kind, Robot, corners_of, gripper_primitives_at
+from r2h_batch.scene.robot import Robot, ShapeKind, corners_of, gripper_primitives_at
 
 FAR_M = 0.05
 
@@ -51,7 +51,7 @@ def mjcf(robot: Robot, table: Workplace | None = None) -> str:
     if table is not None:
         T = np.eye(4)
         T[:3, 3] = table.table_center
-        tail += _geom("table/top", Kind.BOX, T, np.array(table.table_half))
+        tail += _geom("table/top", ShapeKind.BOX, T, np.array(table.table_half))
     return (
         '<mujoco><option><flag filterparent="disable"/></option><size memory="64M"/>'
         f'<default><geom mass="0.1" margin="{FAR_M}" gap="0"/></default>'
@@ -113,9 +113,9 @@ def touching(robot: Robot, q: NDArray[np.float64], table: Workplace | None = Non
 
 
 def _geom(name: str, kind: int, T: NDArray[np.float64], size: NDArray[np.float64]) -> str:
-    numbers = size if kind == Kind.BOX else size[:2]
-    shape = f'type="{Kind(kind).name.lower()}" size="{_text(numbers)}"'
-    if kind == Kind.HULL:
+    numbers = size if kind == ShapeKind.BOX else size[:2]
+    shape = f'type="{ShapeKind(kind).name.lower()}" size="{_text(numbers)}"'
+    if kind == ShapeKind.HULL:
         shape = f'type="mesh" mesh="{name}"'
     return f'<geom name="{name}" {shape} {_pose(T)}/>'
 

@@ -245,7 +245,7 @@ SEARCH_CELL_M = 6.0e-3
 FRACTIONS = (0.25, 0.4, 0.5, 0.6, 0.75)
 """Where a part may be cut, in parts of its extent."""
 CORNERS = 96
-"""Of a hull. The kernels read 16 at a time."""
+"""Most corners of a hull. The kernels read 16 at a time."""
 LOSS_M = 1.0e-4
 """Corners that lie this little outside the others' hull are left out; the hull grows by what they lie outside."""
 
@@ -346,7 +346,7 @@ def _cuts(
 
 
 def _above(triangles: Array, axis: Array, height: float) -> Array:
-    """What of triangles (F, 3, 3) lies above a plane, cut exactly."""
+    """The part of triangles (F, 3, 3) above a plane, cut exactly."""
     side = triangles @ axis - height
     count = (side > 0).sum(1)
     kept = [triangles[count == 3]]

@@ -18,7 +18,7 @@ MAX_PAIRS = 65536
 
 @dataclass(frozen=True)
 class Srdf:
-    """What is read of the file."""
+    """Content of the file that is used."""
 
     disabled: Mapping[frozenset[str], str]
     """two links of the URDF -> the reason that the file gives"""

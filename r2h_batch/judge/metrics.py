@@ -80,7 +80,7 @@ def kind_of(clearance_m: Float32[Tensor, " b"], cap_m: float) -> Int8[Tensor, " 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the stages found of B handovers: all that a criterion may use."""
+    """Results of the stages for B handovers: all that a criterion may use."""
 
     scene: Scene
     config: EvalConfig

@@ -18,7 +18,7 @@ from r2h_batch.base.launch import launch_trials
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import box_grasps as kernels
 from r2h_batch.methods.part_roles import GRASP
-from r2h_batch.scene.robot import Kind, Robot
+from r2h_batch.scene.robot import Robot, ShapeKind
 from r2h_batch.scene.scene import Scene
 
 FINGER_PARTS = ("pad", "inner_finger")
@@ -41,7 +41,7 @@ class BoxGrasps:
 def half_sides(robot: Robot) -> Array:
     """(G, 3) half sides of the boxes that hold the gripper's shapes, in their frames, m."""
     kind, size = robot.gripper.kind, robot.gripper.size
-    return np.where((kind == Kind.BOX)[:, None], size, size[:, [0, 0, 1]])
+    return np.where((kind == ShapeKind.BOX)[:, None], size, size[:, [0, 0, 1]])
 
 
 @lru_cache(maxsize=4)

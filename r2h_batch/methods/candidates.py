@@ -31,12 +31,15 @@ from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, st
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 
-Kind = Literal["filtered", "as-generated", "narrow"]
+CandidateKind = Literal["filtered", "as-generated", "narrow"]
 """As `EvalConfig.candidates` says it: what this evaluator's own gripper can hold; whatever is
 proposed; or of the first those across which the whole object fits between the pads (all where none
 does)."""
 
-STORED: dict[Kind, str] = {"filtered": "grasps.npz", "as-generated": "grasps_as_generated.npz"}
+STORED: dict[CandidateKind, str] = {
+    "filtered": "grasps.npz",
+    "as-generated": "grasps_as_generated.npz",
+}
 
 CODE = (
     *("r2h_batch.methods.box_grasps", "r2h_batch.methods.grasps", "r2h_batch.judge.grasp"),
@@ -73,7 +76,7 @@ def candidates_in(scene: Scene) -> tuple[Candidates, ...]:
 
 @lru_cache(maxsize=8)
 def candidates_of(
-    objects: tuple[ObjectModel, ...], kind: Kind = "filtered", robot: Robot | None = None
+    objects: tuple[ObjectModel, ...], kind: CandidateKind = "filtered", robot: Robot | None = None
 ) -> tuple[Candidates, ...]:
     """Candidates of each object for the robot's gripper (None: the 2F-85), in the objects' order.
 
@@ -178,7 +181,7 @@ def candidate_table(scene: Scene) -> CandidateTable:
 
 
 @lru_cache(maxsize=64)
-def _candidates(model: ObjectModel, kind: Kind, robot: Robot) -> Candidates:
+def _candidates(model: ObjectModel, kind: CandidateKind, robot: Robot) -> Candidates:
     filtered = kind == "filtered"
     if model.grasps is not None:  # a user's own: none left is the user's to know
         return (seat_grasps if filtered else own_grasps)(model, model.grasps, robot)
@@ -207,5 +210,5 @@ def _candidates(model: ObjectModel, kind: Kind, robot: Robot) -> Candidates:
 
 
 @lru_cache(maxsize=2)
-def _stored(kind: Kind) -> dict[str, NDArray[Any]]:
+def _stored(kind: CandidateKind) -> dict[str, NDArray[Any]]:
     return stored_arrays("objects", STORED[kind])

@@ -10,9 +10,9 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from r2h_batch.scene.robot import (
-    Kind,
     Primitives,
     Robot,
+    ShapeKind,
     corners_of,
     gripper_primitives_at,
     lever_bound_for_sphere,
@@ -28,12 +28,12 @@ BETWEEN_OPENINGS_M = 1e-3
 
 def capsule_of_primitive(kind: int, size: Array) -> tuple[Array, float]:
     """Half axis (3,) and radius of a capsule about the primitive's centre that holds it."""
-    if kind == Kind.BOX:
+    if kind == ShapeKind.BOX:
         long = int(np.argmax(size))
         axis = np.zeros(3)
         axis[long] = size[long]
         return axis, float(np.linalg.norm(np.delete(size, long)))
-    if kind in (Kind.CAPSULE, Kind.CYLINDER):
+    if kind in (ShapeKind.CAPSULE, ShapeKind.CYLINDER):
         return np.array([0.0, 0.0, size[1]]), float(size[0])
     return np.zeros(3), float(size[0])
 

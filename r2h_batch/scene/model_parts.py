@@ -17,7 +17,7 @@ from r2h_batch.scene.dynamics import (
     add_servo,
     quat_wxyz,
 )
-from r2h_batch.scene.robot import Kind, Linkage, Primitives, Robot, table_at
+from r2h_batch.scene.robot import Linkage, Primitives, Robot, ShapeKind, table_at
 from r2h_batch.scene.robot_visuals import part_origin, visual_triangles
 
 Array = NDArray[np.float64]
@@ -49,8 +49,8 @@ VISUAL, COLLISION = 2, 3
 """Geom groups: MuJoCo renders 0 to 2 unless told otherwise."""
 
 _TYPES = {
-    Kind.SPHERE: mujoco.mjtGeom.mjGEOM_SPHERE, Kind.CAPSULE: mujoco.mjtGeom.mjGEOM_CAPSULE,
-    Kind.CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER, Kind.BOX: mujoco.mjtGeom.mjGEOM_BOX,
+    ShapeKind.SPHERE: mujoco.mjtGeom.mjGEOM_SPHERE, ShapeKind.CAPSULE: mujoco.mjtGeom.mjGEOM_CAPSULE,
+    ShapeKind.CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER, ShapeKind.BOX: mujoco.mjtGeom.mjGEOM_BOX,
 }  # fmt: skip
 Mesh = tuple[str, Array, Any, bool]
 """Name, vertices, faces (None: their hull's), whether it collides as a convex body."""
@@ -313,12 +313,12 @@ def add_primitive(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, shapes: Primitives, i: int, T: Array, contype: int, conaffinity: int, name: str
 ) -> None:  # fmt: skip
     """One of the planner's bodies, at T in the body."""
-    if shapes.kind[i] == Kind.HULL:
+    if shapes.kind[i] == ShapeKind.HULL:
         add_mesh(spec, name, shapes.corners[i], None, convex=True)
         add_mesh_geom(body, name, name, "collision", contype, conaffinity, group=COLLISION, T=T)
         return
     body.add_geom(
-        name=name, type=_TYPES[Kind(int(shapes.kind[i]))], size=shapes.size[i], pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]),
+        name=name, type=_TYPES[ShapeKind(int(shapes.kind[i]))], size=shapes.size[i], pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]),
         contype=contype, conaffinity=conaffinity, group=COLLISION, rgba=[*COLORS["collision"], 0.4],
     )  # fmt: skip
 
@@ -329,9 +329,9 @@ def add_shown(
 ) -> None:  # fmt: skip
     """One of the planner's bodies as what is seen, where there is no mesh to show; a hull shares the
     mesh of the body that collides, `name` without `_visual`."""
-    kind = Kind(int(shapes.kind[i]))
+    kind = ShapeKind(int(shapes.kind[i]))
     shape: dict[str, Any] = {"type": _TYPES.get(kind), "size": shapes.size[i]}
-    if kind == Kind.HULL:
+    if kind == ShapeKind.HULL:
         mesh = name.removesuffix("_visual")
         shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh}
     body.add_geom(

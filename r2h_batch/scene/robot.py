@@ -71,7 +71,7 @@ MOTIONS = ("fixed", "driver", "pin", "inner_knuckle", *(f"table_{k}" for k in ra
 `table_K`: by row K of `Linkage.table`; the pads move by row 0."""
 
 
-class Kind(IntEnum):
+class ShapeKind(IntEnum):
     """Shape codes of the kernels. Sizes as in MuJoCo, along local z: [radius, half length], box
     half sides."""
 
@@ -469,7 +469,7 @@ def lever_bounds(robot: Robot) -> Array:
     arm = robot.arm
     shapes = zip(arm.link, arm.kind, arm.T_link_prim, arm.size, corners_of(arm), strict=True)
     columns = [
-        _lever_column(robot, int(link), *_sweep_of_primitive(Kind(kind), T, size, corners))
+        _lever_column(robot, int(link), *_sweep_of_primitive(ShapeKind(kind), T, size, corners))
         for link, kind, T, size, corners in shapes
     ]
     return np.stack(columns, axis=1)
@@ -521,20 +521,20 @@ def _lever_column(robot: Robot, link: int, radius: float, low: float, high: floa
 
 
 def _sweep_of_primitive(
-    kind: Kind, T: Array, size: Array, corners: Array
+    kind: ShapeKind, T: Array, size: Array, corners: Array
 ) -> tuple[float, float, float]:
     """The cylinder (radius, low, high) about z that holds the shape, whatever its turn about z."""
     center, axis = T[:3, 3], T[:3, 2]
-    if kind == Kind.CYLINDER:
+    if kind == ShapeKind.CYLINDER:
         return _sweep_of_cylinder(center, axis, size[1], size[0])
-    if kind == Kind.CAPSULE:
+    if kind == ShapeKind.CAPSULE:
         ends = center + np.outer([-size[1], size[1]], axis)
         margin = size[0]
-    elif kind == Kind.BOX:
+    elif kind == ShapeKind.BOX:
         signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
         ends = center + (signs * size) @ T[:3, :3].T
         margin = 0.0
-    elif kind == Kind.HULL:
+    elif kind == ShapeKind.HULL:
         ends, margin = center + corners @ T[:3, :3].T, 1e-6
     else:
         raise ValueError(f"{kind.name} is not a shape of the arm")
@@ -588,7 +588,7 @@ def _primitives(rows: list[dict[str, Any]], link: list[int]) -> Primitives:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
         T[n, :3, 3] = row["pos"]
-    kind = frozen([Kind[row["kind"].upper()] for row in rows], np.int32)
+    kind = frozen([ShapeKind[row["kind"].upper()] for row in rows], np.int32)
     return Primitives(
         tuple(row["name"] for row in rows), frozen(link, np.int32), kind, frozen(T), frozen(size)
     )
@@ -793,10 +793,12 @@ def check_robot(robot: Robot) -> None:
             raise ValueError(f"two links or joints are called {twice[0]!r}; rename one of them")
     if n > MAX_BODIES:
         raise ValueError(f"{n} collision bodies; the kernels hold {MAX_BODIES} of an arm")
-    primitive = np.isin(arm.kind, (Kind.CAPSULE, Kind.CYLINDER, Kind.BOX))
+    primitive = np.isin(arm.kind, (ShapeKind.CAPSULE, ShapeKind.CYLINDER, ShapeKind.BOX))
     hull = np.array([len(x) > 0 for x in corners_of(arm)])
-    known = np.isin(robot.gripper.kind, (Kind.CAPSULE, Kind.CYLINDER, Kind.BOX)).all()
-    if not known or (primitive == hull).any() or (arm.kind[hull] != Kind.HULL).any():
+    known = np.isin(
+        robot.gripper.kind, (ShapeKind.CAPSULE, ShapeKind.CYLINDER, ShapeKind.BOX)
+    ).all()
+    if not known or (primitive == hull).any() or (arm.kind[hull] != ShapeKind.HULL).any():
         raise ValueError(
             "kind must be 1 (capsule), 2 (cylinder), 3 (box) or, of an arm's body with corners, 4 (hull)"
         )
@@ -804,7 +806,7 @@ def check_robot(robot: Robot) -> None:
         raise ValueError(f"every link, 0 to {last}, needs a collision body")
     if any(len(x) > MAX_CORNERS for x in corners_of(arm)):
         raise ValueError(f"a hull may have {MAX_CORNERS} corners")
-    whole = (arm.kind == Kind.BOX) | hull  # sizes of three numbers
+    whole = (arm.kind == ShapeKind.BOX) | hull  # sizes of three numbers
     used = arm.size[~whole, :2].ravel().tolist() + arm.size[whole].ravel().tolist()
     if not all(1e-4 <= x <= 2 for x in used):
         raise ValueError(

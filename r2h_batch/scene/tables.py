@@ -23,7 +23,7 @@ from r2h_batch.scene import bounds
 from r2h_batch.scene.bounds import BLOCK_POINTS
 from r2h_batch.scene.hand import HandModel, HandSet, palm_frame
 from r2h_batch.scene.objects import ObjectModel
-from r2h_batch.scene.robot import Kind, Robot, corners_of
+from r2h_batch.scene.robot import Robot, ShapeKind, corners_of
 
 MIDDLE_ROOT = 4
 """MANO's joint where the middle finger begins."""
@@ -214,11 +214,11 @@ class WorldTables:
             "n_arm": (int(n_arm), wp.int32),
             "n_robot": (int(n_robot), wp.int32),
             "body_link": (link, wp.int32),
-            "kind": (np.where(kind == Kind.HULL, BLOCKS, kind), wp.int32),
+            "kind": (np.where(kind == ShapeKind.HULL, BLOCKS, kind), wp.int32),
             "body_start": (before + np.cumsum(rows) - rows, wp.int32),
             "body_blocks": (rows // BLOCK_POINTS, wp.int32),
             "size": (size, wp.vec3),
-            "radius": (np.where(kind <= Kind.CAPSULE, size[:, 0], 0.0), wp.float32),
+            "radius": (np.where(kind <= ShapeKind.CAPSULE, size[:, 0], 0.0), wp.float32),
             "cap_radius": ([c[1] for c in caps], wp.float32),
             "cap_axis": ([c[0] for c in caps], wp.vec3),
             "body_R": (robot.arm.T_link_prim[order][:, :3, :3], wp.mat33),

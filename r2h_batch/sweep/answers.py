@@ -1,4 +1,4 @@
-"""What a method can answer, and its answers, checked as a predictions file is.
+"""The trials that a method can answer, and its answers, checked as a predictions file is.
 
 A built-in method has no answer for objects without grasps and for hands that hold nothing. Those
 trials get no pose and count as its failures (`invalid_input`).
@@ -112,8 +112,8 @@ def _checked(
 
 @contextmanager
 def own_streams(name: str) -> Iterator[None]:
-    """What a method prints goes to stderr: stdout is the table's. A stream that it closed or
-    replaced is put back."""
+    """Sends a method's prints to stderr: stdout is the table's. A stream that it closed or replaced
+    is put back."""
     printed = io.StringIO()
     try:
         with redirect_stderr(sys.stderr), redirect_stdout(printed):
@@ -170,8 +170,8 @@ def check_grasps(scene: "Scene", allow_empty: bool) -> None:
 def coverage_of(
     name: str, sees: Sequence[str], scene: "Scene", seen: "Observations | None"
 ) -> MethodCoverage:
-    """What a built-in method can answer: every object with candidates; those that look at the
-    receiver's hold on it (and are not shown a network's) also need one of the hand's side."""
+    """Objects that a built-in method can answer: every object with candidates; those that look at
+    the receiver's hold on it (and are not shown a network's) also need one of the hand's side."""
     from r2h_batch.methods.candidates import without_candidates
     from r2h_batch.trials.holding.receiving import without_receiving
 

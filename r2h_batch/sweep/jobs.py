@@ -291,7 +291,7 @@ def _seen(files: Mapping[str, str], setting: Setting) -> "Observations | None":
     named = {name.removeprefix("predicted_"): file for name, file in files.items()}
     seen = read_observations(scene.objects, scene.hands.model, **named)
     planned = setting.ids(0, setting.planned)
-    seen.check_plan(planned.numpy())
+    seen.check_trials(planned.numpy())
     if seen.parts is not None:
         seen.check_parts(setting.trials(planned), scene.objects)
     return seen

@@ -51,8 +51,8 @@ from r2h_batch.scene.model_parts import (
     visual_mesh,
 )
 from r2h_batch.scene.robot import (
-    Kind,
     Robot,
+    ShapeKind,
     drive_from_gap,
     finger_motion,
     gripper_primitives_at,
@@ -89,7 +89,12 @@ MARK_COLORS = {
 _BOX, _MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH
 _SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
 _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
-_TYPES = {Kind.SPHERE: _SPHERE, Kind.CAPSULE: _CAPSULE, Kind.CYLINDER: _CYLINDER, Kind.BOX: _BOX}
+_TYPES = {
+    ShapeKind.SPHERE: _SPHERE,
+    ShapeKind.CAPSULE: _CAPSULE,
+    ShapeKind.CYLINDER: _CYLINDER,
+    ShapeKind.BOX: _BOX,
+}
 _CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
 _SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 _SEEN: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0}
@@ -393,7 +398,7 @@ def _add_finger_sites(
         poses = T @ gripper_primitives_at(robot, gap_m)
         for i, name in enumerate(robot.gripper.names):
             gripper.add_site(
-                name=f"{prefix}/{name}", type=_TYPES[Kind(int(robot.gripper.kind[i]))],
+                name=f"{prefix}/{name}", type=_TYPES[ShapeKind(int(robot.gripper.kind[i]))],
                 size=robot.gripper.size[i], pos=poses[i][:3, 3],
                 quat=quat_wxyz(poses[i][:3, :3]), group=MARK, rgba=MARK_COLORS["fingers"],
             )  # fmt: skip

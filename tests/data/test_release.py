@@ -19,7 +19,7 @@ from r2h_batch.judge.grasp import region_distance
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.objects import object_digest
-from r2h_batch.scene.robot import Kind, Primitives, load_robot, slide_table, table_linkage
+from r2h_batch.scene.robot import Primitives, ShapeKind, load_robot, slide_table, table_linkage
 from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.trials.protocol import trials_of
 from r2h_batch.types import Outcome
@@ -189,7 +189,7 @@ def release_fingers():
     at = np.tile(T_gripper_ee @ shift(TIPS - 0.022), (2, 1, 1))
     at[:, :3, 3] += np.outer([-0.006, 0.006], T_gripper_ee[:3, 1])
     boxes = Primitives(
-        ("left", "right"), np.zeros(2, np.int32), np.full(2, int(Kind.BOX), np.int32), at,
+        ("left", "right"), np.zeros(2, np.int32), np.full(2, int(ShapeKind.BOX), np.int32), at,
         np.tile((0.012, 0.006, 0.022), (2, 1)),
     )  # fmt: skip
     return replace(

@@ -17,7 +17,7 @@ from r2h_batch.data import robot_shapes
 from r2h_batch.data.robot import import_robot
 from r2h_batch.data.robot_pairs import touching
 from r2h_batch.data.robot_srdf import read_srdf
-from r2h_batch.scene.robot import Kind, ee_pose, read_robot, robot_arrays, robot_file
+from r2h_batch.scene.robot import ShapeKind, ee_pose, read_robot, robot_arrays, robot_file
 
 HAND = ("left_finger", "right_finger")
 READY = (0.0, -0.9, 0.0, 2.3, 0.0, -1.74, 0.0)
@@ -47,7 +47,7 @@ def test_a_urdf_and_an_mjcf_of_one_arm_give_one_robot(arm, tmp_path):
     one, other = robot_arrays(by_urdf), robot_arrays(by_mjcf)
     assert one.keys() == other.keys() and all(np.abs(one[name] - other[name]).max() < 1e-9 for name in one)
     assert robot_file(by_urdf) == robot_file(by_mjcf)
-    kinds = [Kind(k).name for k in by_urdf.arm.kind]
+    kinds = [ShapeKind(k).name for k in by_urdf.arm.kind]
     assert kinds == ["CYLINDER", "CYLINDER", "CAPSULE", "CYLINDER", "BOX", "HULL", "CAPSULE", "CYLINDER"]
     assert by_urdf.open_gap_m == pytest.approx(0.08) and report["links"]["l2"]["from"] == "shapes of the file"
 

@@ -21,7 +21,7 @@ from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.methods import oracle
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import Kind, ee_pose, forward_kinematics
+from r2h_batch.scene.robot import ShapeKind, ee_pose, forward_kinematics
 from r2h_batch.trials.holding.held_out import grip_forces, load_held_out, revolution_axis
 from r2h_batch.trials.holding.receiving import load_receiving
 from r2h_batch.trials.protocol import make_trials
@@ -216,11 +216,11 @@ def arm_bodies(receiver, lean_deg, elbow, wrist, shoulder=None):
         x /= np.linalg.norm(x)
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = np.stack([x, np.cross(z, x), z], 1), (a + b) / 2
-        arm.append(primitive(Kind.CAPSULE, [r, np.linalg.norm(b - a) / 2], T))
+        arm.append(primitive(ShapeKind.CAPSULE, [r, np.linalg.norm(b - a) / 2], T))
     T = np.eye(4)
     T[:3, :3] = lean.as_matrix() @ np.stack([ahead, left, up], 1)
     T[:3, 3] = hip + lean.apply(body[4, 2] * up)
-    return [*arm, primitive(Kind.BOX, body[4, :3], T)]
+    return [*arm, primitive(ShapeKind.BOX, body[4, :3], T)]
 
 
 def gap_to_robot(batch, trial, q, arm):

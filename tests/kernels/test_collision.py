@@ -17,7 +17,13 @@ from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.plan.codes import CERTIFY
 from r2h_batch.kernels.plan.lines import path_clearance, straight_lines
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import Kind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere, load_robot
+from r2h_batch.scene.robot import (
+    ShapeKind,
+    forward_kinematics,
+    gripper_primitives_at,
+    lever_bound_for_sphere,
+    load_robot,
+)
 from r2h_batch.scene.scene import Scene
 
 BAND_M = 1e-4
@@ -247,7 +253,7 @@ def test_bounding_capsules_and_motion_radii_hold_their_bodies_at_every_opening(s
     for b in range(w.n_robot):
         x = boundary_points(kind[b], size[b], rng, 150)
         assert point_to_segment(x, -axis[b], axis[b]).max() <= cap[b] + 1e-7
-        assert abs(w.radius.numpy()[b] - (size[b, 0] if kind[b] <= Kind.CAPSULE else 0.0)) < 1e-9
+        assert abs(w.radius.numpy()[b] - (size[b, 0] if kind[b] <= ShapeKind.CAPSULE else 0.0)) < 1e-9
         if b < w.n_arm:
             poses = [np.block([[body_R[b], body_p[b][:, None]], [np.zeros((1, 3)), 1.0]])]
         else:

@@ -9,7 +9,7 @@ from r2h_batch.base.launch import init_warp, launch
 from r2h_batch.kernels.geometry.depth import core_depth
 from r2h_batch.kernels.geometry.shape import Shape
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.scene.robot import Kind
+from r2h_batch.scene.robot import ShapeKind
 
 wp.set_module_options(OPTIONS)
 init_warp()
@@ -37,7 +37,7 @@ def depths(
 
 def test_the_depth_of_cores_is_from_below_and_within_two_per_cent() -> None:
     rng = np.random.default_rng(4)
-    kinds = rng.choice([Kind.CAPSULE, Kind.CYLINDER, Kind.BOX, Kind.HULL], (COUNT, 2))
+    kinds = rng.choice([ShapeKind.CAPSULE, ShapeKind.CYLINDER, ShapeKind.BOX, ShapeKind.HULL], (COUNT, 2))
     size = np.exp(rng.uniform(np.log(0.004), np.log(0.15), (COUNT, 2, 3))).astype(np.float32)
     clouds = [
         (rng.normal(size=(n, 3)) * 0.5 * size[i, k]).astype(np.float32)

@@ -16,7 +16,7 @@ from r2h_batch.kernels.geometry.closest import from_point, from_segment
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.scene import bounds
 from r2h_batch.scene.objects import OBJECT_NAMES, load_objects
-from r2h_batch.scene.robot import Kind
+from r2h_batch.scene.robot import ShapeKind
 
 wp.set_module_options(OPTIONS)
 
@@ -80,7 +80,7 @@ class Pairs:
 
     @staticmethod
     def _points(kind, size, rng):
-        if kind != Kind.HULL:
+        if kind != ShapeKind.HULL:
             return np.zeros((1, 3), np.float32)
         x = rng.normal(size=(rng.integers(4, 60), 3))
         x /= np.linalg.norm(x, axis=1)[:, None]
@@ -265,7 +265,7 @@ def test_it_agrees_with_mujoco_c():
         types = {1: mujoco.mjtGeom.mjGEOM_CAPSULE, 2: mujoco.mjtGeom.mjGEOM_CYLINDER, 3: mujoco.mjtGeom.mjGEOM_BOX}
         for side, kind in ((0, ka), (1, kb)):
             body = spec.worldbody.add_body(name=f"m{side}", mocap=True)
-            if kind == Kind.HULL:
+            if kind == ShapeKind.HULL:
                 mesh = spec.add_mesh(name=f"h{side}", uservert=pairs.points[side][0].astype(np.float64).ravel())
                 mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
                 body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"h{side}")

@@ -12,7 +12,7 @@ from grasp_cases import BAND, model_of, pose_at, random_grasps, shapes, tables_o
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.judge.grasp import CUT_CAP_M, close_gripper, open_clearance, region_distance
 from r2h_batch.scene.grasp_tables import grasp_tables
-from r2h_batch.scene.robot import Kind, gripper_primitives_at, load_robot
+from r2h_batch.scene.robot import ShapeKind, gripper_primitives_at, load_robot
 
 
 def _clearance64(triangles: np.ndarray, kind: int, size: np.ndarray, T_ee_prim: np.ndarray, cap: float) -> float:
@@ -64,11 +64,11 @@ def _gripper_clearance64(
         best = min(best, float(primitive_distance(robot.gripper.kind[i], robot.gripper.size[i], x).min()))
     for i in used:
         kind = robot.gripper.kind[i]
-        size = robot.gripper.size[i] if kind == Kind.BOX else robot.gripper.size[i][:2]
+        size = robot.gripper.size[i] if kind == ShapeKind.BOX else robot.gripper.size[i][:2]
         best = min(best, _clearance64(triangles, kind, size, T_ee_prim[i], best))
         center = trimesh.transform_points(T_ee_prim[i][:3, 3][None], T_obj_ee.astype(np.float64))
         if solid and abs(winding_number(center[0], mesh.triangles)) > 0.5:
-            best = min(best, -float(size.min() if kind != Kind.CAPSULE else size[0]))
+            best = min(best, -float(size.min() if kind != ShapeKind.CAPSULE else size[0]))
     return best
 
 

@@ -11,7 +11,7 @@ from r2h_batch.base.launch import init_warp
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
 from r2h_batch.scene.hand import load_hand, load_hand_set
-from r2h_batch.scene.robot import Kind, load_robot
+from r2h_batch.scene.robot import ShapeKind, load_robot
 
 CAP = 0.004
 
@@ -54,7 +54,7 @@ def twin(i: int, k: int) -> float:
     a = bodies(np.repeat(robot.gripper.kind, P), np.repeat(robot.gripper.size, P, axis=0), np.repeat(prims, P, axis=0))
     most = max(map(len, pieces))
     padded = [np.concatenate([q, np.repeat(q[:1], most - len(q), axis=0)]) for q in pieces]
-    b = bodies([Kind.BOX + 1] * G * P, None, np.tile(np.eye(4), (G * P, 1, 1)), padded * G)
+    b = bodies([ShapeKind.BOX + 1] * G * P, None, np.tile(np.eye(4), (G * P, 1, 1)), padded * G)
     low, high = convex_distance(a, b)
     assert (high - low)[low > 1e-6].max(initial=0) < 1e-6
     return float(np.clip(low.min(), 0, CAP))

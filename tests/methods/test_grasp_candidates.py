@@ -17,7 +17,7 @@ from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import FRICTION, sample_grasps
 from r2h_batch.scene.arrays import arrays_digest
 from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_objects
-from r2h_batch.scene.robot import Kind, Robot, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
+from r2h_batch.scene.robot import Robot, ShapeKind, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
 
 BAND = 1e-4
 ROBOT, PANDA, STEP = load_robot(), load_robot("panda_hand"), 50
@@ -53,7 +53,11 @@ def _distance(mesh: trimesh.Trimesh, opening: float, moving_only: bool, robot: R
     for kind, size, motion, T in zip(shapes.kind, shapes.size, robot.gripper_motion, poses, strict=True):
         if moving_only and motion == "fixed":
             continue
-        half = size if kind == Kind.BOX else np.array([size[0], size[0], size[1] + size[0] * (kind == Kind.CAPSULE)])
+        half = (
+            size
+            if kind == ShapeKind.BOX
+            else np.array([size[0], size[0], size[1] + size[0] * (kind == ShapeKind.CAPSULE)])
+        )
         beyond = np.abs((middle - T[:3, 3]) @ T[:3, :3]) - half
         near = np.linalg.norm(np.maximum(beyond, 0), axis=1) - radius < 2e-3
         if near.any():

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from r2h_batch.scene.robot import Kind
+from r2h_batch.scene.robot import ShapeKind
 
 Array = NDArray[np.float64]
 
@@ -47,13 +47,13 @@ def core_of(kind: int, size: Any, points: Any = None, sides: int = 0) -> tuple[A
     A cylinder with `sides` is a prism around it instead, so many sides: corners alone.
     """
     z = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    if kind == Kind.SPHERE:
+    if kind == ShapeKind.SPHERE:
         return np.zeros((1, 3)), 0.0, float(size[0])
-    if kind == Kind.CAPSULE:
+    if kind == ShapeKind.CAPSULE:
         return z * size[1], 0.0, float(size[0])
-    if kind == Kind.BOX:
+    if kind == ShapeKind.BOX:
         return np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * size, 0.0, 0.0
-    if kind != Kind.CYLINDER:
+    if kind != ShapeKind.CYLINDER:
         return np.asarray(points, np.float64), 0.0, 0.0
     if not sides:
         return z * size[1], float(size[0]), 0.0
@@ -125,7 +125,7 @@ def penetration_depth(a: Array, b: Array, grown: float = 0.0) -> float:
     except QhullError:  # two segments: a flat difference, which holds no ball
         inside = 0.0
     if inside <= 0:  # the cores are apart: their ball reaches farther than that
-        one, other = (bodies([Kind.HULL], None, np.eye(4)[None], [x]) for x in (a, b))
+        one, other = (bodies([ShapeKind.HULL], None, np.eye(4)[None], [x]) for x in (a, b))
         inside = -max(float(convex_distance(one, other)[0][0]), 0.0)
     return max(inside + grown, 0.0)
 
@@ -169,13 +169,13 @@ def _nearest_in_simplex(points: Array, used: Array) -> tuple[Array, Array]:
 
 def primitive_distance(kind: int, size: Any, x: Array) -> Array:
     """Signed distance of points x (..., 3), in the primitive's frame, to its surface: negative inside. Closed form."""
-    if kind == Kind.BOX:
+    if kind == ShapeKind.BOX:
         q = np.abs(x) - size
         return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
-    if kind == Kind.CYLINDER:
+    if kind == ShapeKind.CYLINDER:
         q = np.stack([np.hypot(x[..., 0], x[..., 1]) - size[0], np.abs(x[..., 2]) - size[1]], -1)
         return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
-    along = np.clip(x[..., 2], -size[1], size[1]) if kind == Kind.CAPSULE else 0.0 * x[..., 2]
+    along = np.clip(x[..., 2], -size[1], size[1]) if kind == ShapeKind.CAPSULE else 0.0 * x[..., 2]
     return np.linalg.norm(x - along[..., None] * np.array([0.0, 0.0, 1.0]), axis=-1) - size[0]
 
 
@@ -223,7 +223,7 @@ def mesh_distance(kind: int, size: Array, T: Array, triangles: Array, *, cap: fl
                 break
             n = len(faces)
             a = bodies([kind] * n, [size] * n, np.tile(np.eye(4), (n, 1, 1)))
-            b = bodies([Kind.HULL] * n, None, np.tile(np.eye(4), (n, 1, 1)), local[faces])
+            b = bodies([ShapeKind.HULL] * n, None, np.tile(np.eye(4), (n, 1, 1)), local[faces])
             best = min(best, float(np.maximum(convex_distance(a, b, gap=MESH_PAIR_GAP_M)[1], 0.0).min()))
             if best < MESH_PAIR_GAP_M:
                 return 0.0

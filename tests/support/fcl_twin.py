@@ -4,16 +4,16 @@ import fcl
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from r2h_batch.scene.robot import Kind
+from r2h_batch.scene.robot import ShapeKind
 
 
 def primitive(kind: int, size: np.ndarray, T: np.ndarray) -> fcl.CollisionObject:
-    """A primitive of the kernels, sizes as in `Kind`, at the pose T."""
+    """A primitive of the kernels, sizes as in `ShapeKind`, at the pose T."""
     size = np.asarray(size, dtype=float)
-    if kind == Kind.BOX:
+    if kind == ShapeKind.BOX:
         shape = fcl.Box(*(2 * size))
     else:
-        shape = (fcl.Cylinder if kind == Kind.CYLINDER else fcl.Capsule)(size[0], 2 * size[1])
+        shape = (fcl.Cylinder if kind == ShapeKind.CYLINDER else fcl.Capsule)(size[0], 2 * size[1])
     return fcl.CollisionObject(shape, fcl.Transform(T[:3, :3], T[:3, 3]))
 
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.ik import ur_parameters
-from r2h_batch.scene.robot import Kind, ee_pose, gripper_primitives_at, load_robot
+from r2h_batch.scene.robot import ShapeKind, ee_pose, gripper_primitives_at, load_robot
 from r2h_batch.scene.scene import BodyPoses, Scene
 
 Array = NDArray[np.float64]
@@ -101,7 +101,7 @@ class MujocoScene:
                 body.add_joint(name=robot.joints[k - 1], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
             body.explicitinertial, body.mass, body.inertia = True, 1.0, [1, 1, 1]
             for i in np.flatnonzero(robot.arm.link == k):
-                if robot.arm.kind[i] == Kind.HULL:
+                if robot.arm.kind[i] == ShapeKind.HULL:
                     T = robot.arm.T_link_prim[i]
                     corners = robot.arm.corners[i] @ T[:3, :3].T + T[:3, 3]
                     self._add_hull(spec, body, link, robot.arm.names[i], corners)
@@ -123,7 +123,7 @@ class MujocoScene:
 
     def _add_primitive(self, body: Any, group: str, name: str, kind: int, size: Array, T: Array) -> None:
         self.groups[group].append(name)
-        body.add_geom(name=name, type=_TYPE_OF_KIND[Kind(kind)], size=size, **_pose(T), **_PASSIVE)
+        body.add_geom(name=name, type=_TYPE_OF_KIND[ShapeKind(kind)], size=size, **_pose(T), **_PASSIVE)
 
     def _add_hulls(self, spec: mujoco.MjSpec, body: Any, group: str, hulls: list[Any]) -> None:
         body.explicitinertial, body.mass, body.inertia = True, 1.0, [1, 1, 1]
@@ -261,7 +261,7 @@ class MujocoScene:
                 rows = np.flatnonzero((m.geom_type[one] == geom) & (lower < 0.2))
                 if len(rows):
                     size = [m.geom_size[one[rows], k] for k in range(3)]
-                    exact = primitive_distance(kind, np.stack(size, -1) if kind == Kind.BOX else size, local[rows])
+                    exact = primitive_distance(kind, np.stack(size, -1) if kind == ShapeKind.BOX else size, local[rows])
                     lower[rows] = np.maximum(lower[rows], exact - m.geom_rbound[two[rows]])
         return lower - 1e-9
 
@@ -352,7 +352,7 @@ def hull_distance(corners: Array, triangles: Array, cap: float) -> float:
     if not len(near):
         return cap
     place, n = np.tile(np.eye(4), (len(near), 1, 1)), len(near)
-    a, b = bodies([Kind.HULL] * n, None, place, [corners] * n), bodies([Kind.HULL] * n, None, place, near)
+    a, b = bodies([ShapeKind.HULL] * n, None, place, [corners] * n), bodies([ShapeKind.HULL] * n, None, place, near)
     return min(cap, max(float(convex_distance(a, b)[1].min()), 0.0))
 
 
@@ -361,7 +361,7 @@ def open_surface_distance(kind: int, size: Array, T: Array, triangles: Array, ca
     inverse = np.linalg.inv(T)
     local = triangles @ inverse[:3, :3].T + inverse[:3, 3]
     center = local.mean(1)
-    lower = primitive_distance(Kind(kind), size, center) - np.linalg.norm(local - center[:, None], axis=2).max(1)
+    lower = primitive_distance(ShapeKind(kind), size, center) - np.linalg.norm(local - center[:, None], axis=2).max(1)
     order, best = np.argsort(lower), cap
     for first in range(
         0, len(order), 16
@@ -372,7 +372,7 @@ def open_surface_distance(kind: int, size: Array, T: Array, triangles: Array, ca
         if n == 0:
             break
         eye = np.tile(np.eye(4), (n, 1, 1))
-        a, b = bodies([kind] * n, [size] * n, eye), bodies([Kind.HULL] * n, None, eye, local[near])
+        a, b = bodies([kind] * n, [size] * n, eye), bodies([ShapeKind.HULL] * n, None, eye, local[near])
         best = min(best, float(np.maximum(convex_distance(a, b)[1], 0.0).min()))
     return best
 
@@ -399,7 +399,7 @@ def out_of_reach(T: Array) -> float:
 
 
 def kind_of(model: mujoco.MjModel, geom: int) -> int:
-    """The project's Kind of a geom that is a primitive."""
+    """The project's ShapeKind of a geom that is a primitive."""
     return int(_KIND_OF_TYPE[int(model.geom_type[geom])])
 
 
@@ -411,14 +411,14 @@ def geom_depth(model: mujoco.MjModel, data: mujoco.MjData, a: int, b: int) -> fl
 
 def _core(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Array, float]:
     """Corners (n, 3) of a geom in the world, and the radius of the ball that they are grown by."""
-    kind, points = Kind.HULL, None
+    kind, points = ShapeKind.HULL, None
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
         first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
         points = model.mesh_vert[first : first + count].astype(np.float64)
         points = points[ConvexHull(points).vertices]
     else:
-        kind = Kind(kind_of(model, geom))
+        kind = ShapeKind(kind_of(model, geom))
     corners, _, grown = core_of(kind, model.geom_size[geom], points, sides=48)
     return corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], grown
 
@@ -544,8 +544,8 @@ def _single(T: Array) -> Array:
 
 
 _TYPE_OF_KIND = {
-    Kind.SPHERE: mujoco.mjtGeom.mjGEOM_SPHERE, Kind.CAPSULE: mujoco.mjtGeom.mjGEOM_CAPSULE,
-    Kind.CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER, Kind.BOX: mujoco.mjtGeom.mjGEOM_BOX,
+    ShapeKind.SPHERE: mujoco.mjtGeom.mjGEOM_SPHERE, ShapeKind.CAPSULE: mujoco.mjtGeom.mjGEOM_CAPSULE,
+    ShapeKind.CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER, ShapeKind.BOX: mujoco.mjtGeom.mjGEOM_BOX,
 }  # fmt: skip
 _KIND_OF_TYPE = {int(t): k for k, t in _TYPE_OF_KIND.items()}
 _PASSIVE = {"contype": 0, "conaffinity": 0}

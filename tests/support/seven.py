@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from r2h_batch.scene.robot import (
-    Kind,
     Primitives,
     Robot,
+    ShapeKind,
     drive_from_gap,
     finger_motion,
     frozen,
@@ -75,9 +75,9 @@ def seven_joints() -> Robot:
 
 def with_boxes(robot: Robot) -> Robot:
     """The same arm with a box about each primitive."""
-    r, half = robot.arm.size[:, 0], robot.arm.size[:, 1] + robot.arm.size[:, 0] * (robot.arm.kind == Kind.CAPSULE)
-    size = np.where((robot.arm.kind == Kind.BOX)[:, None], robot.arm.size, np.stack([r, r, half], 1))
-    arm = replace(robot.arm, kind=frozen(np.full(len(size), Kind.BOX), np.int32), size=frozen(size))
+    r, half = robot.arm.size[:, 0], robot.arm.size[:, 1] + robot.arm.size[:, 0] * (robot.arm.kind == ShapeKind.CAPSULE)
+    size = np.where((robot.arm.kind == ShapeKind.BOX)[:, None], robot.arm.size, np.stack([r, r, half], 1))
+    arm = replace(robot.arm, kind=frozen(np.full(len(size), ShapeKind.BOX), np.int32), size=frozen(size))
     return replace(robot, name=f"{robot.name}_boxes", arm=arm, digest=f"{robot.digest}, boxes", visuals="")
 
 
@@ -86,12 +86,12 @@ def with_hulls(robot: Robot) -> Robot:
     around = np.arange(12) * np.pi / 6
     ring, corners = np.stack([np.cos(around), np.sin(around)], 1), []
     for kind, size in zip(robot.arm.kind, robot.arm.size, strict=True):
-        if kind == Kind.BOX:
+        if kind == ShapeKind.BOX:
             corners.append(np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), -1).reshape(-1, 3) * size)
         else:
             corners.append(np.concatenate([np.c_[size[0] * ring, np.full(12, s * size[1])] for s in (-1, 1)]))
     arm = replace(
-        robot.arm, kind=frozen(np.full(len(corners), Kind.HULL), np.int32), corners=tuple(map(frozen, corners)),
+        robot.arm, kind=frozen(np.full(len(corners), ShapeKind.HULL), np.int32), corners=tuple(map(frozen, corners)),
         size=frozen([hull_size(x) for x in corners]),
     )  # fmt: skip
     return replace(robot, name=f"{robot.name}_hulls", arm=arm, digest=f"{robot.digest}, hulls", visuals="")
@@ -116,7 +116,7 @@ def with_jaws(robot: Robot) -> Robot:
         T_flange_gripper=frozen(T), gripper_part=tuple(part for part, *_ in rows),
         gripper_motion=table_motions(0 * side, side), gripper_side=frozen(side, np.int32),
         gripper=Primitives(
-            names, frozen(np.full(len(rows), len(robot.joints) + 1), np.int32), frozen([Kind.BOX] * len(rows), np.int32),
+            names, frozen(np.full(len(rows), len(robot.joints) + 1), np.int32), frozen([ShapeKind.BOX] * len(rows), np.int32),
             frozen(place), frozen([half for *_, half in rows]),
         ),
         linkage=table_linkage(slide_table(0.0, 0.08), 0.0, 0.08, [0.009, 0.007, 0.01], 0.1, 1.05, 0.1),

@@ -198,8 +198,8 @@ _of_thread = _OfThread()
 
 
 def taken(kernel: Any) -> CachedLaunch | None:
-    """What this thread has packed for a kernel, if anything; its own until `kept`, so that an
-    interrupt loses it only."""
+    """Arguments that this thread has packed for a kernel, None if it has none; its own until
+    `kept`, so that an interrupt loses it only."""
     return _of_thread.kernels.pop(kernel, None)
 
 

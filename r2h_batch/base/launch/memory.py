@@ -58,8 +58,8 @@ def in_parts(n: int, rows: int, judge: Callable[[int, int], Part]) -> list[Part]
 
 
 def _out_of_memory(error: MemoryError | RuntimeError) -> bool:
-    """Of torch (OutOfMemoryError; on a CPU "can't allocate memory") or of Warp ("Failed to allocate
-    N bytes on device")."""
+    """Whether the error says that memory is full: torch's (OutOfMemoryError; on a CPU "can't
+    allocate memory") or Warp's ("Failed to allocate N bytes on device")."""
     if isinstance(error, (MemoryError, torch.OutOfMemoryError)):
         return not (torch.cuda.is_initialized() and torch.cuda.is_current_stream_capturing())
     return "allocate" in str(error).lower() or "out of memory" in str(error).lower()

@@ -182,8 +182,8 @@ def one_torch_thread(device: str | torch.device) -> Iterator[None]:
 
 
 class _Setters(NamedTuple):
-    """What sets a number of threads for the calling thread alone; MKL's returns what was set (0:
-    what OpenMP says)."""
+    """Functions that set a number of threads for the calling thread alone; MKL's returns what was
+    set (0: what OpenMP says)."""
 
     openmp: Callable[[int], Any]
     mkl: Callable[[int], int]

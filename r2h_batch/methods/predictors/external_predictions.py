@@ -111,7 +111,7 @@ class Observations:
         """Kind -> name of the network."""
         return {k: v.source for k, v in vars(self).items() if v is not None}
 
-    def check_plan(self, trial_id: NDArray[np.int64]) -> None:
+    def check_trials(self, trial_id: NDArray[np.int64]) -> None:
         """Raise `FileError` if a planned trial has no prediction."""
         for kind, part in vars(self).items():
             ids = None if part is None else part.trial_id

@@ -14,12 +14,12 @@ from r2h_batch.runs.store import FOREIGN, Run
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS
 
 FINER = ("apart_from_objects", "each_object")
-"""Digests of parts of what other digests cover; older runs lack them."""
+"""Sub-digests; older runs lack them."""
 
 
 @dataclass(frozen=True)
 class Common:
-    """What all runs hold: the first `trials[split]` trials of each split.
+    """Trials that all runs hold: the first `trials[split]` trials of each split.
 
     `notes`: what a reader should know about that.
     """
@@ -62,12 +62,12 @@ def common_trials(
                 advice = "compare --across-robots takes a trial's number for the same trial"
             found = f"{first.folder} and {run.folder} differ in {what}"
             raise ValueError(f"{found}: their trials cannot be paired; {advice}")
-    plans = [run.header["trials"] for run in runs]
-    trials = {s: min(p[s] for p in plans) for s in SPLITS if all(p.get(s) for p in plans)}
+    asked = [run.header["trials"] for run in runs]
+    trials = {s: min(p[s] for p in asked) for s in SPLITS if all(p.get(s) for p in asked)}
     if not trials:
         folders = " and ".join(str(r.folder) for r in runs)
         raise ValueError(f"{folders} share no split; sweep the same --splits")
-    if any({s: n for s, n in p.items() if n} != trials for p in plans):
+    if any({s: n for s, n in p.items() if n} != trials for p in asked):
         shared = ", ".join(f"{n} {s}" for s, n in trials.items())
         notes.append(
             f"The runs hold different trials; compared are the first {shared}, which all of them hold."
@@ -117,13 +117,13 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
             return "protocol"
         names = [{i: name for i, (name, _) in run.labels.items()} for run in (a, b)]
         return "" if names[0] == names[1] else "the names of their trials"
-    same_plan = left["trials"] == right["trials"]
+    same_trials = left["trials"] == right["trials"]
     follow = (
         left["protocol"] in PROTOCOL_NAMES and {"objects", "hand_set"} <= left["digests"].keys()
     )
-    if not same_plan and not follow:
+    if not same_trials and not follow:
         return f"trials ({_other_keys(left['trials'], right['trials'])})"
-    skipped = set(FINER) if same_plan else {"trials", *FINER}
+    skipped = set(FINER) if same_trials else {"trials", *FINER}
     if a.folder in proven or b.folder in proven:
         skipped.add("code")
     if robots and follow:

@@ -293,7 +293,8 @@ class _Stream:
         # the same
         source = {k: v for k, v in entry.source.items() if k != "sha256" or not self.is_built_in}
         self.source = (method, source, header["seed"], header.get("predictors"), run.robot)
-        """What answered: two methods with one source give the same rows for the same trials."""
+        """Identity of what answered: two methods with one source give the same rows for the same
+        trials."""
 
     def pieces(self) -> Iterator[pa.Table]:
         """Columns trial_id, split, object and success in tables of `PIECE` rows; the last one may

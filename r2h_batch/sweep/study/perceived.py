@@ -1,5 +1,5 @@
-"""What people felt beside what a run measures: the paper's ratings of four methods (`report --perceived`),
-and your own ratings of single trials (`study trials`, `study rated`).
+"""People's ratings beside the measures of a run: the paper's ratings of four methods (`report
+--perceived`), and your own ratings of single trials (`study trials`, `study rated`).
 
 Measures stand side by side. None is a score of perceived quality, and none is fitted to ratings.
 """
@@ -35,9 +35,9 @@ HEAD_UP_M, HEAD_AHEAD_M = 0.17, 0.08
 """The head's middle above the shoulders and in front of them [choice]. It is no body that collides."""
 AT_PALM_DEG = 45.0
 NEAR_M = 0.25
-"""Of the closing speed: farther away than this nobody looks [choice]."""
+"""Largest distance at which the closing speed counts [choice]."""
 PARTS = 64
-"""Of a straight segment of the motion, between which the closing speed is taken."""
+"""Intervals of a straight segment of the motion; each gives a closing speed."""
 LEAST_RATED = 3
 """Trials of one participant for a rank correlation."""
 
@@ -74,7 +74,7 @@ MEASURES = {
     "head_m": Measure("object to head, m", 1, digits=2),
     "t_exec_s": Measure("duration of the motion, s", -1),
 }
-"""What is printed, in this order: F_afford first, the one that the paper itself names."""
+"""Printed measures, in this order: F_afford first, the one that the paper itself names."""
 
 NOTES = (
     "tau: Kendall's, between the order of the methods by a measure and by the mean rating (Fig. 7 of the paper); its sign is"

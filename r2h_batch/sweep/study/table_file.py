@@ -20,7 +20,7 @@ class StudyError(ValueError):
 
 
 class Column(NamedTuple):
-    """What the cells of a column hold: `read` gives it, or raises ValueError."""
+    """Type of a column's cells: `read` gives a value, or raises ValueError."""
 
     allowed: str
     read: Callable[[str], Any]

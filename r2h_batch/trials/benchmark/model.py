@@ -198,10 +198,10 @@ def read_object_file(path: Path, mesh: str) -> ObjectEntry:
     return _validated(ObjectEntry, {**data, "file": mesh}, shown)
 
 
-Kind = TypeVar("Kind", bound=BaseModel)
+Model = TypeVar("Model", bound=BaseModel)
 
 
-def _validated(model: type[Kind], data: dict[str, Any], shown: str) -> Kind:
+def _validated(model: type[Model], data: dict[str, Any], shown: str) -> Model:
     """The model of these fields; a `FileError` that names the first wrong one."""
     try:
         return model.model_validate_json(json.dumps(data), strict=True)
