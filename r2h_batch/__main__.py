@@ -80,7 +80,7 @@ itself.
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> int:
-    """Exit code of the chosen subcommand; 2 with one line where there is no such."""
+    """Exit code of the chosen subcommand; 2 and one line if there is no such subcommand."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     name = given[0] if given else "--help"
     if name not in COMMANDS:

@@ -39,7 +39,7 @@ def between_gaps(
 
 @wp.struct
 class Bracket:
-    """Where the pads come to stand: between the gaps bottom and top; `guess`: a bottom to try next (0: none)."""
+    """Where the pads stop: between the gaps bottom and top; `guess`: a bottom to try next (0: none)."""
 
     bottom: float
     top: float

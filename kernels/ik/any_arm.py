@@ -33,7 +33,7 @@ NEAR = wp.constant(3e-5)
 """Metres and radians from which float64 knows the error; one more step is enough but near singular postures and limits."""
 LAST_STEPS = wp.constant(9)
 SPREAD = wp.constant(37)
-"""Where all near seeds failed, every so many-th of the list is tried."""
+"""Stride through the list of seeds that are tried where all near ones failed."""
 PROMISING = wp.constant(wp.float64(0.1))
 """Metres and radians within which such a seed gets three times as many steps more."""
 WALK_STEPS = wp.constant(8)

@@ -1,4 +1,4 @@
-"""Which points of the object the closing pads come to stand on, and how these move when the pads' prism cuts elsewhere.
+"""Points of the object on which the closing pads stop, and how these move when the pads' prism cuts elsewhere.
 
 To first order (see surface.py). The extreme y of the material in the prism is attained in one of three ways:
   at a corner of the mesh          y moves with the object alone
@@ -215,7 +215,7 @@ def closing_witness(
     slope_x_out: wp.array2d(dtype=wp.float32), slope_z_out: wp.array2d(dtype=wp.float32),
     lift_out: wp.array(dtype=wp.float32), state_out: wp.array(dtype=wp.int32),
 ):  # fmt: skip
-    """The object's points (object frame) between which the pads come to stand, and how these slide (`Extreme`).
+    """The object's points (object frame) between which the pads stop, and how these slide (`Extreme`).
 
     `lift_out`: by how much the pads' centres rise per metre of opening. State: EMPTY, FIXED_GAP (open, or closed all the
     way), MATERIAL (the opening is the width), STEP_LOW, STEP_HIGH (the pads' ends stand on a step of the object).

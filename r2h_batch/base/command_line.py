@@ -242,7 +242,7 @@ def place(error: OSError, otherwise: str = "") -> str:
 
 
 _SLIPS = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
-"""Errors of a path that cannot be, whatever state the disk is in."""
+"""Errors of an impossible path, which no state of the disk changes."""
 
 
 def failed(name: str, error: OSError, otherwise: object = "") -> int:

@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 MAX_ATTEMPTS = 100_000
 LOOK_AFTER, HOPELESS = 200, 30_000
-"""After so many attempts without any row accepted so many proposals are looked at; where none fits,
-no more are tried."""
+"""Attempts without an accepted row after which proposals are examined, and how many; where none
+fits, no more are tried."""
 
 
 class NothingFits(RuntimeError):

@@ -74,7 +74,7 @@ def scalars_of(
     times: Mapping[str, Array],
 ) -> dict[str, float]:
     """Numbers for a logger: `success`, `outcome/NAME`, `passed/NAME` and `margin_m/NAME` of
-    criteria, means of times. Margins that are caps are no lengths: no mean has them.
+    criteria, means of times. Margins that are caps are not lengths: means leave them out.
 
     Rates are of all rows (outcomes) or of those evaluated (criteria); what no row has is left out,
     so nothing is NaN.

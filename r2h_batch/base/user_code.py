@@ -50,7 +50,7 @@ def load_function(spec: str) -> UserFunction:
         spec: `package.module:function` or `FILE.py:function`.
 
     Raises:
-        ImportError: there is no such module, file or function, or two folders have modules of one
+        ImportError: the module, file or function does not exist, or two folders have modules of one
             name.
         BaseException: what the module raises while it is imported.
     """

@@ -48,7 +48,7 @@ def check_tensor(name: str, value: Any, words: str) -> Tensor:
         The tensor with the negative and the conjugate bit resolved: its memory holds its values.
 
     Raises:
-        TypeError: it is no tensor, not strided, wrapped by torch.func, or its memory is missing
+        TypeError: it is not a tensor, not strided, wrapped by torch.func, or its memory is missing
             or smaller than its shape says.
     """
     if not isinstance(value, Tensor):
@@ -74,7 +74,7 @@ def check_tensor(name: str, value: Any, words: str) -> Tensor:
 
 
 def as_numbers(name: str, value: Any, words: str, device: str | torch.device) -> Tensor:
-    """A tensor of float32 or float64 from whatever holds real numbers.
+    """A tensor of float32 or float64 from anything that holds real numbers.
 
     One rule for all arguments that hold measures: a torch tensor, a NumPy array, or nested lists
     of numbers. Whole numbers become float64; half precision (steps of 0.5 mm at 1 m) is refused.
@@ -86,7 +86,7 @@ def as_numbers(name: str, value: Any, words: str, device: str | torch.device) ->
         device: where arrays and lists are copied to; a tensor stays where it is.
 
     Raises:
-        TypeError: it holds no real numbers, some of them are masked, or it is no plain tensor in
+        TypeError: it does not hold real numbers, some of them are masked, or it is not a plain tensor in
             memory (`check_tensor`).
     """
     words = f"{words} (or a NumPy array, or nested lists)"
@@ -118,7 +118,7 @@ def checked_device(device: str | torch.device) -> str:
     """The device's name as tensors give it (`cpu`, `cuda:0`).
 
     Raises:
-        ValueError: there is no such device.
+        ValueError: the device does not exist.
     """
     allowed = "allowed are cpu, cuda, cuda:N"
     try:
@@ -149,7 +149,7 @@ def check_indices(name: str, index: Any, n: int | None, count: int, what: str) -
         what: what these are in, for the message.
 
     Raises:
-        TypeError: it is no tensor of whole numbers.
+        TypeError: it is not a tensor of whole numbers.
         ValueError: its shape or, on a CPU, its range is wrong.
     """
     words = f"a torch tensor ({'N' if n is None else n},) of whole numbers"

@@ -47,7 +47,8 @@ EE_SPEED_M_S, EE_TURN_RAD_S, GAIN_S = 0.25, 1.0, 1.5
 REST_M_S = 0.03
 """Slower than this, TCP and hand stand well enough for the object to be taken [choice]."""
 HELD_OUT_S = 0.1
-"""The object must be within reach, with robot and hand at rest, for so long (HandoverSim, Chao et al. 2022)."""
+"""The object must be within reach, with robot and hand at rest, for this time (HandoverSim, Chao et
+al. 2022)."""
 STAYED_M = 0.01
 """While it is taken the object goes no farther."""
 HUMAN_M_S, REACTION_S, STOP_S, INTRUSION_M = 1.6, 0.1, 0.3, 0.0
@@ -385,8 +386,9 @@ class HandoverEnv(VectorEnv):
         return to, (to.double() - q.double()) / dt
 
     def keeps_off(self, actions: Tensor) -> Bool[Tensor, " b"]:
-        """Whether the step that actions come to, and the way to a stop after it, are free of table, robot and object:
-        a robot knows these. The receiver is not looked at. An arm that stands where it is False meets nothing."""
+        """Whether the step of these actions, and the way to a stop after it, are free of table,
+        robot and object: a robot knows these. The receiver is not looked at. An arm that stands
+        where it is False meets nothing."""
         rows = torch.nonzero(self.ends == int(End.RUNNING)).flatten()
         q, v = self.moved(torch.as_tensor(actions, device=self._device), rows)
         stop = q + (v * self._fastest(v) / (2.0 * self.brake)).float()

@@ -24,7 +24,7 @@ def policy_of(spec: str) -> tuple[Any, str]:
     that says what decides its actions.
 
     Raises:
-        ImportError: there is no such module or function.
+        ImportError: the module or function does not exist.
         TypeError: it cannot be called.
     """
     if spec in POLICIES:

@@ -26,10 +26,11 @@ from r2h_batch.trials.noise import normals
 from r2h_batch.types import Trials
 
 KINDS = ("still", "moves", "reaches", "hesitates", "withdraws", "takes", "replay")
-"""still: stands at the trial's pose. moves: leaves it for another. reaches: comes to that other pose from
-before the chest. hesitates: reaches, and pauses at `PAUSE_AT` of the way. withdraws: moves, draws back from a
-near robot and returns. takes: moves, and goes to its easiest grasp (`judge.reception`) once the object is
-held out. replay: an imported motion that ends at the trial's pose."""
+"""still: stands at the trial's pose. moves: leaves it for another. reaches: moves to that other
+pose from before the chest. hesitates: reaches, and pauses at `PAUSE_AT` of the way. withdraws:
+moves, draws back from a near robot and returns. takes: moves, and goes to its easiest grasp
+(`judge.reception`) once the object is held out. replay: an imported motion that ends at the trial's
+pose."""
 
 STROKES = {"still": 0, "moves": 1, "reaches": 1, "hesitates": 2, "withdraws": 3, "takes": 2}
 """How many a hand may make."""

@@ -151,7 +151,8 @@ class Replan:
 
     action = "velocity"
     MOVED_M, MOVED_RAD = 0.01, 0.07
-    """A hand seen elsewhere by so much is planned to anew: more than the noise of frames [choice]."""
+    """Shift of the seen hand after which a new path is planned: more than the noise of frames
+    [choice]."""
     ROUNDS = (50,)
     """Rounds of a search: as many as most searches need (`PlanConfig.rounds`)."""
     THERE_RAD = 1e-3

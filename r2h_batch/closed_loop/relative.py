@@ -78,7 +78,8 @@ class RelativeDistance:
         return hand_distance_at(self.scene, bodies, q.contiguous(), active, cap_m=CAP_M)
 
     def robot_travel(self, turned: Float32[Tensor, "r j"]) -> Float32[Tensor, " r"]:
-        """No point of the robot goes farther while each joint turns by so much, m."""
+        """Bound of the distance that any point of the robot moves while each joint turns by this
+        much, m."""
         total = self._levers[:, 0] * turned[:, None, 0].abs()
         for k in range(1, turned.shape[1]):
             total = total + self._levers[:, k] * turned[:, None, k].abs()

@@ -293,7 +293,7 @@ def grasps_from(argument: str | Path) -> GraspSet:
 
 def without_gripper(argument: str | Path) -> tuple[Path, str]:
     """FILE and GRIPPER of FILE:GRIPPER; the gripper is empty where none is named, a `FileError`
-    where it is no gripper."""
+    where it is not a gripper."""
     text, _, gripper = str(argument).rpartition(":")
     if text and gripper in GRIPPERS:
         return Path(text), gripper

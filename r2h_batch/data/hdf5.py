@@ -27,7 +27,7 @@ MOST_SECONDS = 20.0
 
 
 def read_datasets(path: Path, most: Mapping[str, int], optional: str = "") -> dict[str, Any]:
-    """The datasets of these names, each of at most so many numbers; text as NumPy's U; an empty
+    """The datasets of these names, each of at most this many numbers; text as NumPy's U; an empty
     array for the `optional` one where its group is missing.
 
     Raises:

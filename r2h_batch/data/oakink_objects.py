@@ -161,7 +161,7 @@ def write(
         out: the folder.
         objects: what it holds.
         grasps: candidates of objects, by name.
-        hands: so many of each side of hands.npz, on hand.npz, are the benchmark's hands.
+        hands: number of hands a side that the benchmark takes of hands.npz, on hand.npz.
     """
     (out / "meshes").mkdir(parents=True, exist_ok=True)
     lines = ["objects:"]

@@ -122,8 +122,8 @@ def write_results(path: Path, out: Path) -> dict[str, int]:
 def foreign_rows(
     ids: Any, keys: Sequence[tuple[str, str, int]], results: Sequence[ResultRow | None]
 ) -> pa.Table:
-    """Rows of `TRIAL_SCHEMA` of somebody else's verdicts: no margins, `missing` where there is no
-    verdict."""
+    """Rows of `TRIAL_SCHEMA` from verdicts of another program: no margins, `missing` where there is
+    no verdict."""
     rows = []
     for i, (split, object_id, _), r in zip(ids.tolist(), keys, results):
         row = {

@@ -127,7 +127,7 @@ def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Re
 
 @dataclass(frozen=True, eq=False)
 class _Grasps:
-    """Held-out grasps on a device: the kernels' struct and what it is made of, the posed hands, and for
+    """Held-out grasps on a device: the kernels' struct and its arrays, the posed hands, and for
     each object and side the first row and the number."""
 
     held_out: HeldOut

@@ -116,7 +116,7 @@ def predict(
         height_m: how far what `at` names stands above the palm.
         blocked_m: contact points nearer than this to the gripper are blocked by it.
         eps_m: DBSCAN: grasps nearer than this are neighbours.
-        min_samples: DBSCAN: neighbours of a grasp that is no outlier, itself counted.
+        min_samples: DBSCAN: neighbours that a grasp needs to be no outlier, itself counted.
         clearance_m: what gripper and receiving hand must keep.
         directions: approach directions that are tried.
         rolls: turns about each direction that are tried.

@@ -55,7 +55,7 @@ DEPTH_LOW_M, DEPTH_HIGH_M, DEPTH_STEP_M = -0.005, 0.05, 0.0025
 """Depths of the TCP below the grasp point (published)."""
 
 ICP_STEPS, ICP_TOLERANCE_M = 100, 1e-5
-"""At most so many steps, and the change of the mean distance that ends them (published)."""
+"""Most steps, and the change of the mean distance that ends them (published)."""
 
 ROTATIONS = 7
 """Turns, 2 pi / 7 apart (published)."""

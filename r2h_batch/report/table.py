@@ -172,7 +172,7 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
         intervals: LaTeX: 95 % intervals below the rates. The other formats always have them.
 
     Raises:
-        ValueError: if there is no such format or number of columns.
+        ValueError: if the format or number of columns does not exist.
     """
     if fmt == "md":
         return _md(table)

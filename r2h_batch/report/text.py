@@ -1,5 +1,4 @@
-"""How a table is written, whatever it holds: Markdown that also reads as plain text, LaTeX, CSV and
-JSON."""
+"""Formats of a table: Markdown that also reads as plain text, LaTeX, CSV and JSON."""
 
 import csv
 import io

@@ -189,7 +189,7 @@ def schema_of_kind(kind: str, joints: int = 6) -> pa.Schema:
 
 
 def _sized(kind: pa.DataType, joints: int) -> pa.DataType:
-    """The type with postures of so many joints."""
+    """The type with postures of this many joints."""
     posture = pa.list_(pa.float32(), joints)
     return {POSTURE: posture, POSTURES: pa.list_(posture)}.get(kind, kind)
 

@@ -204,7 +204,7 @@ def path_rows(scores: "Scores", planned: tuple[Any, Any] | None = None) -> pa.Ta
 
 
 def of_joints(schema: pa.Schema, joints: int) -> pa.Schema:
-    """The schema with postures of so many joints in place of a UR's six."""
+    """The schema with postures of this many joints in place of a UR's six."""
     goal = pa.list_(pa.float32(), joints)
     for name in set(schema.names) & {"q_goal", "q", "executed_q", "planned_q"}:
         at = schema.get_field_index(name)

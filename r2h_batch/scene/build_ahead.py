@@ -1,4 +1,4 @@
-"""Many objects built on all cores, before somebody asks for them one by one: workers fill the cache.
+"""Many objects built on all cores, before they are loaded one by one: workers fill the cache.
 
 `python -m r2h_batch.scene.build_ahead` is a worker: the arguments of its builds as JSON
 on its stdin. What goes wrong in a worker goes wrong again where the object is asked for, and is said

@@ -270,7 +270,7 @@ def loaded_model(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -
 
 
 def load(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> None:
-    """Puts a payload into the model itself (its last body), whatever it held before; `data` is
+    """Puts a payload into the model itself (its last body) in place of an earlier one; `data` is
     scratch."""
     i = model.nbody - 1
     inertia, axes = principal(payload.inertia)

@@ -73,7 +73,7 @@ def read_grasps(path: str | Path) -> GraspSet:
 
 
 def checked_grasps(found: Mapping[str, Any], where: str, gripper: str) -> GraspSet:
-    """The set of these arrays; `FileError` where they are no grasps."""
+    """The set of these arrays; `FileError` where they are not grasps."""
     n, defaults = len(np.atleast_1d(found.get("T_obj_ee", ()))), {"width": 0.0, "score": 1.0}
     filled = {k: np.full(n, v) for k, v in {**defaults, "part": ANY_PART}.items()}
     columns = {**filled, **found}

@@ -303,10 +303,11 @@ class HandSet:
     model: HandModel
     """the hand that takes these postures"""
     in_body: Float64[Tensor, "H 3 K"] | None = None
-    """how each was turned in the frame of its body (x where the chest faces, z up), and where arms are
-    known (H, 3, 5) elbow and wrist from the shoulder, m; NaN where nobody knows; None: of none"""
+    """how each was turned in the frame of its body (x where the chest faces, z up), and where arms
+    are known (H, 3, 5) elbow and wrist from the shoulder, m; NaN where unknown; None: unknown for
+    all"""
     skin: HandGeometry | None = None
-    """meshes and joints as somebody measured them; None: the model takes the postures"""
+    """measured meshes and joints; None: the model takes the postures"""
 
     def __len__(self) -> int:
         return len(self.posture)

@@ -136,7 +136,7 @@ class HandChoice:
 
     side: Literal["right", "left"] | None = None
     count: int | None = None
-    """so many of each side, at even steps through the file"""
+    """number of hands a side, at even steps through the file"""
     object: tuple[str, ...] | None = None
     """names of objects that they were recorded with"""
     contact: bool | None = None

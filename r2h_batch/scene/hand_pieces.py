@@ -64,7 +64,7 @@ def close_holes(vertices: F64, faces: Ids) -> Ids:
     """The faces, and a fan of faces over every hole (MANO's wrist is open: 16 edges, 14 faces); no
     vertex is added.
 
-    Raises where the rim is no simple loop, or an edge belongs to three faces or is run through
+    Raises where the rim is not a simple loop, or an edge belongs to three faces or is run through
     twice in one direction.
     """
     edge = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)

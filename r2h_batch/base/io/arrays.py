@@ -1,4 +1,4 @@
-"""Arrays out of somebody's file, held to kinds, shapes and rigid poses with one form of message."""
+"""Arrays of a user's file, checked for kinds, shapes and rigid poses with one form of message."""
 
 from __future__ import annotations
 
@@ -79,7 +79,8 @@ def check_array(
 
 
 def not_rigid(T: NDArray[Any], slack: float = RIGID) -> NDArray[np.bool_]:
-    """(N,) whether (N, 4, 4) matrices are no rigid poses, by more than `slack` in some entry."""
+    """(N,) whether (N, 4, 4) matrices are invalid transforms: some entry is off by more than
+    `slack`."""
     with np.errstate(all="ignore"):
         R = T[:, :3, :3].astype(np.float64)
         error = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2))
@@ -88,7 +89,7 @@ def not_rigid(T: NDArray[Any], slack: float = RIGID) -> NDArray[np.bool_]:
 
 
 def check_poses(what: str, T: NDArray[Any]) -> None:
-    """Refuse (N, 4, 4) matrices that are no rigid poses within 10 m."""
+    """Refuse (N, 4, 4) invalid transforms, and translations beyond 10 m."""
     if (off := not_rigid(T)).any():
         raise FileError(f"{what} of row {int(off.argmax())} is not a rigid pose")
     far = np.abs(T[:, :3, 3]).max(1, initial=0.0) > FARTHEST_M

@@ -135,7 +135,7 @@ def read_file(path: str | Path, most: int) -> bytes:
 
 
 def path_within(folder: str | Path, name: str) -> Path:
-    """The path of `name` inside `folder`, where `name` comes from somebody's file.
+    """The path of `name` inside `folder`, where `name` comes from a user's file.
 
     Raises:
         FileError: the name is absolute, contains `..`, a drive or an address, or is a link that

@@ -69,7 +69,7 @@ def check_output_folder(path: Path, *, overwrite: bool | None = False, flag: str
         flag: the command's flag, for the message.
 
     Raises:
-        FileError: the path is impossible, belongs to a run folder, is no folder, or is not empty.
+        FileError: the path is impossible, belongs to a run folder, is not a folder, or is not empty.
     """
     shown = f"{flag} {printable(path)}"
     if _found(path, shown) is None:

@@ -40,9 +40,9 @@ from r2h_batch.kernels.plan.lines import CLEARANCE_CAP
 LANES, CUDA_LANES = 1, 1 << 16
 """Threads of a launch on a CPU and on CUDA; thread i takes entries i, i + threads, ... of a queue."""
 PER_ROW, LEAST = 16, 1 << 16
-"""Intervals that the queue has room for: so many a row of the batch, and so many at least. Where
-that is too little half the rows have twice as much each (r2h_batch.base.launch.memory). The hardest
-single rows need more than 4,096."""
+"""Intervals that the queue has room for: a number for each row of the batch, and a least number.
+Where that is too little half the rows have twice as much each (r2h_batch.base.launch.memory). The
+hardest single rows need more than 4,096."""
 BODIES_PER_INTERVAL, PAIRS_PER_INTERVAL = 8, 6
 SEGMENTS_PER_ROW, LEAST_SEGMENTS, SEGMENTS_AT_ONCE = 4, 1 << 10, 32
 NO_PAIR = 0x7FFFFFFF

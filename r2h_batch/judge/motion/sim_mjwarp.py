@@ -389,7 +389,7 @@ ON_CPU = False
 """The engine reads its tables on the scene's device."""
 
 MAX_WORLDS = {"cpu": 64, "cuda": 4096}
-"""More are no faster on a CPU, and fewer are refilled more often."""
+"""More are not faster on a CPU, and fewer are refilled more often."""
 TRIES = 3
 NJMAX, NACON_PER_WORLD = 32, 16
 """First size of the buffers: constraints per world (7 of the linkage; joint limits, 4 per contact),

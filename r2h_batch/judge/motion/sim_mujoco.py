@@ -17,7 +17,7 @@ from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.kernels.motion.worlds import WINDOW
 
 ON_CPU = True
-"""The engine reads its tables on the host, whatever device the scene is on."""
+"""The engine reads its tables on the host, even if the scene is on another device."""
 
 CHUNK = 64
 """Trials whose commands are held in memory at once: about 20 MB."""

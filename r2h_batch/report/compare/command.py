@@ -98,7 +98,7 @@ def load_runs(words: Sequence[Path], method: Sequence[str] = ()) -> "list[Run]":
     """The runs of a command line, with these methods alone; `baselines` are the shipped ones.
 
     Raises:
-        RunError, ValueError: a folder is no run folder, or no run has a method of that name.
+        RunError, ValueError: a folder is not a run folder, or no run has a method of that name.
     """
     from r2h_batch.runs.store import load_run
 

@@ -30,7 +30,7 @@ _COUNTS = [
     *(f"{name}_{how}" for name in (*SECONDS, *SHARES) for how in ("sum", "count")),
 ]
 _PIECES = 64
-"""Counts of shards are added up when so many wait."""
+"""Number of shards' counts that are added up together."""
 
 
 @dataclass(frozen=True)

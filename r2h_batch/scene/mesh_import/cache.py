@@ -89,7 +89,7 @@ def kept_with_warnings(
     """The arrays of a key, and the warnings that making them gave: again each time they are taken
     from disk.
 
-    `reads` raises where arrays are no object, whatever their form.
+    `reads` raises where arrays of the right form are not an object.
     """
 
     def made() -> dict[str, NDArray[Any]]:

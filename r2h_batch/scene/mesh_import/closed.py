@@ -51,7 +51,7 @@ JOIN_SHARE = 0.02
 """Two rims that are nowhere farther apart than this share of the largest side are the edges of one
 wall, whose lip is missing; a strip of faces joins them."""
 WELD_M, MOST_WELDS = 1e-5, 64
-"""Vertices of open bodies nearer than this become one; at most so many pairs a vertex."""
+"""Vertices of open bodies nearer than this become one; most pairs of a vertex."""
 FLAT_M = 1e-5
 """Volume over area below which a body encloses nothing."""
 

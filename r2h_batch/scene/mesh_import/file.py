@@ -34,7 +34,7 @@ ROBOT_SUFFIXES = (*SUFFIXES, ".dae")
 
 def load_mesh_file(path: str | Path, label: str, *, points: bool = False) -> trimesh.Trimesh:
     """The triangles of a mesh file as it stands, with `points` also the vertices of a file without
-    any; whatever is wrong with it is one `ObjectMeshError`."""
+    any; each fault of it is one `ObjectMeshError`."""
     (mesh,) = _load([Path(path)], printable(label), SUFFIXES, points=points)
     return mesh
 
