@@ -77,7 +77,8 @@ ADDED_TO = {
     "body_queue": ("nearest", "meets"),
     "counts": ("n",),
 }
-"""What entries add to: sets of bits, minima, counts. All else that they write belongs to the entry, and is written again."""
+"""Outputs that entries add to: sets of bits, minima, counts. All else that they write belongs to the entry, and is
+written again."""
 ONE_THREAD = ("rrt_connect", "shortcut")
 
 

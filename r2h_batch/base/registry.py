@@ -1,5 +1,5 @@
-"""What a command line can name: protocols, presets, engines and methods, each an entry here and a function
-in its folder. Standard library only.
+"""Names that a command line takes: protocols, presets, engines and methods, each an entry here and
+a function in its folder. Standard library only.
 
 Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.POLICIES`, robots of
 `scene.robot.ROBOTS`.

@@ -16,7 +16,7 @@ FLAT_M = 0.4e-3
 LARGE = 0.15
 """Part of the largest flat's area above which the innermost flat is the pad."""
 LEAST_M = 2e-3
-"""Of a pad's sides."""
+"""Least side of a pad."""
 HALF_THICKNESS_M = 1e-3
 
 

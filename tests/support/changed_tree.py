@@ -26,7 +26,7 @@ class Tree:
     changed: Mapping[str, int]
 
     def run(self, code: str, *, seconds: float = 500) -> str:
-        """What a program prints that imports the copy; a failure shows all that it said."""
+        """Output of a program that imports the copy; a failure shows all that it said."""
         environment = {**os.environ, "PYTHONPATH": str(self.folder), "R2H_TREE": str(self.folder)}
         command = [sys.executable, "-c", HEAD + code]
         done = subprocess.run(

@@ -29,7 +29,7 @@ from r2h_batch.scene.mesh_import.limits import MOST_BYTES, MOST_SECONDS, ObjectM
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
 ROBOT_SUFFIXES = (*SUFFIXES, ".dae")
-"""Of meshes of a robot's links."""
+"""Formats of meshes of a robot's links."""
 
 
 def load_mesh_file(path: str | Path, label: str, *, points: bool = False) -> trimesh.Trimesh:
@@ -232,7 +232,7 @@ def _word(name: str) -> str:
 
 
 def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
-    """Of each file vertices, faces, the part of each face, the parts' names."""
+    """For each file vertices, faces, the part of each face, the parts' names."""
     answers, at = [], 0
     for file in options["files"]:
         answers += _arrays_of(data[at : at + file["size"]], file, options["points"])
