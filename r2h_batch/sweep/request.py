@@ -20,6 +20,7 @@ from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 from r2h_batch.verdicts import SPLITS
 
 if TYPE_CHECKING:
+    from r2h_batch.base.loggers import LoggerName
     from r2h_batch.closed_loop.episodes import Loop
     from r2h_batch.methods.predictors import PredictorNoise
     from r2h_batch.trials.benchmark.benchmark import Benchmark
@@ -166,14 +167,14 @@ class Storage:
         kinds: tables beside the trials.
         shard_trials: trials of a shard; 0: a minute of work.
         format: of the printed table.
-        log: logger that gets the table's numbers; empty: none.
+        log: logger that gets the table's numbers; None: none does.
     """
 
     folder: Path
     kinds: list[str]
     shard_trials: int
     format: str
-    log: str
+    log: "LoggerName | None"
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,11 @@ def requested(options: Options) -> Request:
         methods,
         Work(options.device, options.threads, options.chunk, options.part, cluster),
         Storage(
-            Path(options.out), _stored(options), options.shard_trials, options.format, options.log
+            Path(options.out),
+            _stored(options),
+            options.shard_trials,
+            options.format,
+            options.log or None,
         ),
         _loop(options),
     )
