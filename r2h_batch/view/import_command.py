@@ -21,7 +21,7 @@ TARGETS = 10_000
 PIXELS = 640
 TOO_LARGE_MM = 3.0
 PROUD_MM = 0.5
-PAD_RGBA = (0.1, 0.7, 0.2, 1.0)
+PAD_RGBA, PAD_MARGIN_M = (0.1, 0.7, 0.2, 1.0), 5e-4
 
 
 def robot(
@@ -220,6 +220,7 @@ def draw(imported: "Imported", file: Path) -> None:
     import mujoco
     import numpy as np
 
+    from r2h_batch.scene.dynamics import quat_wxyz
     from r2h_batch.scene.model_parts import (
         COLLISION,
         VISUAL,
@@ -245,14 +246,18 @@ def draw(imported: "Imported", file: Path) -> None:
         place = T[link] @ robot.arm.T_link_prim[i]
         add_primitive(spec, world, robot.arm, i, place, 0, 0, f"body_{i}")
     T_ee = T[-2] @ robot.T_wrist3_ee
-    pads = {f"part_{i}" for i, part in enumerate(robot.gripper_part) if part == "pad"}
     for i, place in enumerate(gripper_primitives_at(robot, robot.open_gap_m)):
         add_primitive(spec, world, robot.gripper, i, T_ee @ place, 0, 0, f"part_{i}")
         corners.append((T_ee @ place)[None, :3, 3])
+        if robot.gripper_part[i] == "pad":  # in both pictures, a little larger than what it lies in
+            at, half = T_ee @ place, robot.gripper.size[i] + PAD_MARGIN_M
+            for group in (VISUAL, COLLISION):
+                world.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=at[:3, 3], quat=quat_wxyz(at[:3, :3]),
+                    group=group, rgba=PAD_RGBA, contype=0, conaffinity=0,
+                )  # fmt: skip
     for geom in spec.geoms:
         geom.rgba[3] = 1.0
-        if geom.name in pads:
-            geom.rgba = PAD_RGBA
     spec.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
         rgb1=[1, 1, 1], rgb2=[1, 1, 1], width=16, height=96,
