@@ -16,8 +16,8 @@ import trimesh
 from manifold3d import Manifold
 
 from r2h_batch.assets.objects import shapes_s0, shapes_s1, shapes_s1_goods
-from r2h_batch.assets.objects.remesh import Surface, Vec, imprint, remesh
-from r2h_batch.assets.objects.shapes import Parts, Spec
+from r2h_batch.scene.families.remesh import Surface, Vec, imprint, remesh
+from r2h_batch.scene.families.shapes import Parts, Spec
 from r2h_batch.scene.objects import (
     BUILT_IN_NAMES,
     OBJECT_NAMES,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from manifold3d import Manifold
 
-from r2h_batch.assets.objects.shapes import (
+from r2h_batch.scene.families.shapes import (
     Parts,
     Spec,
     box,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from r2h_batch.assets.objects.shapes import (
+from r2h_batch.scene.families.shapes import (
     Parts,
     Spec,
     along_x,

@@ -22,7 +22,9 @@ SHARP_COS = float(np.cos(np.radians(32.0)))
 class Surface:
     """A closed triangle surface with one label per face, edited edge by edge."""
 
-    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64], label: NDArray[np.int64]) -> None:
+    def __init__(
+        self, vertices: NDArray[np.float64], faces: NDArray[np.int64], label: NDArray[np.int64]
+    ) -> None:
         self.size: list[float] = []
         self.v: list[Vec] = [(float(x), float(y), float(z)) for x, y, z in vertices]
         self.f: list[tuple[int, int, int] | None] = [(int(a), int(b), int(c)) for a, b, c in faces]
@@ -38,7 +40,11 @@ class Surface:
         live = [k for k, face in enumerate(self.f) if face is not None]
         faces = np.array([self.f[k] for k in live], np.int64)
         used, inverse = np.unique(faces, return_inverse=True)
-        return np.array(self.v)[used], inverse.reshape(-1, 3), np.array([self.label[k] for k in live], np.int64)
+        return (
+            np.array(self.v)[used],
+            inverse.reshape(-1, 3),
+            np.array([self.label[k] for k in live], np.int64),
+        )
 
     def edges(self) -> list[tuple[int, int]]:
         found = set()
@@ -118,12 +124,20 @@ class Surface:
                 x, y, z = self.f[k]  # type: ignore[misc]
                 px, py, pz = self.v[x], self.v[y], self.v[z]
                 old = self.normal(px, py, pz)
-                corners = (at if x == keep else px, at if y == keep else py, at if z == keep else pz)
+                corners = (
+                    at if x == keep else px,
+                    at if y == keep else py,
+                    at if z == keep else pz,
+                )
                 new = self.normal(*corners)
                 turn = new[0] * old[0] + new[1] * old[1] + new[2] * old[2]
                 if new[3] <= 0 or (old[3] > 1e-12 and turn < least_turn):
                     return False
-                worst = max(_gap(corners[0], corners[1]), _gap(corners[1], corners[2]), _gap(corners[2], corners[0]))
+                worst = max(
+                    _gap(corners[0], corners[1]),
+                    _gap(corners[1], corners[2]),
+                    _gap(corners[2], corners[0]),
+                )
                 before = max(_gap(px, py), _gap(py, pz), _gap(pz, px))
                 if worst > longest and worst > before:
                     return False
@@ -166,7 +180,10 @@ class Surface:
             if flat < SHARP_COS:
                 return False
             mean = [n[i] * n[3] + o[i] * o[3] for i in range(3)]
-            if sum(mean[i] * p[i] for i in range(3)) <= 0 or sum(mean[i] * q[i] for i in range(3)) <= 0:
+            if (
+                sum(mean[i] * p[i] for i in range(3)) <= 0
+                or sum(mean[i] * q[i] for i in range(3)) <= 0
+            ):
                 return False
         self.f[k], self.f[m] = (a, d, c), (d, b, c)
         self.of[a].discard(m)
@@ -277,7 +294,9 @@ def _collapse_short(surface: Surface) -> None:
                 if line:
                     at = p
             around = surface.neighbours(a) | surface.neighbours(b)
-            longest = LONG * max(surface.size[surface.label[k]] for k in surface.of[a] | surface.of[b])
+            longest = LONG * max(
+                surface.size[surface.label[k]] for k in surface.of[a] | surface.of[b]
+            )
             if surface.collapse(a, b, at, longest, 0.8 if line or on_a or on_b else 0.7):
                 touched |= around
                 done += 1

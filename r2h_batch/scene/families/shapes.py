@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Point = Sequence[float] | NDArray[np.float64]
 
+Cut = tuple[str, tuple[float, ...], float, str]
+"""(part, normal, offset in mm, new part)"""
+
 Plane = tuple[tuple[float, float, float], float]
 
 
@@ -19,11 +22,27 @@ class Parts:
     """Names the surfaces of solids; booleans carry the names along (Manifold's original ids)."""
 
     names: dict[int, str] = field(default_factory=dict)
+    solids: list[tuple[str, Manifold]] = field(default_factory=list)
+    """(part, solid) that add material"""
+    cuts: list[Cut] = field(default_factory=list)
 
     def __call__(self, name: str, solid: Manifold) -> Manifold:
+        self.solids.append((name, solid))
+        return self.hole(name, solid)
+
+    def hole(self, name: str, solid: Manifold) -> Manifold:
+        """A solid that is taken away; the walls that it leaves have the name."""
         marked = solid.as_original()
         self.names[marked.original_id()] = name
         return marked
+
+    def divided(self, name: str, solid: Manifold, *cuts: tuple[str, Point, float]) -> Manifold:
+        """A solid of several parts: each cut (new name, normal n, offset d) names what lies at n.p > d of the rest."""
+        self.cuts += [
+            (name, tuple(float(x) for x in normal), float(offset), new)
+            for new, normal, offset in cuts
+        ]
+        return self(name, solid)
 
 
 @dataclass(frozen=True)
@@ -49,7 +68,9 @@ class Spec:
     frame: str = ""
 
 
-def box(x: float, y: float, z: float, r: float = 0.0, at: Sequence[float] = (0, 0, 0), n: int = 12) -> Manifold:
+def box(
+    x: float, y: float, z: float, r: float = 0.0, at: Sequence[float] = (0, 0, 0), n: int = 12
+) -> Manifold:
     """A box, its edges rounded with radius r."""
     if r <= 0:
         return Manifold.cube((x, y, z), True).translate(at)
@@ -70,7 +91,9 @@ def extrude(outline: ArrayLike, z0: float, z1: float) -> Manifold:
     return Manifold.extrude(CrossSection([_ccw(outline)]), z1 - z0).translate((0, 0, z0))
 
 
-def cylinder(p: ArrayLike, q: ArrayLike, r: float, r1: float | None = None, n: int = 32) -> Manifold:
+def cylinder(
+    p: ArrayLike, q: ArrayLike, r: float, r1: float | None = None, n: int = 32
+) -> Manifold:
     """A cylinder or cone from p to q."""
     start, end = np.asarray(p, float), np.asarray(q, float)
     axis = end - start
@@ -81,7 +104,10 @@ def cylinder(p: ArrayLike, q: ArrayLike, r: float, r1: float | None = None, n: i
 def capsule(p: Point, q: Point, r: float, r1: float | None = None, n: int = 16) -> Manifold:
     """The hull of two balls."""
     return Manifold.batch_hull(
-        [Manifold.sphere(r, n).translate(tuple(p)), Manifold.sphere(r if r1 is None else r1, n).translate(tuple(q))]
+        [
+            Manifold.sphere(r, n).translate(tuple(p)),
+            Manifold.sphere(r if r1 is None else r1, n).translate(tuple(q)),
+        ]
     )
 
 
@@ -89,7 +115,9 @@ def chain(points: ArrayLike, radii: ArrayLike, n: int = 12) -> Manifold:
     """Capsules along a polyline."""
     p = np.asarray(points, float)
     r = np.broadcast_to(np.asarray(radii, float), len(p))
-    return union(capsule(p[i], p[i + 1], float(r[i]), float(r[i + 1]), n) for i in range(len(p) - 1))
+    return union(
+        capsule(p[i], p[i + 1], float(r[i]), float(r[i + 1]), n) for i in range(len(p) - 1)
+    )
 
 
 def union(solids: object) -> Manifold:
@@ -104,7 +132,10 @@ def oval(a: float, b: float, n: int = 24, power: float = 2.0) -> NDArray[np.floa
     """(n, 2) superellipse with half axes a, b."""
     t = 2 * np.pi * (np.arange(n) + 0.5) / n
     c, s = np.cos(t), np.sin(t)
-    return np.stack([a * np.sign(c) * np.abs(c) ** (2 / power), b * np.sign(s) * np.abs(s) ** (2 / power)], axis=1)
+    return np.stack(
+        [a * np.sign(c) * np.abs(c) ** (2 / power), b * np.sign(s) * np.abs(s) ** (2 / power)],
+        axis=1,
+    )
 
 
 def loft(rings: Sequence[NDArray[np.float64]], closed: bool = False) -> Manifold:
@@ -135,7 +166,10 @@ def loft(rings: Sequence[NDArray[np.float64]], closed: bool = False) -> Manifold
 
 
 def sweep(
-    path: ArrayLike, sections: Sequence[NDArray[np.float64]], up: ArrayLike = (0, 0, 1), closed: bool = False
+    path: ArrayLike,
+    sections: Sequence[NDArray[np.float64]],
+    up: ArrayLike = (0, 0, 1),
+    closed: bool = False,
 ) -> Manifold:
     """(M, 2) sections carried along a path; a section's second axis stays as near to ``up`` as it can."""
     p = np.asarray(path, float)
@@ -154,10 +188,14 @@ def sweep(
     return loft(rings, closed)
 
 
-def along_x(stations: list[tuple[float, float, float]], count: int, power: float = 2.4, n: int = 24) -> Manifold:
+def along_x(
+    stations: list[tuple[float, float, float]], count: int, power: float = 2.4, n: int = 24
+) -> Manifold:
     """A straight loft: (x, half width y, half height z) stations, smoothed."""
     x, a, b = spline(stations, count).T
-    return loft([np.column_stack([np.full(n, x[i]), oval(a[i], b[i], n, power)]) for i in range(count)])
+    return loft(
+        [np.column_stack([np.full(n, x[i]), oval(a[i], b[i], n, power)]) for i in range(count)]
+    )
 
 
 def spline(points: ArrayLike, count: int, closed: bool = False) -> NDArray[np.float64]:
@@ -172,14 +210,18 @@ def spline(points: ArrayLike, count: int, closed: bool = False) -> NDArray[np.fl
     return np.asarray(curve(np.linspace(0, t[-1], count, endpoint=not closed)))
 
 
-def round_cone(p: NDArray[np.float64], a: ArrayLike, b: ArrayLike, ra: float, rb: float) -> NDArray[np.float64]:
+def round_cone(
+    p: NDArray[np.float64], a: ArrayLike, b: ArrayLike, ra: float, rb: float
+) -> NDArray[np.float64]:
     """(N,) signed distance (negative inside, near enough) to balls swept from a to b."""
     start, along = np.asarray(a, float), np.asarray(b, float) - np.asarray(a, float)
     t = np.clip((p - start) @ along / (along @ along), 0, 1)
     return np.linalg.norm(p - start - t[:, None] * along, axis=1) - (ra + t * (rb - ra))
 
 
-def round_box(p: NDArray[np.float64], center: ArrayLike, half: ArrayLike, r: float) -> NDArray[np.float64]:
+def round_box(
+    p: NDArray[np.float64], center: ArrayLike, half: ArrayLike, r: float
+) -> NDArray[np.float64]:
     """(N,) signed distance to a rounded box."""
     q = np.abs(p - np.asarray(center, float)) - (np.asarray(half, float) - r)
     return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0) - r

@@ -1,0 +1,176 @@
+"""Draws instances of families: a number in, an object out, the same on every machine of one kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.scene.families import goods, tools, vessels, worn
+from r2h_batch.scene.families.family import Draw, Family
+from r2h_batch.scene.families.remesh import Surface, imprint
+from r2h_batch.scene.families.shapes import Parts
+from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel, build_object
+from r2h_batch.scene.vocabulary import S0_ROLES, THINGS
+
+FAMILIES: dict[str, Family] = {
+    name: f
+    for name in OBJECT_NAMES
+    for f in (*vessels.FAMILIES, *worn.FAMILIES, *tools.FAMILIES, *goods.FAMILIES)
+    if f.category == name
+}
+"""Category -> family, in the order of the objects of r2h-v1."""
+
+
+SHIPPED, TRAINING = 0, 1
+"""Series of the test instances in assets/families, and of those that predictors learn from."""
+
+SMOOTH_MM, EDGE_MM, SNAP_MM = 0.05, 18.0, 0.4
+"""Triangles are merged where the surface moves by less than the first, and divided until no edge is longer than
+the second. Corners nearer to a cut than the third lie on it."""
+
+Vec = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A drawn instance, before what an `ObjectModel` derives from it."""
+
+    name: str
+    family: Family
+    vertices: NDArray[np.float64]
+    """(V, 3), m, in the frame it rests in: z up, any yaw, the origin in the middle of its box"""
+    faces: NDArray[np.int32]
+    face_part: NDArray[np.uint8]
+    mass: float
+    com: Vec
+    inertia: Vec
+    rest: str
+    parameters: dict[str, float | str]
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """The surface as a trimesh."""
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+
+def draw_instance(category: str, series: int, index: int) -> Instance:
+    """Instance `index` of a series of a category.
+
+    Args:
+        category: a key of `FAMILIES`.
+        series: 0 for the shipped test instances, 1 for training, others for users (`--seed`).
+        index: 0, 1, 2, ...
+    """
+    family, draw, parts = FAMILIES[category], Draw(category, series, index), Parts()
+    shape = family.make(draw, parts)
+    solid = shape.solid.simplify(SMOOTH_MM).refine_to_length(EDGE_MM)
+    found = solid.to_mesh64()
+    vertices = np.asarray(found.vert_properties)[:, :3]
+    faces = np.asarray(found.tri_verts).astype(np.int32)
+    label = np.zeros(len(faces), np.uint8)
+    bounds = np.asarray(found.run_index) // 3
+    for k, original in enumerate(found.run_original_id):
+        label[bounds[k] : bounds[k + 1]] = family.parts.index(parts.names[int(original)])
+    vertices, faces, label = _divided(vertices, faces, label, family, parts)
+    mass, com, inertia = _inertial(parts, shape, float(solid.volume()))
+    rest, R = _resting(family, vertices, faces, com, draw)
+    turned = vertices @ R.T
+    middle = (turned.min(0) + turned.max(0)) / 2
+    tag = {SHIPPED: "", TRAINING: "t"}.get(series, f"s{series}_")
+    return Instance(
+        f"{category}_{tag}{index:02d}", family, (turned - middle) / 1000, faces, label,
+        round(1e-9 * mass, 4), (R @ com - middle) / 1000, 1e-15 * (R @ inertia @ R.T), rest, draw.parameters,
+    )  # fmt: skip
+
+
+def _divided(
+    vertices: Vec, faces: NDArray[np.int32], label: NDArray[np.uint8], family: Family, parts: Parts
+) -> tuple[Vec, NDArray[np.int32], NDArray[np.uint8]]:
+    """The surface with an edge along every cut, and what lies beyond each under its new name."""
+    surface = Surface(vertices, faces, label)
+    for source, normal, offset, new in parts.cuts:
+        x, y, z = normal
+        imprint(surface, lambda p: p[0] * x + p[1] * y + p[2] * z - offset, SNAP_MM)  # noqa: B023
+        old = family.parts.index(source)
+        for k, face in enumerate(surface.f):
+            if face is not None and surface.label[k] == old:
+                height = np.mean([surface.v[a] for a in face], axis=0) @ np.array(normal) - offset
+                surface.label[k] = family.parts.index(new) if height > 0 else old
+    vertices, found, names = surface.arrays()
+    return vertices, found.astype(np.int32), names.astype(np.uint8)
+
+
+def _inertial(parts: Parts, shape: Shape, volume: float) -> tuple[float, Vec, Vec]:
+    """Mass (mm^3 kg/m^3), centre (mm) and inertia about it, of the parts' own solids at their densities. Where solids
+    overlap both count, so all are scaled to the volume of the whole."""
+    mass, moment, second, own = 0.0, np.zeros(3), np.zeros((3, 3)), 0.0
+    for name, solid in parts.solids:
+        mesh = solid.to_mesh64()
+        body = trimesh.Trimesh(
+            np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts), process=False
+        )
+        m, c = shape.density[name] * body.volume, np.asarray(body.center_mass)
+        own += body.volume
+        mass, moment = mass + m, moment + m * c
+        second += shape.density[name] * body.moment_inertia + m * (
+            (c @ c) * np.eye(3) - np.outer(c, c)
+        )
+    com = moment / mass
+    inertia = second - mass * ((com @ com) * np.eye(3) - np.outer(com, com))
+    share = volume / own
+    return mass * share, com, inertia * share
+
+
+TURNS = {
+    "upright": (), "over": (("x", 180.0),), "left": (("x", 90.0),), "right": (("x", -90.0),), "face": (("y", 90.0),),
+    "back": (("y", -90.0),), "side": (("z", None), ("x", 90.0)), "roll": (("x", None),),
+}  # fmt: skip
+"""How a thing lies, as turns about fixed axes; None: any angle."""
+
+
+def _resting(
+    family: Family, vertices: Vec, faces: NDArray[np.int32], com: Vec, draw: Draw
+) -> tuple[str, Vec]:
+    """How the instance lies, and its turn: the drawn way, brought to the nearest stable one, at any yaw."""
+    word, R = draw.choice("rest", family.rests), np.eye(3)
+    for axis, angle in TURNS[word]:
+        turn = draw("roll", 0, 360) if angle is None else angle
+        R = Rotation.from_euler(axis, turn, degrees=True).as_matrix() @ R
+    R = _settled(trimesh.convex.convex_hull(vertices), com, R)
+    return word, Rotation.from_euler("z", draw("yaw", 0, 360), degrees=True).as_matrix() @ R
+
+
+def _settled(hull: trimesh.Trimesh, com: Vec, R: Vec) -> Vec:
+    """The least further turn that sets the hull on a face over which the centre of mass stands."""
+    corner = hull.triangles
+    foot = (
+        com
+        - np.einsum("ij,ij->i", com - corner[:, 0], hull.face_normals)[:, None] * hull.face_normals
+    )
+    weight = trimesh.triangles.points_to_barycentric(corner, foot)
+    down = hull.face_normals @ R.T
+    stable = np.flatnonzero((weight > -1e-9).all(1))
+    best = stable[np.argmin(down[stable, 2])]
+    turn, _ = Rotation.align_vectors(np.array([[0.0, 0.0, -1.0]]), down[best : best + 1])
+    return np.asarray(turn.as_matrix() @ R)
+
+
+def model_of(instance: Instance) -> ObjectModel:
+    """The object that an evaluator judges, with its category's words and roles."""
+    family = instance.family
+    region = np.isin(instance.face_part, [family.parts.index(p) for p in family.receiver])
+    built = build_object(
+        instance.mesh, instance.name, family.split, receiver=region if family.split == "S1" else None,
+        mass=instance.mass, instruction=family.instruction, face_part=instance.face_part, part_names=family.parts,
+    )  # fmt: skip
+    return replace(
+        built,
+        com=instance.com,
+        inertia=instance.inertia,
+        words=THINGS[family.category],
+        roles=S0_ROLES.get(family.category),
+    )
