@@ -26,8 +26,13 @@ from r2h_batch.methods.grasps import (
     sample_grasps,
     seat_grasps,
 )
-from r2h_batch.scene.arrays import stored_arrays
-from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_key
+from r2h_batch.scene.objects import (
+    ObjectModel,
+    load_objects,
+    object_digest,
+    stored_arrays_of,
+    stored_key,
+)
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 
@@ -180,7 +185,7 @@ def candidate_table(scene: Scene) -> CandidateTable:
     return CandidateTable(T_obj_ee, held.opening_m, width, score, object_index, *places)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _candidates(model: ObjectModel, kind: CandidateKind, robot: Robot) -> Candidates:
     filtered = kind == "filtered"
     if model.grasps is not None:  # a user's own: none left is the user's to know
@@ -211,4 +216,4 @@ def _candidates(model: ObjectModel, kind: CandidateKind, robot: Robot) -> Candid
 
 @lru_cache(maxsize=2)
 def _stored(kind: CandidateKind) -> dict[str, NDArray[Any]]:
-    return stored_arrays("objects", STORED[kind])
+    return stored_arrays_of(STORED[kind], "objects")

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import trimesh
@@ -27,6 +27,7 @@ from threadpoolctl import threadpool_limits
 from r2h_batch.base.io.cache import is_cached
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.validate import describe_value
+from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.mesh_import.cache import kept_with_warnings, key_of
 from r2h_batch.scene.mesh_import.closed import ObjectMeshError, Repair, closed_mesh
@@ -34,9 +35,7 @@ from r2h_batch.scene.mesh_import.file import SUFFIXES, labels_of
 from r2h_batch.scene.mesh_import.pieces import convex_hull, convex_pieces
 from r2h_batch.scene.mesh_import.region import part_of_faces, receiver_region, region_boxes
 from r2h_batch.scene.solid import sample_surface, solid_occupancy
-
-if TYPE_CHECKING:
-    from r2h_batch.scene.vocabulary import Thing
+from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
 
 S0_NAMES = ("game_controller", "bowl", "headphones", "eyeglasses", "cup", "wineglass")
 S1_NAMES = (
@@ -48,6 +47,10 @@ OBJECT_NAMES = S0_NAMES + S1_NAMES
 MORE_NAMES = ("can", "dispenser")
 """Objects that only r2h-release has."""
 BUILT_IN_NAMES = OBJECT_NAMES + MORE_NAMES
+SHIPPED_INSTANCES = 6
+"""Instances of each family that are shipped."""
+INSTANCE_NAMES = tuple(f"{name}_{i:02d}" for name in OBJECT_NAMES for i in range(SHIPPED_INSTANCES))
+"""The 96 objects of r2h-v2: category first, instance second (`families`)."""
 
 POINTS = 2048
 VOXELS = 64
@@ -133,15 +136,34 @@ class ObjectModel:
 
 def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
     """The 16 objects of r2h-v0 and r2h-v1 in their order (the position is ``object_index``), or
-    those of `BUILT_IN_NAMES` that are named."""
+    those of `BUILT_IN_NAMES` and `INSTANCE_NAMES` that are named."""
     wanted = OBJECT_NAMES if names is None else tuple(names)
-    unknown = [n for n in wanted if n not in BUILT_IN_NAMES]
+    unknown = [n for n in wanted if n not in BUILT_IN_NAMES and n not in INSTANCE_NAMES]
     if unknown:
         raise ValueError(
-            f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(BUILT_IN_NAMES)}"
+            f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(BUILT_IN_NAMES)}, and {INSTANCE_NAMES[0]} to"
+            f" {INSTANCE_NAMES[-1]} (r2h-batch ls families)"
         )
-    folder = resources.files("r2h_batch.assets.objects")
-    return tuple(read_object(str(folder.joinpath(f"{n}.npz"))) for n in wanted)
+    return tuple(_stored_object(n) for n in wanted)
+
+
+@lru_cache(maxsize=len(INSTANCE_NAMES) + len(BUILT_IN_NAMES))
+def _stored_object(name: str) -> ObjectModel:
+    """A stored object; an instance of a family has its category's words and roles."""
+    if name in BUILT_IN_NAMES:
+        return read_object(str(resources.files("r2h_batch.assets.objects") / f"{name}.npz"))
+    model = read_object(str(resources.files("r2h_batch.assets.families") / f"{name}.npz"))
+    return with_words(model, name.rpartition("_")[0])
+
+
+def with_words(model: ObjectModel, category: str) -> ObjectModel:
+    """The object with the words and roles of a built-in one."""
+    return replace(model, words=THINGS[category], roles=S0_ROLES.get(category))
+
+
+def stored_arrays_of(file: str, built_in: str) -> dict[str, NDArray[Any]]:
+    """OBJECT/FIELD -> array of a stored file: that of the built-in objects in assets/`built_in`, and the families'."""
+    return {**stored_arrays(built_in, file), **stored_arrays("families", file)}
 
 
 def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel, ...]:
@@ -167,7 +189,7 @@ def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel,
 def is_built_in(model: ObjectModel) -> bool:
     """Whether this is the built-in object of its name, and not a user's file that is called the
     same."""
-    if model.name not in BUILT_IN_NAMES:
+    if model.name not in BUILT_IN_NAMES and model.name not in INSTANCE_NAMES:
         return False
     (own,) = load_objects([model.name])
     shape = ("vertices", "faces", "face_part", "receiver_face")
@@ -194,10 +216,10 @@ def stored_objects() -> dict[str, ObjectModel]:
 def stored_key(model: ObjectModel) -> str | None:
     """The name by which grasps and receiving hands of an object are stored; None where it is not a
     built-in one. An object of S1 in split S0 has others: `NAME_S0`."""
-    if model.name not in BUILT_IN_NAMES:
-        return None
     if is_built_in(model):
         return model.name
+    if model.name not in BUILT_IN_NAMES:
+        return None
     (own,) = load_objects([model.name])
     free = without_region(own)
     shape = ("vertices", "faces", "face_part", "receiver_face")
@@ -435,7 +457,7 @@ def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
     }
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=128)
 def read_object(path: str) -> ObjectModel:
     """The object stored in one ``.npz`` of assets/objects' format."""
     with np.load(path, allow_pickle=False) as data:

@@ -9,18 +9,18 @@ Line = tuple[str, ...]
 
 
 def ls(
-    what: Literal["methods", "objects", "robots", "protocols", "runs"],
+    what: Literal["methods", "objects", "families", "robots", "protocols", "runs"],
     folder: Path = Path("runs"),
     /,
 ) -> int:
-    """List methods, objects, robots, protocols or runs, one a line.
+    """List methods, objects, families, robots, protocols or runs, one a line.
 
     Args:
-        what: methods, objects, robots, protocols or runs.
+        what: methods, objects, families (and their shipped instances), robots, protocols or runs.
         folder: with `runs`, the folder to search.
     """
     lines = list({
-        "methods": _methods, "objects": _objects, "robots": _robots, "protocols": _protocols,
+        "methods": _methods, "objects": _objects, "families": _families, "robots": _robots, "protocols": _protocols,
         "runs": lambda: _runs(folder),
     }[what]())  # fmt: skip
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))] if lines else []
@@ -45,6 +45,23 @@ def _objects() -> Iterator[Line]:
     for o in load_objects():
         size = " x ".join(f"{1000 * x:.0f}" for x in o.vertices.max(0) - o.vertices.min(0))
         yield o.split, o.name, f"{size} mm", f"{1000 * o.mass:.0f} g", ", ".join(o.part_names)
+
+
+def _families() -> Iterator[Line]:
+    from r2h_batch.scene.objects import INSTANCE_NAMES, load_objects
+
+    for o in load_objects(INSTANCE_NAMES):
+        size = " x ".join(f"{1000 * x:.0f}" for x in o.vertices.max(0) - o.vertices.min(0))
+        region = [n for k, n in enumerate(o.part_names) if o.receiver_face[o.face_part == k].any()]
+        taken = f"receiver takes {', '.join(region)}" if region else ""
+        yield (
+            o.split,
+            o.name.rpartition("_")[0],
+            o.name,
+            f"{size} mm",
+            f"{1000 * o.mass:.0f} g",
+            taken,
+        )
 
 
 def _robots() -> Iterator[Line]:

@@ -13,8 +13,7 @@ from r2h_batch.scene.families import goods, tools, vessels, worn
 from r2h_batch.scene.families.family import Draw, Family
 from r2h_batch.scene.families.remesh import Surface, imprint
 from r2h_batch.scene.families.shapes import Parts
-from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel, build_object
-from r2h_batch.scene.vocabulary import S0_ROLES, THINGS
+from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel, build_object, with_words
 
 FAMILIES: dict[str, Family] = {
     name: f
@@ -167,10 +166,4 @@ def model_of(instance: Instance) -> ObjectModel:
         instance.mesh, instance.name, family.split, receiver=region if family.split == "S1" else None,
         mass=instance.mass, instruction=family.instruction, face_part=instance.face_part, part_names=family.parts,
     )  # fmt: skip
-    return replace(
-        built,
-        com=instance.com,
-        inertia=instance.inertia,
-        words=THINGS[family.category],
-        roles=S0_ROLES.get(family.category),
-    )
+    return with_words(replace(built, com=instance.com, inertia=instance.inertia), family.category)

@@ -42,6 +42,7 @@ from r2h_batch.scene.objects import (
 from r2h_batch.scene.robot import ROBOTS, Robot, load_robot, read_robot
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
 from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
+from r2h_batch.trials.benchmark.family_objects import PREFIX, family_objects, family_splits
 from r2h_batch.trials.benchmark.flags import BenchmarkFlags
 from r2h_batch.trials.benchmark.model import (
     BUILT_IN,
@@ -368,7 +369,7 @@ class BenchmarkOverrides(BenchmarkFlags):
         base = built_in(self.protocol or DEFAULT_PROTOCOL)
         if self.benchmark:
             base = read_benchmark(self.benchmark, pieces=pieces)
-        objects = _objects_of(Path(self.objects), pieces) if self.objects else base.objects
+        objects = _objects_of(self.objects, pieces) if self.objects else base.objects
         build_ahead([call_of(mesh, pieces=pieces) for mesh in self.object_mesh])
         more = (object_from_argument(mesh, pieces=pieces) for mesh in self.object_mesh)
         objects = (*objects, *more)
@@ -405,6 +406,8 @@ class BenchmarkOverrides(BenchmarkFlags):
         path = Path(self.objects or self.benchmark)
         if self.trials_file or not (self.objects or self.benchmark):
             return set()
+        if self.objects.startswith(PREFIX):
+            return family_splits(self.objects)
         file = _file_in(path)
         if file is None:
             entries = [_entry(mesh) for mesh in _files(path, MESHES)] if path.is_dir() else []
@@ -430,13 +433,17 @@ class BenchmarkOverrides(BenchmarkFlags):
         return make_hand_set(model, **a, posture=base.posture, in_body=turned)
 
 
-def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
-    """Objects of a benchmark file, or of a folder: its benchmark.yaml, else every mesh in it."""
+def _objects_of(text: str, pieces: bool) -> tuple[ObjectModel, ...]:
+    """Objects of a benchmark file, or of a folder (its benchmark.yaml, else every mesh in it), or new instances of
+    families."""
+    if text.startswith(PREFIX):
+        return family_objects(text)
+    path = Path(text)
     file, shown = _file_in(path), printable(path)
     if file is not None:
         return read_benchmark(file, pieces=pieces).objects
     if not path.is_dir():
-        how = "takes a folder of meshes or a benchmark.yaml; one mesh: --object-mesh FILE"
+        how = "takes a folder of meshes, a benchmark.yaml or families:CATEGORY,...; one mesh: --object-mesh FILE"
         raise FileError(f"{shown}: --objects {how}")
     meshes = _files(path, MESHES)
     if not meshes:

@@ -15,7 +15,8 @@ class BenchmarkFlags:
     hand_model: str = ""
     """A hand: MANO_RIGHT.pkl, or .npz of import hand."""
     objects: str = ""
-    """Objects in place of the built-in ones: a folder of meshes, or a benchmark.yaml."""
+    """Objects in place of the built-in ones: a folder of meshes, a benchmark.yaml, or new ones of families
+    (`families:cup,hammer x 20 seed 7`)."""
     object_mesh: tuple[str, ...] = ()
     """More objects, FILE[:S0|S1[:REGION]]."""
     grasps: tuple[str, ...] = ()

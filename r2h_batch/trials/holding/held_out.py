@@ -23,7 +23,13 @@ from torch import Tensor
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.hand import HandModel, load_hand
-from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_key
+from r2h_batch.scene.objects import (
+    ObjectModel,
+    load_objects,
+    object_digest,
+    stored_arrays_of,
+    stored_key,
+)
 from r2h_batch.trials.holding.hand_contact import PALM, ObjectSurface, palmar_region
 from r2h_batch.trials.holding.receiving import CODE, FIELDS, FORM, VERSIONS, ReceivingGrasps
 from r2h_batch.trials.holding.sampler import NoHoldError, sample_receiving
@@ -95,7 +101,7 @@ def load_held_out(objects: Sequence[ObjectModel], hand: HandModel | None = None)
 
 @lru_cache(maxsize=64)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
-    stored = stored_arrays("receiving", "held_out.npz")
+    stored = stored_arrays_of("held_out.npz", "receiving")
     if hand is load_hand() and f"{(key := stored_key(model))}/side" in stored:
         return {k: stored[f"{key}/{k}"] for k in (*FIELDS, "grip_n")}
     made_of = (

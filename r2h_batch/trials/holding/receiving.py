@@ -18,9 +18,15 @@ from torch import Tensor
 
 from r2h_batch.base import se3
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
-from r2h_batch.scene.arrays import arrays_digest, stored_arrays
+from r2h_batch.scene.arrays import arrays_digest
 from r2h_batch.scene.hand import HandGeometry, HandModel, load_hand
-from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_key
+from r2h_batch.scene.objects import (
+    ObjectModel,
+    load_objects,
+    object_digest,
+    stored_arrays_of,
+    stored_key,
+)
 from r2h_batch.trials.holding.instructions import intents_of
 from r2h_batch.trials.holding.sampler import PER_SIDE, NoHoldError, sample_receiving
 from r2h_batch.verdicts import SIDES
@@ -238,4 +244,4 @@ def _made_of(model: ObjectModel, hand: HandModel) -> str:
 
 @lru_cache(maxsize=1)
 def _stored() -> dict[str, NDArray[Any]]:
-    return stored_arrays("receiving", "receiving.npz")
+    return stored_arrays_of("receiving.npz", "receiving")

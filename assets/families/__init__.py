@@ -1,0 +1,1 @@
+"""The shipped instances of the object families, and the script that builds them."""

@@ -1,0 +1,114 @@
+"""Builds the shipped instances of all families, or the training instances (needs the ``build`` extra):
+``python -m r2h_batch.assets.families.build_families [--training build/families]``.
+
+Shipped: ``NAME.npz`` (an `ObjectModel`), ``grasps.npz``, ``grasps_as_generated.npz`` and ``receiving.npz`` with the arrays of
+assets/objects and assets/receiving, ``held_out.npz`` for the first two instances of a category, and ``report.json``:
+parameters, size, mass, way of resting and digest of each. Training instances have keys of their own and stay out of the wheel.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from r2h_batch.assets.hand.build_hand import write_npz
+from r2h_batch.methods.grasps import generate_grasps, sample_grasps
+from r2h_batch.scene.arrays import read_arrays
+from r2h_batch.scene.families.draw import FAMILIES, SHIPPED, TRAINING, Instance, draw_instance, model_of
+from r2h_batch.scene.objects import SAID, ObjectModel, object_digest
+from r2h_batch.scene.objects import SHIPPED_INSTANCES as TESTS
+from r2h_batch.trials.holding.held_out import sample_held_out
+from r2h_batch.trials.holding.sampler import sample_receiving
+
+HERE = Path(__file__).resolve().parent
+LEARNED = 12
+"""Training instances of a category."""
+HELD_OUT = 2
+"""Instances of a category that reception can judge without sampling."""
+GRASPS = ("T_obj_ee", "width", "score", "part")
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def built(series: int, held_out: bool, job: tuple[str, int]) -> tuple[ObjectModel, dict[str, Arrays], dict[str, Any]]:
+    """One instance: its model, its arrays by file, and what the report says."""
+    category, index = job
+    begin = time.process_time()
+    instance = draw_instance(category, series, index)
+    model = model_of(instance)
+    name = instance.name
+    found: dict[str, Arrays] = {"receiving": sample_receiving(model)}
+    filtered = sample_grasps(model)
+    found["grasps"] = {k: getattr(filtered, k) for k in GRASPS}
+    if series == SHIPPED:
+        proposed = generate_grasps(model)
+        found["grasps_as_generated"] = {k: getattr(proposed, k) for k in GRASPS}
+        if held_out and index < HELD_OUT:
+            found["held_out"] = sample_held_out(model)
+    named = {file: {f"{name}/{k}": v for k, v in arrays.items()} for file, arrays in found.items()}
+    return model, named, described(instance, model) | {"cpu_s": round(time.process_time() - begin, 1)}
+
+
+def described(instance: Instance, model: ObjectModel) -> dict[str, Any]:
+    """What the report says of an instance; lengths in millimetres."""
+    mesh = instance.mesh
+    return {
+        "category": instance.family.category,
+        "split": model.split,
+        "size_mm": (1000 * mesh.extents).round(1).tolist(),
+        "mass_kg": model.mass,
+        "rests": instance.rest,
+        "faces": len(model.faces),
+        "watertight": bool(mesh.is_watertight and mesh.is_winding_consistent),
+        "bodies": int(mesh.body_count),
+        "receiver_area_share": round(float(model.mesh.area_faces[model.receiver_face].sum() / model.mesh.area), 3),
+        "parameters": instance.parameters,
+        "digest": object_digest(model),
+    }
+
+
+def main() -> None:
+    """Writes all files and prints a line per instance."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("categories", nargs="*", help="default: all")
+    parser.add_argument("--training", type=Path, help="write the training instances into this folder instead")
+    parser.add_argument("--without-held-out", action="store_true", help="keep the stored held-out grasps")
+    parser.add_argument("--jobs", type=int, default=1, help="instances made at a time; the result is the same")
+    args = parser.parse_args()
+    series, count = (TRAINING, LEARNED) if args.training else (SHIPPED, TESTS)
+    out = args.training or HERE
+    out.mkdir(parents=True, exist_ok=True)
+    jobs = [(c, i) for c in args.categories or FAMILIES for i in range(count)]
+    path = out / "report.json"
+    report: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+    stored: dict[str, Arrays] = {p.stem: dict(read_arrays(p)) for p in out.glob("*.npz") if p.stem in FILES}
+    make = partial(built, series, not args.without_held_out)
+    with ProcessPoolExecutor(args.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for model, arrays, line in pool.map(make, jobs):
+            values = {f.name: np.asarray(getattr(model, f.name)) for f in fields(model) if f.name not in SAID}
+            np.savez_compressed(out / f"{model.name}.npz", allow_pickle=False, **values)
+            for file, found in arrays.items():
+                stored.setdefault(file, {}).update(found)
+            report[model.name] = line
+            print(model.name, {k: v for k, v in line.items() if k not in ("parameters", "digest")}, flush=True)
+    order = [f"{c}_" for c in FAMILIES]
+    names = sorted(report, key=lambda n: (order.index(n.rpartition("_")[0] + "_"), n))
+    for file, arrays in stored.items():
+        write_npz(out / f"{file}.npz", {k: arrays[k] for n in names for k in arrays if k.startswith(f"{n}/")})
+    path.write_text(json.dumps({n: report[n] for n in names}, indent=1) + "\n")
+
+
+FILES = ("grasps", "grasps_as_generated", "receiving", "held_out")
+
+if __name__ == "__main__":
+    main()
