@@ -17,8 +17,9 @@ from r2h_batch.base import rng
 from r2h_batch.methods.predictors.depth_view import DRAWS, DepthView, carved
 from r2h_batch.methods.predictors.external_predictions import Observations
 from r2h_batch.methods.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
+from r2h_batch.methods.predictors.principal_axes import load_axes_network
 from r2h_batch.methods.predictors.voxnet import load_voxnet
-from r2h_batch.scene.objects import OBJECT_NAMES, VOXELS, ObjectModel, stored_key
+from r2h_batch.scene.objects import BUILT_IN_NAMES, OBJECT_NAMES, VOXELS, ObjectModel, stored_key
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.noise import trial_ids
 from r2h_batch.types import Trials
@@ -80,12 +81,19 @@ def _of_objects(
             _cached.clear()
         rows = []
         for i, o in enumerate(scene.objects):
-            unseen = left_out and stored_key(o) and o.name in OBJECT_NAMES
-            network = load_voxnet(o.name if unseen else "") if predictor is None else predictor
+            network = _network_for(o, left_out) if predictor is None else predictor
             grids = grids_of(scene, i, view, seed)
             rows.append(torch.stack([_of_object(o, network, grid) for grid in grids]))
         _cached[key] = torch.stack(rows)
     return _cached[key]
+
+
+def _network_for(model: ObjectModel, left_out: bool) -> ContactPredictor:
+    """The built-in network for an object: the objects of r2h-v1 and r2h-release are shown to weights that know how these
+    lie; any other to the network that no frame decides."""
+    if stored_key(model) is None or model.name not in BUILT_IN_NAMES:
+        return load_axes_network()
+    return load_voxnet(model.name if left_out and model.name in OBJECT_NAMES else "")
 
 
 def grids_of(scene: Scene, row: int, view: DepthView | None, seed: int) -> Iterator[Tensor]:
