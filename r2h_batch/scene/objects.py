@@ -281,9 +281,8 @@ def build_object(
     OBJ or GLB do. An S1 object needs its receiver's region: ``receiver`` is the name of a part
     (``"handle"``, ``"handle,guard"``), ``"z<0.3"`` (axis, comparison, fraction of the bounding box
     from its low side), or one bool per face of the file, indices of its faces, or boxes
-    (`ObjectModel.receiver_boxes`), as array or ``.npy`` file; without it, S1 takes the lighter half
-    of the longest axis, with a warning. Labels and
-    faces are carried over to a repaired mesh. ``pieces=False`` skips the convex decomposition (half
+    (`ObjectModel.receiver_boxes`), as array or ``.npy`` file. Nothing is
+    guessed: half of an object is the wrong end too often. Labels and faces are carried over to a repaired mesh. ``pieces=False`` skips the convex decomposition (half
     a second): the hull is then the only piece. ``"fine"`` is CoACD's, as of the built-in objects: a
     minute and more.
 

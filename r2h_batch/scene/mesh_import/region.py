@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -64,7 +63,10 @@ def receiver_region(
 ) -> NDArray[np.bool_]:
     """(F,) bool: the faces of the region."""
     if receiver is None:
-        receiver = _lighter_half(solid, label)
+        raise ObjectMeshError(
+            f"{label}: an S1 object needs the receiver's region: {WAYS}, or an .npy file of faces; r2h-batch import region FILE"
+            " proposes one and draws it"
+        )
     words = [w.strip() for w in receiver.split(",")] if isinstance(receiver, str) else []
     if words and all(w in names for w in words):  # parts, such as `handle,guard`
         region = np.isin(parts, [names.index(w) for w in words])
@@ -143,20 +145,6 @@ def read_region(path: str | Path, names: Sequence[str], label: str) -> NDArray[n
         raise ObjectMeshError(
             f"{label}: receiver {printable(path)} is not a plain .npy array ({printable(error)[:200]})"
         ) from error
-
-
-def _lighter_half(solid: trimesh.Trimesh, label: str) -> str:
-    """The half of the longest axis farther from the centre of mass, as a plane, with a warning."""
-    low, high = solid.bounds
-    axis = int(np.argmax(high - low))
-    below = solid.center_mass[axis] > (low[axis] + high[axis]) / 2
-    plane = f"{'xyz'[axis]}{'<' if below else '>'}0.5"
-    warnings.warn(
-        f"{label}: no receiver region given for an S1 object; taking {plane!r}, the half of the longest axis "
-        "farther from the centre of mass. Give receiver='AXIS<FRACTION' or a part's name (FILE:S1:REGION) to choose",
-        stacklevel=4,
-    )
-    return plane
 
 
 def _region_of_faces(chosen: NDArray[np.generic], count: int, label: str) -> NDArray[np.bool_]:
