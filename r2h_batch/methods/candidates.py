@@ -4,7 +4,7 @@ for a user's."""
 import hashlib
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal
 
@@ -187,6 +187,9 @@ def candidate_table(scene: Scene) -> CandidateTable:
 
 @lru_cache(maxsize=256)
 def _candidates(model: ObjectModel, kind: CandidateKind, robot: Robot) -> Candidates:
+    if model.turn is not None:
+        own = _candidates(model.turn.own, kind, robot)
+        return replace(own, T_obj_ee=model.turn.poses(own.T_obj_ee))
     filtered = kind == "filtered"
     if model.grasps is not None:  # a user's own: none left is the user's to know
         return (seat_grasps if filtered else own_grasps)(model, model.grasps, robot)

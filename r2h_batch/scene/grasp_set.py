@@ -51,6 +51,12 @@ class GraspSet:
         """Arrays of the file."""
         return {k: getattr(self, k) for k in SPECS}
 
+    def turned(self, R: NDArray[np.float64]) -> GraspSet:
+        """The grasps in a frame of the object that is turned by R (3, 3)."""
+        T = self.T_obj_ee.astype(np.float64)
+        T[:, :3] = R @ T[:, :3]
+        return GraspSet(**{**self.arrays(), "T_obj_ee": T.astype(np.float32)}, gripper=self.gripper)
+
     def rows(self, rows: Any) -> GraspSet:
         """The selected grasps."""
         return GraspSet(**{k: v[rows] for k, v in self.arrays().items()}, gripper=self.gripper)

@@ -113,6 +113,9 @@ class ObjectModel:
     """(N, 5, 3) the receiver's region as volumes, where a user gave boxes: centre, half sides, the
     rows of R_obj_box. Affordance asks them instead of ``receiver_face``, the faces in them"""
 
+    turn: Turn | None = None
+    """which object was turned to make this one (`turned`): its grasps are that one's, turned"""
+
     @property
     def occupancy(self) -> NDArray[np.bool_]:
         """(64, 64, 64) bool: a voxel is full when its centre is inside the solid or the surface
@@ -132,6 +135,21 @@ class ObjectModel:
     def mesh(self) -> trimesh.Trimesh:
         """The surface as a trimesh (a copy, float64)."""
         return trimesh.Trimesh(self.vertices.astype(np.float64), self.faces, process=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """How an object came from another one."""
+
+    own: ObjectModel
+    R_new_own: NDArray[np.float64]
+    """(3, 3)"""
+
+    def poses(self, T: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Poses (N, 4, 4) in the own object's frame, in the turned one's."""
+        found = T.astype(np.float64)
+        found[:, :3] = self.R_new_own @ found[:, :3]
+        return found.astype(np.float32)
 
 
 def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
@@ -206,6 +224,36 @@ def without_region(model: ObjectModel) -> ObjectModel:
     return replace(model, split="S0", receiver_face=region, receiver_boxes=None, instruction=words)
 
 
+def turned(model: ObjectModel, R: NDArray[np.float64]) -> ObjectModel:
+    """The same object with another frame: all that is known of it, turned; the voxels made anew.
+
+    A trial of it has the same answer as one of `model` if a method does not depend on how a mesh lies.
+
+    Args:
+        model: any object.
+        R: (3, 3) R_new_old.
+    """
+
+    def spun(values: NDArray[Any]) -> NDArray[Any]:
+        return (values.astype(np.float64) @ R.T).astype(values.dtype)
+
+    mesh = model.mesh
+    mesh.vertices = mesh.vertices @ R.T
+    occupied, origin, pitch = solid_occupancy(mesh, VOXELS)
+    boxes = model.receiver_boxes
+    if boxes is not None:
+        boxes = np.concatenate([boxes[:, :1] @ R.T, boxes[:, 1:2], R @ boxes[:, 2:]], 1)
+    grasps = None if model.grasps is None else model.grasps.turned(R)
+    fields_turned = ("vertices", "hull_vertices", "piece_vertices", "points", "normals", "com")
+    return _frozen(
+        replace(
+            model, **{k: spun(getattr(model, k)) for k in fields_turned}, inertia=R @ model.inertia @ R.T,
+            voxels=np.packbits(occupied.reshape(-1)), voxel_origin=origin, voxel_pitch=pitch, receiver_boxes=boxes,
+            grasps=grasps, turn=Turn(model, R),
+        )
+    )  # fmt: skip
+
+
 def stored_objects() -> dict[str, ObjectModel]:
     """`stored_key` -> object: everything that grasps and receiving hands are shipped of."""
     (bottle,) = load_objects(["bottle"])
@@ -245,14 +293,16 @@ def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     return digest.hexdigest()
 
 
-SAID = ("grasps", "roles", "words", "repair", "receiver_boxes")
+SAID = ("grasps", "roles", "words", "repair", "receiver_boxes", "turn")
 """Fields that only a benchmark or a user fills: nothing of them is stored with an object."""
 
 
-def _said(value: GraspSet | Mapping[str, str] | Thing | NDArray[np.float64]) -> str:
+def _said(value: GraspSet | Turn | Mapping[str, str] | Thing | NDArray[np.float64]) -> str:
     """Arrays of a filled field that enter the digest."""
     if isinstance(value, GraspSet):
         return value.digest
+    if isinstance(value, Turn):
+        return object_digest(value.own)
     if isinstance(value, np.ndarray):
         return json.dumps(value.tolist())
     return json.dumps(dict(value) if isinstance(value, Mapping) else asdict(value), sort_keys=True)
@@ -282,9 +332,9 @@ def build_object(
     (``"handle"``, ``"handle,guard"``), ``"z<0.3"`` (axis, comparison, fraction of the bounding box
     from its low side), or one bool per face of the file, indices of its faces, or boxes
     (`ObjectModel.receiver_boxes`), as array or ``.npy`` file. Nothing is
-    guessed: half of an object is the wrong end too often. Labels and faces are carried over to a repaired mesh. ``pieces=False`` skips the convex decomposition (half
-    a second): the hull is then the only piece. ``"fine"`` is CoACD's, as of the built-in objects: a
-    minute and more.
+    guessed: half of an object is the wrong end too often. Labels and faces are carried over to a
+    repaired mesh. ``pieces=False`` skips the convex decomposition (half a second): the hull is then
+    the only piece. ``"fine"`` is CoACD's, as of the built-in objects: a minute and more.
 
     What is built of a file is kept on disk (`files.kept`), named by the file's content, the options
     and the code.

@@ -99,8 +99,11 @@ def load_held_out(objects: Sequence[ObjectModel], hand: HandModel | None = None)
     return _load(tuple(objects), load_hand() if hand is None else hand)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
+    if model.turn is not None:
+        own = _of_object(model.turn.own, hand)
+        return {**own, "T_obj_hand": model.turn.poses(own["T_obj_hand"])}
     stored = stored_arrays_of("held_out.npz", "receiving")
     if hand is load_hand() and f"{(key := stored_key(model))}/side" in stored:
         return {k: stored[f"{key}/{k}"] for k in (*FIELDS, "grip_n")}

@@ -204,8 +204,11 @@ def _is_built_in_hand(hand: HandModel) -> bool:
     )
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
+    if model.turn is not None:
+        own = _of_object(model.turn.own, hand)
+        return {**own, "T_obj_hand": model.turn.poses(own["T_obj_hand"])}
     hand = load_hand() if _is_built_in_hand(hand) else hand
     if hand is load_hand() and f"{(stored := stored_key(model))}/side" in _stored():
         return _stored_of(str(stored))
