@@ -1,0 +1,98 @@
+"""Families of objects: drawn by counters, closed, named, lying as such a thing lies; shipped instances are what is drawn."""
+
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+
+from r2h_batch.base.io.read import FileError
+from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.scene.families.draw import FAMILIES, SHIPPED, TRAINING, draw_instance
+from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, stored_key, turned
+from r2h_batch.trials.benchmark.family_objects import family_objects, family_splits
+from r2h_batch.trials.holding.receiving import load_receiving
+
+REPORT = json.loads((resources.files("r2h_batch.assets.families") / "report.json").read_text())
+each_category = pytest.mark.parametrize("category", OBJECT_NAMES)
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+
+
+def test_ninety_six_instances_are_shipped_category_first():
+    assert len(INSTANCE_NAMES) == 96 == len(REPORT) and list(REPORT) == list(INSTANCE_NAMES)
+    assert list(FAMILIES) == list(OBJECT_NAMES)
+
+
+@each_category
+def test_a_shipped_instance_is_one_closed_solid_with_named_parts_and_its_region(category):
+    for model in load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == category]):
+        family, line = FAMILIES[category], REPORT[model.name]
+        assert object_digest(model) == line["digest"] and stored_key(model) == model.name
+        mesh = model.mesh
+        assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
+        assert model.part_names == family.parts and model.split == family.split
+        region = {model.part_names[k] for k in np.unique(model.face_part[model.receiver_face])}
+        assert region == set(family.receiver)
+        assert model.words is not None and 0.005 < model.mass < 2.5
+        inside = trimesh.convex.convex_hull(mesh.vertices).contains([model.com])
+        assert inside.all() and (np.linalg.eigvalsh(model.inertia) > 0).all()
+
+
+@each_category
+def test_an_instance_is_a_function_of_category_series_and_number_alone(category):
+    one, again = draw_instance(category, SHIPPED, 1), draw_instance(category, SHIPPED, 1)
+    assert np.array_equal(one.vertices, again.vertices) and np.array_equal(one.faces, again.faces)
+    other = draw_instance(category, TRAINING, 1)
+    assert one.parameters != other.parameters and other.name == f"{category}_t01"
+    (stored,) = load_objects([one.name])
+    assert REPORT[one.name]["parameters"] == one.parameters
+    assert np.allclose(stored.mesh.extents, one.mesh.extents, atol=1e-4)
+
+
+@each_category
+def test_an_instance_rests_on_a_side_over_which_its_centre_of_mass_stands(category):
+    drawn = draw_instance(category, SHIPPED, 2)
+    low = drawn.vertices[:, 2].min()
+    corners = drawn.vertices[drawn.vertices[:, 2] < low + 2e-5][:, :2]
+    assert len(corners) >= 3
+    weights = corners[ConvexHull(corners).vertices]  # the support's outline
+    edge = np.roll(weights, -1, 0) - weights
+    to_com = drawn.com[:2] - weights
+    side = edge[:, 0] * to_com[:, 1] - edge[:, 1] * to_com[:, 0]
+    assert (side > -1e-7).all() or (side < 1e-7).all()
+
+
+def test_a_turned_object_keeps_its_grasps_and_receiving_hands_in_its_own_frame():
+    (hammer,) = load_objects(["hammer"])
+    other = turned(hammer, HALF_TURN)
+    (own,), (new,) = candidates_of((hammer,)), candidates_of((other,))
+    assert np.allclose(new.T_obj_ee[:, :3], HALF_TURN @ own.T_obj_ee[:, :3], atol=1e-6)
+    a, b = load_receiving([hammer]), load_receiving([other])
+    assert np.allclose(b.T_obj_hand.numpy()[:, :3], HALF_TURN @ a.T_obj_hand.numpy()[:, :3], atol=1e-6)
+    assert stored_key(other) is None and object_digest(other) != object_digest(hammer)
+
+
+def test_new_instances_are_drawn_by_what_the_flag_says():
+    first, second = family_objects("families:knife,cup x 2 seed 7"), family_objects("families:cup x 1 seed 7")
+    assert [o.name for o in first] == ["knife_s1007_00", "knife_s1007_01", "cup_s1007_00", "cup_s1007_01"]
+    assert object_digest(first[2]) == object_digest(second[0])
+    assert family_splits("families:knife,cup x 2") == {"S0", "S1"} and family_splits("families:cup") == {"S0"}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("families:cupp", "did you mean cup"),
+        ("families:cup y 3", "write families:CATEGORY"),
+        ("families:cup,cup", "stands twice"),
+        ("families:cup x 0", "1 to 1000"),
+        ("families:* x 100", "1 to 1000"),
+        ("families:cup x 2 seed 99999999999", "a seed below 2^31"),
+    ],
+)
+def test_what_names_no_family_or_too_many_is_refused_in_one_line(text, said):
+    with pytest.raises(FileError, match=said) as caught:
+        family_objects(text)
+    assert "\n" not in str(caught.value)
