@@ -82,10 +82,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("categories", nargs="*", help="default: all")
     parser.add_argument("--training", type=Path, help="write the training instances into this folder instead")
+    parser.add_argument("--count", type=int, help="instances of each category; default: 6 to ship, 12 to learn from")
     parser.add_argument("--without-held-out", action="store_true", help="keep the stored held-out grasps")
     parser.add_argument("--jobs", type=int, default=1, help="instances made at a time; the result is the same")
     args = parser.parse_args()
     series, count = (TRAINING, LEARNED) if args.training else (SHIPPED, TESTS)
+    count = args.count or count
     out = args.training or HERE
     out.mkdir(parents=True, exist_ok=True)
     jobs = [(c, i) for c in args.categories or FAMILIES for i in range(count)]
