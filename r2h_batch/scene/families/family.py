@@ -33,7 +33,7 @@ class Draw:
 
     def __init__(self, category: str, series: int, index: int) -> None:
         key = rng.key_of(f"r2h families {category} {series}")
-        self._left = list(rng.uniforms(key, np.array([index]), NUMBERS, purpose=0)[:, 0])
+        self._left = rng.uniforms(key, np.array([index]), NUMBERS, purpose=0)[:, 0].tolist()
         self.parameters: dict[str, float | str] = {}
 
     def __call__(self, name: str, low: float, high: float) -> float:

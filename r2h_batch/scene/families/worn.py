@@ -27,7 +27,7 @@ def eyeglasses(draw: Draw, part: Parts) -> Shape:
     lens, tall = draw("lens", 44, 58) / 2, draw("lens_height", 30, 46) / 2
     bridge, temple = draw("bridge", 14, 22), draw("temple", 130, 150)
     rim, square = draw("rim", 1.5, 2.8), draw("squareness", 2.0, 4.0)
-    wrap, hook = draw("wrap", 0.0012, 0.003), draw("hook", 22, 34)
+    wrap, hook = draw("wrap_per_m", 1.2, 3.0) / 1000, draw("hook", 22, 34)
     side = draw("temple_height", 1.8, 4.2)
     middle = bridge / 2 + lens
     outline = oval(lens, tall, 36, square)
@@ -59,8 +59,8 @@ def eyeglasses(draw: Draw, part: Parts) -> Shape:
             + capsule(
                 (float(front(bridge / 2)), s * (bridge / 2 + 0.5 * rim), 0),
                 (4, pad, -6),
+                1.55,
                 1.4,
-                1.3,
                 12,
             ),
         )
