@@ -3,7 +3,8 @@
 
 Shipped: ``NAME.npz`` (an `ObjectModel`), ``grasps.npz``, ``grasps_as_generated.npz`` and ``receiving.npz`` with the arrays of
 assets/objects and assets/receiving, ``held_out.npz`` for the first two instances of a category, and ``report.json``:
-parameters, size, mass, way of resting and digest of each. Training instances have keys of their own and stay out of the wheel.
+parameters, size, mass, way of resting and digest of each. Training instances have keys of their own, stay out of the wheel,
+and are objects alone.
 """
 
 from __future__ import annotations
@@ -47,14 +48,14 @@ def built(series: int, held_out: bool, job: tuple[str, int]) -> tuple[ObjectMode
     instance = draw_instance(category, series, index)
     model = model_of(instance)
     name = instance.name
-    found: dict[str, Arrays] = {"receiving": sample_receiving(model)}
-    filtered = sample_grasps(model)
-    found["grasps"] = {k: getattr(filtered, k) for k in GRASPS}
+    found: dict[str, Arrays] = {}
     if series == SHIPPED:
-        proposed = generate_grasps(model)
+        filtered, proposed = sample_grasps(model), generate_grasps(model)
+        found["receiving"] = sample_receiving(model)
+        found["grasps"] = {k: getattr(filtered, k) for k in GRASPS}
         found["grasps_as_generated"] = {k: getattr(proposed, k) for k in GRASPS}
-        if held_out and index < HELD_OUT:
-            found["held_out"] = sample_held_out(model)
+    if held_out and series == SHIPPED and index < HELD_OUT:
+        found["held_out"] = sample_held_out(model)
     named = {file: {f"{name}/{k}": v for k, v in arrays.items()} for file, arrays in found.items()}
     return model, named, described(instance, model) | {"cpu_s": round(time.process_time() - begin, 1)}
 
