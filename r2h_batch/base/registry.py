@@ -15,6 +15,7 @@ class Protocol(NamedTuple):
     help: str  # of --protocol
     about: str  # for `ls protocols`
     bodies: bool = False  # receivers have arms and a torso
+    families: bool = False  # objects are instances: categories take turns, then their instances
 
 
 RELEASE = "r2h-release"
@@ -27,6 +28,13 @@ PROTOCOLS = (
         bodies=True,
     ),
     Protocol(
+        "r2h-v2",
+        "draft: 96 objects of 16 families",
+        "draft, may change: as r2h-v1, with six instances of each of 16 object families",
+        bodies=True,
+        families=True,
+    ),
+    Protocol(
         RELEASE,
         "palms, objects and table of the authors' release",
         "palms, objects, table and home of the authors' release",
@@ -36,6 +44,8 @@ DEFAULT_PROTOCOL = "r2h-v1"
 PROTOCOL_NAMES = tuple(entry.name for entry in PROTOCOLS)
 WITH_BODIES = tuple(entry.name for entry in PROTOCOLS if entry.bodies)
 """Protocols whose receivers have arms and a torso."""
+WITH_FAMILIES = tuple(entry.name for entry in PROTOCOLS if entry.families)
+"""Protocols whose objects are instances of families."""
 
 
 class Preset(NamedTuple):

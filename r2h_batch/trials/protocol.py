@@ -385,6 +385,7 @@ def _from_frames(world: Array, local: Array) -> Array:
 
 
 @draws("r2h-v1")
+@draws("r2h-v2")
 def _draw_people(
     key: tuple[int, int],
     ids: NDArray[np.int64],

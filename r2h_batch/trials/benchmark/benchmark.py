@@ -10,11 +10,23 @@ from typing import Literal, Self
 
 import numpy as np
 
-from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
+from r2h_batch.base.registry import (
+    DEFAULT_PROTOCOL,
+    PROTOCOL_NAMES,
+    RELEASE,
+    WITH_BODIES,
+    WITH_FAMILIES,
+)
 from r2h_batch.base.validate import instance_of, optional
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.scene.hand import HandSet, load_hand_set, neutral_hand_set
-from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects, without_region
+from r2h_batch.scene.objects import (
+    INSTANCE_NAMES,
+    ObjectModel,
+    checked_objects,
+    load_objects,
+    without_region,
+)
 from r2h_batch.scene.robot import Robot, load_robot
 from r2h_batch.trials.benchmark.trials_file import LISTED, Labels
 from r2h_batch.types import Trials
@@ -149,9 +161,14 @@ def built_in(protocol: str = DEFAULT_PROTOCOL) -> Benchmark:
     """This package's own benchmark of a protocol.
 
     Args:
-        protocol: `r2h-v0` and `r2h-v1`: 16 objects, 400 hands; `r2h-release`: objects, two hands,
+        protocol: `r2h-v0` and `r2h-v1`: 16 objects, 400 hands; `r2h-v2`: 96 instances of the same
+            16 categories, 400 hands; `r2h-release`: objects, two hands,
             table and home of the authors' release (docs/release.md).
     """
+    if protocol in WITH_FAMILIES:
+        # objects take turns in their order: categories first, then instances
+        in_turn = sorted(INSTANCE_NAMES, key=lambda name: name.rpartition("_")[2])
+        return Benchmark(load_objects(in_turn), load_hand_set(), drawn=protocol)
     if protocol != RELEASE:
         return Benchmark(load_objects(), load_hand_set(), drawn=protocol)
     free = tuple(map(without_region, load_objects(RELEASE_S0)))
