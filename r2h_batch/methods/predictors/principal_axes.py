@@ -64,7 +64,9 @@ def turned_grid(
         The turned input, and the affine map from the object's grid coordinates to the turned ones.
     """
     frame, middle, zoom = principal_axes(grid[0])
-    A = zoom * (torch.diag(torch.tensor([1.0, *flip])) @ frame)
+    A = zoom * (
+        torch.diag(torch.tensor([1.0, *flip], dtype=frame.dtype, device=frame.device)) @ frame
+    )
     back = torch.linalg.inv(A)
     occupied = _sampled(grid[None, :1], torch.cat([back, middle[:, None]], 1))[0, 0]
     turned = grid.clone()
@@ -99,7 +101,7 @@ def _sampled(
     field: Float32[Tensor, "1 c n n n"], affine: Float32[Tensor, "3 4"]
 ) -> Float32[Tensor, "1 c n n n"]:
     """The field at affine(p) for every voxel centre p."""
-    theta = torch.empty(1, 3, 4)
+    theta = torch.empty(1, 3, 4, dtype=field.dtype, device=field.device)
     theta[0, :, :3] = affine[:, :3].flip(0).flip(1)  # grid_sample's x is the last axis
     theta[0, :, 3] = affine[:, 3].flip(0)
     where = nn.functional.affine_grid(theta, list(field.shape), align_corners=False)
