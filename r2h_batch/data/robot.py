@@ -183,7 +183,8 @@ def import_robot(
     if fingers is not None and hand is not None:
         gripper, palm, told = gripper_of(hand, fingers, n, meshes, pads)
         bare = replace(bare, **gripper)
-    names: tuple[str, ...] = tuple(part.name for part in chain.links)
+    # pairs of links are named LINK/BODY
+    names: tuple[str, ...] = tuple(part.name.replace("/", "_") for part in chain.links)
     mouths: list[list[Array]] = [[]] * (n + 1)
     if bare.family == "ur":
         usual = np.array(bare.home_q)  # before the minutes that fitting takes
