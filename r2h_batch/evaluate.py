@@ -19,6 +19,7 @@ from torch import Tensor
 
 from r2h_batch.base.launch import cpu_threads
 from r2h_batch.base.launch.memory import in_parts, rows_at_once
+from r2h_batch.base.launch.repeated import RepeatedCalls
 from r2h_batch.base.launch.threads import on_threads, one_torch_thread
 from r2h_batch.base.summary import html_table
 from r2h_batch.base.validate import instance_of, optional
@@ -38,6 +39,7 @@ from r2h_batch.judge.goal import failed_clearance, judge_goals, weaken_singular_
 from r2h_batch.judge.grasp_physics import shake
 from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
+    KnownInputs,
     Stages,
     check_indices,
     check_receiver,
@@ -85,6 +87,10 @@ SORTED_ROWS = 256
 rows near each other share is still in the caches, and they branch alike. Five to ten per cent
 faster, and another five where candidates share trials."""
 
+SMALL_ROWS, SIZES_KEPT = 32, 4
+"""Poses of so many rows on a CPU are one small call (`base.launch.repeated`); of so many sizes a
+thread keeps the last one."""
+
 
 class Evaluator:
     """Judges predicted handovers on one device. Build it once: it holds the scene's tables and
@@ -127,6 +133,7 @@ class Evaluator:
         if self.scene.device != "cpu":
             build_tables(self.scene.robot, self.config.workplace.home_q, self.scene.device)
         self.handle = torch_op.register(self)
+        self._small_calls, self._known_inputs = RepeatedCalls(SIZES_KEPT), KnownInputs()
 
     @classmethod
     def from_benchmark(
@@ -166,11 +173,13 @@ class Evaluator:
         """What copies and pickles hold: the configuration. Copies share the scene's tables, which
         nobody changes; another process builds its own (`Scene.__reduce__`), rows are bitwise
         equal."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("handle", "kinematic")}
+        own = ("handle", "kinematic", "_small_calls", "_known_inputs")
+        return {k: v for k, v in self.__dict__.items() if k not in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.handle = torch_op.register(self)
+        self._small_calls, self._known_inputs = RepeatedCalls(SIZES_KEPT), KnownInputs()
 
     @contextmanager
     def working(self) -> Iterator[None]:
@@ -223,15 +232,11 @@ class Evaluator:
         Raises:
             TypeError, ValueError: shape, dtype or device do not fit; before any work.
         """
-        T_obj_ee, T_world_ee, trials = checked_inputs(
+        T_obj_ee, T_world_ee, trials = self._known_inputs.checked(
             self.scene, T_obj_ee, T_world_ee, trials, stages
         )
         check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
-        if (
-            stages == "all"
-            and torch.is_grad_enabled()
-            and (T_obj_ee.requires_grad or T_world_ee.requires_grad)
-        ):
+        if stages == "all" and _differentiates(T_obj_ee, T_world_ee):
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
@@ -407,9 +412,12 @@ class Evaluator:
             order = torch.argsort(pairs, stable=True)
             T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
 
-        def part(first: int, last: int) -> Scores:
-            if last - first == n:  # a small batch is all overhead
+        small = n <= SMALL_ROWS and stages == "pose" and not T_obj_ee.is_cuda
+        if small and not _differentiates(T_obj_ee, T_world_ee):
+            with self._small_calls.of(n):
                 return score_chunk(T_obj_ee, T_world_ee, trials)
+
+        def part(first: int, last: int) -> Scores:
             return score_chunk(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
 
         parts = in_parts(n, self.rows_at_once(stages), part)
@@ -485,8 +493,9 @@ class Evaluator:
             held, arrived, moves, clearance_m, planned.reason, nearest, (body_m, part),
             executed.valid,
         )  # fmt: skip
+        region = presented(scene, held, config.thresholds)
         return motion_scores(
-            trials.trial_id, shared, active, planned, motion, executed, nearest, config.execute,
+            trials.trial_id, shared, region, active, planned, motion, executed, nearest, config.execute,
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
         )  # fmt: skip
 
@@ -512,8 +521,9 @@ class Evaluator:
         shared, nearest = self._judge(
             held, free, moves, planned.clearance_m, planned.reason, nearest, person, executed.valid
         )
+        region = presented(scene, held, self.config.thresholds)
         return motion_scores(
-            trials.trial_id, shared, active, planned, motion, executed, nearest, None,
+            trials.trial_id, shared, region, active, planned, motion, executed, nearest, None,
             t_plan_s=float("nan"), keep_motion=False, body_m=person[0],
         )  # fmt: skip
 
@@ -525,14 +535,17 @@ class Evaluator:
         ik, branches = self._branches(config, held)
         goal = judge_goals(scene, held.planner_poses, held.T_world_ee, ik, branches, active)
         nearest = hand_distance_at(scene, held.body_poses, goal.q, active)
-        body_m, part = self._person_distance(
-            trials, held.body_poses, goal.q[:, None], active.to(torch.int32)
-        )
+        person = None
+        if trials.receiver is not None:
+            path, length = goal.q[:, None], active.to(torch.int32)
+            person = self._person_distance(trials, held.body_poses, path, length)
         shared, nearest = self._judge(
-            held, goal.free, active, goal.clearance_m, goal.reason, nearest, (body_m, part), None
+            held, None, active, goal.clearance_m, goal.reason, nearest, person, None
         )
-        scores = pose_scores(trials.trial_id, shared, goal, nearest, body_m=body_m)
-        if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
+        region = presented(scene, held, config.thresholds)
+        body_m = None if person is None else person[0]
+        scores = pose_scores(trials.trial_id, shared, region, goal, nearest, body_m)
+        if _differentiates(T_obj_ee, T_world_ee):
             poses = T_obj_ee, T_world_ee
             return differentiable(scene, config, scores, poses, held, goal, nearest)
         return scores
@@ -540,18 +553,18 @@ class Evaluator:
     def _judge(
         self,
         held: AttachedBatch,
-        free: Tensor,
+        free: Tensor | None,
         moves: Tensor,
         clearance_m: Tensor,
         reason: Tensor,
         nearest: NearestApproach,
-        person: tuple[Tensor, Tensor],
+        person: tuple[Tensor, Tensor] | None,
         valid: Tensor | None,
     ) -> tuple[dict[str, Tensor], NearestApproach]:
         """The fields of `Scores` that need no path, and where the robot is nearest to the
         receiver; arguments as in `Evidence` and `verdict`."""
         scene, config = self.scene, self.config
-        if config.receiver == "body":
+        if config.receiver == "body" and person is not None:
             nearest = nearer_of(nearest, *person)
         slip_m = None
         if config.stability == "physics":
@@ -560,8 +573,7 @@ class Evaluator:
         evidence = metrics.Evidence(
             scene, config, held, free, moves, clearance_m, reason, nearest, slip_m
         )
-        region = presented(scene, held, config.thresholds)
-        return verdict(metrics.judge(evidence), held, slip_m, region, valid), nearest
+        return verdict(metrics.judge(evidence), held, slip_m, valid), nearest
 
     def _person_distance(
         self,
@@ -586,3 +598,8 @@ class Evaluator:
         if config.plan.goals == "set":
             return ik, ik.valid
         return ik, one_branch(ik, held.T_world_ee, robot=robot, home=home)
+
+
+def _differentiates(*poses: Tensor) -> bool:
+    """Whether margins have to lead back to these poses."""
+    return torch.is_grad_enabled() and any(T.requires_grad for T in poses)

@@ -126,6 +126,13 @@ class _Rows:
         return {name: value for name, value in values if isinstance(value, Tensor)}
 
 
+def _alone(value: Any) -> Any:
+    """A tensor in memory that holds nothing else; anything else as it is."""
+    if isinstance(value, Tensor) and value.nbytes < value.untyped_storage().nbytes():
+        return value.clone()
+    return value
+
+
 @dataclass(frozen=True)
 class Trials(_Rows):
     """N trials: which object is handed to which hand, and where that hand stands.
@@ -382,8 +389,9 @@ class Scores(_Rows):
         return same._with_context(inputs)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Content of copies and pickles: the numbers, not the evaluator."""
-        return {k: v for k, v in self.__dict__.items() if k != "_context"}
+        """State of copies and pickles: the numbers, not the evaluator, nor the memory beside a
+        field (fields of a call lie side by side)."""
+        return {k: _alone(v) for k, v in self.__dict__.items() if k != "_context"}
 
     def __repr__(self) -> str:
         return summary.scores_line(

@@ -38,7 +38,7 @@ CENTRED = '''def centred(e: Evidence) -> Criterion:
     """The object is held within 3 cm of its centre of mass."""
     com = torch.tensor([o.com.tolist() for o in e.scene.objects], dtype=torch.float32, device=e.held.attached.device)
     away = e.held.attached[:, :3, 3] - com[e.held.objects.long()]
-    return Criterion.of("centred", 0.03 - away.square().sum(1).sqrt(), e.held.active)
+    return Criterion(0.03 - away.square().sum(1).sqrt(), e.held.active)
 
 
 def reach(e: Evidence) -> Criterion:

@@ -32,7 +32,7 @@ class Mutation(NamedTuple):
     tests: tuple[str, ...]
 
 
-METRICS, VERDICT, ROWS = "r2h_batch/judge/metrics.py", "r2h_batch/judge/scores.py", "kernels/judge/rows.py"
+METRICS, VERDICT, ROWS = "r2h_batch/judge/metrics.py", "kernels/judge/verdict.py", "kernels/judge/rows.py"
 T_METRICS, T_ROWS, T_MOTION = (
     "tests/judge/test_metrics.py",
     "tests/judge/test_rows.py",
@@ -48,22 +48,22 @@ MUTATIONS = (
     Mutation(
         "reach: sign of the margin",
         METRICS,
-        "e.config.thresholds.reach_radius_m - distance",
-        "distance - e.config.thresholds.reach_radius_m",
+        "limit_m=e.config.thresholds.reach_radius_m, below=True",
+        "limit_m=e.config.thresholds.reach_radius_m",
         (f"{T_METRICS}::test_reach_passes_up_to_the_balls_radius",),
     ),
     Mutation(
         "criteria: touching passes the other way round",
-        METRICS,
-        "(margin >= 0) if _TOUCHING_PASSES[name] else (margin > 0)",
-        "(margin > 0) if _TOUCHING_PASSES[name] else (margin >= 0)",
+        VERDICT,
+        "(margin == 0.0 and touching_in[c])",
+        "(margin == 0.0 and not touching_in[c])",
         (f"{T_METRICS}::test_touching_passes_where_the_paper_says_so",),
     ),
     Mutation(
         "safe: the safety margin is added",
         METRICS,
-        "distance - e.config.thresholds.safe_margin_m",
-        "distance + e.config.thresholds.safe_margin_m",
+        "limit_m=e.config.thresholds.safe_margin_m",
+        "limit_m=-e.config.thresholds.safe_margin_m",
         (f"{T_METRICS}::test_a_safety_margin_is_taken_off",),
     ),
     Mutation(
@@ -83,15 +83,15 @@ MUTATIONS = (
     Mutation(
         "verdict: the last failure decides",
         VERDICT,
-        "first = torch.where(evaluated ^ passed, codes, none).amin(1)",
-        "first = torch.where(evaluated ^ passed, codes, -none).amax(1); first = torch.where(first < 0, none, first)",
+        "elif not fine and outcome == 0:",
+        "elif not fine:",
         (T_VERDICT,),
     ),
     Mutation(
         "verdict: borderline on one side only",
         VERDICT,
-        "margin.abs() < constants(device, torch.float32, BORDERLINE_M)",
-        "(margin > 0) & (margin < BORDERLINE_M)",
+        "near = near or wp.abs(margin) < borderline",
+        "near = near or (margin > 0.0 and margin < borderline)",
         (T_VERDICT,),
     ),
     Mutation(

@@ -7,6 +7,7 @@ the same row by row in torch; quotients and square roots are those of IEEE 754: 
 
 import warp as wp
 
+from r2h_batch.kernels.judge.verdict import KIND_CAP, KIND_DISTANCE
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -172,12 +173,17 @@ def close_rows(
     width_in: wp.array(dtype=wp.float32), opening_in: wp.array(dtype=wp.float32),
     shift_in: wp.array(dtype=wp.float32), empty_in: wp.array(dtype=wp.bool), cut_in: wp.array(dtype=wp.float32),
     margin_out: wp.array(dtype=wp.float32), squeezed_out: wp.array(dtype=wp.float32),
-    attached_out: wp.array(dtype=wp.mat44), ball_out: wp.array(dtype=wp.vec3),
+    attached_out: wp.array(dtype=wp.mat44), ball_out: wp.array(dtype=wp.vec3), kind_out: wp.array(dtype=wp.int8),
 ):  # fmt: skip
-    """Result of closing: Stability's margin, the fingers' opening, the grasp once the pads have met the object (moved
-    by `shift` along y), and the receiver's ball in that frame."""
+    """Result of closing: Stability's margin (and its MarginKind where no clearance is the smallest), the fingers' opening, the
+    grasp once the pads have met the object (moved by `shift` along y), and the receiver's ball in that frame."""
     row = first + wp.tid()
-    margin_out[row] = wp.min(material_margin(empty_in[row], width_in[row], w_max, w_min), cut_in[row])
+    margin = wp.min(material_margin(empty_in[row], width_in[row], w_max, w_min), cut_in[row])
+    margin_out[row] = margin
+    kind = int(0)
+    if margin != cut_in[row]:
+        kind = wp.where(empty_in[row], KIND_CAP, KIND_DISTANCE)
+    kind_out[row] = wp.int8(kind)
     squeezed_out[row] = squeezed(width_in[row], opening_in[row], w_max, pad_squeeze)
     G = T_obj_ee_in[row]
     y = column(G, 1)

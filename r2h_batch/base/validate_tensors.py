@@ -16,6 +16,9 @@ from r2h_batch.base.validate import Rule, check_arguments, describe_value
 
 _INTEGERS = (torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8)
 
+FEW = 64
+"""So many numbers Python compares faster than torch starts to."""
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -165,7 +168,11 @@ def check_range(name: str, index: Tensor, count: int, what: str) -> None:
     """Refuse indices outside 0 to count - 1 with ValueError; only on a CPU."""
     if not index.is_cpu or not len(index) or torch.compiler.is_compiling():
         return
-    low, high = (int(x) for x in torch.aminmax(index))
+    if len(index) <= FEW:
+        numbers = index.tolist()
+        low, high = min(numbers), max(numbers)
+    else:
+        low, high = (int(x) for x in torch.aminmax(index))
     if low < 0 or high >= count:
         raise ValueError(f"{name} runs from {low} to {high}; {what} has 0 to {count - 1}")
 

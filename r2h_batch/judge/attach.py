@@ -4,7 +4,7 @@ body then sits."""
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float32, Int32
+from jaxtyping import Bool, Float32, Int8, Int32
 from torch import Tensor
 
 from r2h_batch.base import se3
@@ -35,6 +35,7 @@ class AttachedBatch:
     hands: Int32[Tensor, " b"]
     objects: Int32[Tensor, " b"]
     grasp: Grasp
+    margin_kind: Int8[Tensor, " b"]  # MarginKind of the grasp's margin; NONE: the clearance says it
     squeezed_m: Float32[Tensor, " b"]  # opening of the fingers that hold (`judge.grasp.squeezed`)
     attached: Float32[Tensor, "b 4 4"]  # T_obj_ee once the pads have met the object
     ball: Float32[Tensor, "b 3"]  # centre of the receiver's ball in the object's frame
@@ -121,6 +122,7 @@ def attach_object(
         hands,
         objects,
         grasp,
+        made["kind"],
         made["squeezed"],
         attached,
         made["ball"],

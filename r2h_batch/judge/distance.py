@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.base.launch import new_outputs, over_trials
+from r2h_batch.base.launch.repeated import made_once
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.judge.frontier.levels import uses_frontier
 from r2h_batch.judge.frontier.safe import SafeFrontier
@@ -76,6 +77,7 @@ class NearestApproach:
     segment: Int32[Tensor, " b"]  # of the path, and the fraction of it: the moment
     fraction: Float32[Tensor, " b"]
     point: Float32[Tensor, "b 3"]  # of the hand, world frame, m
+    exact: bool = False  # no slack was taken off: what is farther is at the cap
 
 
 def hand_distance(
@@ -227,9 +229,8 @@ def hand_distance_at(
         q=q,
     )
     distance, body = made["distance"], made["body"]
-    return NearestApproach(
-        distance, body, torch.zeros_like(body), torch.zeros_like(distance), made["point"]
-    )
+    segment, fraction = made_once(torch.zeros_like, body), made_once(torch.zeros_like, distance)
+    return NearestApproach(distance, body, segment, fraction, made["point"], exact=True)
 
 
 def nearer_of(

@@ -7,7 +7,8 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.base.launch import new_outputs, over_trials
+from r2h_batch.base.launch import over_trials
+from r2h_batch.base.launch.repeated import made_once
 from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M
 from r2h_batch.judge.ik import ROTATION_LEVER_M, IkResult, SearchedIk, home_posture, ur_parameters
 from r2h_batch.kernels.ik import nearest as ik_nearest
@@ -75,7 +76,7 @@ def judge_goals(
         active: (B,) rows to judge.
     """
     active, device = active.contiguous(), active.device
-    postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
+    postures = {"valid": branches.contiguous(), "q": made_once(torch.flatten, ik.q, 0, 1)}
     chosen = over_trials(scene.sized(goal_kernels.choose_goal), len(active), scene.device)(
         world=body_poses.tables(scene),
         bodies=body_poses.bodies,
@@ -167,8 +168,8 @@ def _measured(
         q, residual = near["q"], near["residual"]
     # ... and how near its bodies are to others
     kernel = scene.sized(goal_kernels.goal_clearance)
-    made = new_outputs(kernel, b, scene.device) | {"pair": pair, "slot": slot, "q_goal": q}
-    over_trials(kernel, b, scene.device, outputs=made)(
+    given = {"pair": pair, "slot": slot, "q_goal": q}
+    made = over_trials(kernel, b, scene.device, outputs=given)(
         cap=CLEARANCE_CAP_M,
         world=body_poses.tables(scene),
         hull_ball=scene.hull_balls,

@@ -23,36 +23,29 @@ from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
 
-KINDS = (MarginKind.CAP, MarginKind.BOUND, MarginKind.DISTANCE, MarginKind.CAP)
-_TOUCHING_PASSES = {entry.name: entry.touching_passes for entry in REGISTRY}
-
 
 @dataclass(frozen=True)
 class Criterion:
-    """One criterion of B handovers. Where it was not evaluated, `margin`, `passed` and `kind` mean
-    nothing (`judge.scores.verdict` takes them out, of all criteria at once)."""
+    """One criterion of B handovers, as `judge.scores.verdict` reads it. Where it was not evaluated
+    everything else means nothing.
 
-    margin: Float32[Tensor, " b"]  # m
-    passed: Bool[Tensor, " b"]
+    It passes at a margin above 0, and at 0 where the registry says that touching passes. A number
+    that is NaN fails: NaN is neither above 0 nor equal to it; with a criterion that the registry has
+    in some splits only, it says that the row is not evaluated.
+    """
+
+    number: Float32[Tensor, " b"]  # m
     evaluated: Bool[Tensor, " b"]
-    kind: Int8[Tensor, " b"]  # MarginKind
+    limit_m: float = 0.0  # the margin is the number less this,
+    below: bool = False  # or, where the number has to stay below it, this less the number
+    cap_m: float = 0.0  # the number is a clearance that counts up to here; 0: it is a length
+    passed: Bool[Tensor, " b"] | None = None  # None: the margin says it
+    kind: Int8[Tensor, " b"] | None = None  # MarginKind; NONE, or None: number and cap say it
 
-    @staticmethod
-    def of(
-        name: str,
-        margin: Float32[Tensor, " b"],
-        evaluated: Bool[Tensor, " b"],
-        kind: Int8[Tensor, " b"] | None = None,
-    ) -> "Criterion":
-        """The criterion `name`, which passes at a margin above 0; without `kind` it is a distance.
-
-        At 0 it passes where the registry says that touching passes. An evaluated row whose margin
-        is NaN fails: NaN is neither above 0 nor equal to it.
-        """
-        passed = (margin >= 0) if _TOUCHING_PASSES[name] else (margin > 0)
-        if kind is None:
-            kind = torch.full_like(margin, int(MarginKind.DISTANCE), dtype=torch.int8)
-        return Criterion(margin, passed, evaluated, kind)
+    @property
+    def margin(self) -> Float32[Tensor, " b"]:
+        """(B,) m."""
+        return self.limit_m - self.number if self.below else self.number - self.limit_m
 
 
 @lru_cache(maxsize=256)
@@ -65,19 +58,6 @@ def constants(device: torch.device, dtype: torch.dtype, *values: float) -> Tenso
     return out
 
 
-def kind_of(clearance_m: Float32[Tensor, " b"], cap_m: float) -> Int8[Tensor, " b"]:
-    """MarginKind of clearances: CAP at -inf, BOUND below 0, CAP from the cap on.
-
-    Args:
-        clearance_m: (B,) m.
-        cap_m: they count up to here.
-    """
-    lowest = torch.finfo(torch.float32).min
-    edges = constants(clearance_m.device, torch.float32, lowest, 0.0, cap_m)
-    kinds = constants(clearance_m.device, torch.int8, *KINDS)
-    return kinds[torch.bucketize(clearance_m, edges, right=True)]
-
-
 @dataclass(frozen=True)
 class Evidence:
     """Results of the stages for B handovers: all that a criterion may use."""
@@ -85,9 +65,8 @@ class Evidence:
     scene: Scene
     config: EvalConfig
     held: AttachedBatch  # poses, the grasp, where bodies are
-    goal_reached: Bool[
-        Tensor, " b"
-    ]  # the arm came to rest at the end of a path, or the posture is free
+    # the arm came to rest at the end of a path; None: free postures are those of clearance above 0
+    goal_reached: Bool[Tensor, " b"] | None
     moves: Bool[Tensor, " b"]  # active, and with a motion; in stages="pose": active
     clearance_m: Float32[Tensor, " b"]  # of the path; without one, or without motion, of a posture
     reason: Int32[Tensor, " b"]  # PlanReason
@@ -115,23 +94,15 @@ def stability(e: Evidence) -> Criterion:
     object, which counts 1 cm at most. With `stability="physics"` also 2 cm - slip: the friction
     grasp has to hold the object through its weight and a shake along three axes.
     """
-    grasp = e.held.grasp
-    device = grasp.empty.device
-    cap, distance = (
-        constants(device, torch.int8, kind) for kind in (MarginKind.CAP, MarginKind.DISTANCE)
-    )
-    held = torch.where(grasp.empty, cap, distance)
-    cuts = grasp.margin_m == grasp.cut_m
-    kind = torch.where(cuts, kind_of(grasp.cut_m, CUT_CAP_M), held)
-    geometric = Criterion.of("stability", grasp.margin_m, e.held.active, kind)
-    if e.slip_m is None:
-        return geometric
-    left = torch.where(e.slip_m.isnan(), -torch.inf, DROPPED_M - e.slip_m).float()
-    margin = torch.minimum(geometric.margin, left)
-    # only grasps that pass geometrically were shaken
-    margin = torch.where(geometric.passed, margin, geometric.margin)
-    kind = torch.where(margin < geometric.margin, torch.where(left.isinf(), cap, distance), kind)
-    return Criterion.of("stability", margin, e.held.active, kind)
+    number, kind = e.held.grasp.margin_m, e.held.margin_kind
+    if e.slip_m is not None:
+        left = torch.where(e.slip_m.isnan(), -torch.inf, DROPPED_M - e.slip_m).float()
+        # only grasps that pass geometrically were shaken
+        slips = (number >= 0) & (left < number)
+        lost = torch.where(left.isinf(), int(MarginKind.CAP), int(MarginKind.DISTANCE))
+        kind = torch.where(slips, lost.to(torch.int8), kind)
+        number = torch.where(slips, left, number)
+    return Criterion(number, e.held.active, cap_m=CUT_CAP_M, kind=kind)
 
 
 def plan(e: Evidence) -> Criterion:
@@ -142,14 +113,22 @@ def plan(e: Evidence) -> Criterion:
     not come to rest at its goal: no length says by how much. A path that was found passes, also
     where its clearance was only sampled.
     """
-    missed = e.reason == int(PlanReason.IK_UNREACHABLE)  # by how far
-    tried = e.reason == int(PlanReason.IK_NOT_FOUND)  # by no more than the best try
-    distance, cap = (
-        constants(missed.device, torch.int8, x) for x in (MarginKind.DISTANCE, MarginKind.CAP)
+    kinds = constants(e.reason.device, torch.int8, *KIND_OF_REASON)
+    return Criterion(
+        e.clearance_m,
+        e.held.active,
+        cap_m=CLEARANCE_CAP_M,
+        passed=e.goal_reached,
+        kind=kinds[e.reason],
     )
-    kind = torch.where(missed, distance, kind_of(e.clearance_m, CLEARANCE_CAP_M))
-    kind = torch.where(tried, cap, kind)
-    return Criterion(e.clearance_m, e.goal_reached, e.held.active, kind)
+
+
+_NO_CLEARANCE = {
+    PlanReason.IK_UNREACHABLE: MarginKind.DISTANCE,  # by how far
+    PlanReason.IK_NOT_FOUND: MarginKind.CAP,  # by no more than the best try
+}
+KIND_OF_REASON = tuple(int(_NO_CLEARANCE.get(r, MarginKind.NONE)) for r in PlanReason)
+"""MarginKind of Plan's margin, by `PlanReason`; NONE: it is a clearance."""
 
 
 def reach(e: Evidence) -> Criterion:
@@ -160,7 +139,7 @@ def reach(e: Evidence) -> Criterion:
     """
     held = e.held
     distance = reach_distance(e.scene, held.objects, held.ball)
-    return Criterion.of("reach", e.config.thresholds.reach_radius_m - distance, held.active)
+    return Criterion(distance, held.active, limit_m=e.config.thresholds.reach_radius_m, below=True)
 
 
 def reach_distance(
@@ -206,8 +185,7 @@ def affordance(e: Evidence) -> Criterion:
         cap_m=CLEARANCE_CAP_M,
         known=True,
     )
-    kind = kind_of(distance, CLEARANCE_CAP_M)
-    return Criterion.of("affordance", distance, held.active & ~torch.isnan(distance), kind)
+    return Criterion(distance, held.active, cap_m=CLEARANCE_CAP_M)
 
 
 def safe(e: Evidence) -> Criterion:
@@ -216,7 +194,13 @@ def safe(e: Evidence) -> Criterion:
 
     With `receiver="body"` arm and torso of the receiver count as the hand does.
     """
-    distance, cap_m = e.nearest.distance_m, CLEARANCE_CAP_M
-    far = constants(distance.device, torch.float32, cap_m)
-    kind = kind_of(torch.where(e.nearest.body < 0, far, distance), cap_m)
-    return Criterion.of("safe", distance - e.config.thresholds.safe_margin_m, e.moves, kind)
+    far = None
+    if not e.nearest.exact:  # the slack of a motion is taken off a cap too
+        far = (e.nearest.body < 0).to(torch.int8) * int(MarginKind.CAP)
+    return Criterion(
+        e.nearest.distance_m,
+        e.moves,
+        limit_m=e.config.thresholds.safe_margin_m,
+        cap_m=CLEARANCE_CAP_M,
+        kind=far,
+    )

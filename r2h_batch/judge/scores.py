@@ -1,14 +1,17 @@
 """From what the stages found to `Scores`: the criteria side by side, the first failure, the reasons
 and witnesses."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
+from r2h_batch.base.launch import over_trials
+from r2h_batch.base.launch.arguments import packed_outputs
 from r2h_batch.config import BORDERLINE_M, ExecConfig
-from r2h_batch.judge.attach import AttachedBatch
+from r2h_batch.judge.attach import ROWS_CHUNK, AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.metrics import Criterion, constants
@@ -16,17 +19,15 @@ from r2h_batch.judge.motion.execute import Executed, executed_time_at
 from r2h_batch.judge.motion.time_law import Motion, time_at
 from r2h_batch.judge.plan import Plan
 from r2h_batch.judge.presented import Presented
+from r2h_batch.kernels.judge import verdict as kernels
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
-
-NONE_FAILED = 100
-"""More than the code of any criterion."""
+from r2h_batch.verdicts import REGISTRY, SPLITS
 
 
 def verdict(
     criteria: Sequence[Criterion],
     held: AttachedBatch,
     slip_m: Float64[Tensor, " b"] | None,
-    region: Presented,
     valid: Bool[Tensor, " b"] | None = None,
 ) -> dict[str, Tensor]:
     """The fields of `Scores` that need neither path nor posture; `criteria` in the order of
@@ -36,48 +37,80 @@ def verdict(
     simulator failed; such a row is judged by nothing and is INVALID_SIM. A row that is not active
     is INVALID_INPUT.
     """
-    active, grasp, device = held.active, held.grasp, held.active.device
-    nan = constants(device, torch.float32, torch.nan)
-    success, invalid_sim, invalid_input = (
-        constants(device, torch.int8, code)
-        for code in (Outcome.SUCCESS, Outcome.INVALID_SIM, Outcome.INVALID_INPUT)
+    active, grasp = held.active, held.grasp
+    sizes = dict.fromkeys(("passed", "evaluated", "margin", "margin_kind"), len(criteria))
+    found = packed_outputs(kernels.judge_rows, len(active), active.device, **sizes)
+    columns, rules = _columns(criteria, active)
+    over_trials(
+        kernels.judge_rows, len(active), str(active.device), outputs=found, chunk=ROWS_CHUNK
+    )(
+        borderline=BORDERLINE_M,
+        invalid_input=int(Outcome.INVALID_INPUT),
+        invalid_sim=int(Outcome.INVALID_SIM),
+        simulated=int(valid is not None),
+        shaken=int(slip_m is not None),
+        **rules,
+        **columns,
+        active=active,
+        valid=active if valid is None else valid,
+        width=grasp.width_m,
+        opening=grasp.opening_m,
+        shift=grasp.shift_m,
+        slip=grasp.width_m if slip_m is None else slip_m.float(),
     )
-    evaluated = torch.stack([c.evaluated for c in criteria], 1)  # (B, C), as the three below
-    if valid is not None:
-        evaluated = evaluated & valid[:, None]
-    passed = torch.stack([c.passed for c in criteria], 1) & evaluated
-    margin = torch.where(evaluated, torch.stack([c.margin for c in criteria], 1), nan)
-    kind = torch.stack([c.kind for c in criteria], 1) * evaluated  # MarginKind.NONE is 0
-    # the smallest code of a failed criterion; NONE_FAILED where none failed
-    codes = constants(device, torch.int8, *range(1, len(criteria) + 1))
-    none = constants(device, torch.int8, NONE_FAILED)
-    first = torch.where(evaluated ^ passed, codes, none).amin(1)
-    outcome = torch.where(first == none, success, first)
-    if valid is not None:
-        outcome = torch.where(valid, outcome, invalid_sim)
-    outcome = torch.where(active, outcome, invalid_input)
-    return {
-        "outcome": outcome,
-        "success": outcome == success,
-        "passed": passed,
-        "evaluated": evaluated,
-        "margin": margin,
-        "margin_kind": kind,
-        # NaN is not below it
-        "borderline": (margin.abs() < constants(device, torch.float32, BORDERLINE_M)).any(1),
-        "width_m": torch.where(active, grasp.width_m, nan),
-        "opening_m": torch.where(active, grasp.opening_m, nan),
-        "grasp_shift_m": torch.where(active, grasp.shift_m, nan),
-        "slip_m": torch.full_like(grasp.width_m, torch.nan) if slip_m is None else slip_m.float(),
-        "presented": region.presented,
-        "presented_angle_deg": region.angle_deg,
-        "presented_distance_m": region.distance_m,
+    return found
+
+
+def _columns(
+    criteria: Sequence[Criterion], active: Tensor
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Results of the criteria, side by side, and tables (C,) that say how the kernel reads it."""
+    own = {name: [getattr(c, name) for c in criteria] for name in ("evaluated", "passed", "kind")}
+    columns, places = {"number": torch.stack([c.number for c in criteria])}, {}
+    for name, given in own.items():
+        different = list({id(x): x for x in given if x is not None}.values())
+        ids = [id(x) for x in different]
+        places[f"{name}_from"] = [-1 if x is None else ids.index(id(x)) for x in given]
+        # where nothing is given nothing is read
+        filler = active.view(torch.int8) if name == "kind" else active
+        columns[name] = _side_by_side(different or [filler])
+    return columns, _rules(
+        active.device,
+        tuple(map(tuple, places.values())),
+        tuple((c.below, c.cap_m, c.limit_m) for c in criteria),
+    )
+
+
+def _side_by_side(rows: Sequence[Tensor]) -> Tensor:
+    return rows[0][None] if len(rows) == 1 else torch.stack(list(rows))
+
+
+@lru_cache(maxsize=256)
+def _rules(
+    device: torch.device,
+    places: tuple[tuple[int, ...], ...],
+    limits: tuple[tuple[bool, float, float], ...],
+) -> dict[str, Tensor]:
+    """The tables of `_columns`: what the registry says of each criterion, and what it says itself."""
+    below, cap, limit = zip(*limits, strict=True)
+    tables: dict[str, tuple[torch.dtype, Iterable[float]]] = {
+        "touching": (torch.bool, [e.touching_passes for e in REGISTRY]),
+        "partial": (torch.bool, [e.splits != SPLITS for e in REGISTRY]),
+        "below": (torch.bool, below),
+        "cap": (torch.float32, cap),
+        "limit": (torch.float32, limit),
     }
+    tables |= {
+        f"{name}_from": (torch.int32, row)
+        for name, row in zip(("evaluated", "passed", "kind"), places, strict=True)
+    }
+    return {name: constants(device, dtype, *row) for name, (dtype, row) in tables.items()}
 
 
 def motion_scores(
     trial_id: Int64[Tensor, " b"],
     shared: dict[str, Tensor],
+    region: Presented,
     active: Bool[Tensor, " b"],
     planned: Plan,
     motion: Motion,
@@ -105,6 +138,9 @@ def motion_scores(
     return Scores(
         trial_id=trial_id,
         **shared,
+        presented=region.presented,
+        presented_angle_deg=region.angle_deg,
+        presented_distance_m=region.distance_m,
         plan_reason=torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(
             torch.int8
         ),
@@ -128,34 +164,37 @@ def motion_scores(
 def pose_scores(
     trial_id: Int64[Tensor, " b"],
     shared: dict[str, Tensor],
+    region: Presented,
     goal: Goal,
     nearest: NearestApproach,
-    *,
-    body_m: Float32[Tensor, " b"],
+    body_m: Float32[Tensor, " b"] | None,
 ) -> Scores:
     """`Scores` of poses that were judged without a path; `shared` from `verdict`."""
-    nan, zero = torch.full_like(goal.clearance_m, torch.nan), torch.zeros_like(goal.reason)
-    none = torch.empty((len(nan), 0, goal.q.shape[1]), dtype=torch.float32, device=nan.device)
-    nothing = none[:, :, 0]
-    return Scores(
-        trial_id=trial_id,
-        **shared,
-        plan_reason=goal.reason.to(torch.int8),
-        plan_pair=goal.pair.to(torch.int8),
-        witness_part=torch.stack([goal.body, nearest.body], 1),
-        witness_time_s=nan,
-        witness_point=nearest.point,
-        t_plan_s=nan,
-        t_exec_s=nan,
-        q_goal=goal.q,
-        path=none,
-        path_time_s=nothing,
-        path_len=zero,
-        motion=none,
-        motion_len=zero.clone(),
-        failed_state=nothing.double(),
-        body_m=body_m,
+    b, joints = goal.q.shape
+    device = goal.q.device
+    found = packed_outputs(kernels.pose_rows, b, device, witness_part=2, q_goal=joints)
+    over_trials(kernels.pose_rows, b, str(device), outputs=found, chunk=ROWS_CHUNK)(
+        reason=goal.reason,
+        pair=goal.pair,
+        plan_body=goal.body,
+        safe_body=nearest.body,
+        point=nearest.point,
+        q=goal.q,
+        presented=region.presented,
+        angle=region.angle_deg,
+        distance=region.distance_m,
     )
+    if body_m is not None:
+        found["body_m"] = body_m
+    return Scores(trial_id=trial_id, **shared, **found, **_no_path(b, joints, device))
+
+
+@lru_cache(maxsize=16)
+def _no_path(b: int, joints: int, device: torch.device) -> dict[str, Tensor]:
+    """Fields of postures that hold no numbers."""
+    path = torch.empty((b, 0, joints), dtype=torch.float32, device=device)
+    state = torch.empty((b, 0), dtype=torch.float64, device=device)
+    return {"path": path, "path_time_s": path[:, :, 0], "motion": path, "failed_state": state}
 
 
 def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor, Tensor]:

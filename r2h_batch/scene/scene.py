@@ -18,6 +18,7 @@ from r2h_batch.base import se3
 from r2h_batch.base.launch import init_warp, over_trials
 from r2h_batch.base.launch.arguments import struct_of
 from r2h_batch.base.launch.instances import Compiled, of_joints
+from r2h_batch.base.launch.repeated import made_once
 from r2h_batch.base.summary import counted, html_table
 from r2h_batch.base.validate import describe_value, instance_of, integer, optional, sequence_of
 from r2h_batch.base.validate_tensors import check_indices, check_tensor, checked_device
@@ -364,17 +365,16 @@ class Scene:
             T_world_hand: (B, 4, 4) float32, m.
             opening_m: (B,) float32, gap between the pads.
         """
-        b, device = len(object_index), object_index.device
-        gripper = gripper_tables(self.robot, self.device)
-        grip, joints = (b, gripper.kind.shape[0]), len(self.robot.joints)
-        sizes = ((b, 3, 3), (b, 3), (*grip, 3, 3), (*grip, 3), (b, 3, 3), (b, 3), (b, joints))
-        out = {
-            name: torch.empty(size, dtype=torch.float32, device=device)
-            for name, size in zip(PLACED, sizes, strict=True)
+        b, gripper = len(object_index), gripper_tables(self.robot, self.device)
+        grip = gripper.kind.shape[0]
+        sizes = {
+            "R_wrist_grip": grip,
+            "p_wrist_grip": grip,
+            "motion_radius": len(self.robot.joints),
         }
         objects = object_index.to(torch.int32).contiguous()
         hands = hand_index.to(torch.int32).contiguous()
-        over_trials(self.sized(place_bodies), b, self.device, outputs=out, chunk=256)(
+        out = over_trials(self.sized(place_bodies), b, self.device, sizes=sizes, chunk=256)(
             world=self.world,
             gripper=gripper,
             R_wrist_ee=self._wrist_ee[0],
@@ -384,7 +384,8 @@ class Scene:
             T_world_hand=T_world_hand.contiguous(),
             opening=opening_m.contiguous(),
         )
-        return self._of_owners((objects, hands, *out.values(), T_world_hand, opening_m))
+        placed = (out[name] for name in PLACED)
+        return made_once(Scene._of_owners, self, objects, hands, *placed, T_world_hand, opening_m)
 
     def reopened(
         self,
@@ -402,9 +403,9 @@ class Scene:
         tensors = tuple(x[rows] for x in body_poses.owners)
         T = torch.eye(4, dtype=torch.float32, device=opening_m.device).repeat(len(opening_m), 1, 1)
         moved = self.body_poses(tensors[0], tensors[1], T, tensors[9], opening_m).owners
-        return self._of_owners((*tensors[:4], *moved[4:6], *tensors[6:10], moved[10]))
+        return self._of_owners(*tensors[:4], *moved[4:6], *tensors[6:10], moved[10])
 
-    def _of_owners(self, owners: tuple[Tensor, ...]) -> "BodyPoses":
+    def _of_owners(self, *owners: Tensor) -> "BodyPoses":
         """Objects, hands, `PLACED`, T_world_hand and opening as `BodyPoses`."""
         names = ("object", "hand", *PLACED[:-1], "object_motion_radius")
         bodies = struct_of(self.sized(TrialBodies), dict(zip(names, owners, strict=False)))

@@ -19,6 +19,7 @@ from r2h_batch.judge.distance import bound_with_slack, hand_distance
 from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, attach, close_gripper, open_clearance, region_distance, squeezed
 from r2h_batch.judge.motion.execute import Executed, execute
 from r2h_batch.judge.motion.time_law import time_path
+from r2h_batch.judge.scores import verdict
 from r2h_batch.scene.robot import gripper_primitives_at
 from r2h_batch.types import CRITERIA, MarginKind, PlanReason, Scores
 
@@ -59,6 +60,13 @@ def of_object(scores_row: int) -> trimesh.Trimesh:
     return trimesh.Trimesh(model.vertices.astype(np.float64), model.faces, process=False)
 
 
+def verdict_of(number: torch.Tensor, evaluated: torch.Tensor) -> dict[str, torch.Tensor]:
+    """The verdict of rows with this margin in every criterion."""
+    lengths = dict.fromkeys(("width_m", "opening_m", "shift_m"), number)
+    held = SimpleNamespace(active=evaluated, grasp=SimpleNamespace(**lengths))
+    return verdict([metrics.Criterion(number, evaluated) for _ in CRITERIA], held, None)  # type: ignore[arg-type]
+
+
 # --- the rule ------------------------------------------------------------------------------------------------------
 
 
@@ -66,10 +74,13 @@ def test_touching_passes_where_the_paper_says_so():
     margin = torch.tensor([0.0, 1e-9, -1e-9])
     everywhere = torch.ones(3, dtype=torch.bool)
     for name in CRITERIA:
-        passed = metrics.Criterion.of(name, margin, everywhere).passed.tolist()
-        assert passed == [name in ("stability", "reach"), True, False], name
-    c = metrics.Criterion.of("reach", torch.tensor([torch.nan]), torch.tensor([True]))
-    assert not c.passed[0]
+        assert verdict_of(margin, everywhere)["passed"][:, CRITERIA.index(name)].tolist() == [
+            name in ("stability", "reach"), True, False
+        ], name  # fmt: skip
+    unknown = verdict_of(torch.full((3,), torch.nan), everywhere)
+    assert not unknown["passed"].any() and unknown["evaluated"].all(0).tolist() == [
+        name != "affordance" for name in CRITERIA
+    ]
 
 
 def test_scores_are_consistent_with_their_margins():
@@ -87,7 +98,8 @@ def test_scores_are_consistent_with_their_margins():
 def test_stability_is_the_least_of_aperture_less_width_and_the_open_grippers_clearance():
     batch, _, s = scored()
     grasp = close_gripper(default_evaluator().scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
-    assert torch.equal(metrics.stability(evidence(torch.ones(N, dtype=torch.bool), grasp=grasp)).margin, grasp.margin_m)
+    found = metrics.stability(evidence(torch.ones(N, dtype=torch.bool), grasp=grasp, margin_kind=None))
+    assert torch.equal(found.margin, grasp.margin_m)
     held = ~grasp.empty & (grasp.cut_m > 0)
     assert held.sum() > 0.9 * N
     tables = default_evaluator().scene.grasp_tables
@@ -145,7 +157,7 @@ def test_reach_passes_up_to_the_balls_radius(gap, passes):
     corner = scene.objects[0].vertices[scene.objects[0].vertices[:, 0].argmax()]
     center = torch.tensor([[top + gap, float(corner[1]), float(corner[2])]])
     c = metrics.reach(evidence(torch.ones(1, dtype=torch.bool), ball=center, objects=torch.zeros(1, dtype=torch.int32)))
-    assert bool(c.passed[0]) is passes
+    assert bool(c.margin[0] >= 0) is passes
 
 
 # --- Affordance ----------------------------------------------------------------------------------------------------
@@ -192,7 +204,8 @@ def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
     everywhere = torch.ones(N, dtype=torch.bool)
     c = metrics.affordance(evidence(everywhere, attached=closed[0], objects=closed[1], squeezed_m=open_m))
     open_, _ = region_distance(scene.grasp_tables, *closed, too_wide.opening_m, cap_m=CLEARANCE_CAP_M)
-    assert torch.equal(c.margin[c.evaluated], open_[c.evaluated])
+    region = ~open_.isnan()  # of objects that have one
+    assert torch.equal(c.margin[region], open_[region]) and torch.equal(c.margin.isnan(), ~region)
 
 
 # --- Plan, Safe ----------------------------------------------------------------------------------------------------
@@ -241,7 +254,7 @@ def test_a_safety_margin_is_taken_off():
     plain, strict = (metrics.safe(evidence(active, moves=found, nearest=nearest, safe_margin_m=m)) for m in (0.0, 0.02))
     assert torch.equal(plain.margin[found], s.margin[found, SAFE])
     torch.testing.assert_close(strict.margin[found], plain.margin[found] - 0.02)
-    assert int(strict.passed.sum()) < int(plain.passed.sum())
+    assert int((strict.margin > 0).sum()) < int((plain.margin > 0).sum())
 
 
 def test_a_margin_says_whether_it_is_a_distance_a_bound_or_a_cap():

@@ -12,7 +12,6 @@ from r2h_batch.base import se3
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.grasp import attach, close_gripper, squeezed
 from r2h_batch.judge.metrics import Criterion
-from r2h_batch.judge.presented import Presented
 from r2h_batch.judge.scores import verdict
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Outcome
@@ -91,12 +90,12 @@ def test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed(simula
         margin = 3e-4 * torch.randn(N, generator=g)
         evaluated = torch.rand(N, generator=g) < 0.8
         kind = torch.randint(1, 4, (N,), generator=g, dtype=torch.int8)
-        criteria.append(Criterion(torch.where(evaluated, margin, torch.nan), (margin > 0) & evaluated, evaluated, kind))
+        number = torch.where(evaluated, margin, torch.nan)
+        criteria.append(Criterion(number, evaluated, passed=(margin > 0) & evaluated, kind=kind))
     active, valid = (torch.rand(N, generator=g) < 0.8 for _ in range(2))
     lengths = {k: torch.rand(N, generator=g) for k in ("width_m", "opening_m", "shift_m")}
     held = SimpleNamespace(active=active, grasp=SimpleNamespace(**lengths))
-    shown = Presented(lengths["width_m"], lengths["opening_m"], active)
-    found = verdict(criteria, held, lengths["width_m"], shown, valid if simulated else None)  # type: ignore[arg-type]
+    found = verdict(criteria, held, lengths["width_m"], valid if simulated else None)  # type: ignore[arg-type]
     for i in range(N):
         judged = bool(valid[i]) or not simulated
         asked = [judged and bool(c.evaluated[i]) for c in criteria]

@@ -18,9 +18,9 @@ takes; no gradient goes along.
 
 import ctypes
 import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from math import prod
 from typing import Any, NamedTuple
 
@@ -164,9 +164,50 @@ def new_outputs(
         sizes: of each array with further dimensions, how large these are.
     """
     return {
-        name: new((n, *_dims(sizes[name] if further else ()), *item), dtype=dtype, device=device)
-        for name, new, further, item, dtype in _written(kernel)
+        name: new(shape, dtype=dtype, device=device)
+        for name, new, shape, dtype in written_shapes(kernel, n, sizes)
     }
+
+
+def packed_outputs(kernel: Any, n: int, device: torch.device, **sizes: int) -> dict[str, Tensor]:
+    """As `new_outputs`, for kernels that write every number of theirs: side by side in a few pieces
+    of memory, without numbers yet."""
+    out: dict[str, Tensor] = {}
+    for dtype, names, lengths, shapes in _pieces(kernel, n, tuple(sizes.items())):
+        piece = torch.empty(sum(lengths), dtype=dtype, device=device)
+        for name, part, shape in zip(
+            names, torch.split_with_sizes(piece, lengths), shapes, strict=True
+        ):
+            out[name] = part if shape is None else part.view(shape)
+    return out
+
+
+@lru_cache(maxsize=256)
+def _pieces(
+    kernel: Any, n: int, sizes: tuple[tuple[str, int], ...]
+) -> list[tuple[torch.dtype, list[str], list[int], list[tuple[int, ...] | None]]]:
+    """For each type of numbers its arrays' names, how many numbers each has, and its shape where
+    that is not one dimension."""
+    by_type: dict[torch.dtype, tuple[list[str], list[int], list[tuple[int, ...] | None]]] = {}
+    for name, _, shape, dtype in written_shapes(kernel, n, dict(sizes)):
+        names, lengths, shapes = by_type.setdefault(dtype, ([], [], []))
+        names.append(name)
+        lengths.append(prod(shape))
+        shapes.append(None if len(shape) == 1 else shape)
+    return [(dtype, *lists) for dtype, lists in by_type.items()]
+
+
+def written_shapes(
+    kernel: Any,
+    n: int,
+    sizes: Mapping[str, int | tuple[int, ...]],
+    given: Container[str] = (),
+) -> Iterator[tuple[str, Any, tuple[int, ...], torch.dtype]]:
+    """The arrays that `new_outputs` makes, less those that are given: name, by which function of torch, shape, type of
+    a number."""
+    for name, new, further, item, dtype in _written(kernel):
+        if name not in given:
+            yield name, new, (n, *_dims(sizes[name] if further else ()), *item), dtype
 
 
 def _dims(size: int | tuple[int, ...]) -> tuple[int, ...]:
@@ -175,8 +216,8 @@ def _dims(size: int | tuple[int, ...]) -> tuple[int, ...]:
 
 @cache
 def _written(kernel: Any) -> tuple[tuple[str, Any, bool, tuple[int, ...], torch.dtype], ...]:
-    """What `new_outputs` makes: name, by which function, whether there is a second dimension, the
-    dimensions of an element, type of a number."""
+    """Each array that `new_outputs` makes: name, by which function, whether there is a second
+    dimension, the dimensions of an element, type of a number."""
     return tuple(
         (
             p.name,

@@ -1,0 +1,140 @@
+"""From the criteria side by side to a row's verdict: the first one that was evaluated and failed.
+
+The kernel knows none of the criteria: a small table says how each is read, for any number of them.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
+
+KIND_DISTANCE = wp.constant(1)
+"""As `r2h_batch.verdicts.MarginKind`; its NONE is 0."""
+KIND_BOUND = wp.constant(2)
+KIND_CAP = wp.constant(3)
+LOWEST = wp.constant(-3.4028234663852886e38)
+"""Below it is only -inf: no length."""
+
+
+@wp.func
+def kind_of(number: float, cap: float) -> int:
+    """MarginKind of a length, or (`cap` above 0) a clearance that counts up to there; NaN says no length."""
+    if cap <= 0.0:
+        return KIND_DISTANCE
+    if number >= LOWEST and number < cap:
+        return wp.where(number < 0.0, KIND_BOUND, KIND_DISTANCE)
+    return KIND_CAP
+
+
+@wp.kernel
+def judge_rows(
+    first: int, borderline: float, invalid_input: int, invalid_sim: int,
+    simulated: int,  # 0: `valid` says nothing
+    shaken: int,  # 0: `slip` says nothing
+    # the criteria in their order (C,)
+    touching_in: wp.array(dtype=wp.bool),  # whether a margin of 0 passes
+    partial_in: wp.array(dtype=wp.bool),  # whether rows without a number are not evaluated
+    below_in: wp.array(dtype=wp.bool),  # whether the margin is the limit less the number
+    evaluated_from_in: wp.array(dtype=int),  # row of `evaluated`
+    passed_from_in: wp.array(dtype=int),  # row of `passed`; -1: the margin says it
+    kind_from_in: wp.array(dtype=int),  # row of `kind`; -1: the number says it
+    cap_in: wp.array(dtype=float),  # a clearance counts up to here; 0: a length
+    limit_in: wp.array(dtype=float),
+    # criterion by criterion, row by row
+    number_in: wp.array2d(dtype=float),  # (C, B)
+    evaluated_in: wp.array2d(dtype=wp.bool),
+    passed_in: wp.array2d(dtype=wp.bool),
+    kind_in: wp.array2d(dtype=wp.int8),  # 0: the number says it after all
+    # rows
+    active_in: wp.array(dtype=wp.bool), valid_in: wp.array(dtype=wp.bool), width_in: wp.array(dtype=float),
+    opening_in: wp.array(dtype=float), shift_in: wp.array(dtype=float), slip_in: wp.array(dtype=float),
+    # out
+    outcome_out: wp.array(dtype=wp.int8), success_out: wp.array(dtype=wp.bool),
+    passed_out: wp.array2d(dtype=wp.bool), evaluated_out: wp.array2d(dtype=wp.bool),
+    margin_out: wp.array2d(dtype=float), margin_kind_out: wp.array2d(dtype=wp.int8),
+    borderline_out: wp.array(dtype=wp.bool), width_m_out: wp.array(dtype=float),
+    opening_m_out: wp.array(dtype=float), grasp_shift_m_out: wp.array(dtype=float),
+    slip_m_out: wp.array(dtype=float),
+):  # fmt: skip
+    """Outcome, the criteria's columns, whether a margin is within `borderline` of 0; lengths of rows that are active.
+
+    A row that is not active is INVALID_INPUT, one whose simulation failed INVALID_SIM: nothing is evaluated there.
+    """
+    row = first + wp.tid()
+    active = active_in[row]
+    judged = simulated == 0 or valid_in[row]
+    outcome = int(0)
+    near = bool(False)
+    for c in range(number_in.shape[0]):
+        number = number_in[c, row]
+        margin = number - limit_in[c]
+        if below_in[c]:
+            margin = limit_in[c] - number
+        asked = judged and evaluated_in[evaluated_from_in[c], row]
+        if partial_in[c] and wp.isnan(number):
+            asked = False
+        fine = margin > 0.0 or (margin == 0.0 and touching_in[c])
+        if passed_from_in[c] >= 0:
+            fine = passed_in[passed_from_in[c], row]
+        kind = int(0)
+        if kind_from_in[c] >= 0:
+            kind = int(kind_in[kind_from_in[c], row])
+        if kind == 0:
+            kind = kind_of(number, cap_in[c])
+        if not asked:
+            margin = wp.nan
+            fine = False
+            kind = 0
+        elif not fine and outcome == 0:
+            outcome = c + 1
+        near = near or wp.abs(margin) < borderline  # NaN is not
+        passed_out[row, c] = fine
+        evaluated_out[row, c] = asked
+        margin_out[row, c] = margin
+        margin_kind_out[row, c] = wp.int8(kind)
+    if not active:
+        outcome = invalid_input
+    elif not judged:
+        outcome = invalid_sim
+    outcome_out[row] = wp.int8(outcome)
+    success_out[row] = outcome == 0
+    borderline_out[row] = near
+    width_m_out[row] = wp.where(active, width_in[row], wp.nan)
+    opening_m_out[row] = wp.where(active, opening_in[row], wp.nan)
+    grasp_shift_m_out[row] = wp.where(active, shift_in[row], wp.nan)
+    slip_m_out[row] = wp.where(shaken != 0, slip_in[row], wp.nan)
+
+
+@wp.kernel
+def pose_rows(
+    first: int, reason_in: wp.array(dtype=int), pair_in: wp.array(dtype=int), plan_body_in: wp.array(dtype=int),
+    safe_body_in: wp.array(dtype=int), point_in: wp.array(dtype=wp.vec3), q_in: wp.array2d(dtype=float),
+    presented_in: wp.array(dtype=wp.bool), angle_in: wp.array(dtype=float), distance_in: wp.array(dtype=float),
+    # out: the fields of `Scores` of these names
+    plan_reason_out: wp.array(dtype=wp.int8), plan_pair_out: wp.array(dtype=wp.int8),
+    witness_part_out: wp.array2d(dtype=int), witness_time_s_out: wp.array(dtype=float),
+    witness_point_out: wp.array(dtype=wp.vec3), t_plan_s_out: wp.array(dtype=float),
+    t_exec_s_out: wp.array(dtype=float), q_goal_out: wp.array2d(dtype=float),
+    presented_out: wp.array(dtype=wp.bool), presented_angle_deg_out: wp.array(dtype=float),
+    presented_distance_m_out: wp.array(dtype=float), path_len_out: wp.array(dtype=int),
+    motion_len_out: wp.array(dtype=int), body_m_out: wp.array(dtype=float),
+):  # fmt: skip
+    """Results of postures, in memory of their own; postures have no times."""
+    row = first + wp.tid()
+    plan_reason_out[row] = wp.int8(reason_in[row])
+    plan_pair_out[row] = wp.int8(pair_in[row])
+    witness_part_out[row, 0] = plan_body_in[row]
+    witness_part_out[row, 1] = safe_body_in[row]
+    witness_time_s_out[row] = wp.nan
+    witness_point_out[row] = point_in[row]
+    t_plan_s_out[row] = wp.nan
+    t_exec_s_out[row] = wp.nan
+    for j in range(q_in.shape[1]):
+        q_goal_out[row, j] = q_in[row, j]
+    presented_out[row] = presented_in[row]
+    presented_angle_deg_out[row] = angle_in[row]
+    presented_distance_m_out[row] = distance_in[row]
+    path_len_out[row] = 0
+    motion_len_out[row] = 0
+    body_m_out[row] = wp.nan

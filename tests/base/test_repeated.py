@@ -1,0 +1,125 @@
+"""Small calls that come back: what they keep never shows in a result."""
+
+import copy
+import pickle
+import threading
+from dataclasses import fields
+
+import pytest
+import torch
+from problems import default_evaluator, make_batch
+
+from r2h_batch.base.launch.repeated import RepeatedCalls, made_once
+from r2h_batch.evaluate import SMALL_ROWS, Evaluator
+from r2h_batch.types import Scores
+
+N = 48
+
+
+def equal(a: Scores, b: Scores) -> bool:
+    pairs = [(getattr(a, f.name), getattr(b, f.name)) for f in fields(Scores)]
+    return all(x.dtype == y.dtype and torch.equal(x.nan_to_num(7.0), y.nan_to_num(7.0)) for x, y in pairs)
+
+
+@pytest.fixture(scope="module")
+def poses():
+    batch = make_batch(default_evaluator().scene, N)
+    return batch.T_obj_ee, batch.T_world_ee, batch.trials
+
+
+@pytest.fixture(scope="module")
+def whole(poses) -> Scores:
+    assert N > SMALL_ROWS
+    return default_evaluator().score(*poses, stages="pose")
+
+
+@pytest.mark.check
+def test_small_calls_of_any_order_and_size_have_the_bits_of_a_large_one(poses, whole):
+    evaluator, kept = copy.copy(default_evaluator()), []
+    for first, rows in [(0, 1), (1, 1), (2, 1), (0, 16), (16, 16), (5, 1), (7, 3), (0, SMALL_ROWS), (30, 1), (40, 8)]:
+        some = slice(first, first + rows)
+        kept.append((some, evaluator.score(*(x[some] for x in poses), stages="pose")))
+    for some, scores in kept:  # after all calls: no later one has written into an earlier result
+        assert equal(scores, whole[some]), some
+
+
+def test_what_a_caller_changes_in_a_result_reaches_no_later_call(poses, whole):
+    evaluator = copy.copy(default_evaluator())
+    for _ in range(3):
+        scores = evaluator.score(*(x[:4] for x in poses), stages="pose")
+        assert equal(scores, whole[:4])
+        for f in fields(Scores):
+            if f.name != "trial_id":
+                getattr(scores, f.name).zero_()
+
+
+def test_poses_whose_memory_moves_or_changes_are_judged_as_they_are(poses, whole):
+    evaluator = copy.copy(default_evaluator())
+    T_obj_ee, T_world_ee = (x[:1].clone() for x in poses[:2])
+    for row in range(8):  # the same tensors, other memory or other numbers
+        if row % 2:
+            T_obj_ee.data, T_world_ee.data = poses[0][row : row + 1].clone(), poses[1][row : row + 1].clone()
+        else:
+            T_obj_ee.copy_(poses[0][row : row + 1])
+            T_world_ee.copy_(poses[1][row : row + 1])
+        assert equal(
+            evaluator.score(T_obj_ee, T_world_ee, poses[2][row : row + 1], stages="pose"), whole[row : row + 1]
+        )
+
+
+def test_threads_modes_and_pickles_have_calls_of_their_own(poses, whole):
+    evaluator = copy.copy(default_evaluator())
+    found: list[Scores] = []
+
+    def judge(of: Evaluator, row: int) -> Scores:
+        return of.score(*(x[row : row + 1] for x in poses), stages="pose")
+
+    def work() -> None:
+        found.extend(judge(evaluator, row) for row in range(20))
+
+    workers = [threading.Thread(target=work) for _ in range(3)]
+    for w in workers:
+        w.start()
+    for w in workers:
+        w.join()
+    for scores in found:
+        row = int((whole.trial_id == scores.trial_id).nonzero()[0])
+        assert equal(scores, whole[row : row + 1])
+    assert len(found) == 60
+    with torch.inference_mode():
+        judge(evaluator, 3)
+    assert equal(judge(evaluator, 4), whole[4:5])
+    again = pickle.loads(pickle.dumps(judge(evaluator, 5)))
+    assert equal(again, whole[5:6])
+    for scores in (again, pickle.loads(pickle.dumps(whole[:1]))):  # nothing goes along that lies beside a field
+        stored = (getattr(scores, f.name) for f in fields(Scores))
+        assert all(x.untyped_storage().nbytes() == x.nbytes for x in stored)
+
+
+def test_inputs_that_are_wrong_are_refused_after_ones_that_were_right(poses):
+    evaluator = copy.copy(default_evaluator())
+    T_obj_ee, T_world_ee, trials = (x[:1] for x in poses)
+    evaluator.score(T_obj_ee, T_world_ee, trials, stages="pose")
+    for wrong in (T_obj_ee[0], T_obj_ee.half(), T_obj_ee[:, :3]):
+        with pytest.raises((TypeError, ValueError), match="T_obj_ee"):
+            evaluator.score(wrong, T_world_ee, trials, stages="pose")
+    gone = T_obj_ee.clone()
+    gone.untyped_storage().resize_(0)
+    with pytest.raises(TypeError, match="no memory"):
+        evaluator.score(gone, T_world_ee, trials, stages="pose")
+
+
+def test_a_thing_is_made_once_of_the_same_objects_and_anew_of_others():
+    calls, made, thing, other = RepeatedCalls(1), [], object(), object()
+
+    def make(of: object) -> object:
+        made.append(of)
+        return object()
+
+    def call(of: object) -> object:
+        with calls.of(1):
+            return made_once(make, of)
+
+    first = call(thing)
+    assert call(thing) is first and call(other) is not first
+    assert made == [thing, other] and made_once(make, thing) is not first
