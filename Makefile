@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: help demo test lint check quick-tests golden tables docs assets bench wheel lock licences audit gpu clean
+.PHONY: help demo test lint check quick-tests golden tables docs assets bench watch wheel lock licences audit gpu clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -62,6 +62,9 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 
 bench: $(VENV)/.installed-test  ## all benchmarks, results under bench/results/
 	for b in collision ik plan throughput execute; do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
+
+watch: $(VENV)/.installed-test  ## has this commit become slower than another? by turns, in 6 minutes (BASE=commit)
+	$(BIN)/python bench/watch.py $(or $(BASE),HEAD~1)
 
 gpu: $(VENV)/.installed-test  ## everything that a machine with a GPU can show, into runs/gpu (MINUTES=25)
 	$(BIN)/python bench/gpu.py --out runs/gpu --minutes $(or $(MINUTES),25)
