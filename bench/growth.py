@@ -22,7 +22,7 @@ from _report import ROOT, Report, arguments
 
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
-from r2h_batch.runs.store import SHARD_TRIALS
+from r2h_batch.runs.writing import SHARD_TRIALS
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
 
 METHODS = ("synthetic", "other")
@@ -105,7 +105,7 @@ def header(trials: int) -> dict:
 
 def open_folder(folder: Path, trials: int, shard_trials: int) -> Any:
     """The synthetic run folder, with its methods."""
-    from r2h_batch.runs.store import open_run
+    from r2h_batch.runs.writing import open_run
 
     run = open_run(folder, {**header(trials), "shard_trials": shard_trials}, exact=False)
     for method in METHODS:
@@ -130,7 +130,7 @@ def write(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
 def resume(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
     """Seconds that the same command needs before its first trial: the folder opened and verified, shards still to do
     listed."""
-    from r2h_batch.runs.store import mark_for_rerun
+    from r2h_batch.runs.verify import mark_for_rerun
 
     start = time.perf_counter()
     run = open_folder(folder, trials // 2, shard_trials)

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from _report import Report, arguments
-from soak import compare, ended, receipts, sweep
+from soak import compare, ended, stored_shards, sweep
 
 STORE_BYTES = 80_000_000
 """Size of each node's object store: about the least that Ray takes."""
@@ -141,7 +141,7 @@ def said(report: Report, name: str, process: subprocess.Popen[str], out: Path) -
     lines = [line for line in text.splitlines() if line.startswith(("sweep: ", "random: "))]
     report.add(f"{name}.exit", process.returncode)
     report.add(f"{name}.seconds_to_end", round(time.monotonic() - start, 1))
-    report.add(f"{name}.shards", len(receipts(out)))
+    report.add(f"{name}.shards", len(stored_shards(out)))
     report.add(f"{name}.says", lines[-1].replace(str(out.parent), "...") if lines else "")
     report.add(f"{name}.traceback", "Traceback" in text)
     return int(process.returncode)
@@ -165,10 +165,11 @@ def dies(report: Report, name: str, base: Path, plain: Path, given: argparse.Nam
     try:
         driver = on(cluster, out, given)
         wait_for(
-            lambda: driver.poll() is not None or (len(receipts(out)) >= 2 and cluster.scoring), "both nodes at work"
+            lambda: driver.poll() is not None or (len(stored_shards(out)) >= 2 and cluster.scoring),
+            "both nodes at work",
         )
         assert driver.poll() is None, driver.communicate()[0][-2000:]
-        report.add(f"{name}.shards_before", len(receipts(out)))
+        report.add(f"{name}.shards_before", len(stored_shards(out)))
         match name:
             case "second_raylet":
                 cluster.nodes[1].kill("/raylet/raylet")

@@ -9,7 +9,6 @@ The sweeps use the real evaluator with `--sim none`. Rows are compared by the ru
 """
 
 import argparse
-import json
 import multiprocessing
 import random
 import resource
@@ -54,21 +53,21 @@ def ended(process: subprocess.Popen[str]) -> None:
     assert process.returncode == 0, text[-2000:]
 
 
-def receipts(out: Path) -> list[Path]:
-    return sorted((out / "manifest").rglob("[!.]*.json"))
+def stored_shards(out: Path) -> list[Path]:
+    return sorted((out / "shards").rglob("[!.]*.parquet"))
 
 
 def digest(out: Path, shards: set[int]) -> str:
     """Digest of these shards of a run."""
     run = load_run(out)
     entry = run.entry("random")
-    kept = {i: r for i, r in entry.receipts.items() if i in shards}
-    return replace(run, entries=(replace(entry, receipts=kept),)).digest("random")
+    kept = {i: s for i, s in entry.shards.items() if i in shards}
+    return replace(run, entries=(replace(entry, shards=kept),)).digest("random")
 
 
 def compare(report: Report, name: str, plain: Path, fire: Path) -> None:
     """Whether the disturbed run has the rows of the other, as far as both came."""
-    ran, disturbed = (set(load_run(p).entry("random").receipts) for p in (plain, fire))
+    ran, disturbed = (set(load_run(p).entry("random").shards) for p in (plain, fire))
     shards = ran & disturbed
     report.add(f"{name}.shards_compared", len(shards))
     report.add(f"{name}.digest_equal", same := bool(shards) and digest(plain, shards) == digest(fire, shards))
@@ -110,7 +109,7 @@ def long(given: argparse.Namespace, base: Path, report: Report, dice: random.Ran
     process, tenth = sweep(plain, given), 0
     while process.poll() is None:
         time.sleep(0.5)
-        stored = len(receipts(plain)) * given.shard_trials
+        stored = len(stored_shards(plain)) * given.shard_trials
         if stored * 5 // given.trials > tenth and process.poll() is None:
             tenth = stored * 5 // given.trials
             report.add(f"long.memory_mib_at_{stored}", resident_mib(process.pid))
@@ -120,8 +119,8 @@ def long(given: argparse.Namespace, base: Path, report: Report, dice: random.Ran
             break
     text, _ = process.communicate()
     assert process.returncode in (0, 130), text[-2000:]
-    stored = [json.loads(p.read_text()) for p in receipts(plain)]
-    report.add("long.trials", sum(r["last"] - r["first"] for r in stored))
+    ranges = [s.shard for s in load_run(plain).entry("random").shards.values()]
+    report.add("long.trials", sum(s.last - s.first for s in ranges))
     report.add("long.seconds", time.perf_counter() - start)
     report.add("long.bytes", sum(p.stat().st_size for p in plain.rglob("*") if p.is_file()))
     report.write(given.json)
@@ -134,10 +133,10 @@ def under_fire(out: Path, given: argparse.Namespace, dice: random.Random) -> dic
     """Sweep a tenth of the shards with kills, flipped bits and full disks until they are complete."""
     done = dict.fromkeys(("kill", "kill and flip", "full disk"), 0)
     while True:
-        process, before = sweep(out, given, "1/10"), len(receipts(out))
+        process, before = sweep(out, given, "1/10"), len(stored_shards(out))
         end = time.monotonic() + dice.uniform(0, 2 * given.kill_every)
         # one shard at least is new, or a machine slower than the kills would never come to an end
-        while process.poll() is None and (time.monotonic() < end or len(receipts(out)) <= before):
+        while process.poll() is None and (time.monotonic() < end or len(stored_shards(out)) <= before):
             time.sleep(0.1)
         if process.poll() is not None:
             ended(process)
@@ -160,7 +159,7 @@ def disturb(process: subprocess.Popen[str], how: str, out: Path, dice: random.Ra
     process.send_signal(signal.SIGKILL)
     process.communicate()
     if how == "kill and flip":
-        path = dice.choice(sorted((out / "trials").rglob("*.parquet")))
+        path = dice.choice(sorted((out / "shards").rglob("*.parquet")))
         data = bytearray(path.read_bytes())
         data[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
         path.write_bytes(data)

@@ -42,7 +42,7 @@ from _report import ROOT, markdown_table, swept
 
 RESULTS = Path("docs/results")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
-KEPT = ("run.json", "methods", "manifest", "trials", "poses")
+KEPT = ("run.json", "methods", "shards")
 """Files of a run folder that are stored and read again."""
 
 

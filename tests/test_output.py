@@ -11,7 +11,8 @@ from made_runs import write_run
 
 from r2h_batch.__main__ import main
 from r2h_batch.base.io.log import LOG
-from r2h_batch.runs.store import RunError, load_run
+from r2h_batch.runs.files import RunError
+from r2h_batch.runs.store import load_run
 from r2h_batch.verdicts import Outcome
 
 FORMULA = "=1+2é"

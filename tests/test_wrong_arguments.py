@@ -16,7 +16,8 @@ from r2h_batch.config import EstimateConfig, ExecConfig, ExecutionError, IkConfi
 from r2h_batch.report.statistics import aggregate, paired
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.thresholds import rank_stability, rethreshold
-from r2h_batch.runs.store import RunError, load_run
+from r2h_batch.runs.files import RunError
+from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
 from r2h_batch.trials.predictions import load_predictions, write_predictions
 from r2h_batch.trials.protocol import trials_digest, trials_of, trials_with_ids

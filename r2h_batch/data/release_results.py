@@ -17,7 +17,8 @@ from r2h_batch.base.schedule import trial_ids
 from r2h_batch.data.release_files import Entry, Name, Receiver, validated
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import TRIAL_SCHEMA
-from r2h_batch.runs.store import FOREIGN, open_run, write_labels
+from r2h_batch.runs.store import FOREIGN, write_labels
+from r2h_batch.runs.writing import open_run
 from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SPLITS
 
 

@@ -23,12 +23,12 @@ Verdicts on robot-to-human handovers by r2h_batch {r2h_batch}, protocol {protoco
 
 | | |
 |---|---|
-| trials/METHOD/*.parquet | a row for each trial: outcome, five criteria with margins (m), reasons, times (s) |
-| poses/METHOD/*.parquet | the scored poses: T_obj_ee and T_world_ee, 4 x 4 row by row, m |
-| run.json, methods/, manifest/ | configuration, digests of code and data, what answered, checksums |
+| {rows} | a row for each trial: outcome, five criteria with margins (m), reasons, times (s) |
+| column `poses` (format 3: poses/) | the scored poses: T_obj_ee and T_world_ee, 4 x 4 row by row, m |
+| run.json, methods/ | configuration, digests of code and data, what answered |
 | {results}, {table_file} | the table as numbers and as text |
 
-    datasets.load_dataset(FOLDER, METHOD)      # the trials of a method; METHOD is a name under trials/
+    datasets.load_dataset(FOLDER, METHOD)      # the trials of a method; METHOD is a name under {place}/
     r2h-batch results verify FOLDER            # every file against its checksum
     r2h-batch results reevaluate FOLDER        # rows judged again from their stored poses
 """
@@ -44,18 +44,19 @@ def write_summary(run: Run) -> None:
     text = render(table, "md")
     write_text(run.folder / TABLE, text)
     write_text(run.folder / RESULTS, render(table, "json"))
-    slugs = [run.entry(m).slug for m in run.methods]
+    entries = [run.entry(m) for m in run.methods]
+    rows = entries[0].data_files.replace(entries[0].slug, "METHOD")
     head = {
         "pretty_name": run.folder.absolute().name,
         "tags": ["robotics", "human-robot-interaction", "handover", "r2h_batch"],
         "configs": [
-            {"config_name": s, "data_files": [{"split": "trials", "path": f"trials/{s}/*.parquet"}]}
-            for s in slugs
+            {"config_name": e.slug, "data_files": [{"split": "trials", "path": e.data_files}]}
+            for e in entries
         ],
     }
     body = _BODY.format(
         **table.origin, title=plain(run.folder.absolute().name), table=text.split("\n\n")[2],
-        results=RESULTS, table_file=TABLE,
+        results=RESULTS, table_file=TABLE, rows=rows, place=rows.partition("/")[0],
     )  # fmt: skip
     front = yaml.safe_dump(head, sort_keys=False, allow_unicode=True)
     write_text(run.folder / CARD, f"---\n{front}---\n{body}")

@@ -1,4 +1,4 @@
-"""Rows, shards, manifests, provenance: what is stored."""
+"""Columns, rows, shards, provenance: what is stored."""
 
 from typing import TYPE_CHECKING
 

@@ -124,7 +124,9 @@ def _run(
     log_to: Callable[[Path], None],
     command: list[str],
 ) -> int:
-    from r2h_batch.runs.store import RunError, open_run, write_labels
+    from r2h_batch.runs.files import RunError
+    from r2h_batch.runs.store import write_labels
+    from r2h_batch.runs.writing import open_run
     from r2h_batch.sweep import jobs as sweep_jobs
     from r2h_batch.sweep.cluster import ClusterError, reach
     from r2h_batch.sweep.engine import Log, Scoring, Stopped, shard_size
@@ -185,7 +187,7 @@ def _check_installed(options: Options) -> None:
 
 
 def _failed(error: OSError, folder: Path) -> int:
-    from r2h_batch.runs.store import trouble_in
+    from r2h_batch.runs.files import trouble_in
 
     if words := trouble_in(folder, error):
         return refuse("sweep", words, 1)
@@ -194,7 +196,7 @@ def _failed(error: OSError, folder: Path) -> int:
 
 def _score(work: "Scoring", request: "Request") -> int:
     """Score what is missing or damaged, in this process or on a cluster; the exit code."""
-    from r2h_batch.runs.store import mark_for_rerun
+    from r2h_batch.runs.verify import mark_for_rerun
     from r2h_batch.sweep.cluster import score_on_ray
     from r2h_batch.sweep.engine import score_local
 

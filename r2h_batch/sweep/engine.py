@@ -18,6 +18,8 @@ from r2h_batch.base.command_line import counted, refuse
 from r2h_batch.base.io.log import LOG, is_quiet
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
+from r2h_batch.runs.files import replace_json
+from r2h_batch.runs.header import Shard
 from r2h_batch.runs.rows import (
     TrialNames,
     detail_rows,
@@ -28,7 +30,7 @@ from r2h_batch.runs.rows import (
     pose_rows,
     score_rows,
 )
-from r2h_batch.runs.store import SHARD_TRIALS, TRIES, RunFolder, Shard, ShardWriter, replace_json
+from r2h_batch.runs.writing import SHARD_TRIALS, TRIES, RunFolder, ShardWriter
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import CPU_CHUNK, Job, Setting
 from r2h_batch.types import Outcome, Predictions, Trials
@@ -165,23 +167,26 @@ def _score_job(work: Scoring, job: Job, todo: list[Shard], advance: Callable[[in
     folder, stopping = work.folder, work.stopping
     since, printed = time.monotonic(), ""
     while todo:
-        left = []
+        left, stored = [], folder.stored(job.name)
         for shard in todo:
-            with folder.claim(job.name, shard) as claimed:
-                if folder.stored(job.name, shard):
+            if shard.index in stored:
+                advance(shard.last - shard.first)
+                continue
+            with folder.claim(job.name, shard) as claim:
+                if claim is None:
+                    left.append(shard)
+                elif shard.index in (stored := folder.stored(job.name)):
                     advance(shard.last - shard.first)
-                elif claimed and (deaths := folder.deaths(job.name, shard)) >= TRIES:
-                    what = f"the sweep's process ended {deaths} times while it was scored"
+                elif claim.deaths >= TRIES:
+                    what = f"the sweep's process ended {claim.deaths} times while it was scored"
                     folder.quarantine(job.name, shard, [what])
                     LOG.info(f"{job.name}: shard {shard.index}: {what}")
-                elif claimed:
+                else:
                     start = time.perf_counter()
-                    with folder.attempt(job.name, shard), folder.write(job.name, shard) as writer:
+                    with claim.attempt(), folder.write(job.name, shard) as writer:
                         score_shard(job, shard, writer, work.setting, stopping, advance)
                     seconds = time.perf_counter() - start
                     LOG.debug(f"{job.name}: shard {shard.index} stored after {seconds:.1f} s")
-                else:
-                    left.append(shard)
         if stopping():
             raise Stopped
         if len(left) < len(todo):

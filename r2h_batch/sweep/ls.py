@@ -81,7 +81,8 @@ def _protocols() -> Iterator[Line]:
 
 
 def _runs(folder: Path) -> Iterator[Line]:
-    from r2h_batch.runs.store import RunError, load_run
+    from r2h_batch.runs.files import RunError
+    from r2h_batch.runs.store import load_run
 
     places = sorted(p.parent for p in folder.glob("*/run.json")) if folder.is_dir() else []
     for place in places:

@@ -15,8 +15,9 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from r2h_batch.base.io.arrays import Spec, check_array, check_arrays, not_rigid
+from r2h_batch.base.io.parquet import read_parquet_arrays
 from r2h_batch.base.io.read import FileError, open_file, printable, read_npz
-from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays, read_parquet_arrays
+from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.base.io.write import write_npz
 from r2h_batch.base.validate import instance_of, text
 from r2h_batch.base.validate import path as path_rule
@@ -257,6 +258,12 @@ def _parquet(path: Path) -> dict[str, Any]:
     for name, length in _LENGTH_OF.items():
         if name in counts:
             arrays.setdefault(length, counts[name])
+    for name in arrays.keys() & {"T_obj_ee", "T_world_ee"}:
+        widths = counts.get(name, np.ones(1))
+        if (odd := widths != 16).any():
+            row = int(odd.argmax())
+            found = f"{name!r} has {widths[row]} numbers in row {row}"
+            raise FileError(f"{printable(path)}: {found}; it needs 16 numbers a row")
     for name in arrays.keys() & {"T_obj_ee", "T_world_ee", "q", "planned_q"}:
         size, rows = arrays[name].size, int(np.sum(counts.get(name, 0)))
         shape = (rows, size // max(rows, 1)) if name in _LENGTH_OF else (size // 16, 4, 4)

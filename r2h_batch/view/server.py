@@ -12,7 +12,7 @@ import numpy as np
 from r2h_batch.base.command_line import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.report.text import plain
-from r2h_batch.runs.store import RunError
+from r2h_batch.runs.files import RunError
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.captions import as_markdown, summary
 from r2h_batch.view.drawing import MARKS, Drawing

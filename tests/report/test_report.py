@@ -9,13 +9,14 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 import torch
-from made_runs import command, make_header, make_scores, make_trials, store, table_1, write_run
+from made_runs import command, files_of, make_header, make_scores, make_trials, store, table_1, write_run
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
 from r2h_batch.report.statistics import common
 from r2h_batch.report.statistics.aggregate import RATES
-from r2h_batch.runs.store import load_run, open_run
+from r2h_batch.runs.store import load_run
+from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome
 
 COLUMNS = list(report.HEADINGS)
@@ -120,12 +121,12 @@ def test_successes_that_pass_through_something_have_a_column_where_paths_are_sam
 
 def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):
     run = write_run(tmp_path / "run", {"a": np.zeros(8, int), "b": np.zeros(8, int)}, 4, 4, shard_trials=3)
-    (run.folder / "manifest" / "b" / "000001.json").unlink()
+    files_of(run.folder, "b")[1].unlink()
     assert command("report", run.folder) == 1
     captured = capsys.readouterr()
     assert captured.err == "report: b is not in the table, 3 of its trials are not scored yet\n"
     assert {r[1] for r in md_tables(captured.out)[0][1:]} == {"a"}
-    (run.folder / "manifest" / "a" / "000000.json").unlink()
+    files_of(run.folder, "a")[0].unlink()
     assert command("report", run.folder) == 2
     assert "no method is complete" in capsys.readouterr().err
 

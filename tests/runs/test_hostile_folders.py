@@ -10,12 +10,28 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from made_runs import NAMES, files_of, make_header, make_scores, make_trials, read_json, write_run
+from made_runs import (
+    NAMES,
+    files_of,
+    forge,
+    make_header,
+    make_scores,
+    make_trials,
+    read_json,
+    receipt_of,
+    with_a_fatal_footer,
+    with_receipt,
+    write_run,
+)
 
 from r2h_batch.__main__ import main
-from r2h_batch.runs import store as run_store
+from r2h_batch.runs import verify as verifying
+from r2h_batch.runs.files import RunError, claim, sha256_of
+from r2h_batch.runs.header import run_hash, shard_at
 from r2h_batch.runs.rows import TRIAL_SCHEMA, score_rows
-from r2h_batch.runs.store import RunError, claim, load_run, mark_for_rerun, open_run, run_hash, sha256_of, shard_at
+from r2h_batch.runs.store import load_run
+from r2h_batch.runs.verify import mark_for_rerun
+from r2h_batch.runs.writing import open_run
 
 COMMANDS = {
     "verify": lambda folder: main(["results", "verify", str(folder)]),
@@ -87,12 +103,9 @@ def test_a_run_json_with_an_odd_field_is_one_line(run, capsys, where, value):
 
 
 RECEIPT = [
+    ("", ...),
     *[("outcomes", v) for v in (..., [], {"S0": {"banana": 3}, "S1": {"success": 3}})],
     *[("outcomes.S0", {"success": v}) for v in (1e15, -3, None)],
-    *[("files", v) for v in (..., [], {"bananas": {}})],
-    *[("files.trials.path", v) for v in (..., 7, ESC)],
-    *[("files.trials.bytes", v) for v in (..., "many", 1e300)],
-    *[("files.trials.sha256", v) for v in ("../" * 20, 7, "f" * 64)],
     *[("first", v) for v in (1, -1, None)],
     ("run", "0" * 64),
     ("method", ESC),
@@ -102,8 +115,11 @@ RECEIPT = [
 
 @pytest.mark.parametrize(("where", "value"), RECEIPT, ids=lambda v: repr(v)[:30])
 def test_a_receipt_with_an_odd_field_is_refused_and_its_shard_scored_again(run, capsys, where, value):
-    path = run / "manifest" / "m" / "000000.json"
-    in_file(path, lambda d: put(d, where, value))
+    (path,) = files_of(run, "m")
+    receipt = receipt_of(path)
+    if where:
+        put(receipt, where, value)
+    path = with_receipt(path, receipt if where else ["no receipt"])
     for command in ("digest", "report", "compare"):
         assert COMMANDS[command](run) == 2
         captured = capsys.readouterr()
@@ -114,24 +130,10 @@ def test_a_receipt_with_an_odd_field_is_refused_and_its_shard_scored_again(run, 
     assert load_run(run).unfinished == ("m",) and not path.exists()
 
 
-@pytest.mark.parametrize("form", ["../victim.parquet", "trials/m/../../../victim.parquet", "{victim}"])
-def test_a_receipt_that_names_a_file_elsewhere_is_set_aside_and_that_file_is_neither_read_nor_renamed(
-    run, form, capsys
-):
-    victim = run.parent / "victim.parquet"
-    os.mkfifo(victim)  # reading it would wait for ever
-    receipt = run / "manifest" / "m" / "000000.json"
-    in_file(receipt, lambda d: put(d, "files.trials.path", form.format(victim=victim)))
-    assert COMMANDS["verify"](run) == 1
-    assert "the only one it may name is trials/m/000000-" in capsys.readouterr().out
-    assert sorted(p.name for p in run.parent.iterdir()) == ["run", "victim.parquet"]
-
-
-@pytest.mark.parametrize(
-    "what", ["trials", "manifest", "methods", "trials/m", "manifest/m", "methods/m.json", "run.json"]
-)
+@pytest.mark.parametrize("what", ["shards", "methods", "quarantine", "shards/m", "methods/m.json", "run.json"])
 def test_a_link_in_place_of_a_part_of_the_folder_is_refused_by_every_command(run, tmp_path, what, capsys):
     moved = tmp_path / "elsewhere"
+    (run / "quarantine").mkdir()
     (run / what).rename(moved)
     (run / what).symlink_to(moved)
     before = sorted(tmp_path.rglob("*"))
@@ -144,27 +146,57 @@ def test_a_link_in_place_of_a_part_of_the_folder_is_refused_by_every_command(run
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("seen", ["foreign: no receipt names it", "missing"])
-def test_what_another_part_has_stored_since_it_was_looked_at_stays(run, monkeypatch, seen):
-    """A part of a sweep starts while another one is between a file and its receipt: the look is old when the claim is free."""
-    header, (file,) = read_json(run / "run.json"), (run / "trials" / "m").iterdir()
-    shard = None if seen.startswith("foreign") else shard_at(header, 0)
-    before, looks, look = sorted(run.rglob("*")), [], run_store.problems_of
+def test_a_link_in_place_of_a_shard_is_set_aside_and_what_it_leads_to_stays(run, tmp_path, capsys):
+    (path,) = files_of(run, "m")
+    victim = tmp_path / "victim.parquet"
+    path.rename(victim)
+    path.symlink_to(victim)
+    before = victim.read_bytes()
+    assert COMMANDS["verify"](run) == 1
+    assert "no regular file; shard 0 of 'm' will be scored again" in capsys.readouterr().out
+    assert victim.read_bytes() == before and load_run(run).unfinished == ("m",)
+    path.with_name(f"{path.name}.bad").unlink()
+    os.mkfifo(path)  # reading it would wait for ever
+    assert COMMANDS["verify"](run) == 1
 
-    def first_look_is_old(*arguments):
+
+def test_what_another_part_has_stored_since_it_was_looked_at_stays(run, monkeypatch):
+    """A part of a sweep stores the shard again while it is looked at: the look is old when the claim is free."""
+    (path,), looks, look = files_of(run, "m"), [], verifying.problems_of
+    shard = shard_at(read_json(run / "run.json"), 0)
+
+    def first_look_is_old(*arguments, **words):
         looks.append(arguments)
-        return [run_store.Problem("m", shard, file, seen)] if len(looks) == 1 else look(*arguments)
+        return [verifying.Problem("m", shard, path, "cut")] if len(looks) == 1 else look(*arguments, **words)
 
-    with monkeypatch.context() as m:
-        m.setattr("r2h_batch.runs.store.problems_of", first_look_is_old)
-        assert mark_for_rerun(run, header) == []
-    assert sorted(p for p in run.rglob("*") if ".claims" not in p.parts) == [
-        p for p in before if ".claims" not in p.parts
-    ]
-    load_run(run)
-    (run / "manifest" / "m" / "000000.json").unlink()  # and a file that no receipt names is still set aside
-    (line,) = mark_for_rerun(run, header)
-    assert line.endswith("foreign: no receipt names it; set aside") and not file.exists()
+    monkeypatch.setattr("r2h_batch.runs.verify.problems_of", first_look_is_old)
+    assert mark_for_rerun(run, read_json(run / "run.json")) == [] and len(looks) == 2
+    assert path.exists() and load_run(run).methods == ("m", "second")
+
+
+def test_a_shard_that_another_sweep_holds_is_not_set_aside(run):
+    (path,) = files_of(run, "m")
+    path.write_bytes(b"0")
+    with claim(run / ".claims" / "m-000000"):
+        assert mark_for_rerun(run, read_json(run / "run.json")) == [] and path.exists()
+    assert len(mark_for_rerun(run, read_json(run / "run.json"))) == 1 and not path.exists()
+
+
+@pytest.mark.usefixtures("own_process")
+@pytest.mark.parametrize("digest", ["as its name says", "another"])
+def test_a_footer_that_ends_the_process_that_opens_it_is_one_line_for_every_command(run, tmp_path, capsys, digest):
+    """Of the file in reproductions: pyarrow aborts when it is asked for the columns' types."""
+    (path,) = files_of(run, "m")
+    data = with_a_fatal_footer(path.read_bytes())
+    path.write_bytes(data)
+    if digest == "as its name says":
+        path = path.rename(path.with_name(f"000000-{sha256_of(path)[:16]}.parquet"))
+    for command in ("report", "compare", "digest", "rethreshold"):
+        assert COMMANDS[command](run) == 2
+        captured = capsys.readouterr()
+        assert captured.out == "" and captured.err.count("\n") == 1 and path.name in captured.err
+    assert COMMANDS["verify"](run) == 1
+    assert f"{path}: " in capsys.readouterr().out and load_run(run).unfinished == ("m",)
 
 
 def test_a_claim_that_is_a_link_writes_nothing_where_it_leads(tmp_path):
@@ -176,17 +208,8 @@ def test_a_claim_that_is_a_link_writes_nothing_where_it_leads(tmp_path):
     assert precious.read_text() == "years of work"
 
 
-def forge(run, change, kind="trials", method="m"):
-    """Another table under a shard's receipt, with the sha256 that it has."""
-    path = files_of(run, f"{kind}/{method}")[0]
-    table = change(pq.read_table(path, partitioning=None))
-    path.unlink()
-    pq.write_table(table, path)
-    sha = sha256_of(path)
-    new = path.with_name(f"000000-{sha[:16]}.parquet")
-    path.rename(new)
-    stored = {"path": f"{kind}/{method}/{new.name}", "sha256": sha, "bytes": new.stat().st_size}
-    in_file(run / "manifest" / method / "000000.json", lambda d: put(d, f"files.{kind}", stored))
+def forge_shard(run, change, kind="trials", method="m"):
+    forge(files_of(run, method)[0], change, kind)
 
 
 def with_words(table, name, words):
@@ -208,7 +231,7 @@ FORGED = {
 
 @pytest.mark.parametrize("what", FORGED)
 def test_a_forged_table_with_the_right_sha256_is_one_line(run, what, capsys):
-    forge(run, FORGED[what])
+    forge_shard(run, FORGED[what])
     for command in ("report", "compare"):
         assert COMMANDS[command](run) == 2
         captured = capsys.readouterr()
@@ -216,7 +239,7 @@ def test_a_forged_table_with_the_right_sha256_is_one_line(run, what, capsys):
 
 
 def test_a_table_that_unpacks_to_more_than_its_rows_can_hold_is_refused_undecoded(run, monkeypatch):
-    forge(run, lambda t: with_words(t, "object", ["x" * (20 << 20)]))  # a few kB on the disk
+    forge_shard(run, lambda t: with_words(t, "object", ["x" * (20 << 20)]))  # a few kB on the disk
     read = []
     monkeypatch.setattr(pq.ParquetFile, "read", lambda *_, **__: read.append(1))
     with pytest.raises(RunError, match=r"unpacks to .* bytes; at most"):
@@ -232,7 +255,7 @@ def test_a_pose_without_its_numbers_is_refused_by_its_column(tmp_path):
         field = table.schema.field("T_obj_ee")
         return table.set_column(1, field, pa.array([[None] * 16] * len(table), field.type))
 
-    forge(run, without, "poses")
+    forge_shard(run, without, "poses")
     with pytest.raises(RunError, match="column 'T_obj_ee' has 96 empty numbers"):
         load_run(run).poses("m")
 
@@ -260,7 +283,7 @@ MADE_UP = {  # of six rows that are successes: S0 0, 1, 2, S1 3, 4, 5
 
 @pytest.mark.parametrize("what", MADE_UP)
 def test_an_outcome_that_its_criteria_do_not_give_is_refused_by_every_table(run, what, capsys):
-    forge(run, MADE_UP[what])
+    forge_shard(run, MADE_UP[what])
     assert COMMANDS["report"](run) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and "m: 1 rows have another outcome than their criteria say" in captured.err
@@ -276,7 +299,7 @@ def test_rows_of_other_trials_with_a_right_sha256_are_found_and_scored_again(tmp
     with run.write("m", *run.todo("m")) as writer:
         writer.append(trials=score_rows(trials, make_scores(trials, n), NAMES))
     assert COMMANDS["verify"](tmp_path / "run") == 0
-    forge(tmp_path / "run", lambda t: t.set_column(0, TRIAL_SCHEMA.field("trial_id"), pa.array(ids, pa.int64())))
+    forge_shard(tmp_path / "run", lambda t: t.set_column(0, TRIAL_SCHEMA.field("trial_id"), pa.array(ids, pa.int64())))
     with pytest.raises(RunError, match="trial_id"):
         load_run(tmp_path / "run")
     assert COMMANDS["verify"](tmp_path / "run") == 1

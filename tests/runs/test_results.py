@@ -6,13 +6,26 @@ import time
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-from made_runs import NAMES, OUTCOMES, files_of, make_header, make_predictions, make_scores, make_trials, store, write
+from made_runs import (
+    NAMES,
+    OUTCOMES,
+    files_of,
+    forge,
+    make_header,
+    make_predictions,
+    make_scores,
+    make_trials,
+    store,
+    write,
+)
 
 from r2h_batch.runs import store as run_store
+from r2h_batch.runs.files import RunError, claim, temporary_name
+from r2h_batch.runs.header import shards_of
 from r2h_batch.runs.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA, pose_rows, score_rows
-from r2h_batch.runs.store import RunError, load_run, open_run, shards_of
+from r2h_batch.runs.store import load_run
+from r2h_batch.runs.writing import open_run
 from r2h_batch.types import CRITERIA, Outcome
 
 ALL = ["details", "poses", "paths"]
@@ -110,13 +123,13 @@ def test_the_digest_is_of_the_rows_and_not_of_the_clock(tmp_path):
 
 def test_what_a_killed_sweep_left_of_a_shard_is_removed_by_the_next_one_and_is_no_parquet_file(tmp_path):
     write(tmp_path / "run")
-    stale = run_store.temporary_name(tmp_path / "run" / "trials" / "m" / "000000")
+    stale = temporary_name(tmp_path / "run" / "shards" / "m" / "000000")
     assert stale.suffix != ".parquet"
     stale.write_bytes(b"half a file")
     run = open_run(tmp_path / "run", make_header(6, 6))
     run.register("m", {"kind": "test"})
     with run.claim("m", shards_of(run.header)[0]) as mine:
-        assert mine and not stale.exists()
+        assert mine is not None and not stale.exists()
 
 
 def test_totals_are_asserted_on_write(tmp_path):
@@ -132,14 +145,14 @@ def test_totals_are_asserted_on_write(tmp_path):
 
 def test_a_run_from_before_a_column_was_stored_is_read_with_it_empty_and_keeps_its_digest(tmp_path, monkeypatch):
     write(tmp_path / "run")
-    (path,) = (tmp_path / "run" / "trials" / "m").iterdir()
-    pq.write_table(pq.read_table(path).drop_columns(list(LATER_COLUMNS)), path)
-    digest = load_run(tmp_path / "run", verify=False).digest("m")
+    (path,) = files_of(tmp_path / "run")
+    forge(path, lambda table: table.drop_columns(list(LATER_COLUMNS)))
+    digest = load_run(tmp_path / "run").digest("m")
     with monkeypatch.context() as m:  # the version that stored it knew no more columns, and gave the same digest
         names = [n for n in TRIAL_SCHEMA.names if n not in LATER_COLUMNS]
         m.setattr(run_store, "TRIAL_SCHEMA", pa.schema([TRIAL_SCHEMA.field(n) for n in names]))
-        assert load_run(tmp_path / "run", verify=False).digest("m") == digest
-    table = load_run(tmp_path / "run", verify=False).trials("m")
+        assert load_run(tmp_path / "run").digest("m") == digest
+    table = load_run(tmp_path / "run").trials("m")
     assert table.schema.equals(TRIAL_SCHEMA, check_metadata=False)
     assert all(table[name].null_count == 12 for name in LATER_COLUMNS) and table["plan_pair"].null_count < 12
 
@@ -192,12 +205,12 @@ def test_two_writers_of_one_shard_leave_the_rows_of_the_first_and_no_files_of_th
 
 def test_a_claim_is_given_to_one_at_a_time_and_falls_with_its_process_though_a_child_of_that_lives(tmp_path):
     """The child: such as a server that a method forked."""
-    with run_store.claim(tmp_path / "c") as first, run_store.claim(tmp_path / "c") as second:
-        assert first and not second
+    with claim(tmp_path / "c") as first, claim(tmp_path / "c") as second:
+        assert first is not None and second is None
     read, write = os.pipe()
     holder = os.fork()
     if not holder:
-        with run_store.claim(tmp_path / "c"):
+        with claim(tmp_path / "c"):
             if not os.fork():
                 os.write(write, str(os.getpid()).encode())  # it runs: so it has closed what it inherited
                 time.sleep(60)
@@ -205,13 +218,13 @@ def test_a_claim_is_given_to_one_at_a_time_and_falls_with_its_process_though_a_c
             time.sleep(60)
     child = int(os.read(read, 100))
     try:
-        with run_store.claim(tmp_path / "c") as own:
-            assert not own
+        with claim(tmp_path / "c") as own:
+            assert own is None
         os.kill(holder, signal.SIGKILL)
         os.waitpid(holder, 0)
         os.kill(child, 0)  # it lives
-        with run_store.claim(tmp_path / "c") as own:
-            assert own
+        with claim(tmp_path / "c") as own:
+            assert own is not None
     finally:
         os.kill(child, signal.SIGKILL)
 

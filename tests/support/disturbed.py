@@ -97,8 +97,8 @@ def wait_for(condition, what, timeout=180):
         time.sleep(0.02)
 
 
-def receipts(out):
-    return sorted((out / "manifest").rglob("[!.]*.json")) if (out / "manifest").exists() else []
+def stored_shards(out):
+    return sorted((out / "shards").rglob("[!.]*.parquet")) if (out / "shards").exists() else []
 
 
 def same_rows(out, undisturbed, method=SLOW):

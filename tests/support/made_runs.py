@@ -1,7 +1,12 @@
 """Runs made by hand for the tests of what comes after `Scores`: trials, scores, the paper's rows."""
 
+import contextlib
 import csv
+import faulthandler
+import io
 import json
+import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +15,11 @@ import pyarrow.parquet as pq
 import torch
 
 from r2h_batch.__main__ import main
+from r2h_batch.base.io.parquet import check_decoded_size
 from r2h_batch.runs import store as results
+from r2h_batch.runs.files import sha256_of
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, pose_rows, score_rows
-from r2h_batch.runs.store import RunFolder, open_run, sha256_of
+from r2h_batch.runs.writing import RunFolder, open_run
 from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
 
 OBJECTS = ("bowl", "cup", "eyeglasses", "hammer", "knife", "scissors")
@@ -208,40 +215,89 @@ def write(folder, outcome=OUTCOMES, method="m", **changes):
     return trials, scores
 
 
-def files_of(folder, kind="trials"):
-    return sorted((folder / kind).rglob("*.parquet"))
+def files_of(folder, method=""):
+    return sorted((folder / "shards" / method).rglob("*.parquet"))
+
+
+def forge(path, change, kind="trials"):
+    """Another shard in the place of one, with the digest that it has; `change` gets the rows of a kind as a table. The new
+    file."""
+    table = pq.read_table(path, partitioning=None)
+    if kind == "trials":
+        structs = [field for field in table.schema if pa.types.is_struct(field.type)]
+        rows = change(table.drop_columns([field.name for field in structs]))
+        for field in structs:
+            rows = rows.append_column(field, table[field.name])
+    else:
+        struct = table[kind].combine_chunks()
+        there = struct.is_valid()
+        flat = pa.table([table["trial_id"], *struct.flatten()], names=["trial_id", *(f.name for f in struct.type)])
+        flat = change(flat.filter(there)).drop_columns(["trial_id"])
+        place = pa.array(np.where(there, np.cumsum(there) - 1, 0), mask=~np.asarray(there))
+        arrays = [c.combine_chunks() for c in flat.take(place).columns]
+        struct = pa.StructArray.from_arrays(arrays, fields=list(flat.schema), mask=place.is_null())
+        rows = table.set_column(table.column_names.index(kind), kind, struct)
+    path.unlink()
+    return put_shard(path, rows.replace_schema_metadata(table.schema.metadata))
+
+
+def put_shard(path, table):
+    """The table as a shard's file in the folder of `path` and with its number, under the digest that it has."""
+    temporary = path.with_name(".forged")
+    pq.write_table(table, temporary)
+    new = path.with_name(f"{path.name[:6]}-{sha256_of(temporary)[:16]}.parquet")
+    temporary.rename(new)
+    return new
+
+
+def receipt_of(path):
+    return json.loads(pq.read_schema(path).metadata[b"r2h_batch"])
+
+
+def with_receipt(path, receipt):
+    """The shard with another receipt, under the digest that it has."""
+    table = pq.read_table(path, partitioning=None)
+    path.unlink()
+    return put_shard(path, table.replace_schema_metadata({"r2h_batch": json.dumps(receipt)}))
+
+
+def with_a_fatal_footer(data):
+    """The bytes with one bit of the footer flipped so that pyarrow aborts."""
+    size = int.from_bytes(data[-8:-4], "little")
+    for bit in range(8 * (len(data) - 8 - size), 8 * (len(data) - 8)):
+        flipped = bytearray(data)
+        flipped[bit // 8] ^= 1 << bit % 8
+        if not (child := os.fork()):
+            faulthandler.disable()
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            with contextlib.suppress(Exception), pq.ParquetFile(io.BytesIO(bytes(flipped))) as file:
+                check_decoded_size(file, 1 << 60, "")
+            os._exit(0)
+        if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) < 0:
+            return bytes(flipped)
+    raise AssertionError("no bit of this footer aborts pyarrow: the test has nothing to show")
 
 
 def forged(folder, out, change, kind="trials"):
-    """A copy of the run in which `change(row) -> bool` has edited rows, with file, receipt and sha256 all agreeing."""
-    for path in folder.rglob("*"):
-        target = out / path.relative_to(folder)
-        if path.is_dir():
-            target.mkdir(parents=True, exist_ok=True)
-        else:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(path.read_bytes())
+    """A copy of the run in which `change(row) -> bool` has edited rows, with receipt and digest agreeing."""
+    shutil.copytree(folder, out)
     edited = []
-    for receipt in sorted((out / "manifest" / "random").glob("*.json")):
-        data = json.loads(receipt.read_text())
-        file = out / data["files"][kind]["path"]
-        table = pq.read_table(file, partitioning=None)
-        rows = table.to_pylist()
-        for row in rows:
-            before = row.get("outcome")
-            if change(row):
-                edited.append(row["trial_id"])
-                if kind != "trials":
-                    continue
-                counts = data["outcomes"][row["split"]]
-                counts[before] -= 1
-                counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
-        pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), file)
-        sha = sha256_of(file)
-        renamed = file.with_name(f"{file.name[:6]}-{sha[:16]}.parquet")
-        file.rename(renamed)
-        data["files"][kind] = {"path": str(renamed.relative_to(out)), "sha256": sha, "bytes": renamed.stat().st_size}
-        receipt.write_text(json.dumps(data))
+    for path in files_of(out, "random"):
+        receipt = receipt_of(path)
+
+        def edit(table, receipt=receipt):
+            rows = table.to_pylist()
+            for row in rows:
+                before = row.get("outcome")
+                if change(row):
+                    edited.append(row["trial_id"])
+                    if kind == "trials":
+                        counts = receipt["outcomes"][row["split"]]
+                        counts[before] -= 1
+                        counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
+            return pa.Table.from_pylist(rows, schema=table.schema)
+
+        with_receipt(forge(path, edit, kind), receipt)
     return edited
 
 

@@ -1,7 +1,7 @@
-"""Readers of meshes and HDF5 files in this process: a process of its own takes a CPU second to import them, for each file.
+"""Readers of meshes, HDF5 and Parquet files in this process: one of its own takes a CPU second to import them, for each file.
 
-Tests of what such a process is for (`own_process`) have it: tests/scene/test_hostile_meshes.py and
-tests/data/test_grasps_refused.py.
+Tests of what such a process is for (`own_process`) have it: tests/scene/test_hostile_meshes.py,
+tests/data/test_grasps_refused.py and tests/runs/test_hostile_folders.py.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,11 @@ import pytest
 from r2h_batch.base.io import child
 from r2h_batch.base.io.read import FileError
 
-READERS = {"r2h_batch.scene.mesh_import.file": "_child", "r2h_batch.data.hdf5": "_read"}
+READERS = {
+    "r2h_batch.scene.mesh_import.file": "_child",
+    "r2h_batch.data.hdf5": "_read",
+    "r2h_batch.base.io.parquet": "_child",
+}
 """Module -> what it gives to `answer_parent`."""
 IN_PROCESS = True
 _apart = child.read_in_child

@@ -14,8 +14,10 @@ from made_runs import NAMES, make_header, make_scores
 from made_runs import make_trials as planned
 
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import detail_rows, score_rows
-from r2h_batch.runs.store import RunError, load_run, open_run
+from r2h_batch.runs.store import load_run
+from r2h_batch.runs.writing import open_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.answers import AnswerError, answer_of

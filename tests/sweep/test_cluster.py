@@ -8,7 +8,7 @@ from collections import deque
 from types import SimpleNamespace
 
 import pytest
-from disturbed import DEADLY, SLOW, finish, receipts, same_rows, start, wait_for
+from disturbed import DEADLY, SLOW, finish, same_rows, start, stored_shards, wait_for
 from fake_bench import workers
 from needs import needs
 
@@ -27,7 +27,7 @@ def test_a_killed_worker_is_replaced_the_digest_is_that_of_one_process_and_a_fin
 ):
     out, log = tmp_path / "run", tmp_path / "log"
     sweep = start(tmp_path, out, SLOW, *ONE, FAKE_WORKERS="2", fork=True)
-    wait_for(lambda: len(receipts(out)) >= 2, "two shards")
+    wait_for(lambda: len(stored_shards(out)) >= 2, "two shards")
     os.kill(int(log.read_text().splitlines()[-1].split()[0]), signal.SIGKILL)
     code, table, error = finish(sweep)
     assert code == 0 and table.startswith("split,"), error
@@ -67,10 +67,10 @@ def test_a_cluster_that_breaks_off_is_no_trouble_of_the_run_folder(tmp_path):
 def test_kill_9_of_the_driver_leaves_a_folder_that_goes_on(tmp_path, undisturbed):
     out = tmp_path / "run"
     sweep = start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0.2")
-    wait_for(lambda: len(receipts(out)) >= 3, "three shards")
+    wait_for(lambda: len(stored_shards(out)) >= 3, "three shards")
     sweep.kill()
     finish(sweep)
-    stored = receipts(out)
+    stored = stored_shards(out)
     assert len(stored) < 12
     times = [p.stat().st_mtime_ns for p in stored]
     code, _, error = finish(start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0"))
@@ -85,7 +85,7 @@ def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_ag
     code, table, error = finish(start(tmp_path, out, DEADLY, *ONE, FAKE_DEADLY="47"))
     assert code == 1 and table == "", error
     assert f"{DEADLY}: quarantined after three tries: shards 4" in error
-    assert log.read_text() == "x" * 3 and len(receipts(out)) == 11
+    assert log.read_text() == "x" * 3 and len(stored_shards(out)) == 11
     run = load_run(out)
     assert [s.index for s in run.missing(DEADLY)] == [s.index for s in run.quarantined(DEADLY)] == [4]
     noted = store.read_json(out / "quarantine" / "fake_bench_deadly" / "000004.json")
@@ -109,7 +109,7 @@ def test_kill_9_of_a_second_node_moves_its_shards_to_the_first(tmp_path, undistu
         cluster.wait_for_nodes()
         out, log = tmp_path / "run", tmp_path / "log"
         sweep = start(tmp_path, out, SLOW, *RAY, "--address", cluster.address, FAKE_SECONDS="0.3")
-        wait_for(lambda: len(workers(log)) == 2 and len(receipts(out)) >= 2, "both nodes at work")
+        wait_for(lambda: len(workers(log)) == 2 and len(stored_shards(out)) >= 2, "both nodes at work")
         for processes in node.all_processes.values():
             for process in processes:
                 os.kill(process.process.pid, signal.SIGKILL)

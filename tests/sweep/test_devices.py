@@ -69,10 +69,10 @@ def test_a_gpu_that_is_lost_is_one_line_and_the_same_command_goes_on(what, who, 
     said = capsys.readouterr().err
     (last,) = [x for x in said.splitlines() if "shards that were complete are stored; run the same command" in x]
     assert str(LOST[what]()).partition("\n")[0] in last and "Traceback" not in said
-    stored = {f.name: f.read_bytes() for f in (tmp_path / "run" / "manifest").rglob("*.json")}
+    stored = {f.name: f.read_bytes() for f in (tmp_path / "run" / "shards").rglob("*.parquet")}
     assert 0 < len(stored) < 6
     assert sweep.main(line) == 0
-    now = {f.name: f.read_bytes() for f in (tmp_path / "run" / "manifest").rglob("*.json")}
+    now = {f.name: f.read_bytes() for f in (tmp_path / "run" / "shards").rglob("*.parquet")}
     assert len(now) == 6 and stored.items() <= now.items()
     whole = [*line[:-1], str(tmp_path / "undisturbed")]
     assert sweep.main(whole) == 0

@@ -9,10 +9,10 @@ import signal
 from pathlib import Path
 
 import fake_bench
+import pyarrow.parquet as pq
 import pytest
-from disturbed import DEADLY, SLOW, finish, receipts, same_rows, start, wait_for
+from disturbed import DEADLY, SLOW, finish, same_rows, start, stored_shards, wait_for
 
-from r2h_batch.runs import store
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
@@ -21,10 +21,10 @@ from r2h_batch.sweep import jobs
 def test_kill_9_of_the_process_loses_one_shard_at_most(tmp_path, undisturbed):
     out = tmp_path / "run"
     first = start(tmp_path, out)
-    wait_for(lambda: len(receipts(out)) >= 3, "three shards")
+    wait_for(lambda: len(stored_shards(out)) >= 3, "three shards")
     first.kill()
     finish(first)
-    stored = receipts(out)
+    stored = stored_shards(out)
     assert 3 <= len(stored) < 12
     times = [p.stat().st_mtime_ns for p in stored]
     code, table, error = finish(start(tmp_path, out))
@@ -37,11 +37,11 @@ def test_kill_9_of_the_process_loses_one_shard_at_most(tmp_path, undisturbed):
 def test_a_stop_signal_ends_with_130_and_the_same_command_goes_on(tmp_path, undisturbed, number):
     out = tmp_path / "run"
     first = start(tmp_path, out, SLOW, FAKE_SECONDS="0.2")
-    wait_for(lambda: len(receipts(out)) >= 1, "a shard")
+    wait_for(lambda: len(stored_shards(out)) >= 1, "a shard")
     first.send_signal(number)
     code, table, error = finish(first)
     assert code == 130 and table == "" and error.splitlines()[-1].startswith("sweep: interrupted"), error
-    assert 1 <= len(receipts(out)) < 12 and not list(out.rglob("*.tmp"))
+    assert 1 <= len(stored_shards(out)) < 12 and not list(out.rglob("*.tmp"))
     code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
     assert code == 0, error
     same_rows(out, undisturbed)
@@ -68,7 +68,7 @@ def test_a_full_disk_is_one_line_and_the_sweep_goes_on_after_freeing(tmp_path, u
     code, table, error = finish(start(tmp_path, out, before=small_files))
     assert code == 1 and table == "", error
     assert error.splitlines()[-1].startswith("sweep: ") and "Traceback" not in error
-    assert not list(out.rglob("*.tmp")) and not list(out.rglob("*.parquet")) and not receipts(out)
+    assert not list(out.rglob("*.tmp")) and not list(out.rglob("*.parquet")) and not stored_shards(out)
     code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
     assert code == 0, error
     same_rows(out, undisturbed)
@@ -79,7 +79,7 @@ def test_parts_at_once_of_which_some_are_killed_and_started_again_give_the_rows_
     out = tmp_path / "run"
     parts = [start(tmp_path, out, SLOW, "--shard", f"{i}/5") for i in (1, 2, 3, 4, 5)]
     whole = start(tmp_path, out)
-    wait_for(lambda: len(receipts(out)) >= 2, "two shards")
+    wait_for(lambda: len(stored_shards(out)) >= 2, "two shards")
     for i in (1, 3):
         parts[i].kill()
         finish(parts[i])
@@ -99,7 +99,7 @@ def test_a_shard_that_always_kills_the_sweep_comes_last_is_quarantined_listed_an
 
     for deaths, stored in ((1, 4), (2, 11), (3, 11)):  # the second try stores all others before it dies again
         code, said = once_more()
-        assert code == -signal.SIGKILL and len(receipts(out)) == stored, said
+        assert code == -signal.SIGKILL and len(stored_shards(out)) == stored, said
         assert (tmp_path / "log").read_text() == "x" * deaths
     code, said = once_more()
     assert code == 1 and f"{DEADLY}: quarantined after three tries: shards 4" in said, said
@@ -110,20 +110,22 @@ def test_a_shard_that_always_kills_the_sweep_comes_last_is_quarantined_listed_an
     assert once_more()[0] == 1
     code, said = once_more("-1")
     assert code == 0 and "split," in said, said
-    assert not list((out / "quarantine").rglob("*.json")) and not list((out / ".claims").glob("*.begun"))
+    assert not list((out / "quarantine").rglob("*.json"))
+    assert not any(p.read_text().startswith(".") for p in (out / ".claims").iterdir())
     same_rows(out, undisturbed, DEADLY)
 
 
 def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(jobs, "set_up", fake_bench.set_up)
-    monkeypatch.setattr(store.pq, "write_table", lambda *a, **k: (_ for _ in ()).throw(OSError(28, "No space left")))
+    monkeypatch.setattr(pq, "write_table", lambda *a, **k: (_ for _ in ()).throw(OSError(28, "No space left")))
     line = ["--method", "fake_bench:best", "--trials", "6", "--out", str(tmp_path / "run")]
     for _ in range(4):
         assert sweep.main(line) == 1
-    assert not list((tmp_path / "run" / ".claims").glob("*.begun"))
+    mark = tmp_path / "run" / ".claims" / "fake_bench_best-000000"
+    assert mark.read_text().startswith("process ")
+    mark.unlink()
     monkeypatch.undo()
     monkeypatch.setattr(jobs, "set_up", fake_bench.set_up)
-    mark = tmp_path / "run" / ".claims" / "fake_bench_best-000000.begun"
     mark.symlink_to(tmp_path / "elsewhere")
     assert sweep.main(line) == 1
     mark.unlink()
@@ -131,10 +133,10 @@ def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(
     capsys.readouterr()
     assert sweep.main(line) == 1
     assert f"{mark} is a pipe, where the run has a file of its own; move it away" in capsys.readouterr().err
-    assert not (tmp_path / "elsewhere").exists() and not receipts(tmp_path / "run")
+    assert not (tmp_path / "elsewhere").exists() and not stored_shards(tmp_path / "run")
 
 
-@pytest.mark.parametrize("place", ["run.json", "manifest", ".claims/fake_bench_best-000000.begun"])
+@pytest.mark.parametrize("place", ["run.json", "shards", ".claims/fake_bench_best-000000"])
 @pytest.mark.parametrize("kind", ["folder", "pipe"])
 def test_what_stands_in_the_place_of_a_runs_own_file_is_named_with_the_run_folder_and_what_to_do(
     place, kind, tmp_path, monkeypatch, capsys
@@ -158,7 +160,7 @@ def test_what_stands_in_the_place_of_a_runs_own_file_is_named_with_the_run_folde
     capsys.readouterr()
     code = sweep.main(line)
     error = [x for x in capsys.readouterr().err.splitlines() if x.startswith("sweep: ")]
-    mine = "folder" if place == "manifest" else "file"
+    mine = "folder" if place == "shards" else "file"
     if kind == mine:
         assert code == 0 and not error
         return

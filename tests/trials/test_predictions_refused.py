@@ -8,8 +8,11 @@ import zipfile
 from contextlib import contextmanager
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
+from made_runs import with_a_fatal_footer
 from prediction_files import arrays, members, npy, refused, store, zipped
 
 from r2h_batch.trials.predictions import PredictionsError, load_predictions
@@ -159,3 +162,43 @@ def test_any_flipped_bit_is_refused_or_harmless_and_never_another_error(tmp_path
         for key, value in arrays(2).items():
             assert np.array_equal(getattr(read, key).numpy(), value)
     assert accepted < len(data) / 6
+
+
+def answers(path, counts=(16, 16), **how):
+    """A Parquet file of answers whose grasps have so many numbers a row."""
+    grasps = pa.array([np.eye(4, dtype=np.float32).reshape(-1).tolist()[:n] + [0.0] * (n - 16) for n in counts])
+    poses = pa.array([np.eye(4, dtype=np.float32).reshape(-1).tolist()] * len(counts))
+    table = pa.table({"trial_id": np.arange(len(counts)), "T_obj_ee": grasps, "T_world_ee": poses})
+    pq.write_table(table, path, compression="none", use_dictionary=False, **how)
+    return path
+
+
+def test_rows_of_15_and_17_numbers_in_a_parquet_file_are_refused_by_their_row(tmp_path):
+    assert load_predictions(answers(tmp_path / "good.parquet")).T_obj_ee.shape == (2, 4, 4)
+    with pytest.raises(PredictionsError, match="'T_obj_ee' has 15 numbers in row 1; it needs 16 numbers a row"):
+        load_predictions(answers(tmp_path / "shifted.parquet", (16, 15, 17)))
+
+
+def test_a_flipped_bit_in_a_parquet_file_with_page_checksums_is_never_read_as_another_pose(tmp_path):
+    path = answers(tmp_path / "m.parquet", write_page_checksum=True)
+    data, good = path.read_bytes(), load_predictions(path)
+    for byte in range(4, len(data) - 8, 37):
+        path.write_bytes(data[:byte] + bytes([data[byte] ^ 4]) + data[byte + 1 :])
+        if byte > len(data) - 8 - int.from_bytes(data[-8:-4], "little"):
+            break  # the footer, which can end the process that reads it
+        try:
+            found = load_predictions(path)
+        except PredictionsError as error:
+            assert str(path) in str(error)
+        else:
+            assert torch.equal(found.T_obj_ee, good.T_obj_ee) and torch.equal(found.T_world_ee, good.T_world_ee)
+
+
+@pytest.mark.usefixtures("own_process")
+def test_a_parquet_file_that_aborts_its_reader_is_one_line(tmp_path):
+    """pyarrow aborts when it is asked for the size of a column whose type no version has."""
+    path = tmp_path / "m.parquet"
+    path.write_bytes(with_a_fatal_footer(answers(path).read_bytes()))
+    with pytest.raises(PredictionsError, match=rf"^{path}: .*ends its reader") as caught:
+        load_predictions(path)
+    assert "\n" not in str(caught.value)

@@ -36,7 +36,7 @@ def read_in_child(
     file: BinaryIO,
     options: Mapping[str, Any],
     *,
-    count: int,
+    count: int | None,
     seconds: float,
     doing: str,
 ) -> list[Any]:
@@ -46,7 +46,7 @@ def read_in_child(
         module: run with `python -m`; it calls `answer_parent`.
         file: opened for reading.
         options: for the reader; JSON.
-        count: number of arrays.
+        count: number of arrays; None: as many as the reader sends.
         seconds: CPU time that the child may take.
         doing: what is being done, for a line every five seconds.
 
@@ -76,8 +76,12 @@ def read_in_child(
             raise FileError(f"{cpu}, or ends its reader ({-child.returncode})")
         if child.returncode:
             raise FileError("cannot be read: its reader ended with an error")
+        size = answer.seek(0, os.SEEK_END)
         answer.seek(0)
-        return [np.load(answer, allow_pickle=False) for _ in range(count)]
+        arrays: list[Any] = []
+        while answer.tell() < size if count is None else len(arrays) < count:
+            arrays.append(np.load(answer, allow_pickle=False))
+        return arrays
 
 
 def _wait(child: subprocess.Popen[bytes], seconds: float, doing: str) -> bytes:

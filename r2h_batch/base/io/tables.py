@@ -1,15 +1,12 @@
-"""Bounded reading of tables: arrays as CSV, JSON, Parquet."""
+"""Bounded reading of tables: arrays as CSV and JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from r2h_batch.base.io.read import FileError, open_file, printable, read_json
-
-if TYPE_CHECKING:
-    import pyarrow.parquet as pq
 
 MAX_WORD = 200
 MAX_CSV_BYTES = 512 << 20
@@ -92,115 +89,3 @@ def read_json_arrays(path: Path) -> dict[str, Any]:
             shown = repr(printable(name)[:60])
             raise FileError(f"{where}: {shown} is not a list of numbers or texts of one shape")
     return found
-
-
-def read_parquet_arrays(
-    path: Path, *, most: int, rows: int, text: Collection[str] = (), row_bytes: int | None = None
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The columns of a Parquet file as flat arrays, after its decoded size is bounded.
-
-    The footer says how many values each column has. A column of text with few different words takes
-    little space in the file, and much in memory: such columns are read as dictionaries.
-
-    Args:
-        path: the file.
-        most: largest decoded size of all columns, bytes.
-        rows: largest number of rows.
-        text: names of the columns of text, read as dictionaries.
-        row_bytes: largest decoded size of a row, beside 1 MiB for all; None: `most` alone.
-
-    Returns:
-        name -> the numbers or texts of all rows one after another, and, of columns of lists, name ->
-        how many each row has.
-
-    Raises:
-        FileError: it is damaged, a link leads nowhere, it is too large, or a value is missing.
-    """
-    import pyarrow as pa
-    import pyarrow.compute as pc
-    import pyarrow.parquet as pq
-
-    where = printable(path)
-    found: dict[str, Any] = {}
-    counts: dict[str, Any] = {}
-    with open_file(path, most) as stream:
-        try:
-            there = pq.read_schema(stream).names
-            stream.seek(0)
-            words = [name for name in text if name in there]
-            with pq.ParquetFile(stream, read_dictionary=words) as file:
-                if (n := file.metadata.num_rows) > rows:
-                    raise FileError(f"{where}: {n} rows; at most {rows} are allowed")
-                most = most if row_bytes is None else min(most, (1 << 20) + row_bytes * n)
-                check_decoded_size(file, most, where)
-                table = file.read().unify_dictionaries()
-            for name in table.column_names:
-                column = table[name].combine_chunks()
-                if column.null_count:
-                    shown = printable(name)[:60]
-                    raise FileError(f"{where}: {shown!r} is empty in {column.null_count} rows")
-                if _is_list(column.type):
-                    counts[name] = pc.list_value_length(column).to_numpy(zero_copy_only=False)
-                while _is_list(column.type):
-                    column = column.flatten()
-                if name in words:
-                    found[name] = _texts(column, f"{where}: {name}")
-                else:
-                    found[name] = column.to_numpy(zero_copy_only=False)
-        except (OSError, pa.ArrowException) as error:
-            why = printable(error)[:300]
-            raise FileError(f"{where}: no readable Parquet file ({why}); copy it again") from error
-    return found, counts
-
-
-def _is_list(kind: Any) -> bool:
-    import pyarrow.types as types
-
-    return types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)
-
-
-def _texts(column: Any, what: str) -> Any:
-    """Texts out of a dictionary. A long one is refused before many rows repeat it in memory."""
-    import numpy as np
-
-    words = [str(w) for w in column.dictionary.to_pylist()] if hasattr(column, "dictionary") else []
-    if any(len(w) > MAX_WORD for w in words) or len(words) < min(1, len(column)):
-        raise FileError(f"{what} is no text of at most {MAX_WORD} characters")
-    return np.array(words or [""], np.str_)[column.indices.to_numpy(zero_copy_only=False)]
-
-
-_VALUE_BYTES = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "INT96": 12}
-
-
-def check_decoded_size(
-    file: pq.ParquetFile, most: int, where: str, columns: Collection[str] | None = None
-) -> None:
-    """Refuse a Parquet file whose columns may take more than `most` bytes of memory.
-
-    The bound comes from the footer, before anything is decoded. A column of text with a dictionary
-    counts as if every value were the dictionary's longest word, unless it stays a dictionary.
-
-    Args:
-        file: the open file.
-        most: largest size, bytes.
-        where: the file's name, for the message.
-        columns: the columns that will be read; None means all.
-    """
-    import pyarrow as pa
-
-    size = 0
-    dictionaries = {f.name for f in file.schema_arrow if pa.types.is_dictionary(f.type)}
-    for g in range(file.metadata.num_row_groups):
-        group = file.metadata.row_group(g)
-        for c in range(file.metadata.num_columns):
-            chunk, stored = group.column(c), group.column(c).total_uncompressed_size
-            name = chunk.path_in_schema
-            if columns is not None and name.partition(".")[0] not in columns:
-                continue
-            width = _VALUE_BYTES.get(chunk.physical_type)
-            if width is None:
-                repeats = chunk.has_dictionary_page and name not in dictionaries
-                width = stored if repeats else 4
-            size += stored + chunk.num_values * width
-    if size > most:
-        raise FileError(f"{where}: unpacks to {size} bytes; at most {most} are allowed")

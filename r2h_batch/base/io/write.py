@@ -20,14 +20,14 @@ from uuid import uuid4
 
 from r2h_batch.base.io.read import FileError, printable
 
-RUN_FOLDERS = ("trials", "details", "poses", "paths", "failures", "manifest", "methods", "quarantine")  # fmt: skip
-"""Folders that a run folder may contain."""
+RUN_FOLDERS = ("shards", "methods", "quarantine", "trials", "details", "poses", "paths", "failures", "manifest")  # fmt: skip
+"""Folders that a run folder may contain; those from `trials` on only in format 3."""
 
 
 def run_folder_of(path: Path) -> Path | None:
     """The run folder that contains the path at any depth; None where there is none."""
     for folder in Path(os.path.abspath(path)).parents:
-        if os.path.lexists(folder / "run.json") and os.path.isdir(folder / "manifest"):
+        if os.path.lexists(folder / "run.json") and os.path.isdir(folder / "methods"):
             return folder
     return None
 

@@ -116,7 +116,7 @@ def load_runs(words: Sequence[Path], method: Sequence[str] = ()) -> "list[Run]":
 
 def _chosen(runs: "list[Run]", words: Sequence[str]) -> "list[Run]":
     """The runs with the chosen methods; every word must be a method of at least one run."""
-    from r2h_batch.runs.store import RunError
+    from r2h_batch.runs.files import RunError
 
     kept: list[Run] = []
     known: set[str] = set()

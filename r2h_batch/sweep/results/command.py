@@ -26,7 +26,9 @@ def verify(folder: Path, /) -> int:
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
     """
-    from r2h_batch.runs.store import load_run, mark_for_rerun, read_header, shards_of
+    from r2h_batch.runs.header import read_header, shards_of
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.runs.verify import mark_for_rerun
 
     lines = mark_for_rerun(folder, read_header(folder))
     print("\n".join(lines or [f"{folder}: every stored shard is as it was written"]))
@@ -88,12 +90,13 @@ def reevaluate(
     code = verify(folder)
     if not rows:
         return code
-    from r2h_batch.runs.store import RunError, load_run
+    from r2h_batch.runs.files import RunError
+    from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results import reevaluation as again
     from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 
     run = load_run(folder, verify=False).only(method)
-    names = [e.name for e in run.entries if e.receipts]
+    names = [e.name for e in run.entries if e.shards]
     if not names:
         raise RunError(f"{folder}: no shard of any method is stored")
     again.check_poses(run)
@@ -140,7 +143,8 @@ def reception(
         benchmark: the flags that the sweep had.
         device: cpu, cuda or cuda:N.
     """
-    from r2h_batch.runs.store import RunError, in_the_way, load_run
+    from r2h_batch.runs.files import RunError, in_the_way
+    from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results import reception as received
 
     if what := in_the_way(folder / "reception", folder=True):

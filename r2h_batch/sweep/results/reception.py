@@ -15,7 +15,8 @@ from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception
 from r2h_batch.report.text import aligned, notes_list, plain, short_names
-from r2h_batch.runs.store import Run, RunError
+from r2h_batch.runs.files import RunError
+from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reevaluation import Judge, check_poses
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 from r2h_batch.trials.benchmark.flags import BenchmarkFlags
@@ -72,7 +73,7 @@ def tables_of_run(
         RunError: the run holds no rows, no poses, or trials without a receiver's body.
     """
     check_poses(run)
-    names = [e.name for e in run.entries if e.receipts]
+    names = [e.name for e in run.entries if e.shards]
     if not names:
         raise RunError(f"{run.folder}: no shard of any method is stored")
     judge = Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
@@ -105,9 +106,8 @@ def table_of(run: Run, method: str, judge: Judge) -> pa.Table:
 
 def _parts(run: Run, method: str) -> Iterator[dict[str, pa.Table]]:
     """Rows, poses and goals of a method, `ROWS` trials at a time."""
-    files = run.entry(method).receipts
-    for index, receipt in sorted(files.items()):
-        kinds = [k for k in ("trials", "poses", "details") if k in receipt["files"]]
+    for index, shard in sorted(run.entry(method).shards.items()):
+        kinds = [k for k in ("trials", "poses", "details") if k in shard.kinds]
         stored = {k: run.shard(k, method, index).sort_by("trial_id") for k in kinds}
         ids = stored["poses"]["trial_id"].to_numpy()
         for i in range(0, len(ids), ROWS):

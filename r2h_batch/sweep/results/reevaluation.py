@@ -1,6 +1,6 @@
 """Judge a random sample of stored rows again, from the poses stored beside them.
 
-sha256 and receipts show that a file is as it was written, but whoever writes a row can write those
+A digest shows that a file is as it was written, but whoever writes a row can write those
 too. Nobody can make up a verdict: trials follow from their ids and poses are stored, so the
 evaluator computes it again. Nor can anybody give a built-in method the poses of another one: it
 answers the sampled trials again. A user's method is not run: a folder may come from anybody.
@@ -24,8 +24,11 @@ from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.levels import Form, planning_form
 from r2h_batch.runs import provenance
+from r2h_batch.runs.files import RunError
+from r2h_batch.runs.header import TIMING
+from r2h_batch.runs.methods import Entry
 from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
-from r2h_batch.runs.store import TIMING, Entry, Run, RunError
+from r2h_batch.runs.store import Run
 from r2h_batch.sweep.engine import judged_tables
 from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
 from r2h_batch.sweep.options import UsageError
@@ -236,7 +239,7 @@ def reevaluate(
     """
     check_poses(run)
     entry = run.entry(method)
-    sizes = {index: r["last"] - r["first"] for index, r in sorted(entry.receipts.items())}
+    sizes = {i: s.shard.last - s.shard.first for i, s in sorted(entry.shards.items())}
     ends = np.cumsum([0, *sizes.values()])
     total = int(ends[-1])
     chosen = np.sort(np.random.default_rng(seed).choice(total, min(n, total), replace=False))
@@ -246,8 +249,8 @@ def reevaluate(
         rows = chosen[(chosen >= ends[place]) & (chosen < ends[place + 1])] - ends[place]
         if not len(rows):
             continue
-        files = entry.receipts[index]["files"]
-        kinds = [k for k in ("trials", "poses", "details", "paths") if k in files]
+        files = entry.shards[index].kinds
+        kinds: list[str] = [k for k in ("trials", "poses", "details", "paths") if k in files]
         kinds += ["episodes"] if judge.loop is not None and "episodes" in files else []
         stored = {kind: run.shard(kind, method, index) for kind in kinds}
         ids = stored["trials"]["trial_id"].take(pa.array(rows))

@@ -16,7 +16,8 @@ from r2h_batch.report.compare.command import FOLDERS, baselines_for, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import pair_up
 from r2h_batch.runs.rows import TrialNames, score_rows
-from r2h_batch.runs.store import load_run, open_run
+from r2h_batch.runs.store import load_run
+from r2h_batch.runs.writing import open_run
 from r2h_batch.sweep.command import main as sweep
 
 

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from made_runs import forged, write_run
+from made_runs import files_of, forged, receipt_of, with_receipt, write_run
 
 from r2h_batch.__main__ import main
 from r2h_batch.closed_loop.env import LoopConfig
@@ -15,8 +15,9 @@ from r2h_batch.closed_loop.episodes import Loop
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.methods import random
+from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import TRIAL_SCHEMA
-from r2h_batch.runs.store import RunError, load_run
+from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results import reevaluation as again
 from r2h_batch.sweep.results.reevaluation import Judge, configuration, reevaluate
@@ -192,7 +193,7 @@ def test_an_answer_that_is_said_to_be_missing_is_found_by_its_pose(folder, tmp_p
         return True
 
     forged(folder, tmp_path / "run", silent)
-    with pytest.raises(RunError, match=r"details/random/.* holds 9 rows, planned were 7"):
+    with pytest.raises(RunError, match=r"shards/random/.* holds 9 rows of details, planned were 7"):
         reevaluate(load_run(tmp_path / "run"), "random", 24, judge)
 
 
@@ -202,11 +203,10 @@ def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_nam
     assert sweep([*LINE, "--seed", "1", "--out", str(tmp_path / "other")]) == 0
     run = load_run(folder)
     shutil.copytree(folder, tmp_path / "run")
-    for kind in ("trials", "details", "poses", "paths", "manifest"):
-        shutil.rmtree(tmp_path / "run" / kind)
-        shutil.copytree(tmp_path / "other" / kind, tmp_path / "run" / kind)
-    for receipt in (tmp_path / "run" / "manifest").rglob("*.json"):
-        receipt.write_text(json.dumps({**json.loads(receipt.read_text()), "run": run.header["hash"]}))
+    shutil.rmtree(tmp_path / "run" / "shards")
+    shutil.copytree(tmp_path / "other" / "shards", tmp_path / "run" / "shards")
+    for path in files_of(tmp_path / "run"):
+        with_receipt(path, {**receipt_of(path), "run": run.header["hash"]})
     swapped = load_run(tmp_path / "run")
     found = reevaluate(swapped, "random", 10, judge)
     assert [d.column for d in found.differences] == ["answer"] * 10 and found.equal == 0

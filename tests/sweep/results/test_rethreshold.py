@@ -11,7 +11,8 @@ from problems import default_evaluator
 from r2h_batch.__main__ import main
 from r2h_batch.report.statistics import thresholds as others
 from r2h_batch.runs.rows import score_rows
-from r2h_batch.runs.store import load_run, open_run
+from r2h_batch.runs.store import load_run
+from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome
 
 BASE = {"reach_radius_m": 0.10, "w_max_m": 0.085, "safe_margin_m": 0.0}

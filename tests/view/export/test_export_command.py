@@ -46,7 +46,7 @@ def test_what_a_folder_names_is_neither_imported_nor_opened(run, tmp_path, monke
         reader.run.entry("oracle"), source={"kind": "method", "function": "evil_module:predict"}
     )
     monkeypatch.setattr(type(reader.run), "entry", lambda self, method: entry)
-    reader.run.header["stored"][:] = []
+    reader.run = dataclasses.replace(reader.run, header={**reader.run.header, "stored": []})
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "evil_module.py").write_text("raise SystemExit('imported')")
     with pytest.raises(ExportError, match="sweep without --no-poses"):

@@ -1,0 +1,89 @@
+"""methods/METHOD.json: the methods of a run folder, and the shards that each has."""
+
+import re
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from r2h_batch.base.io.read import printable
+from r2h_batch.runs.files import RunError
+from r2h_batch.runs.format3 import FORMAT_3, Format3Shard, receipts_of
+from r2h_batch.runs.header import Method, Shard, checked, read_json, shard_at, shard_count
+from r2h_batch.runs.shard import StoredShard, stored_files
+
+_SLUG = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,79}")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A method of a run folder.
+
+    Attributes:
+        folder: the run folder.
+        header: its run.json.
+        slug: the method's part of file names.
+        name: the method's name. In a joined run its robot or run may stand in front.
+        source: where its answers come from.
+        command: the command line that added it.
+        order: its place among the methods.
+        shards: number of a stored shard -> the shard, in order; `load_run` lists them.
+    """
+
+    folder: Path
+    header: dict[str, Any]
+    slug: str
+    name: str
+    source: dict[str, str]
+    command: list[str]
+    order: int
+    shards: dict[int, StoredShard | Format3Shard] = field(default_factory=dict)
+
+    def quarantine_path(self, shard: Shard) -> Path:
+        """The note about a shard that failed for good."""
+        return self.folder / "quarantine" / self.slug / f"{shard.name}.json"
+
+    def claim_path(self, number: int) -> Path:
+        """The file that a process locks while it works on a shard."""
+        return self.folder / ".claims" / f"{self.slug}-{number:06d}"
+
+    @property
+    def data_files(self) -> str:
+        """The pattern of the files that hold the rows, in the run folder."""
+        return (
+            f"{'trials' if self.header['format'] == FORMAT_3 else 'shards'}/{self.slug}/*.parquet"
+        )
+
+    @property
+    def complete(self) -> bool:
+        """Whether every shard is stored; run.json may claim a million, so none is listed."""
+        return len(self.shards) == shard_count(self.header)
+
+    def listed(self) -> "Entry":
+        """The method with the shards that its folder holds now."""
+        shards: dict[int, StoredShard | Format3Shard] = {}
+        if self.header["format"] == FORMAT_3:
+            for number, path in receipts_of(self.folder, self.header, self.slug).items():
+                if shard := shard_at(self.header, number):
+                    where = (path, self.folder, self.slug, self.header, self.name)
+                    shards[number] = Format3Shard(*where, shard)
+        else:
+            for number, path in stored_files(self.header, self.folder, self.slug).items():
+                if shard := shard_at(self.header, number):
+                    shards[number] = StoredShard(path, self.header, self.name, shard)
+        return replace(self, shards=shards)
+
+
+def read_methods(folder: Path, header: dict[str, Any]) -> list[Entry]:
+    """The methods in the order in which they were added, without receipts."""
+    entries = []
+    for path in sorted((folder / "methods").glob("[!.]*.json")):
+        if not _SLUG.fullmatch(path.stem):
+            words = "foreign, no method's file has such a name; take it away"
+            raise RunError(f"{printable(path)}: {words}")
+        entries.append(Entry(folder, header, path.stem, **checked(Method, read_json(path), path)))
+    names = [e.name for e in entries]
+    if len(set(names)) != len(names):
+        twice = max(names, key=names.count)
+        words = f"two files name the method {twice!r}; take one away"
+        raise RunError(f"{folder / 'methods'}: {words}")
+    return sorted(entries, key=lambda e: (e.order, e.name))

@@ -1,0 +1,181 @@
+"""What of a run folder cannot be trusted: damaged, foreign and forged files.
+
+Digests are compared first. Then a child process opens the files, because a footer can end the process
+that opens it. What the child survives is opened here.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from r2h_batch.base.io.parquet import refused_parquet
+from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.registry import PROTOCOL_NAMES
+from r2h_batch.base.schedule import trial_ids
+from r2h_batch.runs.files import RunError, claim
+from r2h_batch.runs.format3 import FORMAT_3, Format3Shard
+from r2h_batch.runs.header import Shard, shard_at
+from r2h_batch.runs.methods import Entry, read_methods
+from r2h_batch.runs.shard import ANSWERED, StoredShard, damage, number_of, shard_files
+
+
+class Problem(NamedTuple):
+    """A file that cannot be trusted; `shard` None: it has no shard's name."""
+
+    method: str
+    shard: Shard | None
+    file: Path
+    what: str
+
+
+def problems_of(
+    entries: Iterable[Entry], *, number: int | None = None, whole: bool = False
+) -> list[Problem]:
+    """The files of methods that cannot be trusted.
+
+    Args:
+        entries: the methods.
+        number: look at this shard only.
+        whole: decode every column in the child process; else open the footers alone.
+    """
+    found: list[Problem] = []
+    sound: list[StoredShard | Format3Shard] = []
+    for entry in entries:
+        old = entry.header["format"] == FORMAT_3
+        for stored in _format_3(entry, found) if old else _named(entry, number, found):
+            sound.append(stored)
+    files = [p for s in sound for p in s.files if p.suffix == ".parquet"]
+    try:
+        refused = refused_parquet(files, whole=whole)
+    except FileError as error:
+        raise RunError(str(error)) from None
+    for stored in sound:
+        wrong = [(p, refused[p]) for p in stored.files if p in refused]
+        if not wrong and (what := _wrong_rows(stored)):
+            wrong = [(stored.path, what)]
+        found += [Problem(stored.method, stored.shard, path, what) for path, what in wrong]
+    return found
+
+
+def _named(entry: Entry, number: int | None, found: list[Problem]) -> Iterable[StoredShard]:
+    """The shards whose digest is in their name; the other files are added to what was found."""
+    taken: set[int] = set()
+    for path in shard_files(entry.folder, entry.slug):
+        own = number_of(path)
+        if number is not None and own != number:
+            continue
+        shard = None if own is None else shard_at(entry.header, own)
+        if own is None or shard is None:
+            found.append(Problem(entry.name, None, path, "foreign: no shard has this name"))
+        elif own in taken:
+            found.append(Problem(entry.name, None, path, "foreign: another file holds its shard"))
+        elif what := damage(path):
+            found.append(Problem(entry.name, shard, path, what))
+        else:
+            taken.add(own)
+            yield StoredShard(path, entry.header, entry.name, shard)
+
+
+def _format_3(entry: Entry, found: list[Problem]) -> Iterable[Format3Shard]:
+    for stored in entry.listed().shards.values():
+        assert isinstance(stored, Format3Shard)
+        try:
+            what = stored.damage()
+        except RunError as error:
+            what = str(error)
+        if not what:
+            yield stored
+        else:
+            path, _, what = what.partition(": ")
+            found.append(Problem(entry.name, stored.shard, Path(path), what))
+
+
+def _wrong_rows(stored: StoredShard | Format3Shard) -> str:
+    """What is wrong with the receipt or the trials of a shard; empty: nothing.
+
+    A digest finds damage; this finds rows of other trials that somebody stored under a digest to
+    match. `results reevaluate` finds a forged verdict.
+    """
+    first, last = stored.shard.first, stored.shard.last
+    try:
+        outcomes = stored.receipt()["outcomes"].values()
+        answered = last - first - sum(counts.get("missing", 0) for counts in outcomes)
+        for kind in stored.kinds:
+            table = stored.table(kind, ["trial_id"])
+            exact = answered if kind in ANSWERED else last - first
+            if len(table) > exact or (kind not in ("paths", "failures") and len(table) != exact):
+                return f"holds {len(table)} rows of {kind}, planned were {exact}"
+            every = kind == "trials"
+            if what := not_as_planned(stored.header, first, last, table, every=every):
+                return f"{kind}: {what}"
+    except RunError as error:
+        return str(error).removeprefix(f"{stored.path}: ")
+    return ""
+
+
+def not_as_planned(
+    header: Mapping[str, Any], first: int, last: int, table: pa.Table, *, every: bool
+) -> str:
+    """How rows differ from positions `first` to `last` - 1 of the trial list; empty: they do not.
+
+    Args:
+        header: run.json. Nothing is known of runs of other protocols.
+        first: first position.
+        last: position after the last one.
+        table: rows with `trial_id`.
+        every: whether every planned trial must have a row.
+    """
+    if header["protocol"] not in PROTOCOL_NAMES:
+        return ""
+    planned, ids = trial_ids(header["trials"], first, last), table["trial_id"].to_numpy()
+    if len(strange := ids[~np.isin(ids, planned)]):
+        return f"trial_id {strange[0]} is not planned here"
+    if not np.array_equal(planned[np.isin(planned, ids)], ids):
+        return "its trial_id are not in the order of the plan, each once"
+    missing = len(planned) - len(ids)
+    return f"{missing} planned trials are missing" if every and missing else ""
+
+
+def first_problem(folder: Path, entries: Sequence[Entry], *, whole: bool = False) -> str:
+    """The first shard that cannot be trusted, as one line with what to do; empty: there is none."""
+    for problem in problems_of(entries, whole=whole):
+        if problem.shard is not None:
+            how = f"`r2h-batch results verify {folder}` marks it, the sweep redoes it"
+            if entries[0].header["format"] == FORMAT_3:
+                how = "restore it from a copy"
+            return f"{printable(problem.file)}: {problem.what}; {how}"
+    return ""
+
+
+def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
+    """Rename everything that cannot be trusted to FILE.bad, so that the sweep scores it again.
+
+    A shard that looks wrong is looked at again under its claim: meanwhile another part of the
+    sweep may have stored it. Nothing is renamed in a folder of format 3: no sweep scores into it.
+
+    Returns:
+        One line for each file.
+    """
+    entries = {e.name: e for e in read_methods(folder, header)}
+    seen = problems_of(entries.values())
+    if header["format"] == FORMAT_3:
+        how = "restore it from a copy"
+        return [f"{printable(p.file)}: {p.what}; {how}" for p in seen]
+    lines = [_set_aside(p) for p in seen if p.shard is None]
+    for method, shard in dict.fromkeys((p.method, p.shard) for p in seen if p.shard is not None):
+        with claim(entries[method].claim_path(shard.index)) as own:
+            if own is not None:  # else another sweep is at work on it
+                again = problems_of([entries[method]], number=shard.index)
+                lines += [_set_aside(problem) for problem in again]
+    return lines
+
+
+def _set_aside(problem: Problem) -> str:
+    again = "set aside"
+    if problem.shard is not None:
+        again = f"shard {problem.shard.index} of {problem.method!r} will be scored again"
+    problem.file.replace(problem.file.with_name(f"{problem.file.name}.bad"))
+    return f"{printable(problem.file)}: {problem.what}; {again}"

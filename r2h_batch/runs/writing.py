@@ -1,0 +1,248 @@
+"""A run folder that takes shards: opened or made, methods added, shards claimed, stored, given up."""
+
+import hashlib
+import json
+import os
+import re
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from r2h_batch.base.io.read import printable
+from r2h_batch.base.io.write import run_folder_of
+from r2h_batch.runs.columns import TABLES
+from r2h_batch.runs.files import (
+    Claim,
+    RunError,
+    claim,
+    deaths_of,
+    drop_second_names,
+    owner_of,
+    replace_json,
+    set_deaths,
+    write_json_once,
+)
+from r2h_batch.runs.header import (
+    FORMAT,
+    MAX_TEXT,
+    Method,
+    Shard,
+    check_header,
+    checked,
+    differing,
+    planned_in,
+    read_header,
+    run_hash,
+    schema_of,
+    shard_at,
+    shards_of,
+)
+from r2h_batch.runs.methods import Entry, read_methods
+from r2h_batch.runs.shard import (
+    count_outcomes,
+    finish_storing,
+    shard_folder,
+    stored_files,
+    unfinished_turns,
+    write_shard,
+)
+from r2h_batch.runs.store import IMPORTED
+from r2h_batch.runs.verify import not_as_planned
+
+SHARD_TRIALS = 100_000
+"""Trials of a shard unless the user sets another number."""
+TRIES = 3
+"""A shard is quarantined after this many deaths or errors."""
+
+OTHER_OUT = "choose another --out"
+
+
+class ShardWriter:
+    """Takes a shard's rows in any number of pieces; they are stored when the shard is whole."""
+
+    def __init__(self) -> None:
+        self.tables: dict[str, list[pa.Table]] = {kind: [] for kind in TABLES}
+
+    def append(self, **tables: pa.Table) -> None:
+        """Add rows of `trials`, `details`, `poses`, `paths` or `failures`."""
+        for kind, table in tables.items():
+            for column in TABLES[kind]:
+                if not column.nullable and (n := table[column.name].null_count):
+                    raise ValueError(f"{kind}: column {column.name!r} has {n} empty rows")
+            self.tables[kind].append(table)
+
+    def table(self, kind: str, schema: pa.Schema) -> pa.Table:
+        """All rows of a kind so far; `schema`: of a run without any."""
+        tables = [schema.empty_table(), *self.tables[kind]]
+        return pa.concat_tables(tables).unify_dictionaries()
+
+
+class RunFolder:
+    """A run folder that takes shards; `open_run` makes it."""
+
+    def __init__(self, folder: Path, header: dict[str, Any], command: Sequence[str]) -> None:
+        self.folder, self.header, self.command = folder, header, _printable_words(command)
+        self.entries = {e.name: e for e in read_methods(folder, header)}
+        for part in (folder, folder / "methods"):
+            drop_second_names(part)
+
+    def register(self, method: str, source: Mapping[str, Any]) -> None:
+        """Add a method; `RunError` if the folder has one of this name from another source."""
+        readable = re.sub(r"[^A-Za-z0-9._-]+", "_", method).strip("._")[:60] or "method"
+        taken = {e.slug.lower(): e for e in read_methods(self.folder, self.header)}
+        for slug in (readable, f"{readable}-{hashlib.sha256(method.encode()).hexdigest()[:8]}"):
+            path = self.folder / "methods" / f"{slug}.json"
+            new = {"name": method, "source": dict(source), "command": self.command}
+            new = checked(Method, {**new, "order": len(taken)}, path)
+            entry = taken.get(slug.lower())
+            if entry is None and not write_json_once(path, new):  # another process was faster
+                found = read_methods(self.folder, self.header)
+                entry = next(e for e in found if e.slug == slug)
+            entry = entry or Entry(self.folder, self.header, slug, **new)
+            if entry.name == method:
+                old = entry.source
+                if other := [k for k in {**old, **source} if old.get(k) != source.get(k)]:
+                    words = f"already holds {method!r}, made with another {', '.join(other)}"
+                    raise RunError(f"{self.folder}: {words}; {OTHER_OUT}")
+                self.entries[method] = entry
+                return
+
+    def stored(self, method: str) -> set[int]:
+        """Numbers of the shards that are complete now."""
+        entry = self.entries[method]
+        return set(stored_files(self.header, self.folder, entry.slug))
+
+    def todo(self, method: str, part: tuple[int, int] = (1, 1)) -> list[Shard]:
+        """Shards still to score, of part I of N (every N-th shard)."""
+        place = shard_folder(self.folder, self.entries[method].slug)
+        drop_second_names(place)
+        for number in unfinished_turns(place):  # of writers that were killed
+            if (shard := shard_at(self.header, number)) is not None:
+                finish_storing(place, shard)
+        done = self.stored(method)
+        return [s for s in shards_of(self.header)[part[0] - 1 :: part[1]] if s.index not in done]
+
+    @contextmanager
+    def claim(self, method: str, shard: Shard) -> Iterator[Claim | None]:
+        """The claim of a shard, None if another process has it; remains of a killed one are removed."""
+        entry = self.entries[method]
+        with claim(entry.claim_path(shard.index)) as own:
+            if own is not None:
+                place = shard_folder(self.folder, entry.slug)
+                for stale in place.glob(f".{shard.name}*.tmp"):
+                    stale.unlink(missing_ok=True)
+            yield own
+
+    def claimed_by(self, method: str, shard: Shard) -> str:
+        """Who works on the shard, or did last: `process 7 on HOST`; empty if that is not known."""
+        return owner_of(self.entries[method].claim_path(shard.index))
+
+    def deaths(self, method: str, shard: Shard) -> int:
+        """How many processes died while they scored the shard; a stored shard has no count."""
+        return deaths_of(self.entries[method].claim_path(shard.index))
+
+    def quarantined(self, method: str, shard: Shard) -> bool:
+        """Whether the shard was given up."""
+        return self.entries[method].quarantine_path(shard).exists()
+
+    def give_another_try(self, method: str, shard: Shard) -> None:
+        """Take back a quarantine: one more death brings it back."""
+        self.entries[method].quarantine_path(shard).unlink(missing_ok=True)
+        if (deaths := self.deaths(method, shard)) > 1:
+            set_deaths(self.entries[method].claim_path(shard.index), min(deaths, TRIES) - 1)
+
+    def quarantine(self, method: str, shard: Shard, errors: Sequence[str]) -> None:
+        """Note that a shard failed for good; the next run of the same command tries it again."""
+        data = {"method": method, "first": shard.first, "last": shard.last}
+        path = self.entries[method].quarantine_path(shard)
+        replace_json(path, {**data, "errors": [printable(e) for e in errors]})
+
+    @contextmanager
+    def write(self, method: str, shard: Shard) -> Iterator[ShardWriter]:
+        """A writer for a shard; its rows appear when the block ends without an error."""
+        start = time.perf_counter()
+        writer = ShardWriter()
+        yield writer
+        self.commit(method, shard, writer, time.perf_counter() - start)
+
+    def commit(self, method: str, shard: Shard, writer: ShardWriter, seconds: float) -> bool:
+        """Store a whole shard.
+
+        Returns:
+            False, with nothing written, if another process stored it first.
+
+        Raises:
+            RunError: the rows are not the planned ones.
+        """
+        entry, where = self.entries[method], f"{self.folder}: shard {shard.index} of {method!r}"
+        tables = {kind: writer.table(kind, schema_of(self.header, kind)) for kind in TABLES}
+        outcomes = count_outcomes(tables["trials"])
+        planned = planned_in(self.header, shard)
+        found = {s: sum(c.values()) for s, c in outcomes.items()}
+        if found != planned:
+            raise RunError(f"{where} has {found} rows, planned were {planned}")
+        for kind, table in tables.items():
+            first, last, every = shard.first, shard.last, kind == "trials"
+            if what := not_as_planned(self.header, first, last, table, every=every):
+                raise RunError(f"{where}, {kind}: {what}; nothing was stored")
+        place = shard_folder(self.folder, entry.slug)
+        won = write_shard(place, self.header, method, shard, tables, seconds)
+        entry.quarantine_path(shard).unlink(missing_ok=True)
+        if self.deaths(method, shard):
+            set_deaths(entry.claim_path(shard.index), 0)
+        return won
+
+
+def _printable_words(command: Any) -> Any:
+    """A command line as it can be stored."""
+    if not isinstance(command, (list, tuple)):
+        return command
+    return [printable(c)[:MAX_TEXT] for c in command]
+
+
+def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = True) -> RunFolder:
+    """Open a folder for writing: a new one, or one of the same configuration.
+
+    Args:
+        folder: the run folder; it is made if missing.
+        header: run.json; `shard_trials` 0 takes the size of the folder, or `SHARD_TRIALS`.
+        exact: whether a folder with another shard size is refused.
+
+    Raises:
+        RunError: the folder holds something else or another run.
+    """
+    folder = Path(folder)
+    new = {"stored": [], **json.loads(json.dumps(header, allow_nan=False)), "format": FORMAT}
+    wanted = new.get("shard_trials") or 0
+    new["shard_trials"] = wanted or SHARD_TRIALS
+    new["command"] = _printable_words(new.get("command", []))
+    new["hash"] = run_hash(new)
+    path = folder / "run.json"
+    check_header(new, path)
+    if outer := run_folder_of(folder):
+        words = f"lies in the run folder {outer}, which holds its own files alone; {OTHER_OUT}"
+        raise RunError(f"{folder}: {words}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.path.lexists(path):
+            own = (".", IMPORTED)
+            names = [p.name for p in folder.iterdir() if not p.name.startswith(own)]
+            if names and not os.path.lexists(path):  # another sweep may have begun meanwhile
+                words = f"not empty and not a run folder (it has {min(names)!r}); {OTHER_OUT}"
+                raise RunError(f"{folder}: {words}")
+            write_json_once(path, new)
+    except OSError as error:
+        words = f"cannot be written ({error.strerror or error}); {OTHER_OUT}"
+        raise RunError(f"{folder}: {words}") from error
+    old = read_header(folder)
+    if fields := differing(old, new):
+        words = f"another run, which differs in {', '.join(fields)}"
+        raise RunError(f"{folder}: {words}; {OTHER_OUT}")
+    if exact and wanted and wanted != old["shard_trials"]:
+        words = f"has shards of {old['shard_trials']} trials; the command wants {wanted}"
+        raise RunError(f"{folder}: {words}; {OTHER_OUT}")
+    return RunFolder(folder, old, header.get("command", ()))
