@@ -172,8 +172,8 @@ def by_turns(sides: list[Side], figures: list[str], minutes: float) -> dict[str,
     while times and (rounds < 3 or time.monotonic() - begin + longest < 60 * minutes):
         started = time.monotonic()
         for figure, rows in times.items():
-            first = rounds % 2
-            pair = {k: sides[k].measure(figure) for k in (first, 1 - first)}
+            begins = rounds % 2
+            pair = {k: sides[k].measure(figure) for k in (begins, 1 - begins)}
             rows.append([float(pair[0] or "nan"), float(pair[1] or "nan")])
         longest, rounds = max(longest, time.monotonic() - started), rounds + 1
         print(f"round {rounds}: {time.monotonic() - started:.0f} s", file=sys.stderr)

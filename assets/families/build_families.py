@@ -106,8 +106,8 @@ def main() -> None:
             print(model.name, {k: v for k, v in line.items() if k not in ("parameters", "digest")}, flush=True)
     order = [f"{c}_" for c in FAMILIES]
     names = sorted(report, key=lambda n: (order.index(n.rpartition("_")[0] + "_"), n))
-    for file, arrays in stored.items():
-        write_npz(out / f"{file}.npz", {k: arrays[k] for n in names for k in arrays if k.startswith(f"{n}/")})
+    for file, known in stored.items():
+        write_npz(out / f"{file}.npz", {k: known[k] for n in names for k in known if k.startswith(f"{n}/")})
     path.write_text(json.dumps({n: report[n] for n in names}, indent=1) + "\n")
 
 

@@ -80,7 +80,8 @@ def train(data: Examples, rows: Sequence[int], steps: int, seed: int) -> tuple[V
     torch.nn.init.constant_(net.out.bias, float(torch.logit(mean)))  # type: ignore[arg-type]
     optimizer = torch.optim.AdamW(net.parameters(), lr=RATE, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=steps, pct_start=0.15)
-    order, losses = [], []
+    order: list[int] = []
+    losses: list[float] = []
     for step in range(steps):
         while len(order) < BATCH:
             order += [rows[int(k)] for k in torch.randperm(len(rows), generator=generator)]

@@ -211,8 +211,8 @@ def _of_urdf(root: Element, path: Path) -> Model:
     masses = {str(b.name): _given_mass(b) for b in spec.bodies}
     model = _model(spec, path, meshes, masses, {str(j.get("name")): j for j in joints})
     if "world" not in names:
-        links = {n: _rooted(b) for n, b in model.links.items() if n != "world"}
-        return replace(model, links=links)
+        rooted = {n: _rooted(b) for n, b in model.links.items() if n != "world"}
+        return replace(model, links=rooted)
     return model
 
 

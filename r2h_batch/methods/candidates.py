@@ -188,8 +188,8 @@ def candidate_table(scene: Scene) -> CandidateTable:
 @lru_cache(maxsize=256)
 def _candidates(model: ObjectModel, kind: CandidateKind, robot: Robot) -> Candidates:
     if model.turn is not None:
-        own = _candidates(model.turn.own, kind, robot)
-        return replace(own, T_obj_ee=model.turn.poses(own.T_obj_ee))
+        before = _candidates(model.turn.own, kind, robot)
+        return replace(before, T_obj_ee=model.turn.poses(before.T_obj_ee))
     filtered = kind == "filtered"
     if model.grasps is not None:  # a user's own: none left is the user's to know
         return (seat_grasps if filtered else own_grasps)(model, model.grasps, robot)

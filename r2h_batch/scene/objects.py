@@ -244,10 +244,11 @@ def turned(model: ObjectModel, R: NDArray[np.float64]) -> ObjectModel:
     if boxes is not None:
         boxes = np.concatenate([boxes[:, :1] @ R.T, boxes[:, 1:2], R @ boxes[:, 2:]], 1)
     grasps = None if model.grasps is None else model.grasps.turned(R)
-    fields_turned = ("vertices", "hull_vertices", "piece_vertices", "points", "normals", "com")
     return _frozen(
         replace(
-            model, **{k: spun(getattr(model, k)) for k in fields_turned}, inertia=R @ model.inertia @ R.T,
+            model, vertices=spun(model.vertices), hull_vertices=spun(model.hull_vertices),
+            piece_vertices=spun(model.piece_vertices), points=spun(model.points), normals=spun(model.normals),
+            com=spun(model.com), inertia=R @ model.inertia @ R.T,
             voxels=np.packbits(occupied.reshape(-1)), voxel_origin=origin, voxel_pitch=pitch, receiver_boxes=boxes,
             grasps=grasps, turn=Turn(model, R),
         )

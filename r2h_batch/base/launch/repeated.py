@@ -14,7 +14,7 @@ from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import compress
 from operator import is_
-from typing import Any
+from typing import Any, cast
 
 import torch
 import warp as wp
@@ -43,7 +43,7 @@ class RepeatedCalls:
     @contextmanager
     def of(self, rows: int) -> Iterator[None]:
         """Around a call of so many rows."""
-        kept: dict[int, RepeatedCall] = self._of_thread.__dict__
+        kept = cast(dict[int, RepeatedCall], self._of_thread.__dict__)
         # its own until it is put back: a signal's handler may score meanwhile, and an interrupt
         # loses it
         call = kept.pop(rows, None) or RepeatedCall(rows)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.scene.families import goods, tools, vessels, worn
-from r2h_batch.scene.families.family import Draw, Family
+from r2h_batch.scene.families.family import Draw, Family, Shape
 from r2h_batch.scene.families.remesh import Surface, imprint
 from r2h_batch.scene.families.shapes import Parts
 from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel, build_object, with_words
@@ -90,7 +90,7 @@ def _divided(
     vertices: Vec, faces: NDArray[np.int32], label: NDArray[np.uint8], family: Family, parts: Parts
 ) -> tuple[Vec, NDArray[np.int32], NDArray[np.uint8]]:
     """The surface with an edge along every cut, and what lies beyond each under its new name."""
-    surface = Surface(vertices, faces, label)
+    surface = Surface(vertices, faces.astype(np.int64), label.astype(np.int64))
     for source, normal, offset, new in parts.cuts:
         x, y, z = normal
         imprint(surface, lambda p: p[0] * x + p[1] * y + p[2] * z - offset, SNAP_MM)  # noqa: B023

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from manifold3d import Manifold
 
@@ -33,7 +35,7 @@ def eyeglasses(draw: Draw, part: Parts) -> Shape:
     outline = oval(lens, tall, 36, square)
     edge = middle + lens
 
-    def front(y: np.ndarray) -> np.ndarray:
+    def front(y: Any) -> Any:
         """x of the frame, bent around the face."""
         return 8 - wrap * np.square(y)
 

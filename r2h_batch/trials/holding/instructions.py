@@ -145,8 +145,8 @@ def _object(
         if not any(_is_part(objects[index[m]], n, objects) for m in found if m != n)
     ]
     if expected is not None:
-        names = _thing(objects[expected]).names  # instances of a family share theirs
-        if kept and not any(_thing(objects[index[n]]).names == names for n in kept):
+        called = _thing(objects[expected]).names  # instances of a family share theirs
+        if kept and not any(_thing(objects[index[n]]).names == called for n in kept):
             raise InstructionError(
                 f"{text!r} is about {_listed(kept)}, but this trial's object is {objects[expected].name}"
             )
