@@ -120,7 +120,16 @@ class KnownInputs:
         last = self._last
         if last is None or last[0] != stages or len(last[2]) != len(tensors):
             return False
-        return last[1](tensors) and all(map(_holds, tensors, last[2]))
+        # a guard ends the process on a tensor that torch.func wraps
+        return all(map(_in_memory, tensors)) and last[1](tensors) and all(map(_holds, tensors, last[2]))
+
+
+def _in_memory(x: Tensor) -> bool:
+    """Whether a tensor has memory of its own: sparse, nested and torch.func's tensors have none."""
+    try:
+        return x.data_ptr() != 0
+    except RuntimeError:
+        return False
 
 
 def _span(x: Tensor) -> int:
