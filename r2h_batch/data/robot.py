@@ -399,11 +399,11 @@ def gripper_of(
         placed = [(moves[p.name][0] @ T, h) for T, h in bodies]
         sign = 1 if np.mean([(moves[p.name][-1] @ T)[1, 3] for T, _ in bodies]) > 0 else -1
         mass[sign] += p.mass
-        found = row_of(p.name, sign)
+        moved = row_of(p.name, sign)
         k = next(
-            (i for i, r in enumerate(rows) if np.abs(r - found).max() < SYMMETRIC_M), len(rows)
+            (i for i, r in enumerate(rows) if np.abs(r - moved).max() < SYMMETRIC_M), len(rows)
         )
-        rows += [found] if k == len(rows) else []
+        rows += [moved] if k == len(rows) else []
         used.add((k, sign))
         for i, (T, h) in enumerate(placed):
             # of the rows the first alone moves as the gap does; where the pads meet it is 0

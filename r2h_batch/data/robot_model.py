@@ -470,7 +470,7 @@ def _model(
     # a link's origin lies at the anchor of its body's joint
     T_body_link = np.tile(np.eye(4), (model.nbody, 1, 1))
     T_body_link[model.jnt_bodyid, :3, 3] = model.jnt_pos
-    T_link_body = np.linalg.inv(T_body_link)
+    T_link_body = np.asarray(np.linalg.inv(T_body_link), np.float64)
     links = {}
     for i, name in enumerate(names):
         parent = int(model.body_parentid[i])

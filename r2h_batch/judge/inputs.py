@@ -121,7 +121,11 @@ class KnownInputs:
         if last is None or last[0] != stages or len(last[2]) != len(tensors):
             return False
         # a guard ends the process on a tensor that torch.func wraps
-        return all(map(_in_memory, tensors)) and last[1](tensors) and all(map(_holds, tensors, last[2]))
+        return (
+            all(map(_in_memory, tensors))
+            and last[1](tensors)
+            and all(map(_holds, tensors, last[2]))
+        )
 
 
 def _in_memory(x: Tensor) -> bool:
