@@ -157,6 +157,7 @@ def test_torch_func_and_sparse_poses_are_refused_by_name():
     def margin(T_obj_ee):
         return default_evaluator().score(T_obj_ee, batch.T_world_ee, batch.trials, "pose").margin
 
+    margin(batch.T_obj_ee)  # what is refused must not pass for inputs that are known to be right
     for transform in (torch.func.vmap, torch.func.jacrev):
         with pytest.raises(TypeError, match=r"T_obj_ee is inside torch\.func .*give all rows in one call"):
             transform(margin)(batch.T_obj_ee[None])

@@ -120,7 +120,7 @@ class KnownInputs:
         last = self._last
         if last is None or last[0] != stages or len(last[2]) != len(tensors):
             return False
-        # a guard ends the process on a tensor that torch.func wraps
+        # a guard ends the process on a nested tensor
         return (
             all(map(_in_memory, tensors))
             and last[1](tensors)
@@ -131,7 +131,7 @@ class KnownInputs:
 def _in_memory(x: Tensor) -> bool:
     """Whether a tensor has memory of its own: sparse, nested and torch.func's tensors have none."""
     try:
-        return x.data_ptr() != 0
+        return x.layout == torch.strided and not x.is_nested and x.data_ptr() != 0
     except RuntimeError:
         return False
 

@@ -11,7 +11,7 @@ from r2h_batch.runs import provenance
 DECIDE = (
     "r2h_batch/evaluate.py", "r2h_batch/judge/plan.py", "r2h_batch/methods/fc.py", "r2h_batch/runs/rows.py",
     "r2h_batch/sweep/jobs.py", "r2h_batch/base/se3.py", "r2h_batch/scene/mesh_import/closed.py",
-    "r2h_batch/trials/noise.py", "r2h_batch/methods/predictors/hands.py", "r2h_batch/data/urdf.py",
+    "r2h_batch/trials/noise.py", "r2h_batch/methods/predictors/hands.py", "r2h_batch/data/robot_model.py",
     "r2h_batch/config.py", "kernels/plan/rrt.py", "kernels/geometry/gjk.py", "kernels/native/lanes.h",
     "assets/robot/robot.json", "assets/hand/handset.npz", "assets/receiving/voxnet.safetensors",
 )  # fmt: skip
