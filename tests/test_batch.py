@@ -37,9 +37,8 @@ every_stage = pytest.mark.parametrize("stages", ["all", "pose"])
 @cache
 def evaluator_with(chunk: int, threads: int | None) -> Evaluator:
     """The default evaluator's tables under another chunk size and thread count."""
-    twin = object.__new__(Evaluator)
-    base = default_evaluator()
-    twin.config, twin.scene, twin.threads = replace(base.config, chunk=chunk), base.scene, threads
+    twin = copy.copy(default_evaluator())
+    twin.config, twin.threads = replace(twin.config, chunk=chunk), threads
     return twin
 
 
