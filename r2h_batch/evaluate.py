@@ -413,11 +413,12 @@ class Evaluator:
             T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
 
         small = n <= SMALL_ROWS and stages == "pose" and not T_obj_ee.is_cuda
-        if small and not _differentiates(T_obj_ee, T_world_ee):
-            with self._small_calls.of(n):
-                return score_chunk(T_obj_ee, T_world_ee, trials)
+        small = small and not _differentiates(T_obj_ee, T_world_ee)
 
         def part(first: int, last: int) -> Scores:
+            if small and last - first == n:  # fewer rows: memory ran out
+                with self._small_calls.of(n):
+                    return score_chunk(T_obj_ee, T_world_ee, trials)
             return score_chunk(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
 
         parts = in_parts(n, self.rows_at_once(stages), part)

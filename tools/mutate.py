@@ -180,10 +180,10 @@ MUTATIONS = (
     ),
     Mutation(
         "statistics: a criterion that was not evaluated fails",
-        "r2h_batch/report/statistics/tally.py",
-        "failed = PATTERNS == FAILED",
-        "failed = PATTERNS <= FAILED",
-        ("tests/report/statistics/test_breakdown.py::test_the_outcome_of_every_pattern_is_its_first_failure_and_never_a_success_that_was_not_fully_judged",),
+        "r2h_batch/report/statistics/codes.py",
+        "found[state[entry.name] == FAILED]",
+        "found[state[entry.name] <= FAILED]",
+        ("tests/report/statistics/test_breakdown.py::test_the_outcome_is_the_first_failure_and_never_a_success_that_was_not_fully_judged",),
     ),
     Mutation(
         "statistics: methods with equal rates share no ranks",

@@ -145,7 +145,7 @@ class RepeatedCall:
         if not self._memory or self._used + needed > len(self._memory[-1]):
             piece = max(needed, CHUNK_BYTES * self.rows)
             with torch.inference_mode(False):  # or it could not be written outside of that mode
-                self._memory.append(torch.zeros(piece, dtype=torch.uint8))
+                self._memory.append(torch.zeros(piece, dtype=torch.uint8, device="cpu"))
             self._used = 0
         with torch.inference_mode(False):
             part = self._memory[-1][self._used : self._used + needed].view(dtype).view(shape)
