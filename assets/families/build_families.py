@@ -61,7 +61,7 @@ def built(series: int, held_out: bool, job: tuple[str, int]) -> tuple[ObjectMode
 
 
 def described(instance: Instance, model: ObjectModel) -> dict[str, Any]:
-    """What the report says of an instance; lengths in millimetres."""
+    """The report's line of an instance; lengths in millimetres."""
     mesh = instance.mesh
     return {
         "category": instance.family.category,

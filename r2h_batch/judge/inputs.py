@@ -118,7 +118,12 @@ class KnownInputs:
 
     def _knows(self, stages: object, tensors: list[Tensor]) -> bool:
         last = self._last
-        if last is None or last[0] != stages or len(last[2]) != len(tensors):
+        if (
+            last is None
+            or not isinstance(stages, str)
+            or last[0] != stages
+            or len(last[2]) != len(tensors)
+        ):
             return False
         # a guard ends the process on a nested tensor
         return (

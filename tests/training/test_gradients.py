@@ -19,6 +19,7 @@ from r2h_batch import Evaluator
 from r2h_batch.base import se3, twist
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.attach import attach_object
+from r2h_batch.judge.distance import hand_distance_at
 from r2h_batch.judge.goal import judge_goals
 from r2h_batch.scene.robot import Robot, ee_pose, load_robot
 from r2h_batch.training.gradients import HELD_M, MarginChanges
@@ -120,7 +121,8 @@ def changes_in_float64(rows: Any) -> tuple[MarginChanges, torch.Tensor, torch.Te
     # no public way to the IK branches that a verdict was made from
     ik, branches = evaluator._branches(evaluator.config, held)
     goal = judge_goals(evaluator.scene, held.body_poses, held.T_world_ee, ik, branches, held.active)
-    changes = MarginChanges(evaluator.scene, evaluator.config.thresholds, scores, held, goal)
+    nearest = hand_distance_at(evaluator.scene, held.body_poses, goal.q, held.active)
+    changes = MarginChanges(evaluator.scene, evaluator.config, scores, held, goal, nearest)
     for name, value in vars(changes).items():
         setattr(changes, name, doubled(value))
     return changes, changes.held.T_obj_ee, changes.held.T_world_ee

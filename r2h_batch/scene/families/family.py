@@ -1,4 +1,4 @@
-"""What a family is: a generator of one category's solids, its parts and region, and how it rests."""
+"""A family: a generator of one category's solids, its parts and region, and how it rests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people wear or play with: eyeglasses, headphones, game controllers (millimetres, z up)."""
+"""Things that people wear or play with: eyeglasses, headphones, game controllers (millimetres, z up)."""
 
 from __future__ import annotations
 
