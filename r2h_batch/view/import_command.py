@@ -295,7 +295,7 @@ def region(file: Path, /, *, out: Path = Path(), scale: float = 1.0) -> int:
     try:
         _, share = propose(file, out, scale=scale)
         print(
-            f"{file.name}: {stem}.png shows a region of {100 * share:.0f} % of the surface; take it only if people would"
+            f"{file.name}: {stem}.png shows a region of {100 * share:.0f} % of the surface; check that people would take it there"
         )
     except RenderError as error:
         print(f"{file.name}: no picture: {error}; look at the region before you take it")

@@ -30,11 +30,11 @@ def propose(file: Path, out: Path, *, scale: float = 1.0) -> tuple[NDArray[np.bo
     from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD
     from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
     from r2h_batch.methods.predictors.principal_axes import load_axes_network
-    from r2h_batch.scene.mesh_import.closed import closed_mesh
+    from r2h_batch.scene.mesh_import.file import load_mesh_file
     from r2h_batch.scene.objects import build_object
 
-    given = closed_mesh(file, file.stem, scale).given
     model = build_object(file, scale=scale)
+    given = load_mesh_file(file, file.stem)
     x, y, z = voxel_of_points(model).T
     with torch.no_grad():
         chance = load_axes_network()(contact_grids([model]))[0, x, y, z].numpy()
@@ -42,7 +42,7 @@ def propose(file: Path, out: Path, *, scale: float = 1.0) -> tuple[NDArray[np.bo
     limit = np.clip(
         CONTACT_THRESHOLD, np.quantile(chance, 1 - MOST), np.quantile(chance, 1 - LEAST)
     )
-    _, nearest = cKDTree(model.points).query(given.triangles_center, k=8)
+    _, nearest = cKDTree(model.points).query(scale * given.triangles_center, k=8)
     region = chance[nearest].mean(1) >= limit
     share = float(given.area_faces[region].sum() / given.area)
     out.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def draw(
     """A picture of the object from two sides, the region in orange.
 
     Args:
-        triangles: (F, 3, 3), m.
+        triangles: (F, 3, 3), in any unit.
         region: (F,) faces of the region.
         file: a .png.
         pixels: width and height of each view.
@@ -100,7 +100,7 @@ def draw(
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
     mujoco.mj_forward(model, data)
     low, high = triangles.reshape(-1, 3).min(0), triangles.reshape(-1, 3).max(0)
-    camera.lookat[:], camera.distance = (low + high) / 2, 1.9 * float(np.linalg.norm(high - low))
+    camera.lookat[:], camera.distance = (low + high) / 2, 1.3 * float(np.linalg.norm(high - low))
     images = []
     with renderer(model, pixels, pixels) as drawer:
         for azimuth, elevation in ((60.0, -30.0), (240.0, -30.0)):

@@ -70,7 +70,6 @@ class Family:
     """how such a thing lies: words of `draw.TURNS`; a word that stands twice is twice as likely"""
     receiver: tuple[str, ...] = ()
     take: str = ""
-    source: str = ""
 
     @cached_property
     def instruction(self) -> str:
