@@ -46,8 +46,9 @@ passes this step and all steps before it. `received`: the whole way to one of th
 
 ## Fewer grasps, effort
 
-`K=8`: percent received if only 8 grasps a side were tried. `turn <= 60`: percent received if the hand may turn by at most 60
-degrees. The other columns describe the easiest grasp (RULA: strain of the posture).
+`K=8`: percent with a grasp that passes every step but the whole way if only 8 grasps a side were tried. So these columns may
+exceed `received`. (These rows are older: `results reception` now counts received trials alone.) `turn <= 60`: percent received
+if the hand may turn by at most 60 degrees. The other columns describe the easiest grasp (RULA: strain of the posture).
 
 {effort}
 

@@ -62,7 +62,7 @@ commit {commits}). For your robot run `r2h-batch sweep --robot DIR --method fc h
 
 ## Success rates
 
-Percent of all trials, mean of the splits, with 95 % Wilson intervals.
+Percent of all trials, mean of the splits, with 95 % intervals (MOVER).
 
 {rates}
 

@@ -32,7 +32,7 @@ your method run `r2h-batch sweep --method mine.py:predict --set robustness=true 
 
 ## Success rates
 
-Percent of all trials, mean of the splits, with 95 % Wilson intervals. Area: mean SR over the errors from 0 to 20 mm,
+Percent of all trials, mean of the splits, with 95 % intervals (MOVER). Area: mean SR over the errors from 0 to 20 mm,
 with its 95 % t interval over objects.
 
 {rates}

@@ -29,7 +29,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import closed_loop
@@ -230,7 +230,7 @@ def table_files(published: Published, rows: Path) -> dict[str, str]:
     from r2h_batch.runs.store import load_run
 
     run = load_run(rows)
-    table = replace(table_of(run), folders="")
+    table = table_of(run)
     header, split = run.header, next(iter(run.header["trials"].values()))
     command = shlex.join(["r2h-batch", "sweep", *published.line(split), "--out", f"runs/{published.name}"])
     origin = {"command": command, "commit": header["git_commit"], "digests": header["digests"]}

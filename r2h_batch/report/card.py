@@ -1,8 +1,6 @@
 """Files of a finished sweep for people, beside its rows: the table, the same numbers as JSON, and a
 card that makes the run folder a data set of the Hugging Face library."""
 
-from dataclasses import replace
-
 import yaml
 
 from r2h_batch.base.io.write import write_text
@@ -40,7 +38,7 @@ def write_summary(run: Run) -> None:
     Args:
         run: what `load_run` gives; methods that are not complete are left out.
     """
-    table = replace(table_of(run), folders="")  # the folder may go elsewhere
+    table = table_of(run)
     text = render(table, "md")
     write_text(run.folder / TABLE, text)
     write_text(run.folder / RESULTS, render(table, "json"))

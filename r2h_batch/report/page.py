@@ -60,7 +60,7 @@ def page(
 
     figures.needs_matplotlib()
     counted = [tally(run, m) for m in run.methods]
-    table = table_of(run, counted=counted)
+    table = table_of(run, counted=counted, alike=len(run.runs) == 1 or common is not None)
     short = short_names(run.methods)
     runs = run.runs
     used = [o for o in OUTCOME_NAMES if any(row.counts[o] for row in table.rows)]
@@ -84,6 +84,7 @@ def page(
         origin=table.origin,
         short=short,
         overview=_overview(table, compared),
+        bold=bool(best_cells(table)),
         splits=list(dict.fromkeys(row.split for row in table.rows)),
         matrices=[_matrix(c) for c in compared],
         heat=_heat(counted, run.methods),
@@ -95,7 +96,7 @@ def page(
         gallery=gallery or {},
         table=_table(table),
         headings=list(HEADINGS.values()),
-        notes=[*table.notes, BEST_NOTE],
+        notes=[*table.notes, *([BEST_NOTE] if best_cells(table) else [])],
         facts=_all_facts(runs),
         trials=_trials(run, gallery or {}),
     )
@@ -166,16 +167,22 @@ def _heat(counted: Sequence[Tally], methods: Sequence[str]) -> list[dict[str, An
     cells = {
         (row.split, name, row.method): row for t in counted for name, row in breakdown.by_object(t)
     }
-    places = dict.fromkeys((split, name) for split, name, _ in cells)
-    return [
-        {
-            "split": split,
-            "object": name.replace("_", " "),
-            "n": max((cells[k].n for k in cells if k[:2] == (split, name)), default=0),
-            "cells": [_rate(cells.get((split, name, m)), "sr") for m in methods],
-        }
-        for split, name in sorted(places)
-    ]
+    lines = []
+    for split, name in sorted({key[:2] for key in cells}):
+        own = [cells.get((split, name, m)) for m in methods]
+        numbers = sorted({row.n for row in own if row})
+        values = [_rate(row, "sr") | {"n": row.n if row else 0} for row in own]
+        ends = dict.fromkeys((numbers[0], numbers[-1]))
+        lines.append(
+            {
+                "split": split,
+                "object": name.replace("_", " "),
+                "n": "\u2013".join(map(str, ends)),
+                "most": numbers[-1],
+                "cells": values,
+            }
+        )
+    return lines
 
 
 def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dict[str, Any]]:

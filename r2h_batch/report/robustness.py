@@ -34,8 +34,9 @@ LEVELS = ("0mm,0deg", "3mm,0.5deg", "5mm,1deg", "10mm,2deg", "20mm,3deg")
 FORMATS = ("md", "csv", "json")
 
 NOTES = (
-    "SR: percent of all trials, mean of the splits; brackets: 95 %, Wilson. Area: mean height of the line through the SRs over"
-    " 0 to the largest error in mm. +-: 95 % t interval over objects, which speaks about new ones.",
+    "SR: percent of all trials, mean of the splits; brackets: 95 %, MOVER of the splits' Wilson intervals. Area: mean height of"
+    " the line through the SRs over 0 to the largest error in mm. +-: 95 % t interval over objects, which speaks about new"
+    " ones.",
     "First failures: percent of all trials, as in Table I.",
     "A-B: difference of SR in points. ** decided for these objects and for new ones, * for these objects, without a mark:"
     " not decided (McNemar, Holm over the pairs of a level).",

@@ -1,7 +1,6 @@
 """Table I of a run: its columns and notes, and the text of it as Markdown, LaTeX, CSV or JSON; also
 object by object."""
 
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import floor, log10
@@ -56,13 +55,14 @@ FOOTNOTES = (
     f"Avg: mean of the two splits, {_SKIPPED} (not evaluated) taken as 0.",
     "Presented: percent of S1's trials, failed ones too, whose receiver's region faces the palm (seen from the TCP, 90 degrees"
     " at most) and lies within the ball's radius of c_h; no part of SR.",
-    "Intervals: 95 %. Wilson speaks about more trials with these objects; the object-clustered t interval about new"
-    " objects of the same kind.",
+    "Intervals: 95 %. Wilson (MOVER in Avg) speaks about more trials with these objects; the object-clustered t interval"
+    " about new objects of the same kind.",
 )
 
 BEST_NOTE = (
-    "Bold: best rate of the split; all methods answered the same trials. It does not say that the difference is more than"
-    " chance: r2h-batch compare does. Times of a machine, and means over the trials that moved, are never best."
+    "Bold: best rate of a split whose methods all answered the same trials and were judged alike. It does not say that the"
+    " difference is more than chance: r2h-batch compare does. Times of a machine, and means over the trials that moved, are"
+    " never best."
 )
 
 
@@ -73,14 +73,15 @@ class Table:
     Attributes:
         rows: lines of the table in order.
         origin: where the rows come from: protocol, digest, preset, device, ...
-        folders: of the runs, as a command line names them; empty: the report names no commands.
+        alike: whether all methods were asked the trials of one plan and judged the same.
+        misses: what the inverse kinematics of each robot without a closed form misses, a sentence
+            each.
     """
 
     rows: tuple[Row, ...]
     origin: Mapping[str, str]
-    folders: str = ""
+    alike: bool = True
     misses: tuple[str, ...] = ()
-    """what the inverse kinematics of each robot without a closed form misses, a sentence each"""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -88,12 +89,13 @@ class Table:
         return (*FOOTNOTES, *self.misses)
 
 
-def table_of(run: Run, counted: Sequence[Tally] | None = None) -> Table:
+def table_of(run: Run, counted: Sequence[Tally] | None = None, *, alike: bool = True) -> Table:
     """The table of every complete method of a run folder.
 
     Args:
-        run: what `load_run` gives.
+        run: what `load_run` or `join` gives.
         counted: these methods' trials, if they were counted before.
+        alike: of joined runs, whether they were judged the same (`next_commands.judged_alike`).
     """
     tallies = [tally(run, method) for method in run.methods] if counted is None else counted
     runs = run.runs
@@ -106,7 +108,7 @@ def table_of(run: Run, counted: Sequence[Tally] | None = None) -> Table:
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
-    return Table(rows, origin, shlex.join(str(r.folder) for r in runs), tuple(misses))
+    return Table(rows, origin, alike, tuple(misses))
 
 
 def _misses(header: Mapping[str, Any]) -> str:
@@ -213,21 +215,22 @@ def interval(rate: Rate | None) -> str:
 def best_cells(table: Table) -> set[tuple[str, str, str]]:
     """Which cells are bold.
 
-    Only rates can be, and only where all methods answered the same trials. T_plan depends on the machine, and
-    T_exec is a mean over the trials that moved.
+    Only rates can be, and only where all methods answered the same trials and were judged alike: a preset is no
+    method. T_plan depends on the machine, and T_exec is a mean over the trials that moved.
 
     Returns:
         (split, method, column) of the best printed rate of each split, ties included; none where
         all are equal.
     """
-    best = set()
-    same = "; " not in table.origin.get("trials digest", "")  # see `_joined`
+    best: set[tuple[str, str, str]] = set()
+    if not table.alike:
+        return best
     for split in dict.fromkeys(row.split for row in table.rows):
         rows = [row for row in table.rows if row.split == split]
         for column in (c for c in HEADINGS if c in RATES):
             printed = {r.method: cell(r, column) for r in rows}
             values = {method: float(text) for method, text in printed.items() if text != NA}
-            if len(set(values.values())) > 1 and len({r.n for r in rows}) == 1 and same:
+            if len(set(values.values())) > 1 and len({r.n for r in rows}) == 1:
                 top = (max if column == "sr" else min)(values.values())
                 best |= {(split, method, column) for method, v in values.items() if v == top}
     return best
@@ -253,7 +256,7 @@ def _md(table: Table) -> str:
             lambda row: [cell(row, c) for c in HEADINGS],
         ),
         (
-            "Wilson 95 % intervals of the rates.",
+            "95 % intervals of the rates (Wilson; Avg: MOVER).",
             [HEADINGS[c] for c in rates],
             lambda row: [interval(row.rates[c]) for c in rates],
         ),
@@ -285,24 +288,7 @@ def _md(table: Table) -> str:
         if lines:
             parts += [caption, aligned(["Split", "Method", *headings], lines, 2)]
     parts.append(notes_list([*map(plain, legend(short)), *table.notes]))
-    if table.folders:
-        parts.append(_next_commands(table))
     return "\n\n".join(parts) + "\n"
-
-
-def _next_commands(table: Table) -> str:
-    """Commands that answer the next questions about this run."""
-    several = len({row.method for row in table.rows}) > 1
-    # the shipped rows are those of the robot that a table does not name
-    baselines = " baselines --across-robots" if "robot" in table.origin else " baselines"
-    lines = [
-        ("compare", "" if several else baselines, "which differences are more than chance"),
-        ("report", " --format html > report.html", "by object, margins, every trial"),
-        ("results reevaluate", " --rows 200", "whether the rows are what the evaluator says"),
-    ]
-    return "Next:\n\n" + "\n".join(
-        f"    r2h-batch {c} {table.folders}{more}  # {what}" for c, more, what in lines
-    )
 
 
 def record(row: Row) -> dict[str, Any]:
@@ -349,25 +335,28 @@ def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
     best = best_cells(table)
     groups: dict[str, list[str]] = {}
     for row in table.rows:
-        lines = groups.setdefault(row.split, [])
+        n = {r.n for r in table.rows if r.split == row.split}
+        size = f"$N={row.n}$" if len(n) == 1 else "$N$ in brackets"
+        heading = rf"\multicolumn{{{1 + len(HEADINGS)}}}{{@{{}}l}}{{{row.split}, {size}}} \\"
+        lines = groups.setdefault(row.split, [heading])
         values = [tex_cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in HEADINGS]
-        first = ["" if lines else row.split, tex(short[row.method])]
-        lines.append(" & ".join([*first, *values]) + r" \\")
+        name = tex(short[row.method]) + (f" ({row.n})" if len(n) > 1 else "")
+        lines.append(" & ".join([name, *values]) + r" \\")
         if intervals:
-            lines.append(" & ".join(["", "", *(_ends(row, c) for c in HEADINGS)]) + r" \\[2pt]")
+            lines.append(" & ".join(["", *(_ends(row, c) for c in HEADINGS)]) + r" \\[2pt]")
     decimals = max([len(cell(r, "t_plan_s").partition(".")[2]) for r in table.rows], default=2)
     sizes = [(3, 1) if c in RATES else (2, decimals if c == "t_plan_s" else 2) for c in HEADINGS]
-    spec = ["l", "l", *(tex_number(*size) for size in sizes)]
+    spec = ["l", *(tex_number(*size) for size in sizes)]
     times, failures = (sum(c in of for c in HEADINGS) for of in (TIMES, FAILURES))
-    first_failure = 4 + times  # the split, the method and SR stand before the times
+    first_failure = 3 + times  # the method and SR stand before the times
     top = [
-        rf" & & {{SR}} & \multicolumn{{{times}}}{{c}}{{Time (s)}}"
+        rf" & {{SR}} & \multicolumn{{{times}}}{{c}}{{Time (s)}}"
         rf" & \multicolumn{{{failures}}}{{c}}{{First failure (\%)}} \\",
-        rf"\cmidrule(lr){{4-{first_failure - 1}}}"
+        rf"\cmidrule(lr){{3-{first_failure - 1}}}"
         rf"\cmidrule(l){{{first_failure}-{first_failure + failures - 1}}}",
     ]
     names = {c: h.partition("_")[2] for c, h in HEADINGS.items()} | {"sr": r"(\%)"}
-    head = ["", "Method", *(f"{{{n}}}" for n in names.values())]
+    head = ["Method", *(f"{{{n}}}" for n in names.values())]
     return tex_table(spec, head, groups.values(), top)
 
 
@@ -385,12 +374,15 @@ def _narrow(table: Table, short: Mapping[str, str], intervals: bool) -> list[str
         lines.append(" & ".join([tex(name), *values]) + r" \\")
         if intervals:
             lines.append(" & ".join(["", *(_ends(r, "sr") for r in own)]) + r" \\[2pt]")
+    sizes = {s: sorted({r.n for r in table.rows if r.split == s}) for s in splits}
+    n = [f"{{{k[0]}}}" if len(k) == 1 else f"{{{k[0]}--{k[-1]}}}" for k in sizes.values()]
     spec = ["l", *[tex_number(3, 1)] * len(splits)]
     top = [
         rf" & \multicolumn{{{len(splits)}}}{{c}}{{Success (\%)}} \\",
         rf"\cmidrule(l){{2-{len(splits) + 1}}}",
+        " & ".join(["", *(f"{{{s}}}" for s in splits)]) + r" \\",
     ]
-    return tex_table(spec, ["Method", *(f"{{{s}}}" for s in splits)], [lines], top)
+    return tex_table(spec, ["Method, $N$", *n], [lines], top)
 
 
 def object_lines(run: Run, fmt: str = "md") -> str:

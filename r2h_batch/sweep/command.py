@@ -229,6 +229,7 @@ def _finish(storage: "Storage", names: list[str], *, alone: bool) -> int:
     """
     from r2h_batch.report import table as report
     from r2h_batch.report.card import write_summary
+    from r2h_batch.report.next_commands import next_commands
     from r2h_batch.runs import store as results
 
     stored = results.load_run(storage.folder)
@@ -249,6 +250,8 @@ def _finish(storage: "Storage", names: list[str], *, alone: bool) -> int:
             _log(stored, storage.log)
     if names and not left:
         sys.stdout.write(report.render(report.table_of(stored), storage.format))
+        if storage.format == "md":
+            sys.stdout.write("\n" + next_commands([stored]))
         if "episodes" in storage.kinds:
             from r2h_batch.report.closed_loop import render
 

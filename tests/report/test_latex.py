@@ -32,10 +32,11 @@ def cells_of(text):
     """(split, method) -> cells of the wide table, without braces and bold."""
     split, found = "", {}
     for line in text.splitlines():
+        if heading := re.match(r"\\multicolumn\{10\}\{@\{\}l\}\{(\w+), \$N=\d+\$\}", line):
+            split = heading[1]
         cells = [re.sub(r"\\bfseries |[{}]", "", c.strip()) for c in line.removesuffix(r" \\").split(" & ")]
-        if len(cells) == 11 and cells[1] and cells[1] != "Method":
-            split = cells[0] or split
-            found[split, cells[1]] = cells[2:]
+        if len(cells) == 10 and cells[0] and cells[0] != "Method":
+            found[split, cells[0]] = cells[1:]
     return found
 
 
@@ -47,6 +48,15 @@ def test_the_wide_table_gives_back_every_cell_of_table_1(paper):
     assert all(line.startswith("% ") for line in first.splitlines())  # provenance is there, and not on the page
     assert "% protocol: made" in first and "% trials digest: 0123456789abcdef" in first
     assert "% S0 FC-Handover: N 500" in first and r"\usepackage{booktabs,siunitx}" in first
+
+
+def test_both_tables_say_of_how_many_trials_each_rate_is(paper):
+    wide, narrow = report.render(paper, "latex"), report.render(paper, "latex", columns=1)
+    assert "{S0, $N=500$}" in wide and "{Avg, $N=1000$}" in wide and "Method, $N$ & {500} & {500} & {1000}" in narrow
+    first, *others = paper.rows
+    fewer = replace(paper, rows=(replace(first, n=60), *others))
+    assert "$N$ in brackets" in report.render(fewer, "latex") and "FC-Handover (60) &" in report.render(fewer, "latex")
+    assert "{60--500}" in report.render(fewer, "latex", columns=1)
 
 
 def test_a_comment_ends_no_comment(paper):

@@ -48,8 +48,8 @@ received."""
 NOTES = (
     "Percent of the rows with a held object and a goal posture; `n` counts them. A column of a step: rows with a grasp left that"
     " passes it and all before. received: the whole way to the easiest of these is free too. No part of SR.",
-    "K: how many would be received if only K grasps a side were known (drawn at random from these). Turn: received with the"
-    " hand turned by at most so much in the easiest grasp.",
+    "K: how many of the received would be if only K grasps a side were known (drawn at random): at least one of them passes"
+    " every step. Turn: received with the hand turned by at most so much in the easiest grasp.",
     "Hands have the shape of the held-out grasps, not of the trial's person (docs/receivers.md).",
 )
 
@@ -182,7 +182,9 @@ def render(tables: dict[str, pa.Table]) -> str:
         steps = [_percent((row[f"n_{step}"] > 0)[judged]) for step in STEPS]
         shares = [*steps, _percent(got[judged]), _percent(got), _percent(got & row["success"])]
         funnel.append([label, str(int(judged.sum())), *shares])
-        chances = [chance_of_one(last[judged], row["known"][judged], k) for k in CURVE_K]
+        # of received rows alone: so no column K exceeds received
+        passing = np.where(got, last, 0)[judged]
+        chances = [chance_of_one(passing, row["known"][judged], k) for k in CURVE_K]
         turned = [np.nan_to_num(row["turn_deg"][judged], nan=np.inf) <= t for t in TURNS_DEG]
         curve.append([label, *map(_percent, chances), *map(_percent, turned)])
         effort.append([label, *_means(row, got)])

@@ -107,9 +107,13 @@ def report(
 
         text = object_lines(stored, format)
     else:
+        from r2h_batch.report.next_commands import judged_alike, next_commands
         from r2h_batch.report.table import render, table_of
 
-        text = render(table_of(stored), format, columns=columns, intervals=intervals)
+        table = table_of(stored, alike=len(loaded) == 1 or judged_alike(loaded))
+        text = render(table, format, columns=columns, intervals=intervals)
+        if format == "md" and out is None:
+            text += "\n" + next_commands(loaded)
     if out is None:
         sys.stdout.write(text)
     else:

@@ -2,12 +2,13 @@
 
 import shutil
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from r2h_batch.__main__ import main
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.results.reception import SCHEMA
+from r2h_batch.sweep.results.reception import SCHEMA, render
 
 QUICK = ["--sim", "none", "--quiet"]
 
@@ -50,3 +51,17 @@ def test_a_link_in_place_of_the_tables_folder_is_refused_and_nothing_is_written_
     assert main(["results", "reception", str(copy)]) == 2
     error = capsys.readouterr().err
     assert "a symbolic link" in error and error.count("\n") == 1 and not list(victim.iterdir())
+
+
+def test_with_fewer_grasps_never_more_are_received():
+    n = 6
+    columns = {name: [0] * n for name in SCHEMA.names if name.startswith(("n_", "known", "trial_id"))}
+    columns |= {name: [None] * n for name in SCHEMA.names if SCHEMA.field(name).nullable}
+    columns |= {"success": [True] * n, "evaluated": [True] * n, "known": [256] * n, "n_hold": [40] * n}
+    columns |= {"received": [True, True, True, False, False, False]}  # the whole way of half of them is blocked
+    table = pa.table({name: columns[name] for name in SCHEMA.names}, schema=SCHEMA)
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in render({"m": table}).splitlines()]
+    heads = {head: (head_line, i) for i, head_line in enumerate(lines) for head in head_line}
+    curve, row = heads["K=8"][0], lines[heads["K=8"][1] + 2]
+    shares = [float(cell) for head, cell in zip(curve, row, strict=True) if head.startswith("K=")]
+    assert shares == sorted(shares) and 0 < shares[0] < 50 and shares[-1] == 50
