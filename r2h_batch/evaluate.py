@@ -170,7 +170,7 @@ class Evaluator:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        """What copies and pickles hold: the configuration. Copies share the scene's tables, which
+        """The configuration: all that copies and pickles hold. Copies share the scene's tables, which
         nobody changes; another process builds its own (`Scene.__reduce__`), rows are bitwise
         equal."""
         own = ("handle", "kinematic", "_small_calls", "_known_inputs")

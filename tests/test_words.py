@@ -9,12 +9,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("r2h_batch", "kernels", "assets", "bench", "tests", "tools", "examples")
 FIRST = ("Of", "What")
-LATER = (
-    *("r2h_batch/runs/store.py", "r2h_batch/evaluate.py", "r2h_batch/base/launch/__init__.py"),
-    *("r2h_batch/base/launch/arguments.py", "r2h_batch/sweep/submission.py", "r2h_batch/sweep/results/reevaluation.py"),
-    *(f"r2h_batch/sweep/{name}.py" for name in ("cluster", "engine", "jobs", "options")),
-)
-"""Files that other work is rewriting: each leaves this list with its last such docstring."""
 RIDDLES = ("that is none", "that are none", "so-manieth", "shall be", "nobody's")
 
 

@@ -28,7 +28,7 @@ def next_commands(runs: Sequence[Run]) -> str:
 
 
 def _compared(runs: Sequence[Run]) -> str | None:
-    """What `compare` needs beside the folders; None: it refuses them."""
+    """The options that `compare` needs beside the folders; None: it refuses them."""
     if any(run.unfinished for run in runs):
         return None
     if sum(len(run.methods) for run in runs) > 1:

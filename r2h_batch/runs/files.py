@@ -212,7 +212,7 @@ def _dots(text: str) -> int:
 
 
 def in_the_way(path: Path, *, folder: bool = False) -> str:
-    """What stands in the place of a file (or folder) of the run; empty if nothing is wrong."""
+    """The fault of a path that should be a file (or folder) of the run; empty if it has none."""
     try:
         mode = path.lstat().st_mode
     except OSError:

@@ -91,7 +91,7 @@ class Format3Shard:
         return receipt
 
     def receipt(self) -> dict[str, Any]:
-        """What was stored; `RunError` if it belongs to another run, method or shard."""
+        """The stored rows of a shard; `RunError` if it belongs to another run, method or shard."""
         return self._receipt
 
     @property

@@ -202,7 +202,7 @@ def checked(model: type[Record], data: Any, path: Path) -> dict[str, Any]:
 
 
 def _identity(header: Mapping[str, Any]) -> dict[str, Any]:
-    """What decides the rows of a run; older folders have no `predictors` or no `hands`."""
+    """The fields of the header that decide the rows of a run; older folders have no `predictors` or no `hands`."""
     found = {k: header.get(k) for k in IDENTITY}
     found |= {k: header[k] for k in ("predictors", "hands") if k in header}
     return {**found, "device": (header.get("device") or {}).get("kind")}
@@ -243,7 +243,7 @@ MOST_NEAR = 1000
 
 
 def _near(folder: Path) -> str:
-    """The run that a path that is none may mean: the newest one inside it, or one of nearly its
+    """The run that a wrong path may mean: the newest one inside it, or one of nearly its
     name beside it; empty where there is none."""
     runs: list[list[Path]] = []
     for place in (folder, folder.parent):

@@ -69,7 +69,7 @@ _NAME = re.compile(r"([0-9]{6})-([0-9a-f]{16})\.parquet", re.ASCII)
 
 
 class Receipt(Record):
-    """What the footer says of a shard."""
+    """The receipt of a shard, as its footer holds it."""
 
     run: Hash
     method: Name
@@ -108,7 +108,7 @@ class StoredShard:
         return self._footer[1]
 
     def receipt(self) -> dict[str, Any]:
-        """What the footer says; `RunError` if it belongs to another run, method or shard."""
+        """Reads the receipt from the footer; `RunError` if it belongs to another run, method or shard."""
         return self._footer[0]
 
     @cached_property

@@ -48,7 +48,7 @@ IMPORTED = "imported-"
 
 
 def write_labels(folder: Path, labels: Mapping[int, tuple[str, str]]) -> None:
-    """What the owner of listed trials calls them, as a table in a run folder."""
+    """The names that the owner of listed trials gave them, as a table in a run folder."""
     with (
         atomic_path(folder / LABELS) as temporary,
         temporary.open("w", newline="", encoding="utf-8") as file,
@@ -204,7 +204,7 @@ class Run:
         return self._read("episodes", method)
 
     def failures(self, method: str) -> pa.Table:
-        """What is needed to repeat a failed simulation, `FAILURE_SCHEMA`."""
+        """The inputs that repeat a failed simulation, `FAILURE_SCHEMA`."""
         return self._read("failures", method)
 
     def _read(self, kind: str, method: str, columns: Sequence[str] | None = None) -> pa.Table:

@@ -1,7 +1,7 @@
-"""What of a run folder cannot be trusted: damaged, foreign and forged files.
+"""Finds the files of a run folder that cannot be trusted: damaged, foreign and forged ones.
 
 Digests are compared first. Then a child process opens the files, because a footer can end the process
-that opens it. What the child survives is opened here.
+that opens it. Files that the child survives are opened here.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -94,7 +94,7 @@ def _format_3(entry: Entry, found: list[Problem]) -> Iterable[Format3Shard]:
 
 
 def _wrong_rows(stored: StoredShard | Format3Shard) -> str:
-    """What is wrong with the receipt or the trials of a shard; empty: nothing.
+    """The fault of a shard's receipt or trials; empty if it has none.
 
     A digest finds damage; this finds rows of other trials that somebody stored under a digest to
     match. `results reevaluate` finds a forged verdict.

@@ -45,7 +45,7 @@ class ClusterError(Exception):
 
 CONNECT = Path(__file__).with_name("connect.py")
 NO_TOKEN = ("InvalidAuthToken", "AuthenticationError", "Unauthenticated")
-"""What Ray says when a cluster asks for a token, again and again until its own time limit."""
+"""Ray's line when a cluster asks for a token. Ray repeats it until its own time limit."""
 
 
 def reach(address: str, timeout_s: float) -> None:
@@ -161,8 +161,8 @@ class Worker:
             warm_up(job, self.setting)
 
     def header(self) -> dict[str, Any]:
-        """What this node would write into run.json, and what answers here: the driver refuses to mix
-        versions, methods or files."""
+        """The header that this node would write into run.json. The driver refuses to mix versions, methods or
+        files."""
         return self.setting.header | {"sources": {n: j.source for n, j in self.jobs.items()}}
 
     def score(self, name: str, shard: Shard) -> tuple[ShardWriter, float]:
@@ -200,7 +200,7 @@ class Pool:
 
 
 def _lost(error: Exception) -> ClusterError:
-    """What a call of Ray's says that does not reach the cluster."""
+    """Ray's message of a call that does not reach the cluster."""
     return ClusterError(
         f"the Ray cluster does not answer any more ({printable(error)[:200]}): its node on this machine or its head is"
         " gone; complete shards are stored, the same command continues"

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
 
 WARM_TRIALS = 32
-"""Scored once before the clock starts, so that compiling kernels is in nobody's T_plan."""
+"""Scored once before the clock starts, so that no method's T_plan contains the compilation of kernels."""
 
 SHARD_SECONDS = 60.0
 PROBE_TRIALS = 128
@@ -125,7 +125,7 @@ def progress(name: str, total: int, *, log: Log | None = None) -> Iterator[Calla
 
 @dataclass(frozen=True)
 class Scoring:
-    """What a process scores: setting, jobs, the folder for rows, and what stops it."""
+    """The work of a process: setting, jobs, the folder for rows, and what stops it."""
 
     setting: Setting
     jobs: Sequence[Job]

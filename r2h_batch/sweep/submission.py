@@ -102,7 +102,7 @@ def _judged_again(
 
 
 def _largest(runs: "Sequence[Run]") -> "list[Run]":
-    """Of runs that were not all judged alike those with the shipped rows among them, else the most;
+    """Picks, of runs that were not all judged alike, those with the shipped rows among them, else the most;
     ValueError where two groups are as large."""
     from r2h_batch.report.compare.command import stored_rows
     from r2h_batch.report.statistics.common import common_trials

@@ -185,7 +185,7 @@ def test_a_shard_that_another_sweep_holds_is_not_set_aside(run):
 @pytest.mark.usefixtures("own_process")
 @pytest.mark.parametrize("digest", ["as its name says", "another"])
 def test_a_footer_that_ends_the_process_that_opens_it_is_one_line_for_every_command(run, tmp_path, capsys, digest):
-    """Of the file in reproductions: pyarrow aborts when it is asked for the columns' types."""
+    """The file in reproductions: pyarrow aborts when it is asked for the columns' types."""
     (path,) = files_of(run, "m")
     data = with_a_fatal_footer(path.read_bytes())
     path.write_bytes(data)

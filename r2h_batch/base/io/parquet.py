@@ -109,7 +109,7 @@ def refused_parquet(paths: Sequence[Path], *, whole: bool = False) -> dict[Path,
 
 
 def _looked_at(paths: Sequence[Path], *, whole: bool) -> list[str]:
-    """What is wrong with each file as one child sees them; `FileError` if the child does not live."""
+    """The fault of each file as one child process sees them, empty if it has none; `FileError` if the child does not live."""
     size = sum(p.stat().st_size for p in paths)
     with tempfile.TemporaryFile() as names:
         names.write(json.dumps([str(p) for p in paths]).encode())

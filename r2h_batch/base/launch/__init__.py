@@ -55,8 +55,8 @@ def init_warp() -> None:
 
 
 NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
-"""What Warp's library writes to the process' stderr on a machine without a GPU: no news to whoever
-uses a CPU."""
+"""A line that Warp's library writes to the process' stderr on a machine without a GPU. Users of a CPU
+need not read it."""
 
 
 @lru_cache(maxsize=1)

@@ -276,7 +276,7 @@ def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
 
 
 _last_packed: dict[Any, tuple[TensorLayoutGuard, bytes]] = {}
-"""Of each struct: the layout of the tensors that `struct_of` packed last, and the packed bytes."""
+"""The layout of the tensors that `struct_of` packed last and the packed bytes, for each struct."""
 
 
 @cache
@@ -288,7 +288,7 @@ def _fields(kind: Any) -> tuple[tuple[str, "Parameter"], ...]:
 
 
 def parameters(kernel: Any) -> tuple[Parameter, ...]:
-    """What the kernel declares, in its order, without `first`."""
+    """The kernel's declared arguments in its order, without `first`."""
     return tuple(
         p for _, _, p in _signature(kernel, kernel.adj.args[0].label == "first").parameters
     )
@@ -389,7 +389,7 @@ def _pack_array(p: Parameter, value: Any, place: Any, rows: int) -> Any:
 
 
 def _strides(shape: tuple[int, ...], step: int) -> tuple[int, ...]:
-    """Of contiguous memory, bytes. Torch may give other ones to empty tensors and to dimensions of
+    """Strides of contiguous memory, bytes. Torch may give other ones to empty tensors and to dimensions of
     1."""
     if len(shape) == 1:
         return (step,)

@@ -50,10 +50,10 @@ COMPARED = {
 """Columns that are judged again; poses are what they are judged from."""
 
 LATER_OPTIONS = ("receiver", "estimate", "candidates", "execution_error")
-"""Of `EvalConfig`: options that older runs do not name, for they had no other way."""
+"""Options of `EvalConfig` that older runs do not name, because those runs had only one way."""
 
 TOLERANCES = {"_m": BORDERLINE_M, "_deg": 0.05, "_s": 0.02, "q": 1e-3, "q_goal": 1e-3}
-"""What stored numbers may differ by on another kind of machine or with other versions, by the end of
+"""Tolerances of stored numbers on another kind of machine or with other versions, by the end of
 the column's name: m, degrees, s (two samples of a motion and rounding), rad. On the same, nothing."""
 
 EPISODE_TOLERANCE = 0.05
@@ -88,7 +88,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Reevaluation:
-    """What came of one method.
+    """The outcome of one method's reevaluation.
 
     Args:
         method: its name.
@@ -161,7 +161,7 @@ class Judge:
 
 
 def _loop_of(identity: Any, run: Run) -> tuple["Loop | None", str]:
-    """What plays the run's episodes again, or why nothing does."""
+    """The policy that plays the run's episodes again, or the reason why none does."""
     if "episodes" not in run.header["stored"]:
         return None, ""
     if not isinstance(identity, str):
@@ -198,7 +198,7 @@ def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
 
 
 def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
-    """What could move a last bit: the digest of the code, versions, the kind of processor."""
+    """All that could move a last bit: the digest of the code, versions, the kind of processor."""
     other = [] if header["digests"].get("code") == provenance.code_digest() else ["code"]
     installed = provenance.versions()
     other += [k for k, v in header["versions"].items() if k != "python" and installed.get(k) != v]
