@@ -227,6 +227,33 @@ MUTATIONS = (
         "1.0 / arm_kg",
         (T_ISO,),
     ),
+    Mutation(
+        "robots: pairs of links are left out however near they come",
+        "r2h_batch/data/robot_pairs.py",
+        "NEAR_M = 0.010",
+        "NEAR_M = 0.0",
+        (
+            "tests/scene/test_robot_pairs.py::test_pairs_are_left_out_that_stay_10_mm_apart_with_two_joints_between_them_or_always_touch",
+        ),
+    ),
+    Mutation(
+        "robots: the pads of every gripper meet",
+        "r2h_batch/scene/grasp_tables.py",
+        "g.table_gap = robot.closed_gap_m",
+        "g.table_gap = 0.0",
+        (
+            "tests/data/test_robots_as_sold.py::test_pads_of_a_loop_that_stop_apart_stand_where_the_crank_has_them_and_hold_nothing_thinner",
+        ),
+    ),
+    Mutation(
+        "export: the total time is that of execution",
+        "r2h_batch/view/export/release.py",
+        "else plan_s + exec_s",
+        "else exec_s",
+        (
+            "tests/view/export/test_export_release.py::test_each_object_counts_the_same_in_the_exported_averages_and_a_total_is_the_sum_of_both_times",
+        ),
+    ),
 )  # fmt: skip
 
 

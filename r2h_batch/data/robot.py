@@ -33,7 +33,7 @@ from r2h_batch.data.robot_chain import (
 from r2h_batch.data.robot_links import Link, Meshes, check_meshes, files_of, link_of
 from r2h_batch.data.robot_model import read_model
 from r2h_batch.data.robot_pads import Window, find_pads
-from r2h_batch.data.robot_pairs import contact_rates, touching
+from r2h_batch.data.robot_pairs import checked_pairs, touching
 from r2h_batch.data.robot_shapes import (
     BOX,
     Hull,
@@ -87,10 +87,6 @@ SYMMETRIC_M, PARALLEL_RAD = 1e-4, 5e-3
 """By how much the fingers may close differently, and the pads turn."""
 MOST_TURN_RAD = np.radians(2.0)
 """By how much the pads of a linkage may turn that is parallel in the data sheet and not quite in the file."""
-NEAR_M = 0.010
-"""Links that never touch and never come this near are not checked against each other."""
-DENSE_JOINTS = 2
-"""Joints between two links up to which random postures lie close enough to each other to say so."""
 POSTURES = 8000
 """Random postures in which links are looked for in contact."""
 SMALL_EFFORT_NM, STIFF, SOFT = 40.0, 10_000.0, 2_000.0
@@ -211,7 +207,7 @@ def import_robot(
     arm = _primitives_of(hulls, where, numbered)
     bare = replace(bare, arm=arm, dynamics=dynamics)
     robot = replace(bare, home_q=start or _home(bare))
-    pairs = _checked_pairs(robot)
+    pairs = checked_pairs(robot, POSTURES)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
     robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
     table = Workplace().scaled(robot.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
@@ -565,22 +561,3 @@ def _middle_home(robot: Robot, off: Callable[[Array], Array]) -> tuple[float, ..
     if best is None:
         raise FileError(f"{robot.name}: no posture puts the gripper where trials start")
     return tuple(np.round(best, 4).tolist())
-
-
-def _checked_pairs(robot: Robot) -> dict[tuple[str, str], tuple[bool, str]]:
-    """Whether each pair of links is checked, and why."""
-    found = {}
-    for (a, b), (rate, nearest) in contact_rates(robot, POSTURES).items():
-        first, last = robot.links.index(a), robot.links.index(b)
-        joints = min(last, len(robot.joints)) - first
-        if last - first == 1:
-            found[a, b] = False, "neighbours"
-        elif rate == 1:
-            found[a, b] = False, "always in contact"
-        elif rate == 0 and nearest > NEAR_M and joints <= DENSE_JOINTS:
-            found[a, b] = False, f"never nearer than {1e3 * nearest:.0f} mm"
-        else:
-            often = f"in contact in {100 * rate:.1f} % of postures"
-            never = f"no contact in {POSTURES:,} random postures, which prove nothing"
-            found[a, b] = True, often if rate else never
-    return found

@@ -12,6 +12,10 @@ from r2h_batch.config import Workplace
 from r2h_batch.scene.robot import Robot, ShapeKind, corners_of, gripper_primitives_at
 
 FAR_M = 0.05
+NEAR_M = 0.010
+"""Links that never touch and never come this near are not checked against each other."""
+DENSE_JOINTS = 2
+"""Joints between two links up to which random postures lie close enough to each other to say so."""
 
 
 def mjcf(robot: Robot, table: Workplace | None = None) -> str:
@@ -81,6 +85,25 @@ def contact_rates(
         (robot.links[a], robot.links[b]): (touched[a, b] / configurations, float(nearest[a, b]))
         for a, b in combinations(range(len(robot.links)), 2)
     }
+
+
+def checked_pairs(robot: Robot, configurations: int) -> dict[tuple[str, str], tuple[bool, str]]:
+    """Whether each pair of links is to be checked, and why, from so many random postures."""
+    found = {}
+    for (a, b), (rate, nearest) in contact_rates(robot, configurations).items():
+        first, last = robot.links.index(a), robot.links.index(b)
+        joints = min(last, len(robot.joints)) - first
+        if last - first == 1:
+            found[a, b] = False, "neighbours"
+        elif rate == 1:
+            found[a, b] = False, "always in contact"
+        elif rate == 0 and nearest > NEAR_M and joints <= DENSE_JOINTS:
+            found[a, b] = False, f"never nearer than {1e3 * nearest:.0f} mm"
+        else:
+            often = f"in contact in {100 * rate:.1f} % of postures"
+            never = f"no contact in {configurations:,} random postures, which prove nothing"
+            found[a, b] = True, often if rate else never
+    return found
 
 
 def _collide(model: mujoco.MjModel, data: mujoco.MjData, q: NDArray[np.float64]) -> None:

@@ -1,10 +1,13 @@
 """Robots as they are sold: sites and offsets as flanges, missing torques, loops, fitted shapes, pads from meshes, COLLADA."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
+from grasp_cases import model_of
 from refusals import one_line
 from robot_files import ARM, read_arm, write_mjcf, write_urdf
 
@@ -14,7 +17,10 @@ from r2h_batch.data.robot_chain import at_flange, read_chain, read_fingers
 from r2h_batch.data.robot_links import Meshes, files_of, link_of
 from r2h_batch.data.robot_model import read_model
 from r2h_batch.data.robot_pads import Window
+from r2h_batch.judge.grasp import close_gripper, gripper_poses
+from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.mesh_import import file as mesh_file
+from r2h_batch.scene.robot import gripper_primitives_at, load_robot, read_robot, write_robot
 
 
 def turned(x: float = 0.0, y: float = 0.0, z: float = 0.0, pitch: float = 0.0) -> np.ndarray:
@@ -101,6 +107,46 @@ def test_the_loops_of_a_gripper_close_and_its_pads_stay_parallel(tmp_path):
     bar = next(p for p in fingers.parts if p.name == "left_bar")
     crank = next(p for p in fingers.parts if p.name == "left_link")
     assert np.abs(bar.T[:, :3, :3] - crank.T[:, :3, :3]).max() < 1e-5
+
+
+def test_pads_of_a_loop_that_stop_apart_stand_where_the_crank_has_them_and_hold_nothing_thinner(tmp_path):
+    """Closed form: cranks of 50 mm, 20 mm out. At angle 0 the pads' faces are 42 mm apart, and stop."""
+    model = read_model(write_loop(tmp_path))
+    pads = ("left_pad", "right_pad")
+    fingers = read_fingers(model, "hand", pads)
+    meshes = Meshes(model, [*files_of(fingers.palm), *(g for p in fingers.parts for g in p.shown)], {})
+    fields, _, _ = gripper_of(fingers, pads, 6, meshes)
+    made = replace(load_robot(), name="loop", digest="loop", **fields)
+    write_robot(tmp_path / "loop", made)
+    stop, opened = 0.042, 0.042 + 0.1 * np.sin(0.8)
+    gap = np.array([stop, 0.05, 0.071, 0.09, opened])
+    sine = (gap / 2 - 0.021) / 0.05
+    height = 0.05 + 0.05 * np.sqrt(1 - sine**2)
+    for robot in (made, read_robot(tmp_path / "loop")):
+        assert (robot.closed_gap_m, robot.open_gap_m) == pytest.approx((stop, opened), abs=1e-6)
+        # 30 um: chords of the arc between 65 samples
+        T = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee @ gripper_primitives_at(robot, gap)
+        for i in np.flatnonzero(np.array(robot.gripper_part) == "pad"):
+            side = robot.gripper_side[i]
+            assert np.allclose(T[:, i, 1, 3], side * (gap / 2 + 0.004), atol=1e-6)
+            assert np.allclose(T[:, i, 2, 3], height + 0.02, atol=3e-5)
+            assert np.allclose(T[:, i, :3, :3], np.diag([side, side, 1]), atol=1e-6)
+        # the cranks' boxes of 4 mm turn about their pivots
+        cranks = [i for i, size in enumerate(robot.gripper.size) if np.allclose(size, [0.004, 0.002, 0.02])]
+        assert len(cranks) == 2
+        for i in cranks:
+            side = robot.gripper_side[i]
+            y, z = side * (0.02 + 0.02 * sine), 0.05 + 0.02 * np.sqrt(1 - sine**2)
+            assert np.allclose(T[:, i, 1, 3], y, atol=3e-5) and np.allclose(T[:, i, 2, 3], z, atol=3e-5)
+        _, p = gripper_poses(robot, torch.from_numpy(gap).float())
+        assert np.abs(p.numpy() - gripper_primitives_at(robot, gap)[..., :3, 3]).max() < 1e-6
+        boxes = [trimesh.creation.box((0.05, width, 0.06)) for width in (0.030, 0.041, 0.043, 0.060)]
+        tables = grasp_tables([model_of(box) for box in boxes], robot)
+        held = close_gripper(tables, torch.eye(4).repeat(4, 1, 1), torch.arange(4, dtype=torch.int32))
+        assert held.width_m.tolist() == pytest.approx([0.030, 0.041, 0.043, 0.060], abs=2e-5)
+        assert held.opening_m.tolist() == pytest.approx([stop, stop, 0.043, 0.060], abs=2e-5)
+        assert ((held.width_m - stop) > 0).tolist() == [False, False, True, True]
+        assert held.margin_m[:2].tolist() == pytest.approx([-0.012, -0.001], abs=2e-5)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from sweep_command import in_process
 from r2h_batch.__main__ import main
 from r2h_batch.runs.store import load_run
 from r2h_batch.verdicts import CRITERIA
+from r2h_batch.view.export.release import write_release_results
 
 
 @pytest.fixture(scope="module")
@@ -202,3 +203,40 @@ def test_compare_pairs_a_run_of_imported_trials_with_results_of_the_same_names(w
     assert "paired by their names" in capsys.readouterr().out
     assert main(["compare", str(tmp_path / "mine"), str(tmp_path / "other")]) == 2
     assert "differ in the names of their trials" in capsys.readouterr().err
+
+
+def test_each_object_counts_the_same_in_the_exported_averages_and_a_total_is_the_sum_of_both_times(tmp_path):
+    """By hand: in S0 a cup with three trials and a can with one; in S1 a pan with two and a pot with one."""
+    made = [  # split, object, outcome, planning and execution in s
+        ("S0", "cup", "success", 1.0, 4.0), ("S0", "cup", "success", 2.0, 5.0), ("S0", "cup", "plan", 3.0, 6.0),
+        ("S0", "can", "reach", 8.0, 1.0), ("S1", "pan", "success", 1.0, 2.0), ("S1", "pan", "affordance", 1.0, 2.0),
+        ("S1", "pot", "safe", 3.0, 4.0),
+    ]  # fmt: skip
+    rows = [
+        {
+            "trial_id": i, "split": split, "object": thing, "outcome": outcome, "width_m": 0.03, "t_plan_s": plan_s,
+            "t_exec_s": exec_s, **{f"passed_{c}": c != outcome for c in CRITERIA},
+        }
+        for i, (split, thing, outcome, plan_s, exec_s) in enumerate(made)
+    ]  # fmt: skip
+    write_release_results(rows, {i: (f"t{i}", "FS") for i in range(len(rows))}, tmp_path)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert [r["total_time_s"] for r in results] == [5.0, 7.0, 9.0, 9.0, 3.0, 3.0, 7.0]
+    s0, s1, avg = json.loads((tmp_path / "paper_table.json").read_text())
+    # S0: cup 2 of 3, can 0 of 1. Of all four trials it would be 50 %
+    assert (s0["objects"], s0["trials"], s1["objects"], s1["trials"], avg["objects"], avg["trials"]) == (
+        2,
+        4,
+        2,
+        3,
+        4,
+        7,
+    )
+    assert (s0["SR"], s0["Fplan"], s0["Freach"]) == pytest.approx((100 / 3, 50 / 3, 50.0))
+    assert (s0["Tplan"], s0["Texec"], s0["Ttot"]) == pytest.approx(((2 + 8) / 2, (5 + 1) / 2, (7 + 9) / 2))
+    assert (s1["SR"], s1["Fafford"], s1["Fsafe"]) == pytest.approx((25.0, 25.0, 50.0)) and s0["Fafford"] is None
+    assert (s1["Tplan"], s1["Texec"], s1["Ttot"]) == pytest.approx((2.0, 3.0, 5.0))
+    assert (avg["SR"], avg["Fafford"], avg["Ttot"]) == pytest.approx(((100 / 3 + 25) / 2, 12.5, (8 + 5) / 2))
+    write_release_results([{**rows[0], "t_plan_s": None}, *rows[1:]], {i: (f"t{i}", "FS") for i in range(7)}, tmp_path)
+    s0, s1, avg = json.loads((tmp_path / "paper_table.json").read_text())
+    assert s0["Tplan"] is s0["Ttot"] is avg["Ttot"] is None and s0["Texec"] == 3.0 and s1["Ttot"] == 5.0
