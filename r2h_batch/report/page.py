@@ -85,6 +85,7 @@ def page(
         short=short,
         overview=_overview(table, compared),
         bold=bool(best_cells(table)),
+        kind="categories" if table.families else "objects",
         splits=list(dict.fromkeys(row.split for row in table.rows)),
         matrices=[_matrix(c) for c in compared],
         heat=_heat(counted, run.methods),
@@ -151,7 +152,8 @@ def _matrix(c: Comparison) -> dict[str, Any]:
     words = {}
     for p in c.pairs:
         known = p.low is not None and p.high is not None
-        ends = f", 95 % for new objects {p.low:+.1f} to {p.high:+.1f}" if known else ""
+        kind = "categories" if c.categories < c.objects else "objects"
+        ends = f", 95 % for new {kind} {p.low:+.1f} to {p.high:+.1f}" if known else ""
         sentence = (
             f"{p.a} is {p.verdict}: {p.difference:+.1f} points{ends}; "
             f"only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p.p_holm:.2g}"
@@ -209,7 +211,7 @@ def _table(table: Table) -> list[dict[str, Any]]:
             else _cell(cell(row, c), row.times[c].value)
             for c in HEADINGS
         ]
-        new = row.sr_new_objects
+        new = row.sr_new_categories if table.families else row.sr_new_objects
         more = {
             "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
             "presented": f"{row.presented.percent:.1f}" if row.presented else NA,

@@ -3,7 +3,6 @@ the methods paired at each level."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,8 +34,8 @@ FORMATS = ("md", "csv", "json")
 
 NOTES = (
     "SR: percent of all trials, mean of the splits; brackets: 95 %, MOVER of the splits' Wilson intervals. Area: mean height of"
-    " the line through the SRs over 0 to the largest error in mm. +-: 95 % t interval over objects, which speaks about new"
-    " ones.",
+    " the line through the SRs over 0 to the largest error in mm. +-: 95 % t interval over objects (families:"
+    " over categories), which speaks about new ones.",
     "First failures: percent of all trials, as in Table I.",
     "A-B: difference of SR in points. ** decided for these objects and for new ones, * for these objects, without a mark:"
     " not decided (McNemar, Holm over the pairs of a level).",
@@ -45,7 +44,7 @@ NOTES = (
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value in points, and half of its 95 % t interval over objects; None with one object."""
+    """A value in points, and half of its 95 % t interval over categories of objects; None with one."""
 
     value: float
     half: float | None
@@ -102,8 +101,8 @@ def robustness(runs: Sequence[Run]) -> Robustness:
     curves = []
     for name in names:
         own = [level[name] for level in lines]
-        cells = [_by_object(level[name]) for level in counted]
-        # (levels, K) successes and (K,) trials of each split
+        cells = [_by_category(level[name]) for level in counted]
+        # (levels, C) successes and (C,) trials of each split
         splits = [
             (np.array([level[k][0] for level in cells]), n) for k, (_, n) in enumerate(cells[0])
         ]
@@ -119,13 +118,16 @@ def robustness(runs: Sequence[Run]) -> Robustness:
     return Robustness(labels, tuple(mm), tuple(curves), pairs)
 
 
-def _by_object(counted: Tally) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Successes and trials (K,) of each object, split by split; objects by name."""
+def _by_category(counted: Tally) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Successes and trials (C,) of each category of objects, split by split; categories by name."""
     found = []
     for split in counted.splits:
-        cells = sorted(counted.of_split(split).by("object"), key=itemgetter("object"))
-        successes, n = (np.array([cell[k] for cell in cells]) for k in ("successes", "n"))
-        found.append((successes, n))
+        cells = counted.of_split(split).by("object")
+        names = [counted.category.get(cell["object"], cell["object"]) for cell in cells]
+        kinds, place = np.unique(names, return_inverse=True)
+        both = np.zeros((2, len(kinds)), np.int64)
+        np.add.at(both, (slice(None), place), [[c[k] for c in cells] for k in ("successes", "n")])
+        found.append((both[0], both[1]))
     return found
 
 

@@ -59,6 +59,12 @@ FOOTNOTES = (
     " about new objects of the same kind.",
 )
 
+CATEGORY_NOTE = (
+    "SR new cat.: the category-clustered t interval, about new categories of objects. SR new obj. takes the objects"
+    " for independent, and those of one category are not."
+)
+
+
 BEST_NOTE = (
     "Bold: best rate of a split whose methods all answered the same trials and were judged alike. It does not say that the"
     " difference is more than chance: r2h-batch compare does. Times of a machine, and means over the trials that moved, are"
@@ -86,7 +92,12 @@ class Table:
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines under the table."""
-        return (*FOOTNOTES, *self.misses)
+        return (*FOOTNOTES, *([CATEGORY_NOTE] if self.families else ()), *self.misses)
+
+    @property
+    def families(self) -> bool:
+        """Whether categories have several objects."""
+        return any(row.n_categories < row.n_objects for row in self.rows)
 
 
 def table_of(run: Run, counted: Sequence[Tally] | None = None, *, alike: bool = True) -> Table:
@@ -140,6 +151,7 @@ def _origin(header: Mapping[str, Any]) -> dict[str, str]:
     origin = {
         "preset": str(configuration.get("name", "custom")),
         "protocol": str(header["protocol"]),
+        **_instances(header),
         "trials": ", ".join(f"{n} {split}" for split, n in header["trials"].items()),
         "trials digest": str(header["digests"]["trials"]),
         "device": str(header["device"]["name"]),
@@ -162,6 +174,15 @@ def _origin(header: Mapping[str, Any]) -> dict[str, str]:
     if (averages := configuration.get("averages", "trials")) != "trials":
         origin["averages"] = f"{averages} of a split count the same"
     return origin
+
+
+def _instances(header: Mapping[str, Any]) -> dict[str, str]:
+    """How many instances of how many families the objects are, and the digest of their list."""
+    families = [o["category"] for o in header.get("objects", ()) if "category" in o]
+    if not families:
+        return {}
+    number = f"{len(families)} of {len(set(families))} families"
+    return {"instances": f"{number}, digest {header['digests'].get('objects', 'unknown')}"}
 
 
 def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False) -> str:
@@ -240,9 +261,10 @@ def _share(rate: Rate | None) -> list[str]:
     return [f"{rate.percent:.1f}", interval(rate), str(rate.total)] if rate else []
 
 
-def _counts(row: Row) -> list[str]:
+def _counts(row: Row, families: bool) -> list[str]:
     n_plan, n_exec = row.times["t_plan_s"].count, row.times["t_exec_s"].count
-    cells = [row.n, interval(row.sr_new_objects), n_plan, n_exec, cell(row, "t_method_s")]
+    new = [interval(row.sr_new_objects), *([interval(row.sr_new_categories)] if families else [])]
+    cells = [row.n, *new, n_plan, n_exec, cell(row, "t_method_s")]
     return [*map(str, cells), str(invalid(row)), str(row.counts["missing"])]
 
 
@@ -261,9 +283,14 @@ def _md(table: Table) -> str:
             lambda row: [interval(row.rates[c]) for c in rates],
         ),
         (
-            "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial.",
-            ["N", "SR new obj.", "n T_plan", "n T_exec", "T_method", "invalid", "missing"],
-            _counts,
+            "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial."
+            if not table.families
+            else "Counts, the object- and category-clustered 95 % intervals of SR, and T_method, the method's own time.",
+            [
+                *("N", "SR new obj.", *(["SR new cat."] if table.families else [])),
+                *("n T_plan", "n T_exec", "T_method", "invalid", "missing"),
+            ],
+            lambda row: _counts(row, table.families),
         ),
         (
             "Presented (not in SR).",
@@ -299,11 +326,12 @@ def record(row: Row) -> dict[str, Any]:
         return {name: percent, f"{name}_low": low, f"{name}_high": high}
 
     fields: dict[str, Any] = {"split": row.split, "method": row.method}
-    fields |= {"n": row.n, "n_objects": row.n_objects}
+    fields |= {"n": row.n, "n_objects": row.n_objects, "n_categories": row.n_categories}
     for name in RATES:
         fields |= with_ends(name, row.rates[name])
-    fields |= with_ends("sr_new_objects", row.sr_new_objects)
-    del fields["sr_new_objects"]  # it is "sr"
+    for what, clustered in (("objects", row.sr_new_objects), ("categories", row.sr_new_categories)):
+        fields |= with_ends(f"sr_new_{what}", clustered)
+        del fields[f"sr_new_{what}"]  # it is "sr"
     fields |= with_ends("presented", row.presented) | with_ends("body_met", row.body_met)
     fields |= with_ends("through", row.through)
     for name in TIMES:

@@ -87,6 +87,7 @@ class _Object(_Open):
     split: Split
     built_in: bool
     digest: Hash = _ABSENT
+    category: Name = _ABSENT
 
 
 def _record(base: type[BaseModel] = _Open, **fields: Any) -> Any:

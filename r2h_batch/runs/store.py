@@ -85,6 +85,12 @@ class Run:
         return str((self.header.get("robot") or {}).get("name", "ur5e_2f85"))
 
     @property
+    def categories(self) -> dict[str, str]:
+        """Object -> the family that it is an instance of; an object of no family is its own category."""
+        objects = [o for run in self.runs for o in run.header.get("objects", ())]
+        return {str(o["name"]): str(o.get("category", o["name"])) for o in objects}
+
+    @property
     def methods(self) -> tuple[str, ...]:
         """Names of the complete methods, in the order in which they were added."""
         return tuple(e.name for e in self.entries if e.complete)

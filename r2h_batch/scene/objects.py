@@ -179,6 +179,11 @@ def with_words(model: ObjectModel, category: str) -> ObjectModel:
     return replace(model, words=THINGS[category], roles=S0_ROLES.get(category))
 
 
+def category_of(model: ObjectModel) -> str | None:
+    """The family that an object is an instance of; None for an object of no family."""
+    return next((name for name, thing in THINGS.items() if model.words == thing), None)
+
+
 def stored_arrays_of(file: str, built_in: str) -> dict[str, NDArray[Any]]:
     """OBJECT/FIELD -> array of a stored file: that of the built-in objects in assets/`built_in`, and the families'."""
     return {**stored_arrays(built_in, file), **stored_arrays("families", file)}

@@ -209,14 +209,16 @@ def prepare(
 
 def _about_object(model: "ObjectModel") -> dict[str, Any]:
     """The entry of run.json about an object: a repaired mesh with what was done, and what came of it."""
-    from r2h_batch.scene.objects import object_digest, stored_key
+    from r2h_batch.scene.objects import category_of, object_digest, stored_key
 
-    fields = {
+    fields: dict[str, Any] = {
         "name": model.name,
         "split": model.split,
         "built_in": stored_key(model) is not None,
         "digest": object_digest(model),
     }
+    if (category := category_of(model)) is not None:
+        fields["category"] = category
     return fields if model.repair is None else {**fields, "repair": asdict(model.repair)}
 
 

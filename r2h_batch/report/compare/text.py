@@ -23,11 +23,25 @@ FORMATS = ("md", "latex", "csv", "json")
 
 NOTES = (
     "Holm p: McNemar's exact test, corrected over the pairs of its table. It decides for these objects.",
-    f"95 % new obj.: a t interval over objects. #1: a bootstrap over objects ({DRAWS} draws). Both speak about new"
-    " objects.",
-    "better, worse: decided for these objects and for new ones. better here, worse here: decided for these objects"
+    f"95 % new {{0}}: a t interval over {{1}}. #1: a bootstrap over {{2}} ({DRAWS} draws). Both speak about new"
+    " {1}.",
+    "worst: a method's worst rank with one {3} left out, and which.",
+    "better, worse: decided for these objects and for new {1}. better here, worse here: decided for these objects"
     " only. tied: not decided.",
 )
+
+
+def _notes(comparisons: Sequence[Comparison]) -> list[str]:
+    """The notes with the words for what new ones are drawn of: objects, or categories of several."""
+    if any(c.categories < c.objects for c in comparisons):
+        words = ("cat.", "categories", "categories and their objects", "category")
+    else:
+        words = ("obj.", "objects", "objects", "object")
+    return [note.format(*words) for note in NOTES]
+
+
+def _new(comparison: Comparison) -> str:
+    return "cat." if comparison.categories < comparison.objects else "obj."
 
 
 def render(
@@ -59,9 +73,9 @@ def render(
 
 def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
     short = short_names([name for c in comparisons for name in c.names])
-    head = ["A", "B", "A-B", "95 % new obj.", "only A/B", "Holm p", "A is"]
     parts = []
     for c in comparisons:
+        head = ["A", "B", "A-B", f"95 % new {_new(c)}", "only A/B", "Holm p", "A is"]
         parts.append(f"{c.group}: {c.n} trials, paired on the trial id")
         lines = []
         for pair in c.pairs:
@@ -74,22 +88,25 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
         if c.rank is not None:
             shares = [[f"{100 * p:.0f} %" for p in row] for row in c.rank]
             ranks = dict(zip(c.ranked, shares, strict=True))
-            bound = ["bound", *[""] * (len(c.ranked) - 1)]
+            for name, worst in zip(c.ranked, c.worst or (), strict=True):
+                without = f" without {worst.without.replace('_', ' ')}" if worst.without else ""
+                ranks[name] = [*ranks[name], f"#{worst.rank}{without}"]
+            bound = ["bound", *[""] * len(c.ranked)]
             table = [
                 [plain(short[name]), f"{rate:.1f}", *ranks.get(name, bound)]
                 for name, rate in zip(c.names, c.rates, strict=True)
             ]
             places = [f"#{i + 1}" for i in range(len(c.ranked))]
-            parts.append(aligned(["Method", "SR", *places], table, 1))
+            parts.append(aligned(["Method", "SR", *places, "worst"], table, 1))
     columns = "A-B: difference of SR in points. #1: how often a method has that rank."
-    parts.append(notes_list([*map(plain, legend(short)), *notes, columns, *NOTES]))
+    parts.append(notes_list([*map(plain, legend(short)), *notes, columns, *_notes(comparisons)]))
     return "\n\n".join(parts) + "\n"
 
 
 def _latex(
     comparisons: Sequence[Comparison], origin: Mapping[str, str], notes: Sequence[str]
 ) -> str:
-    """All pairs over both columns of a page; what is decided for new objects too is bold."""
+    """All pairs over both columns of a page; what is decided for new objects or categories too is bold."""
     short = short_names([name for c in comparisons for name in c.names])
     groups = []
     for c in comparisons:
@@ -109,8 +126,8 @@ def _latex(
     spec = ["l", "l", "l", signed, "c", "r", "r", tex_number(1, 3), "l"]
     head = ["", "$A$", "$B$", "{$A-B$}", r"95\,\%", "only $A$", "only $B$"]
     head += ["{$p$ (Holm)}", "$A$ is"]
-    decided = f"bold: decided for new objects too, alpha {ALPHA}"
-    comments = tex_comments(origin, [*legend(short), *notes, *NOTES, decided])
+    decided = f"bold: decided for new ones too, alpha {ALPHA}"
+    comments = tex_comments(origin, [*legend(short), *notes, *_notes(comparisons), decided])
     return "\n".join([*comments, *tex_table(spec, head, groups)]) + "\n"
 
 

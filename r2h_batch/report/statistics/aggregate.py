@@ -70,6 +70,8 @@ class Row:
         rates: key of `RATES` -> rate of all n trials; None where it is not defined.
         sr_new_objects: the success rate with its interval for new objects.
         n_objects: different objects.
+        sr_new_categories: the success rate with its interval for new categories of objects.
+        n_categories: different categories; as many as objects where each is one of its own.
         times: key of `TIMES` -> mean in seconds.
         presented: rate of trials whose region faced the palm within reach, of S1's trials.
         body_met: rate of motions that met the receiver's arm or torso, of the motions past a
@@ -89,6 +91,8 @@ class Row:
     presented: Rate | None = None
     body_met: Rate | None = None
     through: Rate | None = None
+    sr_new_categories: Rate | None = None
+    n_categories: int = 0
 
 
 _SHARE = number(0, 1)
@@ -158,8 +162,8 @@ def ratio(
 
 @check_arguments(success=_COUNTS, total=_COUNTS)
 def clustered_rate(success: np.ndarray, total: np.ndarray) -> Rate | None:
-    """The success rate with a t interval over clusters (objects): it speaks about new objects of
-    this kind.
+    """The success rate with a t interval over clusters (objects, or categories of them): it speaks
+    about new clusters of this kind.
 
     It is never narrower than the Wilson interval: with few clusters the variance between them can
     come out as 0.
@@ -250,6 +254,9 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
     total = None if plan.value is None or execution.value is None else plan.value + execution.value
     means["t_tot_s"] = Mean(total, execution.count)
     by_object = np.array([(successes[o], trials[o]) for o in trials], np.int64).reshape(-1, 2)
+    categories = [counted.category.get(o, o) for o in trials]
+    by_category = np.zeros((len(set(categories)), 2), np.int64)
+    np.add.at(by_category, np.unique(categories, return_inverse=True)[1], by_object)
     shares = {name: added(name) for name in SHARES}
     return Row(
         split=split,
@@ -259,6 +266,8 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
         rates=rates,
         sr_new_objects=clustered_rate(*by_object.T),
         n_objects=len(trials),
+        sr_new_categories=clustered_rate(*by_category.T),
+        n_categories=len(by_category),
         times={k: means[k] for k in TIMES},
         **{name: _rate(round(hits), known) for name, (hits, known) in shares.items()},
     )
@@ -318,15 +327,20 @@ def average_row(rows: Sequence[Row]) -> Row:
         value = sum(known) / len(known) if len(known) == len(parts) else None
         return Mean(value, sum(p.count for p in parts))
 
-    clustered = [r.sr_new_objects for r in rows if r.sr_new_objects is not None]
+    def over(clustered: Sequence[Rate | None]) -> Rate | None:
+        known = [rate for rate in clustered if rate is not None]
+        return mean_rate(known) if len(known) == len(rows) else None
+
     return Row(
         split="Avg",
         method=rows[0].method,
         n=sum(r.n for r in rows),
         counts={name: sum(r.counts[name] for r in rows) for name in OUTCOME_NAMES},
         rates={name: rate(name) for name in RATES},
-        sr_new_objects=mean_rate(clustered) if len(clustered) == len(rows) else None,
+        sr_new_objects=over([r.sr_new_objects for r in rows]),
         n_objects=sum(r.n_objects for r in rows),
+        sr_new_categories=over([r.sr_new_categories for r in rows]),
+        n_categories=sum(r.n_categories for r in rows),
         times={name: mean(name) for name in TIMES},
     )
 

@@ -1,5 +1,5 @@
 """Which method is better, decided on the same trials: McNemar's test, Holm's correction, a t interval
-over objects, and a bootstrap over objects for ranks."""
+over categories of objects, and a bootstrap over categories and their objects for ranks."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -45,6 +45,7 @@ class Paired:
         notes: what a reader should know about the methods.
         runs: place of each method's run among the runs given.
         bounds: names of methods that are bounds (random, oracle); they have no rank.
+        category: name of each object's category (K); empty: each object is one of its own.
     """
 
     names: tuple[str, ...]
@@ -54,6 +55,14 @@ class Paired:
     notes: tuple[str, ...] = ()
     runs: tuple[int, ...] = ()
     bounds: tuple[str, ...] = ()
+    category: tuple[str, ...] = ()
+
+    @property
+    def clusters(self) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names of the C categories, and (K,) the place of each object's."""
+        names = self.category or tuple(map(str, range(self.trials.shape[1])))
+        known = {name: i for i, name in enumerate(dict.fromkeys(names))}
+        return tuple(known), np.array([known[name] for name in names], np.int64)
 
     @staticmethod
     def of(
@@ -62,6 +71,7 @@ class Paired:
         objects: np.ndarray,
         success: np.ndarray,
         n: np.ndarray | int = 1,
+        category: Sequence[str] = (),
     ) -> "Paired":
         """Count G groups of trials that agree in everything here.
 
@@ -71,6 +81,7 @@ class Paired:
             objects: (G,) int, number of the object.
             success: (M, G) bool.
             n: (G,) int, trials of each group.
+            category: name of each object's category.
         """
         m, k = len(names), int(objects.max(initial=-1)) + 1
         solved = np.where(success, n, 0)
@@ -83,7 +94,7 @@ class Paired:
         for place in range(len(SPLITS)):
             inside = split == place
             only[place] = solved[:, inside] @ ~success[:, inside].T
-        return Paired(tuple(names), trials, hits, only)
+        return Paired(tuple(names), trials, hits, only, category=tuple(category))
 
 
 @dataclass(frozen=True)
@@ -94,15 +105,15 @@ class Pair:
         a: the first method.
         b: the second method.
         difference: of the success rates, in points.
-        low: lower end of the difference's 95 % t interval over objects, which speaks about new
-            ones; None with one object.
+        low: lower end of the difference's 95 % t interval over categories of objects, which speaks
+            about new ones; None with one category.
         high: its upper end.
         only_a: trials that only the first solves.
         only_b: trials that only the second solves.
         p: McNemar's exact p value.
         p_holm: the same, adjusted by Holm over the pairs that are compared.
         verdict: what `a` is. "better" or "worse": p_holm is below 0.05 and the interval, which
-            speaks about new objects, leaves out 0. "better here" or "worse here": only the former
+            speaks about new categories, leaves out 0. "better here" or "worse here": only the former
             holds, which speaks about these objects. "tied": neither.
     """
 
@@ -119,6 +130,19 @@ class Pair:
 
 
 @dataclass(frozen=True)
+class Worst:
+    """The worst rank of a method where one category is left out.
+
+    Attributes:
+        rank: 1 is best.
+        without: the category whose absence gives it; empty where the method has this rank with all.
+    """
+
+    rank: int
+    without: str
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Pairs of methods on a group of trials.
 
@@ -129,8 +153,11 @@ class Comparison:
         rates: (M,) success rates in percent.
         pairs: the pairs that are compared, each once.
         ranked: R of the names: without bounds.
-        rank: (R, R) probability that method i of `ranked` has rank j + 1 among new objects; None
-            with one object.
+        rank: (R, R) probability that method i of `ranked` has rank j + 1 among new categories and
+            objects; None with one category.
+        worst: the worst rank of each of `ranked` with one category left out; None with one category.
+        categories: number of them.
+        objects: number of them.
     """
 
     group: str
@@ -140,6 +167,9 @@ class Comparison:
     pairs: tuple[Pair, ...]
     ranked: tuple[str, ...]
     rank: np.ndarray | None
+    worst: tuple[Worst, ...] | None
+    categories: int
+    objects: int
 
 
 @check_arguments(only_a=integer(0), only_b=integer(0))
@@ -215,7 +245,9 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
     places = tuple(next(k for k, run in enumerate(runs) if run is streams[i].run) for i in once)
     bounds = tuple(n for n, i in zip(names, once, strict=True) if streams[i].is_bound)
     hits = paired.hits[:, once]
-    return Paired(tuple(names), paired.trials, hits, kept, tuple(notes), places, bounds)
+    return Paired(
+        tuple(names), paired.trials, hits, kept, tuple(notes), places, bounds, paired.category
+    )
 
 
 def _counted(streams: Sequence["_Stream"]) -> Paired:
@@ -241,12 +273,14 @@ def _counted(streams: Sequence["_Stream"]) -> Paired:
     whole = pa.concat_tables(groups).group_by(keys, use_threads=False)
     whole = whole.aggregate([("count_all", "sum")])
     place = {name: i for i, name in enumerate(objects)}
+    category = streams[0].run.categories
     return Paired.of(
         [s.method for s in streams],
         np.array([SPLITS.index(split) for split in whole["split"].to_pylist()]),
         np.array([place[name] for name in whole["object"].to_pylist()]),
         np.array([whole[i].to_numpy() for i in solved]),
         whole["count_all_sum"].to_numpy(),
+        [category.get(name, name) for name in objects],
     )
 
 
@@ -332,7 +366,7 @@ def compare(
         paired: what `pair_up` gives.
         mine: only pairs with one of these methods, which stands first; empty: all pairs. Fewer
             pairs need a smaller correction.
-        draws: of the bootstrap over objects, for the ranks.
+        draws: of the bootstrap over categories and objects, for the ranks.
         seed: of the bootstrap. No verdict depends on it.
     """
     groups = [(SPLITS[k], [k]) for k in range(len(SPLITS)) if paired.trials[k].any()]
@@ -374,37 +408,73 @@ def _compare(
     places = [i for i, name in enumerate(names) if name not in paired.bounds]
     ranked = tuple(names[i] for i in places)
     rank = None if sampled is None else rank_probabilities(sampled[:, places])
-    return Comparison(group, n, names, rates, tuple(lines), ranked, rank)
+    worst = None if sampled is None else _worst(paired, splits, places)
+    asked = paired.trials[splits].any(0)
+    categories = len(np.unique(paired.clusters[1][asked]))
+    return Comparison(
+        group, n, names, rates, tuple(lines), ranked, rank, worst, categories, int(asked.sum())
+    )
 
 
 def _interval(paired: Paired, splits: Sequence[int], i: int, j: int) -> tuple[float, float] | None:
     """The 95 % t interval of the difference of two methods' rates, in points, with the splits as
-    strata; None with one object."""
-    more = paired.hits[:, i] - paired.hits[:, j]
-    found = ratio([(more[k], paired.trials[k]) for k in splits], 1 - ALPHA)
+    strata; None with one category."""
+    more = _by_category(paired, paired.hits[:, i] - paired.hits[:, j])
+    trials = _by_category(paired, paired.trials)
+    found = ratio([(more[k], trials[k]) for k in splits], 1 - ALPHA)
     if found is None:
         return None
     return 100 * max(found[0] - found[1], -1.0), 100 * min(found[0] + found[1], 1.0)
 
 
+def _by_category(paired: Paired, counts: np.ndarray) -> np.ndarray:
+    """Counts (..., K) of objects added up over their categories (..., C)."""
+    names, place = paired.clusters
+    found = np.zeros((*counts.shape[:-1], len(names)), counts.dtype)
+    np.add.at(found, (..., place), counts)
+    return found
+
+
+def _worst(paired: Paired, splits: Sequence[int], places: Sequence[int]) -> tuple[Worst, ...]:
+    """The worst rank of each of these methods with one category left out."""
+    names, _ = paired.clusters
+    n = _by_category(paired, paired.trials)[splits].sum(0)
+    x = _by_category(paired, paired.hits)[splits].sum(0)[places]
+    with np.errstate(invalid="ignore"):
+        rates = (x.sum(1, keepdims=True) - x) / (n.sum() - n)  # (R, C)
+    whole = x.sum(1)
+    found = []
+    for i in range(len(places)):
+        rank = 1 + (rates > rates[i]).sum(0)
+        own, left_out = 1 + int((whole > whole[i]).sum()), int(rank.argmax())
+        more = int(rank[left_out]) > own
+        found.append(Worst(int(rank[left_out]) if more else own, names[left_out] if more else ""))
+    return tuple(found)
+
+
 def _resampled_rates(
     paired: Paired, splits: Sequence[int], draws: int, seed: int
 ) -> np.ndarray | None:
-    """(draws, M) success rates of the bootstrap: the objects of each split are drawn again with
-    replacement. None with one object."""
+    """(draws, M) success rates of the bootstrap: the categories of each split are drawn again with
+    replacement, and the objects of each drawn one. None with one category."""
     hits, totals = np.zeros((draws, len(paired.names))), np.zeros(draws)
     random = np.random.default_rng(seed)
+    place = paired.clusters[1]
     for k in splits:
-        kept = paired.trials[k] > 0
-        n, x = paired.trials[k][kept], paired.hits[k][:, kept].astype(np.float64)
-        if kept.sum() < 2:
+        kept = np.flatnonzero(paired.trials[k])
+        members = [kept[place[kept] == c] for c in np.unique(place[kept])]
+        if (count := len(members)) < 2:
             return None
-        # The clusters are objects, not trials: trials on one object succeed together, and a reader
-        # wants to know about new objects. Drawing n objects with replacement is one multinomial; a
+        # The clusters are categories, not trials: trials on one object succeed together, and a reader
+        # wants to know about new things. Drawing n of them with replacement is one multinomial; a
         # rate is then a sum of hits over a sum of trials.
-        weight = random.multinomial(kept.sum(), np.full(kept.sum(), 1 / kept.sum()), size=draws)
-        hits += weight @ x.T
-        totals += weight @ n
+        weight = random.multinomial(count, np.full(count, 1 / count), size=draws)
+        for times, own in zip(weight.T, members, strict=True):
+            each = times[:, None]
+            if len(own) > 1:  # every drawn copy of the category draws its objects again
+                each = random.multinomial(times * len(own), np.full(len(own), 1 / len(own)))
+            hits += each @ paired.hits[k][:, own].T
+            totals += each @ paired.trials[k][own]
     return hits / totals[:, None]
 
 

@@ -1,7 +1,7 @@
 """A method's stored trials, counted: what is kept grows with what differs, not with the trials."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,7 @@ class Tally:
             the NAME_sum of its values (seconds, or 0 and 1) and the NAME_count of trials that have
             one.
         judged: criteria that the rows were judged by.
+        category: object -> its family; an object that is not here is its own category.
     """
 
     method: str
@@ -53,6 +54,7 @@ class Tally:
     objects: tuple[str, ...]
     groups: pa.Table
     judged: tuple[str, ...] = CRITERIA
+    category: Mapping[str, str] = field(default_factory=dict)
 
     @staticmethod
     def of(method: str, splits: Sequence[str], tables: Iterable[pa.Table]) -> "Tally":
@@ -99,7 +101,7 @@ def tally(run: Run, method: str) -> Tally:
     """
     trials = run.planned(method)
     counted = Tally.of(method, tuple(trials), run.shards("trials", method, _STORED))
-    counted = replace(counted, judged=judged_by(run, method))
+    counted = replace(counted, judged=judged_by(run, method), category=run.categories)
     n = {found["split"]: found["n"] for found in counted.by("split")}
     check_planned(method, trials, n)
     groups = counted.groups

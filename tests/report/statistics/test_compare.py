@@ -17,11 +17,24 @@ from r2h_batch.report.statistics.paired import Paired
 from r2h_batch.runs.store import Run, load_run
 
 
-def paired(success, objects, split=None):
+def paired(success, objects, split=None, category=()):
     success = np.asarray(success, bool)
     n = success.shape[1]
     split = np.zeros(n, int) if split is None else np.asarray(split)
-    return Paired.of([f"m{i}" for i in range(len(success))], split, np.asarray(objects), success)
+    names = [f"m{i}" for i in range(len(success))]
+    return Paired.of(names, split, np.asarray(objects), success, category=category)
+
+
+FAMILIES = [f"c{i // 4}" for i in range(24)]
+"""Categories of 24 objects, four of each."""
+
+
+def in_families(spread, seed=5, n=25):
+    """Two methods on six categories of four objects; the difference varies by `spread` between categories."""
+    random = np.random.default_rng(seed)
+    rate = np.stack([0.5 + 0.08 + np.repeat(random.normal(0, spread, 6), 4), np.full(24, 0.5)]).clip(0, 1)
+    success = random.random((2, 24, n)) < rate[:, :, None]
+    return success.reshape(2, -1), np.repeat(np.arange(24), n)
 
 
 @pytest.mark.parametrize("counts", [(0, 0), (1, 0), (5, 5), (3, 17), (40, 60), (0, 9), (200, 260)])
@@ -84,6 +97,72 @@ def test_the_interval_of_one_split_is_the_t_interval_of_the_objects_differences(
     means = 100 * (success[0].astype(float) - success[1]).reshape(12, 30).mean(1)
     low, high = stats.t.interval(0.95, 11, loc=means.mean(), scale=stats.sem(means))
     assert (c.pairs[0].low, c.pairs[0].high) == pytest.approx((low, high), abs=1e-9)
+
+
+def test_with_families_the_interval_is_the_t_interval_of_the_categories_differences():
+    success, objects = in_families(0.2)
+    (c,) = pairing.compare(paired(success, objects, category=FAMILIES), draws=2)
+    means = 100 * (success[0].astype(float) - success[1]).reshape(6, 100).mean(1)
+    low, high = stats.t.interval(0.95, 5, loc=means.mean(), scale=stats.sem(means))
+    assert (c.pairs[0].low, c.pairs[0].high) == pytest.approx((low, high), abs=1e-9)
+    assert (c.categories, c.objects) == (6, 24)
+
+
+def test_a_method_that_is_better_for_new_objects_alone_is_better_here():
+    """Objects of one category agree, so 24 of them say less than 24 of 24 kinds."""
+    solved = 10 + np.repeat([10, 10, 10, -3, -1, 2], 4)  # of the 25 trials of each object
+    success = np.stack([np.arange(25) < solved[:, None], np.arange(25) < np.full((24, 1), 10)]).reshape(2, -1)
+    objects = np.repeat(np.arange(24), 25)
+    (alone,), (grouped,) = (pairing.compare(paired(success, objects, category=c))[0].pairs for c in ((), FAMILIES))
+    assert (alone.verdict, grouped.verdict) == ("better", "better here")
+    assert alone.p_holm == grouped.p_holm and grouped.low < 0 < alone.low
+
+
+def test_the_ranks_of_families_redraw_categories_and_then_their_objects():
+    success, objects = in_families(0.2)
+    (c,) = pairing.compare(paired(success, objects, category=FAMILIES), draws=20_000)
+    rates = success.reshape(2, 6, 4, 25).mean(3)
+    random = np.random.default_rng(1)
+    first = 0.0
+    for _ in range(8000):  # by hand, a category and an object at a time
+        drawn = [rates[:, k, random.integers(0, 4, 4)].mean(1) for k in random.integers(0, 6, 6)]
+        a, b = np.mean(drawn, 0)
+        first += (a > b) + 0.5 * (a == b)
+    assert 0.6 < first / 8000 < 0.95
+    assert c.rank[0, 0] == pytest.approx(first / 8000, abs=0.02)
+
+
+def test_the_worst_rank_names_the_category_whose_absence_gives_it():
+    success = np.zeros((3, 6, 10), bool)
+    success[0, :, :5] = True  # even everywhere
+    success[1, 2] = True  # first by its one category alone
+    success[1, [0, 1, 3, 4, 5], :6] = success[1, [0, 1, 3, 4, 5], :6] | (np.arange(6) < 4)
+    names = ["cup", "cup", "pan", "pan", "mug", "mug"]
+    (c,) = pairing.compare(paired(success.reshape(3, -1), np.repeat(np.arange(6), 10), category=names))
+    assert [round(r) for r in c.rates] == [50, 50, 0]
+    found = [(w.rank, w.without) for w in c.worst]
+    # without pan the second has 40 %; without cup or mug the first, 50 %, is below its 55 %
+    assert found == [(2, "cup"), (2, "pan"), (3, "")]
+
+
+def test_a_run_of_families_is_compared_and_reported_by_category(tmp_path, capsys):
+    kinds = {"bowl": "bowl", "cup": "cup", "eyeglasses": "cup", "hammer": "tool", "knife": "tool", "scissors": "tool"}
+    about = [{"name": n, "split": "S0", "built_in": True, "category": k} for n, k in kinds.items()]
+    outcomes = {m: np.random.default_rng(i).choice([0, 2], 120) for i, m in enumerate("mn")}
+    run = write_run(tmp_path / "a", outcomes, 60, 60, objects=about)
+    assert command("compare", tmp_path / "a", format="json") == 0
+    s0, s1, _ = json.loads(capsys.readouterr().out)
+    assert (s0["categories"], s0["objects"]) == (2, 3)
+    # S1's objects are one category: nothing is said about others
+    assert s1["pairs"][0]["low"] is None and s1["worst"] is None and s1["categories"] == 1
+    assert command("compare", tmp_path / "a") == 0
+    said = capsys.readouterr().out
+    assert "95 % new cat." in said and "categories and their objects" in said
+    assert command("report", tmp_path / "a") == 0
+    assert "SR new cat." in capsys.readouterr().out
+    assert command("report", tmp_path / "a", format="csv") == 0
+    (line, *_) = capsys.readouterr().out.splitlines()[1:]
+    assert "6 of 3 families, digest" in line and run.categories["eyeglasses"] == "cup"
 
 
 def test_objects_and_splits_of_different_sizes_weigh_by_their_trials():
