@@ -65,7 +65,9 @@ KeptClear = Annotated[
 Angle = Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)]
 Coordinate = Annotated[float, Field(ge=-10, le=10)]
 HalfLength = Annotated[float, Field(ge=1e-3, le=10)]
-Rounds = Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)]
+Rounds = Annotated[
+    tuple[Annotated[int, Field(ge=1, le=100_000)], ...], Field(min_length=1, max_length=100)
+]
 
 
 class _Checked:
@@ -167,7 +169,7 @@ class PlanConfig(_Checked):
     hand_clearance_m: GoalClearance = 0.003
     range_rad: Positive = 1.5
     rounds: Rounds = (50, 500, 3000, 5000)
-    shortcuts: Annotated[int, Field(ge=0)] = 8
+    shortcuts: Annotated[int, Field(ge=0, le=10_000)] = 8
     seed: int = 0
 
 
@@ -243,7 +245,7 @@ class ExecConfig(_Checked):
     sim: EngineWord = "auto"
     model: Literal["auto", "scene", "arm"] = "auto"
     step_s: Positive = 0.002
-    record_steps: Annotated[int, Field(ge=1)] = 4
+    record_steps: Annotated[int, Field(ge=1, le=10_000)] = 4
     payload: Literal["known", "unknown"] = "known"
     settle_position_m: Positive = 0.001
     settle_rotation_rad: Positive = HALF_DEGREE
@@ -295,7 +297,7 @@ class EvalConfig(_Checked):
     reach: Literal["solid", "hull"] = "solid"
     stability: Literal["geometric", "physics"] = "geometric"
     averages: Literal["trials", "objects"] = "trials"
-    chunk: Annotated[int, Field(ge=1)] = 2048
+    chunk: Annotated[int, Field(ge=1, le=1 << 20)] = 2048
     name: str = "default"
 
     def for_robot(self, home_q: tuple[float, ...], max_velocity_rad_s: float) -> "EvalConfig":

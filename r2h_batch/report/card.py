@@ -1,6 +1,8 @@
 """Files of a finished sweep for people, beside its rows: the table, the same numbers as JSON, and a
 card that makes the run folder a data set of the Hugging Face library."""
 
+from pathlib import Path
+
 import yaml
 
 from r2h_batch.base.io.write import write_text
@@ -32,16 +34,18 @@ Verdicts on robot-to-human handovers by r2h_batch {r2h_batch}, protocol {protoco
 """
 
 
-def write_summary(run: Run) -> None:
-    """Write `table.md`, `results.json` and the card `README.md` into the folder of a run.
+def write_summary(run: Run, folder: Path | None = None) -> None:
+    """Write `table.md`, `results.json` and the card `README.md` of a run.
 
     Args:
         run: what `load_run` gives; methods that are not complete are left out.
+        folder: where to; None: into the run's own folder.
     """
+    folder = folder or run.folder
     table = table_of(run)
     text = render(table, "md")
-    write_text(run.folder / TABLE, text)
-    write_text(run.folder / RESULTS, render(table, "json"))
+    write_text(folder / TABLE, text)
+    write_text(folder / RESULTS, render(table, "json"))
     entries = [run.entry(m) for m in run.methods]
     rows = entries[0].data_files.replace(entries[0].slug, "METHOD")
     head = {
@@ -57,4 +61,4 @@ def write_summary(run: Run) -> None:
         results=RESULTS, table_file=TABLE, rows=rows, place=rows.partition("/")[0],
     )  # fmt: skip
     front = yaml.safe_dump(head, sort_keys=False, allow_unicode=True)
-    write_text(run.folder / CARD, f"---\n{front}---\n{body}")
+    write_text(folder / CARD, f"---\n{front}---\n{body}")

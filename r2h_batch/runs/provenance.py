@@ -38,7 +38,15 @@ def versions() -> dict[str, str]:
 
 
 ONLY_READ_ROWS = (
-    *("report", "view", "sweep/results", "sweep/study", "sweep/ls.py", "sweep/submission.py"),
+    *(
+        "report",
+        "view",
+        "sweep/results",
+        "sweep/study",
+        "sweep/ls.py",
+        "sweep/submission.py",
+        "sweep/submission_judge.py",
+    ),
     *("base/loggers.py", "base/io/log.py", "base/command_line.py", "__main__.py"),
 )
 """Folders and modules of the package that look at rows or at command lines: no row depends on

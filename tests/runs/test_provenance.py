@@ -20,6 +20,7 @@ READ = (
     "r2h_batch/sweep/results/rethreshold.py", "r2h_batch/view/mjcf.py", "r2h_batch/sweep/study/report.py",
     "r2h_batch/report/compare/command.py", "r2h_batch/__main__.py", "r2h_batch/base/command_line.py",
     "r2h_batch/sweep/results/command.py", "r2h_batch/sweep/ls.py", "r2h_batch/sweep/submission.py",
+    "r2h_batch/sweep/submission_judge.py",
     "r2h_batch/view/drawing.py", "r2h_batch/base/loggers.py", "assets/objects/build_objects.py",
     "r2h_batch/base/io/log.py", "assets/SOURCES.md",
 )  # fmt: skip

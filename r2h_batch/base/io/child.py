@@ -29,6 +29,7 @@ MEMORY_PER_BYTE = 40
 """The child's address space: some for the libraries, and some for each byte of the file (text takes
 most)."""
 REFUSED = 3
+_NO_MEMORY = "asks for more memory than any file of its size needs"
 
 
 def read_in_child(
@@ -45,7 +46,8 @@ def read_in_child(
     Args:
         module: run with `python -m`; it calls `answer_parent`.
         file: opened for reading.
-        options: for the reader; JSON.
+        options: for the reader; JSON. `memory` is the child's address space, bytes, if it is not to
+            follow from the size of the file.
         count: number of arrays; None: as many as the reader sends.
         seconds: CPU time that the child may take.
         doing: what is being done, for a line every five seconds.
@@ -103,7 +105,9 @@ def answer_parent(read: Callable[[bytes, dict[str, Any]], Sequence[Any]]) -> int
     Of a `FileError` the parent gets the message; of any other error its type too.
     """
     options = json.loads(sys.argv[1])
-    _limit(options["bytes"], int(options["seconds"]))
+    size = options["bytes"]
+    memory = options.get("memory", MEMORY_BYTES + MEMORY_PER_BYTE * size)
+    _limit(int(options["seconds"]), memory)
     answer, sys.stdout = sys.stdout.buffer, sys.stderr  # whatever a reader prints is no answer
     try:
         for array in read(sys.stdin.buffer.read(), options):
@@ -111,24 +115,29 @@ def answer_parent(read: Callable[[bytes, dict[str, Any]], Sequence[Any]]) -> int
         answer.flush()
         return 0
     except MemoryError:
-        message = "asks for more memory than any file of its size needs"
+        message = _NO_MEMORY
     except FileError as error:
         message = str(error)
+    except RuntimeError as error:  # torch has no class of its own for it
+        message = _NO_MEMORY if "can't allocate memory" in str(error) else _other(error)
     except Exception as error:  # readers raise whatever their parser meets
-        words = " ".join(printable(error).split())[:300]
-        message = f"cannot be read: {type(error).__name__}: {words}"
+        message = _other(error)
     sys.stderr.write(f"\n{message}")
     return REFUSED
 
 
-def _limit(size: int, seconds: int) -> None:
+def _other(error: Exception) -> str:
+    words = " ".join(printable(error).split())[:300]
+    return f"cannot be read: {type(error).__name__}: {words}"
+
+
+def _limit(seconds: int, memory: int) -> None:
     """CPU time and address space of this process, where the system has such limits."""
     try:
         import resource
     except ImportError:
         return
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    memory = MEMORY_BYTES + MEMORY_PER_BYTE * size
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    most = memory if hard == resource.RLIM_INFINITY else min(memory, hard)
-    resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+    for kind, most in ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_AS, memory)):
+        _, hard = resource.getrlimit(kind)  # a child of a child has no more than its parent
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(kind, (most, most if kind == resource.RLIMIT_CPU else hard))

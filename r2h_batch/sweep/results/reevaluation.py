@@ -94,10 +94,11 @@ class Reevaluation:
         method: its name.
         stored: rows in the run folder.
         scored: rows that were judged again.
-        equal: rows of those that are equal bit for bit.
+        equal: rows of those that are equal bit for bit, with a built-in method's answers.
         differences: the values that differ.
-        built_in: whether it is a built-in method, which answered again.
-        asked: the same in words, and if it did not, why.
+        built_in: whether it is a built-in method, and all of those rows are equal. What run.json says
+            of the machine that scored them is the writer's word, so it excuses nothing here.
+        asked: whether a built-in method answered again, in words, and if it did not, why.
     """
 
     method: str
@@ -245,6 +246,7 @@ def reevaluate(
     chosen = np.sort(np.random.default_rng(seed).choice(total, min(n, total), replace=False))
     job, asked = _who_answers(run, entry, judge)
     differences: list[Difference] = []
+    unequal: set[int] = set()
     for place, index in enumerate(sizes):
         rows = chosen[(chosen >= ends[place]) & (chosen < ends[place + 1])] - ends[place]
         if not len(rows):
@@ -256,10 +258,11 @@ def reevaluate(
         ids = stored["trials"]["trial_id"].take(pa.array(rows))
         stored = {k: table.filter(pc.is_in(table["trial_id"], ids)) for k, table in stored.items()}
         if job is not None:
-            differences += _other_answers(job, ids.to_numpy(), stored["poses"], judge)
+            other, moved = _other_answers(job, ids.to_numpy(), stored["poses"], judge)
+            differences, unequal = differences + other, unequal | moved
         as_motions = entry.source.get("kind") == "motions"
         differences += _other_rows(run, stored, as_motions, judge)
-    unequal = {d.trial_id for d in differences}
+    unequal |= {d.trial_id for d in differences}
     if judge.other:
         differences = [d for d in differences if not _close(d)]
         loose = [d for d in differences if d.column.rpartition(" ")[2] in CHOICES]
@@ -267,7 +270,8 @@ def reevaluate(
             differences = [d for d in differences if d not in loose]
     counts = (total, len(chosen), len(chosen) - len(unequal))
     asked += judge.played
-    return Reevaluation(method, *counts, tuple(differences), job is not None, asked)
+    built_in = job is not None and not unequal
+    return Reevaluation(method, *counts, tuple(differences), built_in, asked)
 
 
 def _who_answers(run: Run, entry: Entry, judge: Judge) -> tuple[Job | None, str]:
@@ -286,8 +290,11 @@ def _who_answers(run: Run, entry: Entry, judge: Judge) -> tuple[Job | None, str]
     return job, "asked again for the same trials"
 
 
-def _other_answers(job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge) -> list[Difference]:
-    """The trials to which the method now gives another answer than the stored one."""
+def _other_answers(
+    job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge
+) -> tuple[list[Difference], set[int]]:
+    """The trials to which the method now gives another answer than the stored one, and the ids of those
+    whose answers do not have the same bits."""
     with planning_form(judge.form):
         again = job.predict(judge.trials(ids), None).to("cpu")
     place = {int(trial_id): i for i, trial_id in enumerate(ids)}
@@ -303,10 +310,11 @@ def _other_answers(job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge) -> 
         tcp = [stored[:, :3, 3], new[:, :3, 3]]
     wrong = np.flatnonzero(off > (BORDERLINE_M if judge.other else 0.0))
     words = [["TCP at {:.4g}, {:.4g}, {:.4g} m".format(*p[i]) for p in tcp] for i in wrong]
-    return [
+    found = [
         Difference(int(ids[i]), "answer", a, f"{b} (poses differ by {off[i]:.2g})", False)
         for i, (a, b) in zip(wrong, words)
     ]
+    return found, set(ids[off > 0.0].tolist())
 
 
 def _other_rows(
@@ -315,6 +323,8 @@ def _other_rows(
     """Every stored value that the evaluator does not give again bit for bit; `as_motions`: of a file of
     motions. A motion was judged as it is where nothing was planned."""
     again: dict[str, dict[int, dict[str, Any]]] = {kind: {} for kind in COMPARED}
+    if as_motions and "paths" not in stored:
+        raise RunError(f"{run.folder}: a method of motions has no paths; sweep again")
     poses, rows = stored["poses"], stored["trials"]
     groups: list[tuple[pa.Table, Motions | None]] = [(poses, None)]
     if as_motions:

@@ -1,0 +1,275 @@
+"""A leaderboard: what is known of each method, and the page that ranks methods.
+
+The page shows what the judge computed or checked. What the submitter alone knows (the times of
+planning and of the method) is shown as claimed.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from r2h_batch.report.statistics.aggregate import FAILURES, Row, summarise
+from r2h_batch.report.statistics.common import Common
+from r2h_batch.report.statistics.paired import BOUNDS, compare, pair_up
+from r2h_batch.report.statistics.tally import tally
+from r2h_batch.report.text import NA, short_names
+from r2h_batch.runs.store import Run
+from r2h_batch.verdicts import SPLITS
+
+SUBMITTED = "(submitted)"
+"""Stands behind the name of every method that did not answer again with the same bits."""
+
+SIGNS = {"better": "\u25b2", "better here": "\u25b3", "tied": "=", "worse here": "\u25bd", "worse": "\u25bc"}  # fmt: skip
+
+CLAIMED = {"t_plan_s": "T_plan", "t_method_s": "T_method"}
+"""Times that depend on the submitter's machine; no judge can compute them again."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How rows of a method were judged again.
+
+    Attributes:
+        stored: rows of the method.
+        scored: rows of these that were judged again.
+        equal: rows of those that are equal bit for bit, answers of built-in methods included.
+        built_in: whether it is a built-in method, and all of those rows are equal.
+    """
+
+    stored: int
+    scored: int
+    equal: int
+    built_in: bool
+
+
+@dataclass(frozen=True)
+class Against:
+    """A method against one baseline, on the trials of both.
+
+    Attributes:
+        difference: of the success rates, in points.
+        low: lower end of its 95 % interval for new categories of objects; None with one category.
+        high: upper end.
+        verdict: what the method is, as `compare` says it.
+        trials: number of trials that both answered.
+    """
+
+    difference: float
+    low: float | None
+    high: float | None
+    verdict: str
+    trials: int
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A line of the leaderboard.
+
+    Attributes:
+        method: name, with the mark of a submitted one.
+        submission: where it comes from; empty for a baseline.
+        bound: whether it is a bound (random, oracle), which has no rank.
+        trials: split -> trials.
+        sr: split, or Avg of both -> percent, lower and upper end of the 95 % Wilson interval.
+        failures: rate of first failures -> percent of the last row (Avg, or the only split).
+        t_exec_s: mean time of execution; it was judged again with the rows.
+        claimed: key of `CLAIMED` -> mean time as the submitter wrote it.
+        judged: how its rows were judged again; None for a baseline.
+        against: baseline -> the comparison with it.
+        digest: sha256 of its rows.
+    """
+
+    method: str
+    submission: str
+    bound: bool
+    trials: Mapping[str, int]
+    sr: Mapping[str, tuple[float, float, float]]
+    failures: Mapping[str, float | None]
+    t_exec_s: float | None
+    claimed: Mapping[str, float | None]
+    judged: Judged | None
+    against: Mapping[str, Against]
+    digest: str
+
+    @property
+    def of_all(self) -> float:
+        """The success rate that the order goes by: the mean of both splits, or that of the only one."""
+        return list(self.sr.values())[-1][0]
+
+
+def standings_of_baselines(run: Run) -> list[Standing]:
+    """Lines of the methods of a run whose rows need no judge."""
+    return [_standing(run, method, "", None, {}) for method in run.methods]
+
+
+def standing_of(
+    run: Run, method: str, submission: str, judged: Judged, baselines: Run, common: Common
+) -> Standing:
+    """The line of one method of a submission, compared with each baseline on the trials of both.
+
+    Args:
+        run: the submission.
+        method: name of the method in it.
+        submission: what the page calls the submission.
+        judged: how its rows were judged again.
+        baselines: the run with the baselines.
+        common: what `common_trials` says of both runs.
+
+    Raises:
+        ValueError: if the rows are not those of the plan, or disagree with themselves.
+    """
+    # the mark cannot be a part of a submitter's name, so no name is that of a baseline
+    shown = method if judged.built_in else f"{method} {SUBMITTED}"
+    alone = replace(run, entries=(replace(run.entry(method), name=shown),))
+    # what each object is comes from the baselines, which have the same objects by their digest
+    alone = replace(alone, header={**alone.header, "objects": baselines.header.get("objects", [])})
+    return _standing(alone, shown, submission, judged, _against(alone, baselines, common))
+
+
+def _against(run: Run, baselines: Run, common: Common) -> dict[str, Against]:
+    """The comparisons of a run's only method with all baselines, corrected for their number."""
+    own = [replace(e, name=f"baseline {e.name}") for e in baselines.entries]
+    paired = pair_up([run, replace(baselines, entries=tuple(own))], common)
+    compared = compare(paired, mine=paired.names[:1], draws=1)[-1]
+    return {
+        name: Against(p.difference, p.low, p.high, p.verdict, compared.n)
+        for name, p in zip(baselines.methods, compared.pairs, strict=True)
+    }
+
+
+def _standing(
+    run: Run, method: str, submission: str, judged: Judged | None, against: Mapping[str, Against]
+) -> Standing:
+    averages = run.header["configuration"].get("averages", "trials")
+    rows = summarise([tally(run, method)], averages)
+    last, known = rows[-1], judged is None or judged.built_in
+    return Standing(
+        method,
+        submission,
+        known and run.entry(method).source.get("function", "") in BOUNDS,
+        run.planned(method),
+        {row.split: _ends(row) for row in rows},
+        {rate: found and found.percent for rate in FAILURES for found in [last.rates[rate]]},
+        last.times["t_exec_s"].value,
+        {name: last.times[name].value for name in CLAIMED},
+        judged,
+        against,
+        run.digest(method),
+    )
+
+
+def _ends(row: Row) -> tuple[float, float, float]:
+    rate = row.rates["sr"]
+    return (math.nan,) * 3 if rate is None else (rate.percent, rate.low, rate.high)
+
+
+@dataclass(frozen=True)
+class Section:
+    """The methods that were asked and judged alike.
+
+    Attributes:
+        setting: name -> value of what all of them share, as the baselines' run says it.
+        baselines: names of the baselines.
+        standings: all lines, baselines among them.
+    """
+
+    setting: Mapping[str, str]
+    baselines: tuple[str, ...]
+    standings: tuple[Standing, ...]
+
+
+def section_of(baselines: Run, standings: Sequence[Standing]) -> Section:
+    """The section of submissions that were compared with these baselines."""
+    header = baselines.header
+    setting = {
+        "protocol": str(header["protocol"]),
+        "robot": baselines.robot,
+        "preset": str(header["configuration"].get("name", "")),
+        "motion": str(header["configuration"].get("execute", {}).get("sim", "")),
+        "digest of trials": str(header["digests"]["trials"])[:12],
+    }
+    own = standings_of_baselines(baselines)
+    return Section(setting, baselines.methods, (*own, *standings))
+
+
+def page(sections: Sequence[Section], *, least: int) -> str:
+    """The leaderboard as one HTML page that needs no network.
+
+    Args:
+        sections: groups of methods that were judged alike.
+        least: trials of each split that a method needs for a place.
+    """
+    import jinja2
+
+    loader = jinja2.PackageLoader("r2h_batch.report", ".")
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    return environment.get_template("board.html").render(
+        sections=[_section(section, least) for section in sections],
+        failures=[entry.heading for entry in FAILURES.values()],
+        splits=SPLITS,
+        claimed=list(CLAIMED.values()),
+        signs=SIGNS,
+        least=least,
+    )
+
+
+def _section(section: Section, least: int) -> dict[str, Any]:
+    """The section as board.html writes it: the lines with a place in their order, then the others."""
+    lines = sorted(section.standings, key=lambda s: (-s.of_all, s.method, s.submission))
+    enough = [s for s in lines if all(s.trials.get(split, 0) >= least for split in SPLITS)]
+    ranked = [s.of_all for s in enough if not s.bound]
+    places = [None if s.bound else 1 + sum(r > s.of_all for r in ranked) for s in enough]
+    short = short_names(section.baselines)
+    return {
+        "setting": section.setting,
+        "baselines": [(name, short[name]) for name in section.baselines],
+        "ranked": [_line(s, place, section) for s, place in zip(enough, places, strict=True)],
+        "others": [_line(s, None, section) for s in lines if s not in enough],
+    }
+
+
+def _line(s: Standing, place: int | None, section: Section) -> dict[str, Any]:
+    """The cells of a line; `value` is what a column sorts by."""
+    return {
+        "place": "bound" if s.bound else NA if place is None else str(place),
+        "method": s.method,
+        "submission": s.submission,
+        "sr": [_sr(s.sr.get(name)) for name in (*SPLITS, "Avg")],
+        "n": [str(s.trials.get(split, 0)) for split in SPLITS],
+        "against": [_cell(s.against.get(name)) for name in section.baselines],
+        "failures": [NA if v is None else f"{v:.1f}" for v in s.failures.values()],
+        "times": [NA if v is None else f"{v:.2f}" for v in (s.t_exec_s, *s.claimed.values())],
+        "judged": s.judged and _judged(s.judged),
+    }
+
+
+def _judged(judged: Judged) -> dict[str, str]:
+    """How many rows were judged again, and what share of the rest can be wrong at most: k rows without a
+    difference leave 1 - 0.05^(1/k) (Clopper and Pearson 1934)."""
+    left = judged.stored > judged.scored
+    share = 100 * (1 - 0.05 ** (1 / judged.scored)) if judged.scored and left else 0.0
+    return {
+        "rows": f"{judged.scored} of {judged.stored}",
+        "equal": str(judged.equal),
+        "wrong": f"{share:.1f}" if judged.scored else NA,
+    }
+
+
+def _sr(rate: tuple[float, float, float] | None) -> dict[str, Any]:
+    if rate is None or math.isnan(rate[0]):
+        return {"text": NA, "value": -1, "ends": ""}
+    return {"text": f"{rate[0]:.1f}", "value": rate[0], "ends": f"{rate[1]:.1f}\u2013{rate[2]:.1f}"}
+
+
+def _cell(against: Against | None) -> dict[str, Any]:
+    if against is None:
+        return {"text": "", "value": -1000, "words": ""}
+    ends = ""
+    if against.low is not None and against.high is not None:
+        ends = f", 95 % for new objects {against.low:+.1f} to {against.high:+.1f}"
+    words = f"{against.verdict}: {against.difference:+.1f} points on {against.trials} trials{ends}"
+    text = f"{against.difference:+.1f} {SIGNS[against.verdict]}"
+    return {"text": text, "value": against.difference, "words": words}

@@ -1,0 +1,61 @@
+"""The leaderboard's lines and their order, on rows made by hand."""
+
+import re
+
+import numpy as np
+import pytest
+from made_runs import write_run
+
+from r2h_batch.report.board import Judged, page, section_of, standing_of
+from r2h_batch.report.statistics.common import common_trials
+from r2h_batch.types import Outcome
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Baselines and submissions on 60 trials of each split."""
+    place = tmp_path_factory.mktemp("board")
+    half = np.where(np.arange(120) % 2, Outcome.SUCCESS, Outcome.REACH)
+    whole = np.full(120, Outcome.SUCCESS)
+    good = np.where(np.arange(120) % 12, Outcome.SUCCESS, Outcome.REACH)
+    return (
+        write_run(place / "base", {"half": half, "whole": whole}, 60, 60),
+        write_run(place / "long", {"whole": good}, 60, 60),
+        write_run(place / "best", {"<b>half</b>": whole}, 60, 60),
+    )
+
+
+def lines_of(text):
+    return re.findall(r"<tr[^>]*><td>([^<]*)</td><td class=l>([^<]*)</td><td class=l>([^<]*)</td>", text)
+
+
+def test_methods_stand_in_the_order_of_their_success_on_their_own_trials(folders):
+    base, *runs = folders
+    standings = [
+        standing_of(run, m, run.folder.name, Judged(120, 60, 59, False), base, common_trials([base, run]))
+        for run in runs
+        for m in run.methods
+    ]
+    long, best = standings
+    assert long.method == "whole (submitted)" and long.trials == {"S0": 60, "S1": 60}
+    assert long.sr["Avg"][0] == pytest.approx(100 * 110 / 120) and long.sr["S0"][1] < 100 * 55 / 60 < long.sr["S0"][2]
+    assert long.against["whole"].difference == pytest.approx(-100 * 10 / 120) and long.against["whole"].trials == 120
+    assert long.against["half"].verdict in ("better", "better here")
+    assert best.against["half"].difference == 50 and best.against["whole"].verdict == "tied"
+    text = page([section_of(base, standings)], least=60)
+    assert lines_of(text) == [
+        ("1", "&lt;b&gt;half&lt;/b&gt; (submitted)", "best"),
+        ("1", "whole", "baseline"),
+        ("3", "whole (submitted)", "long"),
+        ("4", "half", "baseline"),
+    ]
+    places = [place for place, _, _ in lines_of(page([section_of(base, standings)], least=61))]
+    assert places == ["n/a"] * 4
+    assert re.search(r"<td>60 of 120</td><td>59</td><td>4\.9 %</td>", text)  # 1 - 0.05^(1/60)
+    assert not re.search(r"https?://|url\(|@import", text)
+
+
+def test_rows_that_disagree_with_themselves_have_no_line(folders):
+    base, run, _ = folders
+    with pytest.raises(ValueError, match="no method"):
+        standing_of(run, "nobody", "long", Judged(1, 1, 1, False), base, common_trials([base, run]))
