@@ -3,8 +3,10 @@
 import shlex
 from collections.abc import Sequence
 
+from r2h_batch.base.registry import TURNS
 from r2h_batch.report.compare.command import BASELINES, baselines_for, stored_rows
 from r2h_batch.report.statistics.common import common_trials
+from r2h_batch.report.turn import folder_of
 from r2h_batch.runs.store import Run, load_run
 
 
@@ -23,8 +25,21 @@ def next_commands(runs: Sequence[Run]) -> str:
         lines.append(
             ("results reevaluate", " --rows 200", "whether the rows are what the evaluator says")
         )
+    if len(runs) == 1 and _turnable(runs[0]):
+        lines.append(("turn", "", "whether a method depends on how a mesh lies in its file"))
     text = (f"    r2h-batch {c} {folders}{more}  # {what}" for c, more, what in lines)
     return "Next:\n\n" + "\n".join(text) + "\n"
+
+
+def _turnable(run: Run) -> bool:
+    """Whether `turn` takes the folder: nobody made its turn test, and a built-in method answered in it."""
+    if run.folder in stored_rows():
+        return False
+    flags = (run.header.get("benchmark") or {}).get("flags", ())
+    if any(f.startswith("--turn") for f in flags) or folder_of(run.folder, TURNS[-1]).exists():
+        return False
+    built_in = (e.source.get("function", "") for e in run.entries if e.complete)
+    return any(function.startswith("r2h_batch.methods.") for function in built_in)
 
 
 def _compared(runs: Sequence[Run]) -> str | None:

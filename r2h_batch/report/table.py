@@ -25,6 +25,7 @@ from r2h_batch.report.text import (
     tex_number,
     tex_table,
 )
+from r2h_batch.report.turn import MARK, Turned, about, turned
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, SPLITS
 
@@ -82,17 +83,26 @@ class Table:
         alike: whether all methods were asked the trials of one plan and judged the same.
         misses: what the inverse kinematics of each robot without a closed form misses, a sentence
             each.
+        turns: turn tests of the methods that have one (`turn.turned`).
     """
 
     rows: tuple[Row, ...]
     origin: Mapping[str, str]
     alike: bool = True
     misses: tuple[str, ...] = ()
+    turns: tuple[Turned, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines under the table."""
-        return (*FOOTNOTES, *([CATEGORY_NOTE] if self.families else ()), *self.misses)
+        marks = (test.sentence for test in self.turns if test.marked)
+        return (*FOOTNOTES, *([CATEGORY_NOTE] if self.families else ()), *self.misses, *marks)
+
+    def mark(self, row: Row) -> str:
+        """The mark behind a method's name where a turn moves its SR by too much."""
+        group = "all" if row.split == "Avg" else row.split
+        moved = any(t.marked for t in self.turns if (t.method, t.group) == (row.method, group))
+        return f" {MARK}" if moved else ""
 
     @property
     def families(self) -> bool:
@@ -119,7 +129,7 @@ def table_of(run: Run, counted: Sequence[Tally] | None = None, *, alike: bool = 
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
-    return Table(rows, origin, alike, tuple(misses))
+    return Table(rows, origin, alike, tuple(misses), turned(run))
 
 
 def _misses(header: Mapping[str, Any]) -> str:
@@ -206,8 +216,8 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
         return csv_text([record(row) | origin for row in table.rows])
     if fmt == "json":
         rows = list(map(record, table.rows))
-        about = {"format": 1, "origin": dict(table.origin)}
-        return json_text({**about, "rows": rows, "notes": table.notes})
+        content = {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": table.notes}
+        return json_text(content | ({"turns": about(table.turns)} if table.turns else {}))
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
 
@@ -311,7 +321,11 @@ def _md(table: Table) -> str:
     parts = ["  \n".join(f"{key}: {value}" for key, value in table.origin.items())]
     for caption, headings, cells_of in sections:
         cells = [(row, cells_of(row)) for row in table.rows]
-        lines = [[row.split, plain(short[row.method]), *line] for row, line in cells if line]
+        lines = [
+            [row.split, plain(short[row.method]) + table.mark(row), *line]
+            for row, line in cells
+            if line
+        ]
         if lines:
             parts += [caption, aligned(["Split", "Method", *headings], lines, 2)]
     parts.append(notes_list([*map(plain, legend(short)), *table.notes]))
@@ -368,7 +382,7 @@ def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
         heading = rf"\multicolumn{{{1 + len(HEADINGS)}}}{{@{{}}l}}{{{row.split}, {size}}} \\"
         lines = groups.setdefault(row.split, [heading])
         values = [tex_cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in HEADINGS]
-        name = tex(short[row.method]) + (f" ({row.n})" if len(n) > 1 else "")
+        name = tex(short[row.method] + table.mark(row)) + (f" ({row.n})" if len(n) > 1 else "")
         lines.append(" & ".join([name, *values]) + r" \\")
         if intervals:
             lines.append(" & ".join(["", *(_ends(row, c) for c in HEADINGS)]) + r" \\[2pt]")

@@ -26,6 +26,7 @@ from r2h_batch.base.registry import (
     EngineWord,
     PresetName,
     ProtocolWord,
+    TurnWord,
 )
 from r2h_batch.base.user_code import HOW
 from r2h_batch.base.validate import expand_home
@@ -124,6 +125,13 @@ class Options:
         Flag(
             "where persons stand. for-robot (default): scaled by the robot's reach; as-for-ur5e: as for the "
             "UR5e"
+        ),
+    ] = ""
+    turn: Annotated[
+        TurnWord,
+        Flag(
+            "turn the objects' frames: half (180 degrees about z) or cycled (x to y, y to z, z to x); r2h-batch "
+            "turn compares them"
         ),
     ] = ""
     hands: Annotated[str, Flag("another hand set: .npz of import hands", "trials")] = ""

@@ -73,6 +73,8 @@ def tool_rotation(R_world_palm: Array) -> Array:
 def reference_offset(model: ObjectModel) -> tuple[float, float, float]:
     """From the centre of the object's bounding box to the TCP of its first candidate, tool frame,
     m; 0 for an object without stored or given candidates."""
+    if model.turn is not None:  # the tool's frame turns with the object
+        return reference_offset(model.turn.own)
     key, stored = stored_key(model), stored_arrays("objects", "grasps.npz")
     if model.grasps is not None and len(model.grasps):
         T = np.asarray(model.grasps.T_obj_ee[0], np.float64)

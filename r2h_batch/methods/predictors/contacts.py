@@ -90,7 +90,8 @@ def _of_objects(
 
 def _network_for(model: ObjectModel, left_out: bool) -> ContactPredictor:
     """The built-in network for an object: the objects of r2h-v1 and r2h-release are shown to weights that know how these
-    lie; any other to the network that no frame decides."""
+    lie, in whatever frame; any other to the network that no frame decides."""
+    model = model if model.turn is None else model.turn.own
     if stored_key(model) is None or model.name not in BUILT_IN_NAMES:
         return load_axes_network()
     return load_voxnet(model.name if left_out and model.name in OBJECT_NAMES else "")

@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.read import FileError, path_within, printable, read_file, read_npy
-from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE, WITH_BODIES
+from r2h_batch.base.registry import (
+    DEFAULT_PROTOCOL,
+    PROTOCOL_NAMES,
+    RELEASE,
+    TURNS,
+    WITH_BODIES,
+)
 from r2h_batch.config import Workplace
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.mano import hand_from
@@ -38,6 +44,7 @@ from r2h_batch.scene.objects import (
     load_objects,
     object_digest,
     object_from_argument,
+    turned,
 )
 from r2h_batch.scene.robot import ROBOTS, Robot, load_robot, read_robot
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
@@ -398,7 +405,7 @@ class BenchmarkOverrides(BenchmarkFlags):
         persons = self.persons or base.persons
         if self.robot or persons != base.persons:
             base = base.on(robot_of(self.robot) if self.robot else base.robot, persons)
-        return base
+        return in_frame(base, self.turn) if self.turn else base
 
     def said_splits(self) -> set[str]:
         """The splits of the objects that flags and files name, before any mesh is read; empty where they
@@ -522,6 +529,24 @@ def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | P
     return files
 
 
+FRAMES = {
+    "half": np.diag([-1.0, -1.0, 1.0]),
+    "cycled": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+}
+"""Turn -> R_new_old of the objects' frames."""
+
+
+def in_frame(benchmark: Benchmark, turn: str) -> Benchmark:
+    """The same benchmark with every object in a turned frame: the same trials for a method that does
+    not depend on how a mesh lies.
+
+    Args:
+        benchmark: any.
+        turn: a word of `registry.TURNS`.
+    """
+    return replace(benchmark, objects=tuple(turned(o, FRAMES[turn]) for o in benchmark.objects))
+
+
 def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where: str) -> Benchmark:
     """The benchmark of a stored run, from the flags that the user gives again.
 
@@ -547,6 +572,9 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
     ]
     if robots and robots[0] in ROBOTS and not given.robot:  # a built-in robot is no file
         given = replace(given, robot=robots[0])
+    said = (header.get("benchmark") or {}).get("flags", ())
+    if turns := [turn for turn in TURNS if f"--turn {turn}" in said]:  # nor is a turn
+        given = replace(given, turn=turns[0])
     flags = _check_flags(header, given, where)
     if protocol != LISTED:
         given = replace(given, protocol=protocol)

@@ -3,6 +3,8 @@
 from dataclasses import asdict, dataclass
 from typing import Literal
 
+from r2h_batch.base.registry import TurnWord
+
 
 @dataclass(frozen=True)
 class BenchmarkFlags:
@@ -27,6 +29,8 @@ class BenchmarkFlags:
     """A built-in robot, or a folder of import robot."""
     persons: Literal["", "for-robot", "as-for-ur5e"] = ""
     """Where persons stand: scaled by the robot's reach (default), or as for the UR5e."""
+    turn: TurnWord = ""
+    """Turn the objects' frames: half (180 degrees about z) or cycled (x to y, y to z, z to x)."""
 
     def flags(self) -> list[str]:
         """The flags that are given, as one would type them again."""

@@ -1,0 +1,239 @@
+"""The turn test: the same trials with objects whose frame is turned, paired with the trials as their meshes lie. A method
+whose answers depend on how a mesh lies in its file moves; another one does not."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from r2h_batch.base.registry import TURNS
+from r2h_batch.report.statistics.paired import Paired, compare
+from r2h_batch.report.text import (
+    NA,
+    aligned,
+    csv_text,
+    json_text,
+    legend,
+    notes_list,
+    plain,
+    short_names,
+)
+from r2h_batch.runs.files import RunError
+from r2h_batch.runs.store import Run, load_run
+from r2h_batch.verdicts import SPLITS, Outcome
+
+BESIDE = "-turned"
+"""A folder of the run's name with this end, beside the run, holds the runs with turned objects, each called
+after its turn."""
+FORMATS = ("md", "csv", "json")
+MOST_POINTS = 10.0
+"""A turn that moves the success rate by more than this gets a mark in every table of the run."""
+MARK = "^"
+
+AS_IT_LIES = "as it lies"
+WORDS = {"half": "half turn", "cycled": "cycled axes"}
+
+NOTES = (
+    "half turn: 180 degrees about z. cycled axes: x to y, y to z, z to x. Objects, grasps, hands and trials are the same; only"
+    " the frame differs in which a method sees an object.",
+    "moves: SR with turned objects less SR as they lie, in points, paired on the trial id, with the 95 % t interval over"
+    " objects (families: over categories). p: McNemar's exact test, Holm over the three pairs of frames.",
+    f"{MARK}: a turn moves SR by more than {MOST_POINTS:g} points.",
+)
+
+
+@dataclass(frozen=True)
+class Move:
+    """How a turn moves a method's success rate.
+
+    Attributes:
+        turn: a word of `TURNS`.
+        points: rate with turned objects less the rate as they lie.
+        low: lower end of the 95 % interval over categories of objects; None with one category.
+        high: its upper end.
+        p_holm: McNemar's exact p value, adjusted over the turns of the group.
+    """
+
+    turn: str
+    points: float
+    low: float | None
+    high: float | None
+    p_holm: float
+
+    @property
+    def ends(self) -> str:
+        """The interval in words."""
+        known = self.low is not None and self.high is not None
+        return f"{self.low:+.1f} to {self.high:+.1f}" if known else NA
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A method's turn test on a split, or on all trials.
+
+    Attributes:
+        method: its name in the run.
+        group: S0, S1 or all.
+        n: trials in each frame.
+        rate: success rate in percent as the meshes lie.
+        moves: one for each turn.
+    """
+
+    method: str
+    group: str
+    n: int
+    rate: float
+    moves: tuple[Move, ...]
+
+    @property
+    def most(self) -> Move:
+        """The turn that moves the rate farthest."""
+        return max(self.moves, key=lambda move: abs(move.points))
+
+    @property
+    def marked(self) -> bool:
+        """Whether a turn moves the rate by more than `MOST_POINTS`."""
+        return abs(self.most.points) > MOST_POINTS
+
+    @property
+    def sentence(self) -> str:
+        """The mark of a table in words."""
+        most = self.most
+        return (
+            f"{MARK} {self.method}, {self.group}: a {WORDS[most.turn]} of the objects' frames moves SR by {most.points:+.1f}"
+            f" points (95 % {most.ends}; {self.n} trials in each frame)."
+        )
+
+
+def turned(run: Run) -> tuple[Turned, ...]:
+    """The turn tests of a run's methods, as far as `r2h-batch turn` made them.
+
+    Args:
+        run: what `load_run` or `join` gives.
+
+    Raises:
+        RunError: a folder of turned objects does not belong to the run.
+    """
+    found: list[Turned] = []
+    for own in run.runs:
+        runs = _runs(own)
+        if not runs:
+            continue
+        for entry in run.entries:
+            if entry.folder != own.folder or not entry.complete:
+                continue
+            stored = next(e.name for e in own.entries if e.slug == entry.slug)
+            if all(stored in other.methods for other in runs.values()):
+                found += _of_method(own, runs, stored, entry.name)
+    return tuple(found)
+
+
+def _runs(run: Run) -> dict[str, Run]:
+    """Turn -> its run; empty where one is missing."""
+    folders = {turn: folder_of(run.folder, turn) for turn in TURNS}
+    if not all((folder / "run.json").is_file() for folder in folders.values()):
+        return {}
+    runs = {turn: load_run(folder) for turn, folder in folders.items()}
+    for turn, other in runs.items():
+        _check(run, turn, other)
+    return runs
+
+
+def _check(run: Run, turn: str, other: Run) -> None:
+    """`RunError` unless the other run asked the same trials of turned objects and judged them the same."""
+    a, b = run.header, other.header
+    differs = [k for k in ("protocol", "configuration", "seed") if a[k] != b[k]]
+    kept = ("hand_set", "robot")
+    differs += [k for k in kept if a["digests"].get(k) != b["digests"].get(k)]
+    flags = (b.get("benchmark") or {}).get("flags", ())
+    if differs or f"--turn {turn}" not in flags:
+        what = ", ".join(differs) or "the turn"
+        raise RunError(
+            f"{other.folder}: is no turn test of {run.folder}: it differs in {what}; remove it and make the test again"
+        )
+
+
+def _of_method(run: Run, runs: Mapping[str, Run], method: str, shown: str) -> list[Turned]:
+    columns = [_solved(one, method) for one in (*runs.values(), run)]
+    ids = columns[0][0]
+    if not all(np.isin(ids, other[0]).all() for other in columns):
+        raise RunError(f"{run.folder}{BESIDE}: {method!r} has other trials; make the test again")
+    rows = [np.searchsorted(other[0], ids) for other in columns]
+    success = np.stack([c[3][row] for c, row in zip(columns, rows, strict=True)])
+    split, names = columns[-1][1][rows[-1]], columns[-1][2][rows[-1]]
+    objects, place = np.unique(names, return_inverse=True)
+    category = [run.categories.get(str(name), str(name)) for name in objects]
+    frames = (*runs, AS_IT_LIES)
+    paired = Paired.of(frames, split, place, success, category=category)
+    return [
+        Turned(
+            shown, c.group, c.n, c.rates[-1],
+            tuple(
+                Move(p.a, p.difference, p.low, p.high, p.p_holm) for p in c.pairs if p.b == AS_IT_LIES
+            ),
+        )
+        for c in compare(paired, draws=1)
+    ]  # fmt: skip
+
+
+def _solved(run: Run, method: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Trial ids, ascending, with place of the split, object and success of each."""
+    table = run.trials(method, ["trial_id", "split", "object", "outcome"]).sort_by("trial_id")
+    split = np.array([SPLITS.index(s) for s in table["split"].to_pylist()], np.int64)
+    success = np.array(table["outcome"].to_pylist()) == Outcome.SUCCESS.name.lower()
+    return table["trial_id"].to_numpy(), split, np.array(table["object"].to_pylist()), success
+
+
+def render(tests: Sequence[Turned], fmt: str = "md") -> str:
+    """The turn tests as text that ends in a newline.
+
+    Args:
+        tests: what `turned` gives.
+        fmt: one of `FORMATS`.
+    """
+    if fmt == "json":
+        return json_text([asdict(test) for test in tests])
+    if fmt == "csv":
+        return csv_text(
+            [
+                {"group": t.group, "method": t.method, "n": t.n, "sr": t.rate, **asdict(move)}
+                for t in tests
+                for move in t.moves
+            ]
+        )
+    short = short_names([t.method for t in tests])
+    head = ["Split", "Method", "N", "SR"]
+    head += [cell for turn in TURNS for cell in (WORDS[turn], "moves", "95 %", "p")]
+    lines = []
+    for t in tests:
+        cells = [
+            t.group,
+            f"{plain(short[t.method])}{f' {MARK}' * t.marked}",
+            str(t.n),
+            f"{t.rate:.1f}",
+        ]
+        for move in t.moves:
+            cells += [
+                f"{t.rate + move.points:.1f}",
+                f"{move.points:+.1f}",
+                move.ends,
+                f"{move.p_holm:.2g}",
+            ]
+        lines.append(cells)
+    return (
+        "\n\n".join([aligned(head, lines, 2), notes_list([*map(plain, legend(short)), *NOTES])])
+        + "\n"
+    )
+
+
+def about(tests: Sequence[Turned]) -> list[dict[str, Any]]:
+    """The tests as records of a table's JSON."""
+    return [asdict(test) for test in tests]
+
+
+def folder_of(run: Path, turn: str) -> Path:
+    """The run folder of a run's trials with turned objects."""
+    whole = run.absolute()
+    return whole.with_name(whole.name + BESIDE) / turn

@@ -1,0 +1,94 @@
+"""The turn test: the same trials with turned objects, whose rows are the same where a method knows no frame."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from r2h_batch.__main__ import main
+from r2h_batch.runs.store import load_run
+from r2h_batch.scene.objects import load_objects, object_digest
+from r2h_batch.trials.benchmark.benchmark import built_in
+from r2h_batch.trials.benchmark.build import FRAMES, in_frame
+from r2h_batch.trials.protocol import make_trials
+
+BY_X = """
+import torch
+from r2h_batch.methods.oracle import predict as solved
+
+
+def by_x(trials, scene, *, seed, evaluator):
+    '''Answers objects whose centre of mass has a positive x: it depends on how a mesh lies.'''
+    answer = solved(trials, scene, seed=seed, evaluator=evaluator)
+    ahead = torch.tensor([bool(o.com[0] > 0) for o in scene.objects])[trials.object_index.long()]
+    answer.T_world_ee[~ahead, :3, 3] += 5.0
+    return answer
+"""
+
+
+FEW = ("--trials", "10", "--splits", "S1", "--sim", "none", "--quiet")
+
+
+def command(*words):
+    return main(list(map(str, words)))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("turn")
+    (folder / "own.py").write_text(BY_X)
+    methods = ["intent", f"mine={folder / 'own.py'}:by_x"]
+    assert command("sweep", "--method", *methods, *FEW, "--out", folder / "run") == 0
+    return folder
+
+
+def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(run, capsys):
+    capsys.readouterr()
+    words = ["intent", f"mine={run / 'own.py'}:by_x"]
+    assert command("turn", run / "run", "--method", *words, "--format", "json") == 0
+    found = {(t["method"].partition(" ")[0], t["group"]): t for t in json.loads(capsys.readouterr().out)}
+    names = load_run(run / "run").trials("mine")["object"].to_pylist()
+    ahead = {o.name: o.com[0] > 0 for o in load_objects()}
+    for turn in FRAMES:
+        table = load_run(run / "run-turned" / turn).trials("mine")
+        com = {o.name: (FRAMES[turn] @ o.com)[0] > 0 for o in load_objects()}
+        solved = np.array(table["outcome"].to_pylist()) == "success"
+        assert not solved[[not com[n] for n in table["object"].to_pylist()]].any() and solved.any()
+    assert {m["turn"] for m in found["mine", "S1"]["moves"]} == set(FRAMES) and any(ahead[n] for n in names)
+    assert max(abs(m["points"]) for m in found["mine", "S1"]["moves"]) >= 20
+    assert all(m["points"] == 0 for m in found["Intent-Handover", "S1"]["moves"])
+    assert command("report", run / "run") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "mine ^" in said and "Intent-Handover ^" not in said and "^ mine, S1: a" in said
+    # a turned run is a run like any other: its rows are what the evaluator says
+    assert command("results", "reevaluate", run / "run-turned" / "half", "--rows", 5, "--method", "intent") == 0
+    capsys.readouterr()
+
+
+def test_nothing_that_a_folder_names_is_run_and_a_changed_method_is_refused(run, capsys):
+    assert command("turn", run / "run") == 0
+    assert "mine: not turned: only built-in methods" in " ".join(capsys.readouterr().err.split())
+    (run / "own.py").write_text(BY_X + "\n# changed\n")
+    assert command("turn", run / "run", "--method", f"mine={run / 'own.py'}:by_x") == 2
+    assert "changed since the run" in capsys.readouterr().err
+    (run / "own.py").write_text(BY_X)
+
+
+def test_a_turn_test_of_another_run_is_refused(run, capsys, tmp_path):
+    assert command("sweep", "--method", "intent", *FEW, "--seed", 3, "--out", tmp_path / "run") == 0
+    shutil.copytree(run / "run-turned", tmp_path / "run-turned")
+    capsys.readouterr()
+    assert command("report", tmp_path / "run") == 2
+    assert "no turn test of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("protocol", ["r2h-v1", "r2h-release"])
+def test_turned_objects_have_the_same_trials(protocol):
+    own = built_in(protocol)
+    few = make_trials(["S0", "S1"], 4, benchmark=own)
+    for turn, R in FRAMES.items():
+        other = in_frame(own, turn)
+        again = make_trials(["S0", "S1"], 4, benchmark=other)
+        assert np.array_equal(few.T_world_hand.numpy(), again.T_world_hand.numpy())
+        assert np.isclose(np.linalg.det(R), 1) and object_digest(other.objects[3]) != object_digest(own.objects[3])
