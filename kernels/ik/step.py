@@ -161,7 +161,10 @@ def place_seed(p5: wp.vec3d, shoulder: wp.float64, seed: vec12d) -> vec12d:
 
 @wp.func
 def nearest_turn(angle: wp.float64, home: wp.float64, lower: wp.float64, upper: wp.float64) -> wp.float32:
-    """`angle` moved by whole turns: as near to home as the limits allow, and within them after rounding to float32."""
+    """`angle` moved by whole turns: as near to home as the limits allow, and within them after rounding to float32.
+
+    A range of less than a turn may hold none of these angles: `within_limits` tells.
+    """
     two_pi = wp.float64(2.0) * PI
     q = angle - two_pi * wp.floor((angle - home) / two_pi + wp.float64(0.5))
     if q > upper:
@@ -172,6 +175,15 @@ def nearest_turn(angle: wp.float64, home: wp.float64, lower: wp.float64, upper: 
     if wp.float64(q32) > upper or wp.float64(q32) < lower:
         q32 = wp.float32(q * wp.float64(0.9999999))
     return q32
+
+
+@wp.func
+def within_limits(ur: UrParameters, q: vec6d) -> wp.bool:
+    inside = wp.bool(True)
+    for j in range(6):
+        if q[j] < ur.lower[j] or q[j] > ur.upper[j]:
+            inside = wp.bool(False)
+    return inside
 
 
 @wp.func
@@ -303,7 +315,8 @@ def solve_ik_kernel(
             position_error, rotation_error = ur_pose_error(ur, rounded, R, p)
             position_error_out[trial, slot] = wp.float32(position_error)
             rotation_error_out[trial, slot] = wp.float32(rotation_error)
-            valid = position_error <= position_tolerance_m and rotation_error <= rotation_tolerance_rad
+            close = position_error <= position_tolerance_m and rotation_error <= rotation_tolerance_rad
+            valid = close and within_limits(ur, rounded)
         if not valid:
             for j in range(6):
                 q_out[trial, slot, j] = wp.float32(wp.nan)

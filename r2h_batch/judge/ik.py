@@ -50,7 +50,7 @@ class IkResult:
     q: Float[Tensor, "b 8 6"]
     """Joint angles, rad; NaN where not valid."""
     valid: Bool[Tensor, "b 8"]
-    """The slot holds a solution: both errors below tolerance for the float32 angles in `q`."""
+    """The slot holds a solution: the float32 angles in `q` are within the joint limits, and both errors below tolerance."""
     position_error_m: Float[Tensor, "b 8"]
     """Distance between the targets' and the reached ee origin, float64 inside; inf where there is
     no branch."""

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 from torch import Tensor
 
 from r2h_batch.base import se3
@@ -206,6 +206,7 @@ def _filled(
     position, rotation = _residuals(robot, q32, targets)
     found = (
         found
+        & _within_limits(robot, q32)
         & (position <= fused.POSITION_TOLERANCE_M)
         & (rotation <= fused.ROTATION_TOLERANCE_RAD)
     )
@@ -347,6 +348,14 @@ def _nearest_turns(
     q32 = q.float()
     outside = (q32.double() > upper) | (q32.double() < lower)
     return torch.where(outside, (q * 0.9999999).float(), q32)
+
+
+def _within_limits(robot: Robot, q: Float32[Tensor, "m 6"]) -> Bool[Tensor, "m"]:
+    """Whether all six angles lie in their ranges: a range of less than a turn may hold none of the turns."""
+    lower, upper = (
+        torch.tensor(np.asarray(x), device=q.device) for x in (robot.lower, robot.upper)
+    )
+    return ((q.double() >= lower) & (q.double() <= upper)).all(1)
 
 
 def _residuals(

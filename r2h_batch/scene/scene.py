@@ -74,6 +74,13 @@ class Scene:
             raise ValueError(
                 f"workplace.home_q is {home}; {self.robot.name} needs {joints} joint angles in rad"
             )
+        for i, (q, low, high) in enumerate(
+            zip(home, self.robot.lower, self.robot.upper, strict=True)
+        ):
+            if not low <= q <= high:
+                raise ValueError(
+                    f"workplace.home_q[{i}] is {q}; the joint goes from {low:.4f} to {high:.4f} rad"
+                )
         self.objects = checked_objects(objects)
         if not self.objects:
             raise ValueError("a scene needs at least one object; objects is empty")

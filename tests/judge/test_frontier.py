@@ -60,15 +60,19 @@ def test_the_frontier_finds_what_one_thread_finds(scene: Scene, plan: str, n: in
     assert found.straight.sum() >= 20 and (found.length == 0).sum() >= 20
 
 
-SAFE = CRITERIA.index("safe")
-SAFE_DIFFERS_SHARE = 0.005
-"""In few rows each form may take another of the faces that are equally near within Safe's tolerance."""
+PLAN, SAFE = CRITERIA.index("plan"), CRITERIA.index("safe")
+SEARCHED_MINIMA = ("margin", "witness_point", "witness_time_s")
+"""The fields that hold a smallest clearance, or its place or time. Each form searches it until nothing nearer by more
+than a tolerance is left."""
+DIFFERS_SHARE = 0.005
+"""In few rows the forms end at other ones of the minima that the tolerance does not tell apart."""
 FULL = [pytest.param(robot, 2000, marks=pytest.mark.slow, id=robot) for robot in ("ur5e_2f85", "panda_hand")]
 
 
 @pytest.mark.parametrize(("robot", "n"), [("ur5e_2f85", 300), *FULL])
 def test_rows_of_both_forms_have_the_same_bits(robot: str, n: int) -> None:
-    """Straight, searched and failed; Safe's margin and witness may differ, within its tolerance, in 0.5 % of the rows."""
+    """Straight, searched and failed. In 0.5 % of the rows Plan's and Safe's smallest clearance, and where Safe's is, may differ,
+    within its tolerance."""
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=n), robot=load_robot(robot))
     trials = trials_with_ids(torch.arange(20_000, 20_000 + n), objects=evaluator.scene.objects, protocol="r2h-v1")
     poses = random.predict(trials, evaluator.scene, seed=5)
@@ -79,15 +83,19 @@ def test_rows_of_both_forms_have_the_same_bits(robot: str, n: int) -> None:
     counts = {"straight": here.path_len == 2, "searched": here.path_len > 2, "failed": here.path_len == 0}
     print(robot, {name: int(rows.sum()) for name, rows in counts.items()})
     assert counts["searched"].sum() >= n // 50 and min(counts["straight"].sum(), counts["failed"].sum()) >= n // 4
-    off = (here.margin[:, SAFE] - there.margin[:, SAFE]).abs().nan_to_num(0.0)
-    other = (off > 0) | (here.witness_point.nan_to_num(9.0) != there.witness_point.nan_to_num(9.0)).any(1)
-    print(f"{int(other.sum())} with other bits of Safe, by {float(off.max()):.1e} m at most")
-    assert (off <= (0.002 * here.margin[:, SAFE].abs().nan_to_num(0.0)).clamp(min=SAFE_TOLERANCE_M)).all()
-    assert other.sum() <= SAFE_DIFFERS_SHARE * n
+    off = (here.margin - there.margin).abs().nan_to_num(0.0)
+    pairs = [(getattr(here, f).reshape(n, -1), getattr(there, f).reshape(n, -1)) for f in SEARCHED_MINIMA]
+    other = torch.stack([(x.nan_to_num(9.0) != y.nan_to_num(9.0)).any(1) for x, y in pairs]).any(0)
+    most = {name: float(off[:, CRITERIA.index(name)].max()) for name in ("plan", "safe")}
+    print(f"{int(other.sum())} with other bits; margins by {most} m at most")
+    assert other.sum() <= DIFFERS_SHARE * n
+    assert (off[:, SAFE] <= (0.002 * here.margin[:, SAFE].abs().nan_to_num(0.0)).clamp(min=SAFE_TOLERANCE_M)).all()
+    assert off[:, PLAN].max() <= CLEARANCE_TOLERANCE_M
     assert_same(here[~other], there[~other])
-    assert torch.equal(here.margin[other, :SAFE].nan_to_num(9.0), there.margin[other, :SAFE].nan_to_num(9.0))
+    rest = [i for i in range(len(CRITERIA)) if i not in (PLAN, SAFE)]
+    assert torch.equal(here.margin[:, rest].nan_to_num(9.0), there.margin[:, rest].nan_to_num(9.0))
     for f in fields(Scores):
-        if f.name not in ("margin", "witness_point", "t_plan_s"):
+        if f.name not in (*SEARCHED_MINIMA, "t_plan_s"):
             assert getattr(here, f.name).numpy().tobytes() == getattr(there, f.name).numpy().tobytes(), f.name
 
 

@@ -7,6 +7,7 @@ from needs import needs
 
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import HOME_Q
+from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import solve_ik, ur_parameters
 from r2h_batch.scene.robot import ee_pose, load_robot
 
@@ -128,6 +129,28 @@ def test_joints_stand_at_the_turn_nearest_home_within_limits(result):
         allowed = (other >= robot.lower) & (other <= robot.upper)
         assert (np.abs(other - HOME) >= np.abs(q - HOME) - 1e-6)[allowed].all()
     assert (np.abs(q[:, [0, 1, 3, 4, 5]] - HOME[[0, 1, 3, 4, 5]]) <= PI + 1e-6).all()
+
+
+def test_branches_outside_a_range_of_less_than_a_turn_are_invalid(targets, result):
+    """The same poses for a shoulder and a wrist that turn less: the branches within their ranges, and no other."""
+    robot = load_robot()
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    lower[[1, 5]], upper[[1, 5]] = HOME[[1, 5]] - [0.9, 1.5], HOME[[1, 5]] + [0.7, 2.0]
+    narrow = dataclasses.replace(robot, lower=lower, upper=upper, digest="narrow")
+    some = torch.from_numpy(targets[:1000])
+    found = solve_ik(some, robot=narrow)
+    q, before = found.q.double().numpy(), result.q[:1000].double().numpy()
+    inside = ((before >= lower) & (before <= upper)).all(2)  # turns nearest home: no other turn is within
+    assert (found.valid.numpy() == inside).all() and (np.isnan(q) == ~inside[..., None]).all()
+    assert 0.02 < inside.mean() < 0.5 * result.valid[:1000].float().mean()
+    assert (q[inside] == before[inside]).all()
+    jacobian = ik_jacobian.solve_ik(some[:100], robot=narrow)
+    at = jacobian.valid.numpy()
+    assert (
+        at.any()
+        and (jacobian.q.double().numpy()[at] >= lower).all()
+        and (jacobian.q.double().numpy()[at] <= upper).all()
+    )
 
 
 def test_another_home_moves_the_turns_only(targets, result):
