@@ -353,7 +353,8 @@ def _nearest_turns(
 def _within_limits(robot: Robot, q: Float32[Tensor, "m 6"]) -> Bool[Tensor, "m"]:
     """Whether all six angles lie in their ranges: a range of less than a turn may hold none of the turns."""
     lower, upper = (
-        torch.tensor(np.asarray(x), device=q.device) for x in (robot.lower, robot.upper)
+        torch.tensor(np.asarray(x), dtype=torch.float64, device=q.device)
+        for x in (robot.lower, robot.upper)
     )
     return ((q.double() >= lower) & (q.double() <= upper)).all(1)
 
