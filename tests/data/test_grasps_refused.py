@@ -80,7 +80,7 @@ def test_a_file_that_leads_hdf5_in_circles_is_ended_with_its_process(tmp_path, m
     data[data.index(b"panda") - 8] = 0  # the word's length in the heap of words
     path.write_bytes(data)
     monkeypatch.setattr(hdf5, "MOST_SECONDS", 2)
-    with one_line(r"mug.h5: takes more than 2 s of CPU time to read, or ends its reader"):
+    with one_line(r"mug.h5: takes more than 2 s of CPU time, or ends its reader"):
         read_file_of("acronym", path)
 
 

@@ -50,3 +50,16 @@ def contact_network(channel: int = 1, *, file: str = "", inputs: int = 1) -> byt
     grids = [(11, numbers(name, 1, 5, 64, 64, 64)) for name in ("grid", "more")[:inputs]]
     parts = [(1, pick), (1, sigmoid), (2, "g"), (5, constant), *grids, (12, numbers("contact", 1, 64, 64, 64))]
     return message((1, 8), (7, message(*parts)), (8, message((2, 17))))
+
+
+def expanding_network(count: int) -> bytes:
+    """A network that fills so many floats before it answers with the first ones of them."""
+    grid = (1, 5, 64, 64, 64)
+    fill = message((1, "count"), (2, "filled"), (4, "ConstantOfShape"))
+    total = message((1, "filled"), (2, "total"), (4, "ReduceSum"))
+    add = message((1, "grid"), (1, "total"), (2, "out"), (4, "Add"))
+    constant = message((1, 1), (2, 7), (8, "count"), (9, count.to_bytes(8, "little")))
+    ends = [(11, numbers("grid", *grid)), (12, numbers("out", *grid))]
+    return message(
+        (1, 8), (7, message((1, fill), (1, total), (1, add), (2, "g"), (5, constant), *ends)), (8, message((2, 17)))
+    )

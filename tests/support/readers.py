@@ -18,6 +18,7 @@ READERS = {
     "r2h_batch.data.hdf5": "_read",
     "r2h_batch.base.io.parquet": "_child",
     "r2h_batch.sweep.submission_judge": "_child",
+    "r2h_batch.base.io.onnx": "_child",
 }
 """Module -> what it gives to `answer_parent`."""
 IN_PROCESS = True

@@ -74,7 +74,7 @@ def read_in_child(
         if child.returncode == REFUSED:
             raise FileError(error.strip().rpartition("\n")[2])
         if child.returncode < 0:
-            cpu = f"takes more than {seconds:g} s of CPU time to read"
+            cpu = f"takes more than {seconds:g} s of CPU time"
             raise FileError(f"{cpu}, or ends its reader ({-child.returncode})")
         if child.returncode:
             raise FileError("cannot be read: its reader ended with an error")

@@ -4,16 +4,13 @@ function, or, from a source that the user trusts, a TorchScript file."""
 from __future__ import annotations
 
 import io
-import os
-import threading
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
 
+from r2h_batch.base.io.onnx import OnnxNetwork
 from r2h_batch.base.io.read import FileError, archive_members, open_archive, printable, read_file
 from r2h_batch.base.user_code import HOW, load_function
 from r2h_batch.methods.predictors.grid import ContactPredictor, PredictorError
@@ -21,8 +18,6 @@ from r2h_batch.methods.predictors.voxnet import read_voxnet
 
 MAX_BYTES = 4 << 30
 MAX_MEMBERS = 20_000
-MOST_SECONDS = 600.0
-"""Time limit of one call of an ONNX network."""
 _HOW = (
     "give an ONNX file (.onnx), VoxNet weights (.safetensors), or a function of your own code,"
     f" {HOW}"
@@ -55,63 +50,24 @@ def load_predictor(spec: str, *, trust_code: bool = False) -> ContactPredictor:
         if path.suffix == ".safetensors":
             return read_voxnet(path)
         data = read_file(path, MAX_BYTES)
-        return _onnx(path, data) if path.suffix == ".onnx" else _script(path, data, trust_code)
+        return (
+            _OnnxNetwork(path, data) if path.suffix == ".onnx" else _script(path, data, trust_code)
+        )
     except FileError as error:
         raise PredictorError(f"predictor {error}; {_HOW}") from None
 
 
 class _OnnxNetwork:
-    """A network in onnxruntime. A call that takes longer than `seconds` is ended: a graph may loop
-    for ever."""
+    """The network in an ONNX file; its errors are a predictor's."""
 
-    def __init__(self, session: Any, options: Callable[[], Any], where: str) -> None:
-        self.session, self.options, self.where = session, options, where
-        self.seconds = MOST_SECONDS
+    def __init__(self, path: Path, data: bytes) -> None:
+        self.network = OnnxNetwork(path, data)
 
     def __call__(self, grid: Tensor) -> Tensor:
-        options = self.options()
-        timer = threading.Timer(self.seconds, setattr, (options, "terminate", True))
-        timer.start()
-        name = self.session.get_inputs()[0].name
         try:
-            (found,) = self.session.run(None, {name: grid.detach().cpu().numpy()}, options)
-            return torch.as_tensor(found)
-        except Exception as error:  # its errors share no class but this one
-            why = " ".join(printable(error).split())[:200]
-            if options.terminate:
-                why = f"takes more than {self.seconds:g} s for {len(grid)} grids"
-            raise PredictorError(f"{self.where}: {why}; {_HOW}") from None
-        finally:
-            timer.cancel()
-
-
-def _onnx(path: Path, data: bytes) -> ContactPredictor:
-    """The network on one thread, so that its bits do not depend on the machine's cores."""
-    where = f"predictor {printable(path)}"
-    try:
-        import onnxruntime
-    except ImportError:
-        raise PredictorError(f"{where}: ONNX needs: pip install 'r2h_batch[onnx]'") from None
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4
-    options.add_session_config_entry("session.load_model_format", "ONNX")
-    # weights in other files: nothing lies below a device, so every such file is refused
-    outside = "session.model_external_initializers_file_folder_path"
-    options.add_session_config_entry(outside, os.devnull)
-    try:
-        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # its errors share no class but this one
-        if "xternal data" in str(error):
-            raise PredictorError(f"{where}: keeps weights in other files; {_HOW}") from None
-        why = " ".join(printable(error).split())[:200]
-        raise PredictorError(f"{where}: not a readable ONNX file ({why}); {_HOW}") from None
-    ends = len(session.get_inputs()), len(session.get_outputs())
-    if ends != (1, 1):
-        raise PredictorError(f"{where}: {ends[0]} inputs and {ends[1]} outputs; need one of each")
-    if (kind := session.get_inputs()[0].type) != "tensor(float)":
-        raise PredictorError(f"{where}: its input is a {kind}; it must be a tensor(float)")
-    return _OnnxNetwork(session, onnxruntime.RunOptions, where)
+            return self.network(grid)
+        except FileError as error:
+            raise PredictorError(f"predictor {error}; {_HOW}") from None
 
 
 def _script(path: Path, data: bytes, trust_code: bool) -> ContactPredictor:

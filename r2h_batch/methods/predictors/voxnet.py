@@ -161,5 +161,13 @@ def read_voxnet(path: str | Path) -> VoxNet:
             f"predictor {path}: weight {name!r} is {shape}, VoxNet needs {need}; another network"
             " must come as ONNX (.onnx) or as package.module:function"
         )
+    for name, weight in found.items():
+        what = ""
+        if weight.dtype != wanted[name].dtype:
+            what = f"is {weight.dtype}, VoxNet needs {wanted[name].dtype}; convert it"
+        elif not bool(weight.isfinite().all()):
+            what = "holds NaN or infinite numbers; train it again, or copy it again"
+        if what:
+            raise PredictorError(f"predictor {path}: weight {name!r} {what}")
     net.load_state_dict(found)
     return net.eval()

@@ -7,10 +7,11 @@ from importlib import resources
 import pytest
 import torch
 from needs import needs
-from onnx_files import contact_network, looping_network
+from onnx_files import contact_network, expanding_network, looping_network
 from safetensors.torch import save_file
 
-from r2h_batch.methods.predictors import PredictorError, files, load_predictor, predict_contacts
+from r2h_batch.base.io import onnx
+from r2h_batch.methods.predictors import PredictorError, load_predictor, predict_contacts
 from r2h_batch.methods.predictors.grid import contact_grids
 from r2h_batch.methods.predictors.voxnet import load_voxnet
 from r2h_batch.scene.objects import load_objects
@@ -79,14 +80,26 @@ def test_an_onnx_network_answers_and_takes_its_weights_from_no_other_file(tmp_pa
 
 
 @needs("onnxruntime")
-def test_a_network_that_never_answers_is_ended_and_one_of_another_type_is_refused_by_its_file(tmp_path, monkeypatch):
+def test_a_network_that_never_answers_or_takes_all_memory_is_ended(tmp_path, monkeypatch, own_process):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(files, "MOST_SECONDS", 0.5)
+    (tmp_path / "net.onnx").write_bytes(expanding_network(1000))
+    assert torch.equal(load_predictor("net.onnx")(GRID), GRID)
+    # 16 GB: more than the process may take, found when the file is read or when it answers
+    (tmp_path / "net.onnx").write_bytes(expanding_network(4 << 30))
+    with pytest.raises(PredictorError, match=r"net.onnx: .*memory"):
+        load_predictor("net.onnx")(GRID)
+    (tmp_path / "net.onnx").write_bytes(looping_network(1 << 62))
+    network = load_predictor("net.onnx")
+    monkeypatch.setattr(onnx, "MOST_SECONDS", 2)
+    with pytest.raises(PredictorError, match=r"net.onnx: takes more than 2 s of CPU time"):
+        network(GRID)
+
+
+@needs("onnxruntime")
+def test_a_network_of_another_type_is_refused_by_its_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "net.onnx").write_bytes(looping_network(3))
     assert torch.equal(load_predictor("net.onnx")(GRID), GRID)
-    (tmp_path / "net.onnx").write_bytes(looping_network(1 << 62))
-    with pytest.raises(PredictorError, match=r"net.onnx: takes more than 0.5 s for 1 grids"):
-        load_predictor("net.onnx")(GRID)
     (tmp_path / "net.onnx").write_bytes(looping_network(3, kind=7))
     refused("net.onnx", "its input is a tensor(int64); it must be a tensor(float)")
 
@@ -107,6 +120,14 @@ def test_safetensors_and_a_python_function_take_the_networks_place(tmp_path, mon
     del weights["out.bias"]
     save_file({k: v.contiguous() for k, v in weights.items()}, tmp_path / "less.safetensors")
     refused(tmp_path / "less.safetensors", "weight 'out.bias' is nothing, VoxNet needs (1,)")
+    for change, words in (
+        (lambda w: w.half(), "is torch.float16, VoxNet needs torch.float32"),
+        (lambda w: w * torch.nan, "NaN"),
+    ):
+        weights = load_voxnet().state_dict()
+        weights["out.bias"] = change(weights["out.bias"])
+        save_file({k: v.contiguous() for k, v in weights.items()}, tmp_path / "odd.safetensors")
+        refused(tmp_path / "odd.safetensors", "weight 'out.bias'", words)
 
 
 def test_files_that_are_no_network_are_refused_without_being_run(tmp_path):
