@@ -56,6 +56,7 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.assets.objects.build_grasps
 	$(BIN)/python -m r2h_batch.assets.families.build_families
 	$(BIN)/python -m r2h_batch.assets.families.build_families --training build/families
+	$(BIN)/python -m r2h_batch.assets.families.train_contacts --training build/families
 	$(BIN)/python -m r2h_batch.assets.receiving.build_receiving
 	$(BIN)/python -m r2h_batch.assets.receiving.build_held_out
 	$(BIN)/python -m r2h_batch.assets.receiving.train_voxnet

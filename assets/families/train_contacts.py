@@ -141,10 +141,9 @@ def figures(net: VoxNet, objects: Sequence[ObjectModel]) -> dict[str, dict[str, 
             contact.append(area(answer, contact_map(o) >= CONTACT_THRESHOLD))
             if o.split == "S1":
                 region.append(area(answer, o.receiver_face[o.point_face]))
-        found[name] = {
-            "contact": round(float(np.nanmean(contact)), 3),
-            "region": round(float(np.nanmean(region or [np.nan])), 3),
-        }
+        found[name] = {"contact": round(float(np.nanmean(contact)), 3)}
+        if region:
+            found[name]["region"] = round(float(np.nanmean(region)), 3)
     return found
 
 
@@ -155,8 +154,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--left-out", nargs="*", default=[], help="categories to leave out in turn; the weights are kept"
-    )
+        "--left-out", nargs="*", default=[],
+        help="categories to leave out in turn, several together as A,B,C; the weights are kept",
+    )  # fmt: skip
     args = parser.parse_args()
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
@@ -180,11 +180,19 @@ def main() -> None:
             ])), 3)},
         }  # fmt: skip
         report["cpu_seconds"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
-    for name in args.left_out:
-        net, _ = train(data, [i for i, c in enumerate(category) if c != name], args.steps, args.seed)
-        tests = load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == name])
-        report.setdefault("left_out", {})[name] = figures(net, tests)["as it lies"]
-        print(name, report["left_out"][name], flush=True)
+    for group in args.left_out:
+        names = group.split(",")
+        if unknown := [n for n in names if n not in category]:
+            parser.error(
+                f"--left-out: no training instance of {unknown[0]!r}; there are {', '.join(sorted(set(category)))}"
+            )
+        net, _ = train(data, [i for i, c in enumerate(category) if c not in names], args.steps, args.seed)
+        for name in names:
+            tests = load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == name])
+            found = figures(net, tests) | {"together_with": [n for n in names if n != name], "steps": args.steps}
+            report.setdefault("left_out", {})[name] = found
+            print(name, found, flush=True)
+        path.write_text(json.dumps(report, indent=1) + "\n")
     path.write_text(json.dumps(report, indent=1) + "\n")
 
 

@@ -2,7 +2,7 @@
 object by object."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import floor, log10
 from typing import Any
 
@@ -84,6 +84,7 @@ class Table:
         misses: what the inverse kinematics of each robot without a closed form misses, a sentence
             each.
         turns: turn tests of the methods that have one (`turn.turned`).
+        scans: the lines of the same methods on the reader's own objects, by split and method.
     """
 
     rows: tuple[Row, ...]
@@ -91,12 +92,19 @@ class Table:
     alike: bool = True
     misses: tuple[str, ...] = ()
     turns: tuple[Turned, ...] = ()
+    scans: Mapping[tuple[str, str], Row] = field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines under the table."""
         marks = (test.sentence for test in self.turns if test.marked)
-        return (*FOOTNOTES, *([CATEGORY_NOTE] if self.families else ()), *self.misses, *marks)
+        own = [
+            f"{row.split} {row.method}: {row.n_objects} objects, {row.n} trials, {cell(row, 'sr')} ({interval(sr_of_scans(row))})"
+            for row in self.scans.values()
+        ]
+        scans = [f"SR scans, and its 95 % interval for new objects like these: {'; '.join(own)}."]
+        families = [CATEGORY_NOTE] if self.families else []
+        return (*FOOTNOTES, *families, *(scans if own else []), *self.misses, *marks)
 
     def mark(self, row: Row) -> str:
         """The mark behind a method's name where a turn moves its SR by too much."""
@@ -110,13 +118,23 @@ class Table:
         return any(row.n_categories < row.n_objects for row in self.rows)
 
 
-def table_of(run: Run, counted: Sequence[Tally] | None = None, *, alike: bool = True) -> Table:
+def table_of(
+    run: Run,
+    counted: Sequence[Tally] | None = None,
+    *,
+    alike: bool = True,
+    scans: Run | None = None,
+) -> Table:
     """The table of every complete method of a run folder.
 
     Args:
         run: what `load_run` or `join` gives.
         counted: these methods' trials, if they were counted before.
         alike: of joined runs, whether they were judged the same (`next_commands.judged_alike`).
+        scans: a run of the same methods on the reader's own objects, for a column beside SR.
+
+    Raises:
+        ValueError: the run of the scans was judged by another configuration, or has none of the methods.
     """
     tallies = [tally(run, method) for method in run.methods] if counted is None else counted
     runs = run.runs
@@ -129,7 +147,24 @@ def table_of(run: Run, counted: Sequence[Tally] | None = None, *, alike: bool = 
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
-    return Table(rows, origin, alike, tuple(misses), turned(run))
+    beside = {} if scans is None else _beside(run, scans)
+    return Table(rows, origin, alike, tuple(misses), turned(run), beside)
+
+
+def _beside(run: Run, scans: Run) -> dict[tuple[str, str], Row]:
+    """The lines of the run's methods in a run of the reader's own objects."""
+    words = f"{scans.folder} is no run of your scans for {run.folder}"
+    if any(o["built_in"] for o in scans.header.get("objects", ())):
+        raise ValueError(
+            f"{words}: it has built-in objects; sweep with --objects FOLDER of your meshes"
+        )
+    for key in ("configuration", "seed", "predictors"):
+        if run.header.get(key) != scans.header.get(key):
+            raise ValueError(f"{words}: it has another {key}; sweep with the same options")
+    methods = [name for name in run.methods if name in scans.methods]
+    if not methods:
+        raise ValueError(f"{words}: it has none of its methods; sweep the same --method")
+    return {(r.split, r.method): r for r in summarise([tally(scans, m) for m in methods])}
 
 
 def _misses(header: Mapping[str, Any]) -> str:
@@ -213,9 +248,9 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
         return _latex(table, columns, intervals)
     if fmt == "csv":
         origin = {k.replace(" ", "_"): v for k, v in table.origin.items()}
-        return csv_text([record(row) | origin for row in table.rows])
+        return csv_text([_with_scans(table, row) | origin for row in table.rows])
     if fmt == "json":
-        rows = list(map(record, table.rows))
+        rows = [_with_scans(table, row) for row in table.rows]
         content = {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": table.notes}
         return json_text(content | ({"turns": about(table.turns)} if table.turns else {}))
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
@@ -267,6 +302,24 @@ def best_cells(table: Table) -> set[tuple[str, str, str]]:
     return best
 
 
+def sr_of_scans(row: Row) -> Rate | None:
+    """SR on the reader's own objects with its interval for new ones; of one object for more trials with it."""
+    return row.sr_new_categories or row.rates["sr"]
+
+
+def _scans(table: Table, row: Row) -> Row | None:
+    return table.scans.get((row.split, row.method))
+
+
+def _with_scans(table: Table, row: Row) -> dict[str, Any]:
+    """A record, with SR on the reader's own objects where a run of them is given."""
+    if not table.scans:
+        return record(row)
+    rate = sr_of_scans(own) if (own := _scans(table, row)) else None
+    ends = (rate.percent, rate.low, rate.high) if rate else (None, None, None)
+    return record(row) | dict(zip(("sr_scans", "sr_scans_low", "sr_scans_high"), ends, strict=True))
+
+
 def _share(rate: Rate | None) -> list[str]:
     return [f"{rate.percent:.1f}", interval(rate), str(rate.total)] if rate else []
 
@@ -281,11 +334,15 @@ def _counts(row: Row, families: bool) -> list[str]:
 def _md(table: Table) -> str:
     rates = [c for c in HEADINGS if c in RATES]
     short = short_names([row.method for row in table.rows])
+    more = ["SR scans"] if table.scans else []
     sections: list[tuple[str, Sequence[str], Callable[[Row], list[str]]]] = [
         (
             "Rates in percent, times in seconds.",
-            [*HEADINGS.values()],
-            lambda row: [cell(row, c) for c in HEADINGS],
+            [*HEADINGS.values(), *more],
+            lambda row: [
+                *(cell(row, c) for c in HEADINGS),
+                *(_sr_cells(table, row) if more else ()),
+            ],
         ),
         (
             "95 % intervals of the rates (Wilson; Avg: MOVER).",
@@ -330,6 +387,11 @@ def _md(table: Table) -> str:
             parts += [caption, aligned(["Split", "Method", *headings], lines, 2)]
     parts.append(notes_list([*map(plain, legend(short)), *table.notes]))
     return "\n\n".join(parts) + "\n"
+
+
+def _sr_cells(table: Table, row: Row) -> list[str]:
+    own = _scans(table, row)
+    return [cell(own, "sr") if own else NA]
 
 
 def record(row: Row) -> dict[str, Any]:

@@ -159,3 +159,37 @@ def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only
     strange = write_run(tmp_path / "strange", codes, 10, 10, **hands).folder
     assert command("compare", folders[0], strange, across_robots=True) == 2
     assert "differ in digests (hand_set)" in capsys.readouterr().err
+
+
+def test_the_readers_own_scans_are_a_column_beside_sr(tmp_path, capsys):
+    random = np.random.default_rng(2)
+    rows = {m: random.choice([0, 2], 60) for m in "mn"}
+    own = [{"name": n, "split": "S0", "built_in": False} for n in ("bowl", "cup", "eyeglasses", "hammer", "knife")]
+    write_run(tmp_path / "run", rows, 30, 30)
+    scans = write_run(tmp_path / "scans", {"m": rows["m"][::-1]}, 30, 30, objects=own)
+    assert command("report", tmp_path / "run", scans=scans.folder, format="json") == 0
+    found = {(r["split"], r["method"]): r for r in json.loads(capsys.readouterr().out)["rows"]}
+    expected = {r.split: r for r in report.table_of(scans).rows}
+    for split in ("S0", "S1", "Avg"):
+        line, there = found[split, "m"], expected[split]
+        assert line["sr_scans"] == there.rates["sr"].percent
+        assert line["sr_scans_low"] == there.sr_new_categories.low < line["sr_scans"] < line["sr_scans_high"]
+        assert found[split, "n"]["sr_scans"] is None
+    assert command("report", tmp_path / "run", scans=scans.folder) == 0
+    assert "SR scans" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"objects": [{"name": "cup", "split": "S0", "built_in": True}]}, "has built-in objects"),
+        ({"configuration": {"name": "paper"}}, "another configuration"),
+        ({"seed": 3}, "another seed"),
+    ],
+)
+def test_a_run_that_is_none_of_scans_is_refused_as_their_column(tmp_path, capsys, change, said):
+    write_run(tmp_path / "run", {"m": np.zeros(4, int)}, 2, 2)
+    write_run(tmp_path / "scans", {"m": np.zeros(4, int)}, 2, 2, **change)
+    assert command("report", tmp_path / "run", scans=tmp_path / "scans") == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1

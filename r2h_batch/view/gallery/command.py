@@ -25,6 +25,7 @@ def report(
     columns: Literal[1, 2] = 2,
     intervals: bool = False,
     method: tuple[str, ...] = (),
+    scans: Path | None = None,
     gallery: int = 0,
     perceived: bool = False,
     out: Path | None = None,
@@ -44,6 +45,8 @@ def report(
             of each split.
         intervals: latex: 95 % intervals below the rates; the other formats always have them.
         method: only these methods, by the sweep's word (fc) or the table's name; all by default.
+        scans: a run of the same methods on your own meshes (sweep --objects FOLDER): their SR as a
+            column of the table.
         gallery: html: draw this many successes and failures of each kind and method. Each picture leads
             to a page of its trial in three dimensions, in a folder beside --out.
         perceived: print the run's measures beside people's ratings of the paper's four methods,
@@ -59,12 +62,16 @@ def report(
         raise UsageError(f"--gallery needs {words}")
     if perceived and (format != "md" or len(runs) > 1 or by_object):
         raise UsageError("--perceived prints one run as md; leave --format and --by-object out")
+    if scans is not None and (format == "html" or perceived or by_object):
+        raise UsageError(
+            "--scans adds a column to Table I; leave --format html, --perceived and --by-object out"
+        )
     if out is not None:
         check_output_file(out, overwrite=overwrite)
     if gallery and out is not None:
         check_output_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
     from r2h_batch.report.compare.command import load_runs, stored_rows
-    from r2h_batch.runs.store import join
+    from r2h_batch.runs.store import join, load_run
 
     loaded = load_runs(runs, method)
     stored = join(loaded)
@@ -110,7 +117,8 @@ def report(
         from r2h_batch.report.next_commands import judged_alike, next_commands
         from r2h_batch.report.table import render, table_of
 
-        table = table_of(stored, alike=len(loaded) == 1 or judged_alike(loaded))
+        own = None if scans is None else load_run(scans)
+        table = table_of(stored, alike=len(loaded) == 1 or judged_alike(loaded), scans=own)
         text = render(table, format, columns=columns, intervals=intervals)
         if format == "md" and out is None:
             text += "\n" + next_commands(loaded)
