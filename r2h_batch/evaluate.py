@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import torch
 from jaxtyping import Float, Float32, Int
@@ -35,7 +35,7 @@ from r2h_batch.judge.distance import (
     person_distance,
 )
 from r2h_batch.judge.execution_error import executed_poses
-from r2h_batch.judge.goal import failed_clearance, judge_goals, weaken_singular_reason
+from r2h_batch.judge.goal import Goal, failed_clearance, judge_goals, weaken_singular_reason
 from r2h_batch.judge.grasp_physics import shake
 from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
@@ -53,7 +53,7 @@ from r2h_batch.judge.motion.execute import execute
 from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.judge.plan import plan_paths, random_key
 from r2h_batch.judge.presented import presented
-from r2h_batch.judge.scores import motion_scores, pose_scores, verdict
+from r2h_batch.judge.scores import motion_scores, pose_fields, pose_scores, verdict
 from r2h_batch.judge.trace import (
     Trace,
     checked_plan,
@@ -87,9 +87,18 @@ SORTED_ROWS = 256
 rows near each other share is still in the caches, and they branch alike. Five to ten per cent
 faster, and another five where candidates share trials."""
 
-SMALL_ROWS, SIZES_KEPT = 32, 4
+SMALL_ROWS, SIZES_KEPT = 255, 8
 """Poses of so many rows on a CPU are one small call (`base.launch.repeated`); of so many sizes a
-thread keeps the last one."""
+thread keeps a recording."""
+
+
+class JudgedPoses(NamedTuple):
+    """Results for poses without a path."""
+
+    held: AttachedBatch
+    goal: Goal
+    nearest: NearestApproach
+    found: dict[str, Tensor]  # fields of `Scores`
 
 
 class Evaluator:
@@ -412,13 +421,9 @@ class Evaluator:
             order = torch.argsort(pairs, stable=True)
             T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
 
-        small = n <= SMALL_ROWS and stages == "pose" and not T_obj_ee.is_cuda
-        small = small and not _differentiates(T_obj_ee, T_world_ee)
-
         def part(first: int, last: int) -> Scores:
-            if small and last - first == n:  # fewer rows: memory ran out
-                with self._small_calls.of(n):
-                    return score_chunk(T_obj_ee, T_world_ee, trials)
+            if last - first == n:
+                return score_chunk(T_obj_ee, T_world_ee, trials)
             return score_chunk(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
 
         parts = in_parts(n, self.rows_at_once(stages), part)
@@ -530,26 +535,52 @@ class Evaluator:
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         """As `_score_planned`, as far as it goes without a path."""
+        poses = T_obj_ee, T_world_ee
+        inputs = (*(T.detach() for T in poses), *trials._tensors().values())
+        inputs = tuple(x.contiguous() for x in inputs)
+        if 0 < len(trials) <= SMALL_ROWS and not (_differentiates(*poses) or T_obj_ee.is_cuda):
+            judged = self._small_calls(self._judge_pose, *inputs)
+            found = {name: x.clone() for name, x in judged.found.items()}
+        else:
+            judged = self._judge_pose(*inputs)
+            found = judged.found
+        held, goal = judged.held, judged.goal
+        if trials.receiver is not None and self.config.receiver == "hand":
+            found["body_m"], _ = self._person_at_goal(trials, held, goal)
+        scores = pose_scores(trials.trial_id, found)
+        if _differentiates(*poses):
+            return differentiable(
+                self.scene, self.config, scores, poses, held, goal, judged.nearest
+            )
+        return scores
+
+    def _judge_pose(self, *inputs: Tensor) -> "JudgedPoses":
+        """Results of `_score_pose` for poses and trials, field by field; mostly kernels alone, so
+        small calls can be recorded."""
         scene, config = self.scene, self.config
+        T_obj_ee, T_world_ee, *of_trials = inputs
+        trials = Trials(*of_trials)
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
         active = held.active
         ik, branches = self._branches(config, held)
         goal = judge_goals(scene, held.planner_poses, held.T_world_ee, ik, branches, active)
         nearest = hand_distance_at(scene, held.body_poses, goal.q, active)
         person = None
-        if trials.receiver is not None:
-            path, length = goal.q[:, None], active.to(torch.int32)
-            person = self._person_distance(trials, held.body_poses, path, length)
+        if config.receiver == "body":
+            person = self._person_at_goal(trials, held, goal)
         shared, nearest = self._judge(
             held, None, active, goal.clearance_m, goal.reason, nearest, person, None
         )
-        region = presented(scene, held, config.thresholds)
-        body_m = None if person is None else person[0]
-        scores = pose_scores(trials.trial_id, shared, region, goal, nearest, body_m)
-        if _differentiates(T_obj_ee, T_world_ee):
-            poses = T_obj_ee, T_world_ee
-            return differentiable(scene, config, scores, poses, held, goal, nearest)
-        return scores
+        found = shared | pose_fields(presented(scene, held, config.thresholds), goal, nearest)
+        if person is not None:
+            found["body_m"] = person[0]
+        return JudgedPoses(held, goal, nearest, found)
+
+    def _person_at_goal(
+        self, trials: Trials, held: AttachedBatch, goal: Goal
+    ) -> tuple[Tensor, Tensor]:
+        path, length = goal.q[:, None], held.active.to(torch.int32)
+        return self._person_distance(trials, held.body_poses, path, length)
 
     def _judge(
         self,

@@ -1,6 +1,6 @@
-"""From the criteria side by side to a row's verdict: the first one that was evaluated and failed.
+"""From the criteria to a row's verdict, one after the other: the first one that was evaluated and failed.
 
-The kernel knows none of the criteria: a small table says how each is read, for any number of them.
+The kernels know none of the criteria: numbers say how each is read.
 """
 
 import warp as wp
@@ -28,28 +28,13 @@ def kind_of(number: float, cap: float) -> int:
 
 
 @wp.kernel
-def judge_rows(
-    first: int, borderline: float, invalid_input: int, invalid_sim: int,
+def open_verdict(
+    first: int, invalid_input: int, invalid_sim: int,
     simulated: int,  # 0: `valid` says nothing
     shaken: int,  # 0: `slip` says nothing
-    # the criteria in their order (C,)
-    touching_in: wp.array(dtype=wp.bool),  # whether a margin of 0 passes
-    partial_in: wp.array(dtype=wp.bool),  # whether rows without a number are not evaluated
-    below_in: wp.array(dtype=wp.bool),  # whether the margin is the limit less the number
-    evaluated_from_in: wp.array(dtype=int),  # row of `evaluated`
-    passed_from_in: wp.array(dtype=int),  # row of `passed`; -1: the margin says it
-    kind_from_in: wp.array(dtype=int),  # row of `kind`; -1: the number says it
-    cap_in: wp.array(dtype=float),  # a clearance counts up to here; 0: a length
-    limit_in: wp.array(dtype=float),
-    # criterion by criterion, row by row
-    number_in: wp.array2d(dtype=float),  # (C, B)
-    evaluated_in: wp.array2d(dtype=wp.bool),
-    passed_in: wp.array2d(dtype=wp.bool),
-    kind_in: wp.array2d(dtype=wp.int8),  # 0: the number says it after all
-    # rows
     active_in: wp.array(dtype=wp.bool), valid_in: wp.array(dtype=wp.bool), width_in: wp.array(dtype=float),
     opening_in: wp.array(dtype=float), shift_in: wp.array(dtype=float), slip_in: wp.array(dtype=float),
-    # out
+    # out, by the names of `Scores`; columns of criteria are left to `judge_criterion`
     outcome_out: wp.array(dtype=wp.int8), success_out: wp.array(dtype=wp.bool),
     passed_out: wp.array2d(dtype=wp.bool), evaluated_out: wp.array2d(dtype=wp.bool),
     margin_out: wp.array2d(dtype=float), margin_kind_out: wp.array2d(dtype=wp.int8),
@@ -57,53 +42,81 @@ def judge_rows(
     opening_m_out: wp.array(dtype=float), grasp_shift_m_out: wp.array(dtype=float),
     slip_m_out: wp.array(dtype=float),
 ):  # fmt: skip
-    """Outcome, the criteria's columns, whether a margin is within `borderline` of 0; lengths of rows that are active.
+    """Rows before their first criterion; lengths of those that are active.
 
-    A row that is not active is INVALID_INPUT, one whose simulation failed INVALID_SIM: nothing is evaluated there.
+    A row that is not active is INVALID_INPUT, one whose simulation failed INVALID_SIM.
     """
     row = first + wp.tid()
     active = active_in[row]
-    judged = simulated == 0 or valid_in[row]
     outcome = int(0)
-    near = bool(False)
-    for c in range(number_in.shape[0]):
-        number = number_in[c, row]
-        margin = number - limit_in[c]
-        if below_in[c]:
-            margin = limit_in[c] - number
-        asked = judged and evaluated_in[evaluated_from_in[c], row]
-        if partial_in[c] and wp.isnan(number):
-            asked = False
-        fine = margin > 0.0 or (margin == 0.0 and touching_in[c])
-        if passed_from_in[c] >= 0:
-            fine = passed_in[passed_from_in[c], row]
-        kind = int(0)
-        if kind_from_in[c] >= 0:
-            kind = int(kind_in[kind_from_in[c], row])
-        if kind == 0:
-            kind = kind_of(number, cap_in[c])
-        if not asked:
-            margin = wp.nan
-            fine = False
-            kind = 0
-        elif not fine and outcome == 0:
-            outcome = c + 1
-        near = near or wp.abs(margin) < borderline  # NaN is not
-        passed_out[row, c] = fine
-        evaluated_out[row, c] = asked
-        margin_out[row, c] = margin
-        margin_kind_out[row, c] = wp.int8(kind)
     if not active:
         outcome = invalid_input
-    elif not judged:
+    elif simulated != 0 and not valid_in[row]:
         outcome = invalid_sim
     outcome_out[row] = wp.int8(outcome)
     success_out[row] = outcome == 0
-    borderline_out[row] = near
+    borderline_out[row] = False
     width_m_out[row] = wp.where(active, width_in[row], wp.nan)
     opening_m_out[row] = wp.where(active, opening_in[row], wp.nan)
     grasp_shift_m_out[row] = wp.where(active, shift_in[row], wp.nan)
     slip_m_out[row] = wp.where(shaken != 0, slip_in[row], wp.nan)
+
+
+@wp.kernel
+def judge_criterion(
+    first: int, column: int, borderline: float,
+    simulated: int,  # 0: `valid` says nothing
+    touching: int,  # 1: a margin of 0 passes
+    partial: int,  # 1: rows without a number are not evaluated
+    below: int,  # 1: the margin is the limit less the number
+    limit: float,
+    cap: float,  # a clearance counts up to here; 0: a length
+    decided: int,  # 1: `passed` says whether it passes; 0: the margin
+    kind_from: int,  # 0: the number says the margin's kind, 1: `kind`, 2: `kind_of_code`
+    number_in: wp.array(dtype=float), evaluated_in: wp.array(dtype=wp.bool), passed_in: wp.array(dtype=wp.bool),
+    kind_in: wp.array(dtype=wp.int8),  # 0: the number says it after all; so in the table
+    code_in: wp.array(dtype=int), kind_of_code_in: wp.array(dtype=wp.int8),
+    valid_in: wp.array(dtype=wp.bool),
+    outcome_inout: wp.array(dtype=wp.int8), success_inout: wp.array(dtype=wp.bool),
+    borderline_inout: wp.array(dtype=wp.bool), passed_inout: wp.array2d(dtype=wp.bool),
+    evaluated_inout: wp.array2d(dtype=wp.bool), margin_inout: wp.array2d(dtype=float),
+    margin_kind_inout: wp.array2d(dtype=wp.int8),
+):  # fmt: skip
+    """One criterion's columns. The outcome is it where it was evaluated and failed, and no earlier one has.
+
+    Nothing is evaluated where the simulation failed. A margin within `borderline` of 0 makes a row borderline.
+    """
+    row = first + wp.tid()
+    number = number_in[row]
+    margin = number - limit
+    if below != 0:
+        margin = limit - number
+    asked = evaluated_in[row] and (simulated == 0 or valid_in[row])
+    if partial != 0 and wp.isnan(number):
+        asked = False
+    fine = margin > 0.0 or (margin == 0.0 and touching != 0)
+    if decided != 0:
+        fine = passed_in[row]
+    kind = int(0)
+    if kind_from == 1:
+        kind = int(kind_in[row])
+    elif kind_from == 2:
+        kind = int(kind_of_code_in[code_in[row]])
+    if kind == 0:
+        kind = kind_of(number, cap)
+    if not asked:
+        margin = wp.nan
+        fine = False
+        kind = 0
+    elif not fine and outcome_inout[row] == wp.int8(0):
+        outcome_inout[row] = wp.int8(column + 1)
+        success_inout[row] = False
+    if wp.abs(margin) < borderline:  # NaN is not
+        borderline_inout[row] = True
+    passed_inout[row, column] = fine
+    evaluated_inout[row, column] = asked
+    margin_inout[row, column] = margin
+    margin_kind_inout[row, column] = wp.int8(kind)
 
 
 @wp.kernel

@@ -3,13 +3,13 @@ arm and torso."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.base.launch import new_outputs, over_trials
-from r2h_batch.base.launch.repeated import made_once
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.judge.frontier.levels import uses_frontier
 from r2h_batch.judge.frontier.safe import SafeFrontier
@@ -229,8 +229,15 @@ def hand_distance_at(
         q=q,
     )
     distance, body = made["distance"], made["body"]
-    segment, fraction = made_once(torch.zeros_like, body), made_once(torch.zeros_like, distance)
-    return NearestApproach(distance, body, segment, fraction, made["point"], exact=True)
+    no_time = _no_time(len(active), active.device)
+    return NearestApproach(distance, body, *no_time, made["point"], exact=True)
+
+
+@lru_cache(maxsize=16)
+def _no_time(b: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Segment and fraction of postures."""
+    segment = torch.zeros(b, dtype=torch.int32, device=device)
+    return segment, torch.zeros(b, dtype=torch.float32, device=device)
 
 
 def nearer_of(

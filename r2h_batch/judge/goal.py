@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.base.launch import over_trials
-from r2h_batch.base.launch.repeated import made_once
 from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M
 from r2h_batch.judge.ik import ROTATION_LEVER_M, IkResult, SearchedIk, home_posture, ur_parameters
 from r2h_batch.kernels.ik import nearest as ik_nearest
@@ -76,7 +75,7 @@ def judge_goals(
         active: (B,) rows to judge.
     """
     active, device = active.contiguous(), active.device
-    postures = {"valid": branches.contiguous(), "q": made_once(torch.flatten, ik.q, 0, 1)}
+    postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
     chosen = over_trials(scene.sized(goal_kernels.choose_goal), len(active), scene.device)(
         world=body_poses.tables(scene),
         bodies=body_poses.bodies,

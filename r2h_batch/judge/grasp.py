@@ -2,6 +2,7 @@
 volume."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import torch
@@ -9,7 +10,6 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.base.launch import over_trials
-from r2h_batch.base.launch.repeated import made_once
 from r2h_batch.config import Thresholds
 from r2h_batch.kernels.grasp import region as region_kernels
 from r2h_batch.kernels.grasp import width as width_kernels
@@ -142,15 +142,16 @@ def open_clearance(
     Returns:
         (B,) m, negative: depth; (B,) row of `Robot.gripper`.
     """
-    opening = made_once(_open_gaps, tables, len(T_obj_ee))
+    opening = _open_gaps(tables.open_gap_m, len(T_obj_ee), tables.device)
     return _clearance(
         tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, known=known
     )
 
 
-def _open_gaps(tables: GraspTables, n: int) -> Float32[Tensor, " b"]:
+@lru_cache(maxsize=16)
+def _open_gaps(open_gap_m: float, n: int, device: str) -> Float32[Tensor, " b"]:
     """The gap of the open gripper, n times."""
-    return torch.full((n,), tables.open_gap_m, dtype=torch.float32, device=tables.device)
+    return torch.full((n,), open_gap_m, dtype=torch.float32, device=device)
 
 
 def open_is_clear(
@@ -169,7 +170,7 @@ def open_is_clear(
         object_index: (B,) int32.
         clearance_m: m.
     """
-    opening = made_once(_open_gaps, tables, len(T_obj_ee))
+    opening = _open_gaps(tables.open_gap_m, len(T_obj_ee), tables.device)
     cap, used = 1.5 * clearance_m, tables.every
     found = _clearance(tables, T_obj_ee, object_index, opening, 0, used, True, cap, clearance_m)[0]
     return found >= clearance_m

@@ -40,7 +40,9 @@ class Criterion:
     below: bool = False  # or, where the number has to stay below it, this less the number
     cap_m: float = 0.0  # the number is a clearance that counts up to here; 0: it is a length
     passed: Bool[Tensor, " b"] | None = None  # None: the margin says it
-    kind: Int8[Tensor, " b"] | None = None  # MarginKind; NONE, or None: number and cap say it
+    # MarginKind, or a code that `kind_of` gives one to; NONE, or None: number and cap say it
+    kind: Int8[Tensor, " b"] | Int32[Tensor, " b"] | None = None
+    kind_of: tuple[int, ...] = ()
 
     @property
     def margin(self) -> Float32[Tensor, " b"]:
@@ -113,13 +115,13 @@ def plan(e: Evidence) -> Criterion:
     not come to rest at its goal: no length says by how much. A path that was found passes, also
     where its clearance was only sampled.
     """
-    kinds = constants(e.reason.device, torch.int8, *KIND_OF_REASON)
     return Criterion(
         e.clearance_m,
         e.held.active,
         cap_m=CLEARANCE_CAP_M,
         passed=e.goal_reached,
-        kind=kinds[e.reason],
+        kind=e.reason,
+        kind_of=KIND_OF_REASON,
     )
 
 

@@ -1,7 +1,7 @@
 """From what the stages found to `Scores`: the criteria side by side, the first failure, the reasons
 and witnesses."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 
 import torch
@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
 from r2h_batch.base.launch import over_trials
-from r2h_batch.base.launch.arguments import packed_outputs
 from r2h_batch.config import BORDERLINE_M, ExecConfig
 from r2h_batch.judge.attach import ROWS_CHUNK, AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
@@ -37,74 +36,51 @@ def verdict(
     simulator failed; such a row is judged by nothing and is INVALID_SIM. A row that is not active
     is INVALID_INPUT.
     """
-    active, grasp = held.active, held.grasp
+    active, grasp, b = held.active, held.grasp, len(held.active)
+    device = str(active.device)
     sizes = dict.fromkeys(("passed", "evaluated", "margin", "margin_kind"), len(criteria))
-    found = packed_outputs(kernels.judge_rows, len(active), active.device, **sizes)
-    columns, rules = _columns(criteria, active)
-    over_trials(
-        kernels.judge_rows, len(active), str(active.device), outputs=found, chunk=ROWS_CHUNK
+    simulated = {"simulated": int(valid is not None), "valid": active if valid is None else valid}
+    found: dict[str, Tensor] = over_trials(
+        kernels.open_verdict, b, device, sizes=sizes, chunk=ROWS_CHUNK
     )(
-        borderline=BORDERLINE_M,
         invalid_input=int(Outcome.INVALID_INPUT),
         invalid_sim=int(Outcome.INVALID_SIM),
-        simulated=int(valid is not None),
         shaken=int(slip_m is not None),
-        **rules,
-        **columns,
         active=active,
-        valid=active if valid is None else valid,
         width=grasp.width_m,
         opening=grasp.opening_m,
         shift=grasp.shift_m,
         slip=grasp.width_m if slip_m is None else slip_m.float(),
+        **simulated,
     )
+    columns = {name: found[name] for name in ("outcome", "success", "borderline", *sizes)}
+    # where nothing is given nothing is read
+    fillers = {
+        "kind": constants(active.device, torch.int8, 0),
+        "code": constants(active.device, torch.int32, 0),
+    }
+    for column, (c, entry) in enumerate(zip(criteria, REGISTRY, strict=True)):
+        kind = {}
+        if c.kind is not None:
+            kind["code" if c.kind_of else "kind"] = c.kind.contiguous()
+        over_trials(kernels.judge_criterion, b, device, outputs=columns, chunk=ROWS_CHUNK)(
+            column=column,
+            borderline=BORDERLINE_M,
+            touching=int(entry.touching_passes),
+            partial=int(entry.splits != SPLITS),
+            below=int(c.below),
+            limit=c.limit_m,
+            cap=c.cap_m,
+            decided=int(c.passed is not None),
+            kind_from=0 if c.kind is None else 2 if c.kind_of else 1,
+            number=c.number.contiguous(),
+            evaluated=c.evaluated.contiguous(),
+            passed=active if c.passed is None else c.passed.contiguous(),
+            kind_of_code=constants(active.device, torch.int8, *(c.kind_of or (0,))),
+            **fillers | kind,
+            **simulated,
+        )
     return found
-
-
-def _columns(
-    criteria: Sequence[Criterion], active: Tensor
-) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Results of the criteria, side by side, and tables (C,) that say how the kernel reads it."""
-    own = {name: [getattr(c, name) for c in criteria] for name in ("evaluated", "passed", "kind")}
-    columns, places = {"number": torch.stack([c.number for c in criteria])}, {}
-    for name, given in own.items():
-        different = list({id(x): x for x in given if x is not None}.values())
-        ids = [id(x) for x in different]
-        places[f"{name}_from"] = [-1 if x is None else ids.index(id(x)) for x in given]
-        # where nothing is given nothing is read
-        filler = active.view(torch.int8) if name == "kind" else active
-        columns[name] = _side_by_side(different or [filler])
-    return columns, _rules(
-        active.device,
-        tuple(map(tuple, places.values())),
-        tuple((c.below, c.cap_m, c.limit_m) for c in criteria),
-    )
-
-
-def _side_by_side(rows: Sequence[Tensor]) -> Tensor:
-    return rows[0][None] if len(rows) == 1 else torch.stack(list(rows))
-
-
-@lru_cache(maxsize=256)
-def _rules(
-    device: torch.device,
-    places: tuple[tuple[int, ...], ...],
-    limits: tuple[tuple[bool, float, float], ...],
-) -> dict[str, Tensor]:
-    """The tables of `_columns`: what the registry says of each criterion, and what it says itself."""
-    below, cap, limit = zip(*limits, strict=True)
-    tables: dict[str, tuple[torch.dtype, Iterable[float]]] = {
-        "touching": (torch.bool, [e.touching_passes for e in REGISTRY]),
-        "partial": (torch.bool, [e.splits != SPLITS for e in REGISTRY]),
-        "below": (torch.bool, below),
-        "cap": (torch.float32, cap),
-        "limit": (torch.float32, limit),
-    }
-    tables |= {
-        f"{name}_from": (torch.int32, row)
-        for name, row in zip(("evaluated", "passed", "kind"), places, strict=True)
-    }
-    return {name: constants(device, dtype, *row) for name, (dtype, row) in tables.items()}
 
 
 def motion_scores(
@@ -161,19 +137,14 @@ def motion_scores(
     )
 
 
-def pose_scores(
-    trial_id: Int64[Tensor, " b"],
-    shared: dict[str, Tensor],
-    region: Presented,
-    goal: Goal,
-    nearest: NearestApproach,
-    body_m: Float32[Tensor, " b"] | None,
-) -> Scores:
-    """`Scores` of poses that were judged without a path; `shared` from `verdict`."""
+def pose_fields(region: Presented, goal: Goal, nearest: NearestApproach) -> dict[str, Tensor]:
+    """The fields of `Scores` of poses that were judged without a path, beside those of
+    `verdict`."""
     b, joints = goal.q.shape
-    device = goal.q.device
-    found = packed_outputs(kernels.pose_rows, b, device, witness_part=2, q_goal=joints)
-    over_trials(kernels.pose_rows, b, str(device), outputs=found, chunk=ROWS_CHUNK)(
+    sizes = {"witness_part": 2, "q_goal": joints}
+    found: dict[str, Tensor] = over_trials(
+        kernels.pose_rows, b, str(goal.q.device), sizes=sizes, chunk=ROWS_CHUNK
+    )(
         reason=goal.reason,
         pair=goal.pair,
         plan_body=goal.body,
@@ -184,9 +155,13 @@ def pose_scores(
         angle=region.angle_deg,
         distance=region.distance_m,
     )
-    if body_m is not None:
-        found["body_m"] = body_m
-    return Scores(trial_id=trial_id, **shared, **found, **_no_path(b, joints, device))
+    return found
+
+
+def pose_scores(trial_id: Int64[Tensor, " b"], found: dict[str, Tensor]) -> Scores:
+    """`Scores` of poses that were judged without a path; `found` from `verdict` and `pose_fields`."""
+    q = found["q_goal"]
+    return Scores(trial_id=trial_id, **found, **_no_path(*q.shape, q.device))
 
 
 @lru_cache(maxsize=16)

@@ -18,7 +18,6 @@ from r2h_batch.base import se3
 from r2h_batch.base.launch import init_warp, over_trials
 from r2h_batch.base.launch.arguments import struct_of
 from r2h_batch.base.launch.instances import Compiled, of_joints
-from r2h_batch.base.launch.repeated import made_once
 from r2h_batch.base.summary import counted, html_table
 from r2h_batch.base.validate import describe_value, instance_of, integer, optional, sequence_of
 from r2h_batch.base.validate_tensors import check_indices, check_tensor, checked_device
@@ -392,7 +391,7 @@ class Scene:
             opening=opening_m.contiguous(),
         )
         placed = (out[name] for name in PLACED)
-        return made_once(Scene._of_owners, self, objects, hands, *placed, T_world_hand, opening_m)
+        return self._of_owners(objects, hands, *placed, T_world_hand, opening_m)
 
     def reopened(
         self,

@@ -3,17 +3,22 @@
 import copy
 import pickle
 import threading
+from collections.abc import Callable
 from dataclasses import fields
+from typing import Any
 
 import pytest
 import torch
 from problems import default_evaluator, make_batch
+from torch import Tensor
 
-from r2h_batch.base.launch.repeated import RepeatedCalls, made_once
+from r2h_batch.base.launch.repeated import TRIES, RepeatedCalls
 from r2h_batch.evaluate import SMALL_ROWS, Evaluator
+from r2h_batch.judge.grasp import gripper_poses
+from r2h_batch.scene.robot import load_robot
 from r2h_batch.types import Scores
 
-N = 48
+N = 260
 
 
 def equal(a: Scores, b: Scores) -> bool:
@@ -36,7 +41,18 @@ def whole(poses) -> Scores:
 @pytest.mark.check
 def test_small_calls_of_any_order_and_size_have_the_bits_of_a_large_one(poses, whole):
     evaluator, kept = copy.copy(default_evaluator()), []
-    for first, rows in [(0, 1), (1, 1), (2, 1), (0, 16), (16, 16), (5, 1), (7, 3), (0, SMALL_ROWS), (30, 1), (40, 8)]:
+    for first, rows in [
+        (0, 1),
+        (1, 1),
+        (2, 1),
+        (0, 16),
+        (16, 16),
+        (5, 1),
+        (7, 3),
+        (0, SMALL_ROWS),
+        (30, 1),
+        (40, 8),
+    ] * 5:
         some = slice(first, first + rows)
         kept.append((some, evaluator.score(*(x[some] for x in poses), stages="pose")))
     for some, scores in kept:  # after all calls: no later one has written into an earlier result
@@ -109,17 +125,54 @@ def test_inputs_that_are_wrong_are_refused_after_ones_that_were_right(poses):
         evaluator.score(gone, T_world_ee, trials, stages="pose")
 
 
-def test_a_thing_is_made_once_of_the_same_objects_and_anew_of_others():
-    calls, made, thing, other = RepeatedCalls(1), [], object(), object()
+def calls_of(function: Callable[..., Any], count: int) -> tuple[int, list[Any], list[Any]]:
+    """How often `RepeatedCalls` called a function for that many inputs, what it returned, and what the function
+    returns."""
+    calls, ran, found, direct = RepeatedCalls(1), [], [], []
 
-    def make(of: object) -> object:
-        made.append(of)
-        return object()
+    def counted(x: Tensor) -> Any:
+        ran.append(x)
+        return function(x)
 
-    def call(of: object) -> object:
-        with calls.of(1):
-            return made_once(make, of)
+    for i in range(count):
+        x = torch.linspace(0.004 * i, 0.004 * i + 0.02, 5)
+        found.append([y.clone() for y in calls(counted, x)])
+        direct.append(list(function(x)))
+    return len(ran), found, direct
 
-    first = call(thing)
-    assert call(thing) is first and call(other) is not first
-    assert made == [thing, other] and made_once(make, thing) is not first
+
+def same(a: list[Any], b: list[Any]) -> bool:
+    return all(torch.equal(x, y) for xs, ys in zip(a, b, strict=True) for x, y in zip(xs, ys, strict=True))
+
+
+def test_launches_alone_run_without_their_function_and_follow_the_inputs():
+    robot = load_robot("ur5e_2f85")
+    ran, found, direct = calls_of(lambda x: gripper_poses(robot, x), 12)
+    assert same(found, direct) and 2 <= ran <= TRIES
+    assert not torch.equal(found[-1][1], found[-2][1])
+
+
+def test_what_a_recording_would_not_repeat_runs_as_it_is_written():
+    robot, count = load_robot("ur5e_2f85"), iter(range(100))
+    tables = [torch.full((5,), 0.01 * i) for i in range(100)]
+    for function in (
+        lambda x: gripper_poses(robot, x + 0.01),  # torch before a launch
+        lambda x: [x.mul(2.0), *gripper_poses(robot, x)],  # and beside one
+        lambda x: [*gripper_poses(robot, x), *gripper_poses(robot, tables[0][:4])],  # other rows too
+        lambda x: gripper_poses(robot, x[1:]),  # a part of an input
+    ):
+        ran, found, direct = calls_of(function, 8)
+        assert same(found, direct) and ran == 8
+    calls = RepeatedCalls(1)
+    for _ in range(8):  # another object each time
+        table = tables[next(count)]
+        R, _ = calls(lambda x, of=table: gripper_poses(robot, of), torch.zeros(5))
+        assert torch.equal(R, gripper_poses(robot, table)[0])
+
+
+def test_rows_of_a_recorded_call_are_shared_among_threads(poses, whole):
+    evaluator = copy.copy(default_evaluator())
+    evaluator.threads = 3
+    for rows in (64, 200):
+        for _ in range(6):
+            assert equal(evaluator.score(*(x[:rows] for x in poses), stages="pose"), whole[:rows])

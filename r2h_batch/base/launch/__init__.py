@@ -15,7 +15,7 @@ import warp as wp
 
 from r2h_batch.base.launch import cached, repeated
 from r2h_batch.base.launch.arguments import bind, new_outputs, written_shapes
-from r2h_batch.base.launch.threads import cpu_threads, share, thread_pool
+from r2h_batch.base.launch.threads import CHUNK, cpu_threads, share, thread_pool
 
 __all__ = [
     "BLOCK_DIM",
@@ -41,10 +41,6 @@ BLOCK_DIM = 64
 UNEVEN_BLOCK_DIM = 32
 """The same of kernels whose trials differ a hundredfold: a block keeps its registers until its last
 thread ends."""
-
-CHUNK = 32
-"""Batches of at most so many trials are computed by the calling thread alone, unless a kernel's
-caller says otherwise."""
 
 
 def init_warp() -> None:
@@ -168,7 +164,7 @@ def over_trials(
         n: number of trials.
         device: where it runs.
         outputs: what it writes to, by name; what is left out is new memory (`new_outputs`), in a
-            small call memory that the next one overwrites (`repeated.RepeatedCalls`).
+            recorded call memory of the recording (`repeated.RepeatedCalls`).
         sizes: of new memory with further dimensions.
         options: of `launch_trials`.
 
@@ -177,10 +173,11 @@ def over_trials(
     """
 
     def run(**inputs: Any) -> Any:
-        small = repeated.current()
-        if small is not None and n == small.rows and device == "cpu":
+        recording = repeated.current()
+        if recording is not None and n == recording.rows and device == "cpu":
             _room_for(kernel.module)
-            return small.launch(kernel, inputs, outputs, sizes or {}, options.get("width", 1))
+            width = options.get("width", 1)
+            return recording.launch(kernel, inputs, outputs or {}, sizes or {}, width)
         given = outputs or {}
         made = {
             name: new(shape, dtype=dtype, device=device)
@@ -206,6 +203,7 @@ def _launch_on_cpu(
     """`launch_trials` on all cores, with what this thread packed for the kernel before
     (cached.py)."""
     cached.refuse_graph(kernel.key)
+    repeated.refuse()
     packed = cached.taken(kernel)
     if packed is None or not packed.refill(inputs, outputs, first + n):
         args = [first, *bind(kernel, inputs, outputs, "cpu", trials=first + n)]
@@ -251,6 +249,7 @@ def launch(
 ) -> None:
     """Runs a kernel that has no parameter `first` once, on Warp's own stream; arguments as in
     `launch_trials`."""
+    repeated.refuse()
     _room_for(kernel.module)
     wp.launch(kernel, dim=dim, inputs=bind(kernel, inputs, outputs, device), device=device)
 

@@ -20,7 +20,7 @@ import ctypes
 import difflib
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from math import prod
 from typing import Any, NamedTuple
 
@@ -167,34 +167,6 @@ def new_outputs(
         name: new(shape, dtype=dtype, device=device)
         for name, new, shape, dtype in written_shapes(kernel, n, sizes)
     }
-
-
-def packed_outputs(kernel: Any, n: int, device: torch.device, **sizes: int) -> dict[str, Tensor]:
-    """As `new_outputs`, for kernels that write every number of theirs: side by side in a few pieces
-    of memory, without numbers yet."""
-    out: dict[str, Tensor] = {}
-    for dtype, names, lengths, shapes in _pieces(kernel, n, tuple(sizes.items())):
-        piece = torch.empty(sum(lengths), dtype=dtype, device=device)
-        for name, part, shape in zip(
-            names, torch.split_with_sizes(piece, lengths), shapes, strict=True
-        ):
-            out[name] = part if shape is None else part.view(shape)
-    return out
-
-
-@lru_cache(maxsize=256)
-def _pieces(
-    kernel: Any, n: int, sizes: tuple[tuple[str, int], ...]
-) -> list[tuple[torch.dtype, list[str], list[int], list[tuple[int, ...] | None]]]:
-    """For each type of numbers its arrays' names, how many numbers each has, and its shape where
-    that is not one dimension."""
-    by_type: dict[torch.dtype, tuple[list[str], list[int], list[tuple[int, ...] | None]]] = {}
-    for name, _, shape, dtype in written_shapes(kernel, n, dict(sizes)):
-        names, lengths, shapes = by_type.setdefault(dtype, ([], [], []))
-        names.append(name)
-        lengths.append(prod(shape))
-        shapes.append(None if len(shape) == 1 else shape)
-    return [(dtype, *lists) for dtype, lists in by_type.items()]
 
 
 def written_shapes(

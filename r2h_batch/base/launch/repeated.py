@@ -1,255 +1,251 @@
-"""Small calls that come back: the memory and the packed launches of the last call of that size are
-used again.
+"""Small calls that come back: their launches are recorded once, and run again without the code between
+them.
 
 A call of one row is mostly the way from kernel to kernel: memory is asked for, arguments are packed,
-tables are looked up. Inside `RepeatedCalls` the k-th launch of a call is compared with the k-th of
-the call before. Where all arguments are the same objects, it runs as it stands; what differs is
-packed anew. Stages are written as if nothing were kept: torch may work between the launches, and a
-call that goes another way packs its launches from there on.
+tables are looked up. A function that does nothing but launch kernels over its rows does the same each
+time, so `RepeatedCalls` keeps what it launched, and the memory that was written. Only the addresses of
+the inputs differ from call to call.
+
+Nobody has to say which functions these are. A recording is refused where torch computes, where a
+kernel runs over anything but the rows, or where an argument is neither memory of the recording nor
+an input nor the same object as in the recording before. Such functions run as they are written.
 """
 
 import ctypes
 import threading
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import compress
-from operator import is_
-from typing import Any, cast
+from math import prod
+from typing import Any
 
 import torch
 import warp as wp
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from r2h_batch.base.launch import cached
-from r2h_batch.base.launch.arguments import TensorLayoutGuard, bind, parameters, written_shapes
+from r2h_batch.base.launch.arguments import bind, parameters, written_shapes
+from r2h_batch.base.launch.threads import CHUNK, cpu_threads, share
 
-CHUNK_BYTES, ALIGNMENT = 1 << 13, 64
-"""Working memory of a row is taken in pieces of CHUNK_BYTES, and starts at multiples of
-ALIGNMENT."""
+PIECE_BYTES, ALIGNMENT = 1 << 13, 64
+"""Working memory is taken in pieces of PIECE_BYTES a row, and starts at multiples of ALIGNMENT."""
+
+TRIES = 4
+"""So many calls of a size are recorded until two in a row are the same; then none is any more."""
+
+FREE, SHARE = 16, 16
+"""A thread records FREE calls and a SHARE-th of all: where sizes change all the time recording would
+cost more than it saves."""
 
 
 class RepeatedCalls:
-    """Memory and launches of an evaluator's small calls, for each thread and number of rows.
-
-    What launches return inside is overwritten by the next call of that thread: a result that
-    somebody keeps is written to `outputs` of its own.
-    """
+    """Recordings of one function, for each thread and number of rows."""
 
     def __init__(self, sizes: int) -> None:
-        """`sizes`: numbers of rows of which a thread keeps a call."""
+        """`sizes`: numbers of rows of which a thread keeps a recording."""
         self._sizes = sizes
         self._of_thread = threading.local()
 
-    @contextmanager
-    def of(self, rows: int) -> Iterator[None]:
-        """Around a call of so many rows."""
-        kept = cast(dict[int, RepeatedCall], self._of_thread.__dict__)
+    def __call__(self, function: Callable[..., Any], *inputs: Tensor) -> Any:
+        """The function's result for contiguous tensors on the CPU with the same number of rows;
+        the next call of this thread overwrites it."""
+        cached.refuse_graph("a small call")
+        thread = self._of_thread.__dict__.setdefault("calls", _Calls())
+        return thread.call(function, inputs, self._sizes)
+
+
+class _Calls:
+    """The calls of one thread."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[int, int], _Size] = {}
+        self._calls = self._recorded = 0
+
+    def call(self, function: Callable[..., Any], inputs: tuple[Tensor, ...], sizes: int) -> Any:
+        key = len(inputs[0]), len(inputs)
         # its own until it is put back: a signal's handler may score meanwhile, and an interrupt
         # loses it
-        call = kept.pop(rows, None) or RepeatedCall(rows)
-        before, _of_thread.call = _of_thread.call, call
-        try:
-            call.begin()
-            yield
-        finally:
-            _of_thread.call = before
-        if call.strayed:
-            return
-        kept[rows] = call
-        while len(kept) > self._sizes:
-            del kept[next(iter(kept))]  # the one that was not used for longest
+        size = self._kept.pop(key, None) or _Size()
+        self._calls += 1
+        if size.last is not None and size.last.repeats:
+            found = size.last.run(inputs)
+        elif size.left and self._recorded < FREE + self._calls // SHARE:
+            self._recorded += 1
+            found = size.record(function, inputs)
+        else:
+            found = function(*inputs)
+        self._kept[key] = size
+        while len(self._kept) > sizes:
+            del self._kept[next(iter(self._kept))]  # the one that was not used for longest
+        return found
+
+
+class _Size:
+    """Calls with one number of rows."""
+
+    def __init__(self) -> None:
+        self.last: Recording | None = None
+        self.left = TRIES
+
+    def record(self, function: Callable[..., Any], inputs: tuple[Tensor, ...]) -> Any:
+        """The function's result, with its launches recorded."""
+        self.left -= 1
+        new = Recording(inputs)
+        with new.listening():
+            new.result = function(*inputs)
+        new.repeats = self.last is not None and self.last.same_as(new)
+        self.last = None if new.refused else new
+        return new.result
 
 
 class _OfThread(threading.local):
-    call: "RepeatedCall | None" = None
+    recording: "Recording | None" = None
 
 
 _of_thread = _OfThread()
 
 
-def current() -> "RepeatedCall | None":
-    """The small call that this thread is in."""
-    return _of_thread.call
+def current() -> "Recording | None":
+    """The recording that this thread makes."""
+    return _of_thread.recording
 
 
-def made_once(make: Callable[..., Any], *arguments: Any) -> Any:
-    """`make(*arguments)`; in a repeated call what it made before of the same objects."""
-    call = _of_thread.call
-    return make(*arguments) if call is None else call.value(make, arguments)
+def refuse() -> None:
+    """Something happens that a recording would not repeat."""
+    if _of_thread.recording is not None:
+        _of_thread.recording.refused = True
 
 
-class RepeatedCall:
-    """The launches of one call of `rows` rows, in order, and the memory that they write."""
+class Recording:
+    """The launches of one call in order, and the memory that they write."""
 
-    def __init__(self, rows: int) -> None:
-        self.rows = rows
-        self.strayed = False  # went another way than the call before: its memory would pile up
-        self._sites: list[_Launch | _Value] = []
-        self._place = 0
+    def __init__(self, inputs: Sequence[Tensor]) -> None:
+        self.rows = len(inputs[0])
+        self.refused = False
+        self.repeats = False  # the call before went the same way
+        self.result: Any = None
+        self._spans = [(x.data_ptr(), x.data_ptr() + x.nbytes) for x in inputs]
         self._memory: list[Tensor] = []
         self._used = 0  # bytes of the last piece
-        self._own: dict[int, Tensor] = {}  # tensors of this memory, by id
+        self._launches: list[tuple[cached.CachedLaunch, int]] = []
+        self._given: list[tuple[Any, int]] = []  # descriptors of inputs, and of which
+        self._way: list[tuple[Any, ...]] = []  # kernels, and what their arguments are
+        self._objects: list[Any] = []  # arguments that stay, kept alive
+        self._alone: list[tuple[Any, Any, Any]] = []  # the launches as one thread makes them
 
-    def begin(self) -> None:
-        """Before its first launch: outputs that a kernel leaves out are zeros, as in new memory."""
-        cached.refuse_graph("a small call")
-        self._place = 0
-        for piece in self._memory:
-            piece.zero_()
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Around the call: launches go through `launch`, and torch's work is noticed."""
+        before, _of_thread.recording = _of_thread.recording, self
+        try:
+            with _TorchWork():  # type: ignore[no-untyped-call]
+                yield
+        finally:
+            _of_thread.recording = before
+        self._alone = [
+            (x.forward, x.bounds(self.rows, width), ctypes.byref(x.arguments))
+            for x, width in self._launches
+        ]
+
+    def same_as(self, other: "Recording") -> bool:
+        """Whether both went the same way; only inputs and memory may differ."""
+        return not (self.refused or other.refused) and self._way == other._way
 
     def launch(
         self,
         kernel: Any,
         inputs: Mapping[str, Any],
-        outputs: Mapping[str, Any] | None,
+        outputs: Mapping[str, Any],
         sizes: Mapping[str, int | tuple[int, ...]],
         width: int,
     ) -> dict[str, Any]:
         """Runs a kernel over all rows on this thread; what it wrote to."""
-        site = self._next()
-        if not (isinstance(site, _Launch) and site.fits(kernel, sizes, width, outputs)):
-            made = {
-                name: self._take(shape, dtype)
-                for name, _, shape, dtype in written_shapes(kernel, self.rows, sizes, outputs or ())
-            }
-            site = self._put(_Launch(kernel, sizes, width, made, outputs))
-        return site.run(inputs, outputs, self.rows, self._own)
-
-    def value(self, make: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        """As `made_once`."""
-        site = self._next()
-        if not (isinstance(site, _Value) and site.fits(make, arguments)):
-            own = all(id(x) in self._own for x in arguments if isinstance(x, Tensor))
-            site = self._put(_Value(make, arguments, own))
-            if own and isinstance(site.value, Tensor):
-                self._own[id(site.value)] = site.value
-        return site.value
-
-    def _next(self) -> "_Launch | _Value | None":
-        place = self._place
-        self._place = place + 1
-        return self._sites[place] if place < len(self._sites) else None
-
-    def _put(self, site: Any) -> Any:
-        if self._place <= len(self._sites):
-            self.strayed = True
-            del self._sites[self._place - 1 :]
-        self._sites.append(site)
-        return site
-
-    def _take(self, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
-        """Zeros that this call keeps."""
-        needed = dtype.itemsize
-        for n in shape:
-            needed *= n
-        if not self._memory or self._used + needed > len(self._memory[-1]):
-            piece = max(needed, CHUNK_BYTES * self.rows)
-            with torch.inference_mode(False):  # or it could not be written outside of that mode
-                self._memory.append(torch.zeros(piece, dtype=torch.uint8, device="cpu"))
-            self._used = 0
-        with torch.inference_mode(False):
-            part = self._memory[-1][self._used : self._used + needed].view(dtype).view(shape)
-        self._used += -(-needed // ALIGNMENT) * ALIGNMENT
-        self._own[id(part)] = part
-        return part
-
-
-class _Value:
-    """A result of `made_once`; `own`: no memory among them moves."""
-
-    def __init__(self, make: Callable[..., Any], arguments: tuple[Any, ...], own: bool) -> None:
-        self._make, self._arguments, self._own = make, arguments, own
-        self.value = make(*arguments)
-
-    def fits(self, make: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
-        return (
-            self._own
-            and make is self._make
-            and len(arguments) == len(self._arguments)
-            and all(map(is_, arguments, self._arguments))
-        )
-
-
-class _Launch:
-    """A kernel with its arguments, packed as the compiled function takes them. Arguments that the
-    call keeps (its own memory, tables, numbers) are compared as objects; the memory of other tensors
-    may move, and their addresses are written each time."""
-
-    def __init__(
-        self,
-        kernel: Any,
-        sizes: Mapping[str, Any],
-        width: int,
-        made: dict[str, Tensor],
-        outputs: Mapping[str, Any] | None,
-    ) -> None:
-        self._kernel, self._sizes, self._width, self._made = kernel, sizes, width, made
-        self._given = () if outputs is None else tuple(outputs)
-        self._names: tuple[str, ...] = ()
-        self._packed: cached.CachedLaunch | None = None
-
-    def fits(
-        self, kernel: Any, sizes: Mapping[str, Any], width: int, outputs: Mapping[str, Any] | None
-    ) -> bool:
-        given = () if outputs is None else tuple(outputs)
-        same = kernel is self._kernel and width == self._width and given == self._given
-        return same and sizes == self._sizes
-
-    def run(
-        self,
-        inputs: Mapping[str, Any],
-        outputs: Mapping[str, Any] | None,
-        rows: int,
-        own: Container[int],
-    ) -> dict[str, Any]:
-        written = self._made if outputs is None else {**self._made, **outputs}
-        names, values = (*inputs, *written), (*inputs.values(), *written.values())
-        if names != self._names or not self._refill(values):
-            self._pack(inputs, written, rows, own)
-            if self._packed is None:  # another Warp
-                return written
-            self._names = names
-        self._forward(self._bounds, self._arguments)
+        written = {
+            name: self._take(shape, dtype)
+            for name, _, shape, dtype in written_shapes(kernel, self.rows, sizes, outputs)
+        }
+        written.update(outputs)
+        args = [0, *bind(kernel, inputs, written, "cpu", trials=self.rows)]
+        packed = cached.pack(kernel, args, inputs, written)
+        if packed is None:  # another Warp
+            self.refused = True
+            dim = (self.rows, width) if width > 1 else self.rows
+            wp.launch(kernel, dim=dim, inputs=args, device="cpu")
+            return written
+        places = []
+        for p in parameters(kernel):
+            place = self._place((written if p.written else inputs)[p.name])
+            places.append(place)
+            if place[0] == "input":
+                self._given.append((getattr(packed.arguments, p.label), place[1]))
+        self._way.append((kernel, width, *places))
+        self._launches.append((packed, width))
+        packed.run(0, 0, self.rows, width)
         return written
 
-    def _pack(
-        self, inputs: Mapping[str, Any], written: Mapping[str, Any], rows: int, own: Container[int]
-    ) -> None:
-        args = [0, *bind(self._kernel, inputs, written, "cpu", trials=rows)]
-        self._packed = packed = cached.pack(self._kernel, args, inputs, written)
-        if packed is None:
-            dim = (rows, self._width) if self._width > 1 else rows
-            wp.launch(self._kernel, dim=dim, inputs=args, device="cpu")
-            return
-        values = (*inputs.values(), *written.values())
-        moves = [isinstance(x, Tensor) and id(x) not in own for x in values]
-        self._stay = [not x for x in moves]
-        self._kept = tuple(compress(values, self._stay))
-        self._moves, moving = moves, list(compress(values, moves))
-        self._alike = TensorLayoutGuard(moving) if moving else None
-        # an input and an output may have one name
-        labels = {(p.name, p.written): p.label for p in parameters(self._kernel)}
-        label = [labels[name, False] for name in inputs] + [labels[name, True] for name in written]
-        self._descriptors = [getattr(packed.arguments, x) for x in compress(label, moves)]
-        self._forward, packed.arguments.first = packed.forward, 0
-        self._bounds = packed.bounds(rows, self._width)
-        self._arguments = ctypes.byref(packed.arguments)
+    def run(self, inputs: Sequence[Tensor]) -> Any:
+        """The same launches for other inputs: what the call returned, with their numbers."""
+        for piece in self._memory:  # outputs that a kernel leaves out are zeros, as in new memory
+            piece.zero_()
+        for descriptor, i in self._given:
+            descriptor.data = inputs[i].data_ptr()
+        workers = min(cpu_threads(), -(-self.rows // CHUNK))
+        if workers > 1:
+            for packed, _ in self._launches:
+                packed.prepare(workers)
+            share(self._piece, 0, self.rows, workers, None)
+        else:
+            for forward, bounds, arguments in self._alone:
+                forward(bounds, arguments)
+        return self.result
 
-    def _refill(self, values: tuple[Any, ...]) -> bool:
-        """Whether the packed arguments now stand for these values."""
-        staying = values if self._alike is None else tuple(compress(values, self._stay))
-        if not all(map(is_, staying, self._kept)) and not all(map(_same, staying, self._kept)):
-            return False
-        if self._alike is None:
-            return True
-        moving = list(compress(values, self._moves))
-        if not self._alike(moving):
-            return False
-        for descriptor, value in zip(self._descriptors, moving):
-            descriptor.data = value.data_ptr()
-        return True
+    def _piece(self, worker: int, first: int, rows: int) -> None:
+        for packed, width in self._launches:
+            packed.run(worker, first, rows, width)
+
+    def _take(self, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+        """Zeros that this recording keeps."""
+        needed = dtype.itemsize * prod(shape)
+        refused = self.refused  # it is not the call that works here
+        with torch.inference_mode(False):  # or it could not be written outside of that mode
+            if not self._memory or self._used + needed > len(self._memory[-1]):
+                piece = max(needed, PIECE_BYTES * self.rows)
+                self._memory.append(torch.zeros(piece, dtype=torch.uint8, device="cpu"))
+                self._used = 0
+            part = self._memory[-1][self._used : self._used + needed].view(dtype).view(shape)
+        self.refused = refused
+        self._used += -(-needed // ALIGNMENT) * ALIGNMENT
+        return part
+
+    def _place(self, value: Any) -> tuple[Any, ...]:
+        """The kind of an argument: this recording's memory, an input, a number, or an object that
+        stays."""
+        if isinstance(value, Tensor):
+            start = value.data_ptr()
+            for i, piece in enumerate(self._memory):
+                if 0 <= start - piece.data_ptr() < len(piece):
+                    return "own", i, start - piece.data_ptr(), value.shape
+            of = [i for i, (low, high) in enumerate(self._spans) if low <= start < high]
+            if of:
+                # the kernel takes a part of an input, or inputs overlap
+                self.refused |= len(of) > 1 or start != self._spans[of[0]][0]
+                return "input", of[0]
+        elif isinstance(value, (int, float)):
+            return type(value), value
+        elif isinstance(tensors := getattr(value, "tensors", None), dict):  # of `struct_of`
+            places = [self._place(x) for x in tensors.values()]
+            self.refused |= any(place[0] == "input" for place in places)
+            return type(value), *places
+        self._objects.append(value)
+        return "object", id(value)
 
 
-def _same(a: object, b: object) -> bool:
-    """The same object, or the same whole number: Python makes larger ones anew each time."""
-    return a is b or (type(a) is int and type(b) is int and a == b)
+class _TorchWork(TorchDispatchMode):  # type: ignore[no-untyped-call]
+    """Notices what torch computes; views of memory are none."""
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        if not func.is_view:
+            refuse()
+        return func(*args, **(kwargs or {}))

@@ -23,6 +23,10 @@ import torch
 
 from r2h_batch.base.validate import integer
 
+CHUNK = 32
+"""Batches of at most so many trials are computed by the calling thread alone, unless a kernel's
+caller says otherwise."""
+
 _threads: ContextVar[int | None] = ContextVar("threads", default=None)
 
 
