@@ -23,7 +23,7 @@ OPEN_GAP_M = 0.085
 
 CLOSED_GAP_M = 0.0015112
 """Gap between the pads of the closed gripper, whose linkage is at its stop
-(`bodies.robot.gap_from_drive(drive_upper)`)."""
+(`scene.robot.gap_from_drive(drive_upper)`)."""
 
 BALL_OFFSET_M = 0.12
 """d_h: distance from the palm to the centre of the ball that an object must meet to be in reach."""
@@ -224,8 +224,9 @@ class ExecConfig(_Checked):
 
     Attributes:
         scale: that fraction; MoveIt 2's default is 0.1.
-        max_velocity_rad_s: velocity limit of the joints, rad/s.
-        max_acceleration_rad_s2: acceleration limit of the joints, rad/s^2.
+        max_velocity_rad_s: velocity limit of the slowest joint, rad/s; others move up to their own. The default, pi,
+            means the robot's own limit.
+        max_acceleration_rad_s2: acceleration limit of every joint, rad/s^2; robots have no own one.
         sim: engine that moves the arm. auto: mujoco on a CPU, mjwarp on CUDA; none: the planned motion.
         model: the whole scene; the arm with a rigid gripper and no contacts; auto: the arm, and
             again the whole scene where a contact is not ruled out (docs/motion.md).

@@ -31,7 +31,7 @@ def servo_command(
     law: Law, path: wp.array3d(dtype=float), time: wp.array2d(dtype=float), length: wp.array(dtype=int),
     trial: int, t: wp.float64,
 ):  # fmt: skip
-    """q_ref + qd_ref kv / kp at time t of a trial's path (r2h_batch.judge.motion.execute.time_path, in float64)."""
+    """q_ref + qd_ref kv / kp at time t of a trial's path (judge/motion/time_law.py, in float64)."""
     n = length[trial]
     out = vecqd()
     # the segment that t falls into; the last one from there on

@@ -51,7 +51,7 @@ def peak_speed(distance: wp.Float, speed: wp.Float, acceleration: wp.Float):
 
 @wp.func
 def duration(distance: wp.Float, speed: wp.Float, acceleration: wp.Float):
-    """Time (s) over a distance (rad), 0 for none. r2h_batch.judge.motion.execute has the same law in torch."""
+    """Time (s) over a distance (rad), 0 for none. judge/motion/time_law.py has the same law in torch."""
     v = peak_speed(distance, speed, acceleration)
     t = v / acceleration
     if v > type(v)(0.0):

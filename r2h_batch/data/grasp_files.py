@@ -8,7 +8,7 @@
 | .yaml | isaac_grasp 1.0 (Isaac Sim; GraspGen's predictions): position, orientation, confidence | GRIPPER's |
 | .json | GraspGen's data set (Murali et al. 2025): grasps/transforms, object_in_gripper | GRIPPER's |
 | .npy, N x 4 x 4 | poses of a gripper, as any generator can write them | GRIPPER's |
-| .npz | our own (`bodies.grasp_set`) | ee |
+| .npz | our own (`scene.grasp_set`) | ee |
 
 A gripper's frame becomes ours by `T_obj_ee = T_obj_gripper @ T_gripper_ee`, which turns its closing
 axis to our y, its approach to our z, and puts our fingertips where its are: our pads' centre is 18.75

@@ -1,6 +1,6 @@
 """A hand set out of a data set: one receiving frame of every sequence, the whole motions beside it.
 
-hands.npz holds H hands, right ones first, as `bodies.hand.load_hand_set(path)` reads them, and what
+hands.npz holds H hands, right ones first, as `scene.hand.load_hand_set(path)` reads them, and what
 is known of each:
 
     pose (H, 48)           full turns about the flat hand; the wrist's own turn is 0: trials turn the

@@ -91,7 +91,7 @@ def hand_arrays(
     *,
     negate_left_shape: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """Arrays in the format of `hand.npz`, which `bodies.hand.load_hand(path)` reads, with
+    """Arrays in the format of `hand.npz`, which `scene.hand.load_hand(path)` reads, with
     `wrist_rest`, `wrist_shape`."""
     if right is None and left is None:
         raise FileError("no hand model: give MANO_RIGHT.pkl, MANO_LEFT.pkl or both")

@@ -4,7 +4,9 @@ shortcuts, clearance.
 Every path keeps the robot's joint limits (`Robot.lower`, `.upper`): home and goals lie within them
 (judge/ik.py), the search draws postures within them (kernels/plan/rrt.py), and all else are straight
 lines between such postures. Speed and acceleration: judge/motion/time_law.py times the path. A
-motion that a caller gives is tested against angles and speeds in judge/trace.py (`plan_of_trace`).
+motion that a caller gives is tested against angles and speeds in judge/trace.py (`plan_of_trace`),
+a posture of a closed loop in closed_loop/env.py. Torque limits hold in simulated motion alone
+(`actfrcrange` of scene/dynamics.py).
 """
 
 from dataclasses import dataclass

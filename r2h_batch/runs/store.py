@@ -8,7 +8,7 @@
     quarantine/METHOD/000017.json      a shard that failed three times, and its errors
     .claims/METHOD-000017              who works on a shard, and how many processes died at it
 
-Folders of format 3 are read by `runs.format3`.
+Folders of format 3 are read by `runs/format3.py`.
 """
 
 import csv

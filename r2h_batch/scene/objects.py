@@ -106,7 +106,7 @@ class ObjectModel:
     roles: Mapping[str, str] | None = None
     """part -> function, grasp or wrap, where a benchmark says so (`methods.part_roles`)"""
     words: Thing | None = None
-    """how people ask for it, where a benchmark says so (`receiver.instructions`)"""
+    """how people ask for it, where a benchmark says so (`trials.holding.instructions`)"""
     repair: Repair | None = None
     """what was done to a user's mesh, and what came of it"""
     receiver_boxes: NDArray[np.float64] | None = None

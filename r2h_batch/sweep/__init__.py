@@ -1,2 +1,3 @@
-"""Joins the two towers: trials, methods, verdicts, stored rows, and rows judged again.
-`python -m r2h_batch.sweep --help`."""
+"""Commands that make and read runs: sweep, results, studies, submissions.
+
+A sweep joins trials, methods, the evaluator and the run folder. `python -m r2h_batch.sweep --help`."""

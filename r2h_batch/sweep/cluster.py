@@ -25,9 +25,9 @@ from r2h_batch.runs.header import Shard, differing
 from r2h_batch.runs.writing import TRIES, ShardWriter
 from r2h_batch.sweep import jobs as sweep_jobs
 from r2h_batch.sweep.answers import AnswerError
-from r2h_batch.sweep.engine import Scoring, Stopped, progress, score_shard, warm_up
 from r2h_batch.sweep.jobs import Setting
 from r2h_batch.sweep.request import Request
+from r2h_batch.sweep.scoring import Scoring, Stopped, progress, score_shard, warm_up
 
 STARTS = 5
 """Actors that may die one after the other before their first shard; then the cluster is given
@@ -263,7 +263,7 @@ def _on_cluster(ray: Any, work: Scoring, request: Request, todo: "deque[Task]") 
         pool = Pool(ray, partial(remote.remote, sweep_jobs.set_up, on_node), head.check)
         try:
             total = sum(s.last - s.first for _, s in todo)
-            with progress("all methods", total, log=work.log) as advance:
+            with progress("all methods", total, file=work.progress) as advance:
                 return _feed(pool, size, todo, work, advance)
         finally:
             if not head.lost:

@@ -19,8 +19,8 @@ from r2h_batch.sweep.options import Options, UsageError, parse
 if TYPE_CHECKING:
     from r2h_batch.base.loggers import LoggerName
     from r2h_batch.runs.store import Run
-    from r2h_batch.sweep.engine import Scoring
     from r2h_batch.sweep.request import Request, Storage
+    from r2h_batch.sweep.scoring import Scoring
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.sweep") -> int:
@@ -129,8 +129,8 @@ def _run(
     from r2h_batch.runs.writing import open_run
     from r2h_batch.sweep import jobs as sweep_jobs
     from r2h_batch.sweep.cluster import ClusterError, reach
-    from r2h_batch.sweep.engine import Log, Scoring, Stopped, shard_size
     from r2h_batch.sweep.request import requested
+    from r2h_batch.sweep.scoring import ProgressFile, Scoring, Stopped, shard_size
 
     try:
         _check_installed(options)
@@ -163,8 +163,8 @@ def _run(
     except OSError as error:
         return _failed(error, Path(options.out))
     try:
-        log = Log(folder.folder / setting.own_file("progress.json"))
-        return _score(Scoring(setting, jobs, folder, stopping, log), request)
+        progress = ProgressFile(folder.folder / setting.own_file("progress.json"))
+        return _score(Scoring(setting, jobs, folder, stopping, progress), request)
     except OSError as error:
         return _failed(error, folder.folder)
     except Stopped:
@@ -198,7 +198,7 @@ def _score(work: "Scoring", request: "Request") -> int:
     """Score what is missing or damaged, in this process or on a cluster; the exit code."""
     from r2h_batch.runs.verify import mark_for_rerun
     from r2h_batch.sweep.cluster import score_on_ray
-    from r2h_batch.sweep.engine import score_local
+    from r2h_batch.sweep.scoring import score_local
 
     folder = work.folder
     for line in mark_for_rerun(folder.folder, folder.header):

@@ -46,7 +46,7 @@ def turn(
     from r2h_batch.runs.store import load_run
     from r2h_batch.runs.writing import open_run
     from r2h_batch.sweep.command import stop_signals
-    from r2h_batch.sweep.engine import Log, Scoring, Stopped, score_local, shard_size
+    from r2h_batch.sweep.scoring import ProgressFile, Scoring, Stopped, score_local, shard_size
 
     if trials < 0:
         raise UsageError(f"--trials is {trials}; it must be 0 (all) or more")
@@ -68,9 +68,9 @@ def turn(
             for job in jobs:
                 stored.register(job.name, job.source)
             LOG.info(f"objects turned: {word}")
-            log = Log(stored.folder / setting.own_file("progress.json"))
+            progress = ProgressFile(stored.folder / setting.own_file("progress.json"))
             try:
-                refused += score_local(Scoring(setting, jobs, stored, stopping, log))
+                refused += score_local(Scoring(setting, jobs, stored, stopping, progress))
             except Stopped:
                 raise KeyboardInterrupt from None
     found = turned(

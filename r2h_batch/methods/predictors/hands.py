@@ -78,8 +78,7 @@ class ReceivingHand(_SeenHand):
     """The receiver's hand on the object as predicted, frame obj."""
 
     grasp: Int64[Tensor, " n"]
-    """row of `load_receiving(scene.objects, scene.hands.model)` that was drawn; -1: a network's
-    own"""
+    """the drawn row of `load_receiving` for the scene's objects and hand; -1: a network's own"""
 
     @property
     def T_obj_hand(self) -> Float32[Tensor, "n 4 4"]:

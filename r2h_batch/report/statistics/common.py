@@ -49,7 +49,8 @@ def common_trials(
             and random draw; where the person and the table stand may differ.
 
     Raises:
-        ValueError: if the runs were not asked, or not judged, the same.
+        ValueError: if the runs hold other trials, or were judged otherwise: robot, protocol, trials,
+            digests and configuration are compared; versions, device, seed and predictors are not.
     """
     first, notes = runs[0], []
     for run in runs[1:]:

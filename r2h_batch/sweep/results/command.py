@@ -104,8 +104,9 @@ def reevaluate(
     judge = again.Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
     if judge.other:
         print(
-            f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared"
-            " exactly, lengths to 0.1 mm, times to 0.02 s"
+            f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared exactly,"
+            f" numbers within tolerances ({again.tolerances()}), and methods may answer"
+            f" up to {again.MOST_OTHER_CHOICES:.0%} of the rows otherwise"
         )
     for name in names:
         found = again.reevaluate(run, name, rows, judge, seed=draw)

@@ -29,9 +29,9 @@ from r2h_batch.runs.header import TIMING
 from r2h_batch.runs.methods import Entry
 from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
 from r2h_batch.runs.store import Run
-from r2h_batch.sweep.engine import judged_tables
 from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
 from r2h_batch.sweep.options import UsageError
+from r2h_batch.sweep.scoring import judged_tables
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides, benchmark_of_run
 from r2h_batch.trials.benchmark.trials_file import LISTED
 from r2h_batch.trials.predictions import Motions
@@ -385,6 +385,17 @@ def _postures(column: pa.ChunkedArray) -> tuple[torch.Tensor, torch.Tensor]:
 def _matrices(column: pa.ChunkedArray) -> np.ndarray:
     flat = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
     return np.asarray(flat, np.float32).reshape(-1, 4, 4)
+
+
+def tolerances() -> str:
+    """The tolerances in words: 0.0001 m, 0.05 deg, 0.02 s, 0.001 rad."""
+    named = {
+        "m": TOLERANCES["_m"],
+        "deg": TOLERANCES["_deg"],
+        "s": TOLERANCES["_s"],
+        "rad": TOLERANCES["q"],
+    }
+    return ", ".join(f"{value:g} {unit}" for unit, value in named.items())
 
 
 def _close(difference: Difference) -> bool:

@@ -54,7 +54,7 @@ class Stopped(Exception):
     """A stop signal was heard and the current chunk is done."""
 
 
-class Log:
+class ProgressFile:
     """progress.json: each method's trials done and planned in this sweep, trials/s and seconds
     left."""
 
@@ -79,7 +79,9 @@ class Log:
 
 
 @contextlib.contextmanager
-def progress(name: str, total: int, *, log: Log | None = None) -> Iterator[Callable[[int], None]]:
+def progress(
+    name: str, total: int, *, file: ProgressFile | None = None
+) -> Iterator[Callable[[int], None]]:
     """Gives `advance(n)`: a bar on a terminal, else a plain line every 30 s and one at the end, all
     on stderr."""
     start = printed = time.perf_counter()
@@ -88,8 +90,8 @@ def progress(name: str, total: int, *, log: Log | None = None) -> Iterator[Calla
     def count(n: int) -> None:
         nonlocal done
         done += n
-        if log is not None:
-            log.say(name, done, total, time.perf_counter() - start)
+        if file is not None:
+            file.say(name, done, total, time.perf_counter() - start)
 
     if sys.stderr.isatty() and not is_quiet() and os.environ.get("TERM", "dumb") != "dumb":
         from rich import progress as rich
@@ -131,7 +133,7 @@ class Scoring:
     jobs: Sequence[Job]
     folder: RunFolder
     stopping: Callable[[], bool]
-    log: Log
+    progress: ProgressFile
 
 
 def score_local(work: Scoring) -> list[str]:
@@ -155,7 +157,9 @@ def score_local(work: Scoring) -> list[str]:
         LOG.info(f"{job.name}: warming up (kernels are compiled on first use)")
         try:
             warm_up(job, work.setting)
-            with progress(job.name, sum(s.last - s.first for s in todo), log=work.log) as advance:
+            with progress(
+                job.name, sum(s.last - s.first for s in todo), file=work.progress
+            ) as advance:
                 _score_job(work, job, todo, advance)
         except AnswerError as error:
             refuse("sweep", error)

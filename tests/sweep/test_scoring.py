@@ -8,7 +8,7 @@ import torch
 
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
-from r2h_batch.sweep import engine, jobs
+from r2h_batch.sweep import jobs, scoring
 from r2h_batch.sweep.options import Options
 from r2h_batch.sweep.request import requested
 from r2h_batch.types import Outcome
@@ -39,7 +39,7 @@ def test_trials_that_the_simulator_failed_on_are_dumped_into_the_run_folder_and_
     run.register("m", {"kind": "test"})
     for shard in run.todo("m"):
         with run.write("m", shard) as writer:
-            engine.score_shard(jobs.Job("m", {}, predict), shard, writer, bench)
+            scoring.score_shard(jobs.Job("m", {}, predict), shard, writer, bench)
     stored = load_run(tmp_path / "run")
     assert stored.failures("m")["trial_id"].to_pylist() == [0, 5, 10, 15, 20]
     assert stored.trials("m")["outcome"].to_pylist().count("invalid_sim") == 5
