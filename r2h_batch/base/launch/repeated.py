@@ -243,6 +243,10 @@ class Recording:
 class _TorchWork(TorchDispatchMode):  # type: ignore[no-untyped-call]
     """Notices what torch computes; views of memory are none."""
 
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        return False  # or torch imports its compiler for this mode, which takes a second
+
     def __torch_dispatch__(
         self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
