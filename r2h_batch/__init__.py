@@ -2,6 +2,7 @@
 evaluator."""
 
 import os
+import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,11 @@ if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
     # works.
     with suppress(ImportError):
         import triton  # noqa: F401
+
+if "gymnasium" in sys.modules:  # a second to import, so who did not is not made to wait
+    from r2h_batch.closed_loop.registered import register
+
+    register()
 
 __version__ = VERSION
 

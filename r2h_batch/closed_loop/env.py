@@ -1,8 +1,8 @@
 """`HandoverEnv`: handovers in closed loop, kinematic, as a Gymnasium vector environment.
 
 The object is in the gripper and the arm at home when an episode begins. Each step the policy sees the
-hand as a camera does (noise, latency, drop-outs) and says how to go on. Torch throughout, on the scene's
-device; a row does not depend on its batch. Definitions: docs/receivers.md, "Receivers that move".
+hand as a camera does (noise, latency, drop-outs) and says how to go on. A row does not depend on its
+batch. Definitions: docs/receivers.md, "Receivers that move".
 """
 
 from collections.abc import Mapping
@@ -13,16 +13,19 @@ from typing import Any, Literal, get_args
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Dict
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from jaxtyping import Bool, Float32, Int8
+from jaxtyping import Bool, Float32, Float64, Int8
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
 from r2h_batch.base.validate import validate_fields
+from r2h_batch.base.validate_tensors import as_numbers
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
 from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion
+from r2h_batch.closed_loop.registered import register
 from r2h_batch.closed_loop.relative import CAP_M, Passed, RelativeDistance
 from r2h_batch.judge.distance import person_distance
 from r2h_batch.judge.grasp import attach
@@ -33,12 +36,17 @@ from r2h_batch.judge.reception import reception
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses
 from r2h_batch.trials.noise import PredictorNoise, perturbed, trial_ids
-from r2h_batch.types import CRITERIA, Scores
+from r2h_batch.types import CRITERIA, Scores, Trials
+
+register()
 
 Action = Literal["velocity", "twist", "pose", "posture"]
 """Kinds of a policy's actions: joint speeds (rad/s); speed and turn of the ee (m/s, rad/s, world
 axes); the ee's target pose (T_world_ee); the posture at the step's end (rad). The arm goes as far
 towards it as its limits let it."""
+
+Output = Literal["numpy", "torch"]
+"""Form of observations and rewards."""
 
 FRAME_SHARE = 0.2
 """Noise of each frame, as a share of the noise per trial to which it is added [choice]."""
@@ -60,6 +68,9 @@ HAND_N, HAND_KG, HAND_N_M = 280.0, 0.6, 75e3
 MOST = 1e3
 """No number that is seen is larger."""
 
+NEXT_EPISODE = 1 << 40
+"""Added to a trial's number for the draws of its next episode."""
+
 
 class End(IntEnum):
     """How an episode ends."""
@@ -76,6 +87,40 @@ class End(IntEnum):
     """the object is held out within reach, but the hand cannot take it: fingers are on the receiver's region
     (Affordance), no grasp of the hand is free (motion takes), or the robot did not hold still (motion takes)"""
     TIMEOUT = 6
+
+
+class Why(IntEnum):
+    """The reasons of an end; `WORDS` says each in a sentence."""
+
+    RUNNING = 0
+    HELD_OUT = 1
+    TAKEN = 2
+    ROBOT_CAME = 3
+    HAND_CAME = 4
+    IN_THE_WAY = 5
+    NOT_HELD = 6
+    FINGERS_ON_REGION = 7
+    NO_GRASP = 8
+    NOT_STILL = 9
+    LATE = 10
+
+
+WORDS = np.array(
+    [
+        "",
+        "the object was within reach while robot and hand stood",
+        "the hand took the object",
+        "the robot came to the receiver",
+        "the receiver came to the robot",
+        "the robot met the table, itself or the object on its way",
+        "the gripper does not hold the object",
+        "the gripper's fingers are on the receiver's part of the object",
+        "no grasp of the hand is free",
+        "the object moved while the hand took it",
+        "the horizon came first",
+    ]
+)
+_NAMES = np.array([end.name.lower() for end in End])
 
 
 @dataclass(frozen=True)
@@ -123,7 +168,7 @@ class Episodes:
         robot_touched: of contacts, True if the robot caused the contact, False if the hand did.
         time_s: end of the episode; of a success the handover time.
         least_m: least distance of robot and hand at the steps, at most `CAP_M`; with `receiver="body"` of arm and
-            torso too.
+            torso too. Until the hand sets out to take the object.
         slack_m: certified: between steps the distance to the hand is at most this much below `least_m`.
         near_speed_m_s: largest speed of the robot, a bound for its fastest point, within `CAP_M` of the hand.
         ssm_s: how long robot and hand were nearer than ISO/TS 15066's protective distance.
@@ -134,6 +179,8 @@ class Episodes:
         concurrent: share in which both move.
         delay: share in which neither moves: one waits for the other (functional delay).
         hand_path_m: length of the wrist's path.
+        overlap_m: largest overlap of hand and gripper at the steps while the hand takes the object; 0 where it takes
+            nothing.
     """
 
     end: Int8[Tensor, " b"]
@@ -150,22 +197,26 @@ class Episodes:
     concurrent: Float32[Tensor, " b"]
     delay: Float32[Tensor, " b"]
     hand_path_m: Float32[Tensor, " b"]
+    overlap_m: Float32[Tensor, " b"]
 
 
 class HandoverEnv(VectorEnv):
     """B handovers whose receivers move.
 
-    Observations (a dict of float32 tensors, B rows): `time` s; `q`, `qd` joint angles and speeds; `T_world_ee`;
+    Observations (a dict of float32 arrays, B rows): `time` s; `q`, `qd` joint angles and speeds; `T_world_ee`;
     `T_world_hand` and `hand_joints` (16, 3) as the camera has them, `age` s of that frame; `gap` m, distance of the
     robot from that hand (`receiver="body"`: and its arm), `CAP_M` at most; `T_hand_ee`, the handover pose that the
     method asked for, in the frame of the hand that it was asked for. With `privileged`: `true_T_world_hand`,
     `true_gap`. Reward: 1 for a success, -1 for a contact, a collision or a drop, less a tenth of the horizon's share
     that a step takes.
 
-    Rows that have ended stand still until `reset`; nothing resets by itself.
-    """
+    `info` has for each row `end` (a name of `End` in small letters), `why` in words, `success`, `least_m` and
+    `margins` (criterion -> m) of the plan that the episode began with. `_end` marks rows that end in this step.
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.DISABLED}  # noqa: RUF012
+    Without `autoreset`, rows that have ended stand still until `reset`, whose option `reset_mask` names rows (B,). With
+    it, they begin their next episode in the step after their last one (`AutoresetMode.NEXT_STEP`). A first episode
+    depends on the seed and the trial alone. The next one has the next handover of `scores`, noise and motion drawn anew.
+    """
 
     def __init__(
         self,
@@ -175,33 +226,46 @@ class HandoverEnv(VectorEnv):
         config: LoopConfig | None = None,
         action: Action = "velocity",
         privileged: bool = False,
+        num_envs: int | None = None,
+        output: Output = "numpy",
+        autoreset: bool = False,
     ) -> None:
         """The handovers of a call of `Evaluator.score`.
 
         Args:
-            scores: B rows with their inputs: trials, grasps, handover poses, planned paths.
+            scores: rows with their inputs: trials, grasps, handover poses, planned paths.
             motion: of the receivers, or its name.
             config: how the loop runs.
             action: what the policy says.
             privileged: whether observations hold the truth too.
+            num_envs: B, handovers at once, at most the rows of `scores`; None: all.
+            output: numpy arrays, or torch tensors on the scene's device.
+            autoreset: whether rows that have ended begin their next episode.
 
         Raises:
             ValueError: the scores hold no inputs, or their Evaluator has an execution error.
         """
         if (inputs := scores.inputs) is None:
             raise ValueError("these scores hold no inputs; score again")
-        self.evaluator, self.trials = inputs.evaluator, inputs.trials
+        self.evaluator, n = inputs.evaluator, len(scores)
         if self.evaluator.config.execution_error.any:
             raise ValueError(
                 "a closed loop has no execution_error; score with an Evaluator without it"
             )
-        if action not in get_args(Action):
-            raise ValueError(f"action is {action!r}; allowed are {', '.join(get_args(Action))}")
-        self.scores, self.config, self.action = scores, config or LoopConfig(), action
+        for name, word, allowed in (("action", action, Action), ("output", output, Output)):
+            if word not in get_args(allowed):
+                words = ", ".join(get_args(allowed))
+                raise ValueError(f"{name} is {word!r}; allowed are {words}")
+        if num_envs is not None and not 1 <= num_envs <= n:
+            raise ValueError(f"num_envs is {num_envs}; these scores allow 1 to {n}")
+        self.pool, self.config, self.action = scores, config or LoopConfig(), action
+        self.output, self.autoreset = output, autoreset
+        mode = AutoresetMode.NEXT_STEP if autoreset else AutoresetMode.DISABLED
+        self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.motion = ReceiverMotion.parse(motion) if isinstance(motion, str) else motion
         self.privileged, self.scene = privileged, self.evaluator.scene
         self._sees_person = self.evaluator.config.receiver == "body"
-        self.num_envs, self.step_s = len(scores), 1.0 / self.config.rate_hz
+        self.num_envs, self.step_s = num_envs or n, 1.0 / self.config.rate_hz
         self._device = torch.device(self.scene.device)
         joints, law = len(self.scene.robot.joints), self.scene.config.execute
         self.speed, self.acceleration = limits(law)
@@ -231,12 +295,17 @@ class HandoverEnv(VectorEnv):
         }[action]
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._hold()
+        self._every = torch.arange(self.num_envs, dtype=torch.int64, device=self._device)
+        self._hold(self._every)
+        self._begun = False
 
-    def _hold(self) -> None:
-        """Sets what all episodes share: the grasp and the pose that was asked."""
+    def _hold(self, rows: Tensor) -> None:
+        """Puts these rows of the pool into the gripper: grasps, and poses that were asked."""
+        self._row = rows
+        self.scores = self.pool if len(rows) == len(self.pool) else self.pool[rows.cpu()]
         inputs, scores = self.scores.inputs, self.scores
         assert inputs is not None
+        self.trials = inputs.trials
         shut = scores.opening_m.isfinite() & scores.grasp_shift_m.isfinite()
         self._held = shut & scores.passed[:, CRITERIA.index("stability")]
         eye = torch.eye(4, dtype=torch.float32, device=self._device)
@@ -260,8 +329,13 @@ class HandoverEnv(VectorEnv):
         *,
         seed: int | list[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
-    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """The beginning of all episodes. `seed` (one number): of noise and receivers, in place of theirs."""
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begins episodes: all, or those of the option `reset_mask` (B,) bool.
+
+        `seed` (one number) is that of noise and receivers from now on. Without one, the first call begins the first
+        episodes, and a later one the next.
+        """
+        mask = None if options is None else options.get("reset_mask")
         if seed is not None:
             number = (
                 seed if isinstance(seed, int) else int(next((s for s in seed if s is not None), 0))
@@ -269,50 +343,158 @@ class HandoverEnv(VectorEnv):
             self.config = replace(self.config, seed=number)
             self.motion = replace(self.motion, seed=number)
             self._np_random = np.random.default_rng(number)
+        if mask is not None:
+            mask = np.asarray(mask)
+            if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+                found = f"{mask.dtype} {mask.shape}"
+                raise ValueError(f"reset_mask is {found}; it must be bool ({self.num_envs},)")
+        if seed is not None or not self._begun:
+            return self._given(self.begin()), self._info(None)
+        if mask is None:
+            mask = np.ones(self.num_envs, np.bool_)
+        self._next(torch.from_numpy(mask).to(self._device))
+        return self._given(self._observe()), self._info(None)
+
+    def begin(self) -> dict[str, Tensor]:
+        """The first episodes of all rows; observations as tensors, whatever `output` is."""
         b, device = self.num_envs, self._device
-        self.hands = MovingHands.of(self.scene, self.trials, self.motion)
-        self.k, self.time_s = 0, 0.0
-        home = torch.tensor(self.scene.config.workplace.home_q, dtype=torch.float32, device=device)
-        self.q = home.expand(b, -1).clone()
-        self.qd = torch.zeros_like(self.q)
-        self.ends = torch.where(self._held, int(End.RUNNING), int(End.DROP)).to(torch.int8)
+        if len(self.pool) > b:
+            self._hold(self._every)
+        self._played = torch.zeros(len(self.pool), dtype=torch.int64, device=device)
+        self._after = b
+        self._poses: list[Tensor] = []
+        self._postures: list[Tensor] = []
+        self.k_of = torch.zeros(b, dtype=torch.int64, device=device)
         zero = torch.zeros(b, dtype=torch.float32, device=device)
-        self._sums = {k: zero.clone() for k in ("robot", "hand", "both", "ssm", "path", "held_out")}
-        self._worst = {k: zero.clone() for k in ("near_speed", "depth", "slack")}
-        self._ended_s = torch.where(self._held, torch.inf, 0.0).float()
+        joints = len(self.scene.robot.joints)
+        self.q, self.qd = (zero.new_zeros(b, joints) for _ in range(2))
+        self.ends, self._why = (torch.zeros(b, dtype=torch.int8, device=device) for _ in range(2))
+        sums = ("robot", "hand", "both", "ssm", "path", "held_out")
+        self._sums = {k: zero.clone() for k in sums}
+        self._worst = {k: zero.clone() for k in ("near_speed", "depth", "slack", "overlap")}
+        self._ended_s, self._least, self.gap = (zero.clone() for _ in range(3))
         self._by_robot = torch.zeros(b, dtype=torch.bool, device=device)
         self._at_take = zero.new_zeros(b, 3)
+        self._bias = torch.eye(4, dtype=torch.float32, device=device).repeat(b, 1, 1)
+        self._seen, self.T_world_hand = self._bias.clone(), self._bias.clone()
+        self._last_seen, self._first = self.k_of.clone(), self.k_of.clone()
+        self.hands: MovingHands | None = None
+        self._begun = True
+        self._start(torch.ones(b, dtype=torch.bool, device=device))
+        return self._observe()
+
+    def _next(self, mask: Tensor) -> None:
+        """Begins the next episodes of some rows, each with the next handover of the pool."""
+        rows, pool = torch.nonzero(mask).flatten(), len(self.pool)
+        self._played[self._row[rows]] += 1
+        if pool > self.num_envs:
+            place = torch.arange(len(rows), dtype=torch.int64, device=self._device)
+            self._after, chosen = self._after + len(rows), (self._after + place) % pool
+            row = self._row.clone()
+            row[rows] = chosen
+            self._hold(row)
+        self._start(mask)
+
+    def _start(self, mask: Tensor) -> None:
+        """Sets rows to the beginning of an episode."""
+        rows = torch.nonzero(mask).flatten()
+        home = torch.tensor(
+            self.scene.config.workplace.home_q, dtype=torch.float32, device=self._device
+        )
+        self.q, self.qd = (x.clone() for x in (self.q, self.qd))
+        self.q[rows], self.qd[rows] = home, 0.0
+        self.k_of[rows] = 0
+        self.ends[rows] = torch.where(self._held[rows], int(End.RUNNING), int(End.DROP)).to(
+            torch.int8
+        )
+        self._why[rows] = torch.where(self._held[rows], int(Why.RUNNING), int(Why.NOT_HELD)).to(
+            torch.int8
+        )
+        for counted in (*self._sums.values(), *self._worst.values()):
+            counted[rows] = 0.0
+        self._ended_s[rows] = torch.where(self._held[rows], torch.inf, 0.0).float()
+        self._by_robot[rows], self._at_take[rows] = False, 0.0
+        hands = MovingHands.of(self.scene, self._drawn, self.motion)
+        self.hands = hands if self.hands is None else hands.keeping(self.hands, ~mask)
+        T = self.hands.pose(self.times)
+        self.T_world_hand = torch.where(mask[:, None, None], T, self.T_world_hand)
         self.T_world_ee, _ = ee_and_jacobian(self.scene.robot, self.q)
-        T = self.hands.pose(0.0)
-        every = torch.arange(b, dtype=torch.int64, device=device)
-        self.gap = self._apart(every, self.q, T)
-        self._least = self.gap.clone()
-        self._finish(every[self._held & (self.gap <= 0)], End.CONTACT)
-        self.T_world_hand = T
-        self._poses, self._postures = [T], [self.q]
-        self._bias = self._error(0, 1.0)
-        self._last_seen = torch.zeros(b, dtype=torch.int64, device=device)
-        return self._observe(), {}
+        self.gap[rows] = self._apart(rows, self.q[rows], T[rows])
+        self._least[rows] = self.gap[rows]
+        self._bias = torch.where(mask[:, None, None], self._error(0, 1.0), self._bias)
+        self._last_seen[rows] = 0
+        if self._poses:
+            self._poses[-1], self._postures[-1] = self.T_world_hand, self.q
+        else:
+            self._poses, self._postures = [self.T_world_hand], [self.q]
+        self._first[rows] = len(self._poses) - 1
+        self._finish(rows[self._held[rows] & (self.gap[rows] <= 0)], End.CONTACT, Why.HAND_CAME)
+        if cut := int(self._first.min()):  # nobody asks for what was before
+            del self._poses[:cut], self._postures[:cut]
+            self._first = self._first - cut
 
-    def step(
-        self, actions: Tensor | np.ndarray
-    ) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Any]]:
-        """One step of every episode that runs; the others stand. Actions as `action` says, (B, ...)."""
+    @property
+    def times(self) -> Float64[Tensor, " b"]:
+        """Since each row's episode began, s."""
+        return self.k_of.double() * self.step_s
+
+    @property
+    def time_s(self) -> float:
+        """Since the oldest of the episodes began, s."""
+        return float(self.times.max())
+
+    @property
+    def k(self) -> int:
+        """Steps of the oldest of the episodes."""
+        return int(self.k_of.max())
+
+    @property
+    def _drawn(self) -> Trials:
+        """The trials under the numbers that random draws go by."""
+        episode = self._played[self._row].to(self.trials.trial_id.device)
+        return replace(self.trials, trial_id=self.trials.trial_id + NEXT_EPISODE * episode)
+
+    def step(self, actions: Any) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
+        """One step of every episode that runs; the others stand, or begin anew with `autoreset`.
+
+        Args:
+            actions: (B, ...) finite numbers, as `action` says: an array, a tensor or nested lists. float32 or float64.
+
+        Raises:
+            TypeError, ValueError: they are something else; the message names it.
+            ResetNeeded: `reset` was never called.
+        """
+        before = self.ends.clone() if self._begun else None
+        observation, *outcome = self.advance(actions)
+        assert before is not None
+        reward, over, late = map(self._given, outcome)
+        return self._given(observation), reward, over, late, self._info(before)
+
+    def advance(self, actions: Any) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
+        """As `step`, without `info` and with tensors, whatever `output` is."""
+        if not self._begun:
+            raise ResetNeeded("HandoverEnv.step was called before reset; call reset first")
+        shape = (self.num_envs, *(self.single_action_space.shape or ()))
+        words = f"a tensor {shape} of finite torch.float32 or torch.float64"
+        given = as_numbers("actions", actions, words, self._device)
+        if tuple(given.shape) != shape:
+            raise ValueError(f"actions are {tuple(given.shape)}; they must be {words}")
+        if not bool(given.isfinite().all()):
+            row = int(torch.nonzero(~given.isfinite())[0, 0])
+            raise ValueError(f"actions of row {row} are not finite; they must be {words}")
         with self.evaluator.working():
-            return self._step(actions)
+            return self._step(given.to(self._device))
 
-    def _step(
-        self, actions: Tensor | np.ndarray
-    ) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Any]]:
-        actions = torch.as_tensor(actions, device=self._device)
+    def _step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
         running = self.ends == int(End.RUNNING)
         rows = torch.nonzero(running).flatten()
-        first, last = self.time_s, (self.k + 1) * self.step_s
+        first, last = self.times, (self.k_of + 1).double() * self.step_s
+        assert self.hands is not None
         q, qd = self.moved(actions, rows)
         T = self.hands.pose(last)
-        moved = self.hands.moving(first, last - first)
+        moved = self.hands.travel(first, last) > 1e-6
         passed = self._distance.over_step(
-            rows, (self.q[rows], q), self.hands, (first, last), self.gap[rows]
+            rows, (self.q[rows], q), self.hands, (first[rows], last[rows]), self.gap[rows]
         )
         if self._sees_person and len(rows):
             near = self._from_person(rows, torch.stack([self.q[rows], q], 1), T[rows])
@@ -320,26 +502,67 @@ class HandoverEnv(VectorEnv):
             passed = Passed(gap, least, passed.touch | (near <= 0))
         self._count(rows, q, T, moved, passed)
         before, self.T_world_hand = self.T_world_hand, T
-        old, place = self.q, self.T_world_ee[:, :3, 3]
+        old, place, gap = self.q, self.T_world_ee[:, :3, 3], self.gap
         self.q, self.qd, self.gap = self.q.clone(), torch.zeros_like(self.qd), self.gap.clone()
         self.q[rows], self.qd[rows], self.gap[rows] = q, qd.float(), passed.gap_m
-        self.k, self.time_s = self.k + 1, last
+        self.k_of = self.k_of + 1
         self._poses.append(T)
         self._postures.append(self.q)
         self.T_world_ee, _ = ee_and_jacobian(self.scene.robot, self.q)
         gone = self.T_world_ee[:, :3, 3] - place
 
-        touched = rows[passed.touch & ~self.hands.taking[rows]]
+        touched = rows[passed.touch]
         if len(touched):
             # with the other left where it was, the one that ends nearer brought them together
             robot = self._apart(touched, self.q[touched], before[touched])
-            self._by_robot[touched] = robot < self._apart(touched, old[touched], T[touched])
-            self._finish(touched, End.CONTACT)
+            by_robot = robot < self._apart(touched, old[touched], T[touched])
+            by_robot &= (
+                robot < gap[touched]
+            )  # a robot that stands, or backs off, brings nothing together
+            # a hand that takes the object may come to the gripper, and to nothing else
+            taking = self.hands.taking[touched]
+            bad = ~taking | by_robot | ~self._at_gripper(touched)
+            self._by_robot[touched] = by_robot & bad
+            for who, why in ((by_robot, Why.ROBOT_CAME), (~by_robot, Why.HAND_CAME)):
+                self._finish(touched[bad & who], End.CONTACT, why)
         self._receive(rows, se3.dot(gone, gone).sqrt())
-        if last >= self.config.horizon_s - 1e-9:
-            self._finish(torch.nonzero(self.ends == int(End.RUNNING)).flatten(), End.TIMEOUT)
-        self.hands.react(last, self.gap)
-        return self._observe(), *self._outcome(running), {}
+        late = (self.ends == int(End.RUNNING)) & (self.times >= self.config.horizon_s - 1e-9)
+        self._finish(torch.nonzero(late).flatten(), End.TIMEOUT, Why.LATE)
+        self.hands.react(self.times, self.gap)
+        outcome = self._outcome(running)
+        if self.autoreset and bool((~running).any()):
+            self._next(~running)
+            outcome = (outcome[0], *(x & running for x in outcome[1:]))
+        return self._observe(), *outcome
+
+    def _at_gripper(self, rows: Tensor) -> Tensor:
+        """Whether the robot's body nearest to the hand is one of the gripper's."""
+        near = self._distance.nearest(rows, self.q[rows], self.T_world_hand[rows])
+        names, gripper = self.scene.part_names, len(self.scene.robot.gripper.names)
+        return near.body >= len(names) - 1 - gripper  # the object is the last
+
+    def _given(self, value: Any) -> Any:
+        """Tensors as `output` says."""
+        if self.output == "torch":
+            return value
+        if isinstance(value, dict):
+            return {k: self._given(x) for k, x in value.items()}
+        return value.cpu().numpy()
+
+    def _info(self, before: Tensor | None) -> dict[str, Any]:
+        """State of each row, as NumPy arrays; `before`: the ends before this step."""
+        ends = self.ends.cpu().numpy()
+        margin = self.scores.margin.cpu().numpy()
+        info = {
+            "end": _NAMES[ends],
+            "why": WORDS[self._why.cpu().numpy()],
+            "success": ends == int(End.SUCCESS),
+            "least_m": self._least.cpu().numpy(),
+            "margins": {name: margin[:, i] for i, name in enumerate(CRITERIA)},
+        }
+        if before is not None:
+            info["_end"] = (before.cpu().numpy() == int(End.RUNNING)) & (ends != int(End.RUNNING))
+        return info
 
     def _outcome(self, running: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Reward, terminated, truncated."""
@@ -369,7 +592,6 @@ class HandoverEnv(VectorEnv):
                 over = torch.maximum(way / EE_SPEED_M_S, turn / EE_TURN_RAD_S).clamp(min=1.0)
                 twist = twist / over[:, None]
             v = joint_speeds(jacobian, twist)
-        v = torch.nan_to_num(v, nan=0.0)
         v = v / (self._fastest(v) / (self.speed * (1 + 1e-3))).clamp(min=1.0)
         dv = v - old
         slower = (v.abs() <= old.abs()) & (v * old >= 0)
@@ -390,7 +612,7 @@ class HandoverEnv(VectorEnv):
         robot and object: a robot knows these. The receiver is not looked at. An arm that stands
         where it is False meets nothing."""
         rows = torch.nonzero(self.ends == int(End.RUNNING)).flatten()
-        q, v = self.moved(torch.as_tensor(actions, device=self._device), rows)
+        q, v = self.moved(actions.to(self._device), rows)
         stop = q + (v * self._fastest(v) / (2.0 * self.brake)).float()
         stop = torch.minimum(torch.maximum(stop, self._lower), self._upper)
         way = torch.stack([self.q[rows], q, stop], 1)
@@ -435,20 +657,24 @@ class HandoverEnv(VectorEnv):
             ("depth", torch.where(inside, protective - passed.gap_m, 0.0)),
         ):
             w[name][rows] = torch.maximum(w[name][rows], value)
-        self._least[rows] = torch.minimum(self._least[rows], passed.gap_m)
-        low = torch.minimum(self._least[rows] - w["slack"][rows], passed.least_m)
+        assert self.hands is not None
+        taking = self.hands.taking[rows]
+        inside_m = torch.where(taking, -passed.gap_m, 0.0).clamp(min=0.0)
+        w["overlap"][rows] = torch.maximum(w["overlap"][rows], inside_m)
+        rows, gap, between = rows[~taking], passed.gap_m[~taking], passed.least_m[~taking]
+        self._least[rows] = torch.minimum(self._least[rows], gap)
+        low = torch.minimum(self._least[rows] - w["slack"][rows], between)
         w["slack"][rows] = self._least[rows] - low
 
     def _receive(self, rows: Tensor, gone_m: Tensor) -> None:
         """Ends the episodes in which the object was held out, or was taken; `gone_m`: of the TCP in this step."""
+        assert self.hands is not None
         rows = rows[self.ends[rows] == int(End.RUNNING)]
         rest = gone_m[rows] <= REST_M_S * self.step_s
         taking = self.hands.taking[rows]
         self._taken(rows[taking], rest[taking])
-        still = (
-            self.hands.travel(self.time_s - self.step_s, self.time_s)[rows]
-            <= REST_M_S * self.step_s
-        )
+        now = self.times
+        still = self.hands.travel(now - self.step_s, now)[rows] <= REST_M_S * self.step_s
         rows, both = rows[~taking], (rest & still)[~taking]
         ready = torch.zeros_like(both)
         near = rows[both]
@@ -457,12 +683,12 @@ class HandoverEnv(VectorEnv):
         held = self._sums["held_out"]
         held[rows] = torch.where(ready, held[rows] + self.step_s, 0.0)
         out = rows[held[rows] >= HELD_OUT_S - 1e-6]
-        self._finish(out[self._blocked[out]], End.NOT_RECEIVED)
+        self._finish(out[self._blocked[out]], End.NOT_RECEIVED, Why.FINGERS_ON_REGION)
         out = out[~self._blocked[out]]
         if self.motion.kind == "takes":
             self._offer(out)
         else:
-            self._finish(out, End.SUCCESS)
+            self._finish(out, End.SUCCESS, Why.HELD_OUT)
 
     def _within_reach(self, rows: Tensor) -> Tensor:
         """Margin of Reach with hands and robot where they are, m."""
@@ -492,9 +718,11 @@ class HandoverEnv(VectorEnv):
         found = posed.inputs
         assert found is not None
         reception_scores = reception(replace(posed, q_goal=self.q[rows]).with_inputs(found))
-        self._finish(rows[~reception_scores.received], End.NOT_RECEIVED)
+        self._finish(rows[~reception_scores.received], End.NOT_RECEIVED, Why.NO_GRASP)
         some = rows[reception_scores.received]
-        self.hands.take(self.time_s, some, reception_scores.T_world_hand[reception_scores.received])
+        assert self.hands is not None
+        goal = reception_scores.T_world_hand[reception_scores.received]
+        self.hands.take(self.times[some], some, goal)
         self._at_take[some] = T[reception_scores.received, :3, 3].float()
 
     def _taken(self, rows: Tensor, rest: Tensor) -> None:
@@ -504,26 +732,40 @@ class HandoverEnv(VectorEnv):
         gone = (self.T_world_ee[rows, :3, 3].float() - self._at_take[rows]).square().sum(
             1
         ).sqrt() > STAYED_M
-        self._finish(rows[gone], End.NOT_RECEIVED)
-        there = ~gone & rest & (self.hands.taken_s[rows] <= self.time_s)
-        self._finish(rows[there], End.SUCCESS)
+        self._finish(rows[gone], End.NOT_RECEIVED, Why.NOT_STILL)
+        assert self.hands is not None
+        there = ~gone & rest & (self.hands.taken_s[rows] <= self.times[rows])
+        self._finish(rows[there], End.SUCCESS, Why.TAKEN)
 
-    def _finish(self, rows: Tensor, end: End) -> None:
+    def _finish(self, rows: Tensor, end: End, why: Why) -> None:
         """Ends episodes. One that came to nothing worse is looked at once more, all its way: does the robot meet
         itself, the table or the object?"""
         if not len(rows):
             return
-        self.ends[rows], self._ended_s[rows] = int(end), self.time_s
-        if end == End.CONTACT or self.k == 0:
+        self.ends[rows], self._why[rows] = int(end), int(why)
+        self._ended_s[rows] = self.times[rows].float()
+        rows = rows[self.k_of[rows] > 0]
+        if end == End.CONTACT or not len(rows):
             return
-        free = self._meets_nothing(rows, torch.stack(self._postures, 1)[rows])
-        self.ends[rows[~free]] = int(End.COLLISION)
+        met = rows[~self._meets_nothing(rows, self._since(self._postures, rows))]
+        self.ends[met], self._why[met] = int(End.COLLISION), int(Why.IN_THE_WAY)
+
+    def _since(self, each: list[Tensor], rows: Tensor) -> Tensor:
+        """Entries (r, s, ...) of all steps since the oldest of these rows' episodes began; a younger one begins with its
+        first entry repeated."""
+        oldest = int(self._first[rows].min())
+        found = torch.stack([x[rows] for x in each[oldest:]], 1)
+        own = (self._first[rows] - oldest)[:, None]
+        step = torch.arange(found.shape[1], dtype=torch.int64, device=rows.device)
+        place = torch.arange(len(rows), dtype=torch.int64, device=rows.device)[:, None]
+        return found[place, torch.maximum(step[None], own)]
 
     # --- what is seen --------------------------------------------------------------------------------------------
 
     @property
     def receiver(self) -> Float32[Tensor, "b 5 4"] | None:
         """The receivers' bodies now, arms with their hands (`Trials.receiver`)."""
+        assert self.hands is not None
         return self.hands.people(self.T_world_hand)
 
     def bodies(self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor) -> BodyPoses:
@@ -539,6 +781,7 @@ class HandoverEnv(VectorEnv):
         bodies = self.bodies(T_world_hand, rows)
         if not self._sees_person:
             return bodies
+        assert self.hands is not None
         receiver = self.hands.people(T_world_hand, rows)
         assert receiver is not None  # such an evaluator refuses trials without
         return with_person(self.scene, bodies, receiver, hand=True)
@@ -553,6 +796,7 @@ class HandoverEnv(VectorEnv):
     def _from_person(self, rows: Tensor, path: Tensor, T_world_hand: Tensor) -> Tensor:
         """Least distance of the robot on its way from arm and torso as they are with the hands there, m; inf: farther
         than 5 cm."""
+        assert self.hands is not None
         receiver = self.hands.people(T_world_hand, rows)
         assert receiver is not None
         length = torch.full((len(rows),), path.shape[1], dtype=torch.int32, device=self._device)
@@ -566,38 +810,45 @@ class HandoverEnv(VectorEnv):
         key = rng.key_of(f"seen in a closed loop {self.config.seed}")
         eye = torch.eye(4, dtype=torch.float32, device=self._device).expand(self.num_envs, 4, 4)
         return perturbed(
-            eye, self._pivot, trial_ids(self.trials.trial_id), key, purpose=purpose,
+            eye, self._pivot, trial_ids(self._drawn.trial_id), key, purpose=purpose,
             rotation_deg=noise.target_rotation_deg, translation_m=noise.target_translation_m,
         )  # fmt: skip
 
     def _observe(self) -> dict[str, Tensor]:
         """The policy's observations now."""
-        k, c = self.k, self.config
-        frame = max(0, k - round(c.latency_s * c.rate_hz))
-        if frame > 0 or k == 0:  # a frame that is new
+        c, late = self.config, round(self.config.latency_s * self.config.rate_hz)
+        frame = (self.k_of - late).clamp(min=0)
+        new = (frame > 0) | (self.k_of == 0)
+        if bool(new.any()):
+            kept = torch.stack(self._poses[-(late + 1) :])
+            back = torch.minimum(self.k_of, torch.full_like(frame, late))
+            T = kept[len(kept) - 1 - back, self._every].double()
+            ids, lost = self._drawn.trial_id, torch.zeros_like(new)
             key = rng.key_of(f"drop-outs {c.seed}")
-            (u,) = rng.uniforms(key, trial_ids(self.trials.trial_id), 1, purpose=0, attempt=frame)
-            lost = torch.from_numpy(u < c.dropout).to(self._device) & (frame > 0)
-            error = se3.matmul(
-                self._bias.double(), self._error(1 + frame % 60_000, FRAME_SHARE).double()
-            )
-            T_seen = se3.matmul(self._poses[frame].double(), error).float()
-            if k == 0:
-                self._seen = T_seen
-            self._seen = torch.where(lost[:, None, None], self._seen, T_seen)
-            self._last_seen = torch.where(lost, self._last_seen, frame)
+            for number in torch.unique(
+                frame[new]
+            ).tolist():  # one, where all episodes began together
+                own = new & (frame == number)
+                (u,) = rng.uniforms(key, trial_ids(ids), 1, purpose=0, attempt=number)
+                gone = torch.from_numpy(u < c.dropout).to(self._device) & (number > 0)
+                error = se3.matmul(
+                    self._bias.double(), self._error(1 + number % 60_000, FRAME_SHARE).double()
+                )
+                T_seen = se3.matmul(T, error).float()
+                self._seen = torch.where((own & ~gone)[:, None, None], T_seen, self._seen)
+                lost = lost | (own & gone)
+            self._last_seen = torch.where(new & ~lost, frame, self._last_seen)
         running = torch.nonzero(self.ends == int(End.RUNNING)).flatten()
         gap = torch.full_like(self.gap, CAP_M)
         gap[running] = self._apart(running, self.q[running], self._seen[running])
-        b = self.num_envs
         found = {
-            "time": torch.full((b,), self.time_s, dtype=torch.float32, device=self._device),
+            "time": self.times.float(),
             "q": self.q.clone(),
             "qd": self.qd.clone(),
             "T_world_ee": self.T_world_ee.float(),
             "T_world_hand": self._seen.clone(),
             "hand_joints": se3.apply(self._seen[:, None], self._joints),
-            "age": (self.k - self._last_seen).float() * self.step_s,
+            "age": (self.k_of - self._last_seen).float() * self.step_s,
             "gap": gap,
             "T_hand_ee": self._T_hand_ee.clone(),
         }
@@ -610,7 +861,7 @@ class HandoverEnv(VectorEnv):
     def episodes(self) -> Episodes:
         """Verdicts and columns as they are now."""
         s, w = self._sums, self._worst
-        time_s = torch.where(self._ended_s.isinf(), self.time_s, self._ended_s)
+        time_s = torch.where(self._ended_s.isinf(), self.times.float(), self._ended_s)
         share = 1.0 / time_s.clamp(min=self.step_s)
         robot, hand, both = ((s[k] * share).clamp(max=1.0) for k in ("robot", "hand", "both"))
         arm_kg = float(np.sum(self.scene.robot.dynamics.mass))
@@ -620,24 +871,31 @@ class HandoverEnv(VectorEnv):
             self.ends.clone(), self._by_robot.clone(), time_s, self._least.clone(), w["slack"].clone(),
             w["near_speed"].clone(), s["ssm"].clone(), w["depth"].clone(), w["near_speed"] / allowed,
             1.0 - robot, 1.0 - hand, both, (1.0 - robot - hand + both).clamp(min=0.0), s["path"].clone(),
+            w["overlap"].clone(),
         )  # fmt: skip
 
     def trace(self) -> tuple[Float32[Tensor, "b s j"], Float32[Tensor, "b s 4 4"]]:
         """Postures (rad) and T_world_hand at the beginning and after each step."""
-        return torch.stack(self._postures, 1), torch.stack(self._poses, 1)
+        return self._since(self._postures, self._every), self._since(self._poses, self._every)
 
 
-def single(env: HandoverEnv) -> "gymnasium.Env[Any, Any]":
-    """A `HandoverEnv` of one handover as a plain Gymnasium environment with NumPy arrays, for libraries that
-    know no vector environments."""
-    if env.num_envs != 1:
-        raise ValueError(f"this environment has {env.num_envs} handovers; a single one has 1")
-    return _Single(env)
+class SingleHandoverEnv(gymnasium.Env[Any, Any]):
+    """A `HandoverEnv` of one handover at a time as a plain Gymnasium environment, for libraries that know no vector
+    environments. Arrays are NumPy's; `info` has the one row's values, without margins that were not
+    evaluated."""
 
-
-class _Single(gymnasium.Env[Any, Any]):
     def __init__(self, env: HandoverEnv) -> None:
-        self.vector, self.metadata = env, {"render_modes": []}
+        """Args:
+            env: with one handover at a time, NumPy arrays and without autoreset.
+
+        Raises:
+            ValueError: it has another number of handovers, tensors or an autoreset.
+        """
+        if env.num_envs != 1:
+            raise ValueError(f"this environment has {env.num_envs} handovers; a single one has 1")
+        if env.output != "numpy" or env.autoreset:
+            raise ValueError('a single environment needs output="numpy" and autoreset=False')
+        self.vector, self.render_mode, self.metadata = env, env.render_mode, env.metadata
         self.observation_space = env.single_observation_space
         self.action_space = env.single_action_space
 
@@ -645,14 +903,25 @@ class _Single(gymnasium.Env[Any, Any]):
         self, *, seed: int | None = None, options: Any = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         super().reset(seed=seed)
-        return _numbers(self.vector.reset(seed=seed)[0]), {}
+        observation, info = self.vector.reset(seed=seed)
+        return _first(observation), _first(info)
 
     def step(
         self, action: np.ndarray
     ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        observation, reward, ended, late, _ = self.vector.step(np.asarray(action)[None])
-        return _numbers(observation), float(reward[0]), bool(ended[0]), bool(late[0]), {}
+        observation, reward, ended, late, info = self.vector.step(np.asarray(action)[None])
+        found = _first(observation), float(reward[0]), bool(ended[0]), bool(late[0])
+        return *found, _first(info)
+
+    def render(self) -> Any:
+        frames = self.vector.render()
+        return frames[0] if frames else None
+
+    def close(self) -> None:
+        self.vector.close()
 
 
-def _numbers(observation: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
-    return {k: np.array(x[0].cpu().numpy(), np.float32) for k, x in observation.items()}
+def _first(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The first row of each array, also of those in a dict inside; NaN is left out."""
+    rows = {k: _first(x) if isinstance(x, Mapping) else x[0] for k, x in values.items()}
+    return {k: x for k, x in rows.items() if not (isinstance(x, np.floating) and np.isnan(x))}

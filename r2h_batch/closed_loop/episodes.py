@@ -46,10 +46,10 @@ def play(env: HandoverEnv, policy: Callable[..., Any]) -> Episodes:
         env: whose action is what the policy says (`kind_of_action`).
         policy: a function of an observation, or a class that is made with the environment first.
     """
-    observation, _ = env.reset()
+    observation = env.begin()
     act = policy(env) if isinstance(policy, type) else policy
     while bool((env.ends == int(End.RUNNING)).any()):
-        observation, *_ = env.step(act(observation))
+        observation, *_ = env.advance(act(observation))
     return env.episodes()
 
 

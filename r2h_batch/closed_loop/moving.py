@@ -310,7 +310,22 @@ class MovingHands:
             return time_s.double()
         return torch.full_like(self.taken_s, time_s)
 
-    def react(self, time_s: float, gap_m: Float32[Tensor, " b"]) -> None:
+    def keeping(self, old: "MovingHands", mask: Bool[Tensor, " b"]) -> "MovingHands":
+        """These hands, with `old` ones' motion so far in the rows of the mask."""
+        if isinstance(self.way, Strokes):
+            assert isinstance(old.way, Strokes)
+            ways = zip(*(vars(way).items() for way in (self.way, old.way)), strict=True)
+            for (name, new), (_, before) in ways:
+                each = name in ("begin", "duration", "shift", "turn")
+                rows = (slice(None), mask) if each else mask
+                new = new.clone()
+                new[rows] = before[rows]
+                setattr(self.way, name, new)
+        self.taking = torch.where(mask, old.taking, self.taking)
+        self.taken_s = torch.where(mask, old.taken_s, self.taken_s)
+        return self
+
+    def react(self, time_s: float | Tensor, gap_m: Float32[Tensor, " b"]) -> None:
         """Hands that withdraw do so where the robot is nearer than they like, once."""
         if self.motion.kind != "withdraws":
             return
@@ -319,7 +334,7 @@ class MovingHands:
         rows = torch.nonzero(afraid).flatten()
         if not len(rows):
             return
-        now = torch.full((len(rows),), time_s, dtype=torch.float64, device=rows.device)
+        now = self._times(time_s)[rows]
         there = self.way[rows].pose(torch.full_like(now, torch.finfo(torch.float64).max))
         wrist = se3.apply(there, self._wrist[rows])
         if self.receiver is None:
@@ -335,8 +350,10 @@ class MovingHands:
             2, rows, now + BACK_S + self._drawn["away"][rows], self._drawn["stroke"][rows], there
         )
 
-    def take(self, time_s: float, rows: Tensor, T_world_hand: Float32[Tensor, "r 4 4"]) -> None:
-        """Hands go to grasps that are held out to them."""
+    def take(
+        self, time_s: float | Tensor, rows: Tensor, T_world_hand: Float32[Tensor, "r 4 4"]
+    ) -> None:
+        """Hands go to grasps that are held out to them; `time_s`: now, one number or (r,)."""
         assert isinstance(self.way, Strokes)
         begin, lasts = self._drawn["take_after"][rows] + time_s, self._drawn["take"][rows]
         self.way.add(1, rows, begin, lasts, T_world_hand.double())

@@ -90,7 +90,7 @@ class RelativeDistance:
         rows: Tensor,
         q: tuple[Float32[Tensor, "r j"], Float32[Tensor, "r j"]],
         hands: MovingHands,
-        time_s: tuple[float, float],
+        time_s: tuple[Float64[Tensor, " r"], Float64[Tensor, " r"]],
         before_m: Float32[Tensor, " r"],
     ) -> Passed:
         """The step from one posture to the next, while the hands go on.
@@ -104,12 +104,12 @@ class RelativeDistance:
         """
         way = hands.way[rows]
         one = torch.ones(len(rows), dtype=torch.float64, device=rows.device)
-        after = self.at(rows, q[1], way.pose(one * time_s[1]).float())
+        after = self.at(rows, q[1], way.pose(time_s[1]).float())
         travel = self.robot_travel(q[1] - q[0]).double()
         span = time_s[1] - time_s[0]
 
         def way_of(i: Tensor, a: Tensor, b: Tensor) -> Float64[Tensor, " n"]:
-            times = (time_s[0] + span * x for x in (a, b))
+            times = (time_s[0][i] + span[i] * x for x in (a, b))
             return (b - a) * travel[i] + way[i].travel(*times)
 
         least = torch.minimum(before_m, after)
@@ -130,7 +130,7 @@ class RelativeDistance:
                 break
             m = 0.5 * (a + b)
             at = q[0][i] + m[:, None].float() * (q[1][i] - q[0][i])
-            T = way[i].pose(time_s[0] + span * m).float()
+            T = way[i].pose(time_s[0][i] + span[i] * m).float()
             d_m = self.at(rows[i], at, T)
             touch[i[d_m <= 0]] = True
             i, a, b = torch.cat([i, i]), torch.cat([a, m]), torch.cat([m, b])

@@ -137,8 +137,8 @@ EPISODES = (
     Column("end", NAME, f"how the episode ended: {_words(ENDS[1:])}", nullable=False),
     Column("robot_touched", BOOL, "whether the robot caused the contact, not the hand; null: no contact"),
     Column("time_s", FLOAT, "end of the episode; of a success the handover", "s", False),
-    Column("least_m", FLOAT, "least distance of robot and hand at the steps; with `--receiver body` of arm and torso too",
-           "m", False),
+    Column("least_m", FLOAT, "least distance of robot and hand at the steps, until the hand sets out to take the object;"
+           " with `--receiver body` of arm and torso too", "m", False),
     Column("slack_m", FLOAT, "between steps the distance is at most this much below `least_m`", "m", False),
     Column("near_speed_m_s", FLOAT, "largest speed of the robot near the hand, a bound for its fastest point", "m/s", False),
     Column("ssm_s", FLOAT, "how long robot and hand were nearer than ISO/TS 15066's protective distance", "s", False),
@@ -150,6 +150,8 @@ EPISODES = (
     Column("concurrent", FLOAT, "share of the time in which both move", "", False),
     Column("delay", FLOAT, "share of the time in which neither moves", "", False),
     Column("hand_path_m", FLOAT, "length of the wrist's path", "m", False),
+    Column("overlap_m", FLOAT, "largest overlap of hand and gripper while the hand takes the object; 0: none", "m",
+           since="0.3.0"),
 )
 
 FAILURES = (

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
-from r2h_batch.base.command_line import UsageError, nearest, read
+from r2h_batch.base.command_line import UsageError, check_range, nearest, read
 from r2h_batch.base.io.read import FileError
 from r2h_batch.base.registry import (
     DEFAULT_PROTOCOL,
@@ -285,6 +285,10 @@ class Options:
             "package.module:function, which takes an observation of HandoverEnv"
         ),
     ] = "planned"
+    horizon: Annotated[
+        float,
+        Flag("longest episode of a closed loop, s; slow arms need more than the default"),
+    ] = 15.0
     log: Annotated[
         Literal["", "tensorboard", "wandb", "mlflow", "trackio"],
         Flag("also write the table's numbers into a logger, in the run folder (offline)"),
@@ -436,6 +440,9 @@ def check(options: Options) -> Options:
     if options.policy != Options.policy and not options.receiver_motion:
         words = "add --receiver-motion, such as moves or still"
         raise UsageError(f"--policy moves the arm in closed loop; {words}")
+    if options.horizon != Options.horizon and not options.receiver_motion:
+        raise UsageError("--horizon is of a closed loop; add --receiver-motion, such as moves")
+    check_range("--horizon", options.horizon, 1, 600)
     if options.predictor and "contact" not in bases:
         words = "add that method, or leave it out"
         raise UsageError(f"--predictor is the contact network of --method contact; {words}")

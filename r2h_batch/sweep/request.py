@@ -290,4 +290,4 @@ def _loop(options: Options) -> "Loop | None":
     from r2h_batch.closed_loop.moving import ReceiverMotion
 
     motion = ReceiverMotion.parse(options.receiver_motion, options.seed)
-    return Loop(motion, options.policy, LoopConfig(seed=options.seed))
+    return Loop(motion, options.policy, LoopConfig(seed=options.seed, horizon_s=options.horizon))

@@ -41,6 +41,10 @@ class EpisodeDrawing(Drawing):
         self.step_s, self._hands, self._receivers = step_s, T_world_hand, receivers
         super().__init__(stored)
 
+    def show(self, T_world_hand: Array, receivers: Array | None) -> None:
+        """Other places of hand (S, 4, 4) and body (S, 5, 4), for the steps from now on."""
+        self._hands, self._receivers = T_world_hand, receivers
+
     def motion(self, executed: bool = True) -> tuple[Array, Array]:
         """Times (S,) s and postures with their steps (S, 7)."""
         return np.arange(len(self.steps), dtype=np.float64) * np.float64(self.step_s), self.steps

@@ -1,17 +1,20 @@
 """The closed loop: today's verdicts beside a still hand, distances against MuJoCo C and the exact mesh, any batch."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import oracle
 import pytest
 import torch
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.closed_loop import env as envs
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
-from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig, single
+from r2h_batch.closed_loop.env import End, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, Planned, Replan
 from r2h_batch.closed_loop.relative import CAP_M
@@ -24,6 +27,7 @@ from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.protocol import make_trials
 
 ON_LINE_RAD = 2e-6
+HandoverEnv = partial(envs.HandoverEnv, output="torch")
 ROBOTS = pytest.mark.parametrize("robot", ["ur5e_2f85", "panda_hand"])
 
 
@@ -155,11 +159,13 @@ def test_distances_between_steps_hold_against_dense_samples_of_mujoco_c_and_the_
     policy, looked, near, steps = Planned(env), 0, 0, 0
     while running(env) and looked < 8:
         rows = torch.nonzero(env.ends == int(End.RUNNING)).flatten()
-        before, q0, t0 = env.gap.clone(), env.q.clone(), env.time_s
-        moving = env.hands.moving(t0, env.step_s)
+        before, q0, t0 = env.gap.clone(), env.q.clone(), env.times
+        moving = env.hands.travel(t0, t0 + env.step_s) > 1e-6
         seen, *_ = env.step(policy(seen))
         steps += 1
-        passed = env._distance.over_step(rows, (q0[rows], env.q[rows]), env.hands, (t0, env.time_s), before[rows])
+        passed = env._distance.over_step(
+            rows, (q0[rows], env.q[rows]), env.hands, (t0[rows], env.times[rows]), before[rows]
+        )
         close = (passed.least_m < 0.08) & moving[rows]
         for k in torch.nonzero(close).flatten()[: 2 if steps % 3 == 0 else 0].tolist():
             i, least = int(rows[k]), np.inf
@@ -172,7 +178,7 @@ def test_distances_between_steps_hold_against_dense_samples_of_mujoco_c_and_the_
                 q = (q0[i] + s * (env.q[i] - q0[i])).double().numpy()
                 hand = oracle.hand_triangles(env.scene, own)
                 least = min(least, oracle.mujoco_scene(env.scene, own).safe_at(hand, q, cap=0.15))
-            assert passed.least_m[k] <= max(least, 0) + 2e-5, (i, t0)
+            assert passed.least_m[k] <= max(least, 0) + 2e-5, (i, t0[i])
             assert bool(passed.touch[k]) or least > 0
             if not passed.touch[k]:
                 assert min(float(before[i]), float(passed.gap_m[k])) >= least - 2e-5
@@ -284,7 +290,7 @@ def test_policies_that_follow_the_hand_keep_off_table_robot_and_object(scores, m
         return int((played(low, "servo", far, config=LoopConfig(horizon_s=12))[1].end == int(End.COLLISION)).sum())
 
     assert collisions() == 0
-    monkeypatch.setattr(HandoverEnv, "keeps_off", lambda env, actions: torch.ones(env.num_envs, dtype=torch.bool))
+    monkeypatch.setattr(envs.HandoverEnv, "keeps_off", lambda env, actions: torch.ones(env.num_envs, dtype=torch.bool))
     assert collisions() >= 2
 
 
@@ -354,14 +360,20 @@ def test_times_too_near_and_shares_of_the_allowed_force_are_those_of_iso_ts_1506
 
 
 def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, scores):
-    one = HandoverEnv(scores[:1], "moves", config=LoopConfig(horizon_s=1))
-    check_env(single(one), skip_render_check=True)
+    one = envs.HandoverEnv(scores[:1], "moves", config=LoopConfig(horizon_s=1))
+    check_env(SingleHandoverEnv(one), skip_render_check=True)
     seen, _ = one.reset(seed=5)
-    assert one.observation_space.contains({k: x.numpy() for k, x in seen.items()})
+    assert one.observation_space.contains(seen)
     with pytest.raises(ValueError, match="has 16 handovers"):
-        single(HandoverEnv(scores))
+        SingleHandoverEnv(envs.HandoverEnv(scores))
+    with pytest.raises(ValueError, match='needs output="numpy" and autoreset=False'):
+        SingleHandoverEnv(HandoverEnv(scores[:1]))
     with pytest.raises(ValueError, match="allowed are velocity, twist, pose, posture"):
         HandoverEnv(scores, action="torque")
+    with pytest.raises(ValueError, match="output is 'jax'; allowed are numpy, torch"):
+        envs.HandoverEnv(scores, output="jax")
+    with pytest.raises(ValueError, match="num_envs is 17; these scores allow 1 to 16"):
+        HandoverEnv(scores, num_envs=17)
     with pytest.raises(ValueError, match="rate_hz is 100; allowed is 10 to 50"):
         LoopConfig(rate_hz=100)
     with pytest.raises(ValueError, match="score again"):
@@ -370,3 +382,104 @@ def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, s
     inputs = scores.inputs
     with pytest.raises(ValueError, match="no execution_error"):
         HandoverEnv(off.score(inputs.T_obj_ee[:1], inputs.T_world_ee[:1], inputs.trials[:1]))
+
+
+@pytest.mark.check
+def test_actions_pass_the_checks_of_score_and_a_step_before_reset_is_named(scores):
+    env = envs.HandoverEnv(scores[:8])
+    with pytest.raises(ResetNeeded, match="call reset first"):
+        env.step(np.zeros((8, 6)))
+    env.reset()
+    good = np.zeros((8, 6), np.float32)
+    for wrong, error, words in (
+        (np.zeros((9, 6)), ValueError, r"actions are \(9, 6\); they must be a tensor \(8, 6\)"),
+        (np.zeros((8, 1)), ValueError, r"\(8, 1\)"),
+        (np.zeros((8, 6), complex), TypeError, "actions is"),
+        (np.zeros((8, 6), np.float16), TypeError, "actions is"),
+        (torch.zeros(8, 6).half(), TypeError, "torch.float16"),
+        (np.where(np.arange(48).reshape(8, 6) == 20, np.nan, good), ValueError, "actions of row 3 are not finite"),
+        ("stop", TypeError, "actions is"),
+    ):
+        with pytest.raises(error, match=words):
+            env.step(wrong)
+    assert env.k == 0
+    env.step(good.tolist())
+    env.step(torch.from_numpy(good))
+    assert env.k == 2
+
+
+def test_rows_begin_anew_one_by_one_and_an_episode_does_not_depend_on_when(scores):
+    """A row that begins its second episode while others go on sees and does what it does where all begin theirs at once; its
+    first one is that of a closed loop without autoreset."""
+    good, config = scores[scores.success][:4], LoopConfig(horizon_s=4)
+    options = {"config": config, "action": "posture"}
+    rng = np.random.default_rng(0)
+    low, high = envs.HandoverEnv(good, "moves", **options).action_space.low, good.q_goal.numpy()
+    env = RecordEpisodeStatistics(envs.HandoverEnv(good, "moves", autoreset=True, **options))
+    alone = envs.HandoverEnv(good, "moves", **options)
+    first, info = env.reset(seed=4)
+    assert set(info) == {"end", "why", "success", "least_m", "margins"} and (info["end"] == "running").all()
+    begun, other = alone.reset(seed=4)[0], None
+    assert all(np.array_equal(first[k], begun[k]) for k in first)
+    mask = np.array([False, True, False, True])
+    for _ in range(7):
+        alone.step(high)
+    late, _ = alone.reset(options={"reset_mask": mask})
+    again, _ = (everything := envs.HandoverEnv(good, "moves", **options)).reset(seed=4)
+    other, _ = everything.reset()
+    for k in ("time", "q", "T_world_hand", "gap"):
+        assert np.array_equal(late[k][mask], other[k][mask]), k
+    assert (late["time"][~mask] == np.float32(0.35)).all() and (other["T_world_hand"] != again["T_world_hand"]).any()
+    for _ in range(20):
+        late, other = alone.step(high)[0], everything.step(high)[0]
+        for k in ("q", "T_world_hand", "gap", "age"):
+            assert np.array_equal(late[k][mask], other[k][mask]), k
+    ended = np.zeros(4, int)
+    for _ in range(170):
+        was = ended.copy()
+        _, reward, over, cut, info = env.step(np.where(rng.random((4, 1)) < 2, high, low))
+        ended += over | cut
+        assert (info["_end"] == (over | cut)).all() and (info["why"][over | cut] != "").all()
+        assert ((info["end"] == "success") == info["success"]).all()
+        assert reward.shape == (4,) and (ended >= was).all()
+    assert ended.min() >= 2 and env.episode_count == ended.sum()
+    assert min(env.length_queue) >= 20 and max(env.length_queue) <= 80
+    with pytest.raises(ValueError, match=r"reset_mask is int64 \(4,\); it must be bool"):
+        alone.reset(options={"reset_mask": np.arange(4)})
+
+
+def test_more_handovers_than_rows_come_in_turn(scores):
+    env = envs.HandoverEnv(scores, "still", num_envs=5, autoreset=True, config=LoopConfig(horizon_s=1))
+    env.reset()
+    seen = []
+    for _ in range(90):
+        seen.append(env.trials.trial_id.tolist())
+        env.step(np.zeros((5, 6)))
+    everything = {i for ids in seen for i in ids}
+    assert everything == set(scores.trial_id.tolist()) and seen[0] == scores.trial_id[:5].tolist()
+    assert len(env._poses) < 60  # what nobody asks for any more is dropped
+
+
+def test_a_hand_that_takes_may_touch_the_gripper_by_itself_and_nothing_else(scores):
+    """Hands sent to places in the robot: into the gripper, and into the forearm; and a robot that drives into the hand."""
+    good = scores[scores.success][:6]
+    env = HandoverEnv(good, "takes", config=LoopConfig(horizon_s=6))
+
+    def taken(place, actions):
+        env.reset(seed=0)
+        env.hands.way.begin[0] = torch.inf
+        at = env.T_world_hand.clone()
+        at[:, :3, 3] += place(env) - env.scene.palm(env.trials.hand_index, env.T_world_hand)[0]
+        env._at_take = env.T_world_ee[:, :3, 3].float()
+        env.hands.take(torch.zeros(6), torch.arange(6), at)
+        least = env.gap.clone()
+        while running(env):
+            env.step(actions)
+        assert torch.equal(env.episodes().least_m, least)  # up to the take
+        return env.episodes()
+
+    stand, ee = torch.zeros(6, 6), lambda e: e.T_world_ee[:, :3, 3].float()
+    e = taken(lambda env: ee(env) - 0.01 * env.T_world_ee[:, :3, 2].float(), stand)
+    assert (e.end == int(End.SUCCESS)).sum() >= 4 and (e.overlap_m[e.end == int(End.SUCCESS)] > 0).any()
+    e = taken(lambda env: ee(env) - 0.3 * env.T_world_ee[:, :3, 2].float(), stand)
+    assert (e.end == int(End.CONTACT)).sum() >= 4 and not e.robot_touched[e.end == int(End.CONTACT)].any()

@@ -1,0 +1,21 @@
+"""`HandoverEnv` under its name in Gymnasium's registry.
+
+`import r2h_batch` registers it if Gymnasium was imported before; this module, or any part of the closed
+loop, registers it always.
+"""
+
+import gymnasium
+
+ID = "r2h_batch/Handover-v1"
+
+
+def register() -> None:
+    """Make `gymnasium.make` and `gymnasium.make_vec` know the environment. A second call changes nothing."""
+    if ID not in gymnasium.registry:
+        place = "r2h_batch.view.environment"
+        gymnasium.register(
+            ID,
+            entry_point=f"{place}:make_single",
+            vector_entry_point=f"{place}:make_vector",
+            order_enforce=False,  # the environment says so itself
+        )

@@ -1,0 +1,127 @@
+"""Handovers in closed loop as Gymnasium makes them: `gymnasium.make_vec("r2h_batch/Handover-v1", num_envs=64)`."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from r2h_batch.base.command_line import UsageError
+from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv
+from r2h_batch.closed_loop.moving import ReceiverMotion
+from r2h_batch.sweep.jobs import make_jobs, set_up
+from r2h_batch.sweep.options import parse
+from r2h_batch.sweep.request import requested
+from r2h_batch.types import CRITERIA, Predictions, Scores
+from r2h_batch.view.drawing import View, view_of
+from r2h_batch.view.episode import EpisodeDrawing
+from r2h_batch.view.pictures import painter
+from r2h_batch.view.stored import judged_again
+
+LEAST_TRIALS = 30
+SIZE = (640, 480)
+"""Width and height of a picture, pixels."""
+
+
+class DrawnHandoverEnv(HandoverEnv):
+    """A `HandoverEnv` that draws its handovers (extra `view`)."""
+
+    def __init__(
+        self, scores: Scores, *args: Any, render_mode: str | None = None, **more: Any
+    ) -> None:
+        """As `HandoverEnv`; `render_mode`: None or rgb_array."""
+        super().__init__(scores, *args, **more)
+        self.metadata = {**self.metadata, **_DRAWS, "render_fps": self.config.rate_hz}
+        if render_mode not in (None, *_DRAWS["render_modes"]):
+            raise ValueError(f"render_mode is {render_mode!r}; allowed are None and 'rgb_array'")
+        self.render_mode = render_mode
+        self._drawings: dict[int, tuple[EpisodeDrawing, View]] = {}
+
+    def render(self) -> tuple[np.ndarray, ...] | None:  # type: ignore[override]
+        """A picture (height, width, 3) uint8 of each handover now; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        return tuple(self._picture(row) for row in range(self.num_envs))
+
+    def _picture(self, row: int) -> np.ndarray:
+        place = int(self._row[row])
+        if place not in self._drawings:
+            self._drawings[place] = self._drawing(row)
+        (drawing, view), people = self._drawings[place], self.receiver
+        T = self.T_world_hand[row].double().cpu().numpy()
+        body = None if people is None else people[row].double().cpu().numpy()[None]
+        drawing.show(T[None], body)
+        with painter(drawing, SIZE, view) as paint:
+            q = self.q[row].double().cpu().numpy()
+            return paint(np.append(q, 0.0))
+
+    def _drawing(self, row: int) -> tuple[EpisodeDrawing, View]:
+        """A handover, and a camera that sees its whole plan."""
+        inputs, rows = self.scores.inputs, torch.tensor([row], dtype=torch.int64, device="cpu")
+        assert inputs is not None
+        trial = inputs.trials[rows]
+        answer = Predictions(trial.trial_id, inputs.T_obj_ee[rows], inputs.T_world_ee[rows])
+        stored = judged_again(self.evaluator, trial, answer, "")
+        T = np.repeat(trial.T_world_hand.double().cpu().numpy(), len(stored.q), 0)
+        drawing = EpisodeDrawing(stored, stored.q, T, None, self.step_s)
+        return drawing, view_of([drawing], SIZE[0] / SIZE[1])
+
+
+_DRAWS: dict[str, Any] = {"render_modes": ["rgb_array"]}
+
+
+def make_vector(
+    num_envs: int = 1,
+    *,
+    method: str = "oracle",
+    motion: ReceiverMotion | str = "moves",
+    trials: int | None = None,
+    sweep: Sequence[str] = (),
+    autoreset: bool = True,
+    render_mode: str | None = None,
+    config: LoopConfig | None = None,
+    **more: Any,
+) -> DrawnHandoverEnv:
+    """Handovers of a method on the benchmark's trials, as a Gymnasium vector environment.
+
+    Args:
+        num_envs: handovers at once.
+        method: who says grasps and handover poses: a word of `r2h-batch ls methods`, or your package.module:function.
+        motion: of the receivers, or its name.
+        trials: trials of each split; None: at least 30, and enough for `num_envs`. Those whose object the gripper
+            cannot hold are left out. Episodes after the first take the next trial in turn.
+        sweep: more flags, as `r2h-batch sweep` takes them: ("--splits", "S0", "--robot", "panda_hand").
+        autoreset: whether rows that have ended begin their next episode (`AutoresetMode.NEXT_STEP`).
+        render_mode: None, or rgb_array.
+        config: how the loop runs.
+        more: other arguments of `HandoverEnv`: action, privileged, output.
+
+    Raises:
+        ValueError: there are not as many handovers.
+        UsageError: no such method or flag.
+    """
+    each = trials or max(LEAST_TRIALS, num_envs)
+    line = ["--method", method, "--trials", str(each), "--sim", "none", *sweep]
+    request = requested(parse(line))
+    setting = set_up(request)
+    jobs = make_jobs(request.methods, [], setting)
+    if len(jobs) != 1:
+        raise UsageError(f"{len(jobs)} methods are given; an environment has one")
+    asked = setting.trials(setting.ids(0, setting.planned)).to(setting.evaluator.scene.device)
+    answer = jobs[0].predict(asked, None)
+    scores = setting.evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
+    scores = scores[torch.nonzero(scores.passed[:, CRITERIA.index("stability")]).flatten().cpu()]
+    if len(scores) < num_envs:
+        held = f"{method} holds the object in {len(scores)} of {len(asked)} trials"
+        raise ValueError(f"{held}, and num_envs is {num_envs}; give more trials=")
+    made = {"num_envs": num_envs, "autoreset": autoreset, "render_mode": render_mode}
+    return DrawnHandoverEnv(scores, motion, config=config, **made, **more)
+
+
+def make_single(**how: Any) -> SingleHandoverEnv:
+    """One handover at a time as a plain Gymnasium environment. Arguments as of `make_vector`, without
+    num_envs and autoreset."""
+    return SingleHandoverEnv(make_vector(1, autoreset=False, **how))
+
+
+make_single.metadata = _DRAWS  # type: ignore[attr-defined]  # Gymnasium asks before it makes one

@@ -1,0 +1,54 @@
+"""The environment under its name in Gymnasium, as a stranger makes it."""
+
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from needs import needs
+
+from r2h_batch.base.command_line import UsageError
+from r2h_batch.closed_loop.env import LoopConfig
+from r2h_batch.closed_loop.registered import ID, register
+
+SMALL = {"method": "random", "trials": 3, "config": LoopConfig(horizon_s=1)}
+
+
+def test_a_vector_of_them_is_made_by_name_and_plays():
+    register()
+    envs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="vector_entry_point", **SMALL)
+    seen, _ = envs.reset(seed=1)
+    assert envs.observation_space.contains(seen) and envs.num_envs == 2
+    ended = 0
+    for _ in range(45):
+        seen, reward, over, late, info = envs.step(np.zeros((2, 6), np.float32))
+        assert envs.observation_space.contains(seen) and isinstance(reward, np.ndarray)
+        ended += int((over | late).sum())
+    assert ended >= 2 and info["margins"]["stability"].shape == (2,)
+    with pytest.raises(ValueError, match=r"random holds the object in . of 2 trials, and num_envs is 40"):
+        gymnasium.make_vec(ID, num_envs=40, vectorization_mode="vector_entry_point", method="random", trials=1)
+    with pytest.raises(UsageError, match="no-such"):
+        gymnasium.make_vec(ID, num_envs=1, vectorization_mode="vector_entry_point", method="no-such")
+
+
+@needs("gl")
+def test_a_single_one_passes_gymnasiums_checker_and_draws_what_moves():
+    env = gymnasium.make(ID, render_mode="rgb_array", **SMALL)
+    check_env(env.unwrapped)
+    env.reset(seed=0)
+    first = env.render()
+    for _ in range(8):
+        env.step(env.action_space.high)
+    later = env.render()
+    assert first.shape == (480, 640, 3) and first.dtype == np.uint8 and first.std() > 10
+    assert 0.002 < (first != later).any(2).mean() < 0.9
+    with pytest.raises(ValueError, match="render_mode is 'human'"):
+        gymnasium.make_vec(ID, num_envs=1, vectorization_mode="vector_entry_point", render_mode="human", **SMALL)
+
+
+def test_importing_the_package_after_gymnasium_registers_the_name():
+    code = "import gymnasium, r2h_batch; print(gymnasium.spec('r2h_batch/Handover-v1').id)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert found.stdout.strip() == ID
