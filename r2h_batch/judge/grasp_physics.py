@@ -39,6 +39,8 @@ FRICTION = 0.8
 SHAKE_M_S2, SHAKE_HZ, SHAKE_S = 5.0, 4.0, 0.5
 """Per axis: a sine of half the weight's size, two periods [choice]."""
 G = 9.81
+FINGERS = ("left", "right")
+"""Names of joint, body, motor and pad of each finger."""
 HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 DROPPED_M = 0.02
 
@@ -111,12 +113,6 @@ def shake(
 def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.MjSpec:
     """The fingers as parallelograms of their four-bars, or as jaws; pads as boxes, and the object's
     convex pieces as a free body."""
-    link, jaws = robot.linkage, robot.linkage.table is not None
-    most, armature, (kp, kv) = (
-        (FORCE_N, JAW_ARMATURE_KG, JAW_GAINS) if jaws else (TORQUE_NM, 1e-3, (100.0, 2.0))
-    )
-    low, high = (link.drive_lower, link.drive_upper) if jaws else (0.0, link.drive_upper)
-    room = 0.002 if jaws else 0.05
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.timestep, spec.option.gravity = STEP_S, [0, 0, 0]
@@ -125,9 +121,51 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     spec.option.impratio = 10
     stiff = [4 * STEP_S, 1.0]
-    for name, side in (("left", -1), ("right", 1)):
+    add_closing_fingers(spec, spec.worldbody, robot, stiff=stiff, friction=FRICTION)
+    kp, kv = (100.0, 2.0) if robot.linkage.table is None else JAW_GAINS
+    for name in FINGERS:
+        add_servo(spec, name, kp, kv)
+    T = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee @ np.linalg.inv(T_obj_ee)
+    xx, yy, zz, xy, xz, yz = model.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    held = spec.worldbody.add_body(
+        name="object", pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]), explicitinertial=True, mass=float(model.mass), ipos=model.com,
+        fullinertia=[xx, yy, zz, xy, xz, yz],
+    )  # fmt: skip
+    held.add_freejoint()
+    for k, (vertices, faces) in enumerate(model.pieces):
+        add_mesh(spec, f"piece_{k}", vertices.astype(np.float64), faces, convex=True)
+        held.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece_{k}", contype=2, conaffinity=1,
+            friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
+        )  # fmt: skip
+    return spec
+
+
+def add_closing_fingers(
+    spec: mujoco.MjSpec,
+    wrist: mujoco.MjsBody,
+    robot: Robot,
+    *,
+    stiff: Sequence[float],
+    friction: float,
+) -> None:
+    """Adds two fingers that move together, as parallelograms of their four-bars or as jaws, each with a pad that
+    objects touch. They have no motor yet.
+
+    Args:
+        spec: the model.
+        wrist: the body that carries them; its frame is the gripper's.
+        robot: whose linkage.
+        stiff: MuJoCo's solref of ties and contacts.
+        friction: of the pads.
+    """
+    link, jaws = robot.linkage, robot.linkage.table is not None
+    most, armature = (FORCE_N, JAW_ARMATURE_KG) if jaws else (TORQUE_NM, 1e-3)
+    low, high = (link.drive_lower, link.drive_upper) if jaws else (0.0, link.drive_upper)
+    room = 0.002 if jaws else 0.05
+    for name, side in zip(FINGERS, (-1, 1), strict=True):
         frames = FingerFrames.of(robot, side)
-        body = spec.worldbody.add_body(
+        body = wrist.add_body(
             name=name, pos=frames.driver, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
         )
         body.add_joint(
@@ -147,24 +185,17 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
             tie(spec, f"{name}_pad", name, rise.tolist(), solref=stiff)
         finger.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=robot.linkage.pad_half_size, pos=frames.pad,
-            contype=1, conaffinity=2, friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
+            contype=1, conaffinity=2, friction=[friction, 0.005, 0.0001], condim=4, solref=stiff,
         )  # fmt: skip
-        add_servo(spec, name, kp, kv)
     tie(spec, "left", "right", (0, 1), solref=stiff)
-    T = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee @ np.linalg.inv(T_obj_ee)
-    xx, yy, zz, xy, xz, yz = model.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    held = spec.worldbody.add_body(
-        name="object", pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]), explicitinertial=True, mass=float(model.mass), ipos=model.com,
-        fullinertia=[xx, yy, zz, xy, xz, yz],
-    )  # fmt: skip
-    held.add_freejoint()
-    for k, (vertices, faces) in enumerate(model.pieces):
-        add_mesh(spec, f"piece_{k}", vertices.astype(np.float64), faces, convex=True)
-        held.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece_{k}", contype=2, conaffinity=1,
-            friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
-        )  # fmt: skip
-    return spec
+
+
+def finger_posture(robot: Robot, gap_m: float) -> Array:
+    """Joint positions of the fingers of `add_closing_fingers` at a gap, (2 or 4,)."""
+    drive, rise = float(drive_from_gap(robot, gap_m)), pad_rise(robot)
+    second = -drive if rise is None else float(np.polyval(rise[::-1], drive))
+    alone = robot.linkage.table is not None and rise is None
+    return np.tile([drive] if alone else [drive, second], 2)
 
 
 def pad_rise(robot: Robot) -> Array | None:
@@ -185,10 +216,8 @@ def _close(
     # nothing drifts off at a touch
     m.dof_damping[-6:] = [model.mass * 50] * 3 + [float(np.trace(model.inertia)) * 50] * 3
     data = mujoco.MjData(m)
-    n, drive = m.nq - 7, float(drive_from_gap(robot, robot.open_gap_m))
-    rise = pad_rise(robot)
-    second = -drive if rise is None else float(np.polyval(rise[::-1], drive))
-    data.qpos[:n] = np.tile([drive, second][: n // 2], 2)
+    n = m.nq - 7
+    data.qpos[:n] = finger_posture(robot, robot.open_gap_m)
     start = data.qpos[n : n + 3].copy()
     every = 10
     for k in range(round((robot.open_gap_m / CLOSING_M_S + SETTLE_S) / STEP_S / every)):

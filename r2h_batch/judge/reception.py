@@ -78,6 +78,10 @@ class Reception:
         rula: grand score (McAtamney and Corlett 1993) of that posture, 1 to 7; 0 where none is received.
         elbow: where the elbow is then, world, m.
         T_world_hand: where the hand is then, m.
+        wrist: where its wrist is then, world, m.
+        T_obj_ee: the grasp once the gripper has closed, m; identity where nothing is held.
+        T_world_obj: where the object is held out, m.
+        opening_m: the gripper's squeezed opening.
     """
 
     evaluated: Bool[Tensor, " b"]
@@ -92,6 +96,10 @@ class Reception:
     rula: Int8[Tensor, " b"]
     elbow: Float32[Tensor, "b 3"]
     T_world_hand: Float32[Tensor, "b 4 4"]
+    wrist: Float32[Tensor, "b 3"]
+    T_obj_ee: Float32[Tensor, "b 4 4"]
+    T_world_obj: Float32[Tensor, "b 4 4"]
+    opening_m: Float32[Tensor, " b"]
 
 
 @check_arguments(
@@ -379,7 +387,8 @@ def _result(
     T_hand = se3.matmul(se3.matmul(pair["T_world_obj"].double(), turned), hand)
     relative = se3.matmul(se3.inverse(pair["T_world_hand"].double()), T_hand)[:, :3, :3]
     cosine = 0.5 * (relative.diagonal(dim1=1, dim2=2).sum(1) - 1.0)
-    travel = batch.wrists(pair) - batch.robot["receiver"][:, 2, :3]
+    wrist = batch.wrists(pair)
+    travel = wrist - batch.robot["receiver"][:, 2, :3]
     angles = arms["angles"][trial, k]
     score = torch.from_numpy(rula(angles.cpu().numpy().astype(np.float64))).to(chosen.device)
     return Reception(
@@ -395,6 +404,8 @@ def _result(
         torch.where(received, score, 0).to(torch.int8),
         torch.where(received[:, None], arms["elbow"][trial, k], nan),
         torch.where(received[:, None, None], T_hand.float(), nan),
+        torch.where(received[:, None], wrist, nan),
+        *(batch.of_trial[k] for k in ("attached", "T_world_obj", "opening")),
     )
 
 

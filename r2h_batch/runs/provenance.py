@@ -46,6 +46,7 @@ ONLY_READ_ROWS = (
         "sweep/ls.py",
         "sweep/submission.py",
         "sweep/submission_judge.py",
+        "closed_loop/transfer",
     ),
     *("base/loggers.py", "base/io/log.py", "base/command_line.py", "__main__.py"),
 )

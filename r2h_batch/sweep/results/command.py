@@ -5,6 +5,7 @@ digest RUN        print the digest of each method's rows
 reevaluate RUN    judge a sample of stored rows again from their stored poses
 rethreshold RUN   print the rates at other thresholds
 reception RUN     print how many receivers could take the object
+transfer RUN      simulate the transfer: the person takes the object, the gripper lets go
 """
 
 from pathlib import Path
@@ -158,10 +159,73 @@ def reception(
     return 0
 
 
+def transfer(
+    folder: Path,
+    /,
+    *,
+    release: tuple[str, ...] = ("load-share",),
+    scenario: tuple[str, ...] = ("take",),
+    draws: int = 1,
+    method: tuple[str, ...] = (),
+    seed: int = 0,
+    processes: int = 0,
+    benchmark: BenchmarkFlags = BUILT_IN,
+    device: str = "cpu",
+) -> int:
+    """Simulate the transfer after each handover: a person takes the object, and a policy lets go.
+
+    The command simulates received rows (see reception) in MuJoCo, and writes RUN/transfer/METHOD.parquet. It keeps what
+    is stored there, and simulates what is missing. The success rate does not depend on it. Trials need a receiver's
+    body (r2h-v1). docs/transfer.md says what the figures mean and what they do not.
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+        release: policies: never, timer, threshold, load-share or FILE.py:Class.
+        scenario: take, touch, pull-early or weak.
+        draws: persons that are drawn for each trial.
+        method: only these methods, by the sweep's word (fc) or the table's name.
+        seed: seed of the sensor's noise.
+        processes: processes that simulate; 0: one for each core.
+        benchmark: the flags that the sweep had.
+        device: cpu, cuda or cuda:N, for the reception.
+    """
+    from itertools import product
+
+    from r2h_batch.base.launch import cpu_threads
+    from r2h_batch.closed_loop.transfer.cases import Case
+    from r2h_batch.closed_loop.transfer.person import SCENARIOS
+    from r2h_batch.closed_loop.transfer.release import release_of
+    from r2h_batch.runs.files import RunError, in_the_way
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results import transfer as transferred
+
+    if unknown := [s for s in scenario if s not in SCENARIOS]:
+        raise UsageError(f"--scenario {unknown[0]}: there is none; choose {', '.join(SCENARIOS)}")
+    if draws < 1 or processes < 0:
+        raise UsageError("--draws must be 1 or more, --processes 0 or more")
+    check_seed(seed)
+    for spec in release:
+        try:
+            release_of(spec)
+        except (ImportError, TypeError) as error:
+            raise UsageError(f"--release {spec}: {error}") from error
+    if what := in_the_way(folder / "transfer", folder=True):
+        raise RunError(what)
+    run = load_run(folder).only(method)
+    files = transferred.write_tables(
+        run, benchmark, release=release, scenario=scenario, persons=draws, seed=seed,
+        count=processes or cpu_threads(), device=device,
+    )  # fmt: skip
+    cases = [Case(*c) for c in product(release, scenario, range(draws))]
+    print(transferred.render(files, cases), end="")
+    return 0
+
+
 COMMANDS = {
     "verify": verify,
     "digest": digest,
     "reevaluate": reevaluate,
     "rethreshold": rethreshold,
     "reception": reception,
+    "transfer": transfer,
 }

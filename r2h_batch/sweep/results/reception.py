@@ -72,6 +72,25 @@ def tables_of_run(
     Raises:
         RunError: the run holds no rows, no poses, or trials without a receiver's body.
     """
+    judge, names = judge_of_bodies(run, benchmark, device)
+    tables = {}
+    for name in names:
+        LOG.info(f"{name}: 256 grasps for each trial, 4 ms a trial")
+        tables[name] = (of or table_of)(run, name, judge)
+    return tables
+
+
+def judge_of_bodies(run: Run, benchmark: BenchmarkFlags, device: str) -> tuple[Judge, list[str]]:
+    """The evaluator of a run whose receivers have bodies, and its methods with rows.
+
+    Args:
+        run: with poses.
+        benchmark: the flags that the sweep had.
+        device: cpu, cuda or cuda:N.
+
+    Raises:
+        RunError: the run holds no rows, no poses, or trials without a receiver's body.
+    """
     check_poses(run)
     names = [e.name for e in run.entries if e.shards]
     if not names:
@@ -80,11 +99,7 @@ def tables_of_run(
     one = run.trials(names[0], ["trial_id"])["trial_id"][:1].to_numpy()
     if judge.trials(one).receiver is None:
         raise RunError(f"{run.folder}: its trials have no receiver's body; sweep --protocol r2h-v1")
-    tables = {}
-    for name in names:
-        LOG.info(f"{name}: 256 grasps for each trial, 4 ms a trial")
-        tables[name] = (of or table_of)(run, name, judge)
-    return tables
+    return judge, names
 
 
 def table_of(run: Run, method: str, judge: Judge) -> pa.Table:
@@ -99,9 +114,27 @@ def table_of(run: Run, method: str, judge: Judge) -> pa.Table:
         RunError: the run holds no poses.
         ValueError: its trials have no receiver's body.
     """
-    check_poses(run)
-    tables = [_rows(part, judge) for part in _parts(run, method)]
+    tables = [rows_of(*part) for part in judged_again(run, method, judge)]
     return pa.concat_tables(tables) if tables else SCHEMA.empty_table()
+
+
+def judged_again(
+    run: Run, method: str, judge: Judge
+) -> Iterator[tuple[np.ndarray, Scores, dict[int, bool]]]:
+    """Numbers of the trials, scores of their stored poses up to the goal posture, and whether each trial succeeded;
+    `ROWS` stored rows of a method at a time.
+
+    Args:
+        run: with poses. Where it holds details, the goal posture is the stored one.
+        method: name in the run.
+        judge: the evaluator of the run.
+
+    Raises:
+        RunError: the run holds no poses.
+    """
+    check_poses(run)
+    for part in _parts(run, method):
+        yield _judged(part, judge)
 
 
 def _parts(run: Run, method: str) -> Iterator[dict[str, pa.Table]]:
@@ -115,7 +148,9 @@ def _parts(run: Run, method: str) -> Iterator[dict[str, pa.Table]]:
             yield {k: t.filter(pc.is_in(t["trial_id"], own)) for k, t in stored.items()}
 
 
-def _rows(stored: dict[str, pa.Table], judge: Judge) -> pa.Table:
+def _judged(
+    stored: dict[str, pa.Table], judge: Judge
+) -> tuple[np.ndarray, Scores, dict[int, bool]]:
     poses, device = stored["poses"], judge.evaluator.scene.device
     grasp, handover = (
         torch.tensor(poses[k].to_pylist(), dtype=torch.float32, device=device).reshape(-1, 4, 4)
@@ -134,7 +169,7 @@ def _rows(stored: dict[str, pa.Table], judge: Judge) -> pa.Table:
         scores = replace(scores, q_goal=torch.where(known, goal, scores.q_goal)).with_inputs(inputs)
     rows = stored["trials"].select(["trial_id", "outcome"]).to_pylist()
     won = {r["trial_id"]: r["outcome"] == "success" for r in rows}
-    return rows_of(poses["trial_id"].to_numpy(), scores, won)
+    return poses["trial_id"].to_numpy(), scores, won
 
 
 def rows_of(trial_id: np.ndarray, scores: Scores, success: Mapping[int, bool]) -> pa.Table:

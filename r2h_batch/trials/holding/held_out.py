@@ -152,8 +152,10 @@ def grip_forces(
         touches = distance < CONTACT_M
         if not touches.any():
             continue
-        wrench = _edges(
-            points[touches].astype(np.float64) - com, -normal[touches].astype(np.float64)
+        wrench = friction_edges(
+            points[touches].astype(np.float64) - com,
+            -normal[touches].astype(np.float64),
+            FRICTION,
         )
         of = np.repeat(region[palmar][touches], CONE_EDGES)
         presses = (of == np.arange(PALM + 1)[:, None]).astype(np.float64)
@@ -172,16 +174,24 @@ def grip_forces(
     return out
 
 
-def _edges(arm: NDArray[np.float64], inward: NDArray[np.float64]) -> NDArray[np.float64]:
+def friction_edges(
+    arm: NDArray[np.float64], inward: NDArray[np.float64], friction: float
+) -> NDArray[np.float64]:
     """(6, n * CONE_EDGES) force and moment of the friction pyramids' edges, each with 1 N along the
-    normal; moments in N times 0.1 m."""
+    normal; moments in N times 0.1 m.
+
+    Args:
+        arm: (n, 3) contact points from where moments are taken, m.
+        inward: (n, 3) inward normals of the object, of any length.
+        friction: coefficient.
+    """
     inward = inward / np.linalg.norm(inward, axis=1, keepdims=True)
     helper = np.where(np.abs(inward[:, :1]) > 0.7, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(helper, inward)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     v = np.cross(inward, u)
     turn = 2 * np.pi * np.arange(CONE_EDGES) / CONE_EDGES
-    force = inward[:, None] + FRICTION * (
+    force = inward[:, None] + friction * (
         np.cos(turn)[:, None] * u[:, None] + np.sin(turn)[:, None] * v[:, None]
     )
     moment = np.cross(arm[:, None], force) / 0.1

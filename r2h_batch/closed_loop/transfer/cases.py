@@ -1,0 +1,139 @@
+"""Transfers of many handovers on all cores: rows, cases, processes."""
+
+import multiprocessing
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float64
+from numpy.typing import NDArray
+
+from r2h_batch.closed_loop.transfer.handed import Handed
+from r2h_batch.closed_loop.transfer.model import Setting
+from r2h_batch.closed_loop.transfer.person import SCENARIOS, Hands, Persons, draw_persons
+from r2h_batch.closed_loop.transfer.release import release_of
+from r2h_batch.closed_loop.transfer.simulate import Transfers, noise_of, simulate
+from r2h_batch.closed_loop.transfer.worlds_mujoco import Models, MujocoWorlds
+from r2h_batch.judge.motion.simulation import warnings_unwritten
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import Robot
+
+ROWS = 32
+"""Handovers that a process takes at a time."""
+AHEAD = 2
+"""Groups of rows that wait for each process: memory stays flat."""
+
+
+class Case(NamedTuple):
+    """One way to transfer every row: who decides to let go, what the person does, which person."""
+
+    release: str
+    scenario: str
+    person: int
+
+
+@dataclass(frozen=True, eq=False)
+class Transferred:
+    """N handovers in one case: what came of them, the persons, and how far closing moved each object (m)."""
+
+    case: Case
+    transfers: Transfers
+    persons: Persons
+    closing_m: Float64[NDArray[np.float64], " n"]
+
+
+class Simulator:
+    """Simulates transfers in this process.
+
+    Args:
+        robot: whose gripper.
+        objects: that `Handed.object_index` counts.
+        setting: what a study varies.
+        seed: of the sensor's noise.
+    """
+
+    def __init__(
+        self, robot: Robot, objects: Sequence[ObjectModel], setting: Setting, seed: int
+    ) -> None:
+        self.robot, self.setting, self.seed = robot, setting, seed
+        self.models = Models(robot, objects, setting)
+
+    def __call__(self, handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
+        """Every row in every case; the gripper closes once for each row."""
+        with warnings_unwritten():
+            closed = [self.models.close(handed[i : i + 1]) for i in range(len(handed))]
+            return [self._one(handed, closed, case) for case in cases]
+
+    def _one(self, handed: Handed, closed: list[Any], case: Case) -> Transferred:
+        scenario = SCENARIOS[case.scenario]
+        persons = draw_persons(scenario, handed.trial_id, case.person)
+        made = simulate(
+            MujocoWorlds(closed, persons.arm_n_m, self.robot, self.setting),
+            Hands(handed, scenario, persons, self.setting),
+            release_of(case.release)[0],
+            R_world_gripper=torch.from_numpy(handed.R_world_gripper),
+            com_closed=torch.from_numpy(np.array([c.com_closed for c in closed])),
+            noise=noise_of(handed.trial_id, case.person, self.seed),
+        )
+        return Transferred(case, made, persons, np.array([c.moved_m for c in closed]))
+
+
+_simulator: Simulator | None = None
+
+
+def _start(robot: Robot, objects: Sequence[ObjectModel], setting: Setting, seed: int) -> None:
+    global _simulator
+    torch.set_num_threads(1)
+    _simulator = Simulator(robot, objects, setting, seed)
+
+
+def _work(handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
+    assert _simulator is not None
+    return _simulator(handed, cases)
+
+
+class Processes:
+    """Simulates transfers in several processes, or in this one; rows come back in their order."""
+
+    def __init__(self, simulator: Simulator, pool: ProcessPoolExecutor | None, count: int) -> None:
+        self.simulator, self.pool, self.count = simulator, pool, count
+
+    def __call__(
+        self, handed: Iterable[Handed], cases: Sequence[Case]
+    ) -> Iterator[tuple[Handed, list[Transferred]]]:
+        """Groups of at most `ROWS` rows, each with all cases."""
+        groups = (rows[i : i + ROWS] for rows in handed for i in range(0, len(rows), ROWS))
+        if self.pool is None:
+            for group in groups:
+                yield group, self.simulator(group, cases)
+            return
+        waiting = [
+            (g, self.pool.submit(_work, g, cases)) for g in islice(groups, AHEAD * self.count)
+        ]
+        while waiting:
+            group, future = waiting.pop(0)
+            found = future.result()
+            waiting += [(g, self.pool.submit(_work, g, cases)) for g in islice(groups, 1)]
+            yield group, found
+
+
+@contextmanager
+def processes(simulator: Simulator, count: int) -> Iterator[Processes]:
+    """Processes that simulate what `simulator` does.
+
+    Args:
+        simulator: with robot, objects and setting.
+        count: how many; 1: this one.
+    """
+    if count == 1:
+        yield Processes(simulator, None, 1)
+        return
+    given = (simulator.robot, simulator.models.objects, simulator.setting, simulator.seed)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, context, initializer=_start, initargs=given) as pool:
+        yield Processes(simulator, pool, count)

@@ -1,0 +1,133 @@
+"""Start of a transfer: an object in the closed gripper, and the receiving grasp that reception chose.
+
+All of it stands in the frame of the gripper at the handover pose, so that one model serves every pose.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64, Int64
+from numpy.typing import NDArray
+
+from r2h_batch.judge.reception import Reception
+from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.holding.capacity import usual_grips
+from r2h_batch.trials.holding.held_out import G, load_held_out
+
+Array = NDArray[np.float64]
+
+LIFT = 0.2
+"""The person pulls along the forearm, at least level, and this much upwards (as a slope) [choice]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Handed:
+    """N handovers that were received, float64, frame gripper (at the handover pose), m.
+
+    Attributes:
+        trial_id: (N,) numbers of the trials.
+        object_index: (N,) which objects.
+        T_gripper_obj: (N, 4, 4) where the object is.
+        opening_m: (N,) gap of the squeezed fingers.
+        down: (N, 3) unit vector of gravity.
+        T_gripper_slip: (N, 4, 4) the grasp's frame: centre of the contacts, axes that capacities count by.
+        capacity: (N, 6) force (N) and moment (N m) along these axes that a newton of grip withstands.
+        total_n: (N,) sum of the normal forces of a usual grip, N; 0: friction cannot carry the object.
+        pull: (N, 3) unit vector along which the person pulls.
+        point: (N, 3) a point where the hand touches.
+        press: (N, 3) unit vector into the object there.
+        weight_n: (N,) weight of the object, N.
+        R_world_gripper: (N, 3, 3) orientation of the gripper.
+    """
+
+    trial_id: Int64[NDArray[np.int64], " n"]
+    object_index: Int64[NDArray[np.int64], " n"]
+    T_gripper_obj: Float64[Array, "n 4 4"]
+    opening_m: Float64[Array, " n"]
+    down: Float64[Array, "n 3"]
+    T_gripper_slip: Float64[Array, "n 4 4"]
+    capacity: Float64[Array, "n 6"]
+    total_n: Float64[Array, " n"]
+    pull: Float64[Array, "n 3"]
+    point: Float64[Array, "n 3"]
+    press: Float64[Array, "n 3"]
+    weight_n: Float64[Array, " n"]
+    R_world_gripper: Float64[Array, "n 3 3"]
+
+    def __len__(self) -> int:
+        return len(self.trial_id)
+
+    def __getitem__(
+        self, rows: slice | Bool[NDArray[np.bool_], " n"] | NDArray[np.int64]
+    ) -> "Handed":
+        """The selected rows."""
+        return Handed(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+
+def handed_of(
+    found: Reception, trial_id: NDArray[np.int64], object_index: NDArray[np.int64], scene: Scene
+) -> Handed:
+    """The rows of a reception in which the object is received.
+
+    Args:
+        found: B rows.
+        trial_id: (B,) numbers of the trials.
+        object_index: (B,) their objects, rows of `scene.objects`.
+        scene: the robot, objects and hands of the reception.
+    """
+    rows = torch.nonzero(found.received.cpu())[:, 0]
+    numpy = {
+        k: getattr(found, k).cpu()[rows].double().numpy()
+        for k in ("T_world_hand", "T_obj_ee", "T_world_obj", "opening_m", "elbow", "wrist")
+    }
+    index = object_index[rows.numpy()].astype(np.int64)
+    held_out = load_held_out(scene.objects, scene.hands.model)
+    grasp = found.grasp.cpu()[rows].long()
+    T_world_obj = numpy["T_world_obj"]
+    # objects of revolution may be turned about their axes: the grasp goes with the hand
+    T_obj_hand = held_out.grasps.T_obj_hand[grasp].double().numpy()
+    T_world_grasped = numpy["T_world_hand"] @ np.linalg.inv(T_obj_hand)
+    down = -T_world_grasped[:, 2, :3]
+    grips = usual_grips(held_out, scene.objects, grasp.numpy(), down)
+    T_world_slip = np.tile(np.eye(4), (len(rows), 1, 1))
+    T_world_slip[:, :3, :3] = T_world_grasped[:, :3, :3] @ grips.axes
+    T_world_slip[:, :3, 3] = _apply(T_world_grasped, grips.center)
+    robot = scene.robot
+    T_ee_gripper = np.linalg.inv(robot.T_flange_ee) @ robot.T_flange_gripper
+    T_world_gripper = T_world_obj @ numpy["T_obj_ee"] @ T_ee_gripper
+    T_gripper_world = np.linalg.inv(T_world_gripper)
+    R = T_gripper_world[:, :3, :3]  # of float32 poses: orthonormal to 1e-6
+    pull = numpy["elbow"] - numpy["wrist"]
+    pull[:, 2] = np.maximum(pull[:, 2], 0.0)
+    pull = _unit(pull)
+    pull[:, 2] += LIFT
+    normal = _turn(T_world_grasped[:, :3, :3], grips.normal)
+    mass = np.array([float(o.mass) for o in scene.objects])[index]
+    return Handed(
+        trial_id[rows.numpy()].astype(np.int64),
+        index,
+        T_gripper_world @ T_world_obj,
+        numpy["opening_m"],
+        -R[:, :, 2],
+        T_gripper_world @ T_world_slip,
+        grips.capacity,
+        grips.total_n,
+        _turn(R, _unit(pull)),
+        _apply(T_gripper_world @ T_world_grasped, grips.point),
+        _turn(R, -normal),
+        mass * G,
+        T_world_gripper[:, :3, :3],
+    )
+
+
+def _apply(T: Array, p: Array) -> Array:
+    return _turn(T[:, :3, :3], p) + T[:, :3, 3]
+
+
+def _turn(R: Array, v: Array) -> Array:
+    return np.asarray(np.einsum("nij,nj->ni", R, v))
+
+
+def _unit(v: Array) -> Array:
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))

@@ -1,0 +1,200 @@
+"""When the gripper lets go: policies that see the wrist's force sensor 120 times a second.
+
+A policy is a class that is made for a batch of transfers, `Policy(robot)`, and then called with an observation at
+each tick. It says an `Action` for every row. The built-in ones compute each row by itself, so that a row does not
+depend on its batch.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float64
+from torch import Tensor
+
+from r2h_batch.base.user_code import load_function
+from r2h_batch.runs import provenance
+
+TARE_TICKS = 12
+"""Readings whose mean is the load before anybody touches: 0.1 s."""
+SMOOTH_TICKS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSide:
+    """The robot's knowledge before a transfer.
+
+    Attributes:
+        weight_n: (N,) weight of each object as the robot was told, N.
+        tick_s: time between two observations.
+    """
+
+    weight_n: Float64[Tensor, " n"]
+    tick_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """The robot's sensors at a tick, world axes.
+
+    Attributes:
+        time_s: since the first tick.
+        force: (N, 3) load on the wrist, N, with the sensor's noise and latency; z is minus the weight while
+            nobody touches the object.
+        shifted: (N, 3) how far the robot's hand is from the handover pose, m.
+    """
+
+    time_s: float
+    force: Float64[Tensor, "n 3"]
+    shifted: Float64[Tensor, "n 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Action:
+    """The gripper's and the arm's motion.
+
+    Attributes:
+        open: (N,) let go now; the first True counts.
+        squeeze: (N,) effort of the fingers until then, share of the largest, 0 to 1; None: 1.
+        shift: (N, 3) where the robot moves its hand, from the handover pose, world axes, m; None: nowhere.
+    """
+
+    open: Bool[Tensor, " n"]
+    squeeze: Float64[Tensor, " n"] | None = None
+    shift: Float64[Tensor, "n 3"] | None = None
+
+
+class Tared:
+    """A policy that reads the change of the load: the mean of the last `SMOOTH_TICKS` readings less that of the
+    first `TARE_TICKS`."""
+
+    def __init__(self, robot: RobotSide) -> None:
+        self.robot = robot
+        self.no = torch.zeros_like(robot.weight_n, dtype=torch.bool)
+        self._tare = torch.zeros((), dtype=torch.float64, device=self.no.device)
+        self._last: list[Tensor] = []
+        self._ticks = 0
+
+    def change(self, force: Float64[Tensor, "n 3"]) -> Float64[Tensor, "n 3"] | None:
+        """The smoothed change of the load, N; None: still taring."""
+        self._ticks += 1
+        if self._ticks <= TARE_TICKS:
+            self._tare = self._tare + force / TARE_TICKS
+            return None
+        self._last = [*self._last[-(SMOOTH_TICKS - 1) :], force.clone()]
+        total = self._last[0]
+        for reading in self._last[1:]:
+            total = total + reading
+        return total / len(self._last) - self._tare
+
+
+class Lasting:
+    """Whether a condition has held for some time, row by row."""
+
+    def __init__(self, ticks: int, like: Float64[Tensor, " n"]) -> None:
+        self.ticks, self.count = ticks, torch.zeros_like(like, dtype=torch.int64)
+
+    def __call__(self, now: Bool[Tensor, " n"]) -> Bool[Tensor, " n"]:
+        """Counts a tick."""
+        self.count = torch.where(now, self.count + 1, 0)
+        return self.count > self.ticks
+
+
+def size(v: Float64[Tensor, "n 3"]) -> Float64[Tensor, " n"]:
+    """Length of vectors, with the same bits in any batch."""
+    return (v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1] + v[:, 2] * v[:, 2]).sqrt()
+
+
+class Never:
+    """Never lets go: a bound."""
+
+    def __init__(self, robot: RobotSide) -> None:
+        self.no = torch.zeros_like(robot.weight_n, dtype=torch.bool)
+
+    def __call__(self, seen: Observation) -> Action:
+        return Action(self.no)
+
+
+class Timer(Tared):
+    """Lets go a while after something touches the object: a bound."""
+
+    TOUCH_N, AFTER_S = 1.5, 0.5
+
+    def __init__(self, robot: RobotSide) -> None:
+        super().__init__(robot)
+        self.since = torch.zeros_like(robot.weight_n, dtype=torch.int64)
+
+    def __call__(self, seen: Observation) -> Action:
+        change = self.change(seen.force)
+        if change is None:
+            return Action(self.no)
+        touched = (self.since > 0) | (size(change) > self.TOUCH_N)
+        self.since = self.since + touched.long()
+        return Action(self.since * self.robot.tick_s > self.AFTER_S)
+
+
+class Threshold(Tared):
+    """Lets go once the load has changed by more than 5 N for 50 ms: what most robots do."""
+
+    FORCE_N, HOLD_S = 5.0, 0.05
+
+    def __init__(self, robot: RobotSide) -> None:
+        super().__init__(robot)
+        self.lasting = Lasting(round(self.HOLD_S / robot.tick_s), robot.weight_n)
+
+    def __call__(self, seen: Observation) -> Action:
+        change = self.change(seen.force)
+        return Action(self.no if change is None else self.lasting(size(change) > self.FORCE_N))
+
+
+class LoadShare(Tared):
+    """The grip follows what the robot still carries, and opens when the person has carried 90 % of the weight for
+    50 ms (Chan et al. 2012, 2013)."""
+
+    SHARE, HOLD_S, LEAST_SQUEEZE, LEAST_N = 0.9, 0.05, 0.35, 0.6
+    """`LEAST_N`: a lighter object counts as one of this weight, because its own is within the sensor's noise
+    [choice]."""
+
+    def __init__(self, robot: RobotSide) -> None:
+        super().__init__(robot)
+        self.lasting = Lasting(round(self.HOLD_S / robot.tick_s), robot.weight_n)
+        self.weight = robot.weight_n.clamp(min=self.LEAST_N)
+
+    def __call__(self, seen: Observation) -> Action:
+        change = self.change(seen.force)
+        if change is None:
+            return Action(self.no)
+        share = change[:, 2] / self.weight
+        squeeze = (1.0 - (1.0 - self.LEAST_SQUEEZE) * share).clamp(self.LEAST_SQUEEZE, 1.0)
+        return Action(self.lasting(share > self.SHARE), squeeze)
+
+
+POLICIES: dict[str, Any] = {
+    "never": Never,
+    "timer": Timer,
+    "threshold": Threshold,
+    "load-share": LoadShare,
+}
+"""By their names in commands."""
+
+
+def release_of(spec: str) -> tuple[Any, str]:
+    """A built-in policy by its name, or the user's class (`package.module:Class` or `FILE.py:Class`), and a text
+    that says what decides its actions.
+
+    Raises:
+        ImportError: the module or class does not exist.
+        TypeError: it is not a class.
+    """
+    if spec in POLICIES:
+        return POLICIES[spec], spec
+    if ":" not in spec:
+        raise ImportError(
+            f"no release policy {spec!r}; built in are {', '.join(POLICIES)}, your own is FILE.py:Class"
+        )
+    found = load_function(spec)
+    if not isinstance(found.function, type):
+        raise TypeError(
+            f"{spec} is no class; a release policy is made for each batch, Class(robot)"
+        )
+    return found.function, f"{found.spec} {provenance.file_digest(found.files().values())[:16]}"

@@ -1,0 +1,161 @@
+"""The transfer, tick by tick: sensor, policy, person and gripper, on any engine."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float64
+from numpy.typing import NDArray
+from torch import Tensor
+
+from r2h_batch.base import rng
+from r2h_batch.closed_loop.transfer.model import TICK_S
+from r2h_batch.closed_loop.transfer.outcome import SHARES, Book
+from r2h_batch.closed_loop.transfer.person import BEGIN_S, KEY, Hands
+from r2h_batch.closed_loop.transfer.release import Action, Observation, RobotSide
+from r2h_batch.closed_loop.transfer.worlds import Seen, Told, Worlds
+
+NOISE_N = 0.5
+"""Noise of the wrist's sensor, one sigma an axis [choice]; a UR5e's own sensor is coarser."""
+SENSOR_TICKS = 1
+"""The policy sees the force this late."""
+GRIPPER_S = 0.06
+"""From the decision to the fingers' first move [choice]."""
+BACK_AFTER_S, BACK_M_S, BACK_M = 0.2, 0.15, 0.10
+"""The robot backs off once the fingers have opened for so long: they stay hooked in headphones otherwise."""
+MOST_TICKS = 720
+"""No transfer lasts longer: 6 s."""
+_UNIFORMS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Transfers:
+    """Results of N transfers; NaN where something did not happen.
+
+    Attributes:
+        outcome: `Outcome` of each.
+        release_share: share of the weight that the person carried when the policy let go.
+        transfer_s: from the beginning of the person's grip until the gripper was free.
+        share_s: (N, 3) when the share first passed 10, 50 and 90 %, from the beginning of the grip.
+        pull_n: largest force of the person's arm beyond the weight until the gripper was free.
+        grip_n: largest grip of the person, one side.
+        hand_n: largest force of the arm on the hand.
+        slip_m: how far the object slipped in the hand, from the grip to the end.
+        turn_deg: how far it turned.
+        robot_slip_m: how far it slipped in the gripper before anybody touched it.
+        time_s: simulated.
+    """
+
+    outcome: list[str]
+    release_share: Float64[NDArray[np.float64], " n"]
+    transfer_s: Float64[NDArray[np.float64], " n"]
+    share_s: Float64[NDArray[np.float64], "n 3"]
+    pull_n: Float64[NDArray[np.float64], " n"]
+    grip_n: Float64[NDArray[np.float64], " n"]
+    hand_n: Float64[NDArray[np.float64], " n"]
+    slip_m: Float64[NDArray[np.float64], " n"]
+    turn_deg: Float64[NDArray[np.float64], " n"]
+    robot_slip_m: Float64[NDArray[np.float64], " n"]
+    time_s: Float64[NDArray[np.float64], " n"]
+
+
+def noise_of(
+    trial_id: NDArray[np.int64], person: int, seed: int
+) -> Float64[NDArray[np.float64], "t n 3"]:
+    """Noise of the wrist's sensor at each tick, N: the same for every method, policy and batch.
+
+    Sums of four uniforms: nearly normal, and the same bits on every machine.
+    """
+    count = MOST_TICKS * 3 * _UNIFORMS
+    u = rng.uniforms(KEY, trial_id, count, purpose=2 + seed, attempt=person)
+    sums = u.reshape(_UNIFORMS, MOST_TICKS, 3, len(trial_id)).sum(0) - _UNIFORMS / 2
+    return np.ascontiguousarray(np.moveaxis(sums, 2, 1)) * (NOISE_N * np.sqrt(12 / _UNIFORMS))
+
+
+def simulate(
+    worlds: Worlds,
+    hands: Hands,
+    policy: Any,
+    *,
+    R_world_gripper: Float64[Tensor, "n 3 3"],
+    com_closed: Float64[Tensor, "n 3"],
+    noise: Float64[NDArray[np.float64], "t n 3"],
+) -> Transfers:
+    """Runs N transfers to their ends.
+
+    Args:
+        worlds: with the gripper closed and the weight acting.
+        hands: the persons.
+        policy: a class of `release.POLICIES`, or a user's.
+        R_world_gripper: (N, 3, 3) orientation of the gripper.
+        com_closed: (N, 3) centre of mass when the gripper had closed, frame gripper, m.
+        noise: of the sensor, world axes, N.
+    """
+    seen = worlds.seen()
+    book = Book(seen, com_closed, hands)
+    decides = policy(RobotSide(hands.weight, TICK_S))
+    fingers = _Robot(R_world_gripper)
+    for tick in range(MOST_TICKS):
+        seen = worlds.seen()
+        book.look(seen)
+        if not bool(book.running.any()):
+            break
+        action = decides(fingers.observes(seen, noise[tick]))
+        book.decide(action.open)
+        acts = hands.act(seen, book.released, book.lost)
+        effort, shift = fingers.moves(action, book)
+        told = Told(effort, shift, acts.hand, acts.friction, acts.push)
+        worlds.step(told, book.running)
+    return _transfers(book)
+
+
+class _Robot:
+    """Sensor, gripper and wrist of N robots."""
+
+    def __init__(self, R_world_gripper: Float64[Tensor, "n 3 3"]) -> None:
+        self.R, self.tick = R_world_gripper, 0
+        self.late: list[Tensor] = []
+
+    def observes(self, seen: Seen, noise: Float64[NDArray[np.float64], "n 3"]) -> Observation:
+        """The policies' observation now."""
+        force = _rotate(self.R, seen.load) + torch.from_numpy(noise)
+        self.late = [*self.late[-SENSOR_TICKS:], force]
+        now = Observation(self.tick * TICK_S, self.late[0], _rotate(self.R, seen.shifted))
+        self.tick += 1
+        return now
+
+    def moves(
+        self, action: Action, book: Book
+    ) -> tuple[Float64[Tensor, " n"], Float64[Tensor, "n 3"]]:
+        """Effort of the fingers, and shift of the wrist in the gripper's frame."""
+        since = book.time_s - book.decided_s - GRIPPER_S  # -inf: not decided
+        squeeze = torch.ones_like(since) if action.squeeze is None else action.squeeze
+        opens = since >= 0.0
+        effort = torch.where(opens, -1.0, squeeze.clamp(0.0, 1.0))
+        back = ((since - BACK_AFTER_S) * BACK_M_S).clamp(0.0, BACK_M)
+        shift = torch.zeros_like(self.R[:, 0])
+        if action.shift is not None:
+            shift = torch.where(opens[:, None], 0.0, _rotate(self.R.transpose(1, 2), action.shift))
+        shift[:, 2] = torch.where(opens, -back, shift[:, 2])
+        return effort, shift
+
+
+def _rotate(R: Float64[Tensor, "n 3 3"], v: Float64[Tensor, "n 3"]) -> Float64[Tensor, "n 3"]:
+    return R[:, :, 0] * v[:, :1] + R[:, :, 1] * v[:, 1:2] + R[:, :, 2] * v[:, 2:]
+
+
+def _transfers(book: Book) -> Transfers:
+    def happened(when: Tensor) -> NDArray[np.float64]:
+        return torch.where(when.isfinite(), when, torch.nan).numpy()
+
+    return Transfers(
+        book.outcomes(),
+        book.release_share.numpy(),
+        happened(book.released_s - BEGIN_S),
+        np.stack([happened(book.passed_s[k]) for k in range(len(SHARES))], 1),
+        *(x.numpy() for x in (book.pull_n, book.grip_n, book.hand_n, book.slip_m)),
+        np.array(book.turn_deg()),
+        book.robot_slip_m.numpy(),
+        book.ended_s.numpy(),
+    )

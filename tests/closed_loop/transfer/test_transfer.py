@@ -1,0 +1,165 @@
+"""Claims about the transfer, on a screwdriver in the gripper's pads and a person's hand beside them."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from r2h_batch.closed_loop.transfer import person, release
+from r2h_batch.closed_loop.transfer.cases import Case, Processes, Simulator, processes
+from r2h_batch.closed_loop.transfer.handed import Handed
+from r2h_batch.closed_loop.transfer.model import Setting
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.robot import drive_from_gap, load_robot, pad_center_z
+
+ROBOT, OBJECTS = load_robot(), load_objects(["screwdriver"])
+WEIGHT_N = float(OBJECTS[0].mass) * 9.81
+
+
+def screwdrivers(n: int = 3, below_m: float = 0.06) -> Handed:
+    """The handle between the pads, long axis across them; gravity along it. The hand is `below_m` below."""
+    model = OBJECTS[0]
+    long = int(np.ptp(model.vertices, axis=0).argmax())
+    R = np.roll(np.eye(3), -long, axis=1).T  # the long axis becomes x of the gripper
+    R = R if np.linalg.det(R) > 0 else -R
+    center = np.asarray(model.com, float)
+    T = np.eye(4)
+    T[:3, :3] = R
+    gap = 0.03
+    T[:3, 3] = [0, 0, float(pad_center_z(ROBOT, drive_from_gap(ROBOT, gap)))] - R @ center
+    slip = np.eye(4)
+    slip[:3, 3] = T[:3, 3] + R @ center + [below_m, 0, 0]
+    down = np.array([1.0, 0.0, 0.0])
+    R_world = np.array([[0.0, 1, 0], [0, 0, 1], [-1, 0, 0]])
+    R_world = R_world if np.linalg.det(R_world) > 0 else R_world * [1, -1, 1]
+    assert np.allclose(R_world @ down, [0, 0, -1])
+
+    def rows(x: object) -> np.ndarray:
+        return np.repeat(np.asarray(x, float)[None], n, axis=0)
+
+    return Handed(
+        np.arange(n, dtype=np.int64), np.zeros(n, np.int64), rows(T), np.full(n, gap), rows(down), rows(slip),
+        rows([0.6, 0.6, 0.6, 0.01, 0.01, 0.01]), np.full(n, 20.0), rows([-0.2, 0.0, 0.98]), rows(slip[:3, 3]),
+        rows([0.0, 0.0, 1.0]), np.full(n, WEIGHT_N), rows(R_world),
+    )  # fmt: skip
+
+
+def simulated(handed: Handed, *cases: Case, setting: Setting | None = None):
+    return Simulator(ROBOT, OBJECTS, setting or Setting(), seed=0)(handed, cases)
+
+
+def test_load_share_hands_over_and_the_person_carries_the_weight_when_it_lets_go():
+    (made,) = simulated(screwdrivers(), Case("load-share", "take", 0))
+    t = made.transfers
+    assert t.outcome == ["taken"] * 3
+    assert (t.release_share > 0.5).all() and (t.transfer_s > 0.2).all() and (t.transfer_s < 2.0).all()
+    assert (np.diff(t.share_s, axis=1) >= 0).all()
+
+
+def test_a_policy_that_never_lets_go_is_pulled_at_the_persons_limit_and_releases_nothing():
+    (made,) = simulated(screwdrivers(4, below_m=0.0), Case("never", "take", 0))
+    t = made.transfers
+    assert t.outcome == ["not_released"] * 4 and np.isnan(t.transfer_s).all() and np.isnan(t.release_share).all()
+    # the spring's force is the limit; the arm's own motion adds a little
+    assert np.allclose(t.pull_n, made.persons.pull_n, rtol=0.12, atol=0.3)
+    assert len(set(made.persons.pull_n)) == 4
+
+
+def test_under_a_mere_touch_a_timer_lets_go_and_never_does_not():
+    timer, never = simulated(screwdrivers(), Case("timer", "touch", 0), Case("never", "touch", 0))
+    assert timer.transfers.outcome == ["false_release"] * 3
+    assert never.transfers.outcome == ["kept"] * 3
+
+
+def test_with_frictionless_pads_the_robot_drops_it_before_anybody_touches():
+    slippery = Setting(pad_friction=0.0)
+    (made,) = simulated(screwdrivers(), Case("load-share", "take", 0), setting=slippery)
+    assert made.transfers.outcome == ["robot_dropped"] * 3
+
+
+class AtOnce:
+    """Lets go after 0.6 s, whatever happens."""
+
+    def __init__(self, robot):
+        self.no = robot.weight_n < 0
+
+    def __call__(self, seen):
+        return release.Action(~self.no if seen.time_s > 0.6 else self.no)
+
+
+def test_a_hand_without_grip_drops_what_the_robot_lets_go(monkeypatch):
+    monkeypatch.setitem(release.POLICIES, "at-once", AtOnce)
+    handed = screwdrivers()
+    weak = replace(handed, capacity=handed.capacity * 0)
+    (made,) = simulated(weak, Case("at-once", "take", 0))
+    assert made.transfers.outcome == ["dropped"] * 3
+
+
+def test_an_object_that_is_pulled_harder_than_the_pads_hold_is_torn_out(monkeypatch):
+    strong = replace(person.SCENARIOS["take"], pull_n=(120.0, 121.0), grip=(5.0, 5.1), most_grip_n=900.0)
+    monkeypatch.setitem(person.SCENARIOS, "strong", strong)
+    handed = screwdrivers()
+    (made,) = simulated(replace(handed, capacity=handed.capacity * 4), Case("never", "strong", 0))
+    assert made.transfers.outcome == ["torn_out"] * 3
+
+
+def test_rows_have_the_same_bits_in_any_order_batch_and_number_of_processes():
+    handed, case = screwdrivers(5), Case("load-share", "take", 0)
+    (whole,) = simulated(handed, case)
+    order = np.array([3, 0, 4, 2, 1])
+    (turned,) = simulated(handed[order], case)
+    (alone,) = simulated(handed[2:3], case)
+    with processes(Simulator(ROBOT, OBJECTS, Setting(), 0), 2) as two:
+        found = [t for _, made in two([handed[:2], handed[2:]], [case]) for t in made]
+    for name in (f.name for f in fields(whole.transfers) if f.name != "outcome"):
+        x = getattr(whole.transfers, name)
+        assert np.array_equal(x[order], getattr(turned.transfers, name), equal_nan=True), name
+        assert np.array_equal(x[2:3], getattr(alone.transfers, name), equal_nan=True), name
+        both = np.concatenate([getattr(t.transfers, name) for t in found])
+        assert np.array_equal(x, both, equal_nan=True), name
+
+
+def test_half_the_time_step_changes_no_outcome():
+    cases = [Case("load-share", "take", 0), Case("threshold", "take", 0), Case("timer", "touch", 0)]
+    whole, half = (simulated(screwdrivers(4), *cases, setting=Setting(steps=n)) for n in (8, 16))
+    assert [m.transfers.outcome for m in whole] == [m.transfers.outcome for m in half]
+
+
+def test_another_person_of_the_same_trial_is_drawn_anew_and_policies_meet_the_same_one():
+    handed = screwdrivers(2)
+    one, other, same = simulated(
+        handed, Case("never", "touch", 0), Case("never", "touch", 1), Case("timer", "touch", 0)
+    )
+    assert not np.array_equal(one.persons.grip, other.persons.grip)
+    assert np.array_equal(one.persons.grip, same.persons.grip)
+    assert ((one.persons.grip >= 0.5) & (one.persons.grip <= 2.0)).all()
+
+
+def test_a_users_class_in_a_file_decides(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from r2h_batch.closed_loop.transfer.release import Action\n\n\n"
+        "class AtOnce:\n"
+        "    def __init__(self, robot):\n"
+        "        self.no = robot.weight_n < 0\n\n"
+        "    def __call__(self, seen):\n"
+        "        return Action(~self.no if seen.time_s > 0.3 else self.no)\n"
+    )
+    (made,) = simulated(screwdrivers(), Case(f"{file}:AtOnce", "touch", 0))
+    assert made.transfers.outcome == ["false_release"] * 3
+    assert (made.transfers.time_s > 0.3).all() and (made.transfers.time_s < 0.36).all()
+
+
+def test_policies_that_do_not_exist_are_named():
+    with pytest.raises(ImportError, match="never, timer, threshold, load-share"):
+        release.release_of("soon")
+    with pytest.raises(TypeError, match="is no class"):
+        release.release_of("math:sin")
+
+
+def test_processes_give_rows_back_in_their_order_and_one_process_needs_no_pool():
+    handed = screwdrivers(40)
+    with processes(Simulator(ROBOT, OBJECTS, Setting(), 0), 1) as one:
+        assert isinstance(one, Processes) and one.pool is None
+        ids = [rows.trial_id.tolist() for rows, _ in one([handed], [])]
+    assert ids == [list(range(32)), list(range(32, 40))]

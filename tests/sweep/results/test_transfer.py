@@ -1,0 +1,56 @@
+"""The command `results transfer`: a row for each stored pose and case, kept where it is there already."""
+
+import pyarrow.parquet as pq
+import pytest
+
+from r2h_batch.__main__ import main
+from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.results.transfer import SCHEMA
+
+QUICK = ["--sim", "none", "--quiet"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("transfer") / "run"
+    assert main(["sweep", "--method", "random", "--trials", "3", "--out", str(folder), *QUICK]) == 0
+    return folder
+
+
+def stored(run):
+    (entry,) = load_run(run).entries
+    return run / "transfer" / f"{entry.slug}.parquet"
+
+
+def test_each_stored_pose_has_a_row_for_each_case_and_a_second_call_keeps_them(run, capsys):
+    assert main(["results", "transfer", str(run), "--processes", "1"]) == 0
+    first = pq.read_table(stored(run))
+    assert first.schema.remove_metadata().equals(SCHEMA) and len(first) == 6
+    rows = first.to_pylist()
+    assert all((r["outcome"] == "not_received") == (not r["received"]) for r in rows)
+    assert all((r["slip_m"] is None) == (not r["received"]) for r in rows)
+    assert any(r["outcome"] == "taken" for r in rows)
+    shown = capsys.readouterr().out
+    assert "From success to taken" in shown and "Times are inputs, not validated" in shown
+    before = stored(run).read_bytes()
+    assert main(["results", "transfer", str(run), "--processes", "1"]) == 0
+    assert stored(run).read_bytes() == before
+    assert "has these transfers" in capsys.readouterr().err
+    assert main(["results", "transfer", str(run), "--processes", "1", "--scenario", "touch"]) == 0
+    both = pq.read_table(stored(run))
+    assert both.slice(0, 6).equals(first.replace_schema_metadata(both.schema.metadata)) and len(both) == 12
+    assert set(both["scenario"].to_pylist()) == {"take", "touch"}
+    assert main(["results", "verify", str(run)]) == 0
+
+
+def test_a_run_without_bodies_and_wrong_words_are_told_what_is_missing(run, tmp_path, capsys):
+    bare = tmp_path / "bare"
+    assert (
+        main(["sweep", "--method", "random", "--trials", "1", "--protocol", "r2h-v0", "--out", str(bare), *QUICK]) == 0
+    )
+    assert main(["results", "transfer", str(bare)]) == 2
+    assert "no receiver's body; sweep --protocol r2h-v1" in capsys.readouterr().err
+    assert main(["results", "transfer", str(run), "--scenario", "grab"]) == 2
+    assert "take, touch, pull-early, weak" in capsys.readouterr().err
+    assert main(["results", "transfer", str(run), "--release", "soon"]) == 2
+    assert "never, timer, threshold, load-share" in capsys.readouterr().err
