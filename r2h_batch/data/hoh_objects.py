@@ -165,7 +165,7 @@ def _of_capture(folder: Path, number: int, keyframes: Mapping[str, Any]) -> F64 
     T = np.eye(4)
     for name in ("3dm_to_O", f"{o}_{g}", *(f"{k}_{k + 1}" for k in range(g, t))):
         T = _pose(steps.get(name), f"{printable(file)} {name}") @ T
-    return MM * _moved(np.linalg.inv(T), _cloud(cloud))
+    return MM * _moved(np.linalg.inv(T).astype(np.float64), _cloud(cloud))
 
 
 def _of_scene(path: Path) -> F64 | None:
@@ -177,7 +177,7 @@ def _of_scene(path: Path) -> F64 | None:
     T = _pose(
         data.get("obj_to_t") if isinstance(data, dict) else None, f"{printable(path)} obj_to_t"
     )
-    return _moved(np.linalg.inv(T), _cloud(cloud))
+    return _moved(np.linalg.inv(T).astype(np.float64), _cloud(cloud))
 
 
 def _pose(value: Any, what: str) -> F64:

@@ -150,7 +150,11 @@ def _standing(
         known and run.entry(method).source.get("function", "") in BOUNDS,
         run.planned(method),
         {row.split: _ends(row) for row in rows},
-        {rate: found and found.percent for rate in FAILURES for found in [last.rates[rate]]},
+        {
+            rate: None if found is None else found.percent
+            for rate in FAILURES
+            for found in [last.rates[rate]]
+        },
         last.times["t_exec_s"].value,
         {name: last.times[name].value for name in CLAIMED},
         judged,

@@ -125,9 +125,11 @@ def _by_category(counted: Tally) -> list[tuple[np.ndarray, np.ndarray]]:
         cells = counted.of_split(split).by("object")
         names = [counted.category.get(cell["object"], cell["object"]) for cell in cells]
         kinds, place = np.unique(names, return_inverse=True)
-        both = np.zeros((2, len(kinds)), np.int64)
-        np.add.at(both, (slice(None), place), [[c[k] for c in cells] for k in ("successes", "n")])
-        found.append((both[0], both[1]))
+        belongs = (place[:, None] == np.arange(len(kinds))).astype(np.int64)
+        successes, n = (
+            np.array([c[k] for c in cells], np.int64) @ belongs for k in ("successes", "n")
+        )
+        found.append((successes, n))
     return found
 
 

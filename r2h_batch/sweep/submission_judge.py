@@ -147,7 +147,9 @@ def _verdict(asked: Mapping[str, Any], folder: Path) -> Verdict:
     baselines = load_run(place, verify=False)
     common = _common(run, baselines)  # first: then its configuration is that of the baselines
     run.verify(whole=True)
-    flags = {k: tuple(v) if isinstance(v, list) else v for k, v in asked["benchmark"].items()}
+    flags: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in asked["benchmark"].items()
+    }
     judged = judged_again(run, asked["rows"], BenchmarkFlags(**flags))
     standings = [
         standing_of(run, method, asked["name"], judged[method], baselines, common)

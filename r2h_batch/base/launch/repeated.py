@@ -138,7 +138,7 @@ class Recording:
         """Around the call: launches go through `launch`, and torch's work is noticed."""
         before, _of_thread.recording = _of_thread.recording, self
         try:
-            with _TorchWork():  # type: ignore[no-untyped-call]
+            with _TorchWork():
                 yield
         finally:
             _of_thread.recording = before
@@ -240,7 +240,7 @@ class Recording:
         return "object", id(value)
 
 
-class _TorchWork(TorchDispatchMode):  # type: ignore[no-untyped-call]
+class _TorchWork(TorchDispatchMode):
     """Notices what torch computes; views of memory are none."""
 
     @classmethod

@@ -430,9 +430,8 @@ def _interval(paired: Paired, splits: Sequence[int], i: int, j: int) -> tuple[fl
 def _by_category(paired: Paired, counts: np.ndarray) -> np.ndarray:
     """Counts (..., K) of objects added up over their categories (..., C)."""
     names, place = paired.clusters
-    found = np.zeros((*counts.shape[:-1], len(names)), counts.dtype)
-    np.add.at(found, (..., place), counts)
-    return found
+    belongs = place[:, None] == np.arange(len(names))
+    return counts @ belongs.astype(counts.dtype)
 
 
 def _worst(paired: Paired, splits: Sequence[int], places: Sequence[int]) -> tuple[Worst, ...]:

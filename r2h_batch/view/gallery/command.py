@@ -117,8 +117,8 @@ def report(
         from r2h_batch.report.next_commands import judged_alike, next_commands
         from r2h_batch.report.table import render, table_of
 
-        own = None if scans is None else load_run(scans)
-        table = table_of(stored, alike=len(loaded) == 1 or judged_alike(loaded), scans=own)
+        of_scans = None if scans is None else load_run(scans)
+        table = table_of(stored, alike=len(loaded) == 1 or judged_alike(loaded), scans=of_scans)
         text = render(table, format, columns=columns, intervals=intervals)
         if format == "md" and out is None:
             text += "\n" + next_commands(loaded)
