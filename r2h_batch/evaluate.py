@@ -26,6 +26,7 @@ from r2h_batch.base.validate import instance_of, optional
 from r2h_batch.config import EvalConfig, ExecutionError
 from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
+from r2h_batch.judge.compile import compile_stages
 from r2h_batch.judge.distance import (
     NearestApproach,
     hand_distance,
@@ -254,6 +255,7 @@ class Evaluator:
             warn_of_doubts(T_obj_ee, T_world_ee, trials)
         with self.working():
             check_indices(self.scene, trials)
+            compile_stages(self.scene, paths=stages == "all")
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
             # Copies: an optimizer's step in place must not change what a picture of these scores
             # shows.

@@ -140,8 +140,7 @@ def plan_paths(
 def load_searches(device: str, joints: int = JOINTS) -> None:
     """Compiles what only some trials need (searches, shortcuts, how deep bodies meet), or loads it
     from the kernel cache."""
-    for kernel in (rrt_connect, shortcut, path_overlap):
-        load(of_joints(kernel, joints), device)
+    load([of_joints(kernel, joints) for kernel in (rrt_connect, shortcut, path_overlap)], device)
 
 
 def path_clearances(

@@ -5,7 +5,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, lru_cache
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import torch
 import warp as wp
 
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch import cached, repeated
 from r2h_batch.base.launch.arguments import bind, new_outputs, written_shapes
 from r2h_batch.base.launch.threads import CHUNK, cpu_threads, share, thread_pool
@@ -234,14 +235,26 @@ def _launch_on_cpu(
     cached.kept(packed)
 
 
-def load(kernel: Any, device: str) -> None:
-    """Compiles the kernel's module for the device, or loads it, as `launch_trials` of uneven rows
-    does at its first row."""
+def load(kernels: Sequence[Any], device: str) -> None:
+    """Compiles the kernels' modules for the device, or loads them, as `launch_trials` of uneven rows
+    does at its first row. Those that a CPU lacks are compiled on all cores at once, in this order; a
+    line says so."""
     init_warp()
-    _room_for(kernel.module)
-    wp.load_module(
-        kernel.module, device=device, block_dim=1 if device == "cpu" else UNEVEN_BLOCK_DIM
-    )
+    modules = list({kernel.module.name: kernel.module for kernel in kernels}.values())
+    for module in modules:
+        _room_for(module)
+    workers, cache = 0, wp.config.kernel_cache_dir or ""
+    if device == "cpu":
+        names = [module.get_module_identifier(1) for module in modules]
+        missing = sum(not os.path.isdir(os.path.join(cache, name)) for name in names)
+        workers = min(cpu_threads(), missing)
+        if missing > 1:
+            LOG.info(
+                f"compiling {missing} files of kernels, {workers} at a time, once for this version and processor: up to a"
+                " minute"
+            )
+    block_dim = 1 if device == "cpu" else UNEVEN_BLOCK_DIM
+    wp.force_load(device, modules=modules, block_dim=block_dim, max_workers=workers)
 
 
 def launch(

@@ -1,0 +1,57 @@
+"""The kernels of the stages, compiled before a first call: all that are missing at once, on all
+cores."""
+
+from functools import cache
+
+from r2h_batch.base.launch import load
+from r2h_batch.base.launch.instances import of_joints
+from r2h_batch.kernels.grasp.region import primitives_clearance
+from r2h_batch.kernels.grasp.width import close_gripper
+from r2h_batch.kernels.ik.any_arm import solve_any
+from r2h_batch.kernels.ik.nearest import nearest_posture
+from r2h_batch.kernels.ik.step import solve_ik_kernel
+from r2h_batch.kernels.judge.goal import goal_clearance
+from r2h_batch.kernels.judge.presented import region_presented
+from r2h_batch.kernels.judge.reach import point_to_object
+from r2h_batch.kernels.judge.rows import usable_rows
+from r2h_batch.kernels.judge.safe import safe_distance
+from r2h_batch.kernels.judge.verdict import judge_criterion
+from r2h_batch.kernels.plan.lines import straight_lines
+from r2h_batch.kernels.robot.place import place_bodies
+from r2h_batch.scene.scene import Scene
+
+SIZED = (goal_clearance, place_bodies)
+"""A kernel of each file that every call needs and that depends on the number of joints; what takes
+longest stands first,"""
+
+SHARED = (
+    primitives_clearance,
+    close_gripper,
+    point_to_object,
+    usable_rows,
+    region_presented,
+    judge_criterion,
+)
+"""of each such file that does not,"""
+
+PLANNED = (safe_distance, straight_lines)
+"""and of those that calls with paths need beside them."""
+
+
+def compile_stages(scene: Scene, *, paths: bool) -> None:
+    """Compiles, or loads, what the first call needs. What a stage needs only for some trials or
+    options is compiled when it is launched.
+
+    Args:
+        scene: whose device and robot.
+        paths: also what calls with paths need.
+    """
+    if scene.device == "cpu":  # on CUDA kernels of one file are compiled for different blocks
+        _compile(len(scene.robot.joints), scene.robot.family == "ur", paths)
+
+
+@cache
+def _compile(joints: int, closed_form: bool, paths: bool) -> None:
+    arm = (solve_ik_kernel, nearest_posture) if closed_form else (of_joints(solve_any, joints),)
+    sized = (*SIZED, *PLANNED) if paths else SIZED
+    load((*(of_joints(kernel, joints) for kernel in sized), *SHARED, *arm), "cpu")
