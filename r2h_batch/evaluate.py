@@ -18,7 +18,7 @@ from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
 from r2h_batch.base.launch import cpu_threads
-from r2h_batch.base.launch.memory import in_parts, rows_at_once
+from r2h_batch.base.launch.memory import in_chunks, rows_at_once
 from r2h_batch.base.launch.repeated import RepeatedCalls
 from r2h_batch.base.launch.threads import on_threads, one_torch_thread
 from r2h_batch.base.summary import html_table
@@ -329,7 +329,7 @@ class Evaluator:
         T_obj_ee = T_obj_ee.detach()
         check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
 
-        def part(first: int, last: int) -> Scores:
+        def chunk(first: int, last: int) -> Scores:
             rows = slice(first, last)
             motion = trace[rows]
             return self._score_trace(
@@ -342,7 +342,7 @@ class Evaluator:
 
         with self.working():
             check_indices(self.scene, trials)
-            scores = Scores.concatenate(in_parts(len(trials), self.rows_at_once(), part))
+            scores = Scores.concatenate(in_chunks(len(trials), self.rows_at_once(), chunk))
             return scores.with_inputs(ScoreInputs(T_obj_ee.clone(), T_world_ee, trials, self))
 
     def __repr__(self) -> str:
@@ -423,13 +423,13 @@ class Evaluator:
             order = torch.argsort(pairs, stable=True)
             T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
 
-        def part(first: int, last: int) -> Scores:
+        def chunk(first: int, last: int) -> Scores:
             if last - first == n:
                 return score_chunk(T_obj_ee, T_world_ee, trials)
             return score_chunk(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
 
-        parts = in_parts(n, self.rows_at_once(stages), part)
-        scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
+        chunks = in_chunks(n, self.rows_at_once(stages), chunk)
+        scores = chunks[0] if len(chunks) == 1 else Scores.concatenate(chunks)
         return scores if order is None else scores[torch.argsort(order)]
 
     def rows_at_once(self, stages: Stages = "all") -> int:
@@ -491,16 +491,20 @@ class Evaluator:
         )
 
         nearest = hand_distance(scene, held.body_poses, executed, active)
-        body_m, part, _ = over_motion(
+        body_m, body, _ = over_motion(
             scene, held.body_poses, executed, partial(self._person_distance, trials)
         )  # fmt: skip
-        arrived = (planned.length > 0) & executed.settled
-        clearance_m = torch.where(arrived, planned.clearance_m, missed_m)
-        moves = active & (executed.length > 0)
+        goal_reached = (planned.length > 0) & executed.settled
         shared, nearest = self._judge(
-            held, arrived, moves, clearance_m, planned.reason, nearest, (body_m, part),
-            executed.valid,
-        )  # fmt: skip
+            held,
+            goal_reached=goal_reached,
+            moves=active & (executed.length > 0),
+            clearance_m=torch.where(goal_reached, planned.clearance_m, missed_m),
+            reason=planned.reason,
+            nearest=nearest,
+            person=(body_m, body),
+            valid=executed.valid,
+        )
         region = presented(scene, held, config.thresholds)
         return motion_scores(
             trials.trial_id, shared, region, active, planned, motion, executed, nearest, config.execute,
@@ -510,7 +514,10 @@ class Evaluator:
     def _score_trace(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: Trace, trace: Trace, trials: Trials
     ) -> Scores:
-        """As `_score_planned`, with the plan and the motion given."""
+        """The stages of a motion that somebody gives: hold, then test it in place of IK and planning, judge.
+
+        A plan beside the motion is tested too, and the worse of both counts.
+        """
         scene = self.scene
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, self.config)
         active, poses = held.active, held.body_poses
@@ -519,15 +526,21 @@ class Evaluator:
             poses = with_person(scene, poses, trials.receiver, hand=True)
         planned = plan_of_trace(scene, poses, trace, active)
         executed, motion = executed_trace(trace, planned)
-        moves = active & (planned.length > 0)
+        moves = active & (planned.length > 0)  # before a plan beside it may fail
         nearest = hand_distance(scene, held.body_poses, executed, active)
         person = self._person_distance(trials, held.body_poses, executed.path, executed.length)
         if plan is not trace:
             free_plan = plan_of_trace(scene, poses, plan, active)
             planned = worse_plan(free_plan, planned, nearest.distance_m <= 0)
-        free = planned.reason == int(PlanReason.OK)
         shared, nearest = self._judge(
-            held, free, moves, planned.clearance_m, planned.reason, nearest, person, executed.valid
+            held,
+            goal_reached=planned.reason == int(PlanReason.OK),
+            moves=moves,
+            clearance_m=planned.clearance_m,
+            reason=planned.reason,
+            nearest=nearest,
+            person=person,
+            valid=executed.valid,
         )
         region = presented(scene, held, self.config.thresholds)
         return motion_scores(
@@ -571,7 +584,14 @@ class Evaluator:
         if config.receiver == "body":
             person = self._person_at_goal(trials, held, goal)
         shared, nearest = self._judge(
-            held, None, active, goal.clearance_m, goal.reason, nearest, person, None
+            held,
+            goal_reached=None,
+            moves=active,
+            clearance_m=goal.clearance_m,
+            reason=goal.reason,
+            nearest=nearest,
+            person=person,
+            valid=None,
         )
         found = shared | pose_fields(presented(scene, held, config.thresholds), goal, nearest)
         if person is not None:
@@ -587,7 +607,8 @@ class Evaluator:
     def _judge(
         self,
         held: AttachedBatch,
-        free: Tensor | None,
+        *,
+        goal_reached: Tensor | None,
         moves: Tensor,
         clearance_m: Tensor,
         reason: Tensor,
@@ -605,7 +626,7 @@ class Evaluator:
             rows = held.active & (held.grasp.margin_m >= 0)
             slip_m = shake(scene.objects, held.objects, held.attached, rows, scene.robot)
         evidence = metrics.Evidence(
-            scene, config, held, free, moves, clearance_m, reason, nearest, slip_m
+            scene, config, held, goal_reached, moves, clearance_m, reason, nearest, slip_m
         )
         return verdict(metrics.judge(evidence), held, slip_m, valid), nearest
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from pretend_cuda import pretending
 
-from r2h_batch.base.launch.memory import CUDA_ROWS, in_parts
+from r2h_batch.base.launch.memory import CUDA_ROWS, in_chunks
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import POSE_CHUNK_CUDA, Evaluator
 from r2h_batch.methods import random
@@ -33,7 +33,7 @@ def test_out_of_memory_halves_the_rows_and_says_so(error: Exception, caplog: pyt
             raise error
         return range(first, last)
 
-    parts = in_parts(10, 8, judge)
+    parts = in_chunks(10, 8, judge)
     assert [i for part in parts for i in part] == list(range(10))
     assert asked == [8, 4, 2, 2, 2, 2, 2]
     assert [r.getMessage() for r in caplog.records] == [

@@ -28,7 +28,7 @@ def rows_at_once(device: str, chunk: int, row_bytes: int) -> int:
     return max(chunk, min(CUDA_ROWS, free // SHARE // row_bytes))
 
 
-def in_parts(n: int, rows: int, judge: Callable[[int, int], Part]) -> list[Part]:
+def in_chunks(n: int, rows: int, judge: Callable[[int, int], Part]) -> list[Part]:
     """`judge(first, last)` of `n` rows, `rows` at a time, one part at least; half as many from
     where memory ran out.
 
