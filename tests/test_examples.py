@@ -50,3 +50,11 @@ def test_a_servo_learns_from_closed_loops_and_is_played_on_unseen_trials(capsys)
     out = capsys.readouterr().out
     assert "1 unseen trials" in out and out.count("generation") == 1
     assert -1 <= found["return before"] <= 1 and found["success after"] >= found["success before"]
+
+
+def test_ppo_begins_as_the_servo_and_is_compared_with_it_on_unseen_trials(capsys):
+    learn_ppo = import_module("learn_ppo")
+    untrained = learn_ppo.main(["--trials", "2", "--rounds", "0", "--repeats", "1"])
+    assert all(untrained[f"{key}, ppo - servo"] == 0 for key in ("success %", "return", "time s"))
+    trained = learn_ppo.main(["--trials", "2", "--rounds", "1", "--repeats", "1"])
+    assert "round 0: success" in capsys.readouterr().out and trained["return, servo"] == untrained["return, servo"]

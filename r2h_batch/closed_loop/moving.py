@@ -14,14 +14,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, Int64
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
 from r2h_batch.base.io.read import FileError, read_npz
-from r2h_batch.scene.hand import rotation_from_axis_angle
+from r2h_batch.closed_loop.arm_ranges import lower_arm_angles, within_ranges
+from r2h_batch.scene.hand import palm_frame, rotation_from_axis_angle
 from r2h_batch.scene.scene import Scene
+from r2h_batch.scene.tables import MIDDLE_ROOT
 from r2h_batch.trials.noise import normals
 from r2h_batch.types import Trials
 
@@ -41,6 +43,9 @@ BACK_M, BACK_S, AFRAID_M, AWAY_S = 0.20, 0.5, (0.03, 0.08), (0.5, 1.5)
 TAKE_AFTER_S, TAKE_S = (0.1, 0.4), (0.6, 1.0)
 REPLAYED_S = 4.0
 """Length of a replayed motion: the last seconds before the frame in which the hand receives."""
+SHARES = (0.8, 0.6, 0.4, 0.2, 0.0)
+"""Shares of the drawn shift and turn that are tried in turn while forearm or wrist is out of its range. 0: the trial's
+pose, which is within them."""
 STRETCHED = 0.98
 """Largest distance of a wrist from its shoulder, as a share of the arm's length."""
 OVER_TABLE_M = 0.05
@@ -234,6 +239,8 @@ class MovingHands:
     taken_s: Float64[Tensor, " b"]
     _wrist: Float64[Tensor, "b 3"] = field(repr=False)
     _out: Float64[Tensor, " b"] = field(repr=False)
+    _joints: Float64[Tensor, "b 16 3"] = field(repr=False)
+    _side: Int64[Tensor, " b"] = field(repr=False)
     _drawn: dict[str, Tensor] = field(repr=False)
 
     @staticmethod
@@ -263,12 +270,14 @@ class MovingHands:
             way = _replayed(scene, trials, motion, drawn["waits"], radius)
         else:
             way = Strokes.none(T, wrist.to(device), radius.to(device), STROKES[motion.kind])
-        outwards = torch.where(scene.hands.set.side[hand] == 0, -1.0, 1.0).double().to(device)
+        side = scene.hands.set.side[hand].long().to(device)
+        outwards = torch.where(side == 0, -1.0, 1.0).double()
         none = torch.zeros(n, dtype=torch.bool, device=device)
         never = torch.full((n,), torch.inf, dtype=torch.float64, device=device)
         hands = MovingHands(
-            motion, way, trials.receiver, none, never, wrist.to(device), outwards, drawn
-        )
+            motion, way, trials.receiver, none, never, wrist.to(device), outwards, joints.to(device),
+            side, drawn,
+        )  # fmt: skip
         if isinstance(way, Strokes) and motion.kind != "still":
             hands._first_strokes(way, scene)
         return hands
@@ -276,13 +285,10 @@ class MovingHands:
     def _first_strokes(self, way: Strokes, scene: Scene) -> None:
         n, d, kind = len(self.taking), self._drawn, self.motion.kind
         rows = torch.arange(n, dtype=torch.int64, device=self.taking.device)
-        goal = way.T_world_hand.clone()
-        goal[:, :3, :3] = se3.matmul(rotation_from_axis_angle(d["turn"]), goal[:, :3, :3])
-        table = scene.config.workplace
-        top = table.table_center[2] + table.table_half[2] + OVER_TABLE_M
-        wrist = se3.apply(way.T_world_hand, way.wrist) + d["shift"]
-        wrist = torch.stack([wrist[:, 0], wrist[:, 1], wrist[:, 2].clamp(min=top)], 1)
-        goal = self._within_reach(goal, wrist)
+        goal = self._gone(way, scene, 1.0)
+        for share in SHARES if self.receiver is not None else ():
+            beyond = ~self._comfortable(goal, scene)
+            goal = torch.where(beyond[:, None, None], self._gone(way, scene, share), goal)
         if kind in ("reaches", "hesitates"):
             way.T_world_hand = self._before_person(way.T_world_hand)
         begin = d["reacts"] if kind in ("reaches", "hesitates") else d["waits"]
@@ -292,6 +298,31 @@ class MovingHands:
             way.add(1, rows, begin, d["stroke"], goal)
         else:
             way.add(0, rows, begin, d["stroke"], goal)
+
+    def _gone(self, way: Strokes, scene: Scene, share: float) -> Float64[Tensor, "b 4 4"]:
+        """The hands after this share of the drawn shift and turn, over the table and within the arm's length."""
+        goal = way.T_world_hand.clone()
+        turn = rotation_from_axis_angle(share * self._drawn["turn"])
+        goal[:, :3, :3] = se3.matmul(turn, goal[:, :3, :3])
+        table = scene.config.workplace
+        top = table.table_center[2] + table.table_half[2] + OVER_TABLE_M
+        wrist = se3.apply(way.T_world_hand, way.wrist) + share * self._drawn["shift"]
+        wrist = torch.stack([wrist[:, 0], wrist[:, 1], wrist[:, 2].clamp(min=top)], 1)
+        return self._within_reach(goal, wrist)
+
+    def _comfortable(self, T_world_hand: Float64[Tensor, "b 4 4"], scene: Scene) -> Tensor:
+        """Whether forearms and wrists are within their ranges there."""
+        person = self.people(T_world_hand)
+        assert person is not None
+        joints, side = self._joints, self._side
+        _, normal = palm_frame(joints, side)
+        along = joints[:, MIDDLE_ROOT] - joints[:, 0]
+        along = along - se3.dot(along, normal)[:, None] * normal
+        along = along / se3.dot(along, along).sqrt()[:, None]
+        R = T_world_hand[:, :3, :3]
+        arm = person.double()[:, :3, :3].unbind(1)
+        angles = lower_arm_angles(*arm, se3.rotate(R, along), se3.rotate(R, normal), self._out)
+        return within_ranges(angles)
 
     def pose(self, time_s: float | Tensor) -> Float32[Tensor, "b 4 4"]:
         """T_world_hand at a time, m."""

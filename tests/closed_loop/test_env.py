@@ -157,7 +157,7 @@ def test_distances_between_steps_hold_against_dense_samples_of_mujoco_c_and_the_
     env = HandoverEnv(scores, ReceiverMotion("moves", 0.15, 40.0), action="posture")
     seen, _ = env.reset()
     policy, looked, near, steps = Planned(env), 0, 0, 0
-    while running(env) and looked < 8:
+    while running(env) and (looked < 8 or not near):
         rows = torch.nonzero(env.ends == int(End.RUNNING)).flatten()
         before, q0, t0 = env.gap.clone(), env.q.clone(), env.times
         moving = env.hands.travel(t0, t0 + env.step_s) > 1e-6
@@ -167,7 +167,8 @@ def test_distances_between_steps_hold_against_dense_samples_of_mujoco_c_and_the_
             rows, (q0[rows], env.q[rows]), env.hands, (t0[rows], env.times[rows]), before[rows]
         )
         close = (passed.least_m < 0.08) & moving[rows]
-        for k in torch.nonzero(close).flatten()[: 2 if steps % 3 == 0 else 0].tolist():
+        nearest = [k for k in passed.least_m.argsort().tolist() if close[k]]
+        for k in nearest[: 2 if steps % 3 == 0 else 0]:
             i, least = int(rows[k]), np.inf
             T_obj_ee, opening = env._attached[i].double().numpy(), float(env._opening[i])
             for s in np.linspace(0, 1, 5):
