@@ -61,6 +61,8 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     assert command("report", run / "run") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "mine ^" in said and "Intent-Handover ^" not in said and "^ mine, S1: a" in said
+    assert command("compare", run / "run") == 0
+    assert "^ mine, S1: a" in " ".join(capsys.readouterr().out.split())
     # a turned run is a run like any other: its rows are what the evaluator says
     assert command("results", "reevaluate", run / "run-turned" / "half", "--rows", 5, "--method", "intent") == 0
     capsys.readouterr()

@@ -6,7 +6,8 @@ farther from the centre of the solid. The signs of y and z are left open, and th
 
 from __future__ import annotations
 
-from functools import lru_cache
+import hashlib
+from functools import cached_property, lru_cache
 from importlib import resources
 
 import torch
@@ -81,6 +82,14 @@ class InPrincipalAxes(nn.Module):
     def __init__(self, network: VoxNet) -> None:
         super().__init__()
         self.network = network
+
+    @cached_property
+    def digest(self) -> str:
+        """sha256 (hex) of the weights."""
+        digest = hashlib.sha256()
+        for name, value in sorted(self.network.state_dict().items()):
+            digest.update(name.encode() + value.detach().cpu().contiguous().numpy().tobytes())
+        return digest.hexdigest()
 
     def forward(self, grid: Float32[Tensor, "k 5 n n n"]) -> Float32[Tensor, "k n n n"]:
         """Probability of contact of every voxel."""

@@ -70,6 +70,7 @@ def compare(
     from r2h_batch.report.compare.text import render
     from r2h_batch.report.statistics import paired as statistics
     from r2h_batch.report.statistics.common import common_trials
+    from r2h_batch.report.turn import turned
 
     check_seed(seed)
     stored = load_runs(runs, method)
@@ -89,7 +90,8 @@ def compare(
     }
     for note in paired.notes if format in ("csv", "json") else ():
         LOG.info(f"compare: {note}")
-    notes = (*common.notes, *paired.notes)
+    marks = (test.sentence for run in stored for test in turned(run) if test.marked)
+    notes = (*common.notes, *paired.notes, *marks)
     sys.stdout.write(render(comparisons, format, origin=origin, notes=notes))
     return 0
 

@@ -11,7 +11,8 @@ from r2h_batch.assets.receiving.contact_maps import contact_map, touched_points
 from r2h_batch.methods.predictors import predict_contacts
 from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD
 from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
-from r2h_batch.methods.predictors.voxnet import load_voxnet
+from r2h_batch.methods.predictors.principal_axes import InPrincipalAxes, load_axes_network
+from r2h_batch.methods.predictors.voxnet import VoxNet, load_voxnet
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.holding.receiving import CONTACT_M, load_receiving, receiving_digest
@@ -59,3 +60,23 @@ def test_contacts_are_read_at_the_clouds_points_and_do_not_depend_on_the_batch()
     handle = torch.from_numpy(hammer.receiver_face[hammer.point_face])
     row = found[int(torch.nonzero(trials.object_index == 1)[0])]
     assert (row[handle] >= CONTACT_THRESHOLD).float().mean() > (row[~handle] >= CONTACT_THRESHOLD).float().mean()
+
+
+def test_what_the_network_of_families_answers_is_kept_on_disk_by_object_and_weights(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path))
+    both, alone = (Scene(objects=load_objects(names)) for names in (["cup_05", "bowl_05"], ["cup_05"]))
+    first = predict_contacts(make_trials(trials=1, objects=both.objects, splits=["S0"]), both)[0]
+    assert len(list((tmp_path / "contacts").glob("*.npz"))) == 2
+
+    def asked(self, grid):
+        raise AssertionError("asked again")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(InPrincipalAxes, "forward", asked)
+        again = predict_contacts(make_trials(trials=1, objects=alone.objects, splits=["S0"]), alone)[0]
+    assert torch.equal(first, again)
+    net = load_axes_network()
+    other = InPrincipalAxes(VoxNet().eval())
+    assert other.digest != net.digest == InPrincipalAxes(net.network).digest
+    predict_contacts(make_trials(trials=1, objects=alone.objects, splits=["S0"]), alone, predictor=other)
+    assert len(list((tmp_path / "contacts").glob("*.npz"))) == 3
