@@ -6,7 +6,7 @@ part if some do. A person wrote the causes below (CAUSES has the date); all figu
 
 import csv
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -243,9 +243,18 @@ def page(tables: Mapping[str, Mapping]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def readme(text: str, default: Mapping) -> str:
-    """README.md with its table exchanged: SR of r2h-v1, default preset."""
+def readme(text: str, default: Mapping, marked: Collection[str]) -> str:
+    """README.md with its table exchanged: SR of r2h-v1, default preset.
+
+    Args:
+        text: of README.md.
+        default: the JSON of the table.
+        marked: titles of the methods that a turn moves by more than 10 points.
+    """
     cell, titles = cells_of(default), dict.fromkeys(r["method"].partition(" (")[0] for r in default["rows"])
-    rows = [[t, *(f"{cell(split, SHORT.get(t, t), 'sr'):.1f}" for split in ("S0", "S1"))] for t in titles]
+    rows = [
+        [t + (" ^" if t in marked else ""), *(f"{cell(split, SHORT.get(t, t), 'sr'):.1f}" for split in ("S0", "S1"))]
+        for t in titles
+    ]
     table = markdown_table(["", "SR S0", "SR S1"], rows)
     return re.sub(r"(?m)^\|\s*\| SR S0 \|.*\n(\|.*\n)*", lambda _: table + "\n", text, count=1)

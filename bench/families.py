@@ -1,0 +1,511 @@
+"""Object families: Table I of r2h-v2, the turn test, the order of the methods, how many instances they need, the contact
+network against exact maps, and what 96 objects cost: docs/results/families.md.
+
+`python bench/families.py --rows FOLDER` sweeps into the folder, or goes on there, and measures; motions as planned (`--sim
+none`). `--render` writes the page again from bench/results/families.json.
+"""
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
+from dataclasses import asdict
+from io import BytesIO, StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _report import ROOT, made_by, markdown_table, page_from, resident_mib, swept
+from scipy.special import stdtrit
+
+STORED, PAGE = ROOT / "bench" / "results" / "families.json", ROOT / "docs" / "results" / "families.md"
+METHODS = ("fc", "handover-va", "contact", "intent")
+BOUNDS = ("random", "oracle")
+SHORT = {"FC-Handover": "FC", "Handover-VA": "VA", "Contact-Handover": "Contact", "Intent-Handover": "Intent"}
+TRIALS, SOME, FEW = 500, 240, 120
+"""Trials of each split: of Table I, of a turn test, of another configuration."""
+V1, V2 = ("--protocol", "r2h-v1", "--sim", "none"), ("--protocol", "r2h-v2", "--sim", "none")
+OTHERS = {
+    "preset paper": ("--preset", "paper"),
+    "preset release": ("--preset", "release"),
+    "receiver with a body": ("--receiver", "body"),
+    "candidates as generated": ("--candidates", "as-generated"),
+}
+OF_V1 = ("base", "protocol r2h-v0", *OTHERS, "plan-hand estimated", "error x 2")
+ROUNDS, ROWS = 7, 128
+MOST_CATEGORIES = 1000
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Everything on the page; each part is kept in the folder of the rows as soon as it is known."""
+    place, trials = options.rows, options.trials
+    if options.kept:
+        return json.loads((place / "found.json").read_text()) | origin(place / "v2")
+    few = ("--trials", min(trials, FEW))
+    v2 = swept(place / "v2", "--method", *METHODS, *BOUNDS, "--trials", trials, *V2)
+    found: dict[str, Any] = {"trials": trials, "turned": {}, "orders": {}}
+
+    def keep(**parts: Any) -> None:
+        found.update(parts)
+        (place / "found.json").write_text(json.dumps(found, indent=1) + "\n")
+        print(", ".join(parts), "measured", flush=True)
+
+    keep(table=table(v2), compared=compared([v2]), oracle=by_category(v2, "oracle"), spreads=spreads(v2))
+    keep(turned={"r2h-v2": turned(v2, min(trials, SOME))})
+    v1 = swept(place / "v1", "--method", *METHODS, "--trials", min(trials, SOME), *V1)
+    keep(turned=found["turned"] | {"r2h-v1": turned(v1, min(trials, SOME))})
+    keep(exact=exact_maps(place, v2, trials))
+    keep(orders={"r2h-v2": order(v2)})
+    for name, flags in OTHERS.items():
+        folder = swept(place / f"v2-{name.replace(' ', '-')}", "--method", *METHODS, *few, *V2, *flags)
+        keep(orders=found["orders"] | {f"r2h-v2, {name}": order(folder)})
+    keep(cost=cost())
+    if options.scans:
+        words = ("--splits", *options.splits, "--objects", options.scans)
+        keep(scans=table(swept(place / "scans", "--method", *METHODS, *few, *V2, *words)))
+    return found | origin(v2)
+
+
+def origin(v2: Path) -> dict[str, Any]:
+    """Where the rows and the page come from."""
+    from r2h_batch.runs.store import load_run
+
+    header = load_run(v2, verify=False).header
+    return {"rows_commit": header["git_commit"], "rows_code": header["digests"]["code"], **made_by()}
+
+
+def table(folder: Path) -> dict[str, Any]:
+    """Table I's rows and where they come from."""
+    from r2h_batch.report.table import render, table_of
+    from r2h_batch.runs.store import load_run
+
+    data = json.loads(render(table_of(load_run(folder)), "json"))
+    return {k: data[k] for k in ("origin", "rows")}
+
+
+def compared(folders: Sequence[Path]) -> list[dict[str, Any]]:
+    """Pairs, ranks and worst ranks of the methods that are no bounds."""
+    from r2h_batch.report.statistics.paired import compare, pair_up
+    from r2h_batch.runs.store import load_run
+
+    found = compare(pair_up([load_run(folder).only(METHODS) for folder in folders]))
+    return [{**asdict(c), "rank": None if c.rank is None else c.rank.tolist()} for c in found]
+
+
+def turned(folder: Path, trials: int) -> list[dict[str, Any]]:
+    """The turn test of the four methods, made or gone on with."""
+    from r2h_batch.__main__ import main
+
+    text = StringIO()
+    words = ["turn", str(folder), "--method", *METHODS, "--trials", str(trials), "--format", "json"]
+    with redirect_stdout(text):
+        code = main(words)
+    return sys.exit(code) if code else json.loads(text.getvalue())
+
+
+def by_category(folder: Path, method: str) -> dict[str, float]:
+    """SR of a method in each category, percent."""
+    from r2h_batch.report.statistics.tally import tally
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(folder)
+    counted = tally(run, run.named(method))
+    sums: dict[str, list[int]] = {}
+    for cell in counted.by("object"):
+        own = sums.setdefault(counted.category.get(cell["object"], cell["object"]), [0, 0])
+        own[0] += cell["successes"]
+        own[1] += cell["n"]
+    return {name: 100 * x / n for name, (x, n) in sorted(sums.items())}
+
+
+def spreads(folder: Path) -> dict[str, Any]:
+    """Standard deviations between categories, between instances of one, and of single trials: of each method's SR and of
+    each pair's difference, in points, with the trials' noise removed."""
+    from r2h_batch.report.statistics.paired import pair_up
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(folder).only(METHODS)
+    paired = pair_up([run])
+    place = paired.clusters[1]
+    n = paired.trials.sum(0)
+    rate = paired.hits.sum(0) / n
+    only = paired.only.sum(0) / n.sum()
+    found: dict[str, Any] = {"methods": {}, "pairs": {}}
+    names = [SHORT[name.partition(" (")[0]] for name in paired.names]
+    for i, name in enumerate(names):
+        mean = float(rate[i].mean())
+        found["methods"][name] = parts_of(rate[i], mean * (1 - mean), n, place)
+    for i, a in enumerate(names):
+        for j, b in enumerate(names[:i]):
+            more = float((rate[i] - rate[j]).mean())
+            noise = float(only[i, j] + only[j, i]) - more**2
+            own = parts_of(rate[i] - rate[j], noise, n, place)
+            found["pairs"][f"{a} - {b}"] = {"difference": 100 * more, **own, "needs": needed(100 * more, own)}
+    return found
+
+
+def parts_of(value: np.ndarray, noise: float, n: np.ndarray, place: np.ndarray) -> dict[str, float]:
+    """Standard deviations between categories (s_c), between instances (s_i) and of a trial (s_t), in points."""
+    kinds = np.unique(place)
+    groups = [value[place == c] for c in kinds]
+    sizes = np.array([len(g) for g in groups])
+    trial = noise * float(np.mean(1 / n))
+    inner = float(np.mean([g.var(ddof=1) for g in groups]))
+    instance = max(inner - trial, 0.0)
+    outer = float(np.var([g.mean() for g in groups], ddof=1))
+    category = max(outer - inner * float(np.mean(1 / sizes)), 0.0)
+    return {k: 100 * v**0.5 for k, v in (("s_c", category), ("s_i", instance), ("s_t", noise))}
+
+
+def half_width(own: Mapping[str, float], categories: int, instances: int, trials: int) -> float:
+    """Half of the 95 % interval of a mean over so many categories, instances of each, and trials of each."""
+    variance = own["s_c"] ** 2 + own["s_i"] ** 2 / instances + own["s_t"] ** 2 / (instances * trials)
+    return float(stdtrit(categories - 1, 0.975)) * (variance / categories) ** 0.5
+
+
+def needed(difference: float, own: Mapping[str, float], trials: int = 10) -> dict[str, int | None]:
+    """Instances of a category -> the fewest categories whose interval leaves out 0; None beyond a thousand."""
+    found: dict[str, int | None] = {}
+    for m in (1, 6, 20):
+        enough = (c for c in range(2, MOST_CATEGORIES + 1) if half_width(own, c, m, trials) < abs(difference))
+        found[str(m)] = next(enough, None)
+    return found
+
+
+def order(folder: Path) -> dict[str, Any]:
+    """SR (mean of the splits) of each method, and what of the six pairs is decided over all trials."""
+    from r2h_batch.report.statistics.aggregate import summarise
+    from r2h_batch.report.statistics.paired import compare, pair_up
+    from r2h_batch.report.statistics.tally import tally
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(folder).only(METHODS)
+    rows = summarise([tally(run, name) for name in run.methods])
+    rates = {SHORT[r.method.partition(" (")[0]]: r.rates["sr"].percent for r in rows if r.split == "Avg"}
+    (whole,) = [c for c in compare(pair_up([run]), draws=1) if c.group == "all"]
+    words = [p.verdict for p in whole.pairs]
+    return {
+        "sr": rates,
+        "new": sum(w in ("better", "worse") for w in words),
+        "here": sum(w.endswith("here") for w in words),
+        "tied": words.count("tied"),
+        "n": whole.n,
+    }
+
+
+def exact_maps(place: Path, v2: Path, trials: int) -> dict[str, Any]:
+    """SR of Contact-Handover on unseen instances with the network and with exact maps, in the same trials."""
+    from r2h_batch.assets.receiving.contact_maps import contact_map
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.trials.benchmark.benchmark import built_in
+
+    file = place / "exact_maps.npz"
+    if not file.exists():
+        objects = built_in("r2h-v2").objects
+        names = np.array([o.name for o in objects])
+        maps = np.stack([contact_map(o) for o in objects])
+        np.savez_compressed(file, object=names, probability=maps, source=np.array("exact maps"))
+    exact = swept(
+        place / "exact", "--method", "contact", "--trials", trials, *V2, "--set", f"predicted_contacts={file}"
+    )
+    found: dict[str, Any] = {}
+    for name, folder in (("network", v2), ("exact", exact)):
+        run = load_run(folder)
+        rows = table(folder)["rows"]
+        method = run.named("contact")
+        found[name] = {
+            r["split"]: {k: r[k] for k in ("sr", "sr_low", "sr_high", "f_afford")}
+            for r in rows
+            if r["method"] == method
+        }
+    return found
+
+
+def cost() -> dict[str, Any]:
+    """Process seconds of a scene of 96 objects and of its contact predictions, a trial's time against r2h-v1's by turns, memory,
+    and the wheel's size."""
+    from r2h_batch.evaluate import Evaluator
+    from r2h_batch.methods import intent
+    from r2h_batch.methods.predictors.contacts import predict_contacts
+    from r2h_batch.trials.benchmark.benchmark import built_in
+    from r2h_batch.trials.protocol import make_trials
+
+    begin = resident_mib()
+    found: dict[str, Any] = {}
+    score: dict[str, Callable[[], object]] = {}
+    for protocol in ("r2h-v1", "r2h-v2"):
+        benchmark = built_in(protocol)
+        seconds = time.process_time()
+        evaluator = Evaluator.from_benchmark(benchmark, threads=1)
+        evaluator.scene.world, evaluator.scene.grasp_tables, evaluator.scene.object_mesh_ids  # noqa: B018
+        trials = make_trials(["S0", "S1"], ROWS // 2, benchmark=benchmark)
+        answer = intent.predict(trials, evaluator.scene, seed=0)
+        evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
+        found[protocol] = {"ready_cpu_s": time.process_time() - seconds, "resident_mib": resident_mib() - begin}
+        seconds = time.process_time()
+        predict_contacts(trials, evaluator.scene)
+        found[protocol]["contacts_cpu_s"] = time.process_time() - seconds
+
+        def again(e=evaluator, a=answer, t=trials) -> object:
+            return e.score(a.T_obj_ee, a.T_world_ee, t)
+
+        score[protocol] = again
+    times: dict[str, list[float]] = {p: [] for p in score}
+    for _ in range(ROUNDS):
+        for protocol, call in score.items():
+            seconds = time.process_time()
+            call()
+            times[protocol].append(time.process_time() - seconds)
+    ratios = [b / a for a, b in zip(times["r2h-v1"], times["r2h-v2"], strict=True)]
+    found["trial_ms"] = {p: 1e3 * statistics.median(t) / ROWS for p, t in times.items()}
+    found["trial_ratio"] = {"median": statistics.median(ratios), "low": min(ratios), "high": max(ratios)}
+    found["wheel_mb"] = packed_mb(("r2h_batch", "kernels", "assets"))
+    files = (ROOT / "assets" / "families").glob("*")
+    found["families_mb"] = sum(p.stat().st_size for p in files if p.suffix in (".npz", ".safetensors", ".json")) / 1e6
+    return found
+
+
+def packed_mb(folders: Sequence[str]) -> float:
+    """Size of the tracked files of these folders in one archive, packed as a wheel packs them."""
+    listed = subprocess.run(["git", "ls-files", *folders], cwd=ROOT, check=True, capture_output=True, text=True)
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in listed.stdout.splitlines():
+            archive.write(ROOT / name, name)
+    return buffer.tell() / 1e6
+
+
+def short(method: str) -> str:
+    """A method's short name; `random` and `oracle` as they are."""
+    return SHORT.get(method.partition(" (")[0], method.partition(" (")[0])
+
+
+def ends(low: float | None, high: float | None) -> str:
+    """`LOW to HIGH`, with signs."""
+    return "-" if low is None or high is None else f"{low:+.1f} to {high:+.1f}"
+
+
+def table_lines(data: Mapping[str, Any]) -> str:
+    """Table I of r2h-v2 with its new columns."""
+    compared_ = {c["group"]: c for c in data["compared"]}
+    moved = {(t["method"], t["group"]): t for t in data["turned"]["r2h-v2"]}
+    scans = {(r["split"], r["method"]): r for r in data.get("scans", {}).get("rows", ())}
+    head = [
+        "split, method",
+        "SR",
+        "more trials",
+        "new objects",
+        "new categories",
+        "#1",
+        "worst rank",
+        "largest move by a turn",
+    ]
+    lines = []
+    for r in data["table"]["rows"]:
+        c = compared_.get("all" if r["split"] == "Avg" else r["split"], {"ranked": ()})
+        first = worst = "bound"
+        if r["method"] in c["ranked"]:
+            k = list(c["ranked"]).index(r["method"])
+            first = f"{100 * c['rank'][k][0]:.0f} %"
+            w = c["worst"][k]
+            worst = f"{w['rank']}" + (f" (without {w['without'].replace('_', ' ')})" if w["without"] else "")
+        test = moved.get((r["method"], "all" if r["split"] == "Avg" else r["split"]))
+        most = max(test["moves"], key=lambda m: abs(m["points"])) if test else None
+        own = scans.get((r["split"], r["method"]))
+        lines.append([
+            f"{r['split']} {short(r['method'])}", f"{r['sr']:.1f}", f"{r['sr_low']:.1f}-{r['sr_high']:.1f}",
+            f"{r['sr_new_objects_low']:.1f}-{r['sr_new_objects_high']:.1f}",
+            f"{r['sr_new_categories_low']:.1f}-{r['sr_new_categories_high']:.1f}", first, worst,
+            f"{most['points']:+.1f} ({ends(most['low'], most['high'])})" if most else "-",
+            *([f"{own['sr']:.1f}" if own else "-"] if scans else []),
+        ])  # fmt: skip
+    return markdown_table([*head, *(["own scans"] if scans else [])], lines)
+
+
+def marked(test: Mapping[str, Any]) -> bool:
+    """Whether a turn moves a method's SR by more than 10 points."""
+    from r2h_batch.report.turn import MOST_POINTS
+
+    return max(abs(m["points"]) for m in test["moves"]) > MOST_POINTS
+
+
+def turn_lines(data: Mapping[str, Any]) -> str:
+    """Turn tests of both protocols."""
+    lines = [
+        [
+            f"{protocol} {t['group']} {short(t['method'])}", t["n"], f"{t['rate']:.1f}",
+            *(f"{m['points']:+.1f} ({ends(m['low'], m['high'])})" for m in t["moves"]),
+            "^" if marked(t) else "",
+        ]
+        for protocol, tests in data["turned"].items()
+        for t in tests
+    ]  # fmt: skip
+    return markdown_table(["", "N", "as it lies", "half turn", "cycled axes", "mark"], lines)
+
+
+def order_lines(data: Mapping[str, Any]) -> str:
+    """The order of the methods in every configuration that was measured."""
+
+    def line(name: str, sr: Mapping[str, float], decided: str) -> list[str]:
+        places = sorted(sr, key=lambda m: -sr[m])
+        return [name, *(f"{m} {sr[m]:.1f}" for m in places), decided]
+
+    lines = []
+    for name, own in data["orders"].items():
+        lines.append(line(f"{name} ({own['n']})", own["sr"], f"{own['new']} + {own['here']}"))
+    sensitivity = json.loads((ROOT / "docs" / "results" / "sensitivity.json").read_text())
+    words = {"fc": "FC", "handover-va": "VA", "contact": "Contact", "intent": "Intent"}
+    for v in sensitivity["variants"]:
+        if v["name"] in OF_V1:
+            sr = {words[m]: v["rates"][m]["Avg"]["sr"] for m in words}
+            apart = sum(who != "tied" for who in v["pairs"].values())
+            name = "" if v["name"] == "base" else f", {v['name']}"
+            lines.append(line(f"r2h-v1{name} ({2 * sensitivity['trials']})", sr, f"{apart}"))
+    robots = json.loads((ROOT / "bench" / "results" / "robots.json").read_text())
+    for robot, own in robots["robots"].items():
+        sr = {SHORT[m]: row["sr"] for m, row in own["table"].items() if m in SHORT}
+        lines.append(line(f"r2h-v1, {robot} ({2 * robots['trials']})", sr, "not tested"))
+    return markdown_table(["objects, configuration (trials)", "1", "2", "3", "4", "decided of 6"], lines)
+
+
+def spread_lines(data: Mapping[str, Any]) -> tuple[str, str]:
+    """Spreads and half widths of the methods, and what the pairs need."""
+    methods = [
+        [
+            m, *(f"{own[k]:.1f}" for k in ("s_c", "s_i", "s_t")),
+            *(f"{half_width(own, c, i, 10):.1f}" for c, i in ((16, 1), (16, 6), (16, 20), (32, 6))),
+        ]
+        for m, own in data["spreads"]["methods"].items()
+    ]  # fmt: skip
+    pairs = [
+        [
+            name, f"{own['difference']:+.1f}", *(f"{own[k]:.1f}" for k in ("s_c", "s_i", "s_t")),
+            f"{half_width(own, 16, 6, 10):.1f}", *(own["needs"][m] or "> 1,000" for m in ("1", "6", "20")),
+        ]
+        for name, own in data["spreads"]["pairs"].items()
+    ]  # fmt: skip
+    return (
+        markdown_table(["SR", "s_c", "s_i", "s_t", "16 x 1", "16 x 6", "16 x 20", "32 x 6"], methods),
+        markdown_table(["pair", "points", "s_c", "s_i", "s_t", "16 x 6", "m = 1", "m = 6", "m = 20"], pairs),
+    )
+
+
+def network_lines(data: Mapping[str, Any]) -> str:
+    """The contact network's report, and SR with it and with exact maps."""
+    report = json.loads((ROOT / "assets" / "families" / "voxnet_axes.json").read_text())
+    frames = list(report["unseen_instances"])
+    lines = [
+        [name, *(f"{report[key][frame]['region']:.2f}" for frame in frames)]
+        for name, key in (("unseen instances", "unseen_instances"), ("objects of r2h-v1", "built_in_objects"))
+    ]
+    if left := report.get("left_out"):
+        own = [[v[frame]["region"] for v in left.values() if "region" in v[frame]] for frame in frames]
+        lines.append([f"categories left out ({len(left)})", *(f"{np.mean(values):.2f}" for values in own)])
+    lines.append(["exact maps, unseen instances", f"{report['exact_maps']['region']:.2f}", "same"])
+    parts = [markdown_table(["area under the curve, region", *frames], lines)]
+    if "exact" not in data:
+        return parts[0]
+    rates = [
+        [name, *(f"{own[s]['sr']:.1f}" for s in ("S0", "S1", "Avg")), f"{own['S1']['f_afford']:.1f}"]
+        for name, own in data["exact"].items()
+    ]
+    parts.append(markdown_table(["Contact-Handover with", "SR S0", "SR S1", "SR Avg", "F_afford S1"], rates))
+    share = 100 * data["exact"]["network"]["S1"]["sr"] / data["exact"]["exact"]["S1"]["sr"]
+    parts.append(f"In S1 the network reaches {share:.0f} % of the SR that exact maps give; 90 % was asked for.")
+    return "\n\n".join(parts)
+
+
+def markdown(data: Mapping[str, Any]) -> str:
+    """docs/results/families.md."""
+    spread, needs = spread_lines(data)
+    low = min(data["oracle"], key=data["oracle"].get)
+    rows = data["table"]["rows"]
+    n = {r["split"]: r["n"] for r in rows}
+    parts = [
+        "# Object families: results",
+        "See which conclusions about methods hold on objects that nobody tuned to. r2h-v2 is a draft; its figures may change."
+        f" `python bench/families.py --rows FOLDER --trials {data['trials']}` measured all of this, motion as planned (rows of"
+        f" commit {data['rows_commit'][:12]}; `bench/results/families.json`). [What the words mean](../statistics.md).",
+        "## Table I of r2h-v2",
+        f"{data['table']['origin']['instances']}. SR in percent; {n['S0']} trials in S0, {n['S1']} in S1. #1: share of bootstrap"
+        " draws of categories and their instances in which the method is first. Worst rank: with one category left out.",
+        table_lines(data),
+        *scan_lines(data),
+        f"The oracle solves at least {data['oracle'][low]:.1f} % in every category.",
+        "Of the pairs, over all trials: " + "; ".join(pair_words(data)) + ".",
+        "## Turn test",
+        "The same trials with turned objects ([turn test](../statistics.md#turn-test)): points of SR gained, with the 95 %"
+        " interval over categories. Handover-VA begins the alignment of its template at the axes of the object's frame, so its"
+        " answer depends on them.",
+        turn_lines(data),
+        "## Contact network",
+        "Trained on training instances alone; it works in axes made from the object. The sixteen objects of r2h-v1 have their own"
+        " network, which knows how they lie.",
+        network_lines(data),
+        "## Order of the methods",
+        "SR is the mean of the splits. Decided of 6 pairs: for new categories + for these objects alone (r2h-v1: for these"
+        " objects at least).",
+        order_lines(data),
+        "## How many instances",
+        "Half of the 95 % interval of SR from C categories with m instances of each and t = 10 trials of each instance is"
+        " `t_{C-1} sqrt((s_c^2 + s_i^2 / m + s_t^2 / (m t)) / C)`. s_c: spread between categories, s_i: between instances of one,"
+        " s_t: of single trials, in points, from r2h-v2's rows. Columns C x m: half widths.",
+        spread,
+        "For the difference of two methods: the points measured, their spreads, the half width at 16 x 6, and the fewest"
+        " categories at which such a difference would be decided, with m instances of each.",
+        needs,
+        *cost_lines(data),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def pair_words(data: Mapping[str, Any]) -> list[str]:
+    """Each pair of methods with its verdict over all trials."""
+    (whole,) = [c for c in data["compared"] if c["group"] == "all"]
+    return [
+        f"{short(p['a'])} - {short(p['b'])} {p['difference']:+.1f} ({ends(p['low'], p['high'])}, {p['verdict']})"
+        for p in whole["pairs"]
+    ]
+
+
+def scan_lines(data: Mapping[str, Any]) -> list[str]:
+    """A line about the last column, where scans were given."""
+    if "scans" not in data:
+        return []
+    rows = data["scans"]["rows"]
+    return [f"Own scans: {rows[0]['n_objects']} meshes that nobody here trained on, {rows[0]['n']} trials."]
+
+
+def cost_lines(data: Mapping[str, Any]) -> list[str]:
+    """Seconds, memory and sizes, where they were measured."""
+    if "cost" not in data:
+        return []
+    own = data["cost"]
+    ready = "; ".join(
+        f"{p}: {own[p]['ready_cpu_s']:.1f} CPU s, {own[p]['resident_mib']:.0f} MiB more memory, contacts"
+        f" {own[p]['contacts_cpu_s']:.1f} CPU s"
+        for p in ("r2h-v1", "r2h-v2")
+    )
+    ms, ratio = own["trial_ms"], own["trial_ratio"]
+    lines = [
+        f"- A scene with warm tables, and its first {ROWS} trials: {ready}.",
+        f"- A kinematic trial: {ms['r2h-v2']:.2f} ms, {ms['r2h-v1']:.2f} ms of r2h-v1; ratio by turns {ratio['median']:.2f}"
+        f" ({ratio['low']:.2f} to {ratio['high']:.2f}, {ROUNDS} turns of {ROWS} trials).",
+        f"- Files of the families: {own['families_mb']:.1f} MB, of {own['wheel_mb']:.1f} MB that a wheel packs.",
+    ]
+    return ["## What 96 objects cost", "\n".join(lines)]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rows", type=Path, default=ROOT / "runs" / "families", help="folder of the sweeps")
+    parser.add_argument("--trials", type=int, default=TRIALS, help="of each split of Table I")
+    parser.add_argument("--kept", action="store_true", help="write what earlier calls measured, without measuring more")
+    parser.add_argument("--splits", nargs="+", default=["S0", "S1"], help="of your own meshes")
+    parser.add_argument("--scans", type=Path, help="folder of your own meshes, for the last column")
+    page_from(parser, STORED, PAGE, measure, markdown)
