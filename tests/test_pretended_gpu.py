@@ -81,6 +81,17 @@ def test_what_a_gpu_would_refuse_is_refused_and_what_it_would_wait_for_is_seen()
     assert not torch.cuda.is_available() or torch.cuda.device_count()
 
 
+def test_a_graph_repeats_what_was_captured_and_old_numbers_where_the_host_read_some() -> None:
+    with pretending() as seen:
+        x, graph = torch.ones(2, device="cuda:0"), torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            doubled, read = 2.0 * x, x * float(x[0])
+        x.fill_(3.0)
+        graph.replay()
+        assert [w for w, _ in seen.waits] == ["item"]
+        assert doubled.tolist() == [6.0, 6.0] and read.tolist() == [3.0, 3.0]
+
+
 def test_the_pose_stage_never_waits_for_the_device_and_gives_the_rows_of_a_cpu(
     gpu: tuple[Seen, Evaluator], scene: Scene, trials: Trials, poses: Predictions
 ) -> None:
@@ -89,6 +100,29 @@ def test_the_pose_stage_never_waits_for_the_device_and_gives_the_rows_of_a_cpu(
     assert gpu[0].arrays == []  # the very first call finds all tables: one that is captured may not make them
     here = Evaluator(KINEMATIC).score(poses.T_obj_ee, poses.T_world_ee, trials, "pose")
     assert bits(there.to("cpu")) == bits(here)
+
+
+def test_a_captured_call_needs_nothing_of_the_host_and_writes_where_it_did_before(
+    gpu: tuple[Seen, Evaluator], trials: Trials, poses: Predictions
+) -> None:
+    seen, evaluator = gpu
+    evaluator.config = KINEMATIC
+    seen.waits.clear()
+    captured = evaluator.capture(8)
+    assert seen.waits == []
+    seen.launches.clear()
+    places = {f.name: getattr(captured.scores, f.name).data_ptr() for f in fields(Scores)}
+    for first in (0, 8, 24):  # rows that are told from those of the capture by every stage
+        rows = slice(first, first + 8)
+        there = captured(*(x[rows].to("cuda:0") for x in (poses.T_obj_ee, poses.T_world_ee, trials)))
+        assert seen.waits == [] and seen.launches == []
+        assert places == {f.name: getattr(there, f.name).data_ptr() for f in fields(Scores)}
+        alone = replace(trials[rows], receiver=None)  # a captured call knows no arm and torso
+        here = Evaluator(KINEMATIC).score(poses.T_obj_ee[rows], poses.T_world_ee[rows], alone, "pose")
+        copied = bits(there.to("cpu"))
+        seen.waits.clear()
+        assert copied == bits(here)
+        assert len({*here.outcome.tolist()}) > 1
 
 
 @pytest.mark.parametrize("plan", [PlanConfig(), PlanConfig(goals="one", edge_check="moveit")], ids=["exact", "moveit"])

@@ -170,6 +170,8 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     if _is_cuda(plain.get("device")):
         plain = {**plain, "device": torch.device("cpu")}
     out = func(*plain_args, **plain)
+    if there and _graph is not None:
+        _graph.add(func, plain_args, plain, out)
     if func._schema.is_mutable and isinstance(out, torch.Tensor):
         return kwargs.get("out", args[0])
     return tree_map(lambda t: OnCuda(t) if isinstance(t, torch.Tensor) else t, out) if there else out
@@ -196,6 +198,60 @@ def _note_waits(name: str, args: Any) -> None:
         masks = [i for i in args[1] if i is not None and i.dtype in (torch.bool, torch.uint8)]
         if masks and (name == "aten::index" or args[2].ndim > 0):  # one number is filled in under the mask
             _waits("index with a mask")
+
+
+class Graph:
+    """As torch.cuda.CUDAGraph: what was launched while it was captured runs again, on the same memory and nothing else.
+
+    Numbers that the host read or made meanwhile stay as they were, so a call that depends on them repeats old results.
+    """
+
+    def __init__(self) -> None:
+        self._nodes: list[Callable[[], object]] = []
+        self._memory: list[Any] = []  # as the graph's pool: nothing is freed
+
+    def add(self, func: Any, args: Any, kwargs: dict[str, Any], out: Any) -> None:
+        """An operator; views compute nothing, and what is in place has its own memory."""
+        self._memory.append((args, kwargs, out))
+        if func._schema.is_mutable:
+            self._nodes.append(lambda: func(*args, **kwargs))
+        elif not func.is_view:
+            self._nodes.append(lambda: _copied(out, func(*args, **kwargs)))
+
+    def launch(self, *args: Any, **options: Any) -> None:
+        """A kernel with its packed arguments."""
+        self._memory.append(args)
+        self._nodes.append(lambda: _launch(*args, **options))
+
+    def replay(self) -> None:
+        for node in self._nodes:
+            node()
+
+
+_graph: Graph | None = None
+_launch = wp.launch
+
+
+def _copied(old: Any, new: Any) -> None:
+    for x, y in zip(tree_flatten(old)[0], tree_flatten(new)[0], strict=True):
+        if isinstance(x, torch.Tensor):  # a number that the host read stays as it was
+            x.copy_(y)
+
+
+def _launched(*args: Any, **options: Any) -> Any:
+    if _graph is not None:
+        _graph.launch(*args, **options)
+    return _launch(*args, **options)
+
+
+@contextmanager
+def _capturing(graph: Graph) -> Iterator[None]:
+    global _graph
+    _graph = graph
+    try:
+        yield
+    finally:
+        _graph = None
 
 
 class _Dispatch(TorchDispatchMode):
@@ -311,6 +367,9 @@ def pretending() -> Iterator[Seen]:
             "synchronize": lambda device=None: _waits("synchronize"),
             "mem_get_info": lambda device=None: (64 << 30, 80 << 30),
             "stream": lambda stream: nullcontext(),
+            "Stream": lambda device=None: _Stream(),
+            "CUDAGraph": Graph,
+            "graph": _capturing,
         }.items():
             stack.enter_context(mock.patch.object(torch.cuda, name, value))
         stack.enter_context(mock.patch.object(wp.array, "__init__", _array_init(wp.array.__init__)))
@@ -318,6 +377,7 @@ def pretending() -> Iterator[Seen]:
         stack.enter_context(mock.patch.object(wp, "to_torch", _to_torch(wp.to_torch)))
         stack.enter_context(mock.patch.object(wp, "device_from_torch", _device_from_torch(wp.device_from_torch)))
         stack.enter_context(mock.patch.object(wp, "synchronize_device", lambda device: _waits("synchronize")))
+        stack.enter_context(mock.patch.object(wp, "launch", _launched))
         stack.enter_context(mock.patch.object(launch, "bind", _bind(launch.bind)))
         stack.enter_context(mock.patch.object(launch, "_stream", lambda device: None))
         for module in _ours():
