@@ -253,6 +253,7 @@ def trials(
         out: A new or empty folder for benchmark.yaml, predictions.npz, motions.npz and trials.csv.
     """
     from r2h_batch.data import release
+    from r2h_batch.runs.header import motions_left_out
 
     check_output_folder(out, overwrite=None)
     found, none = release.read_trials(path)
@@ -265,6 +266,8 @@ def trials(
         f" r2h-batch sweep {shlex.join(map(str, line))}"
         + (f"; {counted(none, 'selections')} without a feasible grasp left out" if none else "")
     )
+    for line in motions_left_out(counts["left_out"]):
+        print(line)
     return 0
 
 

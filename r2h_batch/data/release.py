@@ -11,8 +11,10 @@ is `PADS_M` behind. Their hand frame lies in the palm (origin p_h, +Z along n_h,
     receiver, else palm point and normal        the palm, which decides Reach
     hand_mesh_world, else hand_boxes_world      the hand for Plan and Safe
     obstacle_boxes_world                        the table: the axis-parallel box with the largest top;
-                                                the others, at most 20, are pieces of the hand's mesh
-    planned_joints, executed_joints             home and the motion, of our gripper alone
+                                                the others, at most 20, are pieces of the hand's mesh;
+                                                a file that names no obstacle has none
+    planned_joints, executed_joints             home and the motion, of our gripper alone; why another
+                                                one is left out: about.json
     id, variant                                 trials.csv, and ids.csv of a run
 """
 
@@ -75,20 +77,18 @@ LEAST_M = 1e-3
 """An object has a side of this length at least."""
 END_M, END_ENTRY = 0.005, 0.01
 """How far a motion may end from the handover pose: the release's own test of Plan."""
+ABOUT = "about.json"
 MOST_TRIALS = 100_000
 MOST_OBSTACLES = 20
 """Beside the table: each is a convex piece of the hand's mesh, which has `MAX_SKIN_PIECES`."""
 
-TABLE_BOX = Boxes(
-    np.array([[[1.0, 0, 0, -0.35], [0, 1, 0, 0], [0, 0, 1, 0.70], [0, 0, 0, 1]]]),
-    np.array([[0.65, 0.55, 0.035]]),
-)
-"""The release's default table, of trials that name no obstacles."""
+NO_BOXES = Boxes(np.zeros((0, 4, 4)), np.zeros((0, 3)))
+"""Obstacles of trials that name none: the release's evaluator asks a stored plan nothing about a table."""
 NO_TABLE = Boxes(
     np.array([[[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -9.0], [0, 0, 0, 1]]]),
     np.full((1, 3), 0.001),
 )
-"""Stands for the table of trials whose list of obstacles is empty: nothing reaches it."""
+"""Stands for the table of trials without obstacles: nothing reaches it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +100,7 @@ class ReleaseTrial:
     variant: str
     split: str
     mesh: trimesh.Trimesh
+    boxes: bool  # whether the mesh stands for boxes, with which the release's evaluator judges
     region: NDArray[
         Any
     ]  # of the receiver: boxes (n, 5, 3), else bool (F,) of the faces that our exporter named
@@ -115,6 +116,9 @@ class ReleaseTrial:
     obstacles: Array  # (m, 8, 3) of the boxes beside the table, the same
     place: dict[str, Any]  # thresholds, table and home, as a benchmark file says them
     q: Array | None  # (K, 6) the executed motion; None: there is none for our gripper
+    left_out: (
+        str  # why the executed motion of the file is not `q`; "" if it is, or if there is none
+    )
     planned_q: Array  # (P, 6) the plan, where there is a motion
     dt_s: float
 
@@ -218,7 +222,7 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
     ):
         own = None
     return ReleaseTrial(
-        file.id, file.object_id, file.variant, file.split, mesh, region,
+        file.id, file.object_id, file.variant, file.split, mesh, file.object_mesh_object is None, region,
         file.T_object_gripper @ back, T_world_ee, T_world_release @ T_world_palm, side,
         own, *surface, obstacles, place,
         *_motion(file, T_world_ee), file.dt_s,
@@ -278,7 +282,7 @@ def _place(file: TrialFile) -> tuple[dict[str, Any], Boxes]:
 
     The table is the box along the world's axes that has the largest top.
     """
-    boxes = TABLE_BOX if file.obstacle_boxes_world is None else file.obstacle_boxes_world
+    boxes = NO_BOXES if file.obstacle_boxes_world is None else file.obstacle_boxes_world
     turn = np.abs(boxes.T[:, :3, :3])
     upright = np.abs(turn - np.round(turn)).max((1, 2), initial=0) <= RIGID
     half = np.einsum("nij,nj->ni", np.round(turn), boxes.half)
@@ -361,23 +365,34 @@ def palm_in_hand(joints: torch.Tensor, side: int) -> Array:
     return T
 
 
-def _motion(file: TrialFile, T_world_ee: Array) -> tuple[Array | None, Array]:
-    """The executed joints (else the planned ones) and the planned joints (else the executed ones).
+def _motion(file: TrialFile, T_world_ee: Array) -> tuple[Array | None, str, Array]:
+    """The executed joints (else the planned ones), why they are left out, and the planned joints (else
+    the executed ones).
 
-    None where our gripper cannot follow them: they are of another tool (the release's box gripper
-    is 52 mm shorter) and end elsewhere, or planning failed.
+    No executed joints where our gripper cannot follow them: they are of another tool (the
+    release's box gripper is 52 mm shorter) and end elsewhere, or planning failed.
     """
     executed = file.executed_joints if len(file.executed_joints) else file.planned_joints
     planned = file.planned_joints if len(file.planned_joints) else file.executed_joints
-    if min(len(executed), len(planned)) < 2 or file.planning.status == "failed":
-        return None, planned
+    if not len(executed):
+        return None, "", planned
+    if file.planning.status == "failed":
+        return None, "its planning failed", planned
+    if min(len(executed), len(planned)) < 2:
+        return None, "it has one sample", planned
     target = T_world_release @ file.target_T_world_gripper @ _back(file)
-    for q, T in ((executed[-1], T_world_ee), (planned[-1], target)):
+    for name, q, T in (("it", executed[-1], T_world_ee), ("its plan", planned[-1], target)):
         end = ee_pose(load_robot(DEFAULT_ROBOT), q)
-        near = np.linalg.norm(end[:3, 3] - T[:3, 3]) <= END_M
-        if not near or np.abs(end - T)[:3, :3].max() > END_ENTRY:
-            return None, planned
-    return executed, planned
+        away = float(np.linalg.norm(end[:3, 3] - T[:3, 3]))
+        turned = np.abs(end - T)[:3, :3].max() > END_ENTRY
+        if away > END_M or turned:
+            where = f"{1e3 * away:.0f} mm from the tool's pose" + (", turned" if turned else "")
+            return (
+                None,
+                f"{name} ends with our gripper {where}: it is another tool's motion",
+                planned,
+            )
+    return executed, "", planned
 
 
 def _back(file: TrialFile) -> Array:
@@ -386,10 +401,12 @@ def _back(file: TrialFile) -> Array:
 
 
 def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, Any]:
-    """benchmark.yaml with meshes and trials.npz, predictions.npz, motions.npz, trials.csv in `out`.
+    """benchmark.yaml with meshes and trials.npz, predictions.npz, motions.npz, trials.csv, about.json in
+    `out`.
 
     Returns:
-        counts: trials, objects, motions; hands: postures, meshes or boxes.
+        counts: trials, objects, motions; hands: postures, meshes or boxes; left_out: id -> why its
+        executed motion is none of ours.
 
     Raises:
         FileError: the trials differ in table, home or thresholds, which a benchmark has once.
@@ -438,7 +455,16 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, Any]:
         f"table: {{center: {place['table']['center']}, half: {place['table']['half']}}}\n"
         f"home: {place['home']}\nobjects:\n" + "".join(_entry(out, name) for name in entries),
     )
-    return {"trials": len(ordered), "objects": len(entries), "motions": moving, "hands": form}
+    left_out = {t.id: t.left_out for t in ordered if t.left_out}
+    about = {"boxes": all(t.boxes for t in ordered), "motions_left_out": left_out}
+    write_text(out / ABOUT, json.dumps(about, indent=1) + "\n")
+    return {
+        "trials": len(ordered),
+        "objects": len(entries),
+        "motions": moving,
+        "hands": form,
+        "left_out": left_out,
+    }
 
 
 def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
@@ -595,3 +621,24 @@ def imported(path: Path, out: Path) -> Path:
             with contextlib.suppress(OSError):  # another part of the sweep was faster
                 os.rename(Path(made) / folder.name, folder)
     return folder
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What a folder of imported trials says about itself.
+
+    Attributes:
+        boxes: whether all objects are boxes in the files: the release judges them one by one.
+        left_out: id -> why the executed motion of its file is not judged.
+    """
+
+    boxes: bool
+    left_out: dict[str, str]
+
+
+def about(folder: Path) -> Imported:
+    """`about.json` of a folder that `write` made."""
+    data = read_json(folder / ABOUT, most=MAX_BYTES)
+    return Imported(
+        bool(data["boxes"]), {str(k): str(v) for k, v in data["motions_left_out"].items()}
+    )

@@ -26,6 +26,7 @@ from r2h_batch.report.text import (
     tex_table,
 )
 from r2h_batch.report.turn import MARK, Turned, about, turned
+from r2h_batch.runs.header import motions_left_out
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, SPLITS
 
@@ -81,8 +82,8 @@ class Table:
         rows: lines of the table in order.
         origin: where the rows come from: protocol, digest, preset, device, ...
         alike: whether all methods were asked the trials of one plan and judged the same.
-        misses: what the inverse kinematics of each robot without a closed form misses, a sentence
-            each.
+        misses: what the inverse kinematics of each robot without a closed form misses, and which
+            motions of a file are not judged, a sentence each.
         turns: turn tests of the methods that have one (`turn.turned`).
         scans: the lines of the same methods on the reader's own objects, by split and method.
     """
@@ -147,6 +148,10 @@ def table_of(
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
+    planned = (
+        line for r in runs for line in motions_left_out(r.header.get("motions_left_out", {}))
+    )
+    misses |= dict.fromkeys(planned)
     beside = {} if scans is None else _beside(run, scans)
     return Table(rows, origin, alike, tuple(misses), turned(run), beside)
 

@@ -137,6 +137,8 @@ Header = _record(
     benchmark=(_record(flags=Annotated[list[Text], Field(max_length=100)]), _ABSENT),
     robot=(_Robot, _ABSENT),
     hands=(list[JsonValue], _ABSENT),  # sides of the hand set in order, as (side, number of hands)
+    # id of a trial -> why the executed motion of its file is planned anew instead of judged
+    motions_left_out=(dict[Text, Text], _ABSENT),
     platform=(Text, ""),
     git_commit=(Text | None, None),
     command=(list[Text], []),
@@ -330,3 +332,14 @@ def schema_of(header: Mapping[str, Any], kind: str) -> pa.Schema:
     """The columns of a kind of table in this run, whose postures are as long as its home posture."""
     home = header["configuration"].get("workplace", {}).get("home_q")
     return schema_of_kind(kind) if home is None else schema_of_kind(kind, len(home))
+
+
+def motions_left_out(left_out: Mapping[str, str]) -> list[str]:
+    """A line for each reason, with the ids that it concerns."""
+    by: dict[str, list[str]] = {}
+    for trial, why in left_out.items():
+        by.setdefault(why, []).append(trial)
+    return [
+        f"{len(ids)} executed motions are left out and planned anew: {why} ({', '.join(ids)})"
+        for why, ids in by.items()
+    ]

@@ -125,6 +125,7 @@ def _run(
     command: list[str],
 ) -> int:
     from r2h_batch.runs.files import RunError
+    from r2h_batch.runs.header import motions_left_out
     from r2h_batch.runs.store import write_labels
     from r2h_batch.runs.writing import open_run
     from r2h_batch.sweep import jobs as sweep_jobs
@@ -157,6 +158,8 @@ def _run(
             folder.register(job.name, job.source)
             LOG.debug(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")
         for line in (line for job in jobs for line in job.lines):
+            LOG.info(line)
+        for line in motions_left_out(request.left_out):
             LOG.info(line)
     except (UsageError, ClusterError, ValueError, ImportError) as error:
         return refuse("sweep", error, 2)

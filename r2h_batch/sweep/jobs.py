@@ -137,6 +137,8 @@ def set_up(request: Request) -> Setting:
         predictors=request.methods.about_predictors(),
         stored=request.storage.kinds,
     )
+    if request.left_out:
+        setting.header["motions_left_out"] = dict(request.left_out)
     return setting
 
 

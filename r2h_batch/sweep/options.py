@@ -228,11 +228,12 @@ class Options:
         ),
     ] = "geometric"
     object_collision: Annotated[
-        Literal["hull", "pieces"],
+        Literal["preset", "hull", "pieces"],
         Flag(
-            "the attached object in planning: its convex hull (as in the paper), or its convex decomposition"
+            "the attached object in planning: its convex hull (as in the paper), or its convex decomposition; "
+            "preset: hull, with preset release pieces where trials_from has boxes as objects"
         ),
-    ] = "hull"
+    ] = "preset"
     edge_check: Annotated[
         Literal["preset", "exact", "moveit"],
         Flag("edges of a path: certified, or sampled at MoveIt's resolution"),

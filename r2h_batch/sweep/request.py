@@ -22,6 +22,7 @@ from r2h_batch.verdicts import SPLITS
 if TYPE_CHECKING:
     from r2h_batch.base.loggers import LoggerName
     from r2h_batch.closed_loop.episodes import Loop
+    from r2h_batch.data.release import Imported
     from r2h_batch.methods.predictors import PredictorNoise
     from r2h_batch.trials.benchmark.benchmark import Benchmark
     from r2h_batch.trials.noise import Errors
@@ -179,7 +180,8 @@ class Storage:
 
 @dataclass(frozen=True)
 class Request:
-    """A sweep: `loop` says how the handovers are also played in closed loop."""
+    """A sweep: `loop` says how the handovers are also played in closed loop; `left_out` why executed
+    motions of a file are not judged, by the ids of their trials."""
 
     trials: TrialPlan
     configuration: EvalConfig
@@ -187,6 +189,7 @@ class Request:
     work: Work
     storage: Storage
     loop: "Loop | None" = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
 
 def requested(options: Options) -> Request:
@@ -195,7 +198,7 @@ def requested(options: Options) -> Request:
     Raises:
         ValueError: one line about an option that cannot be.
     """
-    options = _with_trials(options)
+    options, released = _with_trials(options)
     preset = EvalConfig.preset(options.preset)
     errors = options.hand_errors
     if errors == "preset":
@@ -217,7 +220,7 @@ def requested(options: Options) -> Request:
     )  # fmt: skip
     return Request(
         TrialPlan(BenchmarkOverrides(**flags), splits, count),
-        _configuration(options, preset, errors),
+        _configuration(options, preset, errors, pieces=released is not None and released.boxes),
         methods,
         Work(options.device, options.threads, options.chunk, options.part, cluster),
         Storage(
@@ -228,15 +231,16 @@ def requested(options: Options) -> Request:
             options.log or None,
         ),
         _loop(options),
+        released.left_out if released is not None and not options.replan else {},
     )
 
 
-def _with_trials(options: Options) -> Options:
+def _with_trials(options: Options) -> tuple[Options, "Imported | None"]:
     """The options with --trials-from as the benchmark and the answers that it is read into, a folder
-    in the run folder."""
+    in the run folder; and what that folder says about itself."""
     if not options.trials_from:
-        return options
-    from r2h_batch.data.release import imported
+        return options, None
+    from r2h_batch.data.release import about, imported
 
     own = ("benchmark", "trials_file", "objects", "object_mesh", "hands", "hand_model", "protocol")
     if taken := [name for name in own if getattr(options, name)]:
@@ -247,15 +251,22 @@ def _with_trials(options: Options) -> Options:
     options = replace(options, benchmark=str(folder / "benchmark.yaml"))
     if options.replan or not motions.exists():
         file = str(folder / "predictions.npz")
-        return replace(options, predictions=(*options.predictions, file))
-    return replace(options, motions=(*options.motions, str(motions)))
+        return replace(options, predictions=(*options.predictions, file)), about(folder)
+    return replace(options, motions=(*options.motions, str(motions))), about(folder)
 
 
-def _configuration(options: Options, config: EvalConfig, errors: "Errors") -> EvalConfig:
-    """A preset with what the options change; `errors` of the target hand."""
+def _configuration(
+    options: Options, config: EvalConfig, errors: "Errors", *, pieces: bool
+) -> EvalConfig:
+    """A preset with what the options change; `errors` of the target hand; `pieces`: preset release
+    judges the object piece by piece, as the release judges a file's boxes."""
     edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
     hand = config.plan.hand if options.plan_hand == "preset" else options.plan_hand
-    collision = options.object_collision
+    collision = config.plan.object_collision
+    if options.object_collision != "preset":
+        collision = options.object_collision
+    elif pieces and config.name == "release":
+        collision = "pieces"
     plan = replace(config.plan, object_collision=collision, edge_check=edge_check, hand=hand)
     # settings that no verdict uses stay at their defaults: runs that differ in them can be compared
     estimate = EstimateConfig(errors, options.predictor_noise, options.seed)

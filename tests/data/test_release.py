@@ -150,36 +150,88 @@ def test_fixtures_get_the_margins_and_flags_that_the_release_publishes(tmp_path)
                 assert bool(passed[column("affordance")]) == (variant != "region_agnostic"), (name, variant)
             if missed:
                 assert row.outcome == int(Outcome.REACH)
-    # with the table that their planner knows, what is held from above at the goal is in it: their own `plan` says so too
-    assert rows["screwdriver_intent_aware"].outcome == int(Outcome.PLAN)
+    # no file names an obstacle, so nothing stands below what is held from above at the goal
+    assert rows["screwdriver_intent_aware"].outcome == int(Outcome.SUCCESS)
     assert rows["bottle_region_agnostic"].outcome == int(Outcome.SUCCESS)
     assert rows["screwdriver_region_agnostic"].outcome == int(Outcome.AFFORDANCE)
 
 
-def test_twelve_fixtures_get_the_flags_and_first_failures_that_the_release_publishes(tmp_path):
-    """With the tool of our gripper, no table (theirs asks none of a stored plan), the hand's boxes and the hammer's two boxes
-    (its hull meets the fingers; theirs asks the object of a stored plan nothing).
+VARIANTS = ("intent_aware", "region_agnostic", "execution_deviation", "missed_delivery")
 
-    One flag differs: the release spreads the hammer's fingers by the whole head (50 mm), ours touch the handle (28 mm).
-    """
-    variants, free = (
-        ("intent_aware", "region_agnostic", "execution_deviation", "missed_delivery"),
-        {"obstacle_boxes_world": []},
-    )
-    trials = [fixture(name, v, tool=MATCHED, frames=90) | free for name in OBJECTS for v in variants]
-    rows, _ = swept(written(tmp_path / "in", trials), tmp_path / "run", "object_collision=pieces")
-    assert len(rows) == 12
+
+def published(name, variant):
+    """The flags and the first failure that the release publishes for a fixture; in S0 no Affordance."""
+    flags = dict.fromkeys(CRITERIA, True) | {"affordance": None if name == "bottle" else True}
+    failure = {"execution_deviation": "safe", "missed_delivery": "reach"}.get(variant)
+    if variant == "region_agnostic" and name == "screwdriver":
+        failure = "affordance"
+    return (flags | {failure: False} if failure else flags), failure or "success"
+
+
+def agreeing(rows):
+    """How many fixtures have the published flag, criterion by criterion, and the published first failure."""
+    count = dict.fromkeys((*CRITERIA, "first failure"), 0)
     for name in OBJECTS:
-        for variant in variants:
-            flags = dict.fromkeys(CRITERIA, True) | {"affordance": None if name == "bottle" else True}
-            failure = {"execution_deviation": "safe", "missed_delivery": "reach"}.get(variant)
-            if variant == "region_agnostic" and name != "bottle":
-                failure = "affordance"  # of the hammer in our definition alone
-            if failure:
-                flags[failure] = False
-            row = rows[f"{name}_{variant}"]
-            assert {c: row[f"passed_{c}"] for c in CRITERIA} == flags, (name, variant)
-            assert row["outcome"] == (failure or "success")
+        for variant in VARIANTS:
+            row, (flags, failure) = rows[f"{name}_{variant}"], published(name, variant)
+            for c in CRITERIA:
+                count[c] += flags[c] is not None and row[f"passed_{c}"] == flags[c]
+            count["first failure"] += row["outcome"] == failure
+    return count
+
+
+def test_twelve_fixtures_as_they_are_agree_with_the_release_by_the_preset_alone(tmp_path, capsys):
+    """Their tool is 52 mm shorter than ours: no given motion can be judged, each is named, and Safe sees ours.
+
+    One more flag differs: the release spreads the hammer's fingers by the whole head (50 mm), ours touch the handle (28 mm).
+    """
+    trials = [fixture(name, v, frames=90) for name in OBJECTS for v in VARIANTS]
+    assert all("obstacle_boxes_world" not in t and np.array_equal(t.pop("T_tcp_asset_tool"), np.eye(4)) for t in trials)
+    source, out = written(tmp_path / "in", trials), tmp_path / "run"
+    done = in_process("--trials-from", source, "--preset", "release", "--out", out)
+    assert done.returncode == 0, done.stderr
+    run = load_run(out)
+    rows = {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}
+    agreed = {"stability": 12, "plan": 12, "reach": 12, "affordance": 7, "safe": 9, "first failure": 8}
+    assert agreeing(rows) == agreed
+    left_out = run.header["motions_left_out"]
+    assert (
+        left_out.keys() == {t["id"] for t in trials}
+        and "it is another tool's motion" in left_out["hammer_intent_aware"]
+    )
+    for text in (" ".join((out / "log.txt").read_text().split()), " ".join(done.stdout.split())):
+        assert "executed motions are left out and planned anew" in text and "bottle_missed_delivery" in text
+
+
+def test_twelve_fixtures_with_our_tool_have_the_motions_of_the_release_judged(tmp_path):
+    trials = [fixture(name, v, tool=MATCHED, frames=90) for name in OBJECTS for v in VARIANTS]
+    done = in_process(
+        "--trials-from", written(tmp_path / "in", trials), "--preset", "release", "--out", tmp_path / "run"
+    )
+    assert done.returncode == 0, done.stderr
+    run = load_run(tmp_path / "run")
+    rows = {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}
+    agreed = {"stability": 12, "plan": 12, "reach": 12, "affordance": 7, "safe": 12, "first failure": 11}
+    assert agreeing(rows) == agreed and "motions_left_out" not in run.header
+
+
+def test_objects_that_are_boxes_collide_box_by_box_with_preset_release_alone(tmp_path):
+    meshed = fixture("bottle", "region_agnostic", tool=MATCHED)
+    corners = trimesh.creation.box((0.07, 0.07, 0.2))
+    meshed["object_mesh_object"] = {"vertices": corners.vertices.tolist(), "faces": corners.faces.tolist()}
+    boxes = fixture("bottle", "region_agnostic", tool=MATCHED)
+    for k, (trial, line, collision) in enumerate(
+        [
+            (boxes, ["--preset", "release"], "pieces"),
+            (boxes, ["--sim", "none"], "hull"),
+            (meshed, ["--preset", "release"], "hull"),
+            (boxes, ["--preset", "release", "--set", "object_collision=hull"], "hull"),
+        ]
+    ):
+        source = written(tmp_path / f"in{k}", [trial])
+        done = in_process("--trials-from", source, *line, "--out", tmp_path / f"run{k}")
+        assert done.returncode == 0, done.stderr
+        assert load_run(tmp_path / f"run{k}").header["configuration"]["plan"]["object_collision"] == collision
 
 
 def release_fingers():
