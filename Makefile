@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: help demo test lint check quick-tests golden tables docs assets bench watch wheel lock licences audit gpu clean
+.PHONY: help demo test lint check quick-tests stale golden tables docs assets bench watch wheel lock licences audit gpu clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -20,8 +20,9 @@ lint: $(VENV)/.installed-test  ## rules, formatting, types
 	$(BIN)/ruff format --check .
 	$(BIN)/python tests/support/types_of_all.py
 
-check:  ## before every commit: lint, contracts, the quick half of golden and a quick test of each folder; two jobs at once
+check:  ## before every commit: lint, contracts, the quick half of golden and a quick test of each folder; lists stale figures; two jobs at once
 	@$(MAKE) --no-print-directory -j2 --output-sync=target lint quick-tests
+	@$(MAKE) --no-print-directory stale
 
 quick-tests: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -q -m check
@@ -61,8 +62,22 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.assets.receiving.build_held_out
 	$(BIN)/python -m r2h_batch.assets.receiving.train_voxnet
 
-bench: $(VENV)/.installed-test  ## all benchmarks, results under bench/results/
-	for b in collision ik plan throughput execute; do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
+BENCHES := throughput training_loop gradients collision ik plan execute growth meshes
+BENCH_RUNS := runs/bench-$(shell git rev-parse --short HEAD 2>/dev/null)
+bench: $(VENV)/.installed-test  ## every figure of the pages, measured in one go, and the pages written anew (RELEASE=checkout of the authors' release)
+	set -e; for b in $(BENCHES); do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
+	$(BIN)/python bench/soak.py long --json bench/results/long.json
+	$(BIN)/python bench/closed_loop.py --growth 2000
+	set -e; for b in closed_loop reception; do $(BIN)/python bench/$$b.py; done
+	set -e; for b in robots robustness; do $(BIN)/python bench/$$b.py --out $(BENCH_RUNS)/$$b; done
+	$(if $(RELEASE),$(BIN)/python bench/release.py --release $(RELEASE) --json bench/results/release.json,@echo "bench: without RELEASE=checkout bench/results/release.json stays as it is")
+	$(BIN)/python bench/tables.py --render
+	$(BIN)/python bench/figures.py --write
+	$(BIN)/python bench/figures.py
+
+stale:  ## lists the figures whose measured source has changed
+	@$(BIN)/python bench/figures.py
+
 
 watch: $(VENV)/.installed-test  ## has this commit become slower than another? by turns, in 6 minutes (BASE=commit)
 	$(BIN)/python bench/watch.py $(or $(BASE),HEAD~1)

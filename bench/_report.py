@@ -19,7 +19,17 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+from _source import ROOT, digests
+
+STARTED, LOAD = time.time(), os.getloadavg()[0]
+"""When this bench started, and the other work on the machine then: the bench's own work is in every later load."""
+
+FIGURES_SINCE = (
+    (1, ("*",), "all benches measured again on one commit, with a digest of the source that they measured"),
+)
+"""(version, benches, reason): a person adds a line when a change moves figures of these benches ("*": of all). Figures of an
+earlier version may not stand on a page (tests/test_figures.py)."""
+
 PACKAGES = (
     "warp-lang",
     "torch",
@@ -34,9 +44,14 @@ PACKAGES = (
 
 
 class Report:
-    """Collects figures; every figure is printed the moment it is known."""
+    """Collects figures; every figure is printed the moment it is known.
 
-    def __init__(self) -> None:
+    Args:
+        measures: files and folders whose code the figures depend on.
+    """
+
+    def __init__(self, measures: Sequence[str] = ()) -> None:
+        self.measures = measures
         self.values: dict[str, float | int | str | bool] = {}
 
     def add(self, name: str, value: float | int | str | bool) -> None:
@@ -51,7 +66,7 @@ class Report:
         """Writes the figures with where they come from; nothing if `path` is None."""
         if path is None:
             return
-        data = {"values": self.values, **made_by()}
+        data = {"values": self.values, **made_by(self.measures)}
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         Path(path).write_text(json.dumps(data, indent=1) + "\n")
 
@@ -130,25 +145,31 @@ def lines_of(text: str, head: str) -> list[list[str]]:
     return [[c.strip() for c in line.strip("|").split("|")] for line in body]
 
 
-def made_by() -> dict[str, object]:
-    """Commit, files changed since, date, versions and hardware: where figures come from."""
-    changed = (_git("status", "--porcelain", "--untracked-files=no") or "").splitlines()
+def made_by(measures: Sequence[str] = ()) -> dict[str, object]:
+    """Commit, files changed since, date, versions, hardware and digests of the measured code: where figures come from."""
+    # benches write these three themselves, one after the other
+    own = (":!bench/results", ":!docs", ":!README.md")
+    changed = (_git("status", "--porcelain", "--untracked-files=no", "--", ".", *own) or "").splitlines()
     return {
         "commit": _git("rev-parse", "HEAD"),
         "changed_files": len([line for line in changed if line]),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"python": platform.python_version()} | {p: v for p in PACKAGES if (v := _version(p))},
         "hardware": hardware(),
+        "seconds": round(time.time() - STARTED),
+        "figures_since": FIGURES_SINCE[-1][0],
+        "measures": list(measures),
+        "source": digests(measures),
     }
 
 
 def hardware() -> dict[str, object]:
-    """CPU model, cores this process may use, load (other work on the machine), GPU if there is one."""
+    """CPU model, cores this process may use, load at the start (other work on the machine), GPU if there is one."""
     gpus = _run("nvidia-smi", "--query-gpu=name", "--format=csv,noheader")
     return {
         "cpu": _cpu_model(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "load_1min": round(os.getloadavg()[0], 2),
+        "load_at_start": round(LOAD, 2),
         "devices": ["cpu", *(gpus.splitlines() if gpus else [])],
         "platform": f"{platform.system()} {platform.machine()}",
     }

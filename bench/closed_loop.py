@@ -1,22 +1,31 @@
 """Which methods keep their rank when the hand moves, and what a closed loop costs: docs/results/moving.md.
 
 `python bench/closed_loop.py` plays the shipped baselines of r2h-v1 in closed loop and measures the cost on the oracle's poses
-(process time on one thread, a second run of the same episodes). `--growth N` plays N episodes in one process, for memory.
+(process time on one thread, a second run of the same episodes). `--growth N` plays N episodes in one process, for memory, and
+writes closed_loop_growth.json.
 `--render` writes the page again from the JSON.
 """
 
 import argparse
-import json
 from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, core_ms, made_by, markdown_table, memory_over, page_from
+from _report import ROOT, Report, core_ms, made_by, markdown_table, memory_over, page_from
 
 PAGE = ROOT / "docs" / "results" / "moving.md"
 STORED = ROOT / "bench" / "results" / "closed_loop.json"
+MEASURES = (
+    "bench/closed_loop.py",
+    "kernels",
+    "r2h_batch/judge",
+    "r2h_batch/scene",
+    "r2h_batch/base/launch",
+    "r2h_batch/evaluate.py",
+    "r2h_batch/closed_loop",
+)
 CASES = (("still", "planned"), ("moves", "planned"), ("moves", "stop"), ("moves", "servo"), ("moves", "replan"))
 GROWN = STORED.with_name("closed_loop_growth.json")
 SIZES = (16, 80)
@@ -145,7 +154,7 @@ def growth(trials: int) -> dict[str, Any]:
         Loop(ReceiverMotion("moves", seed=seed), "servo", LoopConfig(seed=seed))(scores)
         return n
 
-    return memory_over(trials, again) | made_by()
+    return memory_over(trials, again)
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
@@ -160,7 +169,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             methods[name]["cases"][f"{motion}, {policy}"] = summary(episodes, r)
             print(name, motion, policy, methods[name]["cases"][f"{motion}, {policy}"]["ends"], flush=True)
     torch.set_num_threads(1)
-    return {"trials": trials, "methods": methods, "cost": cost(scores[rows["oracle"]]), **made_by()}
+    return {"trials": trials, "methods": methods, "cost": cost(scores[rows["oracle"]]), **made_by(MEASURES)}
 
 
 def _rate(hits: str) -> str:
@@ -210,11 +219,15 @@ def _mean(values: Iterable[float]) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=100, help="of each split")
+    parser.add_argument("--trials", type=int, default=200, help="of each split")
     parser.add_argument("--growth", type=int, metavar="N", help="memory over N episodes, and nothing else")
     grown = parser.parse_known_args()[0].growth
     if grown:
-        GROWN.write_text(json.dumps(growth(grown), indent=1) + "\n")
+        report = Report(MEASURES)
+        report.add("closed_loop_growth.episodes", (found := growth(grown))["trials"])
+        report.add("closed_loop_growth.memory_mib_first", found["mib"][0])
+        report.add("closed_loop_growth.memory_mib_most", max(found["mib"]))
+        report.write(GROWN)
     else:
         page_from(parser, STORED, PAGE, measure, markdown)
 

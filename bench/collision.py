@@ -29,6 +29,14 @@ from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import HOME_Q, EvalConfig
 from r2h_batch.scene.scene import Scene
 
+MEASURES = (
+    "bench/collision.py",
+    "bench/_is_free.py",
+    "kernels/geometry",
+    "kernels/plan",
+    "kernels/robot",
+    "r2h_batch/base/launch",
+)
 BAND_M = 1e-4
 REPEATS = 5
 SELF = ("self", "object_robot")
@@ -106,7 +114,7 @@ def options() -> argparse.Namespace:
 def main() -> None:
     args = options()
     torch.set_num_threads(1)
-    report = Report()
+    report = Report(MEASURES)
     scene = Scene("cpu", config=EvalConfig())
     problems, q = configurations(scene, args.trials, args.per_trial)
     count = q.shape[0] * q.shape[1]

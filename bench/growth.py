@@ -1,6 +1,6 @@
 """How a run folder grows: start of a resumed sweep, verify, report, compare.
 
-`python bench/growth.py --trials 2000000 20000000 --json FILE`. Rows are synthetic, half of them of each of two methods, and go
+`python bench/growth.py --json FILE`. Rows are synthetic, half of them of each of two methods, and go
 through the real writer. Margins and times have full float32 mantissas and compress no better than real ones. Each step is a
 process of its own, so that its peak memory is its own.
 `--sequences 1335`: instead, the import of a data set of GRAB's size: 1.62 million frames of two hands.
@@ -25,6 +25,7 @@ from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.runs.writing import SHARD_TRIALS
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
 
+MEASURES = ("bench/growth.py", "r2h_batch/runs", "r2h_batch/report", "r2h_batch/sweep/results", "r2h_batch/base/io")
 METHODS = ("synthetic", "other")
 LINEAR = 1.3
 """A step may take so many times its share of the smaller size's time: a busy machine, not another order of growth."""
@@ -201,7 +202,7 @@ def main() -> None:
     parser.add_argument("--sequences", type=int, help="measure an import of so many sequences only")
     given = parser.parse_args()
     if given.sequences:
-        report_ = Report()
+        report_ = Report(MEASURES)
         for name, value in import_grab(given.sequences).items():
             report_.add(f"growth.import_{given.sequences}_sequences_{name}", value)
         report_.write(given.json)
@@ -211,7 +212,7 @@ def main() -> None:
         own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(json.dumps({"peak_mib": own, **figures}))
         return
-    report_ = Report()
+    report_ = Report(MEASURES)
     seconds: dict[tuple[int, str], float] = {}
     with tempfile.TemporaryDirectory(dir=given.folder) as temporary:
         for trials in given.trials:
@@ -229,7 +230,22 @@ def main() -> None:
             share = seconds[last, step] / seconds[first, step] / (last / first)
             report_.add(f"growth.{step}_times_its_share", share)
             report_.add(f"growth.{step}_linear", share <= LINEAR)
+        times = [last / first * float(report_.values[f"growth.{step}_times_its_share"]) for step in STEPS]
+        report_.add("growth.sizes_apart", last / first)
+        report_.add("growth.least_times_longer", min(times))
+        report_.add("growth.most_times_longer", max(times))
+    for step in STEPS:  # the start of a process is in both sizes
+        more = seconds[last, step] - (seconds[first, step] if last > first else 0.0)
+        report_.add(f"growth.{step}_us_a_row", 1e6 * more / (last - first if last > first else last))
+    report_.add("growth.rows", last)
+    report_.add("growth.bytes_a_row", report_.values[f"growth.{last}.write_bytes_per_trial"])
+    report_.add("growth.report_and_compare_peak_gb", max(peak(report_, last, s) for s in ("report", "compare")))
     report_.write(given.json)
+
+
+def peak(report_: Report, trials: int, step: str) -> float:
+    """Peak memory of a step, GB."""
+    return float(report_.values[f"growth.{trials}.{step}_peak_mib"]) * 2**20 / 1e9
 
 
 if __name__ == "__main__":

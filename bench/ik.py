@@ -29,6 +29,14 @@ from r2h_batch.judge.ik import IkResult, reference_chain, solve_ik
 from r2h_batch.kernels.ik.step import STATUS_CONVERGED, STATUS_EDGE, STATUS_SINGULAR
 from r2h_batch.scene.robot import Robot, ee_pose, load_robot
 
+MEASURES = (
+    "bench/ik.py",
+    "kernels/ik",
+    "kernels/robot",
+    "r2h_batch/judge/ik.py",
+    "r2h_batch/judge/ik_jacobian.py",
+    "r2h_batch/base/launch",
+)
 REPEATS = 5
 NO_SEEDS = np.zeros((0, 6))
 
@@ -140,7 +148,7 @@ def main() -> None:
     parser.add_argument("--targets", type=int, default=100_000, help="default: 100000")
     parser.add_argument("--reference-targets", type=int, default=1000, help="for PseudoInverseIK; default: 1000")
     args = parser.parse_args()
-    report = Report()
+    report = Report(MEASURES)
     torch.set_num_threads(1)
     targets = make_targets(args.targets).to(args.device)
     on_cpu = targets.device.type == "cpu"

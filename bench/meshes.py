@@ -2,7 +2,6 @@
 
 Drawn here, so that anybody can measure them again: a mug, a wrench, a knife and a clamp with two slivers glued on, a bottle
 as it is (mug and bottle of some 20,000 faces), and wrench and knife without the faces that look down. Then every mesh of DIR.
-Objects that OUT holds already are not measured again (give the same DIR).
 
 Measured, with nothing kept on disk and kernels compiled: CPU seconds (all threads) of the import, of the convex
 decomposition, of grasp candidates and of receiving grasps; how many of `--trials` trials (S0, built-in hands, motion as
@@ -26,7 +25,7 @@ import manifold3d
 import numpy as np
 import torch
 import trimesh
-from _report import arguments, made_by, markdown_table
+from _report import Report, arguments, markdown_table
 from _twins import winding_number
 from numpy.typing import NDArray
 
@@ -44,6 +43,13 @@ from r2h_batch.sweep.jobs import Setting, make_jobs
 from r2h_batch.sweep.request import Methods
 from r2h_batch.trials.holding.receiving import load_receiving
 
+MEASURES = (
+    "bench/meshes.py",
+    "r2h_batch/scene/mesh_import",
+    "r2h_batch/scene/objects.py",
+    "r2h_batch/methods",
+    "r2h_batch/trials/holding",
+)
 METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
 
@@ -228,30 +234,42 @@ def table(rows: list[dict[str, Any]]) -> str:
     return markdown_table(["object", *keys], [[r["object"], *(r.get(k, "-") for k in keys)] for r in rows])
 
 
+def figures(report: Report, rows: list[dict[str, Any]]) -> None:
+    """Counts over all meshes, and the figures of each."""
+    taken = [r for r in rows if "refused" not in r]
+    report.add("meshes.meshes", len(rows))
+    report.add("meshes.refused", len(rows) - len(taken))
+    report.add("meshes.kept_within_1_um", sum(r["within_99_mm"] <= 1e-3 for r in taken))
+    report.add("meshes.imported_within_5_cpu_s", sum(r["build_cpu_s"] <= 5 for r in taken))
+    report.add("meshes.longest_import_cpu_s", max(r["build_cpu_s"] for r in taken))
+    for row in rows:
+        for key, value in row.items():
+            if key != "object" and value is not None:
+                report.add(f"meshes.{row['object']}.{key}", ", ".join(value) if isinstance(value, list) else value)
+
+
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--grasps", type=int, default=4000)
-    asked = parser.parse_args()
+    asked, report = parser.parse_args(), Report(MEASURES)
     warnings.simplefilter("ignore")
-    out: Path | None = asked.json
-    stored: dict[str, Any] = json.loads(out.read_text()) if out is not None and out.exists() else made_by()
-    rows, things = stored.get("objects", []), drawn()
+    things = drawn()
     todo: list[tuple[str, Any, Any]] = [(n, m if n == "drawn_bottle" else spoiled(m), m) for n, m in things.items()]
     todo += [(f"open_{n}", without_underside(things[f"drawn_{n}"]), things[f"drawn_{n}"]) for n in ("wrench", "knife")]
     if asked.folder is not None:
         todo += [(p.stem, p, None) for p in sorted(asked.folder.iterdir()) if p.suffix.lower() in SUFFIXES]
-    todo = [x for x in todo if x[0] not in {row["object"] for row in rows}]
     opened = trimesh.creation.box((0.05, 0.06, 0.1))
     opened.update_faces(np.arange(len(opened.faces)) > 0)
-    for box in (trimesh.creation.box((0.05, 0.06, 0.1)), opened) if todo else ():
+    for box in (trimesh.creation.box((0.05, 0.06, 0.1)), opened):
         measure("box", box, None, 1, 8)  # compiles or loads every kernel
+    rows = []
     for name, source, clean in todo:
         rows.append(measure(name, source, clean, asked.trials, asked.grasps))
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-        if out is not None:
-            out.write_text(json.dumps({**stored, "trials": asked.trials, "objects": rows}, indent=1) + "\n")
+    figures(report, rows)
+    report.write(asked.json)
     print(table(rows))
 
 

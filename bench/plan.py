@@ -32,6 +32,14 @@ from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.scene.scene import Scene
 
+MEASURES = (
+    "bench/plan.py",
+    "kernels",
+    "r2h_batch/judge",
+    "r2h_batch/scene",
+    "r2h_batch/base/launch",
+    "r2h_batch/evaluate.py",
+)
 REPEATS = 3
 
 
@@ -157,7 +165,7 @@ def main() -> None:
     parser.add_argument("--budget-s", type=float, default=10.0, help="OMPL's time for one problem")
     parser.add_argument("--resolution-rad", type=float, default=1 / 64, help="OMPL's edge resolution")
     options = parser.parse_args()
-    report = Report()
+    report = Report(MEASURES)
     scene = Evaluator(EvalConfig(), device=options.device).scene
     (T_obj_ee, T_world_ee, trials), _ = load_mix(scene)
     whole = Batch(trials, T_obj_ee, T_world_ee)

@@ -37,6 +37,16 @@ from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.export.release import TOOL_M
 
+MEASURES = (
+    "bench/release.py",
+    "r2h_batch/data/release.py",
+    "r2h_batch/view/export",
+    "kernels",
+    "r2h_batch/judge",
+    "r2h_batch/scene",
+    "r2h_batch/base/launch",
+    "r2h_batch/evaluate.py",
+)
 SAMPLES = 3
 """Samples of an executed motion at which flags are compared: their evaluator takes a sixth of a second for each."""
 
@@ -255,16 +265,16 @@ def main() -> None:
     # its first arm box touches a table at the height of the base, as r2h-v1 has it: its planner then finds nothing
     parser.add_argument("--protocol", default="r2h-release")
     parser.add_argument("--trials", type=int, default=25, help="of each split, in the loop")
-    parser.add_argument("--flags", type=int, default=20, help="trials whose flags are compared, at few samples of Safe")
+    parser.add_argument("--flags", type=int, default=25, help="trials whose flags are compared, at few samples of Safe")
     parser.add_argument(
         "--judged", type=int, default=1, help="motions that theirs judges at all samples: half a minute each"
     )
-    parser.add_argument("--planned", type=int, default=1, help="trials that theirs plans")
-    parser.add_argument("--palms", type=int, default=1, help="palms of each object, for inverse kinematics")
-    parser.add_argument("--imported", type=int, default=1000)
+    parser.add_argument("--planned", type=int, default=4, help="trials that theirs plans")
+    parser.add_argument("--palms", type=int, default=8, help="palms of each object, for inverse kinematics")
+    parser.add_argument("--imported", type=int, default=200)
     parser.add_argument("--json")
     args = parser.parse_args()
-    report = Report()
+    report = Report(MEASURES)
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         own, files = folder / "own", folder / "files"

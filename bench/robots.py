@@ -42,6 +42,16 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.protocol import make_trials
 
+MEASURES = (
+    "bench/robots.py",
+    "assets/robot",
+    "kernels",
+    "r2h_batch/judge",
+    "r2h_batch/scene",
+    "r2h_batch/base/launch",
+    "r2h_batch/evaluate.py",
+    "r2h_batch/methods",
+)
 ROBOTS = ("ur5e_2f85", "ur3e_2f85", "ur10e_2f85", "panda_hand")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
 PAGE = ROOT / "docs" / "results" / "robots.md"
@@ -70,7 +80,8 @@ Percent of all trials, mean of the splits, with 95 % intervals (MOVER).
 
 {checks}
 
-- Trial: whole trials, half answered by the oracle and half by random, median of {repeats} runs.
+- Trial: {rows} trials of r2h-v1 in a call, half answered by the oracle and half by random, one thread, median of {repeats} runs.
+  [Speed](speed.md#speed) has other trials (r2h-v0, 1,024 in a call).
 - Wrong postures: verdicts on collisions that MuJoCo C contradicts. Postures within 0.1 mm of contact are left out.
 - Paths: problems with a free start and a free goal. Penetrating: paths that MuJoCo C finds to collide.
 - IK: {targets:,} postures drawn uniformly within the joint ranges. Missed: targets without a posture.
@@ -220,8 +231,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         data |= {"targets": options.targets, "some": options.reference_targets}
     if "table" in asked:
         data["trials"] = options.trials
-    data["measured"].update(dict.fromkeys(asked, made_by()))
-    return data
+    made = made_by(MEASURES)
+    data["measured"].update({key: {"commit": made["commit"]} for key in asked})
+    return data | (made if {*asked} == {*SECTIONS} else {})
 
 
 def markdown(data: dict[str, Any]) -> str:
@@ -247,6 +259,7 @@ def markdown(data: dict[str, Any]) -> str:
         rates=markdown_table(["Method", *robots], rates),
         checks=markdown_table(["", *robots], [[k, *(f(r) for r in robots.values())] for k, f in lines.items()]),
         repeats=REPEATS,
+        rows=next(iter(robots.values()))["trials"]["trials"],
         targets=data["targets"],
     )
 
@@ -258,7 +271,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=100, help="of each split, in the table")
     parser.add_argument("--rows", type=int, default=400, help="whole trials, and those from which problems are taken")
     parser.add_argument("--problems", type=int, default=60, help="of planning")
-    parser.add_argument("--postures", type=int, default=100_000)
+    parser.add_argument("--postures", type=int, default=10_000)
     parser.add_argument("--targets", type=int, default=100_000)
     parser.add_argument("--reference-targets", type=int, default=500)
     page_from(parser, STORED, PAGE, measure, markdown)

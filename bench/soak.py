@@ -1,7 +1,7 @@
 """Large numbers of trials and calls, with and without kills: rows, memory and time stay what they were.
 
 `python bench/soak.py array --json bench/results/job_array.json`: a job array, whose jobs are killed and start again.
-`python bench/soak.py long --json bench/results/million.json`: a million trials in one process, then a tenth again with kills,
+`python bench/soak.py long --json bench/results/long.json`: many trials in one process, then a tenth again with kills,
 flipped bits and full disks between.
 `python bench/soak.py calls --json bench/results/calls.json`: 100,000 calls of one row of each kind, a process for each.
 
@@ -30,6 +30,16 @@ from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.command import verify
 from r2h_batch.trials.protocol import make_trials
 
+MEASURES = (
+    "bench/soak.py",
+    "kernels",
+    "r2h_batch/judge",
+    "r2h_batch/scene",
+    "r2h_batch/base/launch",
+    "r2h_batch/evaluate.py",
+    "r2h_batch/runs",
+    "r2h_batch/sweep",
+)
 FULL_BYTES = 4096
 """Bytes that a process may still write to a file when its disk is full: a limit on file sizes, as quotas are."""
 
@@ -122,6 +132,9 @@ def long(given: argparse.Namespace, base: Path, report: Report, dice: random.Ran
     ranges = [s.shard for s in load_run(plain).entry("random").shards.values()]
     report.add("long.trials", sum(s.last - s.first for s in ranges))
     report.add("long.seconds", time.perf_counter() - start)
+    memory = [float(v) for name, v in report.values.items() if name.startswith("long.memory_mib_at_")]
+    report.add("long.memory_mib_first", memory[0])
+    report.add("long.memory_mib_most", max(memory))
     report.add("long.bytes", sum(p.stat().st_size for p in plain.rglob("*") if p.is_file()))
     report.write(given.json)
     for how, count in under_fire(fire, given, dice).items():
@@ -196,8 +209,8 @@ def memory_of_calls(kind: str, calls: int) -> dict[str, float]:
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("mode", choices=("array", "long", "calls"))
-    parser.add_argument("--trials", type=int, help="of each of two splits; array: 50,000, long: 500,000")
-    parser.add_argument("--shard-trials", type=int, help="array: 1000, long: 10,000")
+    parser.add_argument("--trials", type=int, help="of each of two splits; array: 50,000, long: 20,000")
+    parser.add_argument("--shard-trials", type=int, help="array: 1000, long: 1000")
     parser.add_argument("--kill-every", type=float, default=3.0, help="seconds between kills, on average")
     parser.add_argument("--seed", type=int, default=0, help="of the kills")
     parser.add_argument("--folder", type=Path, help="keep both run folders here")
@@ -206,9 +219,9 @@ def main() -> None:
     parser.add_argument("--limit-s", type=float, default=float("inf"), help="long: end the undisturbed run then")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, help="calls: what they ask for")
     parser.add_argument("--calls", type=int, default=COUNTS[-1], help="calls: of each kind")
-    given, report = parser.parse_args(), Report()
-    given.trials = given.trials or (50_000 if given.mode == "array" else 500_000)
-    given.shard_trials = given.shard_trials or (1000 if given.mode == "array" else 10_000)
+    given, report = parser.parse_args(), Report(MEASURES)
+    given.trials = given.trials or (50_000 if given.mode == "array" else 20_000)
+    given.shard_trials = given.shard_trials or 1000
     if given.mode == "calls":
         calls(given, report)
     else:

@@ -26,6 +26,14 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.trials.protocol import trials_digest, trials_with_ids
 from r2h_batch.types import Outcome, PlanReason, Scores
 
+MEASURES = (
+    "bench/throughput.py",
+    "kernels",
+    "r2h_batch/judge",
+    "r2h_batch/scene",
+    "r2h_batch/base/launch",
+    "r2h_batch/evaluate.py",
+)
 REPEATS = 5
 MIX_TRIALS = 1024
 
@@ -70,7 +78,7 @@ def main() -> None:
     parser.add_argument("--freeze", action="store_true", help="make the mix again and stop")
     parser.add_argument("--threads", type=int, default=None, help="CPU threads (default: one per core)")
     options = parser.parse_args()
-    report = Report()
+    report = Report(MEASURES)
 
     start = time.perf_counter()
     config = EvalConfig(execute=ExecConfig(sim=options.sim))

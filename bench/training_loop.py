@@ -25,6 +25,14 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.types import Outcome, PlanReason
 
+MEASURES = (
+    "bench/training_loop.py",
+    "kernels",
+    "r2h_batch/judge",
+    "r2h_batch/scene",
+    "r2h_batch/base/launch",
+    "r2h_batch/evaluate.py",
+)
 SIZES = (1, 64, 4096, 65536)
 
 
@@ -99,7 +107,7 @@ def main() -> None:
     parser.add_argument("--largest", type=int, default=None, help="largest batch (default: 65,536; 1,048,576 on CUDA)")
     parser.add_argument("--threads", type=int, default=None, help="CPU threads (default: one per core)")
     options = parser.parse_args()
-    report, clock = Report(), Clock(options.device)
+    report, clock = Report(MEASURES), Clock(options.device)
     largest = options.largest or (65536 if options.device == "cpu" else 1 << 20)
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), device=options.device, threads=options.threads)
     mix = candidates(evaluator, "mix")

@@ -1,6 +1,6 @@
 """Trains a small generator of handovers on what the evaluator lets pass, and samples it plain, best of N, and guided.
 
-    python examples/train_generator.py            # about 10 minutes on two CPU cores, figure and JSON under docs/
+    python examples/train_generator.py            # about 10 minutes on two CPU cores, figure and JSON in runs/generator
 
 The generator sees an object's point cloud and where the palm is; four objects are held out and only used to test.
 """
@@ -205,7 +205,9 @@ def options(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--candidates", type=int, default=16, help="N of best-of-N, and the steps of guidance")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--weights", type=Path, help="kept here; where the file exists, nothing is trained")
-    parser.add_argument("--out", type=Path, default=Path("docs"), help="training_loop.png, results/training_loop.json")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/generator"), help="training_loop.png, results/training_loop.json"
+    )
     return parser.parse_args(argv)
 
 

@@ -1,0 +1,186 @@
+"""Figures of the pages: written from the benches' JSON, and checked against the present code.
+
+    python bench/figures.py            # lists each JSON: who cites it, when it was measured, what has changed since
+    python bench/figures.py --write    # writes the figures of all pages again (after `make bench`)
+
+A page holds a template in a comment, and below it the text that is made of it:
+
+    <!-- figures
+    The planner needs {plan.us_per_problem_core:~2} us.
+    -->
+
+    The planner needs 240 us.
+
+    <!-- end -->
+
+A name in braces is a figure of any JSON in bench/results, or NAME.made.commit (cpu, cores, load, date, seconds) of NAME.json.
+`*1000` after the name multiplies. `:~2` rounds to two significant digits; any other format is Python's.
+"""
+
+import argparse
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from _report import FIGURES_SINCE, markdown_table
+from _source import ROOT, digests
+
+STORED = ROOT / "bench" / "results"
+BLOCK = re.compile(r"(<!-- figures\n(?P<template>.*?)\n-->\n\n)(?P<text>.*?)(\n\n<!-- end -->)", re.DOTALL)
+FIELD = re.compile(r"\{(?P<name>[\w.]+)(\*(?P<factor>[\d.e+-]+))?(:(?P<spec>[^}]+))?\}")
+CITED = re.compile(r"bench/results/(\w+)\.json")
+CHANGED_SHARE = 0.25
+"""A page may not show figures after so large a part of the measured files has changed: measure again."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A bench's JSON."""
+
+    name: str
+    data: Mapping[str, Any]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Figures, and NAME.made.*: where they come from."""
+        hardware = self.data.get("hardware", {})
+        made = {k: hardware.get(k) for k in ("cpu", "cores")} | {"load": hardware.get("load_at_start")}
+        made |= {k: self.data.get(k) for k in ("commit", "date", "seconds")}
+        return dict(self.data.get("values", {})) | {f"{self.name}.made.{k}": v for k, v in made.items()}
+
+    def lacks(self) -> list[str]:
+        """Names of what says where the figures come from and is missing."""
+        made, hardware = ("commit", "source", "figures_since", "seconds"), ("cpu", "load_at_start")
+        return [k for k in made if not self.data.get(k)] + [
+            k for k in hardware if k not in self.data.get("hardware", {})
+        ]
+
+    def changed(self, root: Path = ROOT) -> list[str]:
+        """Files among the measured ones whose code is another one now, are new or are gone."""
+        before = self.data["source"]
+        now = digests((p for p in self.data["measures"] if (root / p).exists()), root)
+        return sorted(p for p in {*before, *now} if before.get(p) != now.get(p))
+
+    def outdated(self, root: Path = ROOT) -> str:
+        """Why a page may not show these figures any more; "" if it may."""
+        for version, benches, reason in FIGURES_SINCE:
+            if version > self.data["figures_since"] and {"*", self.name} & {*benches}:
+                return f"figures are valid since version {version}: {reason}"
+        changed, all_files = self.changed(root), len(self.data["source"])
+        if len(changed) > CHANGED_SHARE * all_files:
+            return f"{len(changed)} of {all_files} measured files have changed"
+        return ""
+
+
+def stored(folder: Path = STORED) -> dict[str, Measured]:
+    """All JSON files of the benches by name."""
+    return {p.stem: Measured(p.stem, json.loads(p.read_text())) for p in sorted(folder.glob("*.json"))}
+
+
+def pages(root: Path = ROOT) -> list[Path]:
+    """Pages that may show figures."""
+    return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
+
+
+def written(value: Any, factor: str | None, spec: str | None) -> str:
+    """A figure as text."""
+    if factor:
+        value = value * float(factor)
+    if spec and spec.startswith("~"):
+        digits = int(spec[1:]) - 1 - (math.floor(math.log10(abs(value))) if value else 0)
+        return f"{round(value, digits):,.{max(digits, 0)}f}"
+    return format(value, spec or "")
+
+
+def filled(template: str, values: Mapping[str, Any]) -> str:
+    """The text of a template.
+
+    Raises:
+        KeyError: a figure that no JSON has.
+    """
+
+    def one(field: re.Match[str]) -> str:
+        if field["name"] not in values:
+            raise KeyError(f"no JSON in bench/results has the figure {field['name']}; `make bench` measures them")
+        return written(values[field["name"]], field["factor"], field["spec"])
+
+    return FIELD.sub(one, template)
+
+
+def rendered(text: str, values: Mapping[str, Any]) -> str:
+    """A page with all of its figures written again."""
+    return BLOCK.sub(lambda block: block[1] + filled(block["template"], values) + block[4], text)
+
+
+def of_sensitivity() -> dict[str, Any]:
+    """Success rates of docs/results/sensitivity.json, which `make tables` measures: sensitivity.VARIANT.METHOD.sr of both splits
+    (.s0, .s1), with `_` for what is not a word; and sensitivity.trials."""
+    data = json.loads((ROOT / "docs" / "results" / "sensitivity.json").read_text())
+    found = {"sensitivity.trials": data["trials"]}
+    for variant in data["variants"]:
+        for method, rates in variant["rates"].items():
+            name = re.sub(r"\W", "_", f"{variant['name']}.{method}").replace(f"_{method}", f".{method}")
+            found |= {f"sensitivity.{name}.{k.lower()}": rates[k]["sr"] for k in ("S0", "S1")}
+            found[f"sensitivity.{name}.sr"] = rates["Avg"]["sr"]
+    return found
+
+
+def all_values(measured: Iterable[Measured]) -> dict[str, Any]:
+    """Figures of all JSON files."""
+    found = of_sensitivity()
+    for one in measured:
+        found |= one.values
+    return found
+
+
+def cited(text: str, measured: Mapping[str, Measured]) -> set[str]:
+    """Names of the JSON files that a page takes figures from, or names."""
+    used = {field["name"] for block in BLOCK.finditer(text) for field in FIELD.finditer(block["template"])}
+    return {*CITED.findall(text)} | {name for name, one in measured.items() if used & one.values.keys()}
+
+
+def listing(measured: Mapping[str, Measured]) -> str:
+    """A Markdown table: where each JSON comes from, and what has changed since."""
+    by: dict[str, list[str]] = {name: [] for name in measured}
+    for page in pages():
+        for name in cited(page.read_text("utf-8"), measured):
+            by.setdefault(name, []).append(page.relative_to(ROOT).as_posix())
+    rows = []
+    for name, one in measured.items():
+        if missing := one.lacks():
+            state = f"without {', '.join(missing)}: measure again"
+        elif why := one.outdated():
+            state = f"out of date: {why}"
+        elif files := one.changed():
+            state = f"stale: {len(files)} of {len(one.data['source'])} files changed ({', '.join(files[:2])})"
+        else:
+            state = "as measured"
+        made = one.values
+        rows.append(
+            [name, made[f"{name}.made.seconds"], str(made[f"{name}.made.commit"])[:8], made[f"{name}.made.load"]]
+        )
+        rows[-1] += [", ".join(by[name]) or "no page", state]
+    return markdown_table(["bench/results", "s", "commit", "load", "cited by", "figures"], rows, left=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="write the figures of all pages again")
+    measured = stored()
+    if not parser.parse_args().write:
+        print(listing(measured))
+        return
+    values = all_values(measured.values())
+    for page in pages():
+        before = page.read_text("utf-8")
+        if (after := rendered(before, values)) != before:
+            page.write_text(after, "utf-8")
+            print(page.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main()
