@@ -1,4 +1,4 @@
-"""What does a gradient cost, and what is it good for?
+"""Cost of a gradient, and what it is good for.
 
 python bench/gradients.py [--trials N] [--json FILE]
 

@@ -10,7 +10,7 @@ from pages import PAGES, ROOT, OnlyInstalled, pieces
 
 
 def follow(folder, pages, *more):
-    """What each page's process said last; "" if it ended well."""
+    """The last words of each page's process; "" if it ended well."""
     line = [sys.executable, str(ROOT / "tests" / "support" / "pages.py"), str(folder), *pages, *more]
     done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=2400)
     logs = {page: folder / f"{page.replace('/', '_')}.log" for page in pages}

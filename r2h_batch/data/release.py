@@ -625,7 +625,7 @@ def imported(path: Path, out: Path) -> Path:
 
 @dataclass(frozen=True)
 class Imported:
-    """What a folder of imported trials says about itself.
+    """Facts of a folder of imported trials that decide how they are judged.
 
     Attributes:
         boxes: whether all objects are boxes in the files: the release judges them one by one.

@@ -228,7 +228,7 @@ class Reader:
         """The words with small numbers, with this folder's files in place of the page's placeholders."""
         few: list[str] = []
         for before, word in zip(["", *words], words, strict=False):
-            if before == "--out" and word in PLACEHOLDERS:
+            if before == "--out" and (word in PLACEHOLDERS or word.startswith("/tmp/")):
                 self.made += 1
                 word = f"made/{self.made}"
             elif before == "--trials":
@@ -262,7 +262,7 @@ class interrupted:
 
 
 def demo(reader: Reader) -> None:
-    """What `make demo` leaves: the sweep that its line of the Makefile runs."""
+    """The run that `make demo` leaves: the sweep that its line of the Makefile runs."""
     recipe = (ROOT / "Makefile").read_text().partition("\ndemo:")[2].splitlines()[1]
     reader.ours(["sweep", *shlex.split(recipe.partition("r2h_batch.sweep")[2])])
 
