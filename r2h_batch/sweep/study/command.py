@@ -94,4 +94,23 @@ def rated(
     return 0
 
 
-COMMANDS: dict[str, Command] = {"ratings": ratings, "real": real, "trials": trials, "rated": rated}
+def comfort(run: Path, file: Path, /) -> int:
+    """Compare people's comfort with objects that they were handed with a run's measures of these objects.
+
+    Args:
+        run: a run folder with the rated objects.
+        file: comfort.csv of `import objects --from hoh`: object, capture, handover, giver, receiver.
+    """
+    from r2h_batch.sweep.study.comfort import comfort_report
+
+    sys.stdout.write(comfort_report(run, file))
+    return 0
+
+
+COMMANDS: dict[str, Command] = {
+    "ratings": ratings,
+    "real": real,
+    "trials": trials,
+    "rated": rated,
+    "comfort": comfort,
+}
