@@ -35,7 +35,7 @@ def submit(
         run: a run folder with poses, as `r2h-batch sweep --out` writes it.
         out: the file to write; RUN.zip by default.
         rows: rows of each method that the command judges again before it writes.
-        benchmark: the flags that the sweep had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         overwrite: replace a file of this name.
     """
     from r2h_batch.report.card import write_summary
@@ -101,7 +101,7 @@ def leaderboard(
         baselines: a run folder with the baselines; by default the shipped rows of a submission's
             protocol and preset.
         seconds: CPU time that judging one submission may take.
-        benchmark: the flags that their sweeps had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         overwrite: replace a page of this name.
     """
     from r2h_batch.base.io.read import FileError

@@ -39,7 +39,7 @@ def turn(
             names is run.
         trials: of each split, the first ones of the run; 0: all.
         format: md, csv or json.
-        benchmark: the flags that the sweep had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
     from r2h_batch.report.turn import folder_of, render, turned

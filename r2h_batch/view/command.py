@@ -20,6 +20,7 @@ def view(
     *,
     method: tuple[str, ...] = (),
     trial: int | None = None,
+    one_of_each: bool = False,
     html: Path | None = None,
     video: Path | None = None,
     strips: Path | None = None,
@@ -39,6 +40,8 @@ def view(
         method: the sweep's word (fc) or the table's name; needed if the run has several methods. The browser
             and a page show two side by side.
         trial: trial id to show, or to start with in the browser.
+        one_of_each: the first failure of each kind, of the first method. The browser lists these alone; a page, film
+            or strips is written for each, with the kind in its name.
         html: write the trial as one page that opens without a server.
         video: write the trial as a film (.mp4, .webm, .gif), methods beside each other.
         strips: write the trial as pictures along its motion (.png, .jpg, .pdf, .svg), a row for
@@ -51,13 +54,16 @@ def view(
             `sweep`.
         policy: closed loop: the policy that moves the arm, as in `sweep`.
         overwrite: replace files that are there.
-        benchmark: the flags that the sweep had; none for the built-in benchmark.
+        benchmark: where its files are now, if they are not where the sweep found them.
     """
     outputs: Any = ((html, "--html", ()), (video, "--video", FILMS), (strips, "--strips", STRIPS))
     pictures = bool(video or strips)
     for file, flag, _ in outputs:
-        if file is not None and trial is None:
-            raise UsageError(f"{flag} needs --trial ID: which one to write")
+        if file is not None and trial is None and not one_of_each:
+            raise UsageError(f"{flag} needs --trial ID or --one-of-each: which one to write")
+    if one_of_each and (trial is not None or receiver_motion):
+        other = "--receiver-motion" if trial is None else "--trial"
+        raise UsageError(f"--one-of-each chooses the trials of what was stored; leave out {other}")
     if trial is not None and trial < 0:
         raise UsageError(f"--trial is {trial}; it must be 0 or more")
     if len(method) > 2 and not pictures:
@@ -74,7 +80,7 @@ def view(
     if receiver_motion and find_spec("gymnasium") is None:
         raise UsageError("--receiver-motion needs gymnasium: pip install 'r2h_batch[env]'")
     for file, flag, endings in outputs:
-        if file is not None:
+        if file is not None and not one_of_each:
             check_output_file(file, overwrite=overwrite, flag=flag, endings=endings)
     if pictures:
         from r2h_batch.scene.offscreen import ready
@@ -84,10 +90,31 @@ def view(
     from r2h_batch.view.stored import Reader
 
     reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    only: list[int] | None = None
+    if one_of_each:
+        from r2h_batch.view.stored import one_failure_of_each
+
+        name = reader.method(method[0] if method else reader.run.methods[0])
+        kinds = one_failure_of_each(reader.rows(name).to_pylist())
+        if not kinds:
+            raise UsageError(f"no trial of {name!r} failed: there is no failure to look at")
+        if html or pictures:
+            for kind, failed in kinds.items():
+                files: dict[str, Any] = {
+                    flag[2:]: file.with_stem(f"{file.stem}-{kind}")
+                    for file, flag, _ in outputs
+                    if file is not None
+                }
+                view(
+                    run, method=(name,), trial=failed, size=size, frames=frames, fps=fps, overwrite=overwrite,
+                    benchmark=benchmark, **files,
+                )  # fmt: skip
+            return 0
+        method, only = (name,), list(kinds.values())
     if trial is None or not (html or pictures):
         from r2h_batch.view.server import serve
 
-        serve(reader, list(method), trial, port)
+        serve(reader, list(method), trial, port, only)
         return 0
     drawings: list[Any] = []
     if receiver_motion:

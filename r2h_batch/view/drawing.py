@@ -39,6 +39,13 @@ FOV_DEG = 45.0  # vertical, of every camera
 ELEVATION_DEG = -14.0
 BOUNDS_POSTURES = 60  # of a motion that the camera's bounds are made of
 AZIMUTHS_DEG = np.arange(0, 360, 5)  # directions in which the first camera may look
+BACK = 0.5  # cosine: from within 60 degrees of the receiver's back nothing is looked at
+MET_POSTURES = 200  # of a motion that collides, in which the deepest is looked for
+CLOSE_M = 0.15  # around what a failure is seen by, in near views
+AROUND_M, MOST_BEFORE = (
+    0.012,
+    24,
+)  # rays past the event, and bodies that may be made clear before it
 SEEN_M = 0.04  # an event is seen where nothing but what takes part stands this far before it
 NEAR_M = 0.5  # farther pairs of bodies are not called near
 COARSE_M = 0.002  # grid on which vertices of large robot meshes are joined
@@ -100,8 +107,7 @@ class Witness:
 
     @property
     def caption(self) -> str:
-        """The witness in one line: two bodies and their overlap or distance, or the remaining
-        distance to a target."""
+        """The witness in one line: two bodies that overlap or their distance, or the remaining distance to a target."""
         if self.kind == "unreachable":
             return f"the gripper stays {-1e3 * self.distance_m:.1f} mm from its target"
         if self.kind == "reach":
@@ -109,8 +115,10 @@ class Witness:
         if self.kind == "affordance":
             return f"{_geom_name(self.geoms[0])} on the receiver's part"
         a, b = map(_geom_name, self.geoms)
-        if self.distance_m < 0:
-            return f"{a} and {b} overlap by {-1e3 * self.distance_m:.1f} mm"
+        if (
+            self.distance_m < 0
+        ):  # by how much the margin says: a picture's posture may have another overlap
+            return f"{a} and {b} overlap"
         return f"{a} and {b} are {1e3 * self.distance_m:.1f} mm apart"
 
 
@@ -124,6 +132,11 @@ class Drawing:
         self.stored = stored
         self.model = spec_of(stored).compile()
         self._data = mujoco.MjData(self.model)
+        region = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, REGION)
+        self.region = (
+            region,
+            _color(self.model.geom_rgba[region]),
+        )  # -1: S0; its colour unless it fails
         for mark in self.marks:
             if mark.geom >= 0 and mark.group == "witness":  # MuJoCo draws marks by their group
                 self.model.geom_rgba[mark.geom], self.model.geom_group[mark.geom] = mark.rgba, MARK
@@ -157,10 +170,37 @@ class Drawing:
         """
         row, (times, q) = self.stored.row, self.motion()
         at = np.linspace(0.0, min(row.get("t_exec_s") or times[-1], times[-1]), n)
-        seen = at[-1] if self.witness is not None or row["outcome"] == "stability" else None
-        if row["outcome"] == "safe" and (touch := row.get("witness_time_s")) is not None:
-            seen = at[np.abs(at - touch).argmin()] = touch
+        if (seen := self.fails_at_s) is not None:
+            seen = at[np.abs(at - seen).argmin()] = min(seen, float(times[-1]))
         return [(float(t), q[np.abs(times - t).argmin()], bool(t == seen)) for t in at]
+
+    @cached_property
+    def fails_at_s(self) -> float | None:
+        """When the motion is seen to fail, s: where Safe fails at the touch, where a given motion collides at its
+        deepest overlap, else at rest; None: a success."""
+        row = self.stored.row
+        if row["outcome"] == "safe" and row.get("witness_time_s") is not None:
+            return float(row["witness_time_s"])
+        if self._met is not None:
+            return self._met[0]
+        if self.witness is None and row["outcome"] not in ("stability", "plan"):
+            return None
+        times = self.motion()[0]
+        return float(min(row.get("t_exec_s") or times[-1], times[-1]))
+
+    @cached_property
+    def _met(self) -> tuple[float, Witness] | None:
+        """Where a motion that collides is deepest in what it meets: its time, and the two bodies."""
+        stored = self.stored
+        if not stored.moves or stored.row["outcome"] != "plan" or not stored.row.get("plan_pair"):
+            return None
+        pairs = [p for p in self._checked() if p[2] == stored.row["plan_pair"]]
+        times, q = self.motion()
+        some = np.linspace(0, len(q) - 1, min(len(q), MET_POSTURES)).round().astype(int)
+        found = [
+            (float(times[i]), w) for i in some if (w := self._nearest(q[i], pairs)) is not None
+        ]
+        return min(found, key=lambda f: f[1].distance_m, default=None)
 
     @cached_property
     def witness(self) -> Witness | None:
@@ -176,19 +216,17 @@ class Drawing:
             pairs = [(g, region, "affordance") for g in self._collision_geoms()["gripper"]]
             return self._nearest(stored.target_q, pairs)
         if stored.moves:
+            if self._met is not None:
+                return self._met[1]
             return self._gap() if stored.row["outcome"] == "reach" else None
         if reason in ("ik_unreachable", "ik_not_found"):
             data = self.at(stored.target_q)
             line = np.stack([data.site("ee").xpos, data.site("target").xpos])
-            return Witness((), "unreachable", -float(np.linalg.norm(line[1] - line[0])), line)
+            away = self._stored_m("plan") or -float(np.linalg.norm(line[1] - line[0]))
+            return Witness((), "unreachable", away, line)
         home = reason == "start_in_collision"
         q = np.array(stored.workplace.home_q) if home else stored.target_q
-        of_body = self._collision_geoms()
-        pairs = [
-            (a, b, kind)
-            for both, kind in checked_pairs(stored.robot).items()
-            for a, b in product(*(of_body.get(name, []) for name in sorted(both)))
-        ]
+        pairs = self._checked()
         found = self._nearest(q, [p for p in pairs if p[2] == pair])
         # the stored pair is the last branch's; in the drawn posture another one may overlap
         return found if found and found.distance_m < 0 else self._nearest(q, pairs)
@@ -199,9 +237,10 @@ class Drawing:
         bodies that take part."""
         stored, witness = self.stored, self.witness
         row, q = stored.row, stored.target_q
-        if row["outcome"] == "safe" and row.get("witness_point_m"):
+        if stored.moves and self.fails_at_s is not None:
             times, motion = self.motion()
-            q = motion[np.abs(times - row["witness_time_s"]).argmin()]
+            q = motion[np.abs(times - self.fails_at_s).argmin()]
+        if row["outcome"] == "safe" and row.get("witness_point_m"):
             return q, np.array(row["witness_point_m"], np.float64), frozenset({"hand", "gripper"})
         if row.get("plan_reason") == "start_in_collision":
             q = np.array(stored.workplace.home_q)
@@ -209,6 +248,20 @@ class Drawing:
             return q, self.at(q).site("ee").xpos.copy(), frozenset({"gripper", "object"})
         bodies = (self.body_of(int(self.model.geom(name).id)) for name in witness.geoms)
         return q, witness.line.mean(0), frozenset(bodies)
+
+    def _stored_m(self, name: str) -> float | None:
+        """The stored margin of a criterion; None where it is no length."""
+        margin = self.stored.row.get(f"margin_{name}_m")
+        return float(margin) if margin is not None and np.isfinite(margin) else None
+
+    def _checked(self) -> list[tuple[int, int, str]]:
+        """Pairs of geoms that planning checks, and the kind of each."""
+        of_body = self._collision_geoms()
+        return [
+            (a, b, kind)
+            for both, kind in checked_pairs(self.stored.robot).items()
+            for a, b in product(*(of_body.get(name, []) for name in sorted(both)))
+        ]
 
     def _collision_geoms(self) -> dict[str, list[int]]:
         """Body -> its geoms that can collide."""
@@ -244,7 +297,9 @@ class Drawing:
         apart = np.linalg.norm(points - center, axis=1)
         point, distance = points[apart.argmin()], float(apart.min())
         end = center + radius / distance * (point - center)
-        return Witness((), "reach", distance - radius, np.stack([point, end]))
+        margin = self._stored_m("reach")
+        away = distance - radius if margin is None else -margin
+        return Witness((), "reach", away, np.stack([point, end]))
 
     def surface(self, geom: int) -> Surface:
         """A geom of the model in the frame of its body."""
@@ -333,14 +388,24 @@ class Drawing:
             found.append(Mark("witness", RED, points=witness.line, text=witness.caption))
         elif row["outcome"] == "safe" and row.get("witness_point_m"):
             point = np.array(row["witness_point_m"], np.float64)[None]
-            text = f"{body_name(str(row.get('witness_safe_part')))} meets the hand at {row['witness_time_s']:.1f} s"
+            part = str(row.get("witness_safe_part"))
+            text = f"{body_name(part)} meets the hand at {row['witness_time_s']:.1f} s"
+            for name in (f"robot/{part}", f"gripper/{part}"):
+                if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name) >= 0:
+                    surface("witness", name, RED)
             found.append(Mark("witness", RED, points=point, radius_m=0.015, text=text))
+        elif row["outcome"] == "plan":  # nothing is met: the arm does not come to rest there
+            found.append(Mark("witness", RED, points=self.event[1][None], radius_m=0.015))
         return tuple(found)
 
     def bounds(self, close: bool = False) -> Array:
         """Corners (N, 3) of boxes around robot, object and hand over the whole motion; `close`:
-        around gripper, object and hand where the verdict is decided."""
+        around gripper, object and hand where a success ends, around what a failure is seen by."""
         model = self.model
+        corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
+        if close and self.stored.row["outcome"] != "success":
+            line = [] if self.witness is None else list(self.witness.line)
+            return np.concatenate([point + CLOSE_M * corners for point in (self.event[1], *line)])
         near = ("object", "hand", "gripper")
         names = [model.body(i).name for i in range(model.nbody)]
         geoms = self.visual_geoms(near if close else [n for n in names if n not in UNSEEN])
@@ -349,7 +414,6 @@ class Drawing:
         _, q = self.motion()
         some = np.linspace(0, len(q) - 1, min(len(q), BOUNDS_POSTURES)).round().astype(int)
         home = np.array(self.stored.workplace.home_q)
-        corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
         local = model.geom_aabb[geoms, None, :3] + corners * model.geom_aabb[geoms, None, 3:]
         points = []
         for posture in [self.event[0]] if close else [home, *q[some]]:
@@ -363,8 +427,9 @@ class Drawing:
     def sides(self) -> Array:
         """How well the trial is seen from each of `AZIMUTHS_DEG`.
 
-        First of all the event must be seen. Then the camera stands on the receiver's side, the
-        torso hides neither hand nor object nor robot, and hand and gripper stand beside each other.
+        The camera never stands behind the receiver. Then the event must be seen, the camera stands on the
+        receiver's side, the torso hides neither hand nor object nor robot, and hand and gripper stand beside
+        each other.
         """
         data = self.at(self.stored.target_q)
         hand, target = data.geom("hand/mesh_visual").xpos.copy(), data.site("target").xpos.copy()
@@ -377,7 +442,35 @@ class Drawing:
         seen = self._seen()
         around = sum(np.roll(seen, k) for k in (-2, -1, 0, 1, 2)) / 5
         best = side - 0.35 * np.cos(angles - np.pi) ** 2 - np.array(hidden)
+        facing = -flat if self.stored.receiver is None else self.stored.receiver[3:5, 3]
+        towards = np.cos(angles) * facing[0] + np.sin(angles) * facing[1]
+        best = np.where(
+            towards > BACK, -np.inf, best
+        )  # it looks where the receiver looks, from behind
         return best + 16.0 * seen + around - 8.0 * behind
+
+    def before(self, view: View) -> frozenset[int]:
+        """Geoms that stand between a camera and the point where the verdict is decided."""
+        q, point, _ = self.event
+        model, data, shown = self.model, self.at(q), np.array([0, 0, 0, 0, 0, 0], np.uint8)
+        shown[VISUAL] = 1
+        right, up, forward = view.axes
+        camera, geom, found = (
+            view.look_at - view.distance_m * forward,
+            np.zeros(1, np.int32),
+            set[int](),
+        )
+        for x, y in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+            way = point + AROUND_M * (x * right + y * up) - camera
+            left = float(np.linalg.norm(way))
+            way, start = way / left, camera
+            while left > 0 and len(found) < MOST_BEFORE:
+                far = mujoco.mj_ray(model, data, start, way, shown, 1, -1, geom)
+                if far < 0 or far > left:
+                    break
+                found.add(int(geom[0]))
+                start, left = start + (far + 1e-4) * way, left - far - 1e-4
+        return frozenset(found)
 
     def _seen(self) -> Array:
         """1 for each of `AZIMUTHS_DEG` from which the event is seen, else 0: a ray from there meets

@@ -27,15 +27,18 @@ FRAMES_PER_S = 12.0  # of a recorded motion; the player shows it in real time
 REST_S = 1.5  # before the motion starts again
 APART_M = 1.6  # between two trials side by side, along y
 ASPECT = 1.2  # of the part of a window that the panel leaves free
+CLEAR = 0.35  # opacity of bodies that stand before what a failure is seen by
+FIRST_M = 1.1  # least distance of the first camera from what a failure is seen by
 PANEL = 0.12  # of the picture's width: how far the trial is moved to the left of its middle
 SMOOTH_FACES = 20_000  # smaller meshes are drawn with flat faces
 
 
 class Drawn:
-    """One trial in a viser scene, under `name` and `offset_m` to the side (along y)."""
+    """One trial in a viser scene, under `name` and `offset_m` to the side (along y); bodies that stand before its
+    failure, seen from the first camera, are clear."""
 
     def __init__(
-        self, scene: Any, drawing: Drawing, name: str = "/trial", offset_m: float = 0.0
+        self, scene: Any, drawing: Drawing, view: View, name: str = "/trial", offset_m: float = 0.0
     ) -> None:
         self.scene, self.drawing, self.name = scene, drawing, name
         self.marks: dict[str, list[Any]] = {group: [] for group in MARKS}
@@ -46,9 +49,12 @@ class Drawn:
         self.bodies = dict(enumerate(frames, 1))
         self._pose(drawing.stored.target_q, list(self.bodies))
         self.moving = [i for i in self.bodies if names[i] not in FIXED]
+        fails = drawing.stored.row["outcome"] != "success"
+        clear = drawing.before(moved(view, -offset_m)) if fails else frozenset()
         for g in drawing.visual_geoms():
             geom = model.geom(g).name.replace("/", "_")
-            self._add_surface(f"{name}/{drawing.body_of(g)}/{geom}", g)
+            rgba = (*drawing.surface(g).rgba[:3], CLEAR) if g in clear else None
+            self._add_surface(f"{name}/{drawing.body_of(g)}/{geom}", g, rgba)
         for k, mark in enumerate(drawing.marks):
             body = "" if mark.body == "world" else f"/{mark.body}"
             self._add_mark(f"{name}{body}/{mark.group}_mark_{k}", mark)
@@ -101,15 +107,24 @@ class Drawn:
             handles.append(label)
 
 
-def aim(server: Any, drawings: Sequence[Drawing]) -> None:
-    """Puts the viewer's first camera where it sees all of the trials beside the panel."""
-    view: View = view_of(drawings, ASPECT, apart_m=APART_M)
+def moved(view: View, y_m: float) -> View:
+    """The same camera, farther along y."""
+    return replace(view, look_at=view.look_at + [0.0, y_m, 0.0])
+
+
+def aim(server: Any, drawings: Sequence[Drawing]) -> View:
+    """Puts the viewer's first camera where it sees all of the trials beside the panel; one that fails from near, where
+    it fails."""
+    near = len(drawings) == 1 and drawings[0].stored.row["outcome"] != "success"
+    view: View = view_of(drawings, ASPECT, close=near, apart_m=APART_M)
+    view = replace(view, distance_m=max(view.distance_m, FIRST_M))
     right, _, forward = view.axes
     half_width_m = view.distance_m * np.tan(np.radians(FOV_DEG / 2)) * ASPECT
     at = view.look_at + 2 * PANEL * half_width_m * right
     camera = server.initial_camera
     camera.fov, camera.look_at = np.radians(FOV_DEG), at
     camera.position = at - view.distance_m * forward
+    return view
 
 
 def light(server: Any) -> None:
@@ -148,8 +163,10 @@ def page_of(drawings: Sequence[Drawing]) -> str:
     server = new_server(0)
     try:
         light(server)
-        aim(server, drawings)
-        drawn = [Drawn(server.scene, d, f"/trial_{k}", APART_M * k) for k, d in enumerate(drawings)]
+        view = aim(server, drawings)
+        drawn = [
+            Drawn(server.scene, d, view, f"/trial_{k}", APART_M * k) for k, d in enumerate(drawings)
+        ]
         recording = server.get_scene_serializer()
         motions = [(d, *d.drawing.motion()) for d in drawn if d.drawing.stored.moves]
         end = max((float(times[-1]) for _, times, _ in motions), default=0.0)

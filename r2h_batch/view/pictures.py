@@ -14,7 +14,7 @@ from r2h_batch.report.figures import style
 from r2h_batch.scene.model_parts import SHADOW_PIXELS
 from r2h_batch.scene.offscreen import RenderError, renderer
 from r2h_batch.view.captions import headline, legend, title
-from r2h_batch.view.drawing import Drawing, Mark, View, view_of
+from r2h_batch.view.drawing import FOV_DEG, RED, Drawing, Mark, View, view_of
 from r2h_batch.view.mjcf import MARK
 
 Array = NDArray[np.float64]
@@ -22,11 +22,25 @@ Image = NDArray[np.uint8]
 
 SEEN = ("target", "region", "witness")
 """Marks of a trial without a motion."""
-SEEN_AT_FAILURE = ("region", "ball", "witness")
-"""Marks of the moment at which a motion fails."""
+RING = 0.06
+"""Radius of the ring about what a failure is seen by, as a share of the picture's height."""
+CLEAR = 0.3
+"""Opacity of bodies that stand before what a failure is seen by."""
 STILL_S = 3.0  # a film of a trial without a motion: half from far, half from near
 REST_S = 0.7  # a film goes on after the motion
+LETTERS = 34
+"""Letters above an image of a strip."""
 PASSES, FAILS = "#1b6e3c", "#a3262a"
+
+
+def seen_at(drawing: Drawing, *, fails: bool) -> tuple[str, ...]:
+    """Marks of one moment of a motion: in S1 region and ball, where it fails what speaks against it, without a ball
+    that would cover it."""
+    row = drawing.stored.row
+    groups = ("region", "ball") if row["split"] == "S1" else ()
+    if not fails:
+        return groups
+    return ("region", "ball", "witness") if row["outcome"] == "reach" else ("region", "witness")
 
 
 @contextmanager
@@ -50,21 +64,47 @@ def painter(drawing: Drawing, size: tuple[int, int], view: View) -> Iterator[Cal
     # memory and time of every image follow these sizes
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     model.vis.quality.shadowsize = min(SHADOW_PIXELS, 4 * max(width, height))
+    solid = model.geom_rgba.copy()
     with renderer(model, width, height) as drawer:
 
         def paint(q: Array, *groups: str) -> Image:
+            model.geom_rgba[:] = solid
+            for geom in drawing.before(view) if "witness" in groups else ():
+                color, material = solid[geom], int(model.geom_matid[geom])
+                model.geom_rgba[geom] = color if material < 0 else model.mat_rgba[material]
+                model.geom_rgba[geom, 3] = CLEAR
             option.geomgroup[:] = [1, 1, 1, 0, 0, 0]
             option.geomgroup[MARK] = True
             for mark in drawing.marks:
                 if mark.geom >= 0 and model.geom_group[mark.geom] == MARK:
                     model.geom_rgba[mark.geom, 3] = mark.rgba[3] if mark.group in groups else 0.0
+                    if mark.geom == drawing.region[0] and mark.group not in groups:
+                        model.geom_rgba[mark.geom] = drawing.region[
+                            1
+                        ]  # what fails later, as before
             drawer.update_scene(drawing.at(q), camera, option)
             for mark in drawing.marks:
                 if mark.group in groups and mark.body == "world":
                     _add_mark(drawer.scene, mark)
-            return np.array(drawer.render())
+            image = np.array(drawer.render())
+            return ringed(image, drawing.event[1], view) if "witness" in groups else image
 
-        yield paint
+        try:
+            yield paint
+        finally:
+            model.geom_rgba[:] = solid
+
+
+def ringed(image: Image, point: Array, view: View) -> Image:
+    """The image with a red ring about a point of the world: however small or covered, it is found."""
+    height, width = image.shape[:2]
+    x, y, away = view.axes @ (point - view.look_at) + [0.0, 0.0, view.distance_m]
+    scale = height / 2 / np.tan(np.radians(FOV_DEG / 2)) / away
+    down, right = np.mgrid[:height, :width]
+    apart = np.hypot(right + 0.5 - width / 2 - scale * x, down + 0.5 - height / 2 + scale * y)
+    ring = np.abs(apart - RING * height) <= max(RING * height / 12, 0.8)
+    image[ring] = np.round(255 * np.array(RED[:3])).astype(np.uint8)
+    return image
 
 
 def _add_mark(scene: mujoco.MjvScene, mark: Mark) -> None:
@@ -94,8 +134,7 @@ def images(
         if drawing.stored.moves:
             moments = drawing.moments(n)
             return [
-                (paint(q, *SEEN_AT_FAILURE if fails else ()), f"{t:.1f} s")
-                for t, q, fails in moments
+                (paint(q, *seen_at(drawing, fails=fails)), f"{t:.1f} s") for t, q, fails in moments
             ]
         home, target_q = np.array(drawing.stored.workplace.home_q), drawing.stored.target_q
         at_home = drawing.stored.row.get("plan_reason") == "start_in_collision"
@@ -109,9 +148,9 @@ def image_at_end(drawing: Drawing, size: tuple[int, int], *, close: bool = False
     """Where the motion ends, or the robot meets the hand; without a motion the target. Of a failure
     with the marks that say why."""
     _, q, fails = max(drawing.moments(2), key=lambda moment: moment[2:] + moment[:1])
-    groups = SEEN_AT_FAILURE if fails else ()
+    groups = seen_at(drawing, fails=fails) if drawing.stored.moves else SEEN
     with painter(drawing, size, view_of([drawing], size[0] / size[1], close=close)) as paint:
-        return paint(q, *groups if drawing.stored.moves else SEEN)
+        return paint(q, *groups)
 
 
 def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[int, int]) -> None:
@@ -133,9 +172,17 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
         parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
         heading, *rows, foot = parts[:, 0]
         still = [d for d in drawings if not d.stored.moves]
-        groups = SEEN if still else SEEN_AT_FAILURE
-        failed = still or [d for d in drawings if any(fails for *_, fails in d.moments(n))]
-        patches = [Patch(color=c, label=words) for c, words in legend(failed, groups)]
+        groups = {
+            g
+            for d in drawings
+            if d not in still
+            for *_, f in d.moments(n)
+            for g in seen_at(d, fails=f)
+        }
+        patches = [
+            Patch(color=c, label=words)
+            for c, words in legend(drawings, groups | set(SEEN if still else ()))
+        ]
         if patches:
             foot.legend(handles=patches, loc="center", ncols=4, frameon=False, fontsize=7)
         heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
@@ -144,7 +191,10 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
             verdict = (headline(stored.row), stored.row["outcome"] == "success")
             words, good = drawing.ended or verdict
             color = PASSES if good else FAILS
-            part.text(0.005, 0.995, stored.method, ha="left", va="top", fontsize=9, weight="bold")
+            method = stored.method
+            if len(method) + len(words) > LETTERS * n:  # both stand in one line
+                method = method.partition(" (")[0]
+            part.text(0.005, 0.995, method, ha="left", va="top", fontsize=9, weight="bold")
             part.text(0.995, 0.995, words, ha="right", va="top", fontsize=9, color=color)
             axes = part.subplots(1, n, gridspec_kw={"wspace": 0.02}, squeeze=False)[0]
             part.subplots_adjust(left=0.005, right=0.995, top=1 - 0.26 / tall, bottom=0.01)
@@ -182,8 +232,13 @@ def _film(drawing: Drawing, size: tuple[int, int], fps: int, view: View) -> Iter
     if drawing.stored.moves:
         times, q = drawing.motion()
         with painter(drawing, size, view) as paint:
-            for t in np.arange(0.0, times[-1] + REST_S, 1.0 / fps):
-                yield paint(q[np.abs(times - t).argmin()])
+            fails_s = drawing.fails_at_s
+            at = np.arange(0.0, times[-1] + REST_S, 1.0 / fps)
+            if fails_s is not None:  # the one before it becomes that moment
+                at[np.searchsorted(at, fails_s, side="right") - 1] = fails_s
+            for t in at:
+                fails = fails_s is not None and t >= fails_s
+                yield paint(q[np.abs(times - t).argmin()], *seen_at(drawing, fails=fails))
         return
     for camera in (view, view_of([drawing], size[0] / size[1], close=True)):
         with painter(drawing, size, camera) as paint:

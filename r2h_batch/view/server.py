@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -53,9 +53,15 @@ class Filter:
         return sorted(kept, key=lambda row: (row[column] if column else 0.0, row["trial_id"]))
 
 
-def serve(reader: Reader, methods: Sequence[str], trial: int | None, port: int) -> None:
-    """Shows the run until it is interrupted; prints the address on stderr."""
-    viewer = Viewer(reader, methods, trial, port)
+def serve(
+    reader: Reader,
+    methods: Sequence[str],
+    trial: int | None,
+    port: int,
+    only: Collection[int] | None = None,
+) -> None:
+    """Shows the run, or `only` these trials of it, until it is interrupted; prints the address on stderr."""
+    viewer = Viewer(reader, methods, trial, port, only)
     LOG.info(f"view: {viewer.address} (Ctrl-C ends)")
     try:
         viewer.run()
@@ -69,8 +75,14 @@ class Viewer:
     """A viser server with one run's trials; `run` plays their motion until `stop`."""
 
     def __init__(
-        self, reader: Reader, methods: Sequence[str] = (), trial: int | None = None, port: int = 0
+        self,
+        reader: Reader,
+        methods: Sequence[str] = (),
+        trial: int | None = None,
+        port: int = 0,
+        only: Collection[int] | None = None,
     ) -> None:
+        self.only = only
         self.reader, self.lock, self.ended = reader, threading.RLock(), threading.Event()
         names = list(reader.run.methods)
         if not names:
@@ -143,6 +155,7 @@ class Viewer:
         first."""
         with self.lock:
             rows = self.reader.rows(self.method.value).to_pylist()
+            rows = [r for r in rows if self.only is None or r["trial_id"] in self.only]
             for column, control in self.filters.items():
                 words = (ANY, *sorted({str(r[column]) for r in rows if r[column] is not None}))
                 if tuple(control.options) != words:
@@ -186,10 +199,10 @@ class Viewer:
                     words.append(as_markdown(drawings[-1]))
                 except (ExportError, RunError) as error:
                     words.append(plain(f"{name}: {error}"))
-            if drawings:
-                aim(self.server, drawings)
+            view = aim(self.server, drawings) if drawings else None
             for k, drawing in enumerate(drawings):
-                drawn = Drawn(self.server.scene, drawing, f"/trial_{k}", APART_M * k)
+                assert view is not None
+                drawn = Drawn(self.server.scene, drawing, view, f"/trial_{k}", APART_M * k)
                 for mark, box in self.shown.items():
                     ghost = mark == "target" and drawing.stored.moves
                     drawn.show(mark, bool(box.value) and not ghost)

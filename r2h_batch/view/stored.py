@@ -223,6 +223,17 @@ class Reader:
         return trial.named(objects)
 
 
+def one_failure_of_each(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """Kind of failure -> the first trial that has it, in the order of the criteria; Plan's by their reasons."""
+    found: dict[str, int] = {}
+    for row in sorted(rows, key=lambda r: r["trial_id"]):
+        if row["outcome"] in CRITERIA:
+            plan = row["outcome"] == "plan"
+            kind = f"plan-{row['plan_reason']}" if plan else str(row["outcome"])
+            found.setdefault(kind.replace("_", "-"), row["trial_id"])
+    return dict(sorted(found.items(), key=lambda item: CRITERIA.index(item[0].partition("-")[0])))
+
+
 def judged_again(
     evaluator: Evaluator,
     trial: Trials,

@@ -4,6 +4,8 @@ import base64
 import contextlib
 import re
 from io import BytesIO
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +13,10 @@ from needs import needs
 
 from r2h_batch.__main__ import main
 from r2h_batch.view.captions import as_markdown
-from r2h_batch.view.drawing import Drawing
-from r2h_batch.view.stored import ExportError, Reader
+from r2h_batch.view.drawing import Drawing, view_of
+from r2h_batch.view.page import Drawn, aim
+from r2h_batch.view.pictures import image_at_end, images, ringed, write_film
+from r2h_batch.view.stored import ExportError, Reader, one_failure_of_each
 
 pytestmark = needs("viser")
 
@@ -50,7 +54,7 @@ def marks(names, parent, group):
 def test_a_failed_plan_is_shown_with_what_speaks_against_it(reader):
     met = Drawing(first(reader, plan_reason="ik_in_collision"))
     pair = met.witness
-    assert pair.distance_m < 0 and "overlap by" in pair.caption
+    assert pair.distance_m < 0 and pair.caption.endswith("overlap")  # by how much says the margin, once
     rows = [r for r in reader.rows("random").to_pylist() if r["plan_reason"] == "ik_in_collision"]
     shown = [Drawing(reader.trial(r["trial_id"], "random")).witness for r in rows[:2]]
     assert all(w.distance_m < 0 for w in shown)
@@ -172,3 +176,115 @@ def test_a_film_and_strips_show_the_motion(run, reader, tmp_path):
     (tall, wide), legend = red.shape, 48
     near, other = red[: tall // 2, 2 * wide // 5 : 3 * wide // 5], red[tall // 2 + tall // 8 : -legend]
     assert near.any() and not other.any() and red[-legend:].any()
+
+
+PAPER = Path(__file__).resolve().parents[2] / "bench" / "rows" / "v1-paper-preset"
+FAILURES = [  # of the published rows of preset paper, whose sampled paths meet hands now and then
+    ("random", 66, "safe"), ("handover-va", 24, "safe"), ("random", 59, "stability"), ("random", 71, "stability"),
+    ("fc", 4, "plan"), ("random", 34, "plan"), ("random", 2, "reach"), ("fc", 3, "affordance"),
+]  # fmt: skip
+
+
+def reds(image):
+    """Pixels that are red."""
+    r, g, b = (np.asarray(image)[..., k].astype(int) for k in range(3))
+    return int(((r > 110) & (r > 2 * g) & (r > 2 * b)).sum())
+
+
+@pytest.fixture(scope="module")
+def published():
+    return Reader(PAPER)
+
+
+@needs("gl")
+@pytest.mark.parametrize(("method", "trial", "outcome"), FAILURES)
+def test_every_failure_is_red_in_its_strip_and_film_and_not_covered_on_its_page(
+    published, method, trial, outcome, tmp_path
+):
+    import imageio.v3 as imageio
+
+    drawing = Drawing(published.trial(trial, method))
+    assert drawing.stored.row["outcome"] == outcome
+    shown = [reds(image) for image, _ in images(drawing, (160, 128), 3)]
+    fails = [f for *_, f in drawing.moments(3)] if drawing.stored.moves else [False, True, True]
+    assert all((n > 15) == f and (n < 4) != f for n, f in zip(shown, fails, strict=True)), shown
+    assert reds(image_at_end(drawing, (160, 128), close=True)) > 20
+    # beside the ring, what fails is red itself where a picture is large enough
+    far, near = (image_at_end(drawing, (480, 384), close=close) for close in (False, True))
+    assert (
+        reds(near) > reds(ringed(np.full_like(near, 200), drawing.event[1], view_of([drawing], 1.25, close=True))) + 20
+    )
+    assert reds(far) > 60
+    write_film([drawing], tmp_path / "film.gif", size=(320, 256), fps=2)
+    film = imageio.imread(tmp_path / "film.gif", index=None)[..., :3]
+    assert max(map(reds, film)) > 30
+    # on the page nothing opaque stands between the first camera and what fails
+    server = FakeServer()
+    view = aim(server, [drawing])
+    drawn = Drawn(server, drawing, view)
+    assert drawn.marks["witness"]
+    opaque = {path for path, opacity in server.meshes.items() if opacity is None}
+    before = [drawing.model.geom(g).name.replace("/", "_") for g in drawing.before(view)]
+    assert not [name for name in before for path in opaque if path.endswith(f"/{name}")]
+    point = drawing.event[1]
+    camera = view.look_at - view.distance_m * view.axes[2]
+    turned = (point - camera) @ view.axes.T
+    assert np.abs(turned[:2] / turned[2]).max() < 0.3  # it looks there
+
+
+def test_one_failure_of_each_kind_is_written_or_listed(run, reader, tmp_path, capsys):
+    from r2h_batch.view.server import Viewer
+
+    rows = reader.rows("random").to_pylist()
+    kinds = one_failure_of_each(rows)
+    assert len(kinds) >= 3 and {"reach", "affordance"} <= kinds.keys() and any(k.startswith("plan-") for k in kinds)
+    for kind, trial in kinds.items():
+        row = next(r for r in rows if r["trial_id"] == trial)
+        before = [r for r in rows if r["outcome"] == row["outcome"] and r["plan_reason"] == row["plan_reason"]]
+        assert kind.startswith(row["outcome"]) and trial == min(r["trial_id"] for r in before)
+    line = ["view", str(run), "--method", "random", "--one-of-each"]
+    assert main([*line, "--html", str(tmp_path / "page.html")]) == 0
+    assert {f.name for f in tmp_path.iterdir()} == {f"page-{kind}.html" for kind in kinds}
+    viewer = Viewer(reader, ["random"], only=list(kinds.values()))
+    try:
+        assert set(viewer.listed.values()) == set(kinds.values())
+    finally:
+        viewer.stop()
+    capsys.readouterr()
+    assert main([*line, "--trial", "3"]) == 2 and "leave out --trial" in capsys.readouterr().err
+    assert main(["view", str(run), "--method", "oracle", "--one-of-each", "--html", str(tmp_path / "x.html")]) == 2
+    assert "no trial of 'oracle' failed" in capsys.readouterr().err
+
+
+class FakeServer:
+    """Stands for viser's server and scene: remembers the opacity of each mesh."""
+
+    def __init__(self):
+        self.meshes, self.scene = {}, self
+        self.initial_camera = SimpleNamespace()
+
+    def __getattr__(self, name):
+        if not name.startswith("add_"):
+            raise AttributeError(name)
+
+        def add(path, *_, opacity=None, **__):
+            if name == "add_mesh_simple" and "_mark_" not in path:
+                self.meshes[path] = opacity
+            return SimpleNamespace()
+
+        return add
+
+
+@needs("gl")
+def test_a_strip_of_s1_draws_region_and_ball_and_the_camera_is_never_behind_the_receiver(published):
+    for method, trial in (("fc", 3), ("random", 59), ("fc", 67)):
+        drawing = Drawing(published.trial(trial, method))
+        image, _ = images(drawing, (160, 128), 2)[0]
+        r, g, b = (image[..., k].astype(int) for k in range(3))
+        assert int(((r > 140) & (b < 90) & (g > 70) & (g < r)).sum()) > 3, trial  # orange: the region
+        assert int(((g > r + 12) & (g > b + 12)).sum()) > 30, trial  # green: the ball
+    for method, trial, _ in FAILURES:
+        drawing = Drawing(published.trial(trial, method))
+        for view in (view_of([drawing], 1.2), view_of([drawing], 1.2, close=True)):
+            facing = drawing.stored.receiver[3:5, 3]
+            assert view.axes[2, :2] @ facing / np.linalg.norm(view.axes[2, :2]) < 0.51

@@ -79,7 +79,7 @@ def reevaluate(
         rows: rows of each method that the command judges again.
         method: only these methods, by the sweep's word (fc) or the table's name.
         seed: seed of the random sample; by default a new one each time.
-        benchmark: the flags that the sweep had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
     import numpy as np
@@ -142,7 +142,7 @@ def reception(
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
         method: only these methods, by the sweep's word (fc) or the table's name.
-        benchmark: the flags that the sweep had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
     from r2h_batch.runs.files import RunError, in_the_way
@@ -186,7 +186,7 @@ def transfer(
         method: only these methods, by the sweep's word (fc) or the table's name.
         seed: seed of the sensor's noise.
         processes: processes that simulate; 0: one for each core.
-        benchmark: the flags that the sweep had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N, for the reception.
     """
     from itertools import product

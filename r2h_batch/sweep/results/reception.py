@@ -65,7 +65,7 @@ def tables_of_run(
 
     Args:
         run: with poses.
-        benchmark: the flags that the sweep had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
         of: makes a table; `table_of` by default.
 
@@ -85,7 +85,7 @@ def judge_of_bodies(run: Run, benchmark: BenchmarkFlags, device: str) -> tuple[J
 
     Args:
         run: with poses.
-        benchmark: the flags that the sweep had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
 
     Raises:

@@ -118,7 +118,7 @@ class Judge:
 
     Args:
         run: what `load_run(FOLDER)` gives.
-        given: the flags that the sweep had.
+        given: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
 

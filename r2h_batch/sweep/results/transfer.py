@@ -86,7 +86,7 @@ def write_tables(
 
     Args:
         run: with poses, of trials with receivers' bodies.
-        benchmark: the flags that the sweep had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         release: policies, as `release_of` takes them.
         scenario: names of `person.SCENARIOS`.
         persons: drawn for each trial.

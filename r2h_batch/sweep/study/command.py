@@ -56,7 +56,7 @@ def trials(
         out: the file to write, a line for each trial and method.
         method: only these methods, by the sweep's word (fc) or the table's name.
         overwrite: replace a file that is there.
-        benchmark: the flags that the sweep had.
+        benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
     from r2h_batch.runs.store import load_run

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -548,15 +548,16 @@ def in_frame(benchmark: Benchmark, turn: str) -> Benchmark:
 
 
 def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where: str) -> Benchmark:
-    """The benchmark of a stored run, from the flags that the user gives again.
+    """The benchmark of a stored run.
 
-    No file that run.json names is opened: a run folder may come from anybody. The name of a built-in
-    robot need not be given again.
+    Its files are those that the user gives, or else those that run.json names, where they still are: in the
+    run folder, or as the sweep was given them. A run folder may come from anybody, so digests decide: other
+    files are refused, and no code is imported.
 
     Args:
         header: run.json.
-        given: the flags.
-        where: the run folder, for messages.
+        given: the flags; none: those of the sweep.
+        where: the run folder.
 
     Raises:
         FileError: the flags give another benchmark; the message says what to give.
@@ -565,16 +566,13 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
     if protocol not in (*PROTOCOL_NAMES, LISTED):
         known = f"this version makes the trials of {', '.join(PROTOCOL_NAMES)}"
         raise FileError(f"{where}: protocol {protocol!r}; {known}")
-    robots = [
-        f.partition(" ")[2]
-        for f in (header.get("benchmark") or {}).get("flags", ())
-        if f.startswith("--robot ")
-    ]
-    if robots and robots[0] in ROBOTS and not given.robot:  # a built-in robot is no file
-        given = replace(given, robot=robots[0])
-    said = (header.get("benchmark") or {}).get("flags", ())
-    if turns := [turn for turn in TURNS if f"--turn {turn}" in said]:  # nor is a turn
-        given = replace(given, turn=turns[0])
+    said = _said(header)
+    if not replace(given, protocol="", receiver="", turn="").flags():
+        given = found if (found := _found(said, Path(where))) is not None else given
+    if said.robot in ROBOTS and not given.robot:  # a built-in robot is no file
+        given = replace(given, robot=said.robot)
+    if said.turn in TURNS:  # nor is a turn
+        given = replace(given, turn=said.turn)
     flags = _check_flags(header, given, where)
     if protocol != LISTED:
         given = replace(given, protocol=protocol)
@@ -597,6 +595,58 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
         how = f"take the same files, and r2h_batch {version}"
         raise FileError(f"{where}: was made with other {', '.join(differing)}{files}; {how}")
     return benchmark
+
+
+def _said(header: Mapping[str, Any]) -> BenchmarkOverrides:
+    """The flags of the run's sweep as run.json has them, without protocol and receiver. A list of files is split at
+    spaces."""
+    pairs = [f[2:].partition(" ") for f in (header.get("benchmark") or {}).get("flags", ())]
+    known = {
+        f.name: f for f in fields(BenchmarkOverrides) if f.name not in ("protocol", "receiver")
+    }
+    lists = {name for name, field in known.items() if field.default == ()}
+    said: dict[str, Any] = {k.replace("-", "_"): v for k, _, v in pairs}
+    return BenchmarkOverrides(
+        **{k: tuple(v.split()) if k in lists else v for k, v in said.items() if k in known}
+    )
+
+
+def _found(said: BenchmarkOverrides, run: Path) -> BenchmarkOverrides | None:
+    """The same flags with each file where it is now; None where one is not found, or there are none."""
+    if not said.flags():
+        return None
+    bases = (Path(), *run.resolve().parents)
+
+    def place(name: str) -> str | None:
+        last = Path(name).parts[-2:]
+        if len(last) == 2 and ".." not in last and run.joinpath(*last).exists():
+            return str(run.joinpath(*last))  # what a sweep imported lies in its run folder
+        return next((str(base / name) for base in bases if (base / name).exists()), None)
+
+    def of(name: str, value: str) -> str | None:
+        if (
+            name in ("persons", "turn")
+            or (name == "robot" and value in ROBOTS)
+            or value.startswith(PREFIX)
+        ):
+            return value
+        if name == "object_mesh":  # FILE[:SPLIT[:REGION]]
+            file, sign, rest = value.partition(":")
+        elif name == "grasps":  # NAME=FILE
+            rest, sign, file = value.rpartition("=")
+        else:
+            file, sign, rest = value, "", ""
+        if (at := place(file)) is None:
+            return None
+        return rest + sign + at if name == "grasps" else at + sign + rest
+
+    values = {name: value for name, value in asdict(said).items() if value}
+    placed = {
+        name: tuple(of(name, v) for v in value) if isinstance(value, tuple) else of(name, value)
+        for name, value in values.items()
+    }
+    lost = any(v is None or (isinstance(v, tuple) and None in v) for v in placed.values())
+    return None if lost else BenchmarkOverrides(**placed)
 
 
 def _check_flags(header: Mapping[str, Any], given: BenchmarkOverrides, where: str) -> str:

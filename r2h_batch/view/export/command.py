@@ -32,7 +32,7 @@ def scene(
         trial: trial id, or your name of the trial (ids.csv of the run).
         out: folder to write, new or empty.
         method: the sweep's word (fc) or the table's name; needed where the run has several.
-        benchmark: the flags that the sweep had; none for the built-in benchmark.
+        benchmark: where its files are now, if they are not where the sweep found them.
         render: also draw this picture (.png, .jpg): start, middle and goal, or for a failed Plan home and
             target with the colliding pair.
         overwrite: write into a folder that has something in it, and replace the picture.
@@ -118,7 +118,7 @@ def export(
         out: a new or empty folder.
         method: the sweep's word (fc) or the table's name; needed where the run has several.
         trials: the first trials of each split.
-        benchmark: the flags that the sweep had; none for the built-in benchmark.
+        benchmark: where its files are now, if they are not where the sweep found them.
     """
     check_range("--trials", trials, 1, MOST_TRIALS, "")
     check_output_folder(out, overwrite=None)

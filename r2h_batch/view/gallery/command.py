@@ -53,7 +53,7 @@ def report(
             instead of Table I; md only. It tries 256 receiving grasps for each pose: 8 ms a trial.
         out: the file to write instead of printing.
         overwrite: replace what is there under these names.
-        benchmark: the flags that the sweep had; none for the built-in benchmark.
+        benchmark: where its files are now, if they are not where the sweep found them.
     """
     if not 0 <= gallery <= MOST:
         raise UsageError(f"--gallery is {gallery}; it must be 0 to {MOST}")
@@ -159,7 +159,7 @@ def figures(
         trial: trial id of the protocol and of the methods over time; the command chooses one by
             default.
         overwrite: replace figures that are there.
-        benchmark: the flags that the sweep had; none for the built-in benchmark.
+        benchmark: where its files are now, if they are not where the sweep found them.
     """
     from r2h_batch.report.figures import needs_matplotlib
     from r2h_batch.scene.offscreen import ready

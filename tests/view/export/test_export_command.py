@@ -77,7 +77,7 @@ def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):
     assert "hand_set" in refused(["--run", run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
 
 
-def test_a_users_own_mesh_is_asked_for_and_comes_along(tmp_path, capsys):
+def test_a_users_own_mesh_is_found_or_asked_for_and_comes_along(tmp_path, capsys):
     file = tmp_path / "brick.obj"
     trimesh.creation.box((0.03, 0.06, 0.16)).subdivide().subdivide().export(file)
     folder = tmp_path / "run"
@@ -86,10 +86,18 @@ def test_a_users_own_mesh_is_asked_for_and_comes_along(tmp_path, capsys):
     assert sweep.main([*arguments, "--object-mesh", str(file)]) == 0
     capsys.readouterr()
     command = ["--run", folder, "--trial", 12, "--out", tmp_path / "x"]
+    assert main(["scene", *map(str, command)]) == 0
+    assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
+    capsys.readouterr()
+    (tmp_path / "elsewhere").mkdir()
+    file = file.rename(tmp_path / "elsewhere" / file.name)
+    command += ["--overwrite"]
     message = refused(command, capsys)
     assert "brick" in message and "--object-mesh" in message
     assert main(["scene", *map(str, command), "--object-mesh", str(file)]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "x") and (tmp_path / "x" / "scene.xml").is_file()
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
     trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().subdivide().export(file)
-    assert "objects" in refused([*command, "--overwrite", "--object-mesh", file], capsys)
+    assert "objects" in refused([*command, "--object-mesh", file], capsys)
+    file.rename(tmp_path / file.name)  # where the sweep found it: it is another file now
+    assert "objects (brick)" in refused(command, capsys)

@@ -119,10 +119,11 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
         (tmp_path / "in" / f"{t['id']}.json").write_text(json.dumps(t))
     done = in_process("--trials-from", tmp_path / "in", "--sim", "none", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
-    (imported,) = (tmp_path / "run").glob("imported-*")
-    flags = ["--to", "r2handoversim", "--benchmark", str(imported / "benchmark.yaml"), "--out", str(tmp_path / "out")]
-    assert main(["export", str(tmp_path / "run"), *flags]) == 0
-    line = ["--run", str(tmp_path / "run"), *flags[2:4], "--trial"]
+    run = (tmp_path / "run").rename(tmp_path / "moved")
+    assert len(list(run.glob("imported-*"))) == 1
+    (tmp_path / "in").rename(tmp_path / "gone")
+    assert main(["export", str(run), "--to", "r2handoversim", "--out", str(tmp_path / "out")]) == 0
+    line = ["--run", str(run), "--trial"]
     assert main(["scene", *line, min(theirs), "--out", str(tmp_path / "scene")]) == 0
     assert main(["scene", *line, "nobody's", "--out", str(tmp_path / "no")]) == 2
     assert main(["scene", *line, "9" * 20, "--out", str(tmp_path / "no")]) == 2
