@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.ik import ur_parameters
-from r2h_batch.scene.robot import ShapeKind, ee_pose, gripper_primitives_at, load_robot
+from r2h_batch.scene.robot import Robot, ShapeKind, ee_pose, gripper_primitives_at, load_robot
 from r2h_batch.scene.scene import BodyPoses, Scene
 
 Array = NDArray[np.float64]
@@ -76,10 +76,9 @@ class MujocoScene:
         wrist = self._add_arm(spec)
         self._add_gripper(wrist)
         T_wrist_obj = self.robot.T_wrist3_flange @ self.robot.T_flange_ee @ np.linalg.inv(staged.T_obj_ee)
-        model = scene.objects[staged.object_index]
-        hulls = [model.hull_vertices] if object_collision == "hull" else [v for v, _ in model.pieces]
+        hulls = self.object_hulls(scene, object_collision)
         self._add_hulls(spec, wrist.add_body(name="object", **_pose(T_wrist_obj)), "object", hulls)
-        pieces = [scene.hands.piece_points(staged.hand_index, k) for k in range(len(scene.hands.model.piece_names))]
+        pieces = self.hand_hulls(scene)
         self._add_hulls(spec, spec.worldbody.add_body(name="hand", **_pose(staged.T_world_hand)), "hand", pieces)
         self.person = [] if receiver is None else self._add_person(spec, receiver)
         self.groups["hand"] += self.person
@@ -92,6 +91,19 @@ class MujocoScene:
         self.data = mujoco.MjData(self.model)
         self.names = [self.model.geom(i).name for i in range(self.model.ngeom)]
         self.pairs, self.pair_class = self._pairs()
+
+    def object_hulls(self, scene: Scene, object_collision: str) -> list[Any]:
+        """Points of each convex body of the object, object frame."""
+        model = scene.objects[self.staged.object_index]
+        return [model.hull_vertices] if object_collision == "hull" else [v for v, _ in model.pieces]
+
+    def hand_hulls(self, scene: Scene) -> list[Any]:
+        """Points of each convex piece of the hand, hand frame."""
+        return [scene.hands.piece_points(self.staged.hand_index, k) for k in range(len(scene.hands.model.piece_names))]
+
+    def gripper_places(self) -> Array:
+        """T_ee_prim (N, 4, 4) of the gripper's primitives at the trial's opening."""
+        return gripper_primitives_at(self.robot, self.staged.opening_m)
 
     def _add_arm(self, spec: mujoco.MjSpec) -> Any:
         robot, body = self.robot, spec.worldbody
@@ -113,11 +125,7 @@ class MujocoScene:
 
     def _add_gripper(self, wrist: Any) -> None:
         g = self.robot.gripper
-        T = (
-            self.robot.T_wrist3_flange
-            @ self.robot.T_flange_ee
-            @ gripper_primitives_at(self.robot, self.staged.opening_m)
-        )
+        T = self.robot.T_wrist3_flange @ self.robot.T_flange_ee @ self.gripper_places()
         for i, name in enumerate(g.names):
             self._add_primitive(wrist, "gripper", name, int(g.kind[i]), g.size[i], T[i])
 
@@ -377,9 +385,10 @@ def open_surface_distance(kind: int, size: Array, T: Array, triangles: Array, ca
     return best
 
 
-def out_of_reach(T: Array) -> float:
-    """How far (m) a target T_world_ee is from what the arm reaches: 2 x 40,000 samples of joint 1 and of psi3, hand as asked."""
-    ur = {k: float(getattr(ur_parameters(load_robot(), HOME_Q), k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool")}
+def out_of_reach(T: Array, robot: Robot | None = None) -> float:
+    """How far (m) a target T_world_ee is from what a UR reaches: 2 x 40,000 samples of joint 1 and of psi3, hand as asked."""
+    lengths = ur_parameters(robot or load_robot(), HOME_Q)
+    ur = {k: float(getattr(lengths, k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool")}
     z = T[:3, 2]
     p5 = T[:3, 3] - ur["tool"] * z
     v = z[2] if abs(z[2]) > 1e-9 else 1e-9

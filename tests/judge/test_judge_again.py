@@ -1,0 +1,135 @@
+"""The second judge (`judge_twin`) agrees with the first one, and notices what is put wrong into it."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+from judge_twin import Again
+
+from r2h_batch import Evaluator, evaluate, make_trials
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.judge import metrics
+from r2h_batch.report import compare
+from r2h_batch.runs.rows import TrialNames
+from r2h_batch.sweep.scoring import judged_tables
+from r2h_batch.types import Predictions
+
+POSES = next((Path(compare.__path__[0]) / "baselines" / "poses").glob("FC*/*.parquet"))
+
+
+def again(place: int) -> Again:
+    """A shipped answer of FC, scored now, and the second judge of its row."""
+    row = pq.read_table(POSES).slice(place, 1)
+    trial_id = torch.tensor(row["trial_id"].to_numpy())
+    T = [torch.tensor(np.array(row[k].to_pylist(), np.float32)).view(1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+    every = make_trials(trials=int(trial_id) // 2 + 1, protocol="r2h-v1")
+    trials = every[every.trial_id == trial_id]
+    names = TrialNames.of(evaluator.scene)
+    tables = judged_tables(evaluator, trials, Predictions(trial_id, *T), None, ("details", "paths"), names)
+    columns: dict[str, Any] = {}
+    for table in tables.values():
+        for found in table.to_pylist():
+            columns |= found
+    return Again(evaluator.scene, evaluator.config, trials, columns, T[0][0], T[1][0])
+
+
+@pytest.fixture(scope="module")
+def first() -> Again:
+    return again(0)
+
+
+@pytest.mark.check
+def test_a_row_of_each_split_is_right_in_all_that_it_says():
+    """The first succeeds, fingers of the second hold the region; both have a path and are judged on everything."""
+    for place, split in ((0, "S0"), (501, "S1")):
+        twin = again(place)
+        found = list(twin.findings())
+        assert twin.row["split"] == split and len(twin.q) and [f for f in found if not f.holds] == []
+        assert {f.name for f in found} >= {"stability", "plan", "reach", "safe", "outcome", "opening_m", "t_exec_s"}
+
+
+def further(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reach measures 2 % less."""
+    own = metrics.reach_distance
+    monkeypatch.setattr(metrics, "reach_distance", lambda *a: 0.98 * own(*a))
+
+
+def freer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Paths claim 1 mm of clearance that they have not."""
+    own = evaluate.plan_paths
+
+    def planned(*a: Any, **k: Any) -> Any:
+        found = own(*a, **k)
+        return replace(found, clearance_m=found.clearance_m + 1e-3)
+
+    monkeypatch.setattr(evaluate, "plan_paths", planned)
+
+
+def beside(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The arm ends a thousandth of a radian beside the handover pose."""
+    own = evaluate.solve_ik
+
+    def solved(*a: Any, **k: Any) -> Any:
+        found = own(*a, **k)
+        return replace(found, q=found.q + 1e-3)
+
+    monkeypatch.setattr(evaluate, "solve_ik", solved)
+
+
+def faster(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Motions take a percent less."""
+    own = evaluate.time_path
+
+    def timed(*a: Any, **k: Any) -> Any:
+        found = own(*a, **k)
+        return replace(found, time_s=0.99 * found.time_s, t_exec_s=0.99 * found.t_exec_s)
+
+    monkeypatch.setattr(evaluate, "time_path", timed)
+
+
+def shifted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The object stays where it was between the pads."""
+    own = evaluate.attach_object
+
+    def attached(scene: Any, T_obj_ee: Any, *a: Any) -> Any:
+        found = own(scene, T_obj_ee, *a)
+        return replace(found, grasp=replace(found.grasp, shift_m=found.grasp.shift_m + 2e-4))
+
+    monkeypatch.setattr(evaluate, "attach_object", attached)
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(
+    ("mutant", "noticed", "criteria"),
+    [
+        (further, "reach", ("reach",)),
+        (freer, "plan", ("plan",)),
+        (beside, "end beside the handover pose, m", ()),
+        (faster, "t_exec_s", ()),
+        (shifted, "grasp_shift_m", ()),
+    ],
+)
+def test_a_fault_of_the_judge_is_noticed(mutant, noticed, criteria, monkeypatch):
+    mutant(monkeypatch)
+    assert noticed in {f.name for f in again(0).findings(criteria) if not f.holds}
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(
+    ("changes", "noticed"),
+    [
+        ({"passed_reach": False}, "reach passes"),
+        ({"outcome": "safe"}, "outcome"),
+        ({"passed_reach": False, "outcome": "reach"}, "reach passes"),
+        ({"opening_m": 0.001}, "opening_m"),
+        ({"width_m": None}, "nothing is held"),
+    ],
+)
+def test_a_row_that_lies_is_noticed(changes, noticed, first):
+    told = Again(first.scene, first.config, first.trials, first.row | changes, first.T_obj_ee, first.T_world_ee)
+    assert noticed in {f.name for f in told.findings(("reach",)) if not f.holds}
