@@ -8,8 +8,9 @@ round measures each figure once on both sides, and the side that goes first chan
 time (of all threads), which other work on the machine changes less than wall time, and what matters is the ratio of a round:
 both sides had the same minute. The table has the medians, and the ratio's median with an interval that holds it with 95 %
 probability (order statistics: the rounds need not be normally distributed). `pose.N`, `gradient.N`: a call of N rows; a
-gradient with its way back. `trial.*`: whole trials, planned and measured for collisions. `start`: a new process, from start
-to first verdict. `sweep`: a new process that sweeps and stores. A figure that a side cannot measure is left out.
+gradient with its way back. `trial.*`: whole trials, planned and measured for collisions; `plan`, `ik`, `reception`,
+`closed_loop`: these stages alone, a trial; `collision`: a random posture. `start`: a new process, from start to first
+verdict. `sweep`: a new process that sweeps and stores. A figure that a side cannot measure is left out.
 """
 
 import argparse
@@ -28,10 +29,12 @@ from typing import Any
 
 HERE, ROOT = Path(__file__).resolve(), Path(__file__).resolve().parents[1]
 ROWS = {
-    "pose.1": 1, "pose.16": 16, "pose.64": 64, "pose.4096": 4096, "gradient.1": 1, "gradient.512": 512, "ik.4096": 4096,
-    "trial.kinematic": 256, "trial.moved": 8, "reception": 4, "start": 1, "sweep": 64,
+    "pose.1": 1, "pose.16": 16, "pose.64": 64, "pose.4096": 4096, "trial.kinematic": 256, "plan": 256, "collision": 8192,
+    "ik": 4096, "reception": 4, "closed_loop": 1, "start": 1, "sweep": 64,
 }  # fmt: skip
 """The figures, and how many rows each is divided by."""
+MORE = {"gradient.1": 1, "gradient.512": 512, "trial.moved": 8}
+"""Figures that --figures can name."""
 LEAST_S = 0.1
 """A figure of a round takes at least so much process time: calls are repeated."""
 
@@ -39,6 +42,45 @@ LEAST_S = 0.1
 def reception(scores: Any) -> Callable[[], object]:
     judge = importlib.import_module("r2h_batch.judge.reception")
     return lambda: judge.reception(scores)
+
+
+def closed_loop(scores: Any) -> Callable[[], object]:
+    """Whole episodes against hands that move."""
+    from r2h_batch.closed_loop.env import HandoverEnv
+    from r2h_batch.closed_loop.episodes import play
+    from r2h_batch.closed_loop.policies import Servo
+
+    env = HandoverEnv(scores, "moves", action="posture")
+    return lambda: play(env, Servo)
+
+
+def plan(evaluator: Any, T_obj_ee: Any, T_world_ee: Any, trials: Any) -> Callable[[], object]:
+    """Paths to poses whose branches are known."""
+    from r2h_batch.judge.attach import attach_object
+    from r2h_batch.judge.ik import solve_ik
+    from r2h_batch.judge.plan import plan_paths, random_key
+
+    scene, config = evaluator.scene, evaluator.config
+    held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
+    ik, key = solve_ik(held.T_world_ee, active=held.active), random_key(trials.trial_id)
+    return lambda: plan_paths(scene, held.planner_poses, ik.q, ik.valid, held.active, key, config.plan)
+
+
+def collision(evaluator: Any, T_obj_ee: Any, T_world_ee: Any, trials: Any) -> Callable[[], object]:
+    """Whether random postures are free, as many for each trial."""
+    import torch
+    from _is_free import is_free
+
+    from r2h_batch.base.launch import launch_trials
+    from r2h_batch.judge.attach import attach_object
+
+    scene, n = evaluator.scene, ROWS["collision"]
+    bodies = attach_object(scene, T_obj_ee, T_world_ee, trials, evaluator.config).body_poses.bodies
+    low, high = (torch.tensor(x, dtype=torch.float32) for x in (scene.robot.lower, scene.robot.upper))
+    q = low + (high - low) * torch.rand(n, 6, generator=torch.Generator().manual_seed(0))
+    inputs = {"per_trial": n // len(trials), "world": scene.world, "bodies": bodies, "q": q}
+    free = {"free": torch.zeros(n, dtype=torch.bool)}
+    return lambda: launch_trials(is_free, n, inputs=inputs, outputs=free, device="cpu")
 
 
 @cache
@@ -64,16 +106,20 @@ def work(figure: str) -> Callable[[], object]:
     import numpy as np
     import torch
 
-    n = ROWS[figure]
+    n = 64 if figure == "collision" else (ROWS | MORE)[figure]
     evaluator = judge_of("default" if figure == "trial.moved" else "none")
     with np.load(ROOT / "bench" / "mix.npz", allow_pickle=False) as mix:
         rows = torch.arange(n) % len(mix["trial_id"])
         T_obj_ee, T_world_ee = (torch.from_numpy(mix[k])[rows] for k in ("T_obj_ee", "T_world_ee"))
-    people = "r2h-v1" if figure == "reception" else "r2h-v0"
+    people = "r2h-v1" if figure in ("reception", "closed_loop") else "r2h-v0"
     trials = first_trials(people)[rows]
-    if figure == "reception":
-        return reception(evaluator.score(T_obj_ee, T_world_ee, trials))
-    if figure == "ik.4096":
+    if figure in ("plan", "collision"):
+        made = plan if figure == "plan" else collision
+        return made(evaluator, T_obj_ee, T_world_ee, trials)
+    if people == "r2h-v1":
+        scores = evaluator.score(T_obj_ee, T_world_ee, trials)
+        return reception(scores) if figure == "reception" else closed_loop(scores)
+    if figure == "ik":
         solve_ik = importlib.import_module("r2h_batch.judge.ik").solve_ik
         return lambda: solve_ik(T_world_ee)
     if figure.startswith("trial"):
@@ -100,7 +146,7 @@ def of_a_process(words: list[str]) -> float:
 
 def measured(figure: str, calls: dict[str, Any]) -> float:
     """Process time of one row, s."""
-    n = ROWS[figure]
+    n = (ROWS | MORE)[figure]
     if figure == "start":
         return of_a_process([str(HERE), "--once", "pose.1"])
     if figure == "sweep":
@@ -207,7 +253,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("base", nargs="?", help="a commit, or the folder of a checkout")
     parser.add_argument("--minutes", type=float, default=4, help="for the rounds; compiling comes on top (default: 4)")
-    parser.add_argument("--figures", nargs="+", choices=list(ROWS), default=list(ROWS), metavar="NAME")
+    parser.add_argument("--figures", nargs="+", choices=[*ROWS, *MORE], default=list(ROWS), metavar="NAME")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--once", help=argparse.SUPPRESS)
