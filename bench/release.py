@@ -138,7 +138,7 @@ def beside(report: Report, path: Path, files: Path, folder: Path, args: argparse
     own = rows_of(folder / "planned")
     same = sum((paths[i]["planning"]["status"] == "succeeded") == bool(own[i]["passed_plan"]) for i in paths)
     report.add("release.plan.agree", f"{same} of {len(chosen)}")
-    inverse_kinematics(report, planning, args.palms)
+    inverse_kinematics(report, planning, robot, args.palms)
     forward_pass(report, robot, [t | {"provenance": "somebody"} for t in moving], folder)
 
 
@@ -154,7 +154,7 @@ def palms(seed: int, name: str, count: int) -> Any:
     return T
 
 
-def inverse_kinematics(report: Report, planning: Any, count: int) -> None:
+def inverse_kinematics(report: Report, planning: Any, robot: Any, count: int) -> None:
     """Whether either finds joints for the first grasp of each object of r2h-release, 15 cm above palms of theirs."""
     objects = built_in("r2h-release").objects
     targets = []
@@ -169,11 +169,18 @@ def inverse_kinematics(report: Report, planning: Any, count: int) -> None:
             T_world_object[:3, 3] = P[:3, 3] + 0.15 * P[:3, 2] - T_world_object[:3, :3] @ center
             targets.append(T_world_object @ grasp)
     ours = T_world_release @ np.stack(targets) @ along_z(-PADS_M[""])
-    found = solve_ik(se3.orthonormalise(torch.from_numpy(ours).float())).reachable.tolist()
-    theirs = [bool(planning.solve_pose(T @ along_z(-TOOL_M))) for T in targets]
+    solved = solve_ik(se3.orthonormalise(torch.from_numpy(ours).float()))
+    found, proven = solved.reachable.tolist(), solved.unreachable_proven.tolist()
+    bare = [T @ along_z(-TOOL_M) for T in targets]
+    answers = [planning.solve_pose(T) for T in bare]
+    theirs = [bool(a) for a in answers]
     report.add("release.ik.agree", f"{sum(a == b for a, b in zip(found, theirs))} of {len(targets)}")
     report.add("release.ik.only_ours", sum(a and not b for a, b in zip(found, theirs)))
-    report.add("release.ik.only_theirs", sum(b and not a for a, b in zip(found, theirs)))
+    alone = [k for k, (a, b) in enumerate(zip(found, theirs)) if b and not a]
+    report.add("release.ik.only_theirs", len(alone))
+    report.add("release.ik.only_theirs_proven_unreachable", sum(proven[k] for k in alone))
+    off = [1e3 * float(np.linalg.norm((robot.tcp(answers[k][0]) - bare[k])[:3, 3])) for k in alone]
+    report.add("release.ik.only_theirs_end_off_mm", max(off, default=0.0))
 
 
 def forward_pass(report: Report, robot: Any, trials: list[dict[str, Any]], folder: Path) -> None:
