@@ -24,6 +24,10 @@ from _report import ROOT, made_by, markdown_table, page_from, resident_mib, swep
 from scipy.special import stdtrit
 
 STORED, PAGE = ROOT / "bench" / "results" / "families.json", ROOT / "docs" / "results" / "families.md"
+MEASURES = (
+    *("bench/families.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
+    *("r2h_batch/trials", "r2h_batch/evaluate.py"),
+)
 METHODS = ("fc", "handover-va", "contact", "intent")
 BOUNDS = ("random", "oracle")
 SHORT = {"FC-Handover": "FC", "Handover-VA": "VA", "Contact-Handover": "Contact", "Intent-Handover": "Intent"}
@@ -76,7 +80,7 @@ def origin(v2: Path) -> dict[str, Any]:
     from r2h_batch.runs.store import load_run
 
     header = load_run(v2, verify=False).header
-    return {"rows_commit": header["git_commit"], "rows_code": header["digests"]["code"], **made_by()}
+    return {"rows_commit": header["git_commit"], "rows_code": header["digests"]["code"], **made_by(MEASURES)}
 
 
 def table(folder: Path) -> dict[str, Any]:
