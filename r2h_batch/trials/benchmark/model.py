@@ -206,9 +206,9 @@ def _validated(model: type[Model], data: dict[str, Any], shown: str) -> Model:
     try:
         return model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-    where = ".".join(printable(p)[:60] for p in first["loc"])
-    names = [str(p) for p in first["loc"] if isinstance(p, str)]
+        first, place = _first_fault(error.errors(include_url=False), data)
+    where = ".".join(printable(p)[:60] for p in place)
+    names = [p for p in place if isinstance(p, str)]
     if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         allowed = list(_schema_at(model, names[:-1]))
         hint = nearest(names[-1], allowed)
@@ -223,6 +223,33 @@ def _validated(model: type[Model], data: dict[str, Any], shown: str) -> Model:
     raise FileError(f"{shown}: {where} {found}; {rule_of(first)}{f': {words}' if words else ''}")
 
 
+def _first_fault(errors: Sequence[Any], data: Any) -> tuple[Any, list[str | int]]:
+    """The fault of the first wrong field, and its place in the data. Where a field may be one of several things, pydantic
+    has faults of each: the one counts that what is there comes nearest to."""
+    own = [e for e in errors if e["loc"][:1] == errors[0]["loc"][:1]]
+    places = [_place_in(data, e["loc"], e["type"] == "missing") for e in own]
+    of_kind = [e["type"] not in _OTHER_KIND for e in own]
+    unknown = [e["type"] == "extra_forbidden" for e in own]
+    best = max(range(len(own)), key=lambda i: (of_kind[i], unknown[i], len(places[i]), -i))
+    return own[best], places[best]
+
+
+_OTHER_KIND = ("string_type", "list_type", "model_type", "model_attributes_type")
+
+
+def _place_in(data: Any, loc: Sequence[str | int], missing: bool) -> list[str | int]:
+    """The keys and numbers of a fault's place that are there; pydantic also names the kinds that it tried."""
+    place: list[str | int] = []
+    for k, p in enumerate(loc):
+        in_list = isinstance(p, int) and isinstance(data, list) and p < len(data)
+        if in_list or (isinstance(data, dict) and p in data):
+            data = data[p]
+        elif not missing or k + 1 < len(loc):
+            continue
+        place.append(p)
+    return place
+
+
 def _schema_at(model: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
     """name -> JSON Schema of the fields at a place; empty where there are none."""
     schema = model.model_json_schema()
@@ -233,7 +260,7 @@ def _schema_at(model: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
             *place.get("anyOf", []),
             *([place["items"]] if isinstance(place.get("items"), dict) else []),
         ]:
-            place = nested[0]
+            place = next((n for n in nested if n.keys() & {"$ref", "items"}), nested[0])
         if "$ref" in place:
             place = definitions[place["$ref"].rpartition("/")[2]]
     return dict(place.get("properties", {}))

@@ -11,6 +11,7 @@ import trimesh
 
 from r2h_batch import EvalConfig, Evaluator, make_trials
 from r2h_batch.__main__ import main
+from r2h_batch.base.io.read import FileError
 from r2h_batch.config import Thresholds
 from r2h_batch.methods.part_roles import GRASP, WRAP, roles_of
 from r2h_batch.scene.hand import palm_frame
@@ -18,7 +19,7 @@ from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import ee_pose, load_robot
 from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.benchmark.build import read_benchmark
-from r2h_batch.trials.benchmark.model import built_in_text
+from r2h_batch.trials.benchmark.model import built_in_text, read_benchmark_file
 from r2h_batch.trials.holding.instructions import intents_of, understand
 from r2h_batch.types import CollidingPair, PlanReason
 
@@ -164,3 +165,20 @@ def test_files_that_are_no_benchmark_are_refused_in_one_line(text, box, capsys):
     assert main(["benchmark", "check", str(written(box, text))]) == 2
     told = capsys.readouterr()
     assert told.out == "" and len(told.err.splitlines()) == 1 and REFUSED[text] in told.err
+
+
+@pytest.mark.parametrize(
+    ("hands", "words"),
+    [
+        ([{"file": f"h{i}.npz"} for i in range(65)], "it may have 64 entries, it has 65"),
+        ([["a.npz"]], "hand_set.0 is ['a.npz']; it must hold fields"),
+        ([{"file": "h.npz", "count": 0}], "hand_set.0.count is 0; it must be 1 or more"),
+        ([{"fil": "h.npz"}], "unknown field hand_set.0.fil, did you mean file?"),
+        ([], "hand_set is []; it must have 1 entries or more"),
+    ],
+)
+def test_a_field_that_may_be_one_of_several_things_is_refused_for_its_own_fault(tmp_path, hands, words):
+    (tmp_path / "own.yaml").write_text(json.dumps({"hand_set": hands}))
+    with pytest.raises(FileError) as error:
+        read_benchmark_file(tmp_path / "own.yaml")
+    assert words in str(error.value) and "constrained" not in str(error.value)
