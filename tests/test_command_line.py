@@ -1,5 +1,6 @@
 """One command and eight subcommands: what they are called, how they refuse, what `--help` imports."""
 
+import re
 import subprocess
 import sys
 
@@ -43,6 +44,12 @@ for name in COMMANDS:
     heavy = {"torch", "warp", "numpy", "pyarrow", "scipy", "mujoco", "trimesh", "pydantic"} & set(sys.modules)
     if heavy: sys.exit(f"{name} --help imports {heavy}")
 """
+
+
+@pytest.mark.parametrize("name", ["view", "report", "compare", "trials", "scene", "results reception"])
+def test_help_shows_lists_as_dots_and_no_empty_word(capsys, name):
+    out = helped(capsys, *name.split())
+    assert "..." in out and not re.findall(r"\[[A-Z{][^]\n]*\.\.\.\]|\{,", out)
 
 
 def test_the_help_of_a_command_loads_nothing_heavy():

@@ -308,16 +308,25 @@ def _say_defaults(owner: Any) -> None:
 
 
 def _metavar(kind: Any) -> str | None:
-    """Placeholder of an optional flag in the help: PATH, not `{None}|PATH`; None: as tyro has
-    it."""
+    """Placeholder in the help: PATH of an optional flag, not `{None}|PATH`; STR... of a list, not `[STR [STR ...]]`;
+    of words without the empty one. None: as tyro has it."""
     plain = get_args(kind)[0] if get_origin(kind) is Annotated else kind
-    some = [k for k in get_args(plain) if k is not type(None)]
-    if len(some) != 1 or len(get_args(plain)) != 2:
+    parts = get_args(plain)
+    if get_origin(plain) is Literal:
+        return _word_of(plain) if "" in parts else None
+    if get_origin(plain) is tuple and Ellipsis in parts:
+        return f"{_word_of(parts[0])}..."
+    some = [k for k in parts if k is not type(None)]
+    if len(some) != 1 or len(parts) != 2:
         return None
-    if get_origin(some[0]) is Literal:
-        return "{" + ",".join(map(str, get_args(some[0]))) + "}"
-    parts = get_args(some[0]) or some
-    return " ".join(part.__name__.upper() for part in parts)
+    return " ".join(map(_word_of, (get_origin(some[0]) is tuple and get_args(some[0])) or some))
+
+
+def _word_of(kind: Any) -> str:
+    """One value in the help: STR, or {a,b} of words."""
+    if get_origin(kind) is Literal:
+        return "{" + ",".join(str(word) for word in get_args(kind) if word != "") + "}"
+    return str(kind.__name__).upper()
 
 
 def _flags(command: Command) -> list[str]:
