@@ -56,8 +56,8 @@ MEANINGS = {
     Outcome.HAND_SLIPPED_OFF: "the hand lost it, the gripper still holds it",
     Outcome.NOT_RELEASED: "the policy did not let go, the person gave up",
     Outcome.STUCK: "the policy let go, but the object is hooked on the fingers",
-    Outcome.KEPT: "the robot kept it under a mere touch",
-    Outcome.FALSE_RELEASE: "the policy let go under a mere touch",
+    Outcome.KEPT: "the robot kept it under a mere touch, or while nobody came",
+    Outcome.FALSE_RELEASE: "the policy let go under a mere touch, or while nobody came",
     Outcome.EXPLODED: "the simulation failed; counts as no result",
 }
 """Meaning of each outcome, in the order of the tables."""
@@ -107,7 +107,9 @@ class Book:
         touched = t >= BEGIN_S
         if not touched:
             self.slip_before = seen.slip.clone()
-            self.robot_slip_m = _distance(seen.com, self.com_closed)
+        if not touched or not hands.scenario.grips:
+            slipped = _distance(seen.com, self.com_closed)
+            self.robot_slip_m = torch.where(run, slipped, self.robot_slip_m)
         self._share = 1.0 + _dot(seen.load, hands.up) / hands.weight
         for share, when in zip(SHARES, self.passed_s, strict=True):
             new = grips & (self._share > share) & when.isinf()
@@ -148,8 +150,7 @@ class Book:
             return
         if not self.hands.scenario.grips:
             self._over(decided, Outcome.FALSE_RELEASE)
-            off = _distance(seen.com, self.com_closed) > DROPPED_M
-            self._over(self.released | off, Outcome.ROBOT_DROPPED)
+            self._over(self.released | (self.robot_slip_m > DROPPED_M), Outcome.ROBOT_DROPPED)
             over = torch.full_like(decided, t > BEGIN_S + FINGER_S + AFTER_TOUCH_S)
             self._over(over, Outcome.KEPT)
             return

@@ -36,7 +36,7 @@ FELT_SHARE = 0.3
 """Share of the new reading that the felt force takes over in a tick."""
 LOST_M, LOST_DEG = 0.05, 90.0
 """An object that slipped or turned by more in the hand is lost."""
-FINGER_N, FINGER_N_M, FINGER_S, FINGER_RAMP_S = 6.0, 600.0, 0.7, 0.1
+FINGER_N_M, FINGER_S, FINGER_RAMP_S = 600.0, 0.7, 0.1
 """A finger that touches and does not grip: it comes forward by 1 cm and presses like a spring, so that it ends
 where the object goes away. It stays for so long, and comes and goes within the ramp."""
 
@@ -51,6 +51,7 @@ class Scenario:
 
     Attributes:
         grips: whether the hand grips; else a finger touches the object.
+        finger_n: largest force of that finger, N; 0: nobody comes.
         early: whether the pull begins with the grip, not after the weight is taken.
         grip: factor of the usual grip and of its growth with the load.
         arm_n_m: stiffness of the arm, N/m (Mussa-Ivaldi et al. 1985: 100 to 400 at the hand).
@@ -60,6 +61,7 @@ class Scenario:
     """
 
     grips: bool = True
+    finger_n: float = 6.0
     early: bool = False
     grip: Range = (0.5, 2.0)
     arm_n_m: Range = (100.0, 600.0)
@@ -71,6 +73,7 @@ class Scenario:
 SCENARIOS = {
     "take": Scenario(),
     "touch": Scenario(grips=False),
+    "nobody": Scenario(grips=False, finger_n=0.0),
     "pull-early": Scenario(early=True, pause_s=(0.0, 0.0)),
     "weak": Scenario(grip=(0.2, 0.5), pull_n=(3.0, 8.0), most_grip_n=30.0),
 }
@@ -254,7 +257,7 @@ class Hands:
         gone = off[:, 0] * press[:, 0] + off[:, 1] * press[:, 1] + off[:, 2] * press[:, 2]
         age = self.tick * TICK_S - BEGIN_S
         share = min(max(min(age, FINGER_S - age) / FINGER_RAMP_S, 0.0), 1.0)
-        force = (FINGER_N * share - FINGER_N_M * gone.clamp(min=0.0)).clamp(min=0.0)
+        force = (self.scenario.finger_n * share - FINGER_N_M * gone.clamp(min=0.0)).clamp(min=0.0)
         return torch.cat([press * force[:, None], at], 1)
 
 

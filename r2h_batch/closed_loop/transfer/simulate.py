@@ -43,7 +43,7 @@ class Transfers:
         hand_n: largest force of the arm on the hand.
         slip_m: how far the object slipped in the hand, from the grip to the end.
         turn_deg: how far it turned.
-        robot_slip_m: how far it slipped in the gripper before anybody touched it.
+        robot_slip_m: how far it slipped in the gripper before anybody gripped it.
         time_s: simulated.
     """
 

@@ -17,6 +17,7 @@ from r2h_batch.closed_loop.transfer.cases import Case, Processes, Simulator, Tra
 from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.closed_loop.transfer.outcome import Outcome
+from r2h_batch.closed_loop.transfer.person import SCENARIOS
 from r2h_batch.closed_loop.transfer.release import release_of
 from r2h_batch.judge.reception import reception
 from r2h_batch.report.statistics.aggregate import wilson_interval
@@ -62,7 +63,7 @@ NOTES = (
     "n counts received rows; nobody takes the others. taken: in the person's hand, slipped by less than 2 cm and turned by"
     " less than 30 degrees. Brackets: 95 %, Wilson, over trials whose persons are drawn anew. Outcomes are percent of n.",
     "Persons: percent taken by the weaker and the firmer half of the grips, and by the stiffer half of the arms. touch: a finger"
-    " presses and does not grip; there kept is right.",
+    " presses and does not grip; nobody: nobody comes. There kept is right.",
     "Medians: share of the weight that the person carries when the policy lets go; seconds from the beginning of the grip"
     " until the gripper is free; the pull beyond the weight; slip and turn in the hand. Times are inputs, not validated.",
     "No part of SR. No success rate of real people, no statement about pain or safety (docs/transfer.md).",
@@ -274,7 +275,7 @@ def render(files: dict[str, Path], cases: Sequence[Case]) -> str:
         for release, scenario in policies:
             rows = _of(table, release, scenario)
             label = [plain(short[name]), plain(release), scenario]
-            good = "taken" if scenario != "touch" else "kept"
+            good = str(Outcome.TAKEN if SCENARIOS[scenario].grips else Outcome.KEPT)
             got, n = rows["received"], len(rows["received"])
             done = got & (rows["outcome"] == good)
             funnel.append(

@@ -51,6 +51,6 @@ def test_a_run_without_bodies_and_wrong_words_are_told_what_is_missing(run, tmp_
     assert main(["results", "transfer", str(bare)]) == 2
     assert "no receiver's body; sweep --protocol r2h-v1" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--scenario", "grab"]) == 2
-    assert "take, touch, pull-early, weak" in capsys.readouterr().err
+    assert "take, touch, nobody, pull-early, weak" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--release", "soon"]) == 2
     assert "never, timer, threshold, load-share" in capsys.readouterr().err
