@@ -275,7 +275,8 @@ def render(files: dict[str, Path], cases: Sequence[Case]) -> str:
         for release, scenario in policies:
             rows = _of(table, release, scenario)
             label = [plain(short[name]), plain(release), scenario]
-            good = str(Outcome.TAKEN if SCENARIOS[scenario].grips else Outcome.KEPT)
+            grips = SCENARIOS[scenario].grips
+            good = str(Outcome.TAKEN if grips else Outcome.KEPT)
             got, n = rows["received"], len(rows["received"])
             done = got & (rows["outcome"] == good)
             funnel.append(
@@ -285,7 +286,8 @@ def render(files: dict[str, Path], cases: Sequence[Case]) -> str:
                 ]
             )  # fmt: skip
             count = int(got.sum())
-            ends.append([*label, str(count), _rate(done, count), *_halves(rows, done, got)])
+            halves = _halves(rows, done, got) if grips else ["-"] * 3
+            ends.append([*label, str(count), _rate(done, count), *halves])
             others.append({o: _percent(got & (rows["outcome"] == o), count) for o in OTHERS})
             went.append([*label, *_medians(rows, done)])
     key = ["Method", "release", "scenario"]

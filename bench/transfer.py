@@ -1,0 +1,258 @@
+"""Transfers after the arm stands still: docs/results/transfer.md.
+
+`python bench/transfer.py` simulates the transfers of the shipped rows of r2h-v1 (the first `--trials` of each split after those
+that the model was fitted on) and of `oracle,for=reception`: four policies, take and touch. It halves the time step and varies
+friction and mass for the oracle, and measures the cost of a transfer. `--render` writes the page again from the JSON.
+"""
+
+import argparse
+import time
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from _report import ROOT, made_by, markdown_table, page_from
+
+PAGE = ROOT / "docs" / "results" / "transfer.md"
+STORED = ROOT / "bench" / "results" / "transfer.json"
+BASELINES = ROOT / "r2h_batch" / "report" / "compare" / "baselines"
+BOUND = "oracle,for=reception"
+STUDIED = 20
+"""Trials of the prototype's study: 10 of each split. Figures are of others."""
+RELEASE = ("never", "timer", "threshold", "load-share")
+SCENARIO = ("take", "touch")
+CHANGES: dict[str, dict[str, Any]] = {
+    "half the time step": {"steps": 16},
+    "skin friction 0.4": {"skin_friction": 0.4 / 0.6},
+    "mass x 1.5": {"mass": 1.5},
+    "pad friction 0.5": {"pad_friction": 0.5},
+}
+COMPARED = (("load-share", "take"), ("threshold", "take"), ("load-share", "touch"))
+
+HEAD = """# Transfers: who takes the object, and when the gripper lets go
+
+See what a release policy changes ([definitions, and what may not be claimed](../transfer.md)). `python bench/transfer.py`
+simulated {trials} trials of each split of r2h-v1 with one person each (bench/results/transfer.json, commit {commit}). The model
+was fitted on other trials. For your method run `r2h-batch results transfer runs/mine`.
+
+## From success to taken
+
+Percent of all trials, with the default policy `load-share`. `taken and success`: the verdict of the sweep holds too.
+
+{funnel}
+
+## Policies
+
+Percent of the received trials. Brackets: 95 % (Wilson) over trials, each with a person of its own. `kept`: under a mere touch.
+Medians are of the taken trials: the largest pull beyond the weight, and the time from the beginning of the grip until the gripper
+is free.
+
+{policies}
+
+## Other ends
+
+Counts of received trials that were not taken.
+
+{ends}
+
+## Sensitivity
+
+Outcomes of the oracle's received trials that change, of {compared} ({cases}).
+
+{sensitivity}
+
+## Beside people
+
+Shares of the weight over time. Times are inputs, not validated: we chose how fast the simulated person takes the weight.
+
+| | 10 % | 50 % | 90 % of the weight | transfer | grip of the person, one side |
+|---|--:|--:|--:|--:|--:|
+| load-share (medians, taken) | {t10:.2f} s | {t50:.2f} s | {t90:.2f} s | {transfer:.2f} s | {grip:.0f} N |
+| one sample of Handovers@RPL | 0.05 s | 0.34 s | 0.58 s | 0.42 s | 35 N (giver 18 N) |
+
+## Cost
+
+A transfer takes {ms:.0f} ms of one core (process time; median over policies and scenarios; load of the machine {load}).
+"""
+
+
+def rows_of(run: Any, judge: Any, name: str, trials: int) -> tuple[Any, dict[int, bool], int]:
+    """Received handovers of a method in the fresh trials, whether each trial of these succeeded, and how many there are."""
+    from r2h_batch.closed_loop.transfer.handed import handed_of
+    from r2h_batch.judge.reception import reception
+    from r2h_batch.methods import oracle
+
+    stored = run.trials("oracle", ["trial_id"])["trial_id"].to_numpy()
+    ids = np.sort(stored)[STUDIED : STUDIED + 2 * trials]
+    asked, evaluator = judge.trials(ids), judge.evaluator.kinematic
+    if name == BOUND:
+        answer = oracle.predict(asked, evaluator.scene, evaluator=evaluator, for_="reception")
+        scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
+        won = dict(zip(ids.tolist(), scores.success.tolist(), strict=True))
+    else:
+        poses = stored_poses(run, name, ids)
+        scores = evaluator.score(poses["T_obj_ee"], poses["T_world_ee"], asked, stages="pose")
+        table = run.trials(name, ["trial_id", "outcome"]).to_pylist()
+        won = {r["trial_id"]: r["outcome"] == "success" for r in table}
+        won = {i: won[i] for i in ids.tolist()}
+    found = reception(scores)
+    return handed_of(found, ids, asked.object_index.cpu().numpy(), evaluator.scene), won, len(ids)
+
+
+def stored_poses(run: Any, name: str, ids: Any) -> dict[str, Any]:
+    """Poses of some trials of a method, in the order of the ids."""
+    import torch
+
+    rows: dict[int, Any] = {}
+    for index in sorted(run.entry(name).shards):
+        for row in run.shard("poses", name, index).to_pylist():
+            rows[row["trial_id"]] = row
+    return {
+        k: torch.tensor(np.array([rows[i][k] for i in ids.tolist()], np.float32)).reshape(-1, 4, 4)
+        for k in ("T_obj_ee", "T_world_ee")
+    }
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """All figures of the page."""
+    from r2h_batch.closed_loop.transfer.cases import Case, Simulator, processes
+    from r2h_batch.closed_loop.transfer.model import Setting
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results.reevaluation import Judge
+
+    run = load_run(BASELINES)
+    judge = Judge(run)
+    scene = judge.evaluator.scene
+    simulator = Simulator(scene.robot, tuple(scene.objects), Setting(), 0)
+    cases = [Case(r, s, 0) for s in SCENARIO for r in RELEASE]
+    methods: dict[str, Any] = {}
+    core_ms = []
+    with processes(simulator, options.processes) as transfer:
+        for name in [*run.methods, BOUND]:
+            handed, won, n = rows_of(run, judge, name, options.trials)
+            begin = time.process_time()
+            parts = [made for _, made in transfer([handed], cases)] if len(handed) else []
+            core_ms.append(1e3 * (time.process_time() - begin) / max(len(handed) * len(cases), 1))
+            methods[name] = {"trials": n, "received": len(handed), "success": sum(won.values())}
+            methods[name]["cases"] = [
+                summary(case, [p[k].transfers for p in parts], handed.trial_id, won) for k, case in enumerate(cases)
+            ]
+            print(name, methods[name]["received"], "received", f"{core_ms[-1]:.0f} core-ms", flush=True)
+            if name == "oracle":
+                sensitivity, compared = varied(simulator, handed)
+    return {
+        "trials": options.trials,
+        "methods": methods,
+        "sensitivity": sensitivity,
+        "compared": compared,
+        "core_ms": float(np.median(core_ms)) if options.processes == 1 else None,
+        **made_by(),
+    }
+
+
+def summary(case: Any, parts: list[Any], trial_id: Any, won: dict[int, bool]) -> dict[str, Any]:
+    """Outcomes and medians of one case."""
+    outcome = [o for p in parts for o in p.outcome]
+    taken = np.array([o == "taken" for o in outcome], bool)
+
+    def median(values: list[Any]) -> float | None:
+        x = np.concatenate(values)[taken] if len(values) else np.zeros(0)
+        x = x[np.isfinite(x)]
+        return float(np.median(x)) if len(x) else None
+
+    both = sum(t and won[int(i)] for t, i in zip(taken, trial_id, strict=True))
+    return {
+        "release": case.release,
+        "scenario": case.scenario,
+        "outcomes": dict(Counter(outcome)),
+        "taken_and_success": int(both),
+        "pull_n": median([p.pull_n for p in parts]),
+        "grip_n": median([p.grip_n for p in parts]),
+        "transfer_s": median([p.transfer_s for p in parts]),
+        **{f"t{s}_s": median([p.share_s[:, k] for p in parts]) for k, s in enumerate((10, 50, 90))},
+    }
+
+
+def varied(simulator: Any, handed: Any) -> tuple[dict[str, Any], int]:
+    """How many outcomes a change of the model changes, and of how many."""
+    from r2h_batch.closed_loop.transfer.cases import Case, Simulator
+    from r2h_batch.closed_loop.transfer.model import Setting
+
+    cases = [Case(r, s, 0) for r, s in COMPARED]
+
+    def outcomes(one: Any) -> list[str]:
+        return [o for made in one(handed, cases) for o in made.transfers.outcome]
+
+    base, found = outcomes(simulator), {}
+    for name, change in CHANGES.items():
+        other = outcomes(Simulator(simulator.robot, simulator.models.objects, Setting(**change), simulator.seed))
+        pairs = Counter(f"{a} -> {b}" for a, b in zip(base, other, strict=True) if a != b)
+        found[name] = {"changed": sum(pairs.values()), "pairs": dict(pairs)}
+        print(name, found[name], flush=True)
+    return found, len(base)
+
+
+def markdown(data: dict[str, Any]) -> str:
+    """The page."""
+    from r2h_batch.report.statistics.aggregate import wilson_interval
+
+    def rate(count: int, n: int) -> str:
+        low, high = wilson_interval(count, n)
+        return f"{100 * count / n:.0f} [{100 * float(low):.0f}, {100 * float(high):.0f}]" if n else "-"
+
+    def number(x: float | None, digits: int) -> str:
+        return "-" if x is None else f"{x:.{digits}f}"
+
+    funnel, policies, ends = [], [], []
+    shown = (
+        "robot_dropped",
+        "badly_held",
+        "dropped",
+        "torn_out",
+        "hand_slipped_off",
+        "not_released",
+        "stuck",
+        "exploded",
+    )
+    for name, m in data["methods"].items():
+        by = {(c["release"], c["scenario"]): c for c in m["cases"]}
+        own, n = by["load-share", "take"], m["trials"]
+        taken = own["outcomes"].get("taken", 0)
+        shares = (m["success"], m["received"], taken, own["taken_and_success"])
+        funnel.append([name, n, *(f"{100 * k / n:.0f}" for k in shares)])
+        for release in RELEASE:
+            take, touch = by[release, "take"], by[release, "touch"]
+            got = m["received"]
+            rates = [rate(c["outcomes"].get(k, 0), got) for c, k in ((take, "taken"), (touch, "kept"))]
+            policies.append([name, release, got, *rates, number(take["pull_n"], 1), number(take["transfer_s"], 2)])
+            ends.append([name, release, *(take["outcomes"].get(o, 0) for o in shown)])
+    oracle = {(c["release"], c["scenario"]): c for c in data["methods"]["oracle"]["cases"]}["load-share", "take"]
+    changes = [
+        [name, f["changed"], "; ".join(f"{pair} ({k})" for pair, k in f["pairs"].items()) or "-"]
+        for name, f in data["sensitivity"].items()
+    ]
+    return HEAD.format(
+        trials=data["trials"],
+        commit=str(data["commit"])[:12],
+        funnel=markdown_table(["Method", "n", "SR", "received", "taken", "taken and success"], funnel),
+        policies=markdown_table(["Method", "policy", "received", "taken", "kept", "pull, N", "time, s"], policies),
+        ends=markdown_table(["Method", "policy", *(o.replace("_", " ") for o in shown)], ends),
+        compared=data["compared"],
+        cases=", ".join(f"{r} with {s}" for r, s in COMPARED),
+        sensitivity=markdown_table(["change", "outcomes", "which"], changes),
+        **{k: oracle[f"{k}_s"] for k in ("t10", "t50", "t90", "transfer")},
+        grip=oracle["grip_n"],
+        ms=data["core_ms"] or float("nan"),
+        load=data["hardware"]["load_1min"],
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=200, help="of each split")
+    parser.add_argument("--processes", type=int, default=1, help="1: the cost is measured too")
+    page_from(parser, STORED, PAGE, measure, markdown)
+
+
+if __name__ == "__main__":
+    main()
