@@ -32,8 +32,9 @@ COMPARED = (("load-share", "take"), ("threshold", "take"), ("load-share", "touch
 HEAD = """# Transfers: who takes the object, and when the gripper lets go
 
 See what a release policy changes ([definitions, and what may not be claimed](../transfer.md)). `python bench/transfer.py`
-simulated {trials} trials of each split of r2h-v1 with one person each (bench/results/transfer.json, commit {commit}). The model
-was fitted on other trials. For your method run `r2h-batch results transfer runs/mine`.
+simulated {trials} trials of each split of r2h-v1 with one person each (bench/results/transfer.json, commit {commit}). The
+model was fitted on 20 other trials; four of these were looked at while it was built. Intervals are wide. For your method run
+`r2h-batch results transfer runs/mine`.
 
 ## From success to taken
 
