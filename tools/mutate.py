@@ -254,6 +254,13 @@ MUTATIONS = (
             "tests/view/export/test_export_release.py::test_each_object_counts_the_same_in_the_exported_averages_and_a_total_is_the_sum_of_both_times",
         ),
     ),
+    Mutation(
+        "closed loop: an object 5 cm outside of the ball is within reach",
+        ENV,
+        "self._within_reach(near) >= 0",
+        "self._within_reach(near) >= -0.05",
+        ("tests/closed_loop/test_env.py::test_an_object_that_stays_2_cm_outside_of_the_ball_is_not_received",),
+    ),
 )  # fmt: skip
 
 

@@ -18,13 +18,14 @@ from r2h_batch.closed_loop.env import End, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, Planned, Replan
 from r2h_batch.closed_loop.relative import CAP_M
-from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
+from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError, Thresholds
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle as oracle_method
 from r2h_batch.methods import random as random_method
 from r2h_batch.scene.robot import ee_pose, load_robot
 from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.protocol import make_trials
+from r2h_batch.verdicts import CRITERIA
 
 ON_LINE_RAD = 2e-6
 HandoverEnv = partial(envs.HandoverEnv, output="torch")
@@ -333,6 +334,24 @@ def test_hands_take_what_is_held_still_and_ends_and_shares_add_up(scores):
     total = (1 - e.robot_idle) + (1 - e.human_idle) - e.concurrent + e.delay
     assert (total[lived] - 1).abs().max() < 1e-4 and (e.delay[lived] > -1e-4).all()
     assert (e.slack_m[lived] >= 0).all()
+
+
+def test_an_object_that_stays_2_cm_outside_of_the_ball_is_not_received(scores):
+    """The ball of a handover that succeeds is made so small that the object ends 2 cm outside of it, then 1 cm inside."""
+    _, benchmark = evaluator_of("ur5e_2f85")
+    reach = CRITERIA.index("reach")
+    row = int(torch.where(scores.success, -scores.margin[:, reach], -torch.inf).argmax())
+    far = 0.10 - float(scores.margin[row, reach])
+    assert far > 0.03
+    given = scores.inputs
+    for inside, end in ((-0.02, End.TIMEOUT), (0.01, End.SUCCESS)):
+        smaller = replace(benchmark, thresholds=Thresholds(reach_radius_m=far + inside))
+        one = Evaluator.from_benchmark(smaller, EvalConfig(execute=ExecConfig(sim="none"))).score(
+            given.T_obj_ee[[row]], given.T_world_ee[[row]], given.trials[torch.tensor([row])]
+        )
+        assert float(one.margin[0, reach]) == pytest.approx(inside, abs=1e-5)
+        _, e = played(one, "planned", "still")
+        assert int(e.end[0]) == int(end)
 
 
 def test_times_too_near_and_shares_of_the_allowed_force_are_those_of_iso_ts_15066(scores):
