@@ -191,7 +191,9 @@ def order(folder: Path) -> dict[str, Any]:
 
     run = load_run(folder).only(METHODS)
     rows = summarise([tally(run, name) for name in run.methods])
-    rates = {SHORT[r.method.partition(" (")[0]]: r.rates["sr"].percent for r in rows if r.split == "Avg"}
+    rates = {
+        SHORT[r.method.partition(" (")[0]]: rate.percent for r in rows if r.split == "Avg" and (rate := r.rates["sr"])
+    }
     (whole,) = [c for c in compare(pair_up([run]), draws=1) if c.group == "all"]
     words = [p.verdict for p in whole.pairs]
     return {

@@ -42,9 +42,9 @@ def cost(report: Report) -> None:
         times: dict[str, list[float]] = {"without": [], "with": []}
         for turn in range(pairs + 2):
             begin = time.perf_counter()
-            evaluator.score(*plain, asked, stages="pose")
+            evaluator.score(plain[0], plain[1], asked, stages="pose")
             middle = time.perf_counter()
-            soft = evaluator.score(*moved, asked, stages="pose").soft(temperature_m=0.005, log=True)
+            soft = evaluator.score(moved[0], moved[1], asked, stages="pose").soft(temperature_m=0.005, log=True)
             torch.autograd.grad(soft.sum(), moved)
             if turn >= 2:  # the first calls read kernels
                 times["without"].append(middle - begin)

@@ -111,8 +111,8 @@ def rows_of(run: Any, method: str) -> dict[int, dict[str, Any]]:
 def again_of(judge: Judge, trials: Any, row: dict[str, Any]) -> Again:
     """The twin of a row, with the poses that the robot carried out and the hand that the planner saw."""
     scene, config = judge.evaluator.scene, judge.evaluator.config
-    asked = (torch.tensor(np.array(row[k], np.float32)).view(1, 4, 4) for k in ("T_obj_ee", "T_world_ee"))
-    T_obj_ee, T_world_ee = executed_poses(config.execution_error, *asked, trials)
+    asked = [torch.tensor(np.array(row[k], np.float32)).view(1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
+    T_obj_ee, T_world_ee = executed_poses(config.execution_error, asked[0], asked[1], trials)
     seen = None
     if config.plan.hand == "estimated":
         estimate = config.estimate
@@ -130,17 +130,18 @@ def judged(name: str, judge: Judge, rows: dict[int, dict[str, Any]]) -> Iterator
     if name not in ("reception", "closed"):
         yield from ((i, twin.findings()) for i, twin in twins.items())
         return
-    poses = (
+    poses = [
         torch.tensor(np.array([r[k] for r in rows.values()], np.float32)).view(-1, 4, 4)
         for k in ("T_obj_ee", "T_world_ee")
-    )
-    scores = judge.evaluator.score(*poses, trials)
+    ]
+    scores = judge.evaluator.score(poses[0], poses[1], trials)
     if name == "reception":
         found = reception(scores)
         yield from ((i, reception_of(twin, found, k)) for k, (i, twin) in enumerate(twins.items()))
         return
     policy = POLICIES["servo"]
-    env = HandoverEnv(scores, "moves", action=kind_of_action(policy))
+    kind: Any = kind_of_action(policy)
+    env = HandoverEnv(scores, "moves", action=kind)
     play(env, policy)
     yield from ((i, episode_of(twin, env, k)) for k, (i, twin) in enumerate(twins.items()))
 

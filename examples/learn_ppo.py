@@ -35,11 +35,12 @@ class Network(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.actor = nn.Sequential(nn.Linear(9, 48), nn.Tanh(), nn.Linear(48, 48), nn.Tanh(), nn.Linear(48, 3))
+        means = nn.Linear(48, 3)
+        self.actor = nn.Sequential(nn.Linear(9, 48), nn.Tanh(), nn.Linear(48, 48), nn.Tanh(), means)
         self.critic = nn.Sequential(nn.Linear(9, 48), nn.Tanh(), nn.Linear(48, 48), nn.Tanh(), nn.Linear(48, 1))
         self.log_sd = nn.Parameter(torch.full((3,), -0.7))
-        nn.init.zeros_(self.actor[-1].weight)
-        nn.init.zeros_(self.actor[-1].bias)
+        nn.init.zeros_(means.weight)
+        nn.init.zeros_(means.bias)
 
     def forward(self, state: Tensor) -> tuple[torch.distributions.Normal, Tensor]:
         return torch.distributions.Normal(self.actor(state), self.log_sd.exp()), self.critic(state)[..., 0]

@@ -532,7 +532,8 @@ class HandoverEnv(VectorEnv):
         outcome = self._outcome(running)
         if self.autoreset and bool((~running).any()):
             self._next(~running)
-            outcome = (outcome[0], *(x & running for x in outcome[1:]))
+            reward, terminated, truncated = outcome
+            outcome = reward, terminated & running, truncated & running
         return self._observe(), *outcome
 
     def _at_gripper(self, rows: Tensor) -> Tensor:

@@ -320,15 +320,17 @@ class MovingHands:
         along = along - se3.dot(along, normal)[:, None] * normal
         along = along / se3.dot(along, along).sqrt()[:, None]
         R = T_world_hand[:, :3, :3]
-        arm = person.double()[:, :3, :3].unbind(1)
-        angles = lower_arm_angles(*arm, se3.rotate(R, along), se3.rotate(R, normal), self._out)
+        shoulder, elbow, wrist = person.double()[:, :3, :3].unbind(1)
+        angles = lower_arm_angles(
+            shoulder, elbow, wrist, se3.rotate(R, along), se3.rotate(R, normal), self._out
+        )
         return within_ranges(angles)
 
     def pose(self, time_s: float | Tensor) -> Float32[Tensor, "b 4 4"]:
         """T_world_hand at a time, m."""
         return self.way.pose(self._times(time_s)).float()
 
-    def travel(self, first_s: float, last_s: float) -> Float32[Tensor, " b"]:
+    def travel(self, first_s: float | Tensor, last_s: float | Tensor) -> Float32[Tensor, " b"]:
         """A bound of what any point of each hand goes between two moments, m."""
         return self.way.travel(self._times(first_s), self._times(last_s)).float()
 

@@ -266,8 +266,8 @@ def trials(
         f" r2h-batch sweep {shlex.join(map(str, line))}"
         + (f"; {counted(none, 'selections')} without a feasible grasp left out" if none else "")
     )
-    for line in motions_left_out(counts["left_out"]):
-        print(line)
+    for words in motions_left_out(counts["left_out"]):
+        print(words)
     return 0
 
 

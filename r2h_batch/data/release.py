@@ -221,11 +221,12 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
         or np.abs(T_world_palm - own.T_world_palm).max() > RIGID
     ):
         own = None
+    q, left_out, planned_q = _motion(file, T_world_ee)
     return ReleaseTrial(
         file.id, file.object_id, file.variant, file.split, mesh, file.object_mesh_object is None, region,
         file.T_object_gripper @ back, T_world_ee, T_world_release @ T_world_palm, side,
         own, *surface, obstacles, place,
-        *_motion(file, T_world_ee), file.dt_s,
+        q, left_out, planned_q, file.dt_s,
     )  # fmt: skip
 
 

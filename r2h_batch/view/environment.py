@@ -37,7 +37,7 @@ class DrawnHandoverEnv(HandoverEnv):
         self.render_mode = render_mode
         self._drawings: dict[int, tuple[EpisodeDrawing, View]] = {}
 
-    def render(self) -> tuple[np.ndarray, ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture (height, width, 3) uint8 of each handover now; None without a render mode."""
         if self.render_mode is None:
             return None
@@ -114,7 +114,11 @@ def make_vector(
     if len(scores) < num_envs:
         held = f"{method} holds the object in {len(scores)} of {len(asked)} trials"
         raise ValueError(f"{held}, and num_envs is {num_envs}; give more trials=")
-    made = {"num_envs": num_envs, "autoreset": autoreset, "render_mode": render_mode}
+    made: dict[str, Any] = {
+        "num_envs": num_envs,
+        "autoreset": autoreset,
+        "render_mode": render_mode,
+    }
     return DrawnHandoverEnv(scores, motion, config=config, **made, **more)
 
 

@@ -100,6 +100,7 @@ def episode_of(
     q, hands = (x[0].double().numpy() for x in env.trace())
     bodies = None
     if env.trials.receiver is not None:
+        assert env.hands is not None  # `play` has reset it
         made = (env.hands.people(torch.from_numpy(T[None]).float()) for T in hands)
         bodies = np.stack([x[0].double().numpy() for x in made if x is not None])
     end = End(int(found.end[0]))

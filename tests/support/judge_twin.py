@@ -336,8 +336,8 @@ class Again:
         closing = Closing(self.fingers, self.mesh, self.T_obj_ee, whole=self.config.width == "whole")
         both = [closing.closed(grow) for grow in (-GRAZE_M, 0.0, GRAZE_M)]
         self.between = both
-        widths = [c.width for c in both]
-        if None in widths or self.row["width_m"] is None:
+        widths = [c.width for c in both if c.width is not None]
+        if len(widths) < len(both) or self.row["width_m"] is None:
             same = [c for c in both if (c.width is None) == (self.row["width_m"] is None)]
             return same[-1] if same else both[1]
         width, opening, shift = (

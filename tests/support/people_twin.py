@@ -124,7 +124,10 @@ def reception_of(again: Again, found: Any, index: int) -> Iterator[Finding]:
     gaps = [apart(kinds, sizes, places, [torso])] if len(kinds) else []
     for kind, size, T_arm in arm:
         for i in range(len(kinds)):
-            pair = [bodies([k], [s], [p]) for k, s, p in ((kind, size, T_arm), (kinds[i], sizes[i], places[i]))]
+            pair = [
+                bodies([k], [s], np.asarray(p)[None])
+                for k, s, p in ((kind, size, T_arm), (kinds[i], sizes[i], places[i]))
+            ]
             gaps.append(float(convex_distance(*pair)[1][0]))
         gaps += [apart([kind], [size], T_arm[None], [h]) for h in hulls]
     yield Finding("arm and torso to robot, m", 0.0, min(gaps), "fact", wrong=min(gaps) < -ROUNDED_M)

@@ -6,6 +6,7 @@ contacts withstand comes from a linear program (`trials.holding.capacity`), and 
 gripper is reception's question. The world is the gripper's frame at the handover pose.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -161,15 +162,22 @@ class Places:
         """The places of a model that `transfer_model` made: the same for every object."""
         joint = [m.joint(n).id for n in WRIST]
         q, v = int(m.jnt_qposadr[m.joint(SLIP[0]).id]), int(m.jnt_dofadr[m.joint(SLIP[0]).id])
-        motors = [np.array([m.actuator(n).id for n in names]) for names in (FINGERS, WRIST, HAND)]
+
+        def motors(names: Sequence[str]) -> NDArray[np.int64]:
+            return np.array([m.actuator(n).id for n in names])
+
         return Places(
             m.jnt_qposadr[joint].astype(np.int64),
             m.jnt_dofadr[joint].astype(np.int64),
-            *motors,
+            motors(FINGERS),
+            motors(WRIST),
+            motors(HAND),
             np.arange(q, q + 7),
             np.arange(v, v + 6),
             np.array([m.geom(n).id for n in FINGERS]),
-            *(m.body(n).id for n in ("hand", "grip", "object")),
+            m.body("hand").id,
+            m.body("grip").id,
+            m.body("object").id,
         )
 
 

@@ -223,8 +223,10 @@ def table_of(handed: Handed, made: Sequence[Transferred], success: dict[int, boo
     tables = []
     for one in made:
         t, n = one.transfers, len(handed)
-        numbers = ("release_share", "transfer_s", "pull_n", "grip_n", "hand_n", "slip_m")
-        numbers += ("turn_deg", "robot_slip_m", "time_s")
+        numbers = (
+            *("release_share", "transfer_s", "pull_n", "grip_n", "hand_n", "slip_m"),
+            *("turn_deg", "robot_slip_m", "time_s"),
+        )
         columns: dict[str, Any] = {
             **_columns_of(one.case, handed.trial_id, success),
             "received": np.ones(n, bool),

@@ -568,7 +568,7 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
         raise FileError(f"{where}: protocol {protocol!r}; {known}")
     said = _said(header)
     if not replace(given, protocol="", receiver="", turn="").flags():
-        given = found if (found := _found(said, Path(where))) is not None else given
+        given = _found(said, Path(where)) or given
     if said.robot in ROBOTS and not given.robot:  # a built-in robot is no file
         given = replace(given, robot=said.robot)
     if said.turn in TURNS:  # nor is a turn
@@ -606,9 +606,10 @@ def _said(header: Mapping[str, Any]) -> BenchmarkOverrides:
     }
     lists = {name for name, field in known.items() if field.default == ()}
     said: dict[str, Any] = {k.replace("-", "_"): v for k, _, v in pairs}
-    return BenchmarkOverrides(
-        **{k: tuple(v.split()) if k in lists else v for k, v in said.items() if k in known}
-    )
+    values: dict[str, Any] = {
+        k: tuple(v.split()) if k in lists else v for k, v in said.items() if k in known
+    }
+    return BenchmarkOverrides(**values)
 
 
 def _found(said: BenchmarkOverrides, run: Path) -> BenchmarkOverrides | None:
@@ -641,7 +642,7 @@ def _found(said: BenchmarkOverrides, run: Path) -> BenchmarkOverrides | None:
         return rest + sign + at if name == "grasps" else at + sign + rest
 
     values = {name: value for name, value in asdict(said).items() if value}
-    placed = {
+    placed: dict[str, Any] = {
         name: tuple(of(name, v) for v in value) if isinstance(value, tuple) else of(name, value)
         for name, value in values.items()
     }
