@@ -55,8 +55,8 @@ MUTATIONS = (
     Mutation(
         "criteria: touching passes the other way round",
         VERDICT,
-        "(margin == 0.0 and touching_in[c])",
-        "(margin == 0.0 and not touching_in[c])",
+        "(margin == 0.0 and touching != 0)",
+        "(margin == 0.0 and touching == 0)",
         (f"{T_METRICS}::test_touching_passes_where_the_paper_says_so",),
     ),
     Mutation(
@@ -76,22 +76,22 @@ MUTATIONS = (
     Mutation(
         "plan: a motion that does not settle passes",
         "r2h_batch/evaluate.py",
-        "arrived = (planned.length > 0) & executed.settled",
-        "arrived = planned.length > 0",
+        "goal_reached = (planned.length > 0) & executed.settled",
+        "goal_reached = planned.length > 0",
         (f"{T_MOTION}::test_a_motion_that_cannot_come_to_rest_in_time_is_run_to_the_limit_and_fails_plan",),
     ),
     Mutation(
         "verdict: the last failure decides",
         VERDICT,
-        "elif not fine and outcome == 0:",
+        "elif not fine and outcome_inout[row] == wp.int8(0):",
         "elif not fine:",
         (T_VERDICT,),
     ),
     Mutation(
         "verdict: borderline on one side only",
         VERDICT,
-        "near = near or wp.abs(margin) < borderline",
-        "near = near or (margin > 0.0 and margin < borderline)",
+        "if wp.abs(margin) < borderline:",
+        "if margin > 0.0 and margin < borderline:",
         (T_VERDICT,),
     ),
     Mutation(
