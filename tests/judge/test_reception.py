@@ -22,7 +22,14 @@ from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.methods import oracle
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import ShapeKind, ee_pose, forward_kinematics
-from r2h_batch.trials.holding.held_out import grip_forces, load_held_out, revolution_axis
+from r2h_batch.trials.holding.held_out import (
+    CONE_EDGES,
+    FRICTION,
+    friction_edges,
+    grip_forces,
+    load_held_out,
+    revolution_axis,
+)
 from r2h_batch.trials.holding.receiving import load_receiving
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.trials.receivers import arm_axes
@@ -393,13 +400,7 @@ def test_a_pinch_needs_the_grip_of_coulombs_law():
     """Two fingers from both sides of a ball carry it with friction alone: each presses with m g / (2 mu), by the pyramid."""
     inward = np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
     arm = np.array([[-0.03, 0.01, 0], [0.03, 0.01, 0], [-0.03, -0.01, 0], [0.03, -0.01, 0]])
-    from r2h_batch.trials.holding.held_out import (  # the wrenches that the forces are solved from
-        CONE_EDGES,
-        FRICTION,
-        _edges,
-    )
-
-    wrench = _edges(arm, inward)
+    wrench = friction_edges(arm, inward, FRICTION)  # those that the forces are solved from
     found = linprog(np.ones(wrench.shape[1]), A_eq=wrench, b_eq=[0, 0, 1, 0, 0, 0], method="highs")
     assert found.status == 0
     assert 1 / FRICTION <= found.fun <= 1 / (FRICTION * np.cos(np.pi / CONE_EDGES)) + 1e-9
