@@ -3,10 +3,12 @@
 import re
 import subprocess
 import sys
+from dataclasses import fields
 
 import pytest
 
 from r2h_batch.__main__ import COMMANDS, main
+from r2h_batch.sweep.options import Options, help_text
 
 NESTED = (
     "results verify",
@@ -37,7 +39,9 @@ def test_help_names_the_program_as_it_was_called_and_lists_the_subcommands(capsy
 
 HELP_OF_ALL = """
 import sys
+from dataclasses import fields
 from r2h_batch.__main__ import COMMANDS, main
+from r2h_batch.sweep.options import Options, help_text
 for name in COMMANDS:
     try: main([name, "--help"])
     except SystemExit: pass
@@ -79,3 +83,8 @@ def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code
     assert captured.out == "" and captured.err.count("\n") == 1
     for part in parts:
         assert part in captured.err
+
+
+def test_the_help_of_a_sweep_names_every_flag() -> None:
+    shown = {*re.findall(r"--[a-z][a-z-]+", help_text("r2h-batch sweep"))}
+    assert {f"--{f.name.replace('_', '-')}" for f in fields(Options)} - shown == set()

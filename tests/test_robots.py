@@ -1,5 +1,6 @@
 """Another arm goes through the whole evaluator, and no stage falls back to the UR5e."""
 
+import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -151,3 +152,15 @@ def test_pytorch_kinematics_finds_the_branches_of_a_ur_that_was_imported(monkeyp
     found, exact = ik_jacobian.solve_ik(T, robot=robot), solve_ik(T, robot=robot)
     assert torch.equal(found.valid, exact.valid) and bool(found.reachable.all())
     assert float((found.q - exact.q)[found.valid].abs().max()) < 1e-4
+
+
+@pytest.mark.check
+def test_pages_print_how_far_the_default_robots_mesh_protrudes() -> None:
+    root = Path(__file__).resolve().parents[1]
+    report = json.loads((root / "assets" / "robot" / "report.json").read_text())["links"]
+    beyond = {name: row["worst_protrusion_mm"] for name, row in report.items()}
+    arm = max(v for name, v in beyond.items() if name in load_robot().links)
+    gripper = max(v for name, v in beyond.items() if name not in load_robot().links)
+    choices, robots = ((root / "docs" / f"{name}.md").read_text() for name in ("choices", "robots"))
+    assert f"at most {arm:.2f} mm on the arm and {gripper:.2f} mm on the gripper" in choices
+    assert f"2.95 mm | {arm:.2f} mm |" in robots and f"protrudes by at most {gripper:.2f} mm" in robots

@@ -329,13 +329,14 @@ def help_text(prog: str) -> str:
         lines += ["", f"{group}:", *_described(group, "--")]
     config = (
         ("--config FILE", "a YAML file with any option; a flag wins over it"),
-        ("--set NAME=VALUE ...", "any option; `--set help` lists them"),
+        ("--set NAME=VALUE ...", "any option; `--set help` explains them"),
+        ("as flags too", ", ".join(_flag(n) for n, (_, f) in _flags().items() if not f.group)),
     )
     return "\n".join([*lines, "", "more options:", *_columns(config)]) + "\n"
 
 
 def set_help() -> str:
-    """The options that only `--set` and `--config` take."""
+    """The options that the help lists by name alone, each with its meaning."""
     head = "Options for --set NAME=VALUE. A --config file takes these and the flags by name:"
     return "\n".join([head, "", *_described("", "")]) + "\n"
 
@@ -344,6 +345,11 @@ def _flags() -> dict[str, tuple[Any, Flag]]:
     """Name of an option -> its type and what the help says of it."""
     hints = typing.get_type_hints(Options, include_extras=True)
     return {name: (hint.__origin__, hint.__metadata__[0]) for name, hint in hints.items()}
+
+
+def _flag(name: str) -> str:
+    """An option as a flag."""
+    return f"--{name.replace('_', '-')}"
 
 
 def _described(group: str, dashes: str) -> list[str]:
@@ -398,6 +404,7 @@ EXCLUDED = (
 
 
 def _flag(name: str) -> str:
+    """An option as a flag."""
     return f"--{name.replace('_', '-')}"
 
 

@@ -360,6 +360,7 @@ PAGES: dict[str, tuple[Callable[[Reader], None], ...]] = {
     "docs/training_loop.md": (poses,),
     "docs/robots.md": (),
     "docs/receivers.md": (mine,),
+    "docs/choices.md": (),
     "docs/sweeps.md": (rules, sweep_file),
     "docs/release.md": (released,),
 }
