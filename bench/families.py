@@ -49,8 +49,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Everything on the page; each part is kept in the folder of the rows as soon as it is known."""
     place, trials = options.rows, options.trials
     if options.kept:
-        found = json.loads((place / "found.json").read_text())
-        return found | {"contacts_cpu_s": contact_seconds()} | origin(place / "v2")
+        kept: dict[str, Any] = json.loads((place / "found.json").read_text())
+        return kept | {"contacts_cpu_s": contact_seconds()} | origin(place / "v2")
     few = ("--trials", min(trials, FEW))
     v2 = swept(place / "v2", "--method", *METHODS, *BOUNDS, "--trials", trials, *V2)
     found: dict[str, Any] = {"trials": trials, "turned": {}, "orders": {}}

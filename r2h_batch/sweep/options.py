@@ -403,11 +403,6 @@ EXCLUDED = (
 """Options that exclude others, and why."""
 
 
-def _flag(name: str) -> str:
-    """An option as a flag."""
-    return f"--{name.replace('_', '-')}"
-
-
 def check(options: Options) -> Options:
     """The options, or a `UsageError` about the first that cannot be."""
     if not (options.method or options.predictions or options.motions or options.trials_from):
