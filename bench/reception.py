@@ -68,11 +68,6 @@ A trial with 256 grasps takes {ms:.1f} ms of one core (the oracle's poses).
 KNOWN = """\
 `K=8`: percent received if only 8 grasps a side were tried. `turn <= 60`: percent received if the hand may turn by at most 60
 degrees. The other columns describe the easiest grasp (RULA: strain of the posture)."""
-BEFORE_DIGESTS = """\
-`K=8`: percent with a grasp that passes every step but the whole way if only 8 grasps a side were tried. So these columns may
-exceed `received`. (These rows are older: `results reception` now counts received trials alone.) `turn <= 60`: percent received
-if the hand may turn by at most 60 degrees. The other columns describe the easiest grasp (RULA: strain of the posture)."""
-"""For a JSON without digests of its source; goes with that JSON."""
 
 GROWTH = """
 {trials:,} trials in one process take {last} MiB of memory, a tenth of them {first} MiB.
@@ -266,7 +261,7 @@ def markdown(data: dict[str, Any]) -> str:
     text = HEAD.format(
         commit=str(data["commit"])[:12],
         caption=data["caption"],
-        known=KNOWN if "source" in data else BEFORE_DIGESTS,
+        known=KNOWN,
         steps=markdown_table(steps[0], steps[2:]),
         effort=markdown_table(head, both),
         ms=data["cost"][-1]["whole"],

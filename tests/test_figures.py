@@ -14,10 +14,8 @@ LONG = {"families"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
 BY_HAND = {"release"} | LONG
 """Benches that need files of others, which `make bench` takes only if it is given them (RELEASE=), or hours."""
-NOT_YET = {"closed_loop", "families", "reception", "release", "robots", "robustness"}
-"""Measured before JSON said what was measured. Their pages name the commit. `make bench` measures them again."""
-NOT_YET |= {"closed_loop_growth", "collision", "execute", "growth", "ik", "long", "meshes", "transfer"}
-"""Measured small on a busy machine. The next `make bench` empties the list."""
+NOT_YET = {"families", "transfer"}
+"""Benches of hours. Their pages name the commit and the conditions; their next run stores what it measured."""
 
 
 @pytest.fixture(scope="module")
