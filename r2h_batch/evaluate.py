@@ -1,7 +1,19 @@
 """The Evaluator: a batch of handovers in, verdicts with margins and reasons out.
 
-`_score_planned`, `_score_pose` and `_score_trace` call the stages in order; the rest is inputs, chunks
-and memory.
+A row passes these stages in this order. Each stage is one file of `r2h_batch.judge`:
+
+| stage | file | result |
+|---|---|---|
+| inputs | `inputs` | poses and trials that fit; invalid rows marked |
+| grasp | `attach` | the object in the gripper: Stability's margin, poses of all bodies |
+| IK | `ik` | every branch of the arm that reaches the handover pose |
+| plan | `plan` | a path without collision to one of the branches |
+| motion | `motion.time_law`, `motion.execute` | the path with times, as the arm executes it |
+| clearance | `distance` | where the robot is nearest to the receiver |
+| verdict | `metrics` | five criteria with margins, one outcome |
+
+`_score_planned` is the whole of it. `_score_pose` has the goal posture (`goal`) in place of a path, and
+`_score_trace` has a motion that the caller gives. The rest of this file is inputs, chunks and memory.
 """
 
 import copy
