@@ -53,6 +53,7 @@ class Against:
         high: upper end.
         verdict: what the method is, as `compare` says it.
         trials: number of trials that both answered.
+        new: what the interval and the verdict speak about beside these objects: new objects, or new categories.
     """
 
     difference: float
@@ -60,6 +61,7 @@ class Against:
     high: float | None
     verdict: str
     trials: int
+    new: str
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,7 @@ def _against(run: Run, baselines: Run, common: Common) -> dict[str, Against]:
     paired = pair_up([run, replace(baselines, entries=tuple(own))], common)
     compared = compare(paired, mine=paired.names[:1], draws=1)[-1]
     return {
-        name: Against(p.difference, p.low, p.high, p.verdict, compared.n)
+        name: Against(p.difference, p.low, p.high, p.verdict, compared.n, compared.new)
         for name, p in zip(baselines.methods, compared.pairs, strict=True)
     }
 
@@ -273,7 +275,7 @@ def _cell(against: Against | None) -> dict[str, Any]:
         return {"text": "", "value": -1000, "words": ""}
     ends = ""
     if against.low is not None and against.high is not None:
-        ends = f", 95 % for new objects {against.low:+.1f} to {against.high:+.1f}"
+        ends = f", 95 % for new {against.new} {against.low:+.1f} to {against.high:+.1f}"
     words = f"{against.verdict}: {against.difference:+.1f} points on {against.trials} trials{ends}"
     text = f"{against.difference:+.1f} {SIGNS[against.verdict]}"
     return {"text": text, "value": against.difference, "words": words}

@@ -126,6 +126,7 @@ def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, An
         rows = [row for row in table.rows if row.method == method]
         line = {
             "method": method,
+            "moved": " ".join(t.sentence for t in table.turns if t.method == method and t.marked),
             "sr": [_rate(r, "sr", (r.split, method, "sr") in best) for r in rows],
             "rank": _rank(compared[-1], method) if compared else None,
             "failures": [_rate(rows[-1], c) for c in FAILURES],
@@ -152,8 +153,7 @@ def _matrix(c: Comparison) -> dict[str, Any]:
     words = {}
     for p in c.pairs:
         known = p.low is not None and p.high is not None
-        kind = "categories" if c.categories < c.objects else "objects"
-        ends = f", 95 % for new {kind} {p.low:+.1f} to {p.high:+.1f}" if known else ""
+        ends = f", 95 % for new {c.new} {p.low:+.1f} to {p.high:+.1f}" if known else ""
         sentence = (
             f"{p.a} is {p.verdict}: {p.difference:+.1f} points{ends}; "
             f"only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p.p_holm:.2g}"
@@ -212,7 +212,9 @@ def _table(table: Table) -> list[dict[str, Any]]:
             for c in HEADINGS
         ]
         new = row.sr_new_categories if table.families else row.sr_new_objects
+        test = table.turn_of(row)
         more = {
+            "moved": test.sentence if test and test.marked else "",
             "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
             "presented": f"{row.presented.percent:.1f}" if row.presented else NA,
             "n": row.n,

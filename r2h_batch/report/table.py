@@ -107,11 +107,15 @@ class Table:
         families = [CATEGORY_NOTE] if self.families else []
         return (*FOOTNOTES, *families, *(scans if own else []), *self.misses, *marks)
 
+    def turn_of(self, row: Row) -> Turned | None:
+        """The turn test of a line, where its method has one."""
+        key = (row.method, "all" if row.split == "Avg" else row.split)
+        return next((t for t in self.turns if (t.method, t.group) == key), None)
+
     def mark(self, row: Row) -> str:
         """The mark behind a method's name where a turn moves its SR by too much."""
-        group = "all" if row.split == "Avg" else row.split
-        moved = any(t.marked for t in self.turns if (t.method, t.group) == (row.method, group))
-        return f" {MARK}" if moved else ""
+        test = self.turn_of(row)
+        return f" {MARK}" if test and test.marked else ""
 
     @property
     def families(self) -> bool:
@@ -253,9 +257,9 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
         return _latex(table, columns, intervals)
     if fmt == "csv":
         origin = {k.replace(" ", "_"): v for k, v in table.origin.items()}
-        return csv_text([_with_scans(table, row) | origin for row in table.rows])
+        return csv_text([_with_more(table, row) | origin for row in table.rows])
     if fmt == "json":
-        rows = [_with_scans(table, row) for row in table.rows]
+        rows = [_with_more(table, row) for row in table.rows]
         content = {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": table.notes}
         return json_text(content | ({"turns": about(table.turns)} if table.turns else {}))
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
@@ -316,13 +320,20 @@ def _scans(table: Table, row: Row) -> Row | None:
     return table.scans.get((row.split, row.method))
 
 
-def _with_scans(table: Table, row: Row) -> dict[str, Any]:
-    """A record, with SR on the reader's own objects where a run of them is given."""
-    if not table.scans:
-        return record(row)
-    rate = sr_of_scans(own) if (own := _scans(table, row)) else None
-    ends = (rate.percent, rate.low, rate.high) if rate else (None, None, None)
-    return record(row) | dict(zip(("sr_scans", "sr_scans_low", "sr_scans_high"), ends, strict=True))
+def _with_more(table: Table, row: Row) -> dict[str, Any]:
+    """A record, with SR on the reader's own objects and the turn test where the table has them."""
+    found = record(row)
+    if table.scans:
+        rate = sr_of_scans(own) if (own := _scans(table, row)) else None
+        ends = (rate.percent, rate.low, rate.high) if rate else (None, None, None)
+        found |= dict(zip(("sr_scans", "sr_scans_low", "sr_scans_high"), ends, strict=True))
+    if table.turns:
+        test = table.turn_of(row)
+        most = test and test.most
+        ends = (most.points, most.low, most.high) if most else (None, None, None)
+        found |= dict(zip(("turn", "turn_low", "turn_high"), ends, strict=True))
+        found["turn_marked"] = test and test.marked
+    return found
 
 
 def _share(rate: Rate | None) -> list[str]:
@@ -428,6 +439,7 @@ def _latex(table: Table, columns: int, intervals: bool) -> str:
         f"{row.split} {short[row.method]}: N {row.n}, T_plan over {row.times['t_plan_s'].count}, T_exec over"
         f" {row.times['t_exec_s'].count}, invalid {invalid(row)}, missing {row.counts['missing']}, SR of new objects"
         f" {interval(row.sr_new_objects)}"
+        f"{f', of new categories {interval(row.sr_new_categories)}' if table.families else ''}"
         for row in table.rows
     ]
     comments = tex_comments(table.origin, [*legend(short), *counts, BEST_NOTE, *table.notes])

@@ -194,7 +194,7 @@ def render(tests: Sequence[Turned], fmt: str = "md") -> str:
         fmt: one of `FORMATS`.
     """
     if fmt == "json":
-        return json_text([asdict(test) for test in tests])
+        return json_text(about(tests))
     if fmt == "csv":
         return csv_text(
             [
@@ -229,8 +229,8 @@ def render(tests: Sequence[Turned], fmt: str = "md") -> str:
 
 
 def about(tests: Sequence[Turned]) -> list[dict[str, Any]]:
-    """The tests as records of a table's JSON."""
-    return [asdict(test) for test in tests]
+    """The tests as records of a JSON, with the mark and the turn that moves the rate farthest."""
+    return [asdict(test) | {"marked": test.marked, "most": test.most.turn} for test in tests]
 
 
 def folder_of(run: Path, turn: str) -> Path:

@@ -1,6 +1,7 @@
 """The turn test: the same trials with turned objects, whose rows are the same where a method knows no frame."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -61,8 +62,27 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     assert command("report", run / "run") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "mine ^" in said and "Intent-Handover ^" not in said and "^ mine, S1: a" in said
+    assert command("report", run / "run", "--format", "json") == 0
+    table = json.loads(capsys.readouterr().out)
+    rows = {row["method"].partition(" ")[0]: row for row in table["rows"]}
+    most = max((m["points"] for m in found["mine", "S1"]["moves"]), key=abs)
+    assert rows["mine"]["turn"] == most and rows["mine"]["turn_marked"] is True
+    assert rows["Intent-Handover"]["turn"] == 0 and rows["Intent-Handover"]["turn_marked"] is False
+    assert command("report", run / "run", "--format", "html", "--out", run / "page.html") == 0
+    capsys.readouterr()
+    page = (run / "page.html").read_text()
+    moved = re.findall(r'<td class="l moved" title="([^"]*)">([^<]*)</td>', page)
+    assert [name.partition(" ")[0] for _, name in moved] == ["mine"] * 2  # overview and Table I
+    assert all("mine, S1: a" in title for title, _ in moved)
     assert command("compare", run / "run") == 0
-    assert "^ mine, S1: a" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "^ mine, S1: a" in said and "| mine ^" in said and "Intent-Handover ^" not in said
+    assert command("compare", run / "run", "--format", "json") == 0
+    (compared,) = json.loads(capsys.readouterr().out)
+    assert {t["method"].partition(" ")[0]: t["marked"] for t in compared["turns"]} == {
+        "Intent-Handover": False,
+        "mine": True,
+    }
     # a turned run is a run like any other: its rows are what the evaluator says
     assert command("results", "reevaluate", run / "run-turned" / "half", "--rows", 5, "--method", "intent") == 0
     capsys.readouterr()

@@ -4,6 +4,7 @@ there is work."""
 import contextlib
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -90,9 +91,11 @@ def compare(
     }
     for note in paired.notes if format in ("csv", "json") else ():
         LOG.info(f"compare: {note}")
-    marks = (test.sentence for run in stored for test in turned(run) if test.marked)
-    notes = (*common.notes, *paired.notes, *marks)
-    sys.stdout.write(render(comparisons, format, origin=origin, notes=notes))
+    tests = [turned(run) for run in stored]
+    called = zip(paired.names, paired.runs, paired.methods, strict=True)
+    turns = [replace(t, method=n) for n, k, own in called for t in tests[k] if t.method == own]
+    notes = (*common.notes, *paired.notes, *(test.sentence for test in turns if test.marked))
+    sys.stdout.write(render(comparisons, format, origin=origin, notes=notes, turns=turns))
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from typing import Any
 
 from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison
 from r2h_batch.report.text import (
@@ -18,6 +19,7 @@ from r2h_batch.report.text import (
     tex_number,
     tex_table,
 )
+from r2h_batch.report.turn import MARK, Turned, about
 
 FORMATS = ("md", "latex", "csv", "json")
 
@@ -33,7 +35,7 @@ NOTES = (
 
 def _notes(comparisons: Sequence[Comparison]) -> list[str]:
     """The notes with the words for what new ones are drawn of: objects, or categories of several."""
-    if any(c.categories < c.objects for c in comparisons):
+    if any(c.new == "categories" for c in comparisons):
         words = ("cat.", "categories", "categories and their objects", "category")
     else:
         words = ("obj.", "objects", "objects", "object")
@@ -41,7 +43,7 @@ def _notes(comparisons: Sequence[Comparison]) -> list[str]:
 
 
 def _new(comparison: Comparison) -> str:
-    return "cat." if comparison.categories < comparison.objects else "obj."
+    return "cat." if comparison.new == "categories" else "obj."
 
 
 def render(
@@ -50,6 +52,7 @@ def render(
     *,
     origin: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
+    turns: Sequence[Turned] = (),
 ) -> str:
     """The comparisons as text that ends in a newline.
 
@@ -58,23 +61,36 @@ def render(
         fmt: one of `FORMATS`.
         origin: where the rows come from; LaTeX writes it as comments.
         notes: what a reader should know about the runs; Markdown and LaTeX write them.
+        turns: turn tests of the methods, under their names in the comparisons.
     """
     if fmt == "md":
-        return _md(comparisons, notes)
+        return _md(comparisons, notes, turns)
     if fmt == "latex":
-        return _latex(comparisons, origin or {}, notes)
+        return _latex(comparisons, origin or {}, notes, turns)
     if fmt == "csv":
-        return _csv(comparisons)
+        return _csv(comparisons, turns)
     if fmt == "json":
-        ranks = [None if c.rank is None else c.rank.tolist() for c in comparisons]
-        return json_text([{**asdict(c), "rank": rank} for c, rank in zip(comparisons, ranks)])
+        return json_text([_record(c, turns) for c in comparisons])
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
 
-def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
+def _record(c: Comparison, turns: Sequence[Turned]) -> dict[str, Any]:
+    own = [test for test in turns if test.group == c.group]
+    found = {**asdict(c), "rank": None if c.rank is None else c.rank.tolist()}
+    return found | ({"turns": about(own)} if own else {})
+
+
+def _marked(c: Comparison, short: Mapping[str, str], turns: Sequence[Turned]) -> dict[str, str]:
+    """The short names of a group's methods, with a mark where a turn moves SR by too much."""
+    moved = {test.method for test in turns if test.marked and test.group == c.group}
+    return {name: short[name] + (f" {MARK}" if name in moved else "") for name in c.names}
+
+
+def _md(comparisons: Sequence[Comparison], notes: Sequence[str], turns: Sequence[Turned]) -> str:
     short = short_names([name for c in comparisons for name in c.names])
     parts = []
     for c in comparisons:
+        shown = _marked(c, short, turns)
         head = ["A", "B", "A-B", f"95 % new {_new(c)}", "only A/B", "Holm p", "A is"]
         parts.append(f"{c.group}: {c.n} trials, paired on the trial id")
         lines = []
@@ -82,7 +98,7 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
             known = pair.low is not None and pair.high is not None
             ends = f"{pair.low:+.1f} to {pair.high:+.1f}" if known else NA
             cells = [f"{pair.difference:+.1f}", ends, f"{pair.only_a}/{pair.only_b}"]
-            names = [plain(short[pair.a]), plain(short[pair.b])]
+            names = [plain(shown[pair.a]), plain(shown[pair.b])]
             lines.append([*names, *cells, f"{pair.p_holm:.2g}", pair.verdict])
         parts.append(aligned(head, lines, 2))
         if c.rank is not None:
@@ -93,7 +109,7 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
                 ranks[name] = [*ranks[name], f"#{worst.rank}{without}"]
             bound = ["bound", *[""] * len(c.ranked)]
             table = [
-                [plain(short[name]), f"{rate:.1f}", *ranks.get(name, bound)]
+                [plain(shown[name]), f"{rate:.1f}", *ranks.get(name, bound)]
                 for name, rate in zip(c.names, c.rates, strict=True)
             ]
             places = [f"#{i + 1}" for i in range(len(c.ranked))]
@@ -104,12 +120,16 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
 
 
 def _latex(
-    comparisons: Sequence[Comparison], origin: Mapping[str, str], notes: Sequence[str]
+    comparisons: Sequence[Comparison],
+    origin: Mapping[str, str],
+    notes: Sequence[str],
+    turns: Sequence[Turned],
 ) -> str:
     """All pairs over both columns of a page; what is decided for new objects or categories too is bold."""
     short = short_names([name for c in comparisons for name in c.names])
     groups = []
     for c in comparisons:
+        shown = _marked(c, short, turns)
         rows: list[str] = []
         for pair in c.pairs:
             known = pair.low is not None and pair.high is not None
@@ -117,7 +137,7 @@ def _latex(
             bold = pair.verdict in ("better", "worse")
             word = rf"\textbf{{{pair.verdict}}}" if bold else pair.verdict
             p = r"{$<$0.001}" if pair.p_holm < 0.001 else f"{pair.p_holm:.3f}"
-            names = ["" if rows else c.group, tex(short[pair.a]), tex(short[pair.b])]
+            names = ["" if rows else c.group, tex(shown[pair.a]), tex(shown[pair.b])]
             counts = [str(pair.only_a), str(pair.only_b)]
             cells = [*names, f"{pair.difference:+.1f}", ends, *counts, p, word]
             rows.append(" & ".join(cells) + r" \\")
@@ -131,16 +151,18 @@ def _latex(
     return "\n".join([*comments, *tex_table(spec, head, groups)]) + "\n"
 
 
-def _csv(comparisons: Sequence[Comparison]) -> str:
+def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned]) -> str:
     """One row for each group and pair, with both rates and the share of draws in which each method
-    is first."""
+    is first; where there are turn tests, with the largest move of each method's rate."""
     records = []
     for c in comparisons:
         rate = dict(zip(c.names, c.rates))
         ranks = [] if c.rank is None else c.rank.tolist()
         first = {name: row[0] for name, row in zip(c.ranked, ranks)}
+        most = {test.method: test.most.points for test in turns if test.group == c.group}
         for pair in c.pairs:
             rates = {"sr_a": rate[pair.a], "sr_b": rate[pair.b]}
             firsts = {"first_a": first.get(pair.a), "first_b": first.get(pair.b)}
-            records.append({"group": c.group, "n": c.n, **asdict(pair), **rates, **firsts})
+            moves = {"turn_a": most.get(pair.a), "turn_b": most.get(pair.b)} if turns else {}
+            records.append({"group": c.group, "n": c.n, **asdict(pair), **rates, **firsts, **moves})
     return csv_text(records)

@@ -46,6 +46,7 @@ class Paired:
         runs: place of each method's run among the runs given.
         bounds: names of methods that are bounds (random, oracle); they have no rank.
         category: name of each object's category (K); empty: each object is one of its own.
+        methods: what each method's run calls it.
     """
 
     names: tuple[str, ...]
@@ -56,6 +57,7 @@ class Paired:
     runs: tuple[int, ...] = ()
     bounds: tuple[str, ...] = ()
     category: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
 
     @property
     def clusters(self) -> tuple[tuple[str, ...], np.ndarray]:
@@ -171,6 +173,11 @@ class Comparison:
     categories: int
     objects: int
 
+    @property
+    def new(self) -> str:
+        """Intervals, verdicts and ranks speak about these new things: objects, or categories where these have several."""
+        return "categories" if self.categories < self.objects else "objects"
+
 
 @check_arguments(only_a=integer(0), only_b=integer(0))
 def mcnemar(only_a: int, only_b: int) -> float:
@@ -245,8 +252,9 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
     places = tuple(next(k for k, run in enumerate(runs) if run is streams[i].run) for i in once)
     bounds = tuple(n for n, i in zip(names, once, strict=True) if streams[i].is_bound)
     hits = paired.hits[:, once]
+    own = tuple(streams[i].method for i in once)
     return Paired(
-        tuple(names), paired.trials, hits, kept, tuple(notes), places, bounds, paired.category
+        tuple(names), paired.trials, hits, kept, tuple(notes), places, bounds, paired.category, own
     )
 
 
