@@ -7,6 +7,7 @@ from math import floor, log10
 from typing import Any
 
 from r2h_batch.config import ExecutionError
+from r2h_batch.report.held import held_rates
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import FAILURES, RATES, TIMES, Rate, Row, summarise
 from r2h_batch.report.statistics.tally import Tally, tally
@@ -151,6 +152,8 @@ def table_of(
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials")
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
+    held = held_rates(run)
+    rows = tuple(replace(row, held=held.get((row.split, row.method))) for row in rows)
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
     planned = (
         line for r in runs for line in motions_left_out(r.header.get("motions_left_out", {}))
@@ -390,6 +393,11 @@ def _md(table: Table) -> str:
             ["Through", "95 %", "of"],
             lambda row: _share(row.through),
         ),
+        (
+            "Objects that the closed gripper holds under their weight for 1 s, of those past Stability (not in SR).",
+            ["Held 1 s", "95 %", "of"],
+            lambda row: _share(row.held),
+        ),
     ]
     parts = ["  \n".join(f"{key}: {value}" for key, value in table.origin.items())]
     for caption, headings, cells_of in sections:
@@ -425,7 +433,7 @@ def record(row: Row) -> dict[str, Any]:
         fields |= with_ends(f"sr_new_{what}", clustered)
         del fields[f"sr_new_{what}"]  # it is "sr"
     fields |= with_ends("presented", row.presented) | with_ends("body_met", row.body_met)
-    fields |= with_ends("through", row.through)
+    fields |= with_ends("through", row.through) | with_ends("held_1s", row.held)
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}

@@ -1,19 +1,20 @@
 """Transfers of many handovers on all cores: rows, cases, processes."""
 
 import multiprocessing
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from jaxtyping import Float64
 from numpy.typing import NDArray
 
-from r2h_batch.closed_loop.transfer.handed import Handed
+from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.closed_loop.transfer.person import SCENARIOS, Hands, Persons, draw_persons
 from r2h_batch.closed_loop.transfer.release import release_of
@@ -27,6 +28,9 @@ ROWS = 32
 """Handovers that a process takes at a time."""
 AHEAD = 2
 """Groups of rows that wait for each process: memory stays flat."""
+
+Rows = TypeVar("Rows", bound=Gripped)
+Found = TypeVar("Found")
 
 
 class Case(NamedTuple):
@@ -69,6 +73,12 @@ class Simulator:
             closed = [self.models.close(handed[i : i + 1]) for i in range(len(handed))]
             return [self._one(handed, closed, case) for case in cases]
 
+    def hold(self, gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
+        """`Models.hold` of every row: m, m, degrees."""
+        with warnings_unwritten():
+            rows = [self.models.hold(gripped[i : i + 1]) for i in range(len(gripped))]
+        return np.array(rows, np.float64).reshape(-1, 3)
+
     def _one(self, handed: Handed, closed: list[Any], case: Case) -> Transferred:
         scenario = SCENARIOS[case.scenario]
         persons = draw_persons(scenario, handed.trial_id, case.person)
@@ -92,13 +102,18 @@ def _start(robot: Robot, objects: Sequence[ObjectModel], setting: Setting, seed:
     _simulator = Simulator(robot, objects, setting, seed)
 
 
-def _work(handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
+def _transfer(handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
     assert _simulator is not None
     return _simulator(handed, cases)
 
 
+def _hold(gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
+    assert _simulator is not None
+    return _simulator.hold(gripped)
+
+
 class Processes:
-    """Simulates transfers in several processes, or in this one; rows come back in their order."""
+    """Simulates in several processes, or in this one; rows come back in their order."""
 
     def __init__(self, simulator: Simulator, pool: ProcessPoolExecutor | None, count: int) -> None:
         self.simulator, self.pool, self.count = simulator, pool, count
@@ -107,19 +122,31 @@ class Processes:
         self, handed: Iterable[Handed], cases: Sequence[Case]
     ) -> Iterator[tuple[Handed, list[Transferred]]]:
         """Groups of at most `ROWS` rows, each with all cases."""
-        groups = (rows[i : i + ROWS] for rows in handed for i in range(0, len(rows), ROWS))
         if self.pool is None:
-            for group in groups:
-                yield group, self.simulator(group, cases)
-            return
-        waiting = [
-            (g, self.pool.submit(_work, g, cases)) for g in islice(groups, AHEAD * self.count)
-        ]
+            return ((group, self.simulator(group, cases)) for group in _groups(handed))
+        return self._ahead(self.pool, _groups(handed), partial(_transfer, cases=cases))
+
+    def hold(
+        self, gripped: Iterable[Gripped]
+    ) -> Iterator[tuple[Gripped, Float64[NDArray[np.float64], "n 3"]]]:
+        """Groups of at most `ROWS` rows, each with `Simulator.hold`."""
+        if self.pool is None:
+            return ((group, self.simulator.hold(group)) for group in _groups(gripped))
+        return self._ahead(self.pool, _groups(gripped), _hold)
+
+    def _ahead(
+        self, pool: ProcessPoolExecutor, groups: Iterator[Rows], work: Callable[[Rows], Found]
+    ) -> Iterator[tuple[Rows, Found]]:
+        waiting = [(g, pool.submit(work, g)) for g in islice(groups, AHEAD * self.count)]
         while waiting:
             group, future = waiting.pop(0)
             found = future.result()
-            waiting += [(g, self.pool.submit(_work, g, cases)) for g in islice(groups, 1)]
+            waiting += [(g, pool.submit(work, g)) for g in islice(groups, 1)]
             yield group, found
+
+
+def _groups(parts: Iterable[Rows]) -> Iterator[Rows]:
+    return (rows[i : i + ROWS] for rows in parts for i in range(0, len(rows), ROWS))
 
 
 @contextmanager

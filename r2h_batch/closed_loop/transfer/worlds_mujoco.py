@@ -14,13 +14,14 @@ from jaxtyping import Bool
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.closed_loop.transfer.handed import Handed
+from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
 from r2h_batch.closed_loop.transfer.model import (
     ARM_KG,
     CARRIED_DAMPING,
     DAMPING,
     FREE_DAMPING,
     GRIPPER_KG,
+    TICK_S,
     Places,
     Setting,
     full_effort,
@@ -38,6 +39,8 @@ Array = NDArray[np.float64]
 CLOSE_TICKS, SETTLE_TICKS = 15, 30
 """The gripper closes for 0.125 s, from `AJAR_M` wider; then the object's weight acts for 0.25 s."""
 AJAR_M = 0.004
+HOLD_S = 1.0
+"""`Models.hold`: the weight acts for so long."""
 TOO_FAST = 300.0
 TOUCH_M = 0.0005
 """A contact of MuJoCo's this near is one."""
@@ -51,12 +54,14 @@ class Closed:
         model: as `place` made it.
         data: its state.
         com_closed: (3,) centre of mass when the gripper had closed, m.
+        quat_closed: (4,) orientation of the object then, w first.
         moved_m: how far closing moved it.
     """
 
     model: mujoco.MjModel
     data: mujoco.MjData
     com_closed: Array
+    quat_closed: Array
     moved_m: float
 
 
@@ -73,16 +78,17 @@ class Models:
             self._made[index] = transfer_model(self.robot, self.objects[index], self.setting)
         return self._made[index]
 
-    def close(self, row: Handed) -> Closed:
+    def close(self, row: Gripped) -> Closed:
         """Closes the gripper of one row.
 
         Args:
-            row: of length 1.
+            row: of length 1. Without a person, the open hand waits at the object's origin.
         """
         m = copy.copy(self.of(int(row.object_index[0])))
         places = Places.of(m)
+        T_gripper_slip = row.T_gripper_slip if isinstance(row, Handed) else row.T_gripper_obj
         # the arm's stiffness is of no account until somebody grips
-        place(m, places, row.T_gripper_slip[0], row.T_gripper_obj[0], arm_n_m=300.0)
+        place(m, places, T_gripper_slip[0], row.T_gripper_obj[0], arm_n_m=300.0)
         d = mujoco.MjData(m)
         d.qpos[:] = start_posture(m, self.robot, float(row.opening_m[0]) + AJAR_M)
         mass = m.body_mass[places.object_body]
@@ -92,11 +98,31 @@ class Models:
         start = d.xipos[places.object_body].copy()
         d.ctrl[places.fingers] = full_effort(self.robot)
         mujoco.mj_step(m, d, CLOSE_TICKS * self.setting.steps)
-        closed = d.xipos[places.object_body].copy()
+        closed, quat = d.xipos[places.object_body].copy(), d.xquat[places.object_body].copy()
         m.dof_damping[places.slip_v] = FREE_DAMPING
         m.opt.gravity[:] = G * row.down[0]
         mujoco.mj_step(m, d, SETTLE_TICKS * self.setting.steps)
-        return Closed(m, d, closed, float(np.linalg.norm(closed - start)))
+        return Closed(m, d, closed, quat, float(np.linalg.norm(closed - start)))
+
+    def hold(self, row: Gripped) -> tuple[float, float, float]:
+        """Closes the gripper of one row and lets the object's weight act for `HOLD_S`.
+
+        Args:
+            row: of length 1.
+
+        Returns:
+            How far closing moved the object's centre of mass (m), and how far it then slipped (m) and the object
+            turned (degrees) in the gripper. NaN: the simulation failed.
+        """
+        closed = self.close(row)
+        m, d, body = closed.model, closed.data, Places.of(closed.model).object_body
+        ticks = round(HOLD_S / TICK_S) - SETTLE_TICKS
+        mujoco.mj_step(m, d, ticks * self.setting.steps)
+        slip = float(np.linalg.norm(d.xipos[body] - closed.com_closed))
+        cosine = min(abs(float(d.xquat[body] @ closed.quat_closed)), 1.0)
+        if not np.isfinite(d.qpos).all():
+            return (float("nan"),) * 3
+        return closed.moved_m, slip, float(np.rad2deg(2 * np.arccos(cosine)))
 
 
 class MujocoWorlds:

@@ -69,6 +69,7 @@ def compare(
         across_robots: also pair runs of several robots, by the number of the trial.
     """
     from r2h_batch.report.compare.text import render
+    from r2h_batch.report.held import held_rates
     from r2h_batch.report.statistics import paired as statistics
     from r2h_batch.report.statistics.common import common_trials
     from r2h_batch.report.turn import turned
@@ -92,9 +93,18 @@ def compare(
     for note in paired.notes if format in ("csv", "json") else ():
         LOG.info(f"compare: {note}")
     tests = [turned(run) for run in stored]
-    called = zip(paired.names, paired.runs, paired.methods, strict=True)
+    called = list(zip(paired.names, paired.runs, paired.methods, strict=True))
     turns = [replace(t, method=n) for n, k, own in called for t in tests[k] if t.method == own]
-    notes = (*common.notes, *paired.notes, *(test.sentence for test in turns if test.marked))
+    rates = [held_rates(run) for run in stored]
+    held = [
+        f"{n} {rate.percent:.1f} ({split}, {rate.total})"
+        for n, k, own in called
+        for (split, name), rate in rates[k].items()
+        if name == own
+    ]
+    known = [f"held under their weight for 1 s, percent of those past Stability: {'; '.join(held)}"]
+    marked = (test.sentence for test in turns if test.marked)
+    notes = (*common.notes, *paired.notes, *marked, *(known if held else ()))
     sys.stdout.write(render(comparisons, format, origin=origin, notes=notes, turns=turns))
     return 0
 

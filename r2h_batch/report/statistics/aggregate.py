@@ -78,6 +78,8 @@ class Row:
             receiver who has them.
         through: rate of successes whose path passes through something by more than 0.1 mm, which
             only paths can that are checked at samples.
+        held: rate of objects that the closed gripper holds under their weight for 1 s, of those past
+            Stability, where a run has it (`report.held`).
     """
 
     split: str
@@ -91,6 +93,7 @@ class Row:
     presented: Rate | None = None
     body_met: Rate | None = None
     through: Rate | None = None
+    held: Rate | None = None
     sr_new_categories: Rate | None = None
     n_categories: int = 0
 
@@ -300,9 +303,16 @@ def over_objects(counted: Tally, split: str) -> Row:
 
 
 def _rate(count: int, total: int) -> Rate | None:
-    """The share with its Wilson interval; None of no trials."""
-    if not total:
-        return None
+    return rate_of(count, total) if total else None
+
+
+def rate_of(count: int, total: int) -> Rate:
+    """The share with its Wilson interval.
+
+    Args:
+        count: trials that have it.
+        total: trials, 1 or more.
+    """
     low, high = (100 * float(end) for end in wilson_interval(count, total))
     return Rate(100 * count / total, low, high, count, total)
 

@@ -5,6 +5,7 @@ digest RUN        print the digest of each method's rows
 reevaluate RUN    judge a sample of stored rows again from their stored poses
 rethreshold RUN   print the rates at other thresholds
 reception RUN     print how many receivers could take the object
+held RUN          print how many objects the closed gripper holds under their weight
 transfer RUN      simulate the transfer: the person takes the object, the gripper lets go
 """
 
@@ -159,6 +160,43 @@ def reception(
     return 0
 
 
+def held(
+    folder: Path,
+    /,
+    *,
+    method: tuple[str, ...] = (),
+    processes: int = 0,
+    benchmark: BenchmarkFlags = BUILT_IN,
+    device: str = "cpu",
+) -> int:
+    """Print how many objects the closed gripper holds under their weight for 1 s; write RUN/held/METHOD.parquet.
+
+    Stability is geometric: it passes a heavy object that slides out of a light grasp. The command simulates each grasp
+    that passes it in MuJoCo. `report` and `compare` then show the rate. The success rate does not depend on it.
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+        method: only these methods, by the sweep's word (fc) or the table's name.
+        processes: processes that simulate; 0: one for each core.
+        benchmark: where its files are now, if they are not where the sweep found them.
+        device: cpu, cuda or cuda:N, for the grasps.
+    """
+    from r2h_batch.base.launch import cpu_threads
+    from r2h_batch.report.held import FOLDER
+    from r2h_batch.runs.files import RunError, in_the_way
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results import held as simulated
+
+    if processes < 0:
+        raise UsageError("--processes must be 0 or more")
+    if what := in_the_way(folder / FOLDER, folder=True):
+        raise RunError(what)
+    run = load_run(folder).only(method)
+    files = simulated.write_tables(run, benchmark, count=processes or cpu_threads(), device=device)
+    print(simulated.render(files), end="")
+    return 0
+
+
 def transfer(
     folder: Path,
     /,
@@ -227,5 +265,6 @@ COMMANDS = {
     "reevaluate": reevaluate,
     "rethreshold": rethreshold,
     "reception": reception,
+    "held": held,
     "transfer": transfer,
 }

@@ -80,6 +80,24 @@ def tables_of_run(
     return tables
 
 
+def judge_of(run: Run, benchmark: BenchmarkFlags, device: str) -> tuple[Judge, list[str]]:
+    """The evaluator of a run, and its methods with rows.
+
+    Args:
+        run: with poses.
+        benchmark: where its files are now, if they are not where the sweep found them.
+        device: cpu, cuda or cuda:N.
+
+    Raises:
+        RunError: the run holds no rows or no poses.
+    """
+    check_poses(run)
+    names = [e.name for e in run.entries if e.shards]
+    if not names:
+        raise RunError(f"{run.folder}: no shard of any method is stored")
+    return Judge(run, given=BenchmarkOverrides.of(benchmark), device=device), names
+
+
 def judge_of_bodies(run: Run, benchmark: BenchmarkFlags, device: str) -> tuple[Judge, list[str]]:
     """The evaluator of a run whose receivers have bodies, and its methods with rows.
 
@@ -91,11 +109,7 @@ def judge_of_bodies(run: Run, benchmark: BenchmarkFlags, device: str) -> tuple[J
     Raises:
         RunError: the run holds no rows, no poses, or trials without a receiver's body.
     """
-    check_poses(run)
-    names = [e.name for e in run.entries if e.shards]
-    if not names:
-        raise RunError(f"{run.folder}: no shard of any method is stored")
-    judge = Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
+    judge, names = judge_of(run, benchmark, device)
     one = run.trials(names[0], ["trial_id"])["trial_id"][:1].to_numpy()
     if judge.trials(one).receiver is None:
         raise RunError(f"{run.folder}: its trials have no receiver's body; sweep --protocol r2h-v1")
