@@ -86,7 +86,7 @@ def write_tables(
 
 
 def _made_of(path: Path) -> Any:
-    """What a file was made of; None: it is missing or no such file."""
+    """The rows and code that a file was made of; None: it is missing or no such file."""
     if not path.is_file():
         return None
     try:
