@@ -435,7 +435,7 @@ def network_lines(data: Mapping[str, Any]) -> str:
     ]
     parts.append(markdown_table(["Contact-Handover with", "SR S0", "SR S1", "SR Avg", "F_afford S1"], rates))
     share = 100 * data["exact"]["network"]["S1"]["sr"] / data["exact"]["exact"]["S1"]["sr"]
-    parts.append(f"In S1 the network reaches {share:.0f} % of the SR that exact maps give; 90 % was asked for.")
+    parts.append(f"In S1 the network reaches {share:.0f} % of the SR that exact maps give; the aim was 90 %.")
     return "\n\n".join(parts)
 
 
@@ -449,30 +449,30 @@ def markdown(data: Mapping[str, Any]) -> str:
         "# Object families: results",
         "See which conclusions about methods hold on objects that nobody tuned to. r2h-v2 is a draft; its figures may change."
         f" `python bench/families.py --rows FOLDER --trials {data['trials']}` measured all of this, motion as planned (rows of"
-        f" commit {data['rows_commit'][:12]}; `bench/results/families.json`). [What the words mean](../statistics.md).",
+        f" commit {data['rows_commit'][:12]}; `bench/results/families.json`). [Statistical terms](../statistics.md).",
         "## Table I of r2h-v2",
         f"{data['table']['origin']['instances']}. SR in percent; {n['S0']} trials in S0, {n['S1']} in S1. #1: share of bootstrap"
         " draws of categories and their instances in which the method is first. Worst rank: with one category left out.",
         table_lines(data),
         *scan_lines(data),
         f"The oracle solves at least {data['oracle'][low]:.1f} % in every category.",
-        "Of the pairs, over all trials: " + "; ".join(pair_words(data)) + ".",
+        "Differences of SR between two methods, over all trials: " + "; ".join(pair_words(data)) + ".",
         "## Turn test",
         "The same trials with turned objects ([turn test](../statistics.md#turn-test)): points of SR gained, with the 95 %"
         " interval over categories. Handover-VA begins the alignment of its template at the axes of the object's frame, so its"
-        " answer depends on them. Both turns map an object's voxel grid onto itself; the contact network's areas below include"
-        " a turn that does not.",
+        " answer depends on them. Both turns map an object's voxel grid onto itself. The table of the contact network below has a"
+        " turn that does not.",
         turn_lines(data),
         "## Contact network",
-        "Trained on training instances alone; it works in axes made from the object. The sixteen objects of r2h-v1 have their own"
-        " network, which knows how they lie.",
+        "The network was trained on training instances alone and works in axes made from the object. For the sixteen objects of"
+        " r2h-v1 there is another network, trained in the frames of their meshes. Region: the part that the receiver wants.",
         network_lines(data),
         "## Order of the methods",
-        "SR is the mean of the splits. Decided of 6 pairs: for new categories + for these objects alone (r2h-v1: for these"
-        " objects at least).",
+        "SR is the mean of the splits. The last column counts, of the 6 pairs of methods, those whose difference is significant"
+        " for new categories + those where it is significant for these objects alone (r2h-v1: for these objects at least).",
         order_lines(data),
         "## How many instances",
-        "Half of the 95 % interval of SR from C categories with m instances of each and t = 10 trials of each instance is"
+        "SR is measured on C categories, m instances of each, and t = 10 trials of each instance. Half of its 95 % interval is"
         " `t_{C-1} sqrt((s_c^2 + s_i^2 / m + s_t^2 / (m t)) / C)`. s_c: spread between categories, s_i: between instances of one,"
         " s_t: of single trials, in points, from r2h-v2's rows. Columns C x m: half widths.",
         spread,

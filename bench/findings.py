@@ -146,8 +146,8 @@ CAUSES = [
     " eight, without the object. In the default preset F_safe is 0: the planner certifies paths against the true hand.",
     "Contact-Handover's pose search ignores the function of the object, and its network never saw the object. In S1 its"
     " Stability fails only with candidates as generated (preset paper).",
-    "Intent-Handover's rule knows the region. Contact-Handover's network estimates it, too coarsely for second"
-    " place with candidates as generated.",
+    "Intent-Handover's rule knows the receiver's region. Contact-Handover's network estimates it. With candidates as generated"
+    " the estimate is too coarse for second place.",
     "Intent-Handover turns hand, object and gripper as one. So the gripper is as far from the target hand as from the predicted"
     " hand on the object. The paper does not say whether object or gripper stands 15 cm above the palm.",
     "The times of stand-ins say nothing about the originals.",

@@ -2,6 +2,8 @@
 
 python bench/judge_again.py [SET ...] [--trials N] [--json FILE]
 
+`unseen` are meshes of bench/meshes.py, `families` the 96 instances of r2h-v2; nobody tuned a criterion to either.
+
 Of each set N trials a split and method are swept, with details and paths. Rows, poses and paths are read from the run folder.
 `tests/support/judge_twin.py` has an own closing law, hulls, kinematics and time law, and says what it shares: trials, posed
 hands, meshes, thresholds, and the numbers of the robot's file. Of set `error` the errors too are shared, of preset paper where
@@ -49,6 +51,7 @@ SETS = {
     "body": [*V1, "--receiver", "body"],
     "paper": ["--preset", "paper", "--protocol", "r2h-v0"],
     "unseen": V1,
+    "families": ["--protocol", "r2h-v2"],
     "panda": [*V1, "--robot", "panda_hand"],
     "ur10e": [*V1, "--robot", "ur10e_2f85"],
     "release": ["--preset", "release", "--protocol", "r2h-release"],
@@ -57,6 +60,16 @@ SETS = {
     "closed": V1,
 }
 METHODS = ("fc", "handover-va", "random")
+MEASURES = (
+    "bench/judge_again.py",
+    "tests/support/judge_twin.py",
+    "tests/support/people_twin.py",
+    "kernels",
+    "r2h_batch/judge",
+    "r2h_batch/scene",
+    "r2h_batch/closed_loop",
+    "r2h_batch/evaluate.py",
+)
 
 
 @dataclass
@@ -170,14 +183,22 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("sets", nargs="*", default=list(SETS), help=f"of {', '.join(SETS)}; default: all")
     parser.add_argument("--trials", type=int, default=14, help="of each split and method")
-    args, report = parser.parse_args(), Report()
+    args, report = parser.parse_args(), Report(MEASURES)
     with tempfile.TemporaryDirectory() as kept:
         meshes = Path(kept) / "meshes"
         meshes.mkdir()
         for thing, mesh in drawn().items():
             mesh.export(meshes / f"{thing}.obj")
+        report.add("judge_again.trials", args.trials)
         for name in args.sets:
-            for criterion, t in judge_set(name, SETS[name], Path(kept) / name, meshes, args.trials).items():
+            tallies = judge_set(name, SETS[name], Path(kept) / name, meshes, args.trials)
+            margins = [t for criterion, t in tallies.items() if criterion != "facts"]
+            whole: dict[str, float] = {"margins": sum(t.rows for t in margins), "wrong": sum(t.wrong for t in margins)}
+            whole["bounds_that_do_not"] = sum(t.beyond for t in margins)
+            whole["largest_difference_mm"] = round(max((t.largest for t in margins), default=0.0), 4)
+            for figure, value in whole.items():
+                report.add(f"judge_again.{name}.{figure}", value)
+            for criterion, t in tallies.items():
                 figures: dict[str, float] = {"rows": t.rows, "wrong": t.wrong}
                 if criterion != "facts":
                     figures["largest_difference_mm"] = round(t.largest, 4)

@@ -69,7 +69,7 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         strips = ("--strips", out / "strips_5.png", "--overwrite")
         command("view", run, "--method", "fc", "handover-va", "contact", "intent", "--trial", 5, *strips)
         scene = ("--out", folder / "scene", "--render", out / "scene.png", "--overwrite")
-        command("scene", "--run", run, "--method", "fc", "--trial", moved, *scene)
+        command("scene", run, "--method", "fc", "--trial", moved, *scene)
     grasps(out / "baselines_grasps.png")
     drawn = [
         out / f"{name}.png"

@@ -127,8 +127,8 @@ def markdown(data: dict) -> str:
     stable = sum(v["kept"] == 6 for v in variants_[1:])
     best = sum(v["order"][0] == base["order"][0] for v in variants_[1:])
     parts = [
-        "# What each choice is worth",
-        "See how far one choice moves the success rates. Each line changes one choice of the base"
+        "# How far each choice changes the rates",
+        "See how far one choice changes the success rates. Each line differs from the base in one choice"
         f" (`{' '.join(BASE)}`, default preset, motion as planned, {data['trials']} trials a split; `make tables`, commit"
         f" {data['commit'][:12]}). `sensitivity.json` has first failures, splits and the test of each pair.",
         "SR is the mean of the splits in percent, with its change in brackets. Pairs: of the six pairs of methods, how many keep"

@@ -99,7 +99,8 @@ TIMES = {
     "T_method, us": ("t_method_s", 1e6, ".0f"),
 }
 NOTES = """- SR: trials that succeed. F_*: trials whose first failure is that criterion. SR and F_* add up to 100.
-- F_afford and Presented (the region faces the palm within reach; not in SR) exist in S1 only."""
+- The region is the part of the object that the receiver wants (S1). F_afford: the gripper holds it.
+- Presented (not in SR): it faces the palm within reach."""
 TIMES_NOTES = """- T_plan: wall time of planning a batch / its size. T_exec: mean over trials whose arm came to rest at its goal.
   T_method: the method's own time.
 - SR, 95 %: for more trials with these objects (Wilson); for new objects of the same kind (t interval over objects).
@@ -247,10 +248,10 @@ def truth_about_v1() -> str:
     other = next(m for m in intent["moves"] if m["turn"] == worst["turn"])
     return "\n\n".join([
         "## What these rates depend on",
-        "Contact-Handover's rate in S1, and that it is level with Intent-Handover, need the frames in which these sixteen meshes"
-        f" lie: its contact network learned them. The same trials with the objects turned ({WORDS[worst['turn']]}) take it from"
+        "Contact-Handover's rate in S1 depends on the frames of these sixteen meshes: its contact network learned them. So does"
+        f" its tie with Intent-Handover. On the same trials with turned objects ({WORDS[worst['turn']]}) it falls from"
         f" {contact['rate']:.1f} to {contact['rate'] + worst['points']:.1f} % (95 % of the difference {worst['low']:+.1f} to"
-        f" {worst['high']:+.1f} points) and Intent-Handover from {intent['rate']:.1f} to {intent['rate'] + other['points']:.1f} %"
+        f" {worst['high']:+.1f} points); Intent-Handover has {intent['rate']:.1f} and {intent['rate'] + other['points']:.1f} %"
         f" ({contact['n']} trials of S1, motion as planned; [families](families.md)). r2h-v1 stays as it is; r2h-v2 asks methods"
         " about objects that no network here has seen.",
         "Points of SR by one changed choice ([all of them](sensitivity.md)); empty: the choice is another method's.",

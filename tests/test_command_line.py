@@ -1,9 +1,12 @@
 """One command and eight subcommands: what they are called, how they refuse, what `--help` imports."""
 
+import ast
 import re
 import subprocess
 import sys
 from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -70,7 +73,7 @@ def test_the_help_of_a_command_loads_nothing_heavy():
         ("report x --fromat md", ["--fromat, did you mean --format?", "--by-object"]),
         ("compare", ["no run folder"]),
         ("results rethreshold x --reach-radios 1", ["did you mean --reach-radius?"]),
-        ("scene --run x --trail 1 --out y", ["did you mean --trial?"]),
+        ("scene x --trail 1 --out y", ["did you mean --trial?"]),
         ("trials --out x --splits S3", ["'S3'", "'S0', 'S1'"]),
         ("trials --trials 3", ["--out"]),
         ("sweep --method fc --method random", ["--method is given twice", "--method A B"]),
@@ -88,3 +91,32 @@ def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code
 def test_the_help_of_a_sweep_names_every_flag() -> None:
     shown = {*re.findall(r"--[a-z][a-z-]+", help_text("r2h-batch sweep"))}
     assert {f"--{f.name.replace('_', '-')}" for f in fields(Options)} - shown == set()
+
+
+OTHERS = {"--rule", "--bar", "--head", "--tyro-", "--always", "--dirty", "--abbrev", "--exclude"}
+"""Colours of a page, flags of Ray, tyro and git."""
+FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]+")
+
+
+def strings(file):
+    """The text of a file's strings, without docstrings."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    told = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+    return [
+        n.value
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in told
+    ]
+
+
+def test_messages_name_only_flags_that_the_help_of_a_command_names(capsys):
+    shown = {"--help", "--version"}
+    for name, (where, _) in COMMANDS.items():
+        module, function = where.split(":")
+        found = getattr(import_module(f"r2h_batch.{module}"), function)
+        for line in [[name, sub] for sub in found] if isinstance(found, dict) else [[name]]:
+            shown |= {*FLAG.findall(helped(capsys, *line))}
+    package = Path(import_module("r2h_batch").__file__).parent
+    files = [f for f in package.rglob("*.py") if f.name != "play.py"]  # a program of its own, in exported scenes
+    named = {(flag, f.name) for f in files for text in strings(f) for flag in FLAG.findall(text)}
+    assert len(named) > 150 and {(flag, name) for flag, name in named if flag not in shown | OTHERS} == set()

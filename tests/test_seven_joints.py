@@ -69,8 +69,16 @@ def test_it_reaches_what_it_can_reach_and_says_only_what_is_proven(evaluator):
     assert np.abs(ee_pose(SEVEN, postures) - target[rows].double().numpy()).max() < 1.5e-5
     assert ((SEVEN.lower <= postures) & (postures <= SEVEN.upper)).all()
     assert found.valid.sum(1)[:1980].float().mean() > 6.0
-    apart = np.abs((found.q[:, :1] - found.q[:, 1:]).numpy())
-    assert np.nanmin(np.where(found.valid[:, 1:], apart.max(2), np.nan)) > 0.24
+    apart = found.q[:, :, None] - found.q[:, None]
+    apart = (
+        (apart - 2 * torch.pi * (apart / (2 * torch.pi)).round()).abs().amax(3)
+    )  # a whole turn more is no other posture
+    apart = apart[:, *np.triu_indices(apart.shape[1], 1)]
+    assert float(apart[apart.isfinite()].min()) > 0.24
+    assert found.nearest[found.reachable].isnan().all() and found.miss_m[found.reachable].isinf().all()
+    missed = found.nearest[~found.reachable].double().numpy()
+    off = np.linalg.norm(ee_pose(SEVEN, missed)[:, :3, 3] - target[~found.reachable, :3, 3].double().numpy(), axis=1)
+    assert (off > 0.005).all() and (found.miss_m[~found.reachable].numpy() >= off - 1e-4).all()
 
 
 def test_oracle_answers_for_the_ur5e_are_reached_on_free_paths(scene, evaluator):

@@ -40,6 +40,17 @@ T_METRICS, T_ROWS, T_MOTION = (
 )
 MOVING, ENV = "r2h_batch/closed_loop/moving.py", "r2h_batch/closed_loop/env.py"
 T_ISO = "tests/closed_loop/test_env.py::test_times_too_near_and_shares_of_the_allowed_force_are_those_of_iso_ts_15066"
+T_SEEN = (
+    "tests/closed_loop/test_env.py::test_what_is_seen_is_late_noisy_and_sometimes_old_and_the_truth_only_on_request"
+)
+ANY_ARM, RECEPTION = "kernels/ik/any_arm.py", "kernels/judge/reception.py"
+T_SEVEN = "tests/test_seven_joints.py::test_it_reaches_what_it_can_reach_and_says_only_what_is_proven"
+T_PANDA = "tests/test_robots.py::test_a_redundant_arm_gets_eight_postures_a_target_for_few_steps"
+T_COME = "tests/judge/test_reception.py::test_hands_come_the_first_way_on_which_samples_keep_off_the_gripper"
+T_RELEASE = (
+    "tests/judge/test_reception.py::test_the_gripper_lets_go_where_samples_of_opening_and_backing_off_keep_off_the_hand"
+)
+T_WHOLE = "tests/judge/test_reception.py::test_whole_ways_are_free_where_every_sample_of_hand_and_arm_is"
 T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed"
 T_GRASP = f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit"
 T_BALL = f"{T_ROWS}::test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit"
@@ -260,6 +271,153 @@ MUTATIONS = (
         "self._within_reach(near) >= 0",
         "self._within_reach(near) >= -0.05",
         ("tests/closed_loop/test_env.py::test_an_object_that_stays_2_cm_outside_of_the_ball_is_not_received",),
+    ),
+    Mutation(
+        "closed loop: contact blames the other",
+        ENV,
+        "by_robot = robot < self._apart(",
+        "by_robot = robot > self._apart(",
+        ("tests/closed_loop/test_env.py::test_contacts_say_who_moved",),
+    ),
+    Mutation(
+        "closed loop: an object that went 10 cm is taken",
+        ENV,
+        "> STAYED_M",
+        "> 10 * STAYED_M",
+        ("tests/closed_loop/test_env.py::test_an_object_that_goes_farther_than_1_cm_while_it_is_taken_is_not_received",),
+    ),
+    Mutation(
+        "closed loop: what is seen is never late",
+        ENV,
+        "back = torch.minimum(self.k_of, torch.full_like(frame, late))",
+        "back = torch.zeros_like(frame)",
+        (T_SEEN,),
+    ),
+    Mutation(
+        "closed loop: half of the drop-outs",
+        ENV,
+        "u < c.dropout",
+        "u < 0.5 * c.dropout",
+        (T_SEEN,),
+    ),
+    Mutation(
+        "closed loop: collisions are not looked for",
+        ENV,
+        "rows[~self._meets_nothing(rows, self._since(self._postures, rows))]",
+        "rows[:0]",
+        ("tests/closed_loop/test_env.py::test_policies_that_follow_the_hand_keep_off_table_robot_and_object",),
+    ),
+    Mutation(
+        "closed loop: held out for half of the time",
+        ENV,
+        ">= HELD_OUT_S - 1e-6",
+        ">= 0.5 * HELD_OUT_S - 1e-6",
+        ("tests/closed_loop/test_env.py::test_an_object_within_reach_is_received_after_it_was_held_out_for_a_tenth_of_a_second",),
+    ),
+    Mutation(
+        "closed loop: half of the hand's way between two steps",
+        "r2h_batch/closed_loop/relative.py",
+        "way[i].travel(*times)",
+        "0.5 * way[i].travel(*times)",
+        ("tests/closed_loop/test_env.py::test_a_hand_that_comes_to_the_robot_and_goes_back_within_one_step_touches_it",),
+    ),
+    Mutation(
+        "reception: straight ways end after 5 cm",
+        RECEPTION,
+        "if s >= WAY_M:",
+        "if s >= 0.5 * WAY_M:",
+        (T_COME,),
+    ),
+    Mutation(
+        "reception: the release looks at narrower openings",
+        RECEPTION,
+        "float(k + 1) / 3.0",
+        "float(k) / 3.0",
+        (T_RELEASE,),
+    ),
+    Mutation(
+        "reception: the gripper backs off forwards",
+        RECEPTION,
+        "wp.vec3(0.0, 0.0, 1.0), eps, begin)",
+        "wp.vec3(0.0, 0.0, -1.0), eps, begin)",
+        (T_RELEASE,),
+    ),
+    Mutation(
+        "reception: the torso is a point when pairs are left out",
+        RECEPTION,
+        " - arm.half[k], 0.0)",
+        ", 0.0)",
+        ("tests/judge/test_reception.py::test_arms_that_only_the_torso_keeps_off_the_robot_are_as_fcl_says",),
+    ),
+    Mutation(
+        "reception: the hand turns the other way on its way",
+        RECEPTION,
+        "-turn_left * angle",
+        "turn_left * angle",
+        (T_WHOLE,),
+    ),
+    Mutation(
+        "reception: forearms go through the torso",
+        RECEPTION,
+        " and not crosses_torso(arm)",
+        "",
+        ("tests/judge/test_reception.py::test_no_forearm_goes_through_the_torso",),
+    ),
+    Mutation(
+        "reception: the arm may meet the robot on its way",
+        RECEPTION,
+        "e = arm_distance(world, bodies, trial, links, origins, arm, FAR_M)",
+        "e = float(FAR_M)",
+        (T_WHOLE,),
+    ),
+    Mutation(
+        "reception: no turn about the axis of revolution",
+        RECEPTION,
+        "if k % 2 == 1 and",
+        "if k % 2 == 3 and",
+        ("tests/judge/test_reception.py::test_every_second_grasp_of_an_object_of_revolution_is_turned_to_where_the_hand_turns_least",),
+    ),
+    Mutation(
+        "any arm: whole turns are other postures",
+        ANY_ARM,
+        "d - TWO_PI * wp.floor(d / TWO_PI + 0.5)",
+        "d",
+        (T_SEVEN,),
+    ),
+    Mutation(
+        "any arm: unreachable from 90 % of the length on",
+        ANY_ARM,
+        "> chain.reach + position_tolerance_m",
+        "> wp.float64(0.9) * chain.reach",
+        (T_SEVEN,),
+    ),
+    Mutation(
+        "any arm: the rotation does not count",
+        ANY_ARM,
+        " and off_rad <= rotation_tolerance_rad",
+        "",
+        (T_SEVEN, T_PANDA,),
+    ),
+    Mutation(
+        "any arm: the position does not count",
+        ANY_ARM,
+        "last > 0 and off_m <= position_tolerance_m and",
+        "last > 0 and",
+        (T_SEVEN, T_PANDA,),
+    ),
+    Mutation(
+        "any arm: compared with the last posture only",
+        ANY_ARM,
+        "new = new and far >= apart",
+        "new = far >= apart",
+        (T_SEVEN, T_PANDA,),
+    ),
+    Mutation(
+        "any arm: a miss is reported beside postures",
+        ANY_ARM,
+        "    if found > 0:\n        residual_out",
+        "    if found > 99:\n        residual_out",
+        (T_SEVEN,),
     ),
 )  # fmt: skip
 

@@ -13,7 +13,6 @@ Folders of format 3 are read by `runs/format3.py`.
 
 import csv
 import hashlib
-import itertools
 import shlex
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -161,8 +160,7 @@ class Run:
         return replace(self, entries=tuple(e for e in self.entries if e.name in names))
 
     def view_command(self, method: str) -> str:
-        """The command that shows trials of a method: `r2h-batch view RUN --method WORD --trial`, with
-        the files that the sweep was given."""
+        """The command that shows trials of a method: `r2h-batch view RUN --method WORD --trial`."""
         entry = self.entry(method)
         run = next(r for r in self.runs if r.folder == entry.folder)
         name = next(e.name for e in run.entries if e.slug == entry.slug)
@@ -170,10 +168,7 @@ class Run:
         word = module.removeprefix("r2h_batch.methods.").replace("_", "-")
         with suppress(RunError):
             name = word if run.named(word) == name else name
-        flags = (entry.header.get("benchmark") or {}).get("flags") or []
-        own_flags = [f.split() for f in flags if not f.startswith(("--protocol", "--receiver"))]
-        words = ["r2h-batch", "view", str(entry.folder), "--method", name]
-        return shlex.join([*words, *itertools.chain(*own_flags), "--trial"])
+        return shlex.join(["r2h-batch", "view", str(entry.folder), "--method", name, "--trial"])
 
     def planned(self, method: str) -> dict[str, int]:
         """Split -> trials that a method was asked."""

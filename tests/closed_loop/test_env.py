@@ -503,3 +503,99 @@ def test_a_hand_that_takes_may_touch_the_gripper_by_itself_and_nothing_else(scor
     assert (e.end == int(End.SUCCESS)).sum() >= 4 and (e.overlap_m[e.end == int(End.SUCCESS)] > 0).any()
     e = taken(lambda env: ee(env) - 0.3 * env.T_world_ee[:, :3, 2].float(), stand)
     assert (e.end == int(End.CONTACT)).sum() >= 4 and not e.robot_touched[e.end == int(End.CONTACT)].any()
+
+
+@pytest.mark.parametrize(("rises_s", "end"), [(0.3, End.SUCCESS), (0.5, End.NOT_RECEIVED)])
+def test_an_object_that_goes_farther_than_1_cm_while_it_is_taken_is_not_received(scores, rises_s, end):
+    """Hands that are where they take the object, and a gripper that rises and then stands."""
+    good = scores[scores.success][:6]
+    env = HandoverEnv(good, "takes", action="twist", config=LoopConfig(horizon_s=6))
+    env.reset(seed=0)
+    env.hands.way.begin[0] = torch.inf
+    begin = env.T_world_ee[:, :3, 3].clone()
+    env._at_take = begin.float()
+    env.hands.take(torch.zeros(6), torch.arange(6), env.T_world_hand.clone())
+    up = torch.tensor([0.0, 0.0, 0.05, 0.0, 0.0, 0.0]).repeat(6, 1)
+    gone = torch.zeros(6, dtype=torch.float64)
+    while running(env):
+        env.step(up if env.time_s < rises_s - 1e-6 else 0.0 * up)
+        gone = torch.maximum(gone, (env.T_world_ee[:, :3, 3] - begin).norm(dim=1))
+    low, high = (0.006, 0.0095) if end == End.SUCCESS else (0.01, 0.0125)  # an episode ends beyond 1 cm
+    assert ((low < gone) & (gone < high)).all() and (env.ends == int(end)).all(), gone
+    assert (env._why == int(envs.Why.TAKEN if end == End.SUCCESS else envs.Why.NOT_STILL)).all()
+
+
+@pytest.mark.parametrize("rate_hz", [20, 50])
+def test_an_object_within_reach_is_received_after_it_was_held_out_for_a_tenth_of_a_second(scores, rate_hz):
+    """With a ball of 2 m every object is within reach of the hand from the start, and nothing moves."""
+    _, benchmark = evaluator_of("ur5e_2f85")
+    wide = replace(benchmark, thresholds=Thresholds(reach_radius_m=2.0))
+    given, rows = scores.inputs, torch.nonzero(scores.success).flatten()[:3]
+    some = Evaluator.from_benchmark(wide, EvalConfig(execute=ExecConfig(sim="none"))).score(
+        given.T_obj_ee[rows], given.T_world_ee[rows], given.trials[rows]
+    )
+    env = HandoverEnv(some, "still", config=LoopConfig(rate_hz=rate_hz))
+    env.reset()
+    while running(env):
+        env.step(torch.zeros(3, 6))
+    e = env.episodes()
+    assert (e.end == int(End.SUCCESS)).all() and np.allclose(e.time_s, 0.1, atol=1e-6)
+
+
+class ThereAndBack:
+    """Hands that go from where they are to a robot that stands, and back, in a second: a half sine along a line."""
+
+    def __init__(self, T_world_hand, way):
+        self.T, self.line = T_world_hand.double(), way.double()
+
+    @property
+    def way(self):
+        return self
+
+    def __getitem__(self, rows):
+        return ThereAndBack(self.T[rows], self.line[rows])
+
+    def pose(self, time_s):
+        T = self.T.clone()
+        T[:, :3, 3] += torch.sin(torch.pi * time_s)[:, None] * self.line
+        return T
+
+    def travel(self, first_s, last_s):
+        middle = torch.clamp(torch.full_like(first_s, 0.5), first_s, last_s)
+        parts = [
+            (torch.sin(torch.pi * a) - torch.sin(torch.pi * b)).abs() for a, b in ((first_s, middle), (middle, last_s))
+        ]
+        return sum(parts) * self.line.norm(dim=1)
+
+
+def test_a_hand_that_comes_to_the_robot_and_goes_back_within_one_step_touches_it(scores):
+    """Both ends of the step are alike and apart; only what lies between them touches, or stays 1 cm away."""
+    good = scores[scores.success][:4]
+    env = HandoverEnv(good, "still")
+    env.reset()
+    every, zero = torch.arange(4), torch.zeros(4, dtype=torch.float64)
+    at = env.T_world_hand.clone()
+    towards = env.T_world_ee[:, :3, 3].float() - env.scene.palm(env.trials.hand_index, at)[0]
+    gap = env._distance.at(every, env.q, at)
+    for _ in range(200):  # to 0.10 to 0.14 m in front of the robot
+        far = gap > 0.14
+        if not far.any():
+            break
+        at[far, :3, 3] += 0.02 * torch.nn.functional.normalize(towards, dim=1)[far]
+        gap = env._distance.at(every, env.q, at)
+    assert ((gap > 0.08) & (gap < 0.15)).all()
+    line = torch.nn.functional.normalize(towards, dim=1) * 0.02
+    deep = [env._distance.at(every, env.q, moved_by(at, k * line)) <= 0 for k in range(20)]
+    first = torch.stack(deep).int().argmax(0)
+    assert (first > 0).all()
+    for steps, touches in ((first, True), (first - 2, False)):
+        hands = ThereAndBack(at, steps[:, None] * line)
+        passed = env._distance.over_step(every, (env.q, env.q), hands, (zero, zero + 1.0), gap)
+        assert (passed.touch == touches).all() and torch.allclose(passed.gap_m, gap, atol=1e-6)
+        assert (passed.least_m <= 0.05).all()
+
+
+def moved_by(T, way):
+    T = T.clone()
+    T[:, :3, 3] += way
+    return T

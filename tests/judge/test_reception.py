@@ -1,5 +1,6 @@
 """Reception: the arm found again from how persons are drawn, and every step against python-fcl's distances."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import combinations
 
@@ -311,6 +312,184 @@ def test_the_whole_way_to_the_chosen_grasp_is_free_at_every_sample(scores, steps
             assert least(gripper_bodies(batch, i, opening), pieces) > 0, (i, t)
             arm = arm_bodies(receiver, 0.5 * t * lean, waits + 0.5 * t * (elbow - waits), at)
             assert gap_to_robot(batch, i, scores.q_goal[i].double().numpy(), arm) > 0, (i, t)
+
+
+# --- the same verdicts on many pairs, from samples of what FCL was asked about above ------------------------------------
+
+SAMPLES = 41
+NEARLY_M = judge.ROOM_M + 0.5 * kernels.WAY_M / (SAMPLES - 1) + 1e-5
+"""A straight way with less than `ROOM_M` somewhere has no more than this at one of its samples."""
+
+
+def shifted(T_obj_ee, way):
+    """The ee where the hand sees it after the hand went by `way`, ee frame."""
+    return torch.cat([torch.cat([T_obj_ee[:, :3, :3], T_obj_ee[:, :3, 3:] - T_obj_ee[:, :3, :3] @ way[:, :, None]], 2),
+                      T_obj_ee[:, 3:]], 1).contiguous()  # fmt: skip
+
+
+def beside_gripper(batch, pair, room_m=judge.ROOM_M, **changed):
+    """Whether the hands of pairs keep `room_m` from the gripper."""
+    columns = {k: pair[k] for k in judge._PAIR_COLUMNS} | changed
+    tables = batch.tables | {"eps": room_m}
+    return judge._launch(batch, kernels.come_to_object, len(pair["row"]), **tables, **columns)["free"]
+
+
+def straight(batch, pair, way, room_m, **changed):
+    """Whether hands keep `room_m` at every sample while they go 10 cm along `way`, ee frame."""
+    free = torch.ones(len(pair["row"]), dtype=torch.bool)
+    for s in np.linspace(0, float(kernels.WAY_M), SAMPLES).tolist():
+        free &= beside_gripper(batch, pair, room_m, attached=shifted(pair["attached"], s * way), **changed)
+    return free
+
+
+def ways_out(batch, pair):
+    """The three directions in which each pair's hand may go back, ee frame."""
+    table, row = batch.grasps, pair["row"].long()
+    T = judge._about_axis(table, pair["object"].long(), pair["turn"])[:, :3, :3]
+    n, a = table.owners[2][row], table.owners[1][row]
+    R = pair["attached"][:, :3, :3].transpose(1, 2) @ T
+    return [-(R @ u[:, :, None])[..., 0] for u in (n, a, torch.nn.functional.normalize(n + a, dim=1))]
+
+
+def pairs_of(batch, arms, mask, n, moved_m=0.0):
+    """Some pairs where a mask holds, with the gripper moved at random by up to `moved_m` along each axis."""
+    trial, k = torch.tensor(some(mask, n)).T
+    pair = batch.pairs(trial, k, arms)
+    off = moved_m * torch.from_numpy(np.random.default_rng(2).uniform(-1, 1, (n, 3))).float()
+    return trial, k, pair | {"attached": shifted(pair["attached"], off)}
+
+
+def test_hands_come_the_first_way_on_which_samples_keep_off_the_gripper(steps):
+    batch, arms, passes, _ = steps
+    _, _, pair = pairs_of(batch, arms, passes[..., 0] & passes[..., 1], 400, moved_m=0.05)
+    columns = {k: pair[k] for k in judge._PAIR_COLUMNS}
+    made = judge._launch(batch, kernels.come_to_object, 400, **batch.tables, **columns)
+    late = 0
+    for which, way in enumerate(ways_out(batch, pair)):
+        free, nearly = (straight(batch, pair, way, room_m) for room_m in (1e-6, NEARLY_M))
+        assert free[made["way"] == which].all()
+        blocked = made["free"] & ((made["way"] > which) | (made["way"] < 0))
+        assert not (nearly & blocked).any()
+        late += int((blocked & straight(batch, pair, 0.5 * way, NEARLY_M)).sum())
+    assert late >= 3 and (made["way"] >= 0).sum() > 100  # some meet the gripper beyond 5 cm alone
+
+
+def test_the_gripper_lets_go_where_samples_of_opening_and_backing_off_keep_off_the_hand(steps):
+    batch, arms, passes, _ = steps
+    n = 1500
+    _, _, pair = pairs_of(batch, arms, passes[..., 0], n, moved_m=0.12)
+    wide = batch.grasps.open_gap_m
+    columns = {k: pair[k] for k in judge._PAIR_COLUMNS} | {"open_gap": wide}
+    release = judge._launch(batch, kernels.let_go, n, **batch.tables, **columns)["release"]
+    third, two = (
+        beside_gripper(batch, pair, opening=pair["opening"] + k / 3 * (wide - pair["opening"])) for k in (1, 2)
+    )
+    back = torch.tensor([[0.0, 0.0, 1.0]]).expand(n, 3)
+    opened = torch.full((n,), wide)
+    free, nearly = (straight(batch, pair, back, room_m, opening=opened) for room_m in (1e-6, NEARLY_M))
+    assert (third & two & free)[release].all() and not (third & two & nearly)[~release].any()
+    assert release.sum() > 50 and (third & two & ~free).sum() > 5 and (~two & third & free).sum() >= 1
+
+
+def test_arms_that_only_the_torso_keeps_off_the_robot_are_as_fcl_says(scores, steps):
+    """The torso is moved to the robot's links; forearm and upper arm are far away."""
+    batch, _, _, _ = steps
+    robot, rng, found = evaluator().scene.robot, np.random.default_rng(4), []
+    receiver = batch.robot["receiver"].clone()
+    T = forward_kinematics(robot, scores.q_goal.double().numpy().astype(np.float64))
+    for i in range(len(receiver)):
+        place = T[i, rng.integers(1, 7), :3, 3] + rng.uniform(-0.25, 0.25, 3)
+        receiver[i, 3, :3] = torch.from_numpy(place).float()
+    far = torch.tensor([[5.0, 0.0, 1.0]]).repeat(len(receiver), 1)
+    receiver[:, 0, :3] = far + torch.tensor([0.0, 0.3, 0.3])
+    inputs = batch.robot | {"receiver": receiver, "trial": torch.arange(len(receiver), dtype=torch.int32)}
+    made = judge._launch(
+        batch, kernels.arm_clears_robot, len(receiver), **inputs, lean=torch.zeros(len(receiver)),
+        elbow=far, wrist=far + torch.tensor([0.3, 0.0, 0.0]),
+    )["clear"]  # fmt: skip
+    for i in torch.nonzero(batch.evaluated).flatten().tolist():
+        arm = arm_bodies(receiver[i], 0.0, far[i].double().numpy(), far[i].double().numpy() + [0.3, 0.0, 0.0])
+        gap = gap_to_robot(batch, i, scores.q_goal[i].double().numpy(), arm)
+        found.append(bool(made[i]))
+        assert gap > 0 if made[i] else gap < 2e-5, (i, gap)
+    assert found.count(True) >= 3 and found.count(False) >= 3
+
+
+def test_whole_ways_are_free_where_every_sample_of_hand_and_arm_is(steps):
+    batch, arms, passes, way = steps
+    n, rooms = 120, np.linspace(0, 2, 161)
+    trial, k, pair = pairs_of(batch, arms, passes[..., :3].all(2), n)
+    pair["way"] = way[trial, k]
+    made = judge._launch(batch, kernels.way_to_grasp, n, **batch.tables, **batch.robot, **pair)["free"]
+    table, row = batch.grasps, pair["row"].long()
+    turn = judge._about_axis(table, pair["object"].long(), pair["turn"]).double().numpy()
+    T_world = pair["T_world_obj"].double().numpy() @ turn
+    wrist, a, nrm = (table.owners[j][row].double().numpy() for j in (0, 1, 2))
+    u = np.stack([nrm, a, (nrm + a) / np.linalg.norm(nrm + a, axis=1)[:, None]], 1)[np.arange(n), pair["way"].numpy()]
+    receiver = batch.robot["receiver"][trial].double().numpy()
+    inverse = np.linalg.inv(T_world)
+    waits = np.einsum("nij,nj->ni", inverse[:, :3, :3], receiver[:, 2, :3]) + inverse[:, :3, 3]
+    before = wrist - 0.1 * u
+    R_waits = inverse[:, :3, :3] @ pair["T_world_hand"][:, :3, :3].double().numpy()
+    turned = Rotation.from_matrix(table.owners[3][row].double().numpy() @ R_waits.transpose(0, 2, 1)).as_rotvec()
+    wider = batch.robot["receiver"].clone()
+    wider[:, :2, 3] += 0.006
+    wider[:, 4, :2] += 0.006
+    free = torch.ones(n, dtype=torch.bool)
+    nearly, no_turn = free.clone(), torch.zeros(n)
+    for t in rooms:
+        at = waits + t * (before - waits) if t < 1 else before + (t - 1) * (wrist - before)
+        M = np.tile(np.eye(4), (n, 1, 1))
+        M[:, :3, :3] = Rotation.from_rotvec(-max(1 - t, 0) * turned).as_matrix()
+        M[:, :3, 3] = at - np.einsum("nij,nj->ni", M[:, :3, :3], wrist)
+        attached = torch.from_numpy(np.linalg.inv(turn @ M) @ pair["attached"].double().numpy()).float().contiguous()
+        lean, elbow = 0.5 * t * pair["lean"], batch.robot["receiver"][trial, 1, :3]
+        elbow = elbow + 0.5 * t * (pair["elbow"] - elbow)
+        world = np.einsum("nij,nj->ni", T_world[:, :3, :3], at) + T_world[:, :3, 3]
+        posture = {"trial": pair["trial"], "lean": lean, "elbow": elbow, "wrist": torch.from_numpy(world).float()}
+        for state, room_m, person in ((free, 1e-6, batch.robot["receiver"]), (nearly, 0.012, wider)):
+            state &= beside_gripper(batch, pair, room_m, attached=attached, turn=no_turn)
+            inputs = batch.robot | {"receiver": person}
+            state &= judge._launch(batch, kernels.arm_clears_robot, n, **inputs, **posture)["clear"]
+    assert free[made].all() and not nearly[~made].any()
+    assert made.sum() > 20 and (~made).sum() > 5
+
+
+def test_every_second_grasp_of_an_object_of_revolution_is_turned_to_where_the_hand_turns_least(steps):
+    batch, arms, _, _ = steps
+    axes = batch.grasps.held_out.axis
+    round_ones = torch.nonzero(batch.evaluated & axes[batch.of_trial["object"].long()].any(1)).flatten().tolist()
+    assert len(round_ones) >= 2
+    angles = np.radians(np.arange(-180, 180, 0.5))
+    for i in round_ones:
+        known, first = int(batch.known[i]), int(batch.first[i])
+        axis = axes[int(batch.of_trial["object"][i])].double().numpy()
+        waits = batch.of_trial["T_world_hand"][i, :3, :3].double().numpy()
+        R_obj = batch.of_trial["T_world_obj"][i, :3, :3].double().numpy()
+        turned = R_obj @ Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
+        assert not arms["turn"][i, 0:known:2].any()
+        for k in range(1, known, 16):
+            R = batch.grasps.owners[3][first + k].double().numpy()
+            cosine = np.einsum("ji,njk,ki->n", waits, turned, R)
+            off = np.angle(np.exp(1j * (angles[cosine.argmax()] - float(arms["turn"][i, k]))))
+            assert abs(off) < np.radians(0.6), (i, k)
+
+
+def test_no_forearm_goes_through_the_torso():
+    """Torsos that stand where the forearms are: the twin's effort, or no posture, as the twin says."""
+    trials = make_trials(trials=60, protocol="r2h-v1")
+    inputs, vectors, outwards = waiting(trials)
+    body = trials.receiver.clone()
+    off = torch.from_numpy(np.random.default_rng(6).uniform(-0.25, 0.25, (len(trials), 3))).float()
+    body[:, 3, :3] = 0.5 * (body[:, 1, :3] + body[:, 2, :3]) + off
+    moved = replace(trials, receiver=body)
+    effort, _ = searched(inputs | {"receiver": body.contiguous()})
+    twin = np.array([effort_twin(moved, vectors, outwards, i) for i in range(len(trials))])
+    assert ((effort >= 0) == np.isfinite(twin)).all()
+    there = effort >= 0
+    assert np.abs(effort[there] - twin[there]).max() < 1e-4
+    plain, _ = searched(inputs)
+    assert (~there).sum() >= 10 and (effort[there] > plain[there] + 1e-4).sum() >= 5
 
 
 # --- what comes out --------------------------------------------------------------------------------------------------

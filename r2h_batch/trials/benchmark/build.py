@@ -50,7 +50,7 @@ from r2h_batch.scene.robot import ROBOTS, Robot, load_robot, read_robot
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
 from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
 from r2h_batch.trials.benchmark.family_objects import PREFIX, family_objects, family_splits
-from r2h_batch.trials.benchmark.flags import BenchmarkFlags
+from r2h_batch.trials.benchmark.flags import BenchmarkFlags, words_of
 from r2h_batch.trials.benchmark.model import (
     BUILT_IN,
     BenchmarkFile,
@@ -598,17 +598,20 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
 
 
 def _said(header: Mapping[str, Any]) -> BenchmarkOverrides:
-    """The flags of the run's sweep as run.json has them, without protocol and receiver. A list of files is split at
-    spaces."""
+    """The flags of the run's sweep as run.json has them, without protocol and receiver."""
     pairs = [f[2:].partition(" ") for f in (header.get("benchmark") or {}).get("flags", ())]
     known = {
         f.name: f for f in fields(BenchmarkOverrides) if f.name not in ("protocol", "receiver")
     }
     lists = {name for name, field in known.items() if field.default == ()}
     said: dict[str, Any] = {k.replace("-", "_"): v for k, _, v in pairs}
-    values: dict[str, Any] = {
-        k: tuple(v.split()) if k in lists else v for k, v in said.items() if k in known
-    }
+    values: dict[str, Any] = {}
+    for name, text in said.items():
+        words = words_of(text)
+        if name in lists:
+            values[name] = tuple(words)
+        elif name in known:  # older versions wrote one with spaces without quotes
+            values[name] = words[0] if len(words) == 1 else text
     return BenchmarkOverrides(**values)
 
 

@@ -1,5 +1,6 @@
 """The flags that choose a benchmark. Imports nothing heavy."""
 
+import shlex
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -33,13 +34,21 @@ class BenchmarkFlags:
     """Turn the objects' frames: half (180 degrees about z) or cycled (x to y, y to z, z to x)."""
 
     def flags(self) -> list[str]:
-        """The flags that are given, as one would type them again."""
+        """The flags that are given, as one would type them again: a shell's quotes around what has spaces."""
         given = asdict(self).items()
         return [
-            f"--{k.replace('_', '-')} {v if isinstance(v, str) else ' '.join(v)}"
+            f"--{k.replace('_', '-')} {shlex.join([v] if isinstance(v, str) else v)}"
             for k, v in given
             if v
         ]
+
+
+def words_of(text: str) -> list[str]:
+    """The words of a stored flag; at its spaces where older versions wrote it without quotes."""
+    try:
+        return shlex.split(text)
+    except ValueError:
+        return text.split()
 
 
 BUILT_IN = BenchmarkFlags()

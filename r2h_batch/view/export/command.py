@@ -16,8 +16,8 @@ MOST_TRIALS = 10**6
 
 
 def scene(
+    run: Annotated[Path, tyro.conf.Positional],
     *,
-    run: Path,
     trial: str,
     out: Path,
     method: str = "",

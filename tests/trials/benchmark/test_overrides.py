@@ -18,6 +18,7 @@ from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
+from r2h_batch.trials.benchmark.flags import BenchmarkFlags, words_of
 from r2h_batch.trials.benchmark.model import built_in_text
 from r2h_batch.trials.benchmark.trials_file import read_trials_file
 from r2h_batch.trials.protocol import trials_of
@@ -198,3 +199,14 @@ def test_hand_sets_are_joined_and_chosen_from(sets, said, postures):
     own = load_hand_set()
     rows = [ROWS[p[0]][int(p[1])] for p in found.posture]
     assert torch.equal(found.pose, own.pose[rows]) and torch.equal(found.side, own.side[rows])
+
+
+def test_stored_flags_are_read_back_whatever_is_in_a_name():
+    """A shell's quotes since names may have spaces; runs of older versions have none."""
+    given = BenchmarkFlags(
+        objects="families:cup,hammer x 20 seed 7", object_mesh=("a b.obj:S0", "c's.obj"), robot="ur3e_2f85"
+    )
+    objects, meshes, robot = given.flags()
+    assert words_of(objects.partition(" ")[2]) == [given.objects]
+    assert tuple(words_of(meshes.partition(" ")[2])) == given.object_mesh and robot == "--robot ur3e_2f85"
+    assert words_of("c's.obj b.obj") == ["c's.obj", "b.obj"]

@@ -74,18 +74,19 @@ def test_a_stored_motion_that_cannot_be_is_one_line(run, monkeypatch, kind, colu
 def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):
     other = dataclasses.replace(built_in(), hand_set=dataclasses.replace(hand.load_hand_set(), digest="0" * 64))
     monkeypatch.setattr("r2h_batch.trials.benchmark.build.built_in", lambda *_: other)
-    assert "hand_set" in refused(["--run", run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
+    assert "hand_set" in refused([run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
 
 
 def test_a_users_own_mesh_is_found_or_asked_for_and_comes_along(tmp_path, capsys):
-    file = tmp_path / "brick.obj"
+    (tmp_path / "my files").mkdir()
+    file = tmp_path / "my files" / "brick.obj"
     trimesh.creation.box((0.03, 0.06, 0.16)).subdivide().subdivide().export(file)
     folder = tmp_path / "run"
     # six built-in objects of S0 take their turns first: trial 12 is the user's
     arguments = ["--method", "random", "--splits", "S0", "--trials", "7", "--save-paths", "--out", str(folder)]
     assert sweep.main([*arguments, "--object-mesh", str(file)]) == 0
     capsys.readouterr()
-    command = ["--run", folder, "--trial", 12, "--out", tmp_path / "x"]
+    command = [folder, "--trial", 12, "--out", tmp_path / "x"]
     assert main(["scene", *map(str, command)]) == 0
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
     capsys.readouterr()
@@ -99,5 +100,5 @@ def test_a_users_own_mesh_is_found_or_asked_for_and_comes_along(tmp_path, capsys
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
     trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().subdivide().export(file)
     assert "objects" in refused([*command, "--object-mesh", file], capsys)
-    file.rename(tmp_path / file.name)  # where the sweep found it: it is another file now
+    file.rename(tmp_path / "my files" / file.name)  # where the sweep found it: it is another file now
     assert "objects (brick)" in refused(command, capsys)

@@ -123,7 +123,7 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
     assert len(list(run.glob("imported-*"))) == 1
     (tmp_path / "in").rename(tmp_path / "gone")
     assert main(["export", str(run), "--to", "r2handoversim", "--out", str(tmp_path / "out")]) == 0
-    line = ["--run", str(run), "--trial"]
+    line = [str(run), "--trial"]
     assert main(["scene", *line, min(theirs), "--out", str(tmp_path / "scene")]) == 0
     assert main(["scene", *line, "nobody's", "--out", str(tmp_path / "no")]) == 2
     assert main(["scene", *line, "9" * 20, "--out", str(tmp_path / "no")]) == 2
