@@ -55,6 +55,8 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.assets.hand.build_handset
 	$(BIN)/python -m r2h_batch.assets.objects.build_objects
 	$(BIN)/python -m r2h_batch.assets.objects.build_grasps
+	$(BIN)/python -m r2h_batch.assets.people.build_people
+	$(BIN)/python -m r2h_batch.assets.people.build_receiving
 	$(BIN)/python -m r2h_batch.assets.families.build_families
 	$(BIN)/python -m r2h_batch.assets.families.build_families --training build/families
 	$(BIN)/python -m r2h_batch.assets.families.train_contacts --training build/families

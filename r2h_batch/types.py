@@ -17,6 +17,7 @@ from r2h_batch.base.validate import describe_value, instance_of, integer, one_of
 from r2h_batch.base.validate_tensors import row_index
 from r2h_batch.verdicts import (
     CRITERIA,
+    PERSON,
     SIDES,
     SPLITS,
     CollidingPair,
@@ -27,6 +28,7 @@ from r2h_batch.verdicts import (
 
 __all__ = [
     "CRITERIA",
+    "PERSON",
     "SIDES",
     "SPLITS",
     "CollidingPair",
@@ -147,6 +149,8 @@ class Trials(_Rows):
             of the torso box; its half sizes along its facing, sideways and up. In the last two rows
             w is x and y of the unit vector that the torso faces. Verdicts depend on it with
             `EvalConfig.receiver = "body"` alone.
+        person: who the receiver is, where a benchmark has people: columns `PERSON` (years, 0 or 1, m, m, 0 or 1,
+            people that were drawn before in vain). Verdicts do not depend on it.
     """
 
     trial_id: Int64[Tensor, " n"]
@@ -154,6 +158,7 @@ class Trials(_Rows):
     hand_index: Int32[Tensor, " n"]
     T_world_hand: Float32[Tensor, "n 4 4"]
     receiver: Float32[Tensor, "n 5 4"] | None = None
+    person: Float32[Tensor, "n 6"] | None = None
 
     def named(self, objects: Sequence[Any]) -> Self:
         """The same trials, which know what their objects are called.

@@ -9,6 +9,12 @@ from typing import NamedTuple
 SPLITS = ("S0", "S1")
 """S0: free handover; S1: functional, the receiver wants a certain part of the object."""
 
+SEXES = ("male", "female")
+"""Place in this tuple = code in every table of people."""
+
+PERSON = ("age_years", "female", "stature_m", "hand_length_m", "seated", "redrawn")
+"""Columns of `Trials.person`."""
+
 SIDES = ("right", "left")
 """Which hand receives; place in this tuple = code in every table of hands."""
 

@@ -25,15 +25,24 @@ Gripper = Literal[
 def hand(
     *,
     out: Path,
+    source: Annotated[
+        Literal["mano", "anny"], tyro.conf.arg(name="from", metavar="SOURCE")
+    ] = "mano",
+    age: float | None = None,
+    sex: Literal["male", "female"] | None = None,
     mano_right: Path | None = None,
     mano_left: Path | None = None,
     negate_left_shape: bool = False,
     overwrite: bool = False,
 ) -> int:
-    """Write MANO's own files as one hand model.
+    """Write MANO's own files as one hand model, or a hand of the built-in people.
 
     Args:
-        out: The hand model to write, .npz. MANO's licence forbids you to pass it on.
+        out: The hand model to write, .npz. MANO's licence forbids you to pass a hand of MANO on.
+        source: mano: the files below; anny: the median hand of the built-in people of an age, which are made
+            from the body model Anny.
+        age: anny: years, 6 to 12, 18 to 65 or 70 to 90.
+        sex: anny: of one sex; by default of either.
         mano_right: MANO_RIGHT.pkl, or the same arrays as .npz.
         mano_left: MANO_LEFT.pkl. A side without a file is the other's mirror image.
         negate_left_shape: Change the sign of the left file's shapedirs[:, 0]. Only for data that
@@ -44,11 +53,58 @@ def hand(
     from r2h_batch.data.mano import hand_arrays
 
     target = _npz(out, overwrite)
+    mano = mano_right is not None or mano_left is not None or negate_left_shape
+    if source == "anny":
+        return _hand_of_people(target, age, sex, mano)
+    if age is not None or sex is not None:
+        raise UsageError(
+            "--age and --sex choose a hand of --from anny; leave them out, or say --from anny"
+        )
     arrays = hand_arrays(mano_right, mano_left, negate_left_shape=negate_left_shape)
     write_npz(target, arrays)
     print(
         f"a hand of {len(arrays['vertices'])} vertices in {len(arrays['piece_names'])} convex pieces in {target};"
         " it holds MANO's data: do not pass it on"
+    )
+    return 0
+
+
+def _hand_of_people(out: Path, age: float | None, sex: str | None, mano: bool) -> int:
+    """Writes the median hand of the built-in people of an age."""
+    import numpy as np
+
+    from r2h_batch.base.io.write import write_npz
+    from r2h_batch.data.people import hand_lengths, hand_of_age
+    from r2h_batch.scene.hand import HandModel
+
+    if mano:
+        raise UsageError(
+            "--from anny takes no files of MANO; leave --mano-right and --mano-left out"
+        )
+    if age is None:
+        raise UsageError("--from anny needs --age YEARS, such as --age 8")
+    arrays = hand_of_age(age, sex)
+    length = hand_lengths(HandModel.from_arrays(arrays), np.zeros((1, 10), np.float32))[0]
+    write_npz(out, arrays)
+    print(f"the median hand of people of {age:g} years, {1000 * length:.0f} mm long, in {out}")
+    return 0
+
+
+def people(file: Annotated[Path, tyro.conf.Positional], /) -> int:
+    """Check a table of your own people for --people and for a benchmark's people.
+
+    Args:
+        file: A .csv, one person a row: sex (male, female), age (years), and lengths in metres by the names of
+            docs/people.md.
+    """
+    from r2h_batch.data.people import read_people
+
+    found = read_people(file)
+    stature, hand_m = (found.lengths[k] for k in ("stature", "hand_length"))
+    print(
+        f"{counted(len(found), 'people')} in {printable(file)}: {found.age.min():g} to {found.age.max():g} years,"
+        f" stature {stature.min():.2f} to {stature.max():.2f} m, hands {1000 * hand_m.min():.0f} to"
+        f" {1000 * hand_m.max():.0f} mm; sweep with --people {shlex.quote(str(file))}"
     )
     return 0
 
@@ -313,7 +369,7 @@ def _grasp_files(
 
 
 COMMANDS: dict[str, Command] = {
-    f.__name__: f for f in (hand, hands, grasps, objects, trials, results)
+    f.__name__: f for f in (hand, hands, people, grasps, objects, trials, results)
 }
 
 

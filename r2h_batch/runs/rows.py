@@ -10,6 +10,8 @@ import pyarrow as pa
 from r2h_batch.runs.columns import BOOL, DETAILS, ENDS, TRIALS, Column, later, schema_of_kind
 from r2h_batch.verdicts import (
     CRITERIA,
+    PERSON,
+    SEXES,
     SIDES,
     SPLITS,
     CollidingPair,
@@ -99,6 +101,20 @@ def _trial_columns(trials: "Trials", names: TrialNames) -> dict[str, Any]:
     }
 
 
+def _person_columns(trials: "Trials") -> dict[str, Any]:
+    """Who the receivers are; null without `Trials.person`."""
+    n = len(_array(trials.trial_id))
+    person = np.full((n, len(PERSON)), np.nan) if trials.person is None else _array(trials.person)
+    found = dict(zip(PERSON, person.T, strict=True))
+    unknown = np.isnan(found["female"])
+    floats = ("age_years", "stature_m", "hand_length_m", "redrawn")
+    return {
+        **{name: _floats(found[name]) for name in floats},
+        "sex": _named(np.where(unknown, -1, found["female"]), SEXES),
+        "seated": pa.array(found["seated"] > 0, BOOL, mask=unknown),
+    }
+
+
 def _stored(scores: "Scores", columns: Sequence[Column], made: dict[str, Any]) -> list[pa.Array]:
     """Arrays of a table's columns: those `made` from several fields, and the attributes of `scores` that
     have a column's name."""
@@ -134,6 +150,7 @@ def score_rows(
         "presented": pa.array(_array(scores.presented), pa.bool_(), mask=nowhere),
         "t_method_s": _floats(seconds),
     }
+    columns |= _person_columns(trials)
     for i, c in enumerate(CRITERIA):
         columns[f"passed_{c}"] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
         columns[f"margin_{c}_m"] = _floats(margin[:, i])

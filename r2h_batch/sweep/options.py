@@ -127,6 +127,14 @@ class Options:
             "UR5e"
         ),
     ] = ""
+    people: Annotated[
+        str,
+        Flag(
+            "receivers with their own bodies and hands: adults, children, elderly, all, or a .csv of lengths "
+            "(import people)",
+            "trials",
+        ),
+    ] = ""
     turn: Annotated[
         TurnWord,
         Flag(

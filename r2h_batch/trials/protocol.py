@@ -13,7 +13,7 @@ import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +29,7 @@ from r2h_batch.base.schedule import assign_hands, assign_objects, trial_ids
 from r2h_batch.base.validate import instance_of, integer, one_of, optional, sequence_of
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig, Workplace
+from r2h_batch.data.people import People
 from r2h_batch.scene.bounds import capsule_of_shape
 from r2h_batch.scene.hand import HandSet, palm_frame
 from r2h_batch.scene.objects import ObjectModel, checked_objects
@@ -38,7 +39,8 @@ from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
 from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.trials.benchmark.trials_file import listed_with_ids
 from r2h_batch.trials.distance import from_box, from_segment, from_segments
-from r2h_batch.types import Trials
+from r2h_batch.trials.people import draw_people, owners
+from r2h_batch.types import PERSON, Trials
 from r2h_batch.verdicts import SPLITS
 
 TRIALS = 500
@@ -99,6 +101,7 @@ def make_trials(
         raise ValueError(f"splits are {', '.join(splits)}; each may be given once")
     trials = integer(0, MOST_TRIALS)("trials", trials)
     optional(one_of(*PROTOCOL_NAMES))("protocol", protocol)
+    people = None
     if benchmark is not None:
         instance_of((Benchmark, str, Path), "a file, or read_benchmark(FILE)")(
             "benchmark", benchmark
@@ -112,7 +115,7 @@ def make_trials(
             return _listed(found.listed, splits, trials).named(found.objects)
         placed = _for_persons(found)
         objects, hand_set, robot = placed.objects, placed.hand_set, placed.robot
-        config, protocol = placed.config(), protocol or found.drawn
+        config, protocol, people = placed.config(), protocol or found.drawn, placed.people
     plan = dict.fromkeys(splits, trials)
     ids = trial_ids(plan, 0, sum(plan.values()))
     return trials_with_ids(
@@ -122,6 +125,7 @@ def make_trials(
         robot=robot,
         config=config,
         protocol=protocol or DEFAULT_PROTOCOL,
+        people=people,
     )
 
 
@@ -144,6 +148,7 @@ def trials_of(benchmark: Benchmark, trial_id: Int64[Tensor, " n"]) -> Trials:
         robot=benchmark.robot,
         config=benchmark.config(),
         protocol=benchmark.drawn,
+        people=benchmark.people,
     )
 
 
@@ -162,6 +167,7 @@ def trials_with_ids(
     robot: Robot | None = None,
     config: EvalConfig | None = None,
     protocol: str = DEFAULT_PROTOCOL,
+    people: People | None = None,
 ) -> Trials:
     """The trials of these ids, in this order, on the CPU.
 
@@ -172,6 +178,8 @@ def trials_with_ids(
         robot: hands stand within its reach.
         config: ball, table and home.
         protocol: `r2h-v1`, `r2h-v0` or `r2h-release`.
+        people: receivers of a protocol with bodies, such as `built_in_people("children")`, with a hand set of
+            theirs (`people_hand_set`); None: the protocol's own.
 
     Raises:
         TypeError, ValueError: an argument is none of these, or an id is negative.
@@ -191,21 +199,33 @@ def trials_with_ids(
     objects = defaults.objects if objects is None else checked_objects(objects)
     robot = defaults.robot if robot is None else robot
     config = defaults.config() if config is None else config
-    hands = _hands(defaults.hand_set if hand_set is None else hand_set)
+    given = defaults.hand_set if hand_set is None else hand_set
+    hands = _hands(given)
+    if people is not None and not with_people:
+        how = f"take protocol {' or '.join(WITH_BODIES)}, or no people"
+        raise ValueError(f"people is {people.name}, receivers of {protocol} have no body; {how}")
     object_index, side = assign_objects(ids, [o.split for o in objects])
     hand_index = np.zeros(len(ids), np.int64)
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
     receiver = np.zeros((len(ids) if with_people else 0, 5, 4), np.float32)
+    person = np.zeros((0 if people is None else len(ids), len(PERSON)), np.float32)
     for first in range(0, len(ids), _ROWS):
         rows = slice(first, first + _ROWS)
         hand_index[rows] = assign_hands(ids[rows], side[rows], hands.side, protocol)
         try:
             place = Place(hands, robot, config, objects)
-            T_world_hand[rows], people = _DRAWS[protocol](
-                rng.key_of(protocol), ids[rows], hand_index[rows], object_index[rows], place
-            )
+            key = rng.key_of(protocol)
             if people is not None:
-                receiver[rows] = people
+                T_world_hand[rows], receiver[rows], hand_index[rows], person[rows] = draw_people(
+                    key, ids[rows], side[rows], hand_index[rows], owners(people, given),
+                    partial(_placing, place=place), _table_edge_m(config),
+                )  # fmt: skip
+                continue
+            T_world_hand[rows], bodies = _DRAWS[protocol](
+                key, ids[rows], hand_index[rows], object_index[rows], place
+            )
+            if bodies is not None:
+                receiver[rows] = bodies
         except rng.NothingFits as error:
             raise ValueError(
                 f"no place for a hand where {protocol} draws them: {error}. Table (center {config.workplace.table_center}, half "
@@ -217,6 +237,7 @@ def trials_with_ids(
         hand_index=torch.from_numpy(hand_index.astype(np.int32)),
         T_world_hand=torch.from_numpy(T_world_hand),
         receiver=torch.from_numpy(receiver) if with_people else None,
+        person=None if people is None else torch.from_numpy(person),
     ).named(objects)
 
 
@@ -395,6 +416,20 @@ def _draw_people(
 ) -> Drawn:
     """People who reach: the first proposal in r2h-v0's reachable set (ball centre and palm), whose hand
     is clear as there, and whose arm is clear of the table and of the robot at home."""
+    side = place.hands.side[hand_index]
+    return receivers.draw_receivers(
+        key, ids, side, _placing(hand_index, place), _table_edge_m(place.config)
+    )
+
+
+def _table_edge_m(config: EvalConfig) -> float:
+    """x of the table's front edge."""
+    at = config.workplace
+    return round(at.table_center[0] + at.table_half[0], 6)
+
+
+def _placing(hand_index: NDArray[np.int64], place: Place) -> receivers.PlaceHand:
+    """Whether a proposal of a trial with these hands (n,) fits, as `receivers.draw_receivers` takes it."""
     hands, robot, config = place.hands, place.robot, place.config
     offset_m, at = config.thresholds.reach_offset_m, config.workplace
 
@@ -436,8 +471,7 @@ def _draw_people(
         fits[kept[clear]] = True
         return fits, T[clear], people
 
-    edge_m = round(at.table_center[0] + at.table_half[0], 6)
-    return receivers.draw_receivers(key, ids, hands.side[hand_index], place_hand, edge_m)
+    return place_hand
 
 
 def _in_set(center: Array, room: "Room") -> NDArray[np.bool_]:

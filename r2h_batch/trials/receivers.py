@@ -10,7 +10,7 @@ Only +, -, *, / and sqrt: sine, cosine and the normal quantile are polynomials a
 function of this file, so that a person is the same on every machine (r2h_batch.base.rng).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,10 +111,7 @@ def draw_receivers(
     key: tuple[int, int],
     ids: NDArray[np.int64],
     side: NDArray[np.int64],
-    place_hand: Callable[
-        [Person, NDArray[np.int64], NDArray[np.int64]],
-        tuple[NDArray[np.bool_], NDArray[np.float32], Person],
-    ],
+    place_hand: "PlaceHand",
     table_edge_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """T_world_hand (n, 4, 4) and receivers (n, 5, 4) of trials: the first proposal of each that is
@@ -127,36 +124,86 @@ def draw_receivers(
 
     person = rng.uniforms(key, ids, OF_PERSON, purpose=_PERSON)
 
+    def reaching(rows: NDArray[np.int64], v: Array) -> Person:
+        return propose(person[:, rows], v, side[rows], table_edge_m)
+
+    T_world_hand, receiver, left, tried = first_fitting(key, ids, reaching, place_hand)
+    if len(left):
+        raise rng.NothingFits(
+            f"trial {ids[left[0]]} has no acceptable posture in {tried} proposals"
+        )
+    return T_world_hand, receiver
+
+
+Reaching = Callable[[NDArray[np.int64], Array], Person]
+"""The people of trials (rows), each in the posture that uniform numbers (OF_POSTURE, n) give."""
+PlaceHand = Callable[
+    [Person, NDArray[np.int64], NDArray[np.int64]],
+    tuple[NDArray[np.bool_], NDArray[np.float32], Person],
+]
+
+
+def first_fitting(
+    key: tuple[int, int],
+    ids: NDArray[np.int64],
+    reaching: Reaching,
+    place_hand: PlaceHand,
+    *,
+    before: int = 0,
+    most: int = 0,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64], int]:
+    """Each trial's first proposal that is accepted.
+
+    Args:
+        key: of the random counters.
+        ids: (n,) trials.
+        reaching: the people of some trials.
+        place_hand: as in `draw_receivers`.
+        before: counters that earlier calls have used up.
+        most: proposals of a trial; 0: as many as `rng.MAX_ATTEMPTS`, fewer where no trial fits.
+
+    Returns:
+        T_world_hand (n, 4, 4), receivers (n, 5, 4), the trials for which nothing fitted, and how many proposals these
+        had.
+    """
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
     receiver = np.zeros((len(ids), 5, 4), np.float32)
     todo, tried = np.arange(len(ids)), 0
-    while len(todo) and tried < rng.MAX_ATTEMPTS:
+    while len(todo) and tried < (most or rng.MAX_ATTEMPTS):
         # the few that are left try many proposals at once; the first that fits is taken, as
         # one after the other
         turns = max(1, AT_ONCE // len(todo))
+        turns = min(turns, most - tried) if most else turns
         rows = np.repeat(todo, turns)
         number = tried + np.tile(np.arange(turns), len(todo))
-        v = rng.uniforms(key, ids[rows], OF_POSTURE, purpose=_POSE, attempt=number)
-        people = propose(person[:, rows], v, side[rows], table_edge_m)
+        v = rng.uniforms(key, ids[rows], OF_POSTURE, purpose=_POSE, attempt=before + number)
+        people = reaching(rows, v)
         fits, T, people = place_hand(people, rows, number)
         kept = np.flatnonzero(fits)
         done, first = np.unique(rows[kept], return_index=True)
         T_world_hand[done], receiver[done] = T[first], people.rows(kept[first]).table()
         todo, tried = np.setdiff1d(todo, done), tried + turns
-        if len(todo) == len(ids) and tried * len(ids) >= rng.HOPELESS:
+        if not most and len(todo) == len(ids) and tried * len(ids) >= rng.HOPELESS:
             break
-    if len(todo):
-        raise rng.NothingFits(
-            f"trial {ids[todo[0]]} has no acceptable posture in {tried} proposals"
-        )
-    return T_world_hand, receiver
+    return T_world_hand, receiver, todo, tried
 
 
 def propose(u: Array, v: Array, side: NDArray[np.int64], table_edge_m: float) -> Person:
     """People from uniform numbers: who they are, u (OF_PERSON, n); where they stand and how they
     reach, v (OF_POSTURE, n)."""
     woman, seated = u[0] < 0.5, u[1] < SEATED
-    size = _lengths(woman, u[2:])
+    return reach(seated, _lengths(woman, u[2:]), v, side, table_edge_m)
+
+
+def reach(
+    seated: NDArray[np.bool_],
+    size: Mapping[str, Array],
+    v: Array,
+    side: NDArray[np.int64],
+    table_edge_m: float,
+) -> Person:
+    """People of these lengths (m, by the names of LENGTHS_MM) who stand or sit where uniform numbers v (OF_POSTURE, n)
+    say, and reach."""
     outwards = np.where(side == 0, -1.0, 1.0)  # the right arm's side is -left
 
     # where the chest stands and looks

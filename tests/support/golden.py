@@ -26,7 +26,10 @@ METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
 KINEMATIC_TRIALS = 64
 SIMULATED_TRIALS = 8
 CANDIDATES = 512
-NOT_COMPARED = ("t_plan_s", "t_method_s", "body_m", "planned_q")  # the last: of motions from files alone
+NOT_COMPARED = (
+    *("t_plan_s", "t_method_s", "body_m", "planned_q"),  # the last: of motions from files alone
+    *("age_years", "sex", "stature_m", "hand_length_m", "seated", "redrawn"),
+)
 """Times; and what trials of r2h-v0, which these are, do not have."""
 MACHINE_FACTS = ("t_plan_s", "versions", "git_commit", "digests", "configuration")
 """Fields of trial.json on where and with what it was made. The digest of the code changes with every comment."""

@@ -19,6 +19,7 @@ from r2h_batch.base.registry import (
 )
 from r2h_batch.base.validate import instance_of, optional
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
+from r2h_batch.data.people import People
 from r2h_batch.scene.hand import HandSet, load_hand_set, neutral_hand_set
 from r2h_batch.scene.objects import (
     INSTANCE_NAMES,
@@ -73,6 +74,8 @@ class Benchmark:
     UR5e's"""
     receiver: Literal["hand", "body"] = "hand"
     """what planning and Safe see of the receiver, as `EvalConfig.receiver`"""
+    people: People | None = None
+    """who the receivers are; None: the protocol's own"""
 
     @property
     def protocol(self) -> str:
@@ -94,6 +97,11 @@ class Benchmark:
                 f"receiver is body, trials of {self.protocol} have none; take {' or '.join(WITH_BODIES)}"
             )
 
+        if self.people is not None and self.protocol not in WITH_BODIES:
+            raise ValueError(
+                f"people is {self.people.name}, trials of {self.protocol} have no body; take {' or '.join(WITH_BODIES)}"
+            )
+
     @cached_property
     def digest(self) -> str:
         """sha256 (hex) over everything that decides what is asked and how it is judged, whatever
@@ -101,6 +109,8 @@ class Benchmark:
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # benchmarks without this field keep their digest
             digest.update(f"receiver {self.receiver}\n".encode())
+        if self.people is not None:
+            digest.update(f"people {self.people.digest}\n".encode())
         if self.robot != load_robot():  # a folder may give another one its name
             digest.update(f"robot {self.robot.digest} {self.persons}\n".encode())
         # it says how hands stand in these trials

@@ -26,6 +26,7 @@ from r2h_batch.base.registry import (
 from r2h_batch.config import Workplace
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.mano import hand_from
+from r2h_batch.data.people import WORDS, People, built_in_people, people_hand_set, read_people
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.hand import (
@@ -103,7 +104,8 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
             built = file.robot in ROBOTS
             robot = robot_of(file.robot if built else str(path_within(folder, file.robot)))
             own = own.on(robot, file.persons)
-        hand_set, listed, labels = _hands(file, folder, own), None, None
+        people = None if file.people is None else _people(file.people, folder)
+        hand_set, listed, labels = _hands(file, folder, own, people), None, None
         objects = own.objects  # take longer to read than hands: what is wrong there is said first
         if "objects" in file.model_fields_set:
             objects = objects_of(file.objects, folder, pieces)
@@ -115,7 +117,7 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
             listed, hand_set, labels = read_trials_file(path_of_trials, objects, hand_set)
         return Benchmark(
             objects, hand_set, file.thresholds, _workplace(file, path, own), listed, labels,
-            file.protocol, own.robot, own.persons, file.receiver,
+            file.protocol, own.robot, own.persons, file.receiver, people,
         )  # fmt: skip
     except FileError:
         raise
@@ -132,6 +134,7 @@ def _named(file: BenchmarkFile) -> list[tuple[str, str]]:
         if (name := _file_of(o, field)) is not None
     ]
     own += [("trials", file.trials)] if file.trials is not None else []
+    own += [("people", file.people)] if file.people is not None and file.people not in WORDS else []
     hands = [("hand_model", file.hand_model), *(("hand_set", e.file) for e in _hand_entries(file))]
     return own + [(field, name) for field, name in hands if name != BUILT_IN]
 
@@ -179,8 +182,30 @@ def robot_of(name: str) -> Robot:
     return read_robot(name)
 
 
-def _hands(file: BenchmarkFile, folder: Path, own: Benchmark) -> HandSet:
-    """The file's postures, by default those of its protocol, on the file's hand."""
+def _people(name: str, folder: Path = Path()) -> People:
+    """The built-in people of a word, or those of a file in the folder."""
+    if name in WORDS:
+        return built_in_people(name)
+    if not name.lower().endswith(".csv"):
+        how = f"allowed are {', '.join(WORDS)}, or a .csv of lengths"
+        raise FileError(f"people is {printable(name)}{nearest(name, WORDS)}; {how}")
+    return people_of(path_within(folder, name) if folder != Path() else Path(name))
+
+
+def people_of(path: Path) -> People:
+    """The people of a file; the same ones as long as it does not change."""
+    return _people_file(str(path), _digest(path))
+
+
+@lru_cache(maxsize=4)
+def _people_file(path: str, _: str) -> People:
+    return read_people(path)
+
+
+def _hands(file: BenchmarkFile, folder: Path, own: Benchmark, people: People | None) -> HandSet:
+    """The file's postures, by default those of its protocol, on the file's hand; of people on their own."""
+    if people is not None and file.hand_set == BUILT_IN == file.hand_model:
+        return people_hand_set(people)
     model = None if file.hand_model == BUILT_IN else hand_of(path_within(folder, file.hand_model))
     if file.hand_set == BUILT_IN:
         return neutral_hand_set(model) if own.drawn == RELEASE else hand_set_of(None, model)
@@ -381,7 +406,10 @@ class BenchmarkOverrides(BenchmarkFlags):
         more = (object_from_argument(mesh, pieces=pieces) for mesh in self.object_mesh)
         objects = (*objects, *more)
         objects = _with_grasps(objects, self.grasps)
+        people = _people(self.people) if self.people else base.people
         hand_set = self._hand_set(base.hand_set)
+        if self.people and people is not None and not (self.hands or self.hand_model):
+            hand_set = people_hand_set(people)
         other = objects != base.objects or hand_set is not base.hand_set
         listed, labels = base.listed, base.labels
         if self.trials_file:
@@ -397,10 +425,15 @@ class BenchmarkOverrides(BenchmarkFlags):
             named = "listed trials" if listed is not None else f"trials of {drawn}"
             how = f"take --protocol {' or '.join(WITH_BODIES)}, or --receiver hand"
             raise FileError(f"--receiver body: {named} have no body; {how}")
-        if other or listed is not base.listed or (drawn, seen) != (base.drawn, base.receiver):
+        if people is not None and (listed is not None or drawn not in WITH_BODIES):
+            named = "listed trials" if listed is not None else f"trials of {drawn}"
+            how = f"take --protocol {' or '.join(WITH_BODIES)}, or leave people out"
+            raise FileError(f"people {printable(people.name)}: {named} have no body; {how}")
+        changed = (drawn, seen, people) != (base.drawn, base.receiver, base.people)
+        if other or listed is not base.listed or changed:
             base = replace(
                 base, objects=objects, hand_set=hand_set, listed=listed, labels=labels, drawn=drawn,
-                receiver=seen,
+                receiver=seen, people=people,
             )  # fmt: skip
         persons = self.persons or base.persons
         if self.robot or persons != base.persons:
@@ -630,6 +663,7 @@ def _found(said: BenchmarkOverrides, run: Path) -> BenchmarkOverrides | None:
     def of(name: str, value: str) -> str | None:
         if (
             name in ("persons", "turn")
+            or (name == "people" and value in WORDS)
             or (name == "robot" and value in ROBOTS)
             or value.startswith(PREFIX)
         ):

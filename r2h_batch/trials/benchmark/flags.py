@@ -30,6 +30,8 @@ class BenchmarkFlags:
     """A built-in robot, or a folder of import robot."""
     persons: Literal["", "for-robot", "as-for-ur5e"] = ""
     """Where persons stand: scaled by the robot's reach (default), or as for the UR5e."""
+    people: str = ""
+    """Receivers of every size: adults, children, elderly, all, or your own .csv (import people)."""
     turn: TurnWord = ""
     """Turn the objects' frames: half (180 degrees about z) or cycled (x to y, y to z, z to x)."""
 

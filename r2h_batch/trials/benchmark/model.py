@@ -176,6 +176,10 @@ class BenchmarkFile(_Entry):
         default="for-robot",
         description="where persons stand: for the robot's home and reach, or where they do for the UR5e",
     )
+    people: FilePath | None = Field(
+        default=None,
+        description="receivers with their own bodies and hands: adults, children, elderly, all, or a .csv of lengths",
+    )
     table: TableEntry = Field(default=TableEntry())
     home: Annotated[
         list[Annotated[float, Field(ge=-6.2832, le=6.2832)]], Field(min_length=6, max_length=12)

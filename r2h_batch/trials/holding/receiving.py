@@ -18,7 +18,8 @@ from torch import Tensor
 
 from r2h_batch.base import se3
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
-from r2h_batch.scene.arrays import arrays_digest
+from r2h_batch.data.people import people_hand
+from r2h_batch.scene.arrays import arrays_digest, stored_arrays
 from r2h_batch.scene.hand import HandGeometry, HandModel, load_hand
 from r2h_batch.scene.objects import (
     ObjectModel,
@@ -210,14 +211,17 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
         own = _of_object(model.turn.own, hand)
         return {**own, "T_obj_hand": model.turn.poses(own["T_obj_hand"])}
     hand = load_hand() if _is_built_in_hand(hand) else hand
-    if hand is load_hand() and f"{(stored := stored_key(model))}/side" in _stored():
-        return _stored_of(str(stored))
+    stored = (
+        _stored() if hand is load_hand() else _stored_of_people() if hand is people_hand() else {}
+    )
+    if f"{(key := stored_key(model))}/side" in stored:
+        return {k: stored[f"{key}/{k}"] for k in FIELDS}
 
     def make() -> dict[str, NDArray[Any]]:
         try:
             return sample_receiving(model, hand=hand)
         except NoHoldError:
-            return {k: v[:0] for k, v in _stored_of(load_objects()[0].name).items()}
+            return {k: _stored()[f"{load_objects()[0].name}/{k}"][:0] for k in FIELDS}
 
     made = cached("receiving", _made_of(model, hand), make, FORM)
     wanted = {side: PER_SIDE - int((made["side"] == side).sum()) for side in (0, 1)}
@@ -231,11 +235,6 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     return {k: made[k] for k in FIELDS}
 
 
-def _stored_of(key: str) -> dict[str, NDArray[Any]]:
-    stored = _stored()
-    return {k: stored[f"{key}/{k}"] for k in FIELDS}
-
-
 def _made_of(model: ObjectModel, hand: HandModel) -> str:
     """sha256 (hex) over all that an object's receiving grasps come from: object, hand, the code,
     what it is built on."""
@@ -243,6 +242,12 @@ def _made_of(model: ObjectModel, hand: HandModel) -> str:
         f"{object_digest(model)} {hand.digest} {code_digest(CODE, VERSIONS)}".encode()
     )
     return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _stored_of_people() -> dict[str, NDArray[Any]]:
+    """The same of the hand of `data/people.py`."""
+    return stored_arrays("people", "receiving.npz")
 
 
 @lru_cache(maxsize=1)

@@ -22,6 +22,7 @@ def report(
     *,
     format: Literal["md", "latex", "csv", "json", "html"] = "md",
     by_object: bool = False,
+    by_people: bool = False,
     columns: Literal[1, 2] = 2,
     intervals: bool = False,
     method: tuple[str, ...] = (),
@@ -41,6 +42,8 @@ def report(
             network needed.
         by_object: print the rates of each object instead of Table I; in md also which criteria fail
             together. The html page has both.
+        by_people: print success by age, stature, hand, sex and seat, and whom no method serves, of a sweep
+            with --people.
         columns: latex: width of the table in columns of the page: 2 for all of Table I, 1 for the SR
             of each split.
         intervals: latex: 95 % intervals below the rates; the other formats always have them.
@@ -60,6 +63,12 @@ def report(
     if gallery and (format != "html" or out is None):
         words = "--format html and --out FILE.html, for the pages of its trials"
         raise UsageError(f"--gallery needs {words}")
+    if by_people and (by_object or perceived or scans is not None or len(runs) > 1):
+        raise UsageError(
+            "--by-people prints one run; leave --by-object, --perceived and --scans out"
+        )
+    if by_people and format not in ("md", "csv", "json"):
+        raise UsageError(f"--by-people prints md, csv or json; --format is {format}")
     if perceived and (format != "md" or len(runs) > 1 or by_object):
         raise UsageError("--perceived prints one run as md; leave --format and --by-object out")
     if scans is not None and (format == "html" or perceived or by_object):
@@ -109,6 +118,10 @@ def report(
 
         rated = of_the_paper(loaded[0])
         text = beside_people(tables_of_run(rated, benchmark, "cpu", measured_trials))
+    elif by_people:
+        from r2h_batch.report.people import people_lines
+
+        text = people_lines(stored, format)
     elif by_object:
         from r2h_batch.report.table import object_lines
 

@@ -1,0 +1,211 @@
+"""`report --by-people`: success by age, stature, hand, sex and seat, and the people whom no method serves."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from r2h_batch.report.statistics.aggregate import wilson_interval
+from r2h_batch.report.text import aligned, csv_text, json_text, legend, notes_list, short_names
+from r2h_batch.runs.store import Run
+from r2h_batch.verdicts import Outcome
+
+Mask = NDArray[np.bool_]
+
+BINS: dict[str, tuple[str, str, tuple[float, ...]]] = {
+    "age_years": ("age, years", "{:.0f}", (13.0, 18.0, 40.0, 65.0)),
+    "stature_m": ("stature, m", "{:.1f}", (1.2, 1.4, 1.6, 1.8)),
+    "hand_length_m": ("hand, cm", "{:.0f}", (0.15, 0.17, 0.19, 0.21)),
+}
+"""Column -> its heading, how a bound is written (hands in cm), and the bounds between groups [choice]."""
+ADULT_YEARS = (18.0, 65.0)
+MEDIAN_M = 0.05
+"""A median adult stands, and is not farther than this from the median stature of the run's adults of the same sex."""
+SERVED = 0.5
+"""An object is served if every method succeeds in at least this share of its trials with median adults [choice]."""
+SHOWN = 20
+COLUMNS = (
+    "trial_id",
+    "object",
+    "outcome",
+    "age_years",
+    "sex",
+    "stature_m",
+    "hand_length_m",
+    "seated",
+    "redrawn",
+)
+
+
+@dataclass(frozen=True)
+class Served:
+    """The trials of a run that all methods have, in one order. `success` (methods, n)."""
+
+    methods: tuple[str, ...]
+    success: NDArray[np.bool_]
+    columns: Mapping[str, NDArray[np.generic]]
+
+    def groups(self) -> list[tuple[str, str, Mask]]:
+        """(what divides, group, its trials); groups without trials are left out."""
+        found: list[tuple[str, str, Mask]] = []
+        for name, (heading, form, bounds) in BINS.items():
+            unit = 100.0 if name == "hand_length_m" else 1.0
+            words = [form.format(unit * b) for b in bounds]
+            names = [
+                f"below {words[0]}",
+                *(f"{a} to {b}" for a, b in pairwise(words)),
+            ]
+            place = np.digitize(self.columns[name].astype(np.float64), bounds)
+            found += [
+                (heading, w, place == k) for k, w in enumerate([*names, f"{words[-1]} and more"])
+            ]
+        sex, seated = self.columns["sex"], self.columns["seated"].astype(bool)
+        found += [("sex", str(word), sex == word) for word in np.unique(sex)]
+        found += [("seat", "standing", ~seated), ("seat", "seated", seated)]
+        return [group for group in found if group[2].any()]
+
+    def median_adults(self) -> Mask:
+        """(n,) the trials with median adults."""
+        age, stature = (self.columns[k].astype(np.float64) for k in ("age_years", "stature_m"))
+        adult, sex = (age >= ADULT_YEARS[0]) & (age < ADULT_YEARS[1]), self.columns["sex"]
+        found = np.zeros(len(age), bool)
+        for word in np.unique(sex[adult]):
+            own = adult & (sex == word)
+            found |= own & (np.abs(stature - np.median(stature[own])) <= MEDIAN_M)
+        return np.asarray(found & ~self.columns["seated"].astype(bool))
+
+    def served_objects(self) -> list[str]:
+        """Objects that every method hands to median adults, by `SERVED`."""
+        median, objects = self.median_adults(), self.columns["object"]
+        return [
+            str(name)
+            for name in np.unique(objects[median])
+            if (self.success[:, median & (objects == name)].mean(1) >= SERVED).all()
+        ]
+
+
+def served(run: Run) -> Served:
+    """The trials with people that every method of a run has.
+
+    Raises:
+        ValueError: the run was swept without people, or is of a version that does not store them.
+    """
+    tables = [pa.concat_tables(list(run.shards("trials", m, COLUMNS))) for m in run.methods]
+    tables = [t.sort_by("trial_id") for t in tables]
+    ids = [t["trial_id"].to_numpy() for t in tables]
+    if any(not np.array_equal(ids[0], other) for other in ids[1:]):
+        raise ValueError(
+            "the methods have different trials; --by-people needs one run, completely swept"
+        )
+    if tables[0]["age_years"].null_count == len(ids[0]):
+        raise ValueError(
+            "this run has no people; sweep with --people adults, children, elderly, all or a .csv"
+        )
+    # answers that are missing have no person in their rows: another method's row knows
+    columns = {}
+    for name in COLUMNS:
+        values = tables[0][name].combine_chunks()
+        for other in tables[1:]:
+            values = pa.compute.coalesce(values, other[name].combine_chunks())
+        columns[name] = np.asarray(values.to_pylist())
+    won = Outcome.SUCCESS.name.lower()
+    success = np.array([[o == won for o in t["outcome"].to_pylist()] for t in tables])
+    known = np.array([x is not None for x in columns["age_years"].tolist()])
+    columns = {k: v[known] for k, v in columns.items()}
+    return Served(tuple(run.methods), success[:, known], columns)
+
+
+def people_lines(run: Run, fmt: str = "md") -> str:
+    """Success by groups of people, and whom no method serves.
+
+    Args:
+        run: what `load_run` gives.
+        fmt: md, csv or json.
+
+    Raises:
+        ValueError: no such format, or the run has no people.
+    """
+    found = served(run)
+    if fmt == "md":
+        return _md(found)
+    records = [
+        {
+            "by": by,
+            "group": group,
+            "method": method,
+            "n": int(rows.sum()),
+            "successes": int(found.success[k, rows].sum()),
+            "no_method": int((~found.success[:, rows].any(0)).sum()),
+            "redrawn": int(found.columns["redrawn"][rows].astype(np.int64).sum()),
+        }
+        for by, group, rows in [
+            ("all", "all", np.ones(found.success.shape[1], bool)),
+            *found.groups(),
+        ]
+        for k, method in enumerate(found.methods)
+    ]
+    if fmt == "csv":
+        return csv_text(records)
+    if fmt == "json":
+        return json_text({"format": 1, "served_objects": found.served_objects(), "rows": records})
+    raise ValueError(f"no table of people in format {fmt!r}; allowed are md, csv, json")
+
+
+def _md(found: Served) -> str:
+    names = short_names(found.methods)
+    n = found.success.shape[1]
+    groups = [("all", "", np.ones(n, bool)), *found.groups()]
+    median = found.median_adults()
+    if median.any():
+        groups.append(("median adults", "", median))
+    lines = []
+    for by, group, rows in groups:
+        none = ~found.success[:, rows].any(0)
+        rates = [_rate(found.success[k, rows]) for k in range(len(found.methods))]
+        redrawn = int(found.columns["redrawn"][rows].astype(np.int64).sum())
+        lines.append([by, group, str(int(rows.sum())), *rates, _rate(none), str(redrawn)])
+    head = ["By", "Group", "N", *names.values(), "No method", "Redrawn"]
+    notes = [
+        *legend(names),
+        "SR in % with its 95 % interval (Wilson). No method: trials in which no method succeeds.",
+        "Redrawn: people for whom no posture fitted; the trial took the next one.",
+    ]
+    return (
+        "\n\n".join([aligned(head, lines, 2), notes_list(notes), *_not_served(found, names)]) + "\n"
+    )
+
+
+def _not_served(found: Served, names: Mapping[str, str]) -> Sequence[str]:
+    """The people whom no method hands an object that every method hands to median adults."""
+    objects = found.served_objects()
+    if not objects:
+        return [
+            "Not served: no object is handed to median adults by every method, or the run has no adults."
+        ]
+    failed = (
+        np.isin(found.columns["object"], objects) & ~found.success.any(0) & ~found.median_adults()
+    )
+    head = ["Trial", "Object", "Sex", "Age", "Stature, m", "Hand, cm", "Seat"]
+    lines = [
+        [
+            str(found.columns["trial_id"][i]), str(found.columns["object"][i]), str(found.columns["sex"][i]),
+            f"{float(found.columns['age_years'][i]):.0f}", f"{float(found.columns['stature_m'][i]):.2f}",
+            f"{100 * float(found.columns['hand_length_m'][i]):.1f}",
+            "seated" if found.columns["seated"][i] else "standing",
+        ]
+        for i in np.flatnonzero(failed)[:SHOWN]
+    ]  # fmt: skip
+    share = 100 * failed.sum() / max(1, int(np.isin(found.columns["object"], objects).sum()))
+    title = (
+        f"Not served: {failed.sum()} people ({share:.1f} % of the trials with these objects) get from no method an object"
+        f" that every method hands to median adults ({', '.join(objects)})."
+    )
+    return [title, aligned(head, lines, 3)] if lines else [title]
+
+
+def _rate(values: NDArray[np.bool_]) -> str:
+    low, high = wilson_interval(values.sum(), len(values))
+    return f"{100 * values.mean():.1f} ({100 * float(low):.0f}-{100 * float(high):.0f})"

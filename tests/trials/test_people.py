@@ -1,0 +1,198 @@
+"""Receivers of every size: body and hand of one person, drawn by counters, never in vain."""
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from r2h_batch import make_trials
+from r2h_batch.base.io.read import FileError
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.data.people import (
+    LENGTHS_M,
+    SEXES,
+    People,
+    built_in_people,
+    hand_lengths,
+    hand_of_age,
+    people_hand,
+    people_hand_set,
+    read_people,
+)
+from r2h_batch.scene.hand import HandModel
+from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
+from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
+from r2h_batch.trials.people import Owners
+from r2h_batch.trials.protocol import trials_digest, trials_of
+from r2h_batch.trials.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM
+from r2h_batch.types import PERSON, Trials
+
+
+@pytest.fixture(scope="module")
+def children() -> Benchmark:
+    return BenchmarkOverrides(people="children").read()
+
+
+@pytest.fixture(scope="module")
+def trials(children: Benchmark) -> Trials:
+    return make_trials(trials=60, benchmark=children)
+
+
+def column(trials: Trials, name: str) -> np.ndarray:
+    assert trials.person is not None
+    return trials.person[:, PERSON.index(name)].numpy()
+
+
+def test_files_and_receivers_speak_of_the_same_lengths() -> None:
+    assert set(LENGTHS_MM) | {"stature", "hand_length"} == set(LENGTHS_M)
+
+
+@pytest.mark.check
+def test_body_and_hand_are_of_one_person_of_the_table(children: Benchmark, trials: Trials) -> None:
+    people = children.people
+    assert people is not None and trials.receiver is not None
+    # a person is found by age and stature, and then the arm and the hand must be this person's
+    age, stature = column(trials, "age_years"), column(trials, "stature_m")
+    off = np.abs(people.age[None] - age[:, None]) + np.abs(people.lengths["stature"][None] - stature[:, None])
+    who = off.argmin(1)
+    assert off.min(1).max() < 1e-6
+    arm = trials.receiver.double().numpy()
+    upper = np.linalg.norm(arm[:, 1, :3] - arm[:, 0, :3], axis=1)
+    lower = np.linalg.norm(arm[:, 2, :3] - arm[:, 1, :3], axis=1)
+    assert np.allclose(upper, (1 - JOINT_BELOW_ACROMION) * people.lengths["acromion_radiale"][who], atol=1e-6)
+    assert np.allclose(lower, people.lengths["radiale_stylion"][who], atol=1e-6)
+    assert np.allclose(arm[:, 0, 3], people.lengths["biceps_circumference"][who] / (2 * np.pi), atol=1e-6)
+    assert (people.sex[who] == column(trials, "female")).all()
+    # 200 hands a side stand for 500 people: the hand is that of a neighbour in size
+    assert np.abs(column(trials, "hand_length_m") - people.lengths["hand_length"][who]).max() < 0.004
+    hands = hand_lengths(children.hand_set.model, children.hand_set.shape.numpy())
+    assert np.allclose(hands[trials.hand_index], column(trials, "hand_length_m"), atol=1e-6)
+
+
+def test_a_trial_is_the_same_alone_and_among_others(children: Benchmark, trials: Trials) -> None:
+    redrawn = np.flatnonzero(column(trials, "redrawn") > 0)
+    assert len(redrawn), "no trial of these draws a second person: take more trials"
+    for row in (*redrawn[:2], 7):
+        alone = trials_of(children, trials.trial_id[row : row + 1])
+        for name in ("hand_index", "T_world_hand", "receiver", "person"):
+            assert torch.equal(getattr(alone, name)[0], getattr(trials, name)[row]), name
+
+
+def test_seated_children_whom_no_posture_fits_are_drawn_again_and_counted(trials: Trials) -> None:
+    assert column(trials, "redrawn").max() >= 1
+    assert len(trials) == 120
+
+
+def test_hands_keep_their_sides_when_a_trial_is_drawn_again(children: Benchmark, trials: Trials) -> None:
+    own = make_trials(trials=60)
+    usual = built_in(DEFAULT_PROTOCOL).hand_set.side[own.hand_index.long()]
+    assert torch.equal(children.hand_set.side[trials.hand_index.long()], usual)
+
+
+def test_every_person_is_some_hands_and_hands_are_in_the_order_of_their_people() -> None:
+    people = built_in_people("elderly")
+    owners = Owners(people, people_hand_set(people))
+    for side in (0, 1):
+        hands = owners.members(side)
+        found = {int(p) for u in np.linspace(0.001, 0.999, 200) for p in owners.person(hands, np.full(len(hands), u))}
+        assert found == set(range(len(people)))
+
+
+def test_without_people_trials_are_the_protocols_own() -> None:
+    assert make_trials(trials=4).person is None
+    both = [make_trials(trials=20), make_trials(trials=20, benchmark=built_in())]
+    assert trials_digest(both[0]) == trials_digest(both[1])
+
+
+def test_people_make_another_benchmark(children: Benchmark) -> None:
+    own = built_in()
+    digests = {own.digest, children.digest, replace(children, people=None).digest}
+    assert len(digests) == 3
+
+
+def test_people_need_a_protocol_with_bodies() -> None:
+    with pytest.raises(FileError, match="trials of r2h-v0 have no body; take --protocol r2h-v1"):
+        BenchmarkOverrides(people="adults", protocol="r2h-v0").read()
+    with pytest.raises(FileError, match="people is adlts, did you mean adults"):
+        BenchmarkOverrides(people="adlts").read()
+
+
+def test_the_hand_is_watertight_at_every_stature() -> None:
+    import trimesh
+
+    people, hand = built_in_people("all"), people_hand()
+    shown = people.by_hand[np.linspace(0, len(people) - 1, 25).astype(int)]
+    shape = torch.from_numpy(people.hand_shape[shown])
+    for side in (0, 1):
+        posed = hand.pose(torch.zeros(25, 48), shape, torch.full((25,), side, dtype=torch.int8))
+        for skin in posed.vertices.numpy():
+            mesh = trimesh.Trimesh(skin, hand.faces_by_side[side].numpy(), process=False)
+            assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 5e-5
+
+
+def test_shape_numbers_give_back_the_length_of_each_persons_hand() -> None:
+    people = built_in_people("all")
+    made = hand_lengths(people_hand(), people.hand_shape)
+    assert np.abs(made - people.lengths["hand_length"]).max() < 0.0015
+
+
+def test_a_child_of_eight_has_a_smaller_hand_than_an_adult() -> None:
+    lengths = []
+    for age in (8.0, 30.0):
+        model = HandModel.from_arrays(hand_of_age(age))
+        lengths.append(float(hand_lengths(model, np.zeros((1, 10), np.float32))[0]))
+    assert 0.13 < lengths[0] < 0.17 < lengths[1] < 0.22
+    with pytest.raises(FileError, match="--age 3: the built-in people are 6 to 12"):
+        hand_of_age(3.0)
+
+
+def written(path: Path, people: People, change: Callable[[dict[str, str]], None] = lambda row: None) -> Path:
+    rows = []
+    for k in range(len(people)):
+        row = {"sex": SEXES[people.sex[k]], "age": f"{people.age[k]:.2f}"}
+        row |= {name: f"{people.lengths[name][k]:.5f}" for name in LENGTHS_M}
+        change(row)
+        rows.append(row)
+    with path.open("w", newline="") as out:
+        table = csv.DictWriter(out, list(rows[0]))
+        table.writeheader()
+        table.writerows(rows)
+    return path
+
+
+def some(count: int) -> People:
+    every, rows = built_in_people("adults"), slice(0, count)
+    lengths = {name: values[rows] for name, values in every.lengths.items()}
+    return People("some", every.sex[rows], every.age[rows], lengths, every.hand_shape[rows])
+
+
+def test_a_file_of_people_gives_their_trials(tmp_path: Path) -> None:
+    file = written(tmp_path / "staff.csv", some(3))
+    (tmp_path / "benchmark.yaml").write_text("people: staff.csv\n")
+    trials = make_trials(trials=10, benchmark=read_benchmark(tmp_path / "benchmark.yaml"))
+    assert set(column(trials, "stature_m").round(4)) <= set(some(3).lengths["stature"].round(4).astype(np.float32))
+    same = make_trials(trials=10, benchmark=BenchmarkOverrides(people=str(file)).read())
+    assert torch.equal(same.T_world_hand, trials.T_world_hand)
+
+
+WRONG: dict[str, tuple[Callable[[dict[str, str]], object], str]] = {
+    "millimetres": (lambda row: row.update(stature="1755"), "stature of person 1 is 1755; a body's is 0.6 to 2.35 m"),
+    "no length": (lambda row: row.update(acromion_radiale="long"), "acromion_radiale of person 1 is 'long'"),
+    "missing": (lambda row: row.pop("hand_length"), "has no column hand_length"),
+    "hand": (lambda row: row.update(hand_length="0.255"), "hand_length of person 1 is 0.255 m; hands of"),
+    "order": (lambda row: row.update(iliac_height="1.44", acromial_height="1.40"), "iliac_height must be less"),
+    "nan": (lambda row: row.update(age="nan"), "age of person 1 is nan; a body's is 0 to 120 years"),
+    "sex": (lambda row: row.update(sex="x"), "sex of person 1 is 'x'; allowed are male, female"),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_a_file_that_describes_no_body_gets_one_line(tmp_path: Path, fault: str) -> None:
+    change, words = WRONG[fault]
+    with pytest.raises(FileError) as error:
+        read_people(written(tmp_path / "people.csv", some(2), lambda row: (change(row), None)[1]))
+    assert words in str(error.value) and "\n" not in str(error.value)
