@@ -1,7 +1,7 @@
 """Transfers after the arm stands still: docs/results/transfer.md.
 
 `python bench/transfer.py` simulates the transfers of the shipped rows of r2h-v1 (the first `--trials` of each split after those
-that the model was fitted on) and of `oracle,for=reception`: four policies, take and touch. It halves the time step and varies
+that the model was fitted on) and of `oracle,for=reception`: five policies, take and touch. It halves the time step and varies
 friction and mass for the oracle, asks which objects the closed gripper holds for 1 s, and measures the cost of a transfer and the
 memory of `--memory` transfers. `--render` writes the page again from the JSON.
 """
@@ -18,12 +18,12 @@ PAGE = ROOT / "docs" / "results" / "transfer.md"
 STORED = ROOT / "bench" / "results" / "transfer.json"
 BASELINES = ROOT / "r2h_batch" / "report" / "compare" / "baselines"
 BOUND = "oracle,for=reception"
-STUDIED = 20
-"""Trials of the prototype's study: 10 of each split. Figures are of others."""
-RELEASE = ("never", "timer", "threshold", "load-share")
+STUDIED = 44
+"""Trials that the model or `probe` was tuned on: 22 of each split. Figures are of others."""
+RELEASE = ("never", "timer", "threshold", "load-share", "probe")
 SCENARIO = ("take", "touch")
 MORE = tuple((r, s) for s in ("pull-early", "weak") for r in ("threshold", "load-share"))
-"""Cases beside the four policies with `SCENARIO`."""
+"""Cases beside the policies with `SCENARIO`."""
 FORCE_PERCENT = (50, 90, 99)
 HELD_EVERY = 2
 """Every second trial of each split is asked whether the gripper holds its object."""
@@ -46,8 +46,7 @@ HEAD = """# Transfers: who takes the object, and when the gripper lets go
 
 See what a release policy changes ([definitions, and what may not be claimed](../transfer.md)). `python bench/transfer.py`
 simulated {trials} trials of each split of r2h-v1 with one person each (bench/results/transfer.json, commit {commit}). The
-model was fitted on 20 other trials; four of these were looked at while it was built. Intervals are wide. For your method run
-`r2h-batch results transfer runs/mine`.
+model and `probe` were fitted on 44 other trials. For your method run `r2h-batch results transfer runs/mine`.
 
 ## From success to taken
 

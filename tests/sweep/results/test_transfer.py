@@ -58,7 +58,7 @@ def test_a_run_without_bodies_and_wrong_words_are_told_what_is_missing(run, tmp_
     assert main(["results", "transfer", str(run), "--scenario", "grab"]) == 2
     assert "take, touch, nobody, pull-early, weak" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--release", "soon"]) == 2
-    assert "never, timer, threshold, load-share" in capsys.readouterr().err
+    assert "never, timer, threshold, load-share, probe" in capsys.readouterr().err
 
 
 def test_several_persons_of_a_trial_do_not_narrow_its_interval_as_more_trials_would(run):
