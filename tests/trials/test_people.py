@@ -1,6 +1,7 @@
 """Receivers of every size: body and hand of one person, drawn by counters, never in vain."""
 
 import csv
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +11,11 @@ import pytest
 import torch
 
 from r2h_batch import make_trials
+from r2h_batch.assets.hand.build_handset import angles_from_pose
 from r2h_batch.base.io.read import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.data.people import (
+    GROUPS,
     LENGTHS_M,
     SEXES,
     People,
@@ -23,6 +26,7 @@ from r2h_batch.data.people import (
     people_hand_set,
     read_people,
 )
+from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays
 from r2h_batch.scene.hand import HandModel
 from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
@@ -132,6 +136,52 @@ def test_the_hand_is_watertight_at_every_stature() -> None:
         for skin in posed.vertices.numpy():
             mesh = trimesh.Trimesh(skin, hand.faces_by_side[side].numpy(), process=False)
             assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 5e-5
+
+
+def test_capsules_and_box_hold_the_body_as_the_report_says() -> None:
+    report = json.loads(asset("people", "report.json").read_text())
+    assert report["digests"]["people"] == arrays_digest(read_arrays(asset("people", "people.npz")))
+    assert report["digests"]["hand"] == arrays_digest(read_arrays(asset("people", "hand.npz")))
+    for group in GROUPS:
+        for shape, found in report["shapes"][group].items():
+            assert found["skin_held_share"] > 0.95, (group, shape)
+            assert found["skin_outside_max_mm"] <= 20.0, (group, shape)
+            assert found["overshoot_p95_mm"] < 80.0, (group, shape)
+
+
+def test_lengths_are_those_of_bodies_between_a_child_and_a_tall_man() -> None:
+    # ANSUR II's medians (bench/people.py has the source); Anny's upper arms are short
+    adults = built_in_people("adults")
+    for sex, medians in ((0, (1.755, 1.439, 0.267, 0.430, 0.608)), (1, (1.626, 1.332, 0.240, 0.387, 0.567))):
+        names = ("stature", "acromial_height", "radiale_stylion", "popliteal_height", "seated_shoulder")
+        for name, published in zip(names, medians, strict=True):
+            own = np.median(adults.lengths[name][adults.sex == sex])
+            assert abs(own / published - 1) < (0.15 if name == "radiale_stylion" else 0.05), (name, own)
+    children = built_in_people("children")
+    assert np.corrcoef(children.age, children.lengths["stature"])[0, 1] > 0.8
+
+
+NORMS = {
+    # flexion (extension negative), degrees: reference values of The Electronic Textbook of Hand Surgery (e-hand.com,
+    # "Normal Range of Motion Reference Values"); abduction of the fingers: AAOS
+    (0,): ((-70, 75), (-35, 35)),
+    (1, 4, 7, 10): ((-45, 90), (-20, 20)),
+    (2, 5, 8, 11): ((0, 100), None),
+    (3, 6, 9, 12): ((0, 80), None),
+    (14,): ((-10, 55), None),
+    (15,): ((-15, 80), None),
+}
+
+
+def test_receiving_postures_keep_to_clinical_ranges_of_the_joints() -> None:
+    stored, axes = read_arrays(asset("people", "postures.npz")), people_hand().joint_axes.double().numpy()
+    right = np.where(stored["side"][:, None, None] == 1, [[1.0, -1.0, -1.0]], 1.0) * stored["pose"].reshape(-1, 16, 3)
+    angles = np.array([angles_from_pose(pose.astype(np.float64).reshape(48), axes) for pose in right])
+    for joints, (flexion, abduction) in NORMS.items():
+        for j in joints:
+            assert angles[:, j, 0].min() >= flexion[0] and angles[:, j, 0].max() <= flexion[1], j
+            if abduction is not None:
+                assert abduction[0] <= angles[:, j, 1].min() and angles[:, j, 1].max() <= abduction[1], j
 
 
 def test_shape_numbers_give_back_the_length_of_each_persons_hand() -> None:
