@@ -96,10 +96,10 @@ METHODS = (
 METHOD_NAMES = tuple(entry.name for entry in METHODS)
 
 TURNS = ("half", "cycled")
-"""Turns of the objects' frames: by 180 degrees about z; x to y, y to z, z to x. `trials/benchmark/build.py` has them."""
+"""Turns of the objects' frames that a turn test makes: by 180 degrees about z; x to y, y to z, z to x.
+`trials/benchmark/build.py` has them."""
 
 if TYPE_CHECKING:
-    TurnWord: TypeAlias = str
     ProtocolName: TypeAlias = str
     ProtocolWord: TypeAlias = str
     PresetName: TypeAlias = str
@@ -109,6 +109,5 @@ else:  # in a checked field: one of the names; a word may also be empty, or leav
     ProtocolName = Literal[PROTOCOL_NAMES]
     ProtocolWord = Literal[("", *PROTOCOL_NAMES)]
     PresetName = Literal[PRESET_NAMES]
-    TurnWord = Literal[("", *TURNS)]
     EngineName = Literal[("none", *ENGINE_NAMES)]
     EngineWord = Literal[("auto", "none", *ENGINE_NAMES)]

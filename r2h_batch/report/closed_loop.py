@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from r2h_batch.report.statistics.aggregate import wilson_interval
-from r2h_batch.report.text import aligned, notes_list, plain, short_names
+from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.runs.store import Run
 
 __all__ = ["render"]
@@ -35,9 +34,9 @@ def render(run: Run) -> str:
         touched = rows["end"] == "contact"
         by_robot = touched & (rows["robot_touched"] == True)  # noqa: E712 - null where nothing touched
         won = rows["end"] == "success"
-        shares = [_percent(rows["end"] == end, n) for end in SHOWN[1:]]
-        touches = [_percent(by_robot, n), _percent(touched & ~by_robot, n)]
-        rates = [_rate(verdicts == "success", n), _rate(won, n)]
+        shares = [percent_text(rows["end"] == end) for end in SHOWN[1:]]
+        touches = [percent_text(by_robot), percent_text(touched & ~by_robot)]
+        rates = [rate_text(verdicts == "success"), rate_text(won)]
         ends.append([label, str(n), *rates, *touches, *shares])
         went.append([label, *_numbers(rows, won)])
     head = ["Method", "n", "SR", "closed loop", "contact by robot", "by hand"]
@@ -52,17 +51,6 @@ def render(run: Run) -> str:
         notes_list(NOTES),
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
-
-
-def _percent(hits: np.ndarray, n: int) -> str:
-    return f"{100 * float(hits.sum()) / n:.1f}" if n else "-"
-
-
-def _rate(hits: np.ndarray, n: int) -> str:
-    if not n:
-        return "-"
-    low, high = wilson_interval(hits.sum(), n)
-    return f"{100 * hits.sum() / n:.1f} [{100 * float(low):.1f}, {100 * float(high):.1f}]"
 
 
 def _numbers(rows: dict[str, np.ndarray], won: np.ndarray) -> list[str]:

@@ -8,7 +8,10 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from r2h_batch.base.io.write import csv_cell
+from r2h_batch.report.statistics.aggregate import wilson_interval
 
 NA = "n/a"
 """A cell in which nothing is defined."""
@@ -50,6 +53,19 @@ def short_names(methods: Sequence[str]) -> dict[str, str]:
 def legend(names: Mapping[str, str]) -> list[str]:
     """`short: full name` of every name that was shortened."""
     return [f"{short}: {method}" for method, short in names.items() if short != method]
+
+
+def percent_text(hits: np.ndarray) -> str:
+    """Share of the true ones in percent; `-` of none."""
+    return f"{100 * float(hits.mean()):.1f}" if len(hits) else "-"
+
+
+def rate_text(hits: np.ndarray) -> str:
+    """`percent_text` with its 95 % Wilson interval."""
+    if not len(hits):
+        return "-"
+    low, high = wilson_interval(hits.sum(), len(hits))
+    return f"{percent_text(hits)} [{100 * float(low):.1f}, {100 * float(high):.1f}]"
 
 
 def aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) -> str:

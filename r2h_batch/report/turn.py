@@ -3,6 +3,7 @@ whose answers depend on how a mesh lies in its file moves; another one does not.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ NOTES = (
     "half turn: 180 degrees about z. cycled axes: x to y, y to z, z to x. Objects, grasps, hands and trials are the same; only"
     " the frame differs in which a method sees an object.",
     "moves: SR with turned objects less SR as they lie, in points, paired on the trial id, with the 95 % t interval over"
-    " objects (families: over categories). p: McNemar's exact test, Holm over the three pairs of frames.",
+    " objects (families: over categories). p: McNemar's exact test, Holm over the pairs of frames.",
     f"{MARK}: a turn moves SR by more than {MOST_POINTS:g} points.",
 )
 
@@ -49,7 +50,7 @@ class Move:
     """How a turn moves a method's success rate.
 
     Attributes:
-        turn: a word of `TURNS`.
+        turn: a word of `TURNS`, or degrees about x, y and z, as `20,40,60`.
         points: rate with turned objects less the rate as they lie.
         low: lower end of the 95 % interval over categories of objects; None with one category.
         high: its upper end.
@@ -102,7 +103,7 @@ class Turned:
         """The mark of a table in words."""
         most = self.most
         return (
-            f"{MARK} {self.method}, {self.group}: a {WORDS[most.turn]} of the objects' frames moves SR by {most.points:+.1f}"
+            f"{MARK} {self.method}, {self.group}: a {words_for(most.turn)} of the objects' frames moves SR by {most.points:+.1f}"
             f" points (95 % {most.ends}; {self.n} trials in each frame)."
         )
 
@@ -125,15 +126,19 @@ def turned(run: Run) -> tuple[Turned, ...]:
             if entry.folder != own.folder or not entry.complete:
                 continue
             stored = next(e.name for e in own.entries if e.slug == entry.slug)
-            if all(stored in other.methods for other in runs.values()):
-                found += _of_method(own, runs, stored, entry.name)
+            asked = {turn: other for turn, other in runs.items() if stored in other.methods}
+            if asked.keys() >= {*TURNS}:
+                found += _of_method(own, asked, stored, entry.name)
     return tuple(found)
 
 
 def _runs(run: Run) -> dict[str, Run]:
-    """Turn -> its run; empty where one is missing."""
-    folders = {turn: folder_of(run.folder, turn) for turn in TURNS}
-    if not all((folder / "run.json").is_file() for folder in folders.values()):
+    """Turn -> its run, further turns last; empty where one of `TURNS` is missing."""
+    place = folder_of(run.folder, "")
+    more = sorted(p.name for p in place.glob("*,*,*")) if place.is_dir() else []
+    folders = {turn: folder_of(run.folder, turn) for turn in (*TURNS, *more)}
+    folders = {turn: folder for turn, folder in folders.items() if (folder / "run.json").is_file()}
+    if not folders.keys() >= {*TURNS}:
         return {}
     runs = {turn: load_run(folder) for turn, folder in folders.items()}
     for turn, other in runs.items():
@@ -157,8 +162,10 @@ def _check(run: Run, turn: str, other: Run) -> None:
 
 def _of_method(run: Run, runs: Mapping[str, Run], method: str, shown: str) -> list[Turned]:
     columns = [_solved(one, method) for one in (*runs.values(), run)]
-    ids = columns[0][0]
-    if not all(np.isin(ids, other[0]).all() for other in columns):
+    ids = reduce(
+        np.intersect1d, [column[0] for column in columns]
+    )  # each has the first ones of the run
+    if not len(ids):
         raise RunError(f"{run.folder}{BESIDE}: {method!r} has other trials; make the test again")
     rows = [np.searchsorted(other[0], ids) for other in columns]
     success = np.stack([c[3][row] for c, row in zip(columns, rows, strict=True)])
@@ -204,8 +211,9 @@ def render(tests: Sequence[Turned], fmt: str = "md") -> str:
             ]
         )
     short = short_names([t.method for t in tests])
+    turns = tuple(dict.fromkeys(move.turn for t in tests for move in t.moves))
     head = ["Split", "Method", "N", "SR"]
-    head += [cell for turn in TURNS for cell in (WORDS[turn], "moves", "95 %", "p")]
+    head += [cell for turn in turns for cell in (words_for(turn), "moves", "95 %", "p")]
     lines = []
     for t in tests:
         cells = [
@@ -214,18 +222,23 @@ def render(tests: Sequence[Turned], fmt: str = "md") -> str:
             str(t.n),
             f"{t.rate:.1f}",
         ]
-        for move in t.moves:
-            cells += [
-                f"{t.rate + move.points:.1f}",
-                f"{move.points:+.1f}",
-                move.ends,
-                f"{move.p_holm:.2g}",
-            ]
+        moves = {move.turn: move for move in t.moves}
+        for turn in turns:
+            cells += _cells(t.rate, moves[turn]) if turn in moves else [NA] * 4
         lines.append(cells)
     return (
         "\n\n".join([aligned(head, lines, 2), notes_list([*map(plain, legend(short)), *NOTES])])
         + "\n"
     )
+
+
+def _cells(rate: float, move: Move) -> list[str]:
+    return [f"{rate + move.points:.1f}", f"{move.points:+.1f}", move.ends, f"{move.p_holm:.2g}"]
+
+
+def words_for(turn: str) -> str:
+    """A turn as tables name it."""
+    return WORDS.get(turn, f"turn of {turn} degrees")
 
 
 def about(tests: Sequence[Turned]) -> list[dict[str, Any]]:

@@ -5,23 +5,29 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
+from r2h_batch.base.command_line import UsageError
+
 Line = tuple[str, ...]
 
 
 def ls(
     what: Literal["methods", "objects", "families", "robots", "protocols", "runs"],
-    folder: Path = Path("runs"),
+    folder: Path | None = None,
     /,
 ) -> int:
     """List methods, objects, families, robots, protocols or runs, one a line.
 
     Args:
         what: methods, objects, families (and their shipped instances), robots, protocols or runs.
-        folder: with `runs`, the folder to search.
+        folder: with `runs`, the folder to search; by default runs.
     """
+    if folder is not None and what != "runs":
+        raise UsageError(
+            f"ls {what} takes nothing more, and {str(folder)!r} is given; only ls runs FOLDER has a second word"
+        )
     lines = list({
         "methods": _methods, "objects": _objects, "families": _families, "robots": _robots, "protocols": _protocols,
-        "runs": lambda: _runs(folder),
+        "runs": lambda: _runs(folder or Path("runs")),
     }[what]())  # fmt: skip
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))] if lines else []
     for line in lines:

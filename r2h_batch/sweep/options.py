@@ -26,7 +26,6 @@ from r2h_batch.base.registry import (
     EngineWord,
     PresetName,
     ProtocolWord,
-    TurnWord,
 )
 from r2h_batch.base.user_code import HOW
 from r2h_batch.base.validate import expand_home
@@ -136,10 +135,10 @@ class Options:
         ),
     ] = ""
     turn: Annotated[
-        TurnWord,
+        str,
         Flag(
-            "turn the objects' frames: half (180 degrees about z) or cycled (x to y, y to z, z to x); r2h-batch "
-            "turn compares them"
+            "turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x) or degrees about x, y, z "
+            "(20,40,60); r2h-batch turn compares them"
         ),
     ] = ""
     hands: Annotated[str, Flag("another hand set: .npz of import hands", "trials")] = ""

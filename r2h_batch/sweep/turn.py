@@ -22,6 +22,7 @@ def turn(
     *,
     method: tuple[str, ...] = (),
     trials: int = 0,
+    by: tuple[str, ...] = (),
     format: Literal["md", "csv", "json"] = "md",
     benchmark: BenchmarkFlags = BUILT_IN,
     device: str = "cpu",
@@ -38,6 +39,7 @@ def turn(
             ones. Your own as the sweep was given it (NAME=FILE.py:function): nothing that a run folder
             names is run.
         trials: of each split, the first ones of the run; 0: all.
+        by: further turns, as degrees about x, y and z: --by 20,40,60 (--by=-20,0,0).
         format: md, csv or json.
         benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
@@ -47,15 +49,19 @@ def turn(
     from r2h_batch.runs.writing import open_run
     from r2h_batch.sweep.command import stop_signals
     from r2h_batch.sweep.scoring import ProgressFile, Scoring, Stopped, score_local, shard_size
+    from r2h_batch.trials.benchmark.build import frame_of
 
     if trials < 0:
         raise UsageError(f"--trials is {trials}; it must be 0 (all) or more")
     if benchmark.turn:
-        raise UsageError("--turn is the command's own; leave it out")
+        raise UsageError("--turn is the command's own; leave it out, or give --by")
+    words = tuple(dict.fromkeys((*TURNS, *(word.replace(" ", "") for word in by))))
+    for word in words:
+        frame_of(word)
     run = load_run(folder)
     refused: list[str] = []
     with stop_signals() as stopping:
-        for word in TURNS:
+        for word in words:
             setting = _setting(run, word, trials, benchmark, device)
             jobs = _jobs(run, method, setting)
             out = folder_of(run.folder, word)

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
+from r2h_batch.__main__ import main
 from r2h_batch.base.io.read import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.scene.families.draw import FAMILIES, SHIPPED, TRAINING, draw_instance
@@ -85,7 +86,10 @@ def test_new_instances_are_drawn_by_what_the_flag_says():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("families:cupp", "did you mean cup"),
+        ("families:cupp", "did you mean cup?; there are game_controller, bowl,"),
+        ("families:mug x 3", "'mug', did you mean cup?"),
+        ("families:cup_07", "CATEGORY is * or of game_controller"),
+        ("families:", "no family is called ''; there are"),
         ("families:cup y 3", "write families:CATEGORY"),
         ("families:cup,cup", "stands twice"),
         ("families:cup x 0", "1 to 1000"),
@@ -97,3 +101,8 @@ def test_what_names_no_family_or_too_many_is_refused_in_one_line(text, said):
     with pytest.raises(FileError, match=re.escape(said)) as caught:
         family_objects(text)
     assert "\n" not in str(caught.value)
+
+
+def test_ls_refuses_a_second_word_that_it_would_not_read(capsys):
+    assert main(["ls", "families", "cup"]) == 2
+    assert "takes nothing more, and 'cup' is given" in capsys.readouterr().err

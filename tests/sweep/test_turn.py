@@ -11,7 +11,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.objects import load_objects, object_digest
 from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.benchmark.build import FRAMES, in_frame
+from r2h_batch.trials.benchmark.build import FRAMES, frame_of, in_frame
 from r2h_batch.trials.protocol import make_trials
 
 BY_X = """
@@ -28,6 +28,7 @@ def by_x(trials, scene, *, seed, evaluator):
 """
 
 
+TURNED = (*FRAMES, "20,40,-60")
 FEW = ("--trials", "10", "--splits", "S1", "--sim", "none", "--quiet")
 
 
@@ -47,16 +48,16 @@ def run(tmp_path_factory):
 def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(run, capsys):
     capsys.readouterr()
     words = ["intent", f"mine={run / 'own.py'}:by_x"]
-    assert command("turn", run / "run", "--method", *words, "--format", "json") == 0
+    assert command("turn", run / "run", "--method", *words, "--by", "20, 40,-60", "--format", "json") == 0
     found = {(t["method"].partition(" ")[0], t["group"]): t for t in json.loads(capsys.readouterr().out)}
     names = load_run(run / "run").trials("mine")["object"].to_pylist()
     ahead = {o.name: o.com[0] > 0 for o in load_objects()}
-    for turn in FRAMES:
+    for turn in TURNED:
         table = load_run(run / "run-turned" / turn).trials("mine")
-        com = {o.name: (FRAMES[turn] @ o.com)[0] > 0 for o in load_objects()}
+        com = {o.name: (frame_of(turn) @ o.com)[0] > 0 for o in load_objects()}
         solved = np.array(table["outcome"].to_pylist()) == "success"
         assert not solved[[not com[n] for n in table["object"].to_pylist()]].any() and solved.any()
-    assert {m["turn"] for m in found["mine", "S1"]["moves"]} == set(FRAMES) and any(ahead[n] for n in names)
+    assert {m["turn"] for m in found["mine", "S1"]["moves"]} == set(TURNED) and any(ahead[n] for n in names)
     assert max(abs(m["points"]) for m in found["mine", "S1"]["moves"]) >= 20
     assert all(m["points"] == 0 for m in found["Intent-Handover", "S1"]["moves"])
     assert command("report", run / "run") == 0
@@ -114,3 +115,16 @@ def test_turned_objects_have_the_same_trials(protocol):
         again = make_trials(["S0", "S1"], 4, benchmark=other)
         assert np.array_equal(few.T_world_hand.numpy(), again.T_world_hand.numpy())
         assert np.isclose(np.linalg.det(R), 1) and object_digest(other.objects[3]) != object_digest(own.objects[3])
+
+
+@pytest.mark.parametrize("word", ["halff", "1,2", "1,2,nan", "1,2,400", "a,b,c"])
+def test_an_invalid_turn_is_refused_before_anything_is_scored(run, capsys, word):
+    assert command("turn", run / "run", "--by", word) == 2
+    assert "give half, cycled, or degrees about x, y and z" in capsys.readouterr().err
+    assert not (run / "run-turned" / word).exists()
+
+
+def test_angles_turn_about_fixed_axes_in_their_order():
+    c, s = np.cos(np.pi / 6), 0.5
+    about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    np.testing.assert_allclose(frame_of("90,0,30"), about_z @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), atol=1e-12)

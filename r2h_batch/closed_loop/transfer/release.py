@@ -8,12 +8,15 @@ depend on its batch.
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float64
+from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base.user_code import load_function
 from r2h_batch.runs import provenance
+from r2h_batch.trials.holding.held_out import G
 
 TARE_TICKS = 12
 """Readings whose mean is the load before anybody touches: 0.1 s."""
@@ -169,11 +172,78 @@ class LoadShare(Tared):
         return Action(self.lasting(share > self.SHARE), squeeze)
 
 
+class Probe:
+    """Shakes the object by a few millimetres along each axis, and lets go when it feels a hand that carries.
+
+    A hand that grips resists in two directions at least, a finger that presses resists in one, and an object alone only
+    by its mass. The policy estimates the response to its own motion, a 3 x 3 matrix of complex stiffnesses. It is a
+    Bayesian linear regression over the last `WINDOW_TICKS` readings: normal prior, normal noise, and a load that drifts
+    as a parabola, so that a person who takes the weight or pulls does not spoil it. The matrix, less the object's own
+    inertia, has three singular values. The second one says how stiffly a hand holds.
+
+    Source: the idea of probing (Li, Shao and Hsu 2026, arXiv 2605.04610). The model is our own.
+    """
+
+    HZ, SHIFT_M, RAMP_S, WINDOW_TICKS = (4.0, 6.0, 8.0), 0.004, 0.1, 54
+    NOISE_N, PRIOR_N_M, FINGERS_KG = 0.5, 2000.0, 0.2
+    LEAST_N_M, OWN_SHARE, SIGMAS, SHARE, HOLD_S = 200.0, 0.35, 3.0, 0.5, 0.1
+    """A hand: the second singular value exceeds `LEAST_N_M` and `OWN_SHARE` of what the object's mass alone would give,
+    by `SIGMAS` of the posterior, for `HOLD_S`, and the person carries `SHARE` of the weight [choice]."""
+
+    def __init__(self, robot: RobotSide) -> None:
+        self.robot, self.ticks = robot, 0
+        self.no = torch.zeros_like(robot.weight_n, dtype=torch.bool)
+        self.tare = torch.zeros_like(robot.weight_n)
+        self.lasting = Lasting(round(self.HOLD_S / robot.tick_s), robot.weight_n)
+        self.forces: list[Tensor] = []
+        self.mass = robot.weight_n.cpu().numpy() / G + self.FINGERS_KG
+        self.omega = 2 * np.pi * np.array(self.HZ)
+
+    def __call__(self, seen: Observation) -> Action:
+        if self.ticks < TARE_TICKS:
+            self.tare = self.tare + seen.force[:, 2] / TARE_TICKS
+        now_s = (self.ticks - TARE_TICKS) * self.robot.tick_s
+        self.ticks += 1
+        shift = torch.from_numpy(self._moves(np.array([now_s]))[0][0]).to(self.tare)
+        self.forces = [*self.forces[-(self.WINDOW_TICKS - 1) :], seen.force.clone()]
+        feels = self._feels(now_s) if len(self.forces) == self.WINDOW_TICKS else self.no
+        return Action(self.lasting(feels), shift=shift.expand(len(self.no), 3))
+
+    def _moves(self, at_s: Float64[NDArray[np.float64], " k"]) -> tuple[Any, Any]:
+        """The shifts at some times, (K, 3), m, and the same a quarter of a period later."""
+        size = self.SHIFT_M * (at_s / self.RAMP_S).clip(0.0, 1.0)[:, None]
+        turn = at_s[:, None] * self.omega
+        return size * np.sin(turn), size * np.cos(turn)
+
+    def _feels(self, now_s: float) -> Bool[Tensor, " n"]:
+        """Whether each row's readings say that a hand holds and carries the object."""
+        # a reading is a tick late
+        at_s = now_s - self.robot.tick_s * np.arange(self.WINDOW_TICKS, 0, -1)
+        age = (at_s - at_s[-1]) / (self.WINDOW_TICKS * self.robot.tick_s)
+        X = np.column_stack([np.ones_like(age), age, age**2, *self._moves(at_s)])
+        precision = np.diag(np.repeat([1e-6, self.PRIOR_N_M**-2], [3, 6]))
+        covariance = np.linalg.inv(X.T @ X / self.NOISE_N**2 + precision)
+        weights = torch.from_numpy(covariance @ X.T / self.NOISE_N**2).to(self.tare)
+        mean = torch.zeros((9, *self.forces[0].shape), dtype=torch.float64, device=self.tare.device)
+        for k, force in enumerate(self.forces):  # one after the other: the same bits in every batch
+            mean = mean + weights[:, k, None, None] * force
+        share = (mean[0, :, 2] - self.tare) / self.robot.weight_n.clamp(min=LoadShare.LEAST_N)
+        found = mean.cpu().numpy()
+        response = np.moveaxis(found[3:6] + 1j * found[6:], 0, 2)
+        own = self.mass[:, None, None] * np.diag(self.omega**2)
+        holds = np.linalg.svd(response - own, compute_uv=False)[:, 1]
+        sure = self.SIGMAS * np.sqrt(covariance.diagonal()[3:].max())
+        least = self.LEAST_N_M + self.OWN_SHARE * self.mass * self.omega[1] ** 2
+        hand = torch.from_numpy(holds - sure > least).to(self.no.device)
+        return hand & (share > self.SHARE)
+
+
 POLICIES: dict[str, Any] = {
     "never": Never,
     "timer": Timer,
     "threshold": Threshold,
     "load-share": LoadShare,
+    "probe": Probe,
 }
 """By their names in commands."""
 

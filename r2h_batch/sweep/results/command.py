@@ -218,7 +218,7 @@ def transfer(
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
-        release: policies: never, timer, threshold, load-share or FILE.py:Class.
+        release: policies: never, timer, threshold, load-share, probe or FILE.py:Class.
         scenario: take, touch, nobody, pull-early or weak.
         draws: persons that are drawn for each trial.
         method: only these methods, by the sweep's word (fc) or the table's name.

@@ -18,8 +18,7 @@ from r2h_batch.closed_loop.transfer.handed import gripped_of
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.judge.grasp_physics import DROPPED_M
 from r2h_batch.report.held import FOLDER, MADE_OF
-from r2h_batch.report.statistics.aggregate import wilson_interval
-from r2h_batch.report.text import aligned, notes_list, plain, short_names
+from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reception import judge_of, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
@@ -129,13 +128,17 @@ def render(files: dict[str, Path]) -> str:
         table = pq.read_table(path)
         label, held = plain(short[name]), table["held"].to_numpy(zero_copy_only=False) == True  # noqa: E712 - null: failed
         slip, won = table["slip_m"].to_numpy(), table["success"].to_numpy()
-        rates.append([label, str(len(held)), _rate(held), str(int(won.sum())), _rate(held[won])])
+        rates.append(
+            [label, str(len(held)), rate_text(held), str(int(won.sum())), rate_text(held[won])]
+        )
         of = np.array(table["object"].to_pylist(), dtype=object)
         for word in dict.fromkeys(of.tolist()):
             own = of == word
             if (lost := own & ~held).any():
                 cm = f"{100 * float(np.nanmedian(slip[lost])):.1f}"
-                objects.append([label, plain(word), str(int(own.sum())), _percent(held[own]), cm])
+                objects.append(
+                    [label, plain(word), str(int(own.sum())), percent_text(held[own]), cm]
+                )
     parts = [
         "Held under their weight for 1 s",
         aligned(["Method", "n", "held 1 s", "successes", "of these held"], rates, 1),
@@ -144,14 +147,3 @@ def render(files: dict[str, Path]) -> str:
         head = ["Method", "object", "n", "held 1 s", "slip of the lost, cm"]
         parts += ["Objects", aligned(head, objects, 2)]
     return "\n\n".join([*parts, notes_list(NOTES)]) + "\n"
-
-
-def _percent(hits: np.ndarray) -> str:
-    return f"{100 * float(hits.mean()):.1f}" if len(hits) else "-"
-
-
-def _rate(hits: np.ndarray) -> str:
-    if not len(hits):
-        return "-"
-    low, high = wilson_interval(hits.sum(), len(hits))
-    return f"{_percent(hits)} [{100 * float(low):.1f}, {100 * float(high):.1f}]"

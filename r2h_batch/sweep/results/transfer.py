@@ -20,8 +20,8 @@ from r2h_batch.closed_loop.transfer.outcome import Outcome
 from r2h_batch.closed_loop.transfer.person import SCENARIOS
 from r2h_batch.closed_loop.transfer.release import release_of
 from r2h_batch.judge.reception import reception
-from r2h_batch.report.statistics.aggregate import wilson_interval
-from r2h_batch.report.text import aligned, notes_list, plain, short_names
+from r2h_batch.report.statistics.aggregate import clustered_rate
+from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
@@ -61,7 +61,8 @@ VERSIONS = ("mujoco", "numpy", "scipy", "torch")
 
 NOTES = (
     "n counts received rows; nobody takes the others. taken: in the person's hand, slipped by less than 2 cm and turned by"
-    " less than 30 degrees. Brackets: 95 %, Wilson, over trials whose persons are drawn anew. Outcomes are percent of n.",
+    " less than 30 degrees. Outcomes are percent of n. Brackets: 95 % over trials, each with persons of its own (Wilson; where"
+    " a trial has several persons, a t interval over trials).",
     "Persons: percent taken by the weaker and the firmer half of the grips, and by the stiffer half of the arms. touch: a finger"
     " presses and does not grip; nobody: nobody comes. There kept is right.",
     "Medians: share of the weight that the person carries when the policy lets go; seconds from the beginning of the grip"
@@ -281,21 +282,33 @@ def render(files: dict[str, Path], cases: Sequence[Case]) -> str:
             good = str(Outcome.TAKEN if grips else Outcome.KEPT)
             got, n = rows["received"], len(rows["received"])
             done = got & (rows["outcome"] == good)
+            own = rows["trial_id"][got]
             funnel.append(
                 [
-                    *label, str(n), _percent(rows["success"], n), _percent(got, n), good, _percent(done, n),
-                    _percent(done & rows["success"], n),
+                    *label, str(n), percent_text(rows["success"]), percent_text(got), good, percent_text(done),
+                    percent_text(done & rows["success"]),
                 ]
             )  # fmt: skip
             count = int(got.sum())
             halves = _halves(rows, done, got) if grips else ["-"] * 3
-            ends.append([*label, str(count), _rate(done, count), *halves])
-            others.append({o: _percent(got & (rows["outcome"] == o), count) for o in OTHERS})
-            went.append([*label, *_medians(rows, done)])
+            ends.append([*label, str(count), _over_trials(done[got], own), *halves])
+            others.append({o: percent_text(rows["outcome"][got] == o) for o in OTHERS})
+            went.append([*label, *_medians(rows, done), *_forces(rows["hand_n"][got])])
     key = ["Method", "release", "scenario"]
     steps = [*key, "n", "SR", "received", "end", "so ended", "and success"]
     how = [*key, "n", "taken or kept", "weak grip", "firm grip", "stiff arm"]
-    numbers = ["share", "time, s", "t10", "t50", "t90", "pull, N", "grip, N", "slip, mm"]
+    numbers = [
+        "share",
+        "time, s",
+        "t10",
+        "t50",
+        "t90",
+        "pull, N",
+        "grip, N",
+        "slip, mm",
+        "turn, deg",
+    ]
+    force = [f"force {p} %, N" for p in FORCE_PERCENT]
     nothing = ("0.0", "-")
     shown = [o for o in OTHERS if any(row[o] not in nothing for row in others)]
     ends = [[*e, *(row[o] for o in shown)] for e, row in zip(ends, others, strict=True)]
@@ -304,13 +317,15 @@ def render(files: dict[str, Path], cases: Sequence[Case]) -> str:
         aligned(steps, funnel, 3),
         "How transfers end",
         aligned([*how, *(o.replace("_", " ") for o in shown)], ends, 3),
-        "How they went (medians of the taken or kept)",
-        aligned([*key, *numbers, "turn, deg"], went, 3),
+        "How they went (medians of the taken or kept; force on the person: of all received)",
+        aligned([*key, *numbers, *force], went, 3),
         notes_list(NOTES),
     ]
     return "\n\n".join(parts) + "\n"
 
 
+FORCE_PERCENT = (50, 90, 99)
+"""Percentiles of the largest force of a transfer. The largest of all belongs to headphones that hook, and to the time step."""
 OTHERS = tuple(
     str(o) for o in Outcome if o not in (Outcome.NOT_RECEIVED, Outcome.TAKEN, Outcome.KEPT)
 )
@@ -322,15 +337,20 @@ def _of(table: pa.Table, release: str, scenario: str) -> dict[str, np.ndarray]:
     return {k: rows[k].to_numpy(zero_copy_only=False) for k in rows.column_names}
 
 
-def _percent(hits: np.ndarray, n: int) -> str:
-    return f"{100 * float(hits.sum()) / n:.1f}" if n else "-"
+def _over_trials(hits: np.ndarray, trial_id: np.ndarray) -> str:
+    """The rate and its 95 % interval; where trials have several persons, they are the clusters."""
+    trials, of = np.unique(trial_id, return_inverse=True)
+    if len(trials) == len(hits):
+        return rate_text(hits)
+    rate = clustered_rate(np.bincount(of, weights=hits).astype(np.int64), np.bincount(of))
+    ends = f"[{rate.low:.1f}, {rate.high:.1f}]" if rate is not None else "[-]"
+    return f"{percent_text(hits)} {ends}"
 
 
-def _rate(hits: np.ndarray, n: int) -> str:
-    if not n:
-        return "-"
-    low, high = wilson_interval(hits.sum(), n)
-    return f"{100 * hits.sum() / n:.1f} [{100 * float(low):.1f}, {100 * float(high):.1f}]"
+def _forces(hand_n: np.ndarray) -> list[str]:
+    """Percentiles of the largest force on the person, N; in touch and nobody nobody grips."""
+    known = hand_n.astype(float)[hand_n.astype(float) > 0]
+    return [f"{np.percentile(known, p):.1f}" if len(known) else "-" for p in FORCE_PERCENT]
 
 
 def _halves(rows: dict[str, np.ndarray], done: np.ndarray, got: np.ndarray) -> list[str]:
@@ -340,7 +360,7 @@ def _halves(rows: dict[str, np.ndarray], done: np.ndarray, got: np.ndarray) -> l
     grip, arm = rows["person_grip"].astype(float), rows["person_arm_n_m"].astype(float)
     weak = got & (grip <= np.median(grip[got]))
     stiff = got & (arm > np.median(arm[got]))
-    return [_percent(done & half, int(half.sum())) for half in (weak, got & ~weak, stiff)]
+    return [percent_text(done[half]) for half in (weak, got & ~weak, stiff)]
 
 
 def _medians(rows: dict[str, np.ndarray], done: np.ndarray) -> list[str]:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.read import FileError, path_within, printable, read_file, read_npy
@@ -20,7 +21,6 @@ from r2h_batch.base.registry import (
     DEFAULT_PROTOCOL,
     PROTOCOL_NAMES,
     RELEASE,
-    TURNS,
     WITH_BODIES,
 )
 from r2h_batch.config import Workplace
@@ -569,15 +569,39 @@ FRAMES = {
 """Turn -> R_new_old of the objects' frames."""
 
 
+def frame_of(turn: str) -> NDArray[np.float64]:
+    """R_new_old (3, 3) of a turn of the objects' frames.
+
+    Args:
+        turn: a word of `registry.TURNS`, or angles about the fixed axes x, y and z, in this order, degrees: `20,40,60`.
+
+    Raises:
+        FileError: neither.
+    """
+    if turn in FRAMES:
+        return FRAMES[turn]
+    try:
+        angles = np.array([float(angle) for angle in turn.split(",")])
+    except ValueError:
+        angles = np.array([])
+    if len(angles) != 3 or not (np.abs(angles) <= 360).all():
+        raise FileError(
+            f"--turn {printable(turn)[:100]}: give {', '.join(FRAMES)}, or degrees about x, y and z, from -360 to 360, as"
+            " 20,40,60"
+        )
+    return np.asarray(Rotation.from_euler("xyz", angles, degrees=True).as_matrix())
+
+
 def in_frame(benchmark: Benchmark, turn: str) -> Benchmark:
     """The same benchmark with every object in a turned frame: the same trials for a method that does
     not depend on how a mesh lies.
 
     Args:
         benchmark: any.
-        turn: a word of `registry.TURNS`.
+        turn: as `frame_of`.
     """
-    return replace(benchmark, objects=tuple(turned(o, FRAMES[turn]) for o in benchmark.objects))
+    R = frame_of(turn)
+    return replace(benchmark, objects=tuple(turned(o, R) for o in benchmark.objects))
 
 
 def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where: str) -> Benchmark:
@@ -604,7 +628,7 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where
         given = _found(said, Path(where)) or given
     if said.robot in ROBOTS and not given.robot:  # a built-in robot is no file
         given = replace(given, robot=said.robot)
-    if said.turn in TURNS:  # nor is a turn
+    if said.turn:  # nor is a turn
         given = replace(given, turn=said.turn)
     flags = _check_flags(header, given, where)
     if protocol != LISTED:

@@ -7,6 +7,7 @@ from functools import lru_cache
 from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.read import FileError, printable
 from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel
+from r2h_batch.scene.vocabulary import THINGS
 
 PREFIX = "families:"
 MOST = 1000
@@ -16,7 +17,10 @@ FIRST_SERIES = 1000
 FORM = re.compile(
     r"families:(?P<names>[a-z_,* ]*?)\s*(?:x\s*(?P<count>\d+))?\s*(?:seed\s*(?P<seed>\d+))?\s*"
 )
-HOW = 'write families:CATEGORY,... x COUNT seed SEED, as in --objects "families:cup,hammer x 20 seed 7"'
+HOW = (
+    'write families:CATEGORY,... x COUNT seed SEED, as in --objects "families:cup,hammer x 20 seed 7"; '
+    f"CATEGORY is * or of {', '.join(OBJECT_NAMES)}"
+)
 
 
 def family_objects(text: str) -> tuple[ObjectModel, ...]:
@@ -47,7 +51,8 @@ def _asked(text: str) -> tuple[tuple[str, ...], int, int]:
     names: Sequence[str] = [n.strip() for n in found["names"].split(",")]
     names = OBJECT_NAMES if names == ["*"] else names
     if unknown := [n for n in names if n not in OBJECT_NAMES]:
-        hint = nearest(unknown[0], OBJECT_NAMES)
+        same = [c for c in OBJECT_NAMES if unknown[0].replace("_", " ") in THINGS[c].names]
+        hint = f", did you mean {same[0]}?" if same else nearest(unknown[0], OBJECT_NAMES)
         raise FileError(
             f"--objects: no family is called {unknown[0]!r}{hint}; there are {', '.join(OBJECT_NAMES)}, or * for all"
         )

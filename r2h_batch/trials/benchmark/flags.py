@@ -4,8 +4,6 @@ import shlex
 from dataclasses import asdict, dataclass
 from typing import Literal
 
-from r2h_batch.base.registry import TurnWord
-
 
 @dataclass(frozen=True)
 class BenchmarkFlags:
@@ -32,8 +30,9 @@ class BenchmarkFlags:
     """Where persons stand: scaled by the robot's reach (default), or as for the UR5e."""
     people: str = ""
     """Receivers of every size: adults, children, elderly, all, or your own .csv (import people)."""
-    turn: TurnWord = ""
-    """Turn the objects' frames: half (180 degrees about z) or cycled (x to y, y to z, z to x)."""
+    turn: str = ""
+    """Turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x), or degrees about x, y, z
+    (`20,40,60`)."""
 
     def flags(self) -> list[str]:
         """The flags that are given, as one would type them again: a shell's quotes around what has spaces."""

@@ -71,6 +71,23 @@ def test_under_a_mere_touch_a_timer_lets_go_and_never_does_not():
     assert never.transfers.outcome == ["kept"] * 3
 
 
+def test_probe_lets_a_hand_take_it_and_keeps_it_under_a_mere_touch_and_while_nobody_comes():
+    handed = screwdrivers(8)
+    cases = [Case("probe", scenario, 0) for scenario in ("take", "touch", "nobody")]
+    take, touch, nobody = (made.transfers for made in simulated(handed, *cases))
+    assert take.outcome == ["taken"] * 8 and touch.outcome == ["kept"] * 8 and nobody.outcome == ["kept"] * 8
+    (threshold,) = simulated(handed, Case("threshold", "touch", 0))
+    assert (
+        "false_release" in threshold.transfers.outcome
+    )  # the touch is one that a force alone does not tell from a hand
+
+
+def test_a_person_who_pulls_early_has_it_earlier():
+    take, early = simulated(screwdrivers(), Case("threshold", "take", 0), Case("threshold", "pull-early", 0))
+    assert take.transfers.outcome == early.transfers.outcome == ["taken"] * 3
+    assert (early.transfers.transfer_s < take.transfers.transfer_s).all()
+
+
 def test_with_frictionless_pads_the_robot_drops_it_before_anybody_touches():
     slippery = Setting(pad_friction=0.0)
     (made,) = simulated(screwdrivers(), Case("load-share", "take", 0), setting=slippery)
@@ -112,8 +129,9 @@ def test_an_object_that_is_pulled_harder_than_the_pads_hold_is_torn_out(monkeypa
     assert made.transfers.outcome == ["torn_out"] * 3
 
 
-def test_rows_have_the_same_bits_in_any_order_batch_and_number_of_processes():
-    handed, case = screwdrivers(5), Case("load-share", "take", 0)
+@pytest.mark.parametrize("policy", ["load-share", "probe"])
+def test_rows_have_the_same_bits_in_any_order_batch_and_number_of_processes(policy):
+    handed, case = screwdrivers(5), Case(policy, "take", 0)
     (whole,) = simulated(handed, case)
     order = np.array([3, 0, 4, 2, 1])
     (turned,) = simulated(handed[order], case)
@@ -160,7 +178,7 @@ def test_a_users_class_in_a_file_decides(tmp_path):
 
 
 def test_policies_that_do_not_exist_are_named():
-    with pytest.raises(ImportError, match="never, timer, threshold, load-share"):
+    with pytest.raises(ImportError, match="never, timer, threshold, load-share, probe"):
         release.release_of("soon")
     with pytest.raises(TypeError, match="is no class"):
         release.release_of("math:sin")

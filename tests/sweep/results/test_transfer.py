@@ -1,11 +1,16 @@
 """The command `results transfer`: a row for each stored pose and case, kept where it is there already."""
 
+import re
+
+import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from r2h_batch.__main__ import main
+from r2h_batch.closed_loop.transfer.cases import Case
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.results.transfer import SCHEMA
+from r2h_batch.sweep.results.transfer import SCHEMA, render
 
 QUICK = ["--sim", "none", "--quiet"]
 
@@ -53,4 +58,30 @@ def test_a_run_without_bodies_and_wrong_words_are_told_what_is_missing(run, tmp_
     assert main(["results", "transfer", str(run), "--scenario", "grab"]) == 2
     assert "take, touch, nobody, pull-early, weak" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--release", "soon"]) == 2
-    assert "never, timer, threshold, load-share" in capsys.readouterr().err
+    assert "never, timer, threshold, load-share, probe" in capsys.readouterr().err
+
+
+def test_several_persons_of_a_trial_do_not_narrow_its_interval_as_more_trials_would(run):
+    """All persons of a trial agree, so four of them say no more than one."""
+
+    def width(persons: int, trials: int) -> float:
+        n = persons * trials
+        trial_id = np.repeat(np.arange(trials), persons)
+        words = {
+            "trial_id": trial_id,
+            "release": ["never"] * n,
+            "scenario": ["take"] * n,
+            "person": np.tile(np.arange(persons), trials).astype(np.int16),
+            "success": np.ones(n, bool),
+            "received": np.ones(n, bool),
+            "outcome": np.where(trial_id % 2 == 0, "taken", "dropped"),
+            "false_release": np.zeros(n, bool),
+        }
+        columns = [pa.array(words[f.name], f.type) if f.name in words else pa.array(np.ones(n), f.type) for f in SCHEMA]
+        file = run / "made.parquet"
+        pq.write_table(pa.Table.from_arrays(columns, schema=SCHEMA), file)
+        shown = render({"m": file}, [Case("never", "take", k) for k in range(persons)])
+        low, high = re.search(r"50\.0 \[([\d.]+), ([\d.]+)\]", shown).groups()
+        return float(high) - float(low)
+
+    assert width(4, 20) >= width(1, 20) > 1.5 * width(1, 80)
