@@ -31,7 +31,7 @@ from r2h_batch.data.robot_chain import (
     read_fingers,
 )
 from r2h_batch.data.robot_links import Link, Meshes, check_meshes, files_of, link_of
-from r2h_batch.data.robot_model import read_model
+from r2h_batch.data.robot_model import Geom, read_model
 from r2h_batch.data.robot_pads import Window, find_pads
 from r2h_batch.data.robot_pairs import checked_pairs, touching
 from r2h_batch.data.robot_shapes import (
@@ -87,6 +87,8 @@ SYMMETRIC_M, PARALLEL_RAD = 1e-4, 5e-3
 """By how much the fingers may close differently, and the pads turn."""
 MOST_TURN_RAD = np.radians(2.0)
 """By how much the pads of a linkage may turn that is parallel in the data sheet and not quite in the file."""
+BALL_M = 1e-3
+"""Radius of a last link of which the file shows nothing: the gripper hides it."""
 POSTURES = 8000
 """Random postures in which links are looked for in contact."""
 SMALL_EFFORT_NM, STIFF, SOFT = 40.0, 10_000.0, 2_000.0
@@ -143,6 +145,12 @@ def import_robot(
         raise FileError(
             f"{shown}: {n} joints move {flange}; allowed are {LEAST_JOINTS} or {MOST_JOINTS}"
         )
+    if not chain.links[-1].geoms:  # of others something is missing
+        name_of, how = printable(chain.links[-1].name), "it collides as a ball of 1 mm at its joint"
+        warnings.warn(f"{shown}: the file shows nothing of link {name_of}: {how}", stacklevel=2)
+        ball = Geom("sphere", np.array([BALL_M, 0.0, 0.0]), np.eye(4), seen=True)
+        bare_last = replace(chain.links[-1], geoms=(ball,))
+        chain = replace(chain, links=(*chain.links[:-1], bare_last))
     if chain.assumed:
         what = f"{shown}: no torque limit of {printable(', '.join(chain.assumed))[:120]}"
         how = f"twice what holds the stretched arm with {HELD_KG:g} kg, at least {LEAST_NM:g} N m"
@@ -196,6 +204,7 @@ def import_robot(
         bare = replace(
             bare, links=(*names, bare.links[-1]), object_pairs=frozen(np.arange(n + 1), np.int32)
         )
+    home_q = start or _home(bare, shown)  # before the minutes that fitting takes
     hulls: list[Shape | Hull] = []
     where: list[int] = []
     rows: dict[str, Any] = {}
@@ -205,8 +214,7 @@ def import_robot(
         hulls, where = [*hulls, *found], [*where, *[k] * len(found)]
     numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
     arm = _primitives_of(hulls, where, numbered)
-    bare = replace(bare, arm=arm, dynamics=dynamics)
-    robot = replace(bare, home_q=start or _home(bare))
+    robot = replace(bare, arm=arm, dynamics=dynamics, home_q=home_q)
     pairs = checked_pairs(robot, POSTURES)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
     robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
@@ -526,9 +534,13 @@ def _dynamics(chain: Chain, robot: Robot, shown: str) -> Any:
     )
 
 
-def _home(robot: Robot) -> tuple[float, ...]:
+def _home(robot: Robot, shown: str) -> tuple[float, ...]:
     """The UR5e's posture at the start with the TCP moved in and down, or out and up, as the reach
-    differs; the gripper points straight down."""
+    differs; the gripper points straight down.
+
+    Raises:
+        FileError: the arm has no such posture; often the flange's z points across.
+    """
     usual = load_robot(DEFAULT_ROBOT)
     goal = ee_pose(usual, usual.home_q)
     goal[:3, 3] *= robot.reach_m / usual.reach_m
@@ -537,16 +549,16 @@ def _home(robot: Robot) -> tuple[float, ...]:
         return np.asarray((ee_pose(robot, q) - goal)[:3].ravel())
 
     if robot.family != "ur":
-        return _middle_home(robot, off)
+        return _middle_home(robot, off, goal[:3, 3], shown)
     found = least_squares(off, usual.home_q, xtol=1e-14, ftol=1e-14, gtol=1e-14)
     if np.abs(off(found.x)).max() > 1e-6:
-        raise FileError(
-            f"{robot.name}: no posture puts the gripper where trials start, the UR5e's place times the ratio of the reaches"
-        )
+        raise _no_home(goal[:3, 3], shown)
     return tuple(np.round(found.x, 4).tolist())
 
 
-def _middle_home(robot: Robot, off: Callable[[Array], Array]) -> tuple[float, ...]:
+def _middle_home(
+    robot: Robot, off: Callable[[Array], Array], goal: Array, shown: str
+) -> tuple[float, ...]:
     """Home nearest to the middle of the limits, of the postures that 64 starts lead to."""
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     starts = qmc.Halton(len(lower), scramble=False).random(65)[1:]
@@ -559,5 +571,11 @@ def _middle_home(robot: Robot, off: Callable[[Array], Array]) -> tuple[float, ..
         if np.abs(off(found.x)).max() < 1e-6 and away < least:
             best, least = found.x, away
     if best is None:
-        raise FileError(f"{robot.name}: no posture puts the gripper where trials start")
+        raise _no_home(goal, shown)
     return tuple(np.round(best, 4).tolist())
+
+
+def _no_home(place: Array, shown: str) -> FileError:
+    where = f"at {np.round(place, 3).tolist()} m of --base, pointing down"
+    how = "turn --flange by --offset until its z points away from the arm, or give --home"
+    return FileError(f"{shown}: no posture has the gripper {where}; {how}")

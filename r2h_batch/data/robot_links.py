@@ -178,6 +178,13 @@ def _shapes(geoms: list[Geom], where: str) -> tuple[Shape, ...]:
 
 
 def _file_of(model: Model, name: str, packages: Mapping[str, Path]) -> Path:
+    if name.startswith("file://"):  # as xacro writes $(find NAME)
+        path = Path("/", name.removeprefix("file://").lstrip("/")).resolve()
+        for within in (model.path.resolve().parent, *(p.resolve() for p in packages.values())):
+            if path.is_relative_to(within):
+                return path_within(within, str(path.relative_to(within)))
+        how = "give the folder above it with --package NAME=FOLDER"
+        raise FileError(f"{model.shown}: {printable(name)[:120]} is outside its folder; {how}")
     if not name.startswith("package://"):
         return path_within(model.path.parent, name)
     package, _, inside = name.removeprefix("package://").partition("/")

@@ -157,7 +157,7 @@ EPISODES = (
     Column("delay", FLOAT, "share of the time in which neither moves", "", False),
     Column("hand_path_m", FLOAT, "length of the wrist's path", "m", False),
     Column("overlap_m", FLOAT, "largest overlap of hand and gripper while the hand takes the object; 0: none", "m",
-           since="0.3.0"),
+           since="0.2.0"),
 )
 
 FAILURES = (

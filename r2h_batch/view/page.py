@@ -1,7 +1,7 @@
 """Trials in a browser: a drawing in a viser scene, as one page without a server, and in notebooks."""
 
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from html import escape
@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import write_text
 from r2h_batch.base.validate import instance_of, integer
 from r2h_batch.runs.rows import TrialNames, detail_rows, score_rows
@@ -210,7 +212,7 @@ def new_server(port: int) -> Any:
         def __init__(self, handler: Any, host: str, port: int, **options: Any) -> None:
             options["origins"] = [f"http://{name}:{port}" for name in ("127.0.0.1", "localhost")]
             guarded.append(port)
-            super().__init__(handler, host, port, **options)
+            super().__init__(_without_traceback(handler), host, port, **options)
 
     before = sockets.serve
     sockets.serve = ServeOwnPage  # type: ignore[misc, assignment]
@@ -224,6 +226,21 @@ def new_server(port: int) -> Any:
         words = f"viser {viser.__version__} does not let the viewer refuse pages of others"
         raise UsageError(f"{words}; install the version in constraints.txt")
     return server
+
+
+def _without_traceback(
+    handler: Callable[[Any], Awaitable[None]],
+) -> Callable[[Any], Awaitable[None]]:
+    """A handler of a connection that a broken message ends with one line, not with viser's traceback."""
+
+    async def handled(connection: Any) -> None:
+        try:
+            await handler(connection)
+        except Exception as error:  # viser's parser raises whatever it meets
+            why = f"{type(error).__name__}: {printable(error)}"[:160].rstrip(": ")
+            LOG.info(f"view: a page sent a broken message and is disconnected ({why}); reload it")
+
+    return handled
 
 
 def stop_server(server: Any) -> None:

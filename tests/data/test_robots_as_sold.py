@@ -11,8 +11,8 @@ from grasp_cases import model_of
 from refusals import one_line
 from robot_files import ARM, read_arm, write_mjcf, write_urdf
 
+from r2h_batch.data import robot as robot_import
 from r2h_batch.data import robot_links
-from r2h_batch.data.robot import gripper_of
 from r2h_batch.data.robot_chain import at_flange, read_chain, read_fingers
 from r2h_batch.data.robot_links import Meshes, files_of, link_of
 from r2h_batch.data.robot_model import read_model
@@ -115,7 +115,7 @@ def test_pads_of_a_loop_that_stop_apart_stand_where_the_crank_has_them_and_hold_
     pads = ("left_pad", "right_pad")
     fingers = read_fingers(model, "hand", pads)
     meshes = Meshes(model, [*files_of(fingers.palm), *(g for p in fingers.parts for g in p.shown)], {})
-    fields, _, _ = gripper_of(fingers, pads, 6, meshes)
+    fields, _, _ = robot_import.gripper_of(fingers, pads, 6, meshes)
     made = replace(load_robot(), name="loop", digest="loop", **fields)
     write_robot(tmp_path / "loop", made)
     stop, opened = 0.042, 0.042 + 0.1 * np.sin(0.8)
@@ -190,7 +190,7 @@ def jaws_of(folder: Path, window: Window | None = None):
     model = read_model(folder / "jaws.urdf")
     fingers = read_fingers(model, "flange", ("l", "r"))
     meshes = Meshes(model, [*files_of(fingers.palm), *(g for p in fingers.parts for g in p.shown)], {})
-    return gripper_of(fingers, ("l", "r"), 6, meshes, window)
+    return robot_import.gripper_of(fingers, ("l", "r"), 6, meshes, window)
 
 
 def test_the_flats_of_two_fingers_that_face_each_other_are_the_pads(tmp_path):
@@ -265,6 +265,23 @@ def test_a_comment_about_xacro_is_not_a_program_and_a_file_finds_the_package_tha
         read_arm(write_urdf(folder, **{'"parts/block.stl"': '"package://other/block.stl"'}), bare=True)
 
 
+def test_a_mesh_named_by_an_absolute_url_is_read_below_the_files_folder_or_a_packages(tmp_path):
+    def named(folder: Path, mesh: Path) -> Path:
+        folder.mkdir(exist_ok=True)
+        return write_urdf(folder, **{'"parts/block.stl"': f'"file:///{mesh}"'})
+
+    here, beside = tmp_path / "urdf", tmp_path / "meshes"
+    _, links = read_arm(named(here, here / "parts" / "block.stl"), bare=True)
+    assert links[5].meshed == 12
+    (here / "parts").rename(beside)
+    path = named(here, beside / "block.stl")
+    part = read_chain(read_model(path), "base", "flange").links[5]
+    assert link_of(part, Meshes(read_model(path), files_of(part), {"made": tmp_path})).meshed == 12
+    for mesh in (beside / "block.stl", here / ".." / "meshes" / "block.stl"):
+        with one_line("is outside its folder; give the folder above it with --package NAME=FOLDER"):
+            read_arm(named(here, mesh), bare=True)
+
+
 TWICE = '<link name="l2"/><link name="base">'
 BAD = {
     "link l3 has a mass of -1.5 kg": ('<link name="l3">', None),
@@ -299,10 +316,11 @@ def test_what_is_wrong_with_a_tree_is_named(words, tmp_path):
 
 def test_links_are_counted_before_a_mesh_is_read(tmp_path, monkeypatch):
     monkeypatch.setattr(robot_links, "load_robot_meshes", lambda *_: pytest.fail("a mesh was read"))
-    from r2h_batch.data.robot import import_robot
 
     def made(path: Path, **more):
-        return import_robot(path, name="m", base=more.pop("base", "base"), flange="flange", packages={}, **more)
+        return robot_import.import_robot(
+            path, name="m", base=more.pop("base", "base"), flange="flange", packages={}, **more
+        )
 
     with one_line("1 joints move flange; allowed are 6 or 7"):
         made(write_urdf(tmp_path), base="l6")
@@ -316,6 +334,31 @@ def test_links_are_counted_before_a_mesh_is_read(tmp_path, monkeypatch):
         at = text.index('<mass value="1.5"', text.index('<link name="l4">'))
         path.write_text(text[:at] + text[at:].replace('"1.5"', '"0"', 1))
         made(path)
+
+
+def test_a_last_link_that_the_file_does_not_show_is_a_ball_of_1_mm_and_other_such_links_are_refused(tmp_path):
+    def without(link: str) -> Path:
+        path = write_urdf(tmp_path)
+        text = path.read_text()
+        at = text.index(f'<link name="{link}">')
+        cut = text.index("<visual>", at), text.index("<inertial>", at)
+        path.write_text(text[: cut[0]] + text[cut[1] :])
+        return path
+
+    made = {"name": "m", "base": "base", "flange": "flange", "packages": {}, "fingers": PADS}
+    with one_line("link l4 has no visual mesh or shape"):
+        robot_import.import_robot(without("l4"), **made)
+    with pytest.warns(UserWarning, match="shows nothing of link l7: it collides as a ball of 1 mm"):
+        found = robot_import.import_robot(without("l7"), **made).robot
+    (k,) = np.flatnonzero(found.arm.link == 7)
+    assert found.arm.size[k, :2].tolist() == pytest.approx([1e-3, 1e-4]) and not found.arm.T_link_prim[k, :3, 3].any()
+
+
+def test_a_flange_that_no_posture_points_down_is_refused_before_bodies_are_fitted(tmp_path, monkeypatch):
+    monkeypatch.setattr(robot_import, "fit_hulls", lambda *_: pytest.fail("a body was fitted"))
+    with one_line(r"no posture has the gripper at \[.*\] m of --base, pointing down; turn --flange by --offset"):
+        path, far = write_urdf(tmp_path), turned(z=3.0)
+        robot_import.import_robot(path, name="m", base="base", flange="flange", packages={}, offset=far)
 
 
 def test_link_of_a_part_that_only_collides_as_a_mesh_shows_that_mesh(tmp_path):

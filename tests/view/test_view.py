@@ -1,7 +1,6 @@
 """The viewer, pages, films, strips and captions: bodies are drawn where MuJoCo has them, and a page needs no server."""
 
 import base64
-import contextlib
 import re
 from io import BytesIO
 from pathlib import Path
@@ -131,7 +130,7 @@ def test_the_viewer_lists_what_is_filtered_and_a_folders_words_are_text_and_no_m
         viewer.stop()
 
 
-def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end_it():
+def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end_it(capfd):
     """Any page in a browser can open a websocket to this machine; its Origin says whose it is."""
     import viser
     from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -150,11 +149,19 @@ def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end
         for name in ("127.0.0.1", "localhost"):
             with connect(f"ws://127.0.0.1:{port}", origin=f"http://{name}:{port}", max_size=None, **how) as page:
                 assert page.recv(timeout=10)
-                for odd in (b"", b"\xc1", b"\xdd\xff\xff\xff\xff", b"\x91" * 100_000, "text", b"x" * (1 << 20)):
-                    with contextlib.suppress(ConnectionClosed):
-                        page.send(odd)
+            # a list, a word, {"a": 1}, an unknown type; bytes that are no MessagePack
+            for odd in (b"", b"\xc1", b"\xdd\xff\xff\xff\xff", b"\x91" * 100_000, "text", b"x" * (1 << 20), b"\x81\xa1a\x01",
+                        b"\x81\xa4type\xa4Nope"):  # fmt: skip
+                with connect(f"ws://127.0.0.1:{port}", origin=f"http://{name}:{port}", max_size=None, **how) as page:
+                    page.recv(timeout=10)
+                    page.send(odd)
+                    with pytest.raises(ConnectionClosed):  # its page is told
+                        while True:
+                            page.recv(timeout=10)
     finally:
         stop_server(server)
+    said = capfd.readouterr().err
+    assert "Traceback" not in said and said.count("view: a page sent a broken message") == 16, said[-2000:]
 
 
 @needs("gl")

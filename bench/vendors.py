@@ -1,0 +1,192 @@
+"""Robots as their vendors and simulators ship them, imported unedited: the table in docs/robots.md.
+
+`python bench/vendors.py --files FOLDER --json bench/results/vendors.json` runs `r2h-batch import robot` on each file of ROBOTS
+below FOLDER, and sweeps the oracle on each robot that it writes. FOLDER holds, unpacked, what the table's column "from" names:
+
+| folder | is |
+|---|---|
+| robosuite | the wheel of robosuite |
+| example-robot-data | the wheel of example-robot-data |
+| mink | the repository kevinzakka/mink |
+| menagerie | the repository google-deepmind/mujoco_menagerie |
+| mjctrl | the repository NikonPic/mjctrl, whose FR3 is Menagerie's with a hand |
+| franka_description, xarm_description | the ROS packages, with the named xacro file expanded into their folder |
+
+None of it is part of this project. A robot whose file is not there is left out, and the count of files says so. `--only NAME
+...` tries these alone.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from _report import ROOT, Report, markdown_table, swept
+
+from r2h_batch.report.table import record, table_of
+from r2h_batch.runs.store import load_run
+
+MEASURES = (
+    "bench/vendors.py",
+    "r2h_batch/data/command.py",
+    *(f"r2h_batch/data/robot{part}.py" for part in ("", "_chain", "_links", "_model", "_pads", "_pairs", "_shapes")),
+)
+SUITE = "robosuite/robosuite/models/assets/robots"
+DATA = "example-robot-data/cmeel.prefix/share/example-robot-data/robots"
+
+
+class Sold(NamedTuple):
+    """A file of a vendor and the flags that import it."""
+
+    arm: str
+    gripper: str
+    origin: str
+    path: str
+    flags: str
+
+
+ROBOTS = {
+    "gen3_2f85": Sold(
+        "Kinova Gen3", "its Robotiq 2F-85, `<connect>`", "mink", "mink/examples/stanford_tidybot/tidybot.xml",
+        "--base gen3/base_link --flange base --fingers left_pad,right_pad",
+    ),
+    "gen3": Sold("Kinova Gen3", "", "robosuite", f"{SUITE}/kinova3/robot.xml", "--base base --flange right_hand"),
+    "iiwa14": Sold(
+        "iiwa14", "", "mink, Menagerie", "mink/examples/kuka_iiwa_14/iiwa14.xml", "--base base --flange attachment_site"
+    ),
+    "iiwa": Sold("iiwa", "", "robosuite", f"{SUITE}/iiwa/robot.xml", "--base base --flange right_hand"),
+    "xarm7_jaws": Sold(
+        "xArm7", "its xArm gripper, `<connect>`", "mink, Menagerie", "mink/examples/ufactory_xarm7/xarm7.xml",
+        "--base link_base --flange xarm_gripper_base_link --fingers left_finger,right_finger",
+    ),
+    "xarm7": Sold("xArm7", "", "robosuite", f"{SUITE}/xarm7/robot.xml", "--base base --flange right_hand"),
+    "xarm7_urdf": Sold(
+        "xArm7", "", "example-robot-data", f"{DATA}/xarm_description/urdf/xarm7.urdf", "--base link_base --flange link_eef"
+    ),
+    "lite6": Sold("Lite6", "", "xarm_ros2", "xarm_description/lite6.urdf", "--base link_base --flange link_eef"),
+    "vx300s": Sold(
+        "ViperX 300s", "its own fingers", "mink (ALOHA)", "mink/examples/aloha/aloha.xml",
+        "--base left/base_link --flange left/gripper_link --offset=0,0,0,0,1.5708,0"
+        " --fingers left/left_finger_link,left/right_finger_link",
+    ),
+    "z1": Sold(
+        "Z1", "", "example-robot-data", f"{DATA}/z1_description/urdf/z1.urdf",
+        "--base link00 --flange link06 --offset=0.051,0,0,0,1.5708,0 --home=0,1.8,-2.16,1.5,0,0",
+    ),
+    "sawyer": Sold("Sawyer", "", "robosuite", f"{SUITE}/sawyer/robot.xml", "--base base --flange right_hand"),
+    "fr3_jaws": Sold(
+        "FR3", "its hand, pads from meshes", "NikonPic/mjctrl (Menagerie)", "mjctrl/franka_fr3/fr3.xml",
+        "--base base --flange hand --fingers left_finger,right_finger",
+    ),
+    "fr3": Sold("FR3", "", "franka_description", "franka_description/fr3.urdf", "--base fr3_link0 --flange fr3_link8"),
+    "panda_jaws": Sold(
+        "Panda", "its hand, pads from meshes", "Menagerie", "menagerie/franka_emika_panda/panda.xml",
+        "--base link0 --flange hand --fingers left_finger,right_finger",
+    ),
+    "panda": Sold("Panda", "", "robosuite", f"{SUITE}/panda/robot.xml", "--base base --flange right_hand"),
+    "ur5": Sold("UR5", "", "example-robot-data", f"{DATA}/ur_description/urdf/ur5_robot.urdf", "--base base_link --flange tool0"),
+}  # fmt: skip
+
+
+def imported(sold: Sold, files: Path, folder: Path) -> tuple[int, float, str]:
+    """Exit code, minutes and the last line of the command."""
+    path = files / sold.path
+    flag = "--mjcf" if path.suffix == ".xml" else "--urdf"
+    line = [
+        sys.executable,
+        "-m",
+        "r2h_batch",
+        "import",
+        "robot",
+        flag,
+        str(path),
+        *sold.flags.split(),
+        "--out",
+        str(folder),
+    ]
+    start = time.perf_counter()
+    done = subprocess.run(line, capture_output=True, text=True, check=False, cwd=ROOT)
+    minutes = (time.perf_counter() - start) / 60
+    said = (done.stdout + done.stderr).strip().splitlines()
+    return done.returncode, minutes, said[-1] if said else ""
+
+
+def tried(name: str, sold: Sold, files: Path, out: Path, trials: int) -> dict[str, Any]:
+    """What came of one file: minutes, overshoot, misses, success of the oracle; or the refusal."""
+    code, minutes, said = imported(sold, files, out / name)
+    if code:
+        return {"minutes": minutes, "refused": said.replace(str(files), "FOLDER")}
+    report = json.loads((out / name / "report.json").read_text())
+    run = swept(
+        out / f"{name}_run", "--robot", out / name, "--method", "oracle", "--trials", trials, "--sim", "none", "--quiet"
+    )
+    (row,) = (record(row) for row in table_of(load_run(run)).rows if row.split == "Avg")
+    return {
+        "minutes": minutes,
+        "overshoot_mm": max(row["mean_mm"] for row in report["links"].values()),
+        "missed": report.get("ik_missed", 0),
+        "reach_mm": 1e3 * report["reach_m"],
+        "oracle_percent": row["sr"],
+    }
+
+
+def table(found: dict[str, dict[str, Any]]) -> str:
+    """The Markdown table of what came of each file."""
+    heads = [
+        "arm",
+        "gripper",
+        "from",
+        "file and flags",
+        "reach, mm",
+        "overshoot, mm",
+        "IK missed",
+        "oracle, %",
+        "minutes",
+    ]
+    rows = []
+    for name, got in found.items():
+        sold = ROBOTS[name]
+        flag = "mjcf" if sold.path.endswith(".xml") else "urdf"
+        line = f"`--{flag} {Path(sold.path).name} {sold.flags}`"
+        figures = [f"{got[k]:{f}}" for k, f in FORMS.items()] if "refused" not in got else [got["refused"], "", "", ""]
+        rows.append([sold.arm, sold.gripper or "2F-85 built in", sold.origin, line, *figures, f"{got['minutes']:.1f}"])
+    return markdown_table(heads, rows, left=True)
+
+
+FORMS = {"reach_mm": ",.0f", "overshoot_mm": ".1f", "missed": ",", "oracle_percent": ".0f"}
+"""How the table shows a figure."""
+
+
+def main() -> None:
+    """Tries every file and writes the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--files", type=Path, required=True, help="folder of the vendors' files, unpacked")
+    parser.add_argument("--only", nargs="+", default=[*ROBOTS], choices=[*ROBOTS], help="names of ROBOTS")
+    parser.add_argument("--trials", type=int, default=20, help="of each split, for the oracle")
+    parser.add_argument("--out", type=Path, help="where the robots go; by default nowhere that stays")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    os.environ["MUJOCO_GL"] = os.environ.get("MUJOCO_GL", "osmesa")  # of the commands: they draw home.png
+    here = {n: ROBOTS[n] for n in options.only if (options.files / ROBOTS[n].path).is_file()}
+    result, found = Report(MEASURES), {}
+    with tempfile.TemporaryDirectory() as made:
+        for name, sold in here.items():
+            found[name] = got = tried(name, sold, options.files, options.out or Path(made), options.trials)
+            for key, value in got.items():
+                result.add(f"vendors.{name}.{key}", value)
+    through = [n for n in found if "refused" not in found[n]]
+    result.add("vendors.files", len(found))
+    result.add("vendors.through", len(through))
+    result.add("vendors.arms", len({ROBOTS[n].arm for n in through}))
+    result.add("vendors.trials", options.trials)
+    result.add("vendors.table", table(found))
+    result.write(options.json)
+
+
+if __name__ == "__main__":
+    main()
