@@ -4,6 +4,7 @@ the pairs of links that are checked, a posture to start from.
 The gripper is the 2F-85, or that of the same URDF.
 """
 
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -164,7 +165,7 @@ def import_robot(
         load_robot(DEFAULT_ROBOT),
         name=name,
         visuals=visuals,
-        joints=chain.joints,
+        joints=tuple(map(_word, chain.joints)),
         T_parent_joint=frozen(chain.T_parent_joint),
         T_wrist3_flange=frozen(chain.T_last_flange),
         lower=frozen(chain.lower),
@@ -187,8 +188,7 @@ def import_robot(
     if fingers is not None and hand is not None:
         gripper, palm, told = gripper_of(hand, fingers, n, meshes, pads)
         bare = replace(bare, **gripper)
-    # pairs of links are named LINK/BODY
-    names: tuple[str, ...] = tuple(part.name.replace("/", "_") for part in chain.links)
+    names: tuple[str, ...] = tuple(_word(part.name) for part in chain.links)
     mouths: list[list[Array]] = [[]] * (n + 1)
     if bare.family == "ur":
         usual = np.array(bare.home_q)  # before the minutes that fitting takes
@@ -249,6 +249,11 @@ def import_robot(
     if hand is not None:
         seen.append(_opened(hand, {p.name for p in meshed}, meshes))
     return Imported(robot, report, tuple(seen))
+
+
+def _word(name: str) -> str:
+    """A name of the file as a robot file may hold it; pairs of links are named LINK/BODY."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:64]
 
 
 def _check(robot: Robot, shown: str) -> None:

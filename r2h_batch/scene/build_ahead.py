@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from r2h_batch.base.io.cache import cache_folder
+from r2h_batch.base.io.child import end_with
 from r2h_batch.base.io.log import LOG
 from r2h_batch.scene.objects import build_object, is_built
 
@@ -40,7 +41,7 @@ def build_ahead(calls: Sequence[Mapping[str, Any]], *, cores: int | None = None)
         return 0
     LOG.info(f"building {len(todo)} objects on {workers} cores")
     path = os.pathsep.join(p or os.getcwd() for p in sys.path)
-    command = [sys.executable, "-P", "-m", "r2h_batch.scene.build_ahead"]
+    command = [sys.executable, "-P", "-m", "r2h_batch.scene.build_ahead", str(os.getpid())]
     started: list[subprocess.Popen[str]] = []
     try:
         for k in range(workers):
@@ -63,6 +64,7 @@ def build_ahead(calls: Sequence[Mapping[str, Any]], *, cores: int | None = None)
 
 def work() -> None:
     """Build what stdin names."""
+    end_with(int(sys.argv[1]))
     for call in json.load(sys.stdin):
         # both come again where the object is asked for
         with warnings.catch_warnings(), contextlib.suppress(Exception):

@@ -300,8 +300,10 @@ def _feed(
             try:
                 writer, seconds = pool.ray.get(ref)
             except pool.ray.exceptions.RayError as error:
+                what = _died(error)
                 if isinstance(error, pool.ray.exceptions.RayTaskError):
                     pool.idle.append(actor)  # the shard failed, the actor lives
+                    what = "it failed"
                 cause = getattr(error, "cause", None)
                 if isinstance(cause, AnswerError):  # it would answer the same again
                     if name not in refused:
@@ -314,6 +316,9 @@ def _feed(
                 errors.setdefault(task, []).append(" ".join(str(error).split())[-300:])
                 if len(errors[task]) < TRIES:
                     todo.append(task)
+                    LOG.info(
+                        f"{name}: {what} at shard {shard.index}, which is scored again; the sweep goes on"
+                    )
                 else:
                     work.folder.quarantine(name, shard, errors[task])
                     LOG.info(f"{name}: shard {shard.index} failed {TRIES} times")
@@ -330,6 +335,13 @@ def _feed(
     return refused
 
 
+def _died(error: Exception) -> str:
+    """Who died, from Ray's error of a call that got no answer."""
+    if "node has died" in str(error) or type(error).__name__ == "NodeDiedError":
+        return "a node of the cluster died, and its workers with it"
+    return "a worker died"
+
+
 def _came_up(pool: Pool, ref: Any, work: Scoring) -> None:
     actor = pool.starting.pop(ref)
     try:
@@ -339,6 +351,7 @@ def _came_up(pool: Pool, ref: Any, work: Scoring) -> None:
         if pool.deaths >= STARTS:
             words = f"{STARTS} Ray actors died before their first shard: {error}"
             raise ClusterError(words) from error
+        LOG.info(f"sweep: {_died(error)} before its first shard; another one starts")
         return
     except OSError as error:
         raise _lost(error) from error

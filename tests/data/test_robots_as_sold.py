@@ -338,7 +338,7 @@ def test_links_are_counted_before_a_mesh_is_read(tmp_path, monkeypatch):
 
 def test_a_last_link_that_the_file_does_not_show_is_a_ball_of_1_mm_and_other_such_links_are_refused(tmp_path):
     def without(link: str) -> Path:
-        path = write_urdf(tmp_path)
+        path = write_urdf(tmp_path, **{'"j3"': '"left/j3"'})  # as MuJoCo names what it attaches
         text = path.read_text()
         at = text.index(f'<link name="{link}">')
         cut = text.index("<visual>", at), text.index("<inertial>", at)
@@ -350,6 +350,7 @@ def test_a_last_link_that_the_file_does_not_show_is_a_ball_of_1_mm_and_other_suc
         robot_import.import_robot(without("l4"), **made)
     with pytest.warns(UserWarning, match="shows nothing of link l7: it collides as a ball of 1 mm"):
         found = robot_import.import_robot(without("l7"), **made).robot
+    assert found.joints[1:4] == ("j2", "left_j3", "j4")
     (k,) = np.flatnonzero(found.arm.link == 7)
     assert found.arm.size[k, :2].tolist() == pytest.approx([1e-3, 1e-4]) and not found.arm.T_link_prim[k, :3, 3].any()
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+from r2h_batch.base.package import VERSION
 from r2h_batch.closed_loop.env import End
 from r2h_batch.report.compare.command import stored_rows
 from r2h_batch.runs.columns import ENDS, TABLES, later, schema_of_kind
@@ -40,6 +41,8 @@ def test_every_column_says_what_it_means_and_its_unit_agrees_with_its_name() -> 
             unit = next((endings[e] for e in sorted(endings, key=len, reverse=True) if column.name.endswith(e)), None)
             assert unit in (None, column.unit), f"{kind}: {column.name} is in {column.unit!r}"
             assert column.nullable or not column.since, f"{kind}: {column.name}: older rows lack it, so it may be null"
+            first = tuple(map(int, column.since.split("."))) if column.since else ()
+            assert first <= tuple(map(int, VERSION.split("."))), f"{column.name} is of a version that no run.json names"
 
 
 def test_postures_are_as_long_as_the_arm_has_joints_and_nothing_else_changes() -> None:

@@ -31,6 +31,7 @@ def test_a_killed_worker_is_replaced_the_digest_is_that_of_one_process_and_a_fin
     os.kill(int(log.read_text().splitlines()[-1].split()[0]), signal.SIGKILL)
     code, table, error = finish(sweep)
     assert code == 0 and table.startswith("split,"), error
+    assert "a worker died at shard" in error and "the sweep goes on" in error
     assert len(workers(log)) == 2
     same_rows(out, undisturbed)
     code, again, error = finish(start(tmp_path, out, SLOW, *ONE, fork=True))
@@ -116,6 +117,7 @@ def test_kill_9_of_a_second_node_moves_its_shards_to_the_first(tmp_path, undistu
         time.sleep(0.1)
         code, table, error = finish(sweep, timeout=150)
         assert code == 0 and table.startswith("split,"), error
+        assert "a node of the cluster died" in error
         same_rows(out, undisturbed)
     finally:
         cluster.shutdown()

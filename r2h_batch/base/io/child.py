@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, BinaryIO
@@ -28,6 +29,8 @@ MEMORY_BYTES = 8 << 30
 MEMORY_PER_BYTE = 40
 """The child's address space: some for the libraries, and some for each byte of the file (text takes
 most)."""
+ASKED_EVERY_S = 0.5
+"""How often a child asks whether its parent lives."""
 REFUSED = 3
 _NO_MEMORY = "asks for more memory than any file of its size needs"
 
@@ -56,7 +59,7 @@ def read_in_child(
         FileError: what is wrong with the file, without its name.
     """
     size = os.fstat(file.fileno()).st_size
-    words = json.dumps({**options, "bytes": size, "seconds": seconds})
+    words = json.dumps({**options, "bytes": size, "seconds": seconds, "parent": os.getpid()})
     # modules from where this process has them, and from nowhere else: the folder may be the file's,
     # with a numpy.py in it
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
@@ -105,6 +108,7 @@ def answer_parent(read: Callable[[bytes, dict[str, Any]], Sequence[Any]]) -> int
     Of a `FileError` the parent gets the message; of any other error its type too.
     """
     options = json.loads(sys.argv[1])
+    end_with(options["parent"])
     size = options["bytes"]
     memory = options.get("memory", MEMORY_BYTES + MEMORY_PER_BYTE * size)
     _limit(int(options["seconds"]), memory)
@@ -124,6 +128,18 @@ def answer_parent(read: Callable[[bytes, dict[str, Any]], Sequence[Any]]) -> int
         message = _other(error)
     sys.stderr.write(f"\n{message}")
     return REFUSED
+
+
+def end_with(parent: int) -> None:
+    """Ends this process soon after the process `parent`, which started it, has ended: one that is killed ends no
+    child."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(ASKED_EVERY_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _other(error: Exception) -> str:

@@ -1,0 +1,58 @@
+"""Processes that read files of strangers end with the process that started them."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+READER = """
+import os, sys, time
+from pathlib import Path
+from r2h_batch.base.io.child import answer_parent
+
+def read(data, options):
+    Path(options["place"]).write_text(str(os.getpid()))
+    while True:
+        time.sleep(0.1)
+
+if __name__ == "__main__":
+    sys.exit(answer_parent(read))
+"""
+PARENT = """
+import sys
+from r2h_batch.base.io.child import read_in_child
+
+with open(__file__, "rb") as file:
+    read_in_child("endless_reader", file, {"place": sys.argv[1]}, count=1, seconds=60, doing="reading")
+"""
+
+
+def alive(pid: int) -> bool:
+    with contextlib.suppress(ProcessLookupError, FileNotFoundError):
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+def test_a_reader_ends_with_a_parent_that_is_killed(tmp_path):
+    (tmp_path / "endless_reader.py").write_text(READER)
+    (tmp_path / "parent.py").write_text(PARENT)
+    place = tmp_path / "pid"
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "parent.py"), str(place)])
+    try:
+        end = time.monotonic() + 60
+        while not (place.exists() and place.read_text()):
+            assert time.monotonic() < end and parent.poll() is None
+            time.sleep(0.05)
+        child = int(place.read_text())
+        assert alive(child)
+    finally:
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    end = time.monotonic() + 20
+    while alive(child) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not alive(child)
