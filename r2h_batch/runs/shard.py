@@ -267,6 +267,13 @@ def shard_files(folder: Path, slug: str) -> list[Path]:
     return [place / n for n in sorted(names) if n[0] != "." and not n.endswith(".bad")]
 
 
+def drop_set_aside(place: Path, index: int) -> None:
+    """Removes files of a shard that were set aside, now that the shard is stored again."""
+    for path in place.glob(f"{index:06d}-*.bad"):
+        with suppress(OSError):  # a folder, or another sweep was quicker
+            path.unlink()
+
+
 def number_of(path: Path) -> int | None:
     """The number of a shard from its file's name; None if it is no name of a shard."""
     found = _NAME.fullmatch(path.name)

@@ -44,6 +44,7 @@ from r2h_batch.runs.header import (
 from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.shard import (
     count_outcomes,
+    drop_set_aside,
     finish_storing,
     shard_folder,
     stored_files,
@@ -191,6 +192,7 @@ class RunFolder:
                 raise RunError(f"{where}, {kind}: {what}; nothing was stored")
         place = shard_folder(self.folder, entry.slug)
         won = write_shard(place, self.header, method, shard, tables, seconds)
+        drop_set_aside(place, shard.index)
         entry.quarantine_path(shard).unlink(missing_ok=True)
         if self.deaths(method, shard):
             set_deaths(entry.claim_path(shard.index), 0)

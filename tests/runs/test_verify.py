@@ -46,11 +46,11 @@ def test_a_damaged_shard_is_named_verify_marks_it_and_only_it_is_written_again(t
     assert main(["results", "verify", str(folder)]) == 1
     out = capsys.readouterr().out
     assert str(bad) in out and "cut or flipped bits" in out and "m: 1 of 3 shards to be scored: 1" in out
-    run = load_run(folder)
-    assert run.unfinished == ("m",) and [s.index for s in run.missing("m")] == [1]
+    run, aside = load_run(folder), bad.with_name(f"{bad.name}.bad")
+    assert run.unfinished == ("m",) and [s.index for s in run.missing("m")] == [1] and aside.exists()
     again = open_run(folder, make_header(6, 6))
     store(again, "m", trials, scores)
-    assert load_run(folder).digest("m") == digest
+    assert load_run(folder).digest("m") == digest and not aside.exists()
     assert main(["results", "verify", str(folder)]) == 0
     assert "as it was written" in capsys.readouterr().out
 
