@@ -19,6 +19,10 @@ NOTES = (
     "Idle, both move, delay (neither moves): shares of an episode, means (Hoffman 2019). Time: median handover time of"
     " successes.",
 )
+OWN_POLICY = (
+    "The policy is the author's own code, not a built-in one. It runs in the process of the environment and may know what"
+    " no observation holds; `results reevaluate` does not play it again."
+)
 SHOWN = ("contact", "collision", "drop", "not_received", "timeout")
 
 
@@ -39,17 +43,23 @@ def render(run: Run) -> str:
         rates = [rate_text(verdicts == "success"), rate_text(won)]
         ends.append([label, str(n), *rates, *touches, *shares])
         went.append([label, *_numbers(rows, won)])
-    head = ["Method", "n", "SR", "closed loop", "contact by robot", "by hand"]
+    digests: Any = run.header["digests"]
+    loop = str(digests.get("closed_loop", "unknown"))
+    own = ":" in loop.partition("; ")[0]  # module:function, as no built-in policy is called
+    played = "closed loop (own policy)" if own else "closed loop"
+    head = ["Method", "n", "SR", played, "contact by robot", "by hand"]
     head += [end.replace("_", " ") for end in SHOWN[1:]]
     how = [
         "Method", "time, s", "least, cm", "slack, cm", "near speed, cm/s", "PFL", "SSM, s", "robot idle", "human idle",
         "both move", "delay",
     ]  # fmt: skip
-    digests: Any = run.header["digests"]
+    notes = (OWN_POLICY, *NOTES) if own else NOTES
     parts = [
-        f"Closed loop: {plain(digests.get('closed_loop', 'unknown'))}", aligned(head, ends, 1), aligned(how, went, 1),
-        notes_list(NOTES),
-    ]  # fmt: skip
+        f"Closed loop: {plain(loop)}",
+        aligned(head, ends, 1),
+        aligned(how, went, 1),
+        notes_list(notes),
+    ]
     return "\n\n".join(parts) + "\n"
 
 

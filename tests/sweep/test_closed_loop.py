@@ -3,6 +3,7 @@
 from functools import partial
 
 from r2h_batch.closed_loop.env import LoopConfig
+from r2h_batch.report.closed_loop import render
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main
 
@@ -24,6 +25,7 @@ def test_a_sweep_plays_the_loop_beside_its_verdicts_and_a_users_policy_is_one(tm
     )
     text = capsys.readouterr().out
     assert plain_out.splitlines()[0] in text and "Closed loop: mine.py:wait" in text and "contact by robot" in text
+    assert "closed loop (own policy)" in text and "may know what no observation holds" in text
     off, on = load_run(tmp_path / "off"), load_run(tmp_path / "on")
     on.verify()
     name = on.methods[0]
@@ -34,6 +36,8 @@ def test_a_sweep_plays_the_loop_beside_its_verdicts_and_a_users_policy_is_one(tm
     assert ends <= {"timeout", "drop", "contact"} and "timeout" in ends
     assert max(rows["robot_idle"].to_pylist()) == 1.0
     assert "shift_m 0.05" in on.header["digests"]["closed_loop"] and "closed_loop" not in off.header["digests"]
+    on.header["digests"]["closed_loop"] = "servo; kind moves"
+    assert "own policy" not in render(on)
     # another policy is another run
     assert sweep(tmp_path / "on", "--receiver-motion", "moves:50mm,10deg", "--policy", "servo") == 2
     assert "closed_loop" in capsys.readouterr().err
