@@ -117,7 +117,7 @@ def imported(sold: Sold, files: Path, folder: Path) -> tuple[int, float, str]:
 
 
 def tried(name: str, sold: Sold, files: Path, out: Path, trials: int) -> dict[str, Any]:
-    """What came of one file: minutes, overshoot, misses, success of the oracle; or the refusal."""
+    """One file: minutes, overshoot, misses, success of the oracle; or the refusal."""
     code, minutes, said = imported(sold, files, out / name)
     if code:
         return {"minutes": minutes, "refused": said.replace(str(files), "FOLDER")}
@@ -136,7 +136,7 @@ def tried(name: str, sold: Sold, files: Path, out: Path, trials: int) -> dict[st
 
 
 def table(found: dict[str, dict[str, Any]]) -> str:
-    """The Markdown table of what came of each file."""
+    """A Markdown table with a row for each file."""
     heads = [
         "arm",
         "gripper",
