@@ -109,7 +109,10 @@ def licence(installed: Distribution) -> str:
 def _licence_file(installed: Distribution) -> str:
     for file in installed.files or ():
         if re.search(r"licen[cs]e|copying", file.name, re.IGNORECASE):
-            lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
+            text = file.read_binary().decode("utf-8", errors="replace")
+            if re.search(r"Apache License,\s+Version 2\.0", text):  # the first line is a copyright, such as anny's
+                return "Apache-2.0"
+            lines = text.splitlines()
             return f"{next((x.strip() for x in lines if x.strip()), '')[:57]} ({file.name})"
     return "not stated"
 
