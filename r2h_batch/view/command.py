@@ -30,6 +30,8 @@ def view(
     port: int = 8080,
     receiver_motion: str = "",
     policy: str = "planned",
+    transfer: str = "",
+    release: str = "load-share",
     overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
@@ -53,6 +55,8 @@ def view(
         receiver_motion: films, strips: play the trial in closed loop, with a hand that moves as in
             `sweep`.
         policy: closed loop: the policy that moves the arm, as in `sweep`.
+        transfer: film: what happens after the arm stands still, in a scenario of `results transfer`.
+        release: transfer: the policy that lets go, as in `results transfer`.
         overwrite: replace files that are there.
         benchmark: where its files are now, if they are not where the sweep found them.
     """
@@ -79,6 +83,12 @@ def view(
         raise UsageError("--receiver-motion is played in --video and --strips; give one of them")
     if receiver_motion and find_spec("gymnasium") is None:
         raise UsageError("--receiver-motion needs gymnasium: pip install 'r2h_batch[env]'")
+    if transfer:
+        check_transfer(transfer, release)
+        if video is None or trial is None or html or strips or receiver_motion or len(method) > 1:
+            raise UsageError(
+                "--transfer needs --video, --trial and one --method, and no other output"
+            )
     for file, flag, endings in outputs:
         if file is not None and not one_of_each:
             check_output_file(file, overwrite=overwrite, flag=flag, endings=endings)
@@ -90,6 +100,15 @@ def view(
     from r2h_batch.view.stored import Reader
 
     reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    if transfer and trial is not None and video is not None:
+        from r2h_batch.closed_loop.transfer.cases import Case
+        from r2h_batch.view.transfer import write_transfer_film
+
+        case, name = Case(release, transfer, 0), method[0] if method else None
+        wanted: Any = {"size": size or (960, 720), "fps": fps, "benchmark": benchmark}
+        ended = write_transfer_film(reader, trial, name, case, video, **wanted)
+        print(f"{video}: {ended.replace('_', ' ')}")
+        return 0
     only: list[int] | None = None
     if one_of_each:
         from r2h_batch.view.stored import one_failure_of_each
@@ -150,3 +169,16 @@ def view(
         write_strips(drawings, strips, n=frames, size=size or (480, 400))
         print(strips)
     return 0
+
+
+def check_transfer(scenario: str, release: str) -> None:
+    """Raise `UsageError` unless there are such a scenario and such a policy."""
+    from r2h_batch.closed_loop.transfer.person import SCENARIOS
+    from r2h_batch.closed_loop.transfer.release import release_of
+
+    if scenario not in SCENARIOS:
+        raise UsageError(f"--transfer {scenario}: there is none; choose {', '.join(SCENARIOS)}")
+    try:
+        release_of(release)
+    except (ImportError, TypeError) as error:
+        raise UsageError(f"--release {release}: {error}") from error

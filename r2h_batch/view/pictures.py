@@ -216,11 +216,11 @@ def write_film(drawings: Sequence[Drawing], out: Path, *, size: tuple[int, int],
     """
     view = view_of(drawings, size[0] / size[1])
     films = [_film(d, size, fps, view) for d in drawings]
-    with atomic_path(out) as temporary, _writer(temporary, fps) as writer:
+    with film_writer(out, fps) as write:
         last = [next(f) for f in films]
         ended = [False] * len(films)
         while not all(ended):
-            writer.append_data(np.concatenate(last, axis=1))
+            write(np.concatenate(last, axis=1))
             for k, film in enumerate(films):
                 image = next(film, None)
                 ended[k] = image is None
@@ -244,6 +244,17 @@ def _film(drawing: Drawing, size: tuple[int, int], fps: int, view: View) -> Iter
         with painter(drawing, size, camera) as paint:
             image = paint(drawing.stored.target_q, *SEEN)
         yield from [image] * max(1, round(STILL_S * fps / 2))
+
+
+@contextmanager
+def film_writer(out: Path, fps: int) -> Iterator[Callable[[Image], None]]:
+    """Writes a film image by image; the file is there when all are.
+
+    Raises:
+        RenderError: imageio or its ffmpeg is missing.
+    """
+    with atomic_path(out) as temporary, _writer(temporary, fps) as writer:
+        yield writer.append_data
 
 
 def _writer(path: Path, fps: int) -> Any:

@@ -19,6 +19,7 @@ from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.closed_loop.transfer.person import SCENARIOS, Hands, Persons, draw_persons
 from r2h_batch.closed_loop.transfer.release import release_of
 from r2h_batch.closed_loop.transfer.simulate import Transfers, noise_of, simulate
+from r2h_batch.closed_loop.transfer.worlds import Worlds
 from r2h_batch.closed_loop.transfer.worlds_mujoco import Models, MujocoWorlds
 from r2h_batch.judge.motion.simulation import warnings_unwritten
 from r2h_batch.scene.objects import ObjectModel
@@ -59,12 +60,19 @@ class Simulator:
         objects: that `Handed.object_index` counts.
         setting: what a study varies.
         seed: of the sensor's noise.
+        worlds: makes the worlds of a case, as `MujocoWorlds` is made.
     """
 
     def __init__(
-        self, robot: Robot, objects: Sequence[ObjectModel], setting: Setting, seed: int
+        self,
+        robot: Robot,
+        objects: Sequence[ObjectModel],
+        setting: Setting,
+        seed: int,
+        worlds: Callable[..., Worlds] = MujocoWorlds,
     ) -> None:
         self.robot, self.setting, self.seed = robot, setting, seed
+        self.worlds = worlds
         self.models = Models(robot, objects, setting)
 
     def __call__(self, handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
@@ -83,7 +91,7 @@ class Simulator:
         scenario = SCENARIOS[case.scenario]
         persons = draw_persons(scenario, handed.trial_id, case.person)
         made = simulate(
-            MujocoWorlds(closed, persons.arm_n_m, self.robot, self.setting),
+            self.worlds(closed, persons.arm_n_m, self.robot, self.setting),
             Hands(handed, scenario, persons, self.setting),
             release_of(case.release)[0],
             R_world_gripper=torch.from_numpy(handed.R_world_gripper),

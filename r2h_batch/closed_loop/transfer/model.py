@@ -66,7 +66,7 @@ class Setting:
     mass: float = 1.0
 
 
-def transfer_model(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.MjModel:
+def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.MjSpec:
     """The model of one object, with the hand at the gripper's origin (`place` puts it right)."""
     step = TICK_S / setting.steps
     spec = mujoco.MjSpec()
@@ -117,7 +117,7 @@ def transfer_model(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco
         )  # fmt: skip
     for body in spec.bodies:
         body.gravcomp = float(body.name not in ("world", "object"))
-    return spec.compile()
+    return spec
 
 
 def _add_motor(spec: mujoco.MjSpec, joint: str, damping: float) -> None:

@@ -27,7 +27,7 @@ from r2h_batch.closed_loop.transfer.model import (
     full_effort,
     place,
     start_posture,
-    transfer_model,
+    transfer_spec,
 )
 from r2h_batch.closed_loop.transfer.worlds import Seen, Told
 from r2h_batch.scene.objects import ObjectModel
@@ -75,7 +75,8 @@ class Models:
     def of(self, index: int) -> mujoco.MjModel:
         """The model of an object; do not change it."""
         if index not in self._made:
-            self._made[index] = transfer_model(self.robot, self.objects[index], self.setting)
+            spec = transfer_spec(self.robot, self.objects[index], self.setting)
+            self._made[index] = spec.compile()
         return self._made[index]
 
     def close(self, row: Gripped) -> Closed:

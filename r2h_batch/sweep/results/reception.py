@@ -151,6 +151,17 @@ def judged_again(
         yield _judged(part, judge)
 
 
+def judged_one(
+    run: Run, method: str, judge: Judge, trial_id: int
+) -> tuple[np.ndarray, Scores, dict[int, bool]]:
+    """As `judged_again`, of one stored row."""
+    stored = {"trials": run.trials(method), "poses": run.poses(method)}
+    if all("details" in s.kinds for s in run.entry(method).shards.values()):
+        stored["details"] = run.details(method)
+    own = {k: t.filter(pc.equal(t["trial_id"], trial_id)) for k, t in stored.items()}
+    return _judged(own, judge)
+
+
 def _parts(run: Run, method: str) -> Iterator[dict[str, pa.Table]]:
     """Rows, poses and goals of a method, `ROWS` trials at a time."""
     for index, shard in sorted(run.entry(method).shards.items()):
