@@ -25,6 +25,7 @@ Contacts: `probability` (., P) in [0, 1] that a person touches the point.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -375,7 +376,7 @@ def _object_rows(where: str, arrays: Arrays, objects: Sequence[ObjectModel]) -> 
     else:
         names = _need(where, arrays, "object_index", ("iu", ("N",))).tolist()
         wanted = range(len(objects))
-    if twice := [n for n in names if names.count(n) > 1]:
+    if twice := [n for n, k in Counter(names).items() if k > 1]:
         raise FileError(f"{where}: object {printable(twice[0])} is given more than once")
     if missing := [n for n in wanted if n not in names]:
         raise FileError(

@@ -21,6 +21,7 @@ T_world_hand_0 to _15, and id and variant if they are said.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -112,7 +113,7 @@ def _labels(columns: Columns, ids: NDArray[Any], order: NDArray[Any], where: str
         return None
     texts = columns["id"][order].tolist()
     if len(set(texts)) < len(texts):
-        twice = next(t for t in texts if texts.count(t) > 1)
+        twice = next(t for t, k in Counter(texts).items() if k > 1)
         raise FileError(f"{where}: two trials have the id {printable(twice)[:80]!r}")
     variants = columns.get("variant", np.full(len(ids), ""))[order].tolist()
     return {int(i): pair for i, pair in zip(ids, zip(texts, variants))}

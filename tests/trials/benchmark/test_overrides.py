@@ -1,5 +1,6 @@
 """A benchmark out of flags: other hands, grasps and trials in a sweep, and what is refused."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,18 @@ def test_a_trials_file_that_is_none_is_refused_in_one_line(words, tmp_path):
     np.savez(tmp_path / "t.npz", **{k: np.asarray(v) for k, v in changed.items() if v is not None})
     with one_line(words):
         read_trials_file(tmp_path / "t.npz", base.objects, base.hand_set)
+
+
+def test_a_long_trials_file_with_one_id_twice_at_its_end_is_refused_at_once(tmp_path):
+    base, rows = built_in(), 100_000
+    ids = np.arange(rows).astype(str)
+    ids[-1] = ids[-2]
+    columns = {k: np.repeat(x[:1], rows, 0) for k, x in some_trials(1).items() if k in ("object", "T_world_hand")}
+    np.savez(tmp_path / "t.npz", **columns, hand=np.zeros(rows, np.int64), id=ids)
+    start = time.process_time()
+    with one_line(f"two trials have the id '{rows - 2}'"):
+        read_trials_file(tmp_path / "t.npz", base.objects, base.hand_set)
+    assert time.process_time() - start < 20  # a comparison of each with each takes minutes
 
 
 def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
