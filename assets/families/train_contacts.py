@@ -25,8 +25,9 @@ from safetensors.torch import save_file
 from scipy.stats import rankdata
 from torch import Tensor
 
+from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.assets.receiving.contact_maps import contact_map
-from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD
+from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD, SHIPPED_FILE
 from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.methods.predictors.principal_axes import FLIPS, STORED_FILE, InPrincipalAxes, turned_grid
 from r2h_batch.methods.predictors.voxnet import VoxNet
@@ -147,16 +148,28 @@ def figures(net: VoxNet, objects: Sequence[ObjectModel]) -> dict[str, dict[str, 
     return found
 
 
+def answer(whole: InPrincipalAxes, objects: Sequence[ObjectModel]) -> None:
+    """Stores what the network answers for these objects, so that nobody computes it on first use."""
+    answers: dict[str, NDArray[Any]] = {"network": np.array(whole.digest)}
+    for o in objects:
+        x, y, z = voxel_of_points(o).T
+        with torch.no_grad():
+            answers[o.name] = whole(contact_grids([o]))[0, x, y, z].numpy()
+    write_npz(HERE / SHIPPED_FILE, answers)
+
+
 def main() -> None:
-    """Writes the weights and the report."""
+    """Writes the weights, the answers for the shipped instances and the report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--training", type=Path, default=Path("build/families"))
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--left-out", nargs="*", default=[],
-        help="categories to leave out in turn, several together as A,B,C; the weights are kept",
+        help="also train without these categories in turn, several together as A,B,C, for the report alone",
     )  # fmt: skip
+    parser.add_argument("--left-out-steps", type=int, default=STEPS)
+    parser.add_argument("--only-left-out", action="store_true", help="keep the stored weights")
     args = parser.parse_args()
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
@@ -164,12 +177,13 @@ def main() -> None:
     category = [f.stem.rpartition("_")[0] for f in files]
     data = Examples([with_words(read_object(str(f)), c) for f, c in zip(files, category, strict=True)])
     path = HERE / "voxnet_axes.json"
-    report = json.loads(path.read_text()) if path.exists() else {}
-    if not args.left_out:
+    report = json.loads(path.read_text()) if args.only_left_out else {}
+    if not args.only_left_out:
         net, losses = train(data, range(len(files)), args.steps, args.seed)
         save_file({k: v.contiguous() for k, v in net.state_dict().items()}, HERE / STORED_FILE)
         (HERE / STORED_FILE).chmod(0o644)
         tests = load_objects(INSTANCE_NAMES)
+        answer(InPrincipalAxes(net), tests)
         report |= {
             "sha256": hashlib.sha256((HERE / STORED_FILE).read_bytes()).hexdigest(),
             "training_instances": len(files), "steps": args.steps, "seed": args.seed,
@@ -180,20 +194,21 @@ def main() -> None:
             ])), 3)},
         }  # fmt: skip
         report["cpu_seconds"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
+        path.write_text(json.dumps(report, indent=1) + "\n")
     for group in args.left_out:
         names = group.split(",")
         if unknown := [n for n in names if n not in category]:
             parser.error(
                 f"--left-out: no training instance of {unknown[0]!r}; there are {', '.join(sorted(set(category)))}"
             )
-        net, _ = train(data, [i for i, c in enumerate(category) if c not in names], args.steps, args.seed)
+        net, _ = train(data, [i for i, c in enumerate(category) if c not in names], args.left_out_steps, args.seed)
         for name in names:
             tests = load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == name])
-            found = figures(net, tests) | {"together_with": [n for n in names if n != name], "steps": args.steps}
+            others = [n for n in names if n != name]
+            found = figures(net, tests) | {"together_with": others, "steps": args.left_out_steps}
             report.setdefault("left_out", {})[name] = found
             print(name, found, flush=True)
         path.write_text(json.dumps(report, indent=1) + "\n")
-    path.write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ FULL = 0.95
 """Quantile of a map's touched points that counts as fully touched."""
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)
 def touched_points(model: ObjectModel) -> NDArray[np.bool_]:
     """(G, P): whether the skin of each of the object's receiving grasps is within 5 mm of each
     cloud point."""

@@ -332,10 +332,10 @@ def _with_more(table: Table, row: Row) -> dict[str, Any]:
         found |= dict(zip(("sr_scans", "sr_scans_low", "sr_scans_high"), ends, strict=True))
     if table.turns:
         test = table.turn_of(row)
-        most = test and test.most
+        most = None if test is None else test.most
         ends = (most.points, most.low, most.high) if most else (None, None, None)
         found |= dict(zip(("turn", "turn_low", "turn_high"), ends, strict=True))
-        found["turn_marked"] = test and test.marked
+        found["turn_marked"] = None if test is None else test.marked
     return found
 
 

@@ -9,11 +9,11 @@ import torch
 
 from r2h_batch.assets.receiving.contact_maps import contact_map, touched_points
 from r2h_batch.methods.predictors import predict_contacts
-from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD
+from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD, shipped_answers
 from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.methods.predictors.principal_axes import InPrincipalAxes, load_axes_network
 from r2h_batch.methods.predictors.voxnet import VoxNet, load_voxnet
-from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.objects import INSTANCE_NAMES, load_objects, turned
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.holding.receiving import CONTACT_M, load_receiving, receiving_digest
 from r2h_batch.trials.protocol import make_trials
@@ -62,9 +62,21 @@ def test_contacts_are_read_at_the_clouds_points_and_do_not_depend_on_the_batch()
     assert (row[handle] >= CONTACT_THRESHOLD).float().mean() > (row[~handle] >= CONTACT_THRESHOLD).float().mean()
 
 
+def test_the_shipped_answers_are_those_of_the_shipped_network_for_every_instance() -> None:
+    shipped, network = shipped_answers(), load_axes_network()
+    assert shipped["network"].item() == network.digest and set(shipped) == {"network", *INSTANCE_NAMES}
+    for model in load_objects(["toothbrush_03", "bowl_02"]):
+        x, y, z = voxel_of_points(model).T
+        with torch.no_grad():
+            answer = network(contact_grids([model]))[0, x, y, z].numpy()
+        assert answer.std() > 0.05
+        np.testing.assert_allclose(shipped[model.name], answer, atol=1e-5)
+
+
 def test_what_the_network_of_families_answers_is_kept_on_disk_by_object_and_weights(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path))
-    both, alone = (Scene(objects=load_objects(names)) for names in (["cup_05", "bowl_05"], ["cup_05"]))
+    own = [turned(o, np.diag([-1.0, -1.0, 1.0])) for o in load_objects(["cup_05", "bowl_05"])]  # no shipped answer
+    both, alone = (Scene(objects=tuple(objects)) for objects in (own, own[:1]))
     first = predict_contacts(make_trials(trials=1, objects=both.objects, splits=["S0"]), both)[0]
     assert len(list((tmp_path / "contacts").glob("*.npz"))) == 2
 
