@@ -108,7 +108,7 @@ class Book:
         if not touched:
             self.slip_before = seen.slip.clone()
         if not touched or not hands.scenario.grips:
-            slipped = _distance(seen.com, self.com_closed)
+            slipped = _distance(seen.com - seen.shifted, self.com_closed)
             self.robot_slip_m = torch.where(run, slipped, self.robot_slip_m)
         self._share = 1.0 + _dot(seen.load, hands.up) / hands.weight
         for share, when in zip(SHARES, self.passed_s, strict=True):
