@@ -39,7 +39,7 @@ def simulated(received, cases: list[Case], steps: int = 8):
 
 
 def test_half_the_time_step_changes_at_most_one_outcome_in_twelve(received):
-    """2 of 36: a bowl turns by 30.4 degrees or 26.8, where 30 is the border; a policy lets go under a touch near its threshold."""
+    """2 of 36. A bowl turns by 30.4 degrees or 26.8, 30 is the border. A touch is at a threshold."""
     whole, half = (simulated(received, FORCES, n) for n in (8, 16))
     assert len(received[0]) >= 10
     pairs = [
