@@ -236,7 +236,7 @@ Failures of Handover-VA's plans, by what collides at start or goal:
 
 ## Cost
 
-Core milliseconds a trial, median of seven turns: {cost}. The draws of people try more postures than those of r2h-v1.
+Core milliseconds a trial (`random`, no motion, shared machine), median of seven turns: {cost}.
 
 ## Dimensions
 
@@ -247,7 +247,7 @@ longer than ANSUR II's.
 
 {dimensions}
 
-Children: no published table was at hand. Ours:
+Children: ours alone. No published table of these lengths could be looked up.
 
 {children}
 
