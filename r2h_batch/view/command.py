@@ -84,7 +84,9 @@ def view(
     if receiver_motion and find_spec("gymnasium") is None:
         raise UsageError("--receiver-motion needs gymnasium: pip install 'r2h_batch[env]'")
     if transfer:
-        check_transfer(transfer, release)
+        from r2h_batch.sweep.results.command import check_cases
+
+        check_cases([release], [transfer], flag="--transfer")
         if video is None or trial is None or html or strips or receiver_motion or len(method) > 1:
             raise UsageError(
                 "--transfer needs --video, --trial and one --method, and no other output"
@@ -169,16 +171,3 @@ def view(
         write_strips(drawings, strips, n=frames, size=size or (480, 400))
         print(strips)
     return 0
-
-
-def check_transfer(scenario: str, release: str) -> None:
-    """Raise `UsageError` unless there are such a scenario and such a policy."""
-    from r2h_batch.closed_loop.transfer.person import SCENARIOS
-    from r2h_batch.closed_loop.transfer.release import release_of
-
-    if scenario not in SCENARIOS:
-        raise UsageError(f"--transfer {scenario}: there is none; choose {', '.join(SCENARIOS)}")
-    try:
-        release_of(release)
-    except (ImportError, TypeError) as error:
-        raise UsageError(f"--release {release}: {error}") from error

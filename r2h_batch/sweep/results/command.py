@@ -9,6 +9,7 @@ held RUN          print how many objects the closed gripper holds under their we
 transfer RUN      simulate the transfer: the person takes the object, the gripper lets go
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from r2h_batch.base.command_line import UsageError, check_seed
@@ -231,22 +232,14 @@ def transfer(
 
     from r2h_batch.base.launch import cpu_threads
     from r2h_batch.closed_loop.transfer.cases import Case
-    from r2h_batch.closed_loop.transfer.person import SCENARIOS
-    from r2h_batch.closed_loop.transfer.release import release_of
     from r2h_batch.runs.files import RunError, in_the_way
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results import transfer as transferred
 
-    if unknown := [s for s in scenario if s not in SCENARIOS]:
-        raise UsageError(f"--scenario {unknown[0]}: there is none; choose {', '.join(SCENARIOS)}")
+    check_cases(release, scenario, flag="--scenario")
     if draws < 1 or processes < 0:
         raise UsageError("--draws must be 1 or more, --processes 0 or more")
     check_seed(seed)
-    for spec in release:
-        try:
-            release_of(spec)
-        except (ImportError, TypeError) as error:
-            raise UsageError(f"--release {spec}: {error}") from error
     if what := in_the_way(folder / "transfer", folder=True):
         raise RunError(what)
     run = load_run(folder).only(method)
@@ -257,6 +250,26 @@ def transfer(
     cases = [Case(*c) for c in product(release, scenario, range(draws))]
     print(transferred.render(files, cases), end="")
     return 0
+
+
+def check_cases(release: Sequence[str], scenario: Sequence[str], *, flag: str) -> None:
+    """Raise `UsageError` unless there are such policies and scenarios.
+
+    Args:
+        release: as `release_of` takes them.
+        scenario: names of `person.SCENARIOS`.
+        flag: that named the scenarios.
+    """
+    from r2h_batch.closed_loop.transfer.person import SCENARIOS
+    from r2h_batch.closed_loop.transfer.release import release_of
+
+    if unknown := [s for s in scenario if s not in SCENARIOS]:
+        raise UsageError(f"{flag} {unknown[0]}: there is none; choose {', '.join(SCENARIOS)}")
+    for spec in release:
+        try:
+            release_of(spec)
+        except (ImportError, TypeError) as error:
+            raise UsageError(f"--release {spec}: {error}") from error
 
 
 COMMANDS = {
