@@ -4,6 +4,7 @@ shape."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -138,7 +139,7 @@ def hands_of(piece: Cut, bodies: Bodies, like: HandModel) -> Hands:
 
 def arrays(
     piece: Cut, hands: Hands, mean: NDArray[np.bool_], like: HandModel
-) -> tuple[dict[str, NDArray[np.generic]], F64, dict[str, float]]:
+) -> tuple[dict[str, NDArray[Any]], F64, dict[str, float]]:
     """The hand model as `hand.npz` holds it, the shape numbers (n, 10) of the hands, and how well they give them back.
 
     Args:
@@ -166,7 +167,7 @@ def arrays(
     axes = hand_pieces.joint_axes(
         joints, skin[tips], like.joint_axes.double().numpy(), like.joints_rest.double().numpy(), like_tips
     )
-    made: dict[str, NDArray[np.generic]] = {
+    made: dict[str, NDArray[Any]] = {
         "vertices": np.float32(skin),
         "faces": faces,
         "weights": np.float32(piece.weights),

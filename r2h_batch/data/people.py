@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,7 +227,7 @@ YEARS = 1.5
 """How far the age of a built-in person may lie from the one that is asked for."""
 
 
-def hand_of_age(age: float, sex: str | None = None) -> dict[str, NDArray[np.generic]]:
+def hand_of_age(age: float, sex: str | None = None) -> dict[str, NDArray[Any]]:
     """The arrays of a hand.npz whose shape 0 is the median hand of built-in people of an age.
 
     Args:
@@ -247,7 +248,7 @@ def hand_of_age(age: float, sex: str | None = None) -> dict[str, NDArray[np.gene
     rows = np.flatnonzero(near)
     order = rows[np.argsort(people.lengths["hand_length"][rows], kind="stable")]
     shape = people.hand_shape[order[len(order) // 2]].astype(np.float64)
-    found: dict[str, NDArray[np.generic]] = dict(read_arrays(asset("people", "hand.npz")))
+    found: dict[str, NDArray[Any]] = dict(read_arrays(asset("people", "hand.npz")))
     for rest, basis in (("vertices", "shape_basis"), ("joints_rest", "joint_shape_basis")):
         found[rest] = np.float32(found[rest] + found[basis].astype(np.float64) @ shape)
     return found

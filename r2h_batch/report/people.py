@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from r2h_batch.report.statistics.aggregate import wilson_interval
@@ -46,7 +48,7 @@ class Served:
 
     methods: tuple[str, ...]
     success: NDArray[np.bool_]
-    columns: Mapping[str, NDArray[np.generic]]
+    columns: Mapping[str, NDArray[Any]]
 
     def groups(self) -> list[tuple[str, str, Mask]]:
         """(what divides, group, its trials); groups without trials are left out."""
@@ -105,11 +107,11 @@ def served(run: Run) -> Served:
             "this run has no people; sweep with --people adults, children, elderly, all or a .csv"
         )
     # answers that are missing have no person in their rows: another method's row knows
-    columns = {}
+    columns: dict[str, NDArray[Any]] = {}
     for name in COLUMNS:
         values = tables[0][name].combine_chunks()
         for other in tables[1:]:
-            values = pa.compute.coalesce(values, other[name].combine_chunks())
+            values = pc.coalesce(values, other[name].combine_chunks())
         columns[name] = np.asarray(values.to_pylist())
     won = Outcome.SUCCESS.name.lower()
     success = np.array([[o == won for o in t["outcome"].to_pylist()] for t in tables])
