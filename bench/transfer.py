@@ -351,7 +351,7 @@ def memory_text(memory: dict[str, Any]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=40, help="of each split (200: some three hours)")
+    parser.add_argument("--trials", type=int, default=40, help="of each split")
     parser.add_argument("--processes", type=int, default=1, help="1: the cost is measured too")
     parser.add_argument("--memory", type=int, default=2000, help="transfers over which memory is measured")
     page_from(parser, STORED, PAGE, measure, markdown)

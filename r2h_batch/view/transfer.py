@@ -153,15 +153,15 @@ def _shown(
     )
     for geom in spec.body("object").geoms:
         geom.rgba = [*COLORS["object"], 1]
-    ends = [([0, 0, -0.06], [0, 0, 0.04], 0.035)]
+    ends: list[tuple[Any, Any, float]] = [([0, 0, -0.06], [0, 0, 0.04], 0.035)]
     for name in FINGERS:
         spec.geom(name).rgba = [*COLORS["pad"], 1]
         ends.append(([0, 0, 0.03], spec.body(name).pos, 0.012))
         if (pad := spec.body(f"{name}_pad")) is not None:
-            tube(spec.body(name), [0, 0, 0], pad.pos, 0.007)
-            tube(pad, [0, 0, 0], spec.geom(name).pos, 0.006)
+            _tube(spec.body(name), [0, 0, 0], pad.pos, 0.007)
+            _tube(pad, [0, 0, 0], spec.geom(name).pos, 0.006)
     for a, b, radius in ends:
-        tube(spec.body("gripper"), a, b, radius)
+        _tube(spec.body("gripper"), a, b, radius)
     up, approach = -handed.down[0], np.array([0.0, 0.0, 1.0])
     side = np.cross(approach, up)
     side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.1 else np.array([1.0, 0.0, 0.0])
@@ -188,7 +188,7 @@ def _shown(
     return made
 
 
-def tube(body: mujoco.MjsBody, a: Any, b: Any, radius: float) -> None:
+def _tube(body: mujoco.MjsBody, a: Any, b: Any, radius: float) -> None:
     """A capsule between two points of a body that is only seen."""
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[radius, 0, 0], rgba=[*COLORS["gripper"], 1], **_SEEN
@@ -201,7 +201,7 @@ def _film(
     """Its images, with a short rest at the end."""
     data, places = mujoco.MjData(model), Places.of(model)
     with renderer(model, *size) as drawer:
-        image = None
+        image: Image | None = None
         for t in np.arange(0.0, len(moments) * TICK_S, 1 / fps):
             now = moments[min(int(t / TICK_S), len(moments) - 1)]
             data.qpos[:] = now.qpos
