@@ -104,7 +104,7 @@ def gripped_of(scores: Scores, trial_id: NDArray[np.int64]) -> Gripped:
     return Gripped(
         trial_id[kept].astype(np.int64),
         trials.object_index.cpu().numpy()[kept].astype(np.int64),
-        np.linalg.inv(T_obj_gripper),
+        np.asarray(np.linalg.inv(T_obj_gripper), np.float64),
         squeezed.clamp(min=0.0).cpu().double().numpy(),
         -T_world_gripper[:, 2, :3],
     )

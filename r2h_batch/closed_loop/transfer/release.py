@@ -218,7 +218,8 @@ class Probe:
     def _feels(self, now_s: float) -> Bool[Tensor, " n"]:
         """Whether each row's readings say that a hand holds and carries the object."""
         # a reading is a tick late
-        at_s = now_s - self.robot.tick_s * np.arange(self.WINDOW_TICKS, 0, -1)
+        back = np.arange(self.WINDOW_TICKS, 0, -1, dtype=np.float64)
+        at_s = np.asarray(now_s - self.robot.tick_s * back, np.float64)
         age = (at_s - at_s[-1]) / (self.WINDOW_TICKS * self.robot.tick_s)
         X = np.column_stack([np.ones_like(age), age, age**2, *self._moves(at_s)])
         precision = np.diag(np.repeat([1e-6, self.PRIOR_N_M**-2], [3, 6]))
