@@ -2,6 +2,7 @@
 
 import csv
 import json
+import random
 from dataclasses import replace
 
 import fcl
@@ -10,11 +11,13 @@ import pytest
 import torch
 import trimesh
 from grasp_cases import model_of
+from odd_fields import outcome, with_odd
 from scipy.optimize import least_squares
 from sweep_command import in_process
 
 from r2h_batch import EvalConfig, Evaluator
 from r2h_batch.__main__ import main
+from r2h_batch.data.release import read_trials
 from r2h_batch.judge.grasp import region_distance
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.grasp_tables import grasp_tables
@@ -439,3 +442,26 @@ def test_what_is_no_trial_is_refused_in_one_line_that_names_the_field(tmp_path, 
     assert main(["import", "trials", str(tmp_path / "t.json"), "--from", "r2handoversim", "--out", out]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and line in said and "t.json" in said, said
+
+
+MESH = {
+    "vertices": [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]],
+    "faces": [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+}
+EYE = np.eye(4).tolist()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_odd_fields_of_a_trial_of_the_release_are_one_line(tmp_path, seed):
+    good = json.loads(json.dumps(fixture("hammer", "region_agnostic")))
+    good["object_mesh_object"] = MESH
+    good["receiver"] = {"side": "left", "T_world_hand": EYE}
+    own = {"pose": [0.0] * 48, "shape": [0.0] * 10, "T_world_hand": EYE, "T_world_palm": EYE, "receiver_faces": [0, 1]}
+    good["provenance"] = {"r2h_batch": own}
+    path, rng, found = tmp_path / "a.json", random.Random(seed), []
+    path.write_text(json.dumps(good))
+    read_trials(path)
+    for _ in range(40):
+        path.write_text(json.dumps(with_odd(good, rng)))
+        found.append(outcome(lambda: read_trials(path)))
+    assert found.count(False) > 20

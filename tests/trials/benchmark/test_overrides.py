@@ -1,7 +1,10 @@
 """A benchmark out of flags: other hands, grasps and trials in a sweep, and what is refused."""
 
+import json
+import random
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -9,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 import trimesh
+from odd_fields import outcome, with_odd
 from refusals import one_line
 
 from r2h_batch import Evaluator, make_trials
@@ -157,6 +161,28 @@ def test_a_long_trials_file_with_one_id_twice_at_its_end_is_refused_at_once(tmp_
     with one_line(f"two trials have the id '{rows - 2}'"):
         read_trials_file(tmp_path / "t.npz", base.objects, base.hand_set)
     assert time.process_time() - start < 20  # a comparison of each with each takes minutes
+
+
+@pytest.mark.parametrize("suffix", [".json", ".npz"])
+def test_odd_columns_of_a_trials_file_are_one_line(tmp_path, suffix):
+    objects, hands = [SimpleNamespace(name=n, split=s) for n, s in (("mug", "S0"), ("hammer", "S1"))], load_hand_set()
+    T = np.eye(4)
+    T[:3, 3] = 0.5, 0.0, 0.9
+    good = {
+        "object": ["mug", "hammer"] * 3, "T_world_hand": [T.tolist()] * 6, "hand": [*range(6)],
+        "id": [*"abcdef"], "variant": ["x"] * 6,
+    }  # fmt: skip
+    path, rng, found = tmp_path / f"t{suffix}", random.Random(7), []
+    for changed in [good, *(with_odd(good, rng) for _ in range(150))]:
+        try:
+            if suffix == ".json":
+                path.write_text(json.dumps(changed))
+            else:
+                np.savez(path, **{k: np.array(v) for k, v in changed.items()})
+        except ValueError:  # no array is made of it
+            continue
+        found.append(outcome(lambda: read_trials_file(path, objects, hands)))
+    assert found[0] and found.count(False) > 60
 
 
 def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
