@@ -121,7 +121,7 @@ def tried(name: str, sold: Sold, files: Path, out: Path, trials: int) -> dict[st
     if code:
         return {"minutes": minutes, "refused": said.replace(str(files), "FOLDER")}
     report = json.loads((out / name / "report.json").read_text())
-    found = {
+    found: dict[str, Any] = {
         "minutes": minutes,
         "overshoot_mm": max(row["mean_mm"] for row in report["links"].values()),
         "missed": report.get("ik_missed", 0),
@@ -184,7 +184,8 @@ def main() -> None:
     options = parser.parse_args()
     os.environ["MUJOCO_GL"] = os.environ.get("MUJOCO_GL", "osmesa")  # of the commands: they draw home.png
     here = {n: ROBOTS[n] for n in options.only if (options.files / ROBOTS[n].path).is_file()}
-    result, found = Report(MEASURES), {}
+    result = Report(MEASURES)
+    found: dict[str, dict[str, Any]] = {}
     options.out.mkdir(parents=True, exist_ok=True)
     for name, sold in here.items():
         kept = options.out / f"{name}.json"

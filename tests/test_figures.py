@@ -12,8 +12,8 @@ ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
 LONG = {"families"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
-BY_HAND = {"release"} | LONG
-"""Benches that need files of others, which `make bench` takes only if it is given them (RELEASE=), or hours."""
+BY_HAND = {"release", "vendors"} | LONG
+"""Benches that need files of others, which `make bench` takes only if it is given them (RELEASE=, VENDORS=), or hours."""
 NOT_YET = {"families", "people", "transfer"}
 """Benches of hours, and one that `make bench` has not run yet (people). Their pages name the commit and the conditions; their
 next run stores what it measured."""
