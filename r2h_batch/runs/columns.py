@@ -104,12 +104,12 @@ TRIALS = (
     Column("body_m", FLOAT,
            "r2h-v1: distance of the robot to the receiver's arm and torso. Exact below 5 cm; 0.05 beyond."
            " Negative: they overlap by at least this much", "m", since="0.2.0"),
-    Column("age_years", FLOAT, "the receiver's age; null here and below: a sweep without `people`", "years", since="0.3.0"),
-    Column("sex", NAME, "`male` or `female`", since="0.3.0"),
-    Column("stature_m", FLOAT, "the receiver's stature", "m", since="0.3.0"),
-    Column("hand_length_m", FLOAT, "from the wrist to the tip of the straight middle finger", "m", since="0.3.0"),
-    Column("seated", BOOL, "whether the receiver sits", since="0.3.0"),
-    Column("redrawn", FLOAT, "people drawn before in vain: no posture of theirs fitted", since="0.3.0"),
+    Column("age_years", FLOAT, "the receiver's age; null here and below: a sweep without `people`", "years", since="0.2.0"),
+    Column("sex", NAME, "`male` or `female`", since="0.2.0"),
+    Column("stature_m", FLOAT, "the receiver's stature", "m", since="0.2.0"),
+    Column("hand_length_m", FLOAT, "from the wrist to the tip of the straight middle finger", "m", since="0.2.0"),
+    Column("seated", BOOL, "whether the receiver sits", since="0.2.0"),
+    Column("redrawn", FLOAT, "people drawn before in vain: no posture of theirs fitted", since="0.2.0"),
 )
 
 DETAILS = (
