@@ -83,7 +83,8 @@ from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
-from r2h_batch.training.gradients import differentiable
+from r2h_batch.training.first_order import Changes
+from r2h_batch.training.gradients import FOLLOWED, changes, differentiable
 from r2h_batch.trials.benchmark.benchmark import Benchmark
 from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
@@ -112,6 +113,7 @@ class JudgedPoses(NamedTuple):
     goal: Goal
     nearest: NearestApproach
     found: dict[str, Tensor]  # fields of `Scores`
+    changes: Changes | None = None  # where margins have to lead back to the poses
 
 
 class Evaluator:
@@ -155,7 +157,11 @@ class Evaluator:
         if self.scene.device != "cpu":
             build_tables(self.scene.robot, self.config.workplace.home_q, self.scene.device)
         self.handle = torch_op.register(self)
-        self._small_calls, self._known_inputs = RepeatedCalls(SIZES_KEPT), KnownInputs()
+        self._small_calls, self._small_gradients = (
+            RepeatedCalls(SIZES_KEPT),
+            RepeatedCalls(SIZES_KEPT),
+        )
+        self._known_inputs = KnownInputs()
 
     @classmethod
     def from_benchmark(
@@ -195,13 +201,17 @@ class Evaluator:
         """The configuration: all that copies and pickles hold. Copies share the scene's tables, which
         nobody changes; another process builds its own (`Scene.__reduce__`), rows are bitwise
         equal."""
-        own = ("handle", "kinematic", "_small_calls", "_known_inputs")
+        own = ("handle", "kinematic", "_small_calls", "_small_gradients", "_known_inputs")
         return {k: v for k, v in self.__dict__.items() if k not in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.handle = torch_op.register(self)
-        self._small_calls, self._known_inputs = RepeatedCalls(SIZES_KEPT), KnownInputs()
+        self._small_calls, self._small_gradients = (
+            RepeatedCalls(SIZES_KEPT),
+            RepeatedCalls(SIZES_KEPT),
+        )
+        self._known_inputs = KnownInputs()
 
     @contextmanager
     def working(self) -> Iterator[None]:
@@ -565,21 +575,32 @@ class Evaluator:
         poses = T_obj_ee, T_world_ee
         inputs = (*(T.detach() for T in poses), *trials._tensors().values())
         inputs = tuple(x.contiguous() for x in inputs)
-        if 0 < len(trials) <= SMALL_ROWS and not (_differentiates(*poses) or T_obj_ee.is_cuda):
-            judged = self._small_calls(self._judge_pose, *inputs)
+        differentiates = _differentiates(*poses)
+        judge = self._judge_pose_and_changes if differentiates else self._judge_pose
+        small = 0 < len(trials) <= SMALL_ROWS and not T_obj_ee.is_cuda
+        if small and not (differentiates and FOLLOWED):  # torch follows poses where they stay
+            calls = self._small_gradients if differentiates else self._small_calls
+            judged = calls(judge, *inputs)
             found = {name: x.clone() for name, x in judged.found.items()}
+            change = judged.changes and judged.changes.copy()
         else:
-            judged = self._judge_pose(*inputs)
-            found = judged.found
+            judged = judge(*inputs)
+            found, change = judged.found, judged.changes
         held, goal = judged.held, judged.goal
         if trials.receiver is not None and self.config.receiver == "hand":
             found["body_m"], _ = self._person_at_goal(trials, held, goal)
         scores = pose_scores(trials.trial_id, found)
-        if _differentiates(*poses):
+        if change is not None:
             return differentiable(
-                self.scene, self.config, scores, poses, held, goal, judged.nearest
+                self.scene, self.config, scores, poses, change, held, goal, judged.nearest
             )
         return scores
+
+    def _judge_pose_and_changes(self, *inputs: Tensor) -> "JudgedPoses":
+        """As `_judge_pose`, with how the margins change."""
+        judged = self._judge_pose(*inputs)
+        found = changes(self.scene, self.config, judged.found, judged.held, judged.goal)
+        return judged._replace(changes=found)
 
     def _judge_pose(self, *inputs: Tensor) -> "JudgedPoses":
         """Results of `_score_pose` for poses and trials, field by field; mostly kernels alone, so

@@ -9,8 +9,7 @@ from r2h_batch.kernels.geometry.shape import BLOCKS, CAPSULE, SPHERE, triangle_s
 from r2h_batch.kernels.ik.jacobian import damped_gram, joint_rate, solve_spd
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import ee_and_axes
-from r2h_batch.kernels.robot.gripper import Gripper
-from r2h_batch.kernels.witness.surface import SurfacePoint, finger_velocity, triangle_witness
+from r2h_batch.kernels.witness.surface import SurfacePoint, triangle_witness
 
 from ..robot.joints import FRAMES, JOINTS
 from ..robot.posture import load
@@ -128,20 +127,6 @@ def hand_witness(
     found_out[trial] = wp.length_sq(near.n) > 0.0
     point_out[trial] = R_world_hand * (Rb * near.x + pb - bodies.p_hand_world[trial])
     normal_out[trial] = sign * (R_world_hand * (Rb * near.n))
-
-
-@wp.kernel
-def finger_velocities(
-    first: int, gripper: Gripper,
-    part_in: wp.array(dtype=int),  # -1: not a gripper primitive
-    opening_in: wp.array(dtype=float),
-    point_in: wp.array(dtype=wp.vec3),  # ee frame
-    velocity_out: wp.array(dtype=wp.vec3),
-):  # fmt: skip
-    """How points of gripper primitives move per metre of opening, ee frame."""
-    trial = first + wp.tid()
-    if part_in[trial] >= 0:
-        velocity_out[trial] = finger_velocity(gripper, part_in[trial], opening_in[trial], point_in[trial])
 
 
 @wp.func

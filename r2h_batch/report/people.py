@@ -165,7 +165,7 @@ def _md(found: Served) -> str:
         groups.append(("median adults", "", median))
     lines = []
     for by, group, rows in groups:
-        none = np.asarray(~found.success[:, rows].any(0))
+        none = ~found.success[:, rows].any(0)
         rates = [_rate(found.success[k, rows]) for k in range(len(found.methods))]
         redrawn = int(found.columns["redrawn"][rows].astype(np.int64).sum())
         lines.append([by, group, str(int(rows.sum())), *rates, _rate(none), str(redrawn)])

@@ -324,7 +324,7 @@ def _scans(table: Table, row: Row) -> Row | None:
 
 
 def _with_more(table: Table, row: Row) -> dict[str, Any]:
-    """A record, with SR on the reader's own objects, the turn test and the held objects where the table has them."""
+    """A record, with SR on the reader's own objects and the turn test where the table has them."""
     found = record(row)
     if table.scans:
         rate = sr_of_scans(own) if (own := _scans(table, row)) else None
@@ -336,10 +336,6 @@ def _with_more(table: Table, row: Row) -> dict[str, Any]:
         ends = (most.points, most.low, most.high) if most else (None, None, None)
         found |= dict(zip(("turn", "turn_low", "turn_high"), ends, strict=True))
         found["turn_marked"] = None if test is None else test.marked
-    if any(r.held for r in table.rows):
-        held = row.held
-        ends = (held.percent, held.low, held.high) if held else (None, None, None)
-        found |= dict(zip(("held_1s", "held_1s_low", "held_1s_high"), ends, strict=True))
     return found
 
 
@@ -437,7 +433,7 @@ def record(row: Row) -> dict[str, Any]:
         fields |= with_ends(f"sr_new_{what}", clustered)
         del fields[f"sr_new_{what}"]  # it is "sr"
     fields |= with_ends("presented", row.presented) | with_ends("body_met", row.body_met)
-    fields |= with_ends("through", row.through)
+    fields |= with_ends("through", row.through) | with_ends("held_1s", row.held)
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}

@@ -1,261 +1,151 @@
-"""How margins change with the poses, to first order, once the points that decide them are known.
+"""How margins change with the two poses, to first order, once the points that decide them are known.
 
 A margin is a distance between two points that the evaluator found. To first order it changes as
-these points are carried along, without having to be found again (Danskin): each function here is
-that change as a differentiable function of the two poses, zero at the poses of the witness (`_0`).
-Float32 and float64; every row by itself, sums in a fixed order.
+these points are carried along, without having to be found again (Danskin). A few dozen
+multiplications a row: kernels, so that a call of one row is not spent on tensor operations.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int32, Int64
+import warp as wp
+from jaxtyping import Float32
 from torch import Tensor
 
-from r2h_batch.base import se3
-from r2h_batch.kernels.witness.closing import EMPTY, MATERIAL, STEP_HIGH, STEP_LOW
-from r2h_batch.scene.robot import UrLengths
+from r2h_batch.base.launch import over_trials
+from r2h_batch.judge.attach import ROWS_CHUNK, AttachedBatch
+from r2h_batch.judge.goal import Goal
+from r2h_batch.judge.ik import ROTATION_LEVER_M
+from r2h_batch.kernels.witness import change as kernels
+from r2h_batch.scene.robot import ee_pose, ur_lengths
+from r2h_batch.scene.scene import Scene
+from r2h_batch.training.witnesses import Witnesses
+from r2h_batch.types import CRITERIA, CollidingPair, PlanReason
+
+WITNESSED = ("stability", "plan", "reach", "affordance", "safe")
+"""Criteria whose changes are known from witnesses."""
+MISSED = {
+    "unreachable": int(PlanReason.IK_UNREACHABLE),
+    "not_found": int(PlanReason.IK_NOT_FOUND),
+    "start": int(PlanReason.START_IN_COLLISION),
+}
 
 
 @dataclass(frozen=True)
-class Closing:
-    """Between which points the pads stand, at the grasp `T_obj_ee`: 4 points are low, high as met,
-    low, high as judged.
+class Changes:
+    """Derivatives by the entries of the poses of B trials, m per entry."""
 
-    `slope_*`: how far y follows a wall of the pads' prism that cuts the surface there; `lift`: how
-    the pads rise per metre of opening. `state`: what the opening depends on, a code of
-    kernels/witness/closing.py.
-    """
+    margin: Float32[Tensor, "b c 2 4 4"]
+    """by T_obj_ee and T_world_ee; zero for criteria that were not evaluated and those without
+    witnesses"""
+    shift: Float32[Tensor, "b 4 4"]
+    """of how far closing shifts the object, by T_obj_ee"""
 
-    T_obj_ee: Float[Tensor, "b 4 4"]
-    point_obj: Float[Tensor, "b 4 3"]
-    slope_x: Float[Tensor, "b 4"]
-    slope_z: Float[Tensor, "b 4"]
-    lift: Float[Tensor, " b"]
-    state: Int32[Tensor, " b"]
-    centred: Bool[Tensor, " b"]
-    """the pads hold the object: closing has moved it to their middle"""
+    def copy(self) -> "Changes":
+        """The same in memory of its own."""
+        return Changes(self.margin.clone(), self.shift.clone())
 
 
-@dataclass(frozen=True)
-class Closed:
-    """First-order changes of width, opening and shift (m), zero at the poses of the witness."""
-
-    width: Float[Tensor, " b"]
-    opening: Float[Tensor, " b"]
-    shift: Float[Tensor, " b"]
-
-
-@dataclass(frozen=True)
-class Contact:
-    """A point of the object and the gripper primitive nearest to it, at an opening. Normal: ee
-    frame, towards the object."""
-
-    point_obj: Float[Tensor, "b 3"]
-    normal_ee: Float[Tensor, "b 3"]
-    finger: Float[Tensor, "b 3"]
-    """velocity of the primitive's point, per metre of opening"""
-    found: Bool[Tensor, " b"]
-
-
-STEEPEST = 0.05
-"""Least 1 - dw/dg: the opening moves by at most 20 times what the material does."""
-
-
-def closed(T_obj_ee: Float[Tensor, "b 4 4"], c: Closing) -> Closed:
-    """How width, opening and shift change with the grasp: the opening is the fixed point of width
-    and pad height."""
-    # Shapes: four witness points a row, (B, 4, 3): low and high of what the pads meet, low and high
-    # of what is judged. d: how each moves in the ee frame as the grasp changes, the object being
-    # fixed in its own.
-    x0 = se3.apply(se3.inverse(c.T_obj_ee)[:, None], c.point_obj)
-    d = se3.apply(se3.inverse(T_obj_ee)[:, None], c.point_obj) - x0
-    # A point that slides along the surface stays on the prism's boundary: it gives back slope *
-    # (its move across)
-    y = d[..., 1] - c.slope_x * d[..., 0] - c.slope_z * d[..., 2]
-    # The prism rises with the opening g, so w = w(T, g): dg = dw/dT dT + dw/dg dg, thus dg = dw|_g
-    # / (1 - dw/dg)
-    rise = c.slope_z * c.lift[:, None]
-    zero = torch.zeros_like(c.lift)
-    follows, step = c.state == MATERIAL, (c.state == STEP_LOW) | (c.state == STEP_HIGH)
-    material = (y[:, 1] - y[:, 0]) / (1 - (rise[:, 1] - rise[:, 0])).clamp(min=STEEPEST)
-    # On a step the pads' ends stand at the step's height z: g follows from z through the linkage,
-    # dg = dz / lift
-    on_step = torch.where(c.state == STEP_LOW, d[:, 0, 2], d[:, 1, 2]) / torch.where(
-        step, c.lift, torch.ones_like(zero)
-    )
-    opening = torch.where(follows, material, torch.where(step, on_step, zero))
-    y = y + rise * torch.where(follows, opening, zero)[:, None]
-    return Closed(
-        width=torch.where(c.state == EMPTY, zero, y[:, 3] - y[:, 2]),
-        opening=torch.where(c.centred, opening, zero),
-        shift=torch.where(c.centred, 0.5 * (y[:, 0] + y[:, 1]), zero),
-    )
-
-
-def attached(
-    T_obj_ee: Float[Tensor, "b 4 4"], shift_m: Float[Tensor, " b"], change: Closed
-) -> Float[Tensor, "b 4 4"]:
-    """`grasp.attach` with the shift's change: where the object is held after closing."""
-    p = T_obj_ee[:, :3, 3] + T_obj_ee[:, :3, 1] * (shift_m + change.shift)[:, None]
-    return se3.from_rotation(T_obj_ee[:, :3, :3], p)
-
-
-def separation(
-    T_obj_ee: Float[Tensor, "b 4 4"],
-    T_obj_ee_0: Float[Tensor, "b 4 4"],
-    opening: Float[Tensor, " b"],
-    c: Contact,
-) -> Float[Tensor, " b"]:
-    """Change of the distance between an object's point and a gripper primitive; `T_obj_ee` is the
-    attachment."""
-    x0 = se3.apply(se3.inverse(T_obj_ee_0), c.point_obj)
-    moved = se3.apply(se3.inverse(T_obj_ee), c.point_obj) - x0 - c.finger * opening[:, None]
-    return torch.where(c.found, se3.dot(c.normal_ee, moved), torch.zeros_like(opening))
-
-
-@dataclass(frozen=True)
-class Poses0:
-    """Poses of the first-order changes, and those (`_0`) at which the witnesses
-    were found."""
-
-    T_world_ee: Float[Tensor, "b 4 4"]
-    T_world_ee_0: Float[Tensor, "b 4 4"]
-    T_obj_ee: Float[Tensor, "b 4 4"]  # the attachment
-    T_obj_ee_0: Float[Tensor, "b 4 4"]
-    opening: Float[Tensor, " b"]  # change of the opening, m
-
-
-@dataclass(frozen=True)
-class Arm:
-    """Joint axes and points on them (world frame), and the joint rates per motion of the ee frame
-    (damped inverse; more than six joints: pseudo-inverse)."""
-
-    axis: Float[Tensor, "b j 3"]
-    origin: Float[Tensor, "b j 3"]
-    inverse: Float[Tensor, "b j 6"]
-    T_world_ee: Float[Tensor, "b 4 4"]
-
-
-def receded(
-    point_obj: Float[Tensor, "b 3"], away: Float[Tensor, "b 3"], poses: Poses0
-) -> Float[Tensor, " b"]:
-    """How far a point of the held object goes along `away` (world frame)."""
-    at = se3.apply(se3.matmul(poses.T_world_ee_0, se3.inverse(poses.T_obj_ee_0)), point_obj)
-    now = se3.apply(se3.matmul(poses.T_world_ee, se3.inverse(poses.T_obj_ee)), point_obj)
-    return se3.dot(away, now - at)
-
-
-FIXED = -1
-"""A carrier of a point: nothing that moves. The others, for an arm of J joints: 0 to J a link (J
-with the ee), J + 1 the gripper, J + 2 the held object."""
-
-
-def carried(
-    point: Float[Tensor, "b 3"],
-    carrier: Int64[Tensor, " b"],
-    finger: Float[Tensor, "b 3"],
-    poses: Poses0,
-    arm: Arm,
-) -> Float[Tensor, "b 3"]:
-    """How a point (world frame) moves with what carries it. `finger`: its velocity per metre of
-    opening, ee frame."""
-    # All carriers are worked out for all rows and the right one is picked: rows differ, and a
-    # gather would split the batch
-    x_ee = se3.apply(se3.inverse(poses.T_world_ee_0), point)
-    with_ee = se3.apply(poses.T_world_ee, x_ee) - point
-    fingers = se3.rotate(poses.T_world_ee_0[:, :3, :3], finger * poses.opening[:, None])
-    x_obj = se3.apply(poses.T_obj_ee_0, x_ee)
-    with_object = (
-        se3.apply(se3.matmul(poses.T_world_ee, se3.inverse(poses.T_obj_ee)), x_obj) - point
-    )
-
-    twist = ee_motion(poses)
-    with_link = torch.zeros_like(point)
-    ee = arm.axis.shape[1]
-    for j in range(ee - 1):
-        rate = torch.zeros_like(point[:, 0])
-        for k in range(6):
-            rate = rate + arm.inverse[:, j, k] * twist[:, k]
-        lever = torch.linalg.cross(arm.axis[:, j], point - arm.origin[:, j])
-        with_link = with_link + torch.where((carrier > j)[:, None], rate[:, None] * lever, 0.0)
-
-    out = torch.where((carrier == ee)[:, None], with_ee, with_link)
-    out = torch.where((carrier == ee + 1)[:, None], with_ee + fingers, out)
-    out = torch.where((carrier == ee + 2)[:, None], with_object, out)
-    return torch.where((carrier == FIXED)[:, None], 0.0, out)
-
-
-def ee_motion(poses: Poses0) -> Float[Tensor, "b 6"]:
-    """Motion of the ee frame: of its origin (m), and its turn (rad), world frame, to first
-    order."""
-    R, R0 = poses.T_world_ee[:, :3, :3], poses.T_world_ee_0[:, :3, :3]
-    # R = exp([w]) R0 moves each axis by w x a_k; sum_k a_k x (w x a_k) = 2 w gives the turn back,
-    # exact to first order
-    turn = sum(torch.linalg.cross(R0[:, :, k], R[:, :, k]) for k in range(3))
-    return torch.cat([poses.T_world_ee[:, :3, 3] - poses.T_world_ee_0[:, :3, 3], 0.5 * turn], 1)
-
-
-def missed(T_world_ee: Float[Tensor, "b 4 4"], ur: UrLengths) -> Float[Tensor, " b"]:
-    """By how much the arm misses a target with the hand turned as asked (m): the closed form of
-    kernels/ik/nearest.py.
-
-    The wrist centre may be too near to the axis of joint 1, and beyond or within what both links
-    reach.
-    """
-    R = T_world_ee[:, :3, :3]
-    wrist = T_world_ee[:, :3, 3] - ur.tool * R[:, :, 2]
-    x, y, height = wrist[:, 0], wrist[:, 1], wrist[:, 2] - ur.d1
-    # Joint 1 can put the wrist centre only onto a cylinder of radius d4 about its axis or beyond:
-    # `off` is missing within it
-    square = x * x + y * y
-    r = _root(square)
-    off = (ur.d4 - r).clamp(min=0.0)
-    rho = _root(square - ur.d4**2)
-    least = torch.full_like(x, torch.inf)
-    for shoulder in (1.0, -1.0):
-        c, s = x * shoulder * rho + y * ur.d4, y * shoulder * rho - x * ur.d4
-        scale = _root(c * c + s * s)
-        c, s = c / scale, s / scale
-        # The tool's z axis in the arm's plane (joint 1 turned): its part square to that plane is
-        # cos q5
-        z_x, z_z = c * R[:, 0, 2] + s * R[:, 1, 2], R[:, 2, 2]
-        sin_q5 = _root(z_x * z_x + z_z * z_z)
-        for flip in (1.0, -1.0):
-            a = shoulder * rho - flip * ur.d5 * z_z / sin_q5
-            b = height + flip * ur.d5 * z_x / sin_q5
-            d = _root(a * a + b * b)
-            beyond = torch.maximum(d - ur.a2 - ur.a3, abs(ur.a2 - ur.a3) - d).clamp(min=0.0)
-            least = torch.minimum(least, _root(beyond * beyond + off * off))
-    return least
-
-
-def missed_by(
-    T_world_ee: Float[Tensor, "b 4 4"],
-    T_reached: Float[Tensor, "b 4 4"],
-    rotation_lever_m: float,
-) -> Float[Tensor, " b"]:
-    """By how much a posture misses a target.
+def changes_at(
+    scene: Scene, found: dict[str, Tensor], held: AttachedBatch, goal: Goal, w: Witnesses
+) -> Changes:
+    """How the margins of B poses change around them.
 
     Args:
-        T_world_ee: (B, 4, 4) targets, m.
-        T_reached: (B, 4, 4) ee at the posture, m.
-        rotation_lever_m: what a radian counts for.
-
-    Returns:
-        (B,) m.
+        scene: robot and objects.
+        found: fields of `Scores` of B poses.
+        held: B trials.
+        goal: their goals.
+        w: the points that decide their margins.
     """
-    away = T_world_ee[:, :3, 3] - T_reached[:, :3, 3]
-    R, R0 = T_world_ee[:, :3, :3], T_reached[:, :3, :3]
-    # sum_k a_k x R a_k = 2 sin(angle) axis, and the trace is 1 + 2 cos(angle)
-    turn = sum(torch.linalg.cross(R0[:, :, k], R[:, :, k]) for k in range(3))
-    cosine = sum(
-        (se3.dot(R0[:, :, k], R[:, :, k]) for k in range(3)), torch.full_like(away[:, 0], -1.0)
+    b, device, grasp = len(held.active), scene.device, held.grasp
+    poses = {
+        "active": held.active,
+        "evaluated": found["evaluated"],
+        "T_obj_ee": held.T_obj_ee,
+        "T_world_ee": held.T_world_ee,
+        "attached": held.attached,
+        "shift": grasp.shift_m,
+    }
+    made = over_trials(
+        kernels.object_changes, b, device, sizes={"change": (len(CRITERIA), 2)}, chunk=ROWS_CHUNK
+    )(
+        open_gap=scene.robot.open_gap_m,
+        **{name: CRITERIA.index(name) for name in ("stability", "reach", "affordance")},
+        **poses,
+        width=grasp.width_m,
+        stability_by=w.decided["stability_by"],
+        **w.closing,
+        **{f"cut_{k}": w.cut[k] for k in ("part", "point", "normal")},
+        **{f"region_{k}": w.region[k] for k in ("part", "point", "normal", "finger")},
+        material=w.material["nearest"],
+        material_distance=w.material["distance"],
+        ball=held.ball,
+        palm=w.palm["nearest"],
+        palm_distance=w.palm["distance"],
+        free=w.free["nearest"],
+        free_found=w.free["found"],
     )
-    angle = torch.atan2(_root(se3.dot(turn, turn)), cosine)
-    return _root(se3.dot(away, away)) + rotation_lever_m * angle
+    change: Tensor = made["change"]
+    links, T_home = _tables(scene)
+    over_trials(kernels.body_changes, b, device, outputs={"change": change}, chunk=ROWS_CHUNK)(
+        gripper=scene.grasp_tables.gripper,
+        links=links,
+        n_arm=scene.world.n_arm,
+        n_robot=scene.world.n_robot,
+        T_home=T_home,
+        **{name: CRITERIA.index(name) for name in ("plan", "safe")},
+        **MISSED,
+        self_pair=int(CollidingPair.SELF),
+        object_pair=int(CollidingPair.OBJECT_ROBOT),
+        **poses,
+        opening=grasp.opening_m,
+        reason=goal.reason,
+        opening_change=made["opening"],
+        shift_change=made["shift"],
+        missed=_missed(scene, held.T_world_ee, w),
+        pair=goal.nearest_pair,
+        body=goal.body,
+        other=goal.other,
+        push=goal.push,
+        point=goal.point,
+        **{name: w.arm[name] for name in ("axis", "origin", "inverse")},
+        safe_body=w.decided["safe_body"],
+        found=w.hand["found"],
+        hand_point=w.hand["point"],
+        hand_normal=w.hand["normal"],
+        **{f"safe_{name}": w.safe_arm[name] for name in ("axis", "origin", "inverse")},
+    )
+    return Changes(change, made["shift"])
 
 
-def _root(square: Tensor) -> Tensor:
-    """Square roots; below 1e-18 the value 1e-9 and gradient 0."""
-    return square.clamp(min=1e-18).sqrt()
+def _missed(scene: Scene, T_world_ee: Tensor, w: Witnesses) -> Float32[Tensor, "b 4 4"]:
+    """Changes of what the arm misses the poses by that it does not reach; without a closed form, of
+    what the posture that came nearest does."""
+    b, device = len(T_world_ee), scene.device
+    if scene.robot.family == "ur":
+        run = over_trials(kernels.missed_by_ur, b, device, chunk=ROWS_CHUNK)
+        lengths = _ur_lengths(scene)
+        missed: Tensor = run(T_world_ee=T_world_ee, **lengths)["missed"]
+    else:
+        run = over_trials(kernels.missed_by_posture, b, device, chunk=ROWS_CHUNK)
+        T_reached = w.safe_arm["ee"]
+        missed = run(rotation_lever=ROTATION_LEVER_M, T_world_ee=T_world_ee, T_reached=T_reached)[
+            "missed"
+        ]
+    return missed
+
+
+@lru_cache(maxsize=4)
+def _ur_lengths(scene: Scene) -> dict[str, float]:
+    ur = ur_lengths(scene.robot)
+    return {name: getattr(ur, name) for name in ("d1", "a2", "a3", "d4", "d5", "tool")}
+
+
+@lru_cache(maxsize=4)
+def _tables(scene: Scene) -> tuple[Tensor, Any]:
+    """Links of the robot's bodies, and home's ee pose."""
+    T_home = ee_pose(scene.robot, scene.config.workplace.home_q)
+    return torch.from_numpy(scene.body_links).to(scene.device, torch.int32), wp.mat44(T_home)

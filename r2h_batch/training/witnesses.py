@@ -1,25 +1,32 @@
 """Finds the points that decide each margin: one kernel launch per kind of margin, after the
 evaluator has judged."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import torch
 import warp as wp
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.base import se3
 from r2h_batch.base.launch import over_trials
-from r2h_batch.config import FARTHEST_M
+from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, EvalConfig
+from r2h_batch.judge.attach import ROWS_CHUNK, AttachedBatch
+from r2h_batch.judge.goal import Goal
+from r2h_batch.judge.grasp import CUT_CAP_M
+from r2h_batch.judge.ik import home_posture
 from r2h_batch.kernels.judge import reach as reach_kernels
+from r2h_batch.kernels.witness import change as change_kernels
 from r2h_batch.kernels.witness import closing as closing_kernels
 from r2h_batch.kernels.witness import posture as posture_kernels
 from r2h_batch.kernels.witness import surface as kernels
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import BodyPoses, Scene
-from r2h_batch.training.first_order import Arm, Closing, Contact
+from r2h_batch.types import CRITERIA, PlanReason
+
+HELD_M = 3e-5
+"""Fingers that overlap the region by their squeeze, give or take this, hold it."""
 
 DAMPING = 1e-3
 """Damping of the arm's inverse Jacobian (metres and radians alike): postures with smaller singular
@@ -30,18 +37,97 @@ SLACK_M = 3e-5
 bound of it."""
 
 
+@dataclass(frozen=True)
+class Witnesses:
+    """The points that decide the margins of B poses: outputs of kernels, by their names."""
+
+    decided: dict[str, Tensor]  # which witnesses count
+    closing: dict[str, Tensor]  # the pads
+    cut: dict[str, Tensor]  # object and open gripper
+    region: dict[str, Tensor]  # the receiver's region and the fingers
+    free: dict[str, Tensor]  # the nearest surface outside the region
+    material: dict[str, Tensor]  # the object's point nearest to the ee origin
+    palm: dict[str, Tensor]  # and to the receiver's ball
+    hand: dict[str, Tensor]  # the hand's point at the goal
+    arm: dict[str, Tensor]  # where Plan's bodies meet
+    safe_arm: dict[str, Tensor]  # at the goal
+
+
+def find(
+    scene: Scene, config: EvalConfig, found: dict[str, Tensor], held: AttachedBatch, goal: Goal
+) -> Witnesses:
+    """The witnesses of B poses.
+
+    Args:
+        scene: robot, objects and hands.
+        config: limits.
+        found: fields of `Scores` of the poses.
+        held: B trials.
+        goal: their goals.
+    """
+    b, grasp, limits = len(held.active), held.grasp, config.thresholds
+    joints = {"q_plan": goal.q.shape[1], "q_safe": goal.q.shape[1]}
+    decided = over_trials(
+        change_kernels.decided_by, b, scene.device, sizes=joints, chunk=ROWS_CHUNK
+    )(
+        open_gap=scene.robot.open_gap_m,
+        w_max=limits.w_max_m,
+        w_min=limits.w_min_m,
+        cut_cap=CUT_CAP_M,
+        clearance_cap=CLEARANCE_CAP_M,
+        overlap=0.5 * limits.pad_squeeze_m,
+        tolerance=HELD_M,
+        slack=SLACK_M,
+        safe_margin=limits.safe_margin_m,
+        **{name: CRITERIA.index(name) for name in ("stability", "affordance", "safe")},
+        unreachable=int(PlanReason.IK_UNREACHABLE),
+        not_found=int(PlanReason.IK_NOT_FOUND),
+        start=int(PlanReason.START_IN_COLLISION),
+        home=_home(scene),
+        active=held.active,
+        margin=found["margin"],
+        evaluated=found["evaluated"],
+        cut=grasp.cut_m,
+        width=grasp.width_m,
+        empty=grasp.empty,
+        T_obj_ee=held.T_obj_ee,
+        reason=goal.reason,
+        part=found["witness_part"],
+        q=goal.q,
+    )
+    objects, x = held.objects, decided["ee_origin"]
+    return Witnesses(
+        decided,
+        closing(scene, held.T_obj_ee, objects, grasp.width_m, grasp.opening_m),
+        fingers(
+            scene, held.T_obj_ee, objects, decided["opened"], decided["cut_bound"], region=False
+        ),
+        fingers(
+            scene, held.attached, objects, held.squeezed_m, decided["region_bound"], region=True
+        ),
+        _off_region(scene, x, objects, decided["holds_region"]),
+        _nearest_to_point(scene, x, objects, scene.object_mesh_ids),
+        _nearest_to_point(scene, held.ball, objects, scene.reach_mesh_ids),
+        _hand_contact(
+            scene, held.body_poses, goal.q, decided["safe_body"], decided["safe_distance"]
+        ),
+        arm_at(scene, decided["q_plan"]),
+        arm_at(scene, decided["q_safe"]),
+    )
+
+
 def closing(
     scene: Scene,
     T_obj_ee: Float32[Tensor, "b 4 4"],
     object_index: Int32[Tensor, " b"],
     width_m: Float32[Tensor, " b"],
     opening_m: Float32[Tensor, " b"],
-) -> Closing:
+) -> dict[str, Tensor]:
     """Points that the pads met, where the evaluator found them (width NaN: nothing); `T_obj_ee`
     before the object moved."""
     kernel, b = closing_kernels.closing_witness, len(T_obj_ee)
     tables, sizes = scene.grasp_tables, {"point": 4, "slope_x": 4, "slope_z": 4}
-    made = over_trials(kernel, b, scene.device, sizes=sizes)(
+    made: dict[str, Tensor] = over_trials(kernel, b, scene.device, sizes=sizes)(
         gripper=tables.gripper,
         surfaces=tables.surfaces,
         open_gap=scene.robot.open_gap_m,
@@ -51,12 +137,7 @@ def closing(
         width=width_m.contiguous(),
         opening=opening_m.contiguous(),
     )
-    return Closing(
-        T_obj_ee=T_obj_ee,
-        point_obj=made.pop("point"),
-        centred=(made["state"] > 0) & (width_m <= scene.robot.open_gap_m),
-        **made,
-    )
+    return made
 
 
 def fingers(
@@ -64,19 +145,17 @@ def fingers(
     T_obj_ee: Float32[Tensor, "b 4 4"],
     object_index: Int32[Tensor, " b"],
     opening_m: Float32[Tensor, " b"],
-    distance_m: Float32[Tensor, " b"],
-    wanted: Bool[Tensor, " b"],
+    bound_m: Float32[Tensor, " b"],
     *,
     region: bool,
-) -> Contact:
+) -> dict[str, Tensor]:
     """The point of the object (or of its receiver's region) nearest to or deepest in the gripper,
-    where `wanted`.
+    nearer than `bound_m` (-inf: none).
 
-    `distance_m`: the evaluator's distance. The fingers count for the region, the whole gripper for
-    the object.
+    The fingers count for the region, the whole gripper for the object.
     """
-    b, tables = len(T_obj_ee), scene.grasp_tables
-    made = over_trials(kernels.surface_witness, b, scene.device)(
+    tables = scene.grasp_tables
+    made: dict[str, Tensor] = over_trials(kernels.surface_witness, len(T_obj_ee), scene.device)(
         gripper=tables.gripper,
         surfaces=tables.surfaces,
         surface_offset=tables.objects if region else 0,
@@ -84,22 +163,18 @@ def fingers(
         T_obj_ee=T_obj_ee.contiguous(),
         object_index=object_index,
         opening=opening_m.contiguous(),
-        bound=torch.where(wanted, distance_m + SLACK_M, -torch.inf),
+        bound=bound_m,
     )
-    return Contact(made["point"], made["normal"], made["finger"], made["part"] >= 0)
+    return made
 
 
-def nearest_to_point(
-    scene: Scene,
-    T_frame_obj: Float32[Tensor, "b 4 4"],
-    point: Float32[Tensor, "b 3"],
-    object_index: Int32[Tensor, " b"],
-    meshes: wp.array,
-) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
-    """The point of the object's mesh nearest to `point` of some frame (object frame), and the way there (that
-    frame; zero inside)."""
-    x = se3.apply(se3.inverse(T_frame_obj), point).contiguous()
-    made = over_trials(reach_kernels.point_to_object, len(x), scene.device, chunk=256)(
+def _nearest_to_point(
+    scene: Scene, x: Float32[Tensor, "b 3"], object_index: Int32[Tensor, " b"], meshes: wp.array
+) -> dict[str, Tensor]:
+    """The point of the object's mesh nearest to x (object frame), and its distance, 0 inside."""
+    made: dict[str, Tensor] = over_trials(
+        reach_kernels.point_to_object, len(x), scene.device, chunk=256
+    )(
         cap=FARTHEST_M,
         mesh=meshes,
         low=scene.grasp_tables.surfaces.low,
@@ -107,35 +182,22 @@ def nearest_to_point(
         object=object_index,
         point=x,
     )
-    distance, nearest = made["distance"], made["nearest"]
-    away = se3.apply(T_frame_obj, nearest) - point
-    outside = (distance > 0)[:, None]
-    return nearest, torch.where(
-        outside, away / torch.where(outside[:, 0], distance, 1.0)[:, None], 0.0
-    )
+    return made
 
 
-def off_region(
+def _off_region(
     scene: Scene,
-    T_obj_ee: Float32[Tensor, "b 4 4"],
+    x: Float32[Tensor, "b 3"],
     object_index: Int32[Tensor, " b"],
     wanted: Bool[Tensor, " b"],
-) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
-    """The object's surface point nearest to the ee origin that is not in the receiver's region, and
-    the way there (ee frame).
-
-    Among the object's 2048 sample points; the way is zero where not wanted, or where all of the
-    object is region.
-    """
+) -> dict[str, Tensor]:
+    """The object's surface point nearest to x (object frame) that is not in the receiver's region,
+    among its 2048 sample points. Not found where not wanted, or where all of the object is region."""
     points, free = _sample_points(scene)
-    x = T_obj_ee[:, :3, 3].clone(memory_format=torch.contiguous_format)
-    made = over_trials(kernels.nearest_of_points, len(x), scene.device, chunk=256)(
-        point=points, counts=free, object_index=object_index, wanted=wanted.contiguous(), x=x
-    )
-    nearest, found = made["nearest"], made["found"]
-    way = se3.apply(se3.inverse(T_obj_ee), nearest)
-    length = (way[:, 0].square() + way[:, 1].square() + way[:, 2].square()).sqrt()[:, None]
-    return nearest, torch.where(found[:, None] & (length > 0), way / length.clamp(min=1e-9), 0.0)
+    made: dict[str, Tensor] = over_trials(
+        kernels.nearest_of_points, len(x), scene.device, chunk=256
+    )(point=points, counts=free, object_index=object_index, wanted=wanted, x=x)
+    return made
 
 
 @lru_cache(maxsize=4)
@@ -149,13 +211,13 @@ def _sample_points(scene: Scene) -> tuple[Any, Any]:
     )
 
 
-def hand_contact(
+def _hand_contact(
     scene: Scene,
     body_poses: BodyPoses,
     q: Float32[Tensor, "b j"],
     body: Int32[Tensor, " b"],
     distance_m: Float32[Tensor, " b"],
-) -> tuple[Bool[Tensor, " b"], Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
+) -> dict[str, Tensor]:
     """Where robot `body` (-1: none) is nearest to the hand's mesh at posture `q`: found, the hand's
     point, normal (world).
 
@@ -163,43 +225,25 @@ def hand_contact(
     distance grows.
     """
     kernel = scene.sized(posture_kernels.hand_witness)
-    made = over_trials(kernel, len(body), scene.device, chunk=64)(
+    made: dict[str, Tensor] = over_trials(kernel, len(body), scene.device, chunk=64)(
         world=scene.world,
         mesh=scene.hand_mesh,
         bodies=body_poses.bodies,
-        q=q.contiguous(),
-        body=body.contiguous(),
-        distance=distance_m.contiguous(),
+        q=q,
+        body=body,
+        distance=distance_m,
     )
-    return made["found"], made["point"], made["normal"]
+    return made
 
 
-def finger_motion(
-    scene: Scene,
-    part: Int32[Tensor, " b"],
-    opening_m: Float32[Tensor, " b"],
-    point_ee: Float32[Tensor, "b 3"],
-) -> Float32[Tensor, "b 3"]:
-    """How points of gripper primitives (-1: none) move per metre of opening, ee frame."""
-    made = over_trials(posture_kernels.finger_velocities, len(part), scene.device, chunk=256)(
-        gripper=scene.grasp_tables.gripper,
-        part=part.contiguous(),
-        opening=opening_m.contiguous(),
-        point=point_ee.contiguous(),
-    )
-    return made["velocity"]
-
-
-def arm_at(
-    scene: Scene,
-    q: Float32[Tensor, "b j"],
-) -> Arm:
-    """The arm's joint axes at a posture, and its damped inverse Jacobian: of a redundant arm the
+def arm_at(scene: Scene, q: Float32[Tensor, "b j"]) -> dict[str, Tensor]:
+    """The arm's joint axes and points on them at a posture (world frame), its ee pose, and the joint
+    rates per motion of the ee frame: its damped inverse Jacobian, of a redundant arm the
     pseudo-inverse, with joints held that stand at a limit."""
     joints = q.shape[1]
     joint_R, joint_p = _chain(scene.robot, scene.device)
     sizes: dict[str, Any] = {"axis": joints, "origin": joints, "inverse": (joints, 6)}
-    made = over_trials(
+    made: dict[str, Tensor] = over_trials(
         scene.sized(posture_kernels.arm_jacobian), len(q), scene.device, sizes=sizes, chunk=256
     )(
         damping=DAMPING,
@@ -209,7 +253,13 @@ def arm_at(
         upper=scene.world.upper,
         q=q.contiguous(),
     )
-    return Arm(made["axis"], made["origin"], made["inverse"], made["ee"])
+    return made
+
+
+@lru_cache(maxsize=4)
+def _home(scene: Scene) -> Float32[Tensor, " j"]:
+    """Home's joint angles: the same tensor at each call."""
+    return home_posture(scene.device, scene.config.workplace.home_q)[0]
 
 
 @lru_cache(maxsize=4)

@@ -94,8 +94,8 @@ def test_derivatives_of_a_table_are_those_of_the_linkage():
     for robot in (TABLE, LINKAGE):
         scene = Evaluator(robot=robot).scene
         grasp = close_gripper(scene.grasp_tables, T, index)
-        lifts.append(witnesses.closing(scene, T, index, grasp.width_m, grasp.opening_m).lift)
-        near, wanted = torch.full((len(T),), 0.01), grasp.opening_m > 0
-        fingers.append(witnesses.fingers(scene, T, index, grasp.opening_m, near, wanted, region=False).finger)
+        lifts.append(witnesses.closing(scene, T, index, grasp.width_m, grasp.opening_m)["lift"])
+        bound = torch.where(grasp.opening_m > 0, 0.01, -torch.inf)
+        fingers.append(witnesses.fingers(scene, T, index, grasp.opening_m, bound, region=False)["finger"])
     assert float((lifts[0] - lifts[1]).abs().quantile(0.95)) < 0.02 < float(lifts[1].std())
     assert float((fingers[0] - fingers[1]).norm(dim=1).quantile(0.9)) < 0.02 < float(fingers[1].std())

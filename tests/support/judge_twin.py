@@ -445,8 +445,7 @@ class Again:
         return -np.inf
 
     def _branches(self) -> Array:
-        """All solutions of ur-analytic-ik; where the planner has one goal, the one whose clearance the row means: the nearest,
-        of a bound the nearest that it bounds.
+        """All solutions of ur-analytic-ik; where the planner has one goal, the one whose clearance the row means.
 
         Of another arm those that least squares finds from 40 random postures.
         """
@@ -457,11 +456,8 @@ class Again:
         target = turn @ self.T_world_ee @ np.linalg.inv(self.robot.T_flange_ee)
         found = np.array(arm.inverse_kinematics(np.ascontiguousarray(target))).reshape(-1, 6)
         if self.config.plan.goals == "one" and len(found):
-            margins, says = np.array([self._clearance(q) for q in found]), self.row["margin_plan_m"]
-            off = np.abs(margins - says)
-            if self.row["margin_kind_plan"] == "bound" and (met := margins <= says + TOLERANCE_M).any():
-                off = np.where(met, off, np.inf)
-            return found[[int(off.argmin())]]
+            margins = np.array([self._clearance(q) for q in found])
+            return found[[int(np.abs(margins - self.row["margin_plan_m"]).argmin())]]
         return found
 
     def _searched(self) -> Array:

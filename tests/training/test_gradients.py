@@ -1,10 +1,11 @@
 """Gradients of margins: against finite differences of the evaluator's own numbers, float64 twins, and in hostile batches."""
 
 import copy
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import change_twin
 import numpy as np
 import pytest
 import torch
@@ -19,11 +20,10 @@ from r2h_batch import Evaluator
 from r2h_batch.base import se3, twist
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.attach import attach_object
-from r2h_batch.judge.distance import hand_distance_at
 from r2h_batch.judge.goal import judge_goals
 from r2h_batch.scene.robot import Robot, ee_pose, load_robot
-from r2h_batch.training.gradients import HELD_M, MarginChanges
-from r2h_batch.training.witnesses import arm_at
+from r2h_batch.training import witnesses
+from r2h_batch.training.witnesses import HELD_M, arm_at
 from r2h_batch.types import CRITERIA, Outcome, PlanReason
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)
@@ -102,41 +102,47 @@ def test_values_are_bitwise_those_without_a_gradient(batch):
     assert not plain.margin.requires_grad and scores.margin.requires_grad and not scores.q_goal.requires_grad
 
 
-def doubled(value: Any) -> Any:
-    """The same witnesses in float64."""
-    if isinstance(value, torch.Tensor):
-        return value.double() if value.is_floating_point() else value
-    if isinstance(value, tuple):
-        return tuple(doubled(v) for v in value)
-    if is_dataclass(value) and not isinstance(value, type):
-        names = [f.name for f in fields(value) if f.name != "body_poses"]
-        return replace(value, **{name: doubled(getattr(value, name)) for name in names})
-    return value
-
-
-def changes_in_float64(rows: Any) -> tuple[MarginChanges, torch.Tensor, torch.Tensor]:
-    evaluator = default_evaluator()
+def changes_in_float64(evaluator: Evaluator, rows: Any) -> tuple[change_twin.Changes, torch.Tensor, torch.Tensor]:
+    """The twin from the evaluator's witnesses, and the poses (B, 4, 4) around which it is taken."""
     scores = evaluator.score(rows.T_obj_ee, rows.T_world_ee, rows.trials, stages="pose")
     held = attach_object(evaluator.scene, rows.T_obj_ee, rows.T_world_ee, rows.trials, evaluator.config)
     # no public way to the IK branches that a verdict was made from
     ik, branches = evaluator._branches(evaluator.config, held)
     goal = judge_goals(evaluator.scene, held.body_poses, held.T_world_ee, ik, branches, held.active)
-    nearest = hand_distance_at(evaluator.scene, held.body_poses, goal.q, held.active)
-    changes = MarginChanges(evaluator.scene, evaluator.config, scores, held, goal, nearest)
-    for name, value in vars(changes).items():
-        setattr(changes, name, doubled(value))
-    return changes, changes.held.T_obj_ee, changes.held.T_world_ee
+    found = {name: getattr(scores, name) for name in ("margin", "evaluated", "witness_part")}
+    w = witnesses.find(evaluator.scene, evaluator.config, found, held, goal)
+    twin = change_twin.Changes(evaluator.scene, evaluator.config, found, held, goal, w)
+    return twin, twin.held.T_obj_ee, twin.held.T_world_ee
 
 
 @pytest.mark.parametrize("n", [100, pytest.param(1000, marks=pytest.mark.slow)])
 def test_gradcheck_in_float64(n):
-    changes, T_obj_ee, T_world_ee = changes_in_float64(candidates(default_evaluator(), n, seed=5))
+    evaluator = default_evaluator()
+    changes, T_obj_ee, T_world_ee = changes_in_float64(evaluator, candidates(evaluator, n, seed=5))
     xi = torch.zeros(n, 12, dtype=torch.float64, requires_grad=True)
 
     def margins(xi: torch.Tensor) -> torch.Tensor:
         return changes(twist.retract(T_obj_ee, xi[:, :6]), twist.retract(T_world_ee, xi[:, 6:]))
 
     assert torch.autograd.gradcheck(margins, xi, eps=1e-7, atol=1e-5, fast_mode=True)
+
+
+@pytest.mark.parametrize("robot", ["ur5e_2f85", "panda_hand", "without a closed form"])
+def test_every_derivative_is_that_of_the_float64_twin(robot):
+    evaluator = evaluator_of(robot)
+    batch = candidates(evaluator, 200, seed=13)
+    twin, *clean = changes_in_float64(evaluator, batch)
+    exact = [T.clone().requires_grad_() for T in clean]
+    moved = twin(*exact)
+    poses = batch.T_obj_ee.clone().requires_grad_(), batch.T_world_ee.clone().requires_grad_()
+    margin = evaluator.score(*poses, batch.trials, stages="pose").margin
+    for c, name in enumerate(CRITERIA):
+        wanted = torch.stack(torch.autograd.grad(moved[:, c].sum(), exact, retain_graph=True), 1)[:, :, :3]
+        given = torch.ones(len(margin))
+        found = torch.stack(torch.autograd.grad(margin[:, c], poses, given, retain_graph=True), 1)[:, :, :3]
+        size = wanted.abs().amax((1, 2, 3))
+        wrong = (found - wanted).abs().amax((1, 2, 3)) > 2e-3 * (0.1 + size)
+        assert int((size > 0.01).sum()) >= 10 and not wrong.any(), f"{name}: rows {torch.nonzero(wrong).flatten()}"
 
 
 def slopes_of(f: Any, T: np.ndarray, step: float = 1e-5) -> np.ndarray:
@@ -226,7 +232,7 @@ def test_a_redundant_arm_follows_by_the_least_motion_and_joints_at_a_limit_stay(
     q = q.astype(np.float32).astype(np.float64)
     held = np.array([stays(robot, x) for x in q])
     assert 20 < held.any(1).sum() < 100
-    rates = arm_at(scene, torch.from_numpy(q).float()).inverse.double().numpy()
+    rates = arm_at(scene, torch.from_numpy(q).float())["inverse"].double().numpy()
     checked = 0
     for x, hold, found in zip(q, held, rates, strict=True):
         ahead, behind = (np.stack([ee_pose(robot, x + h) for h in s * np.eye(7)]) for s in (1e-6, -1e-6))
