@@ -498,12 +498,17 @@ def span(values: Collection[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
+def _from_best(sr: Mapping[str, float]) -> list[str]:
+    """Methods in the order of their success."""
+    return [m for _, m in sorted((-rate, m) for m, rate in sr.items())]
+
+
 def region_lines(data: Mapping[str, Any]) -> str:
     """SR with each definition of a category's region, and the order that follows."""
     lines = [
         [
             f"{r['category']}: {', '.join(p.replace('_', ' ') for p in r['parts'])}", f"{100 * r['area']:.0f}",
-            *(f"{r['sr'][m]:.1f}" for m in SHORT.values()), ", ".join(sorted(r["sr"], key=lambda m, own=r["sr"]: -own[m])),
+            *(f"{r['sr'][m]:.1f}" for m in SHORT.values()), ", ".join(_from_best(r["sr"])),
         ]
         for r in data["regions"]
     ]  # fmt: skip

@@ -110,7 +110,7 @@ def thumbs_at_rest(pose: NDArray[np.float32], side: NDArray[np.int8]) -> NDArray
     out = pose.astype(np.float64).reshape(-1, 16, 3).copy()
     mirror = np.where(side[:, None] == 1, [[1.0, -1.0, -1.0]], 1.0)
     out[:, 13] = (turn * Rotation.from_rotvec(out[:, 13] * mirror)).as_rotvec() * mirror
-    return np.float32(out.reshape(-1, 48))
+    return out.reshape(-1, 48).astype(np.float32)
 
 
 def hand_files(folder: Path) -> dict[str, list[str]]:

@@ -128,12 +128,12 @@ def main() -> None:
     table: dict[str, NDArray[Any]] = {
         "group": group_of,
         "sex": np.concatenate([p.sex for p in drawn.values()]),
-        "age": np.float32(np.concatenate([p.age for p in drawn.values()])),
-        "hand_length": np.float32(every.length(piece)),
-        "hand_shape": np.float16(shape),
+        "age": np.asarray(np.concatenate([p.age for p in drawn.values()]), np.float32),
+        "hand_length": np.asarray(every.length(piece), np.float32),
+        "hand_shape": np.asarray(shape, np.float16),
     }
     for name in measured["adults"]:
-        table[name] = np.float32(np.concatenate([m[name] for m in measured.values()]))
+        table[name] = np.asarray(np.concatenate([m[name] for m in measured.values()]), np.float32)
     write_npz(HERE / "people.npz", table)
 
     hand = HandModel.from_arrays(made)
@@ -168,7 +168,7 @@ def same_angles(hand: HandModel) -> dict[str, NDArray[Any]]:
         right = mirrored(turns) if side else turns
         own = pose_from_angles(angles_from_pose(right, like), axes)
         pose.append(mirrored(own) if side else own)
-    return {"pose": np.float32(pose), "side": stored["side"], "posture": stored["posture"]}
+    return {"pose": np.asarray(pose, np.float32), "side": stored["side"], "posture": stored["posture"]}
 
 
 def self_cuts(hand: HandModel, postures: dict[str, NDArray[Any]]) -> dict[str, float]:
@@ -176,7 +176,7 @@ def self_cuts(hand: HandModel, postures: dict[str, NDArray[Any]]) -> dict[str, f
     judge, cuts = Judge(hand), []
     for i in range(0, len(postures["side"]), MEASURE_EVERY):
         pose = mirrored(postures["pose"][i]) if postures["side"][i] else postures["pose"][i]
-        skin = judge.vertices(np.float32(pose), np.zeros(10, np.float32), 0)
+        skin = judge.vertices(np.asarray(pose, np.float32), np.zeros(10, np.float32), 0)
         cuts.append(self_cut(skin, judge.faces, [hull_planes(skin[p]) for p in judge.pieces], judge.pieces))
     return {
         "hands_measured": len(cuts),

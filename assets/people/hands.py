@@ -156,7 +156,7 @@ def arrays(
     sd = s[:COMPONENTS] / np.sqrt(n)
     sign = np.sign(Vt[:COMPONENTS].reshape(COMPONENTS, -1, 3)[:, v + 6, 0])  # the first makes the hand longer
     basis = Vt[:COMPONENTS] * (-sign * sd)[:, None]
-    shape = np.float32((X @ Vt[:COMPONENTS].T) / (-sign * sd)).astype(np.float64)
+    shape = np.asarray((X @ Vt[:COMPONENTS].T) / (-sign * sd), np.float32).astype(np.float64)
     off = np.linalg.norm((X - shape @ basis).reshape(n, -1, 3), axis=2)
     moves = basis.reshape(COMPONENTS, v + len(JOINTS), 3)
     skin, joints = middle[:v], middle[v:]
@@ -168,14 +168,14 @@ def arrays(
         joints, skin[tips], like.joint_axes.double().numpy(), like.joints_rest.double().numpy(), like_tips
     )
     made: dict[str, NDArray[Any]] = {
-        "vertices": np.float32(skin),
+        "vertices": np.asarray(skin, np.float32),
         "faces": faces,
-        "weights": np.float32(piece.weights),
-        "joints_rest": np.float32(joints),
-        "shape_basis": np.float32(moves[:, :v].transpose(1, 2, 0)),
-        "joint_shape_basis": np.float32(moves[:, v:].transpose(1, 2, 0)),
+        "weights": np.asarray(piece.weights, np.float32),
+        "joints_rest": np.asarray(joints, np.float32),
+        "shape_basis": np.asarray(moves[:, :v].transpose(1, 2, 0), np.float32),
+        "joint_shape_basis": np.asarray(moves[:, v:].transpose(1, 2, 0), np.float32),
         "parents": np.array(PARENTS, np.int32),
-        "joint_axes": np.float32(axes),
+        "joint_axes": np.asarray(axes, np.float32),
         "piece_vertices": np.concatenate(pieces).astype(np.int32),
         "piece_offsets": np.cumsum([0, *map(len, pieces)]).astype(np.int32),
         "piece_names": np.array(hand_pieces.NAMES),

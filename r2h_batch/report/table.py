@@ -326,6 +326,7 @@ def _scans(table: Table, row: Row) -> Row | None:
 def _with_more(table: Table, row: Row) -> dict[str, Any]:
     """A record, with SR on the reader's own objects and the turn test where the table has them."""
     found = record(row)
+    ends: tuple[float | None, ...]
     if table.scans:
         rate = sr_of_scans(own) if (own := _scans(table, row)) else None
         ends = (rate.percent, rate.low, rate.high) if rate else (None, None, None)
