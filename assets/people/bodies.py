@@ -25,8 +25,8 @@ ABOVE_JOINT = 0.104
 """Share of acromion to radiale by which the acromion lies above the shoulder's joint, as in `trials/receivers.py`."""
 ILIAC, POPLITEAL, SEAT = 1.16, 0.80, 0.051
 """Iliac crest / hip joint and hollow of the knee / knee joint, heights above the floor; height of the hip joint above
-the seat / stature. Chosen once so that Anny's median adults have ANSUR II's iliac and popliteal heights and seated
-shoulder within 4 % (report.json)."""
+the seat / stature. Fitted by hand to the medians of ANSUR II's iliac height, popliteal height and seated shoulder, so a
+comparison of these three lengths with ANSUR II shows the fit and validates nothing."""
 HELD = 0.98
 """Share of the skin that capsules and box hold: the last hundredths are the shoulder's cap, breasts and buttocks, and
 would make the shapes thicker by centimetres everywhere (report.json has what stands out, and by how much)."""

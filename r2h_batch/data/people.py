@@ -80,8 +80,12 @@ class People:
     @cached_property
     def digest(self) -> str:
         """sha256 (hex) over all numbers."""
-        own = {"sex": self.sex, "age": self.age, "hand_shape": self.hand_shape}
-        return arrays_digest({**own, **self.lengths})
+        own: dict[str, NDArray[Any]] = {
+            "sex": self.sex,
+            "age": self.age,
+            "hand_shape": self.hand_shape,
+        }
+        return arrays_digest(own | dict(self.lengths))
 
     @cached_property
     def by_hand(self) -> NDArray[np.int64]:
@@ -250,7 +254,7 @@ def hand_of_age(age: float, sex: str | None = None) -> dict[str, NDArray[Any]]:
     shape = people.hand_shape[order[len(order) // 2]].astype(np.float64)
     found: dict[str, NDArray[Any]] = dict(read_arrays(asset("people", "hand.npz")))
     for rest, basis in (("vertices", "shape_basis"), ("joints_rest", "joint_shape_basis")):
-        found[rest] = np.float32(found[rest] + found[basis].astype(np.float64) @ shape)
+        found[rest] = np.asarray(found[rest] + found[basis].astype(np.float64) @ shape, np.float32)
     return found
 
 

@@ -165,10 +165,12 @@ def _md(found: Served) -> str:
         groups.append(("median adults", "", median))
     lines = []
     for by, group, rows in groups:
-        none = ~found.success[:, rows].any(0)
+        none = ~np.any(found.success[:, rows], axis=0)
         rates = [_rate(found.success[k, rows]) for k in range(len(found.methods))]
         redrawn = int(found.columns["redrawn"][rows].astype(np.int64).sum())
-        lines.append([by, group, str(int(rows.sum())), *rates, _rate(none), str(redrawn)])
+        lines.append(
+            [by, group, str(int(rows.sum())), *rates, _rate(np.asarray(none)), str(redrawn)]
+        )
     head = ["By", "Group", "N", *names.values(), "No method", "Redrawn"]
     notes = [
         *legend(names),
