@@ -246,8 +246,8 @@ Core milliseconds a trial (`random`, no motion, shared machine), median of seven
 5th, 50th and 95th percentile, mm. ANSUR II: the public data of the 2012 survey of U.S. Army personnel (4,082 men, 1,986 women;
 Gordon et al. 2014), who are younger and fitter than a population. Ours are measured on Anny's bodies: the hand from the joint
 of the wrist (ANSUR II: from the stylion), the shoulder from its joint. Anny's upper arms are shorter and its men's hands
-longer than ANSUR II's. Iliac height, popliteal height and seated shoulder were fitted to ANSUR II's medians, so these rows show the
-fit and validate nothing.
+longer than ANSUR II's. Iliac height, popliteal height and seated shoulder were fitted to ANSUR II's medians: these
+rows show the fit and validate nothing.
 
 {dimensions}
 

@@ -28,7 +28,8 @@ from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
 from r2h_batch.base import se3
-from r2h_batch.base.launch import over_trials
+from r2h_batch.base.launch import cpu_threads, over_trials
+from r2h_batch.base.launch.threads import on_threads, one_torch_thread
 from r2h_batch.base.soft import with_gradient
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge import metrics
@@ -127,14 +128,18 @@ class _Moved(torch.autograd.Function):
     ) -> Tensor:
         ctx.save_for_backward(change, evaluated)
         ctx.device, ctx.dtypes = device, (T_obj_ee.dtype, T_world_ee.dtype)
+        ctx.threads = (
+            cpu_threads()
+        )  # `backward` is called outside of the evaluator, on a thread of torch's choice
         return torch.zeros_like(evaluated, dtype=change.dtype)
 
     @staticmethod
     def backward(ctx: Any, *gradient: Tensor) -> tuple[Tensor | None, ...]:
         change, evaluated = ctx.saved_tensors
-        made = over_trials(poses_gradient, len(change), ctx.device, chunk=ROWS_CHUNK)(
-            gradient=gradient[0].detach().contiguous(), change=change, evaluated=evaluated
-        )
+        with one_torch_thread(ctx.device), on_threads(ctx.threads):
+            made = over_trials(poses_gradient, len(change), ctx.device, chunk=ROWS_CHUNK)(
+                gradient=gradient[0].detach().contiguous(), change=change, evaluated=evaluated
+            )
         dtypes = ctx.dtypes
         return made["T_obj_ee"].to(dtypes[0]), made["T_world_ee"].to(dtypes[1]), None, None, None
 
