@@ -85,6 +85,8 @@ def rows(first: int, last: int, n_s0: int) -> pa.Table:
         "t_method_s": floats(np.full(n, 0.0002), always),
         "body_m": floats(np.full(n, np.nan), ~always),
     }
+    people = ("age_years", "sex", "stature_m", "hand_length_m", "seated", "redrawn")  # null in runs without people
+    columns |= {name: pa.nulls(n, TRIAL_SCHEMA.field(name).type) for name in people}
     return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
 
 
