@@ -26,8 +26,9 @@ F64 = NDArray[np.float64]
 
 GROUPS = ("adults", "children", "elderly")
 """Built-in people by age: 18 to 65, 6 to 12, 70 to 90 years."""
-ALL = "all"
-WORDS = (*GROUPS, ALL)
+ALL, WHEELCHAIR = "all", "wheelchair"
+WORDS = (*GROUPS, ALL, WHEELCHAIR)
+"""`wheelchair`: the adults, each in a wheelchair (`trials/wheelchair.py`)."""
 
 LENGTHS_M: dict[str, tuple[float, float]] = {
     "acromial_height": (0.45, 1.95),
@@ -66,6 +67,7 @@ class People:
         age: (P,) years.
         lengths: (P,) each, m, by the names of `LENGTHS_M`.
         hand_shape: (P, 10) shape numbers of the built-in people's hand (`people_hand`).
+        wheelchair: whether they sit in wheelchairs.
     """
 
     name: str
@@ -73,6 +75,7 @@ class People:
     age: F64
     lengths: Mapping[str, F64]
     hand_shape: NDArray[np.float32]
+    wheelchair: bool = False
 
     def __len__(self) -> int:
         return len(self.age)
@@ -85,6 +88,8 @@ class People:
             "age": self.age,
             "hand_shape": self.hand_shape,
         }
+        if self.wheelchair:
+            own["wheelchair"] = np.array(1, np.int8)
         return arrays_digest(own | dict(self.lengths))
 
     @cached_property
@@ -96,9 +101,10 @@ class People:
 @lru_cache(maxsize=8)
 def built_in_people(word: str = ALL) -> People:
     """The built-in people of a word of `WORDS`."""
+    group = GROUPS[0] if word == WHEELCHAIR else word
     stored = read_arrays(asset("people", "people.npz"))
     rows = np.flatnonzero(
-        np.isin(stored["group"], [k for k, g in enumerate(GROUPS) if word in (g, ALL)])
+        np.isin(stored["group"], [k for k, g in enumerate(GROUPS) if group in (g, ALL)])
     )
     return People(
         word,
@@ -106,6 +112,7 @@ def built_in_people(word: str = ALL) -> People:
         stored["age"][rows].astype(np.float64),
         {name: stored[name][rows].astype(np.float64) for name in LENGTHS_M},
         stored["hand_shape"][rows].astype(np.float32),
+        wheelchair=word == WHEELCHAIR,
     )
 
 

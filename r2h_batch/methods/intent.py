@@ -296,8 +296,8 @@ def approach_hits(
 def named_parts(
     scene: Scene, trials: Trials, instructions: Sequence[str] | None
 ) -> Bool[Tensor, "n p"]:
-    """The part labels of the region R_o that each trial's instruction names; none where it names
-    the object alone."""
+    """The part labels of the region R_o that each trial's instruction names. Where it names the object alone: the
+    receiver's region (S1), or none."""
     index = trials.object_index.cpu().long()
     if instructions is None:
         own = [_region(scene, i, o.instruction) for i, o in enumerate(scene.objects)]
@@ -318,7 +318,8 @@ def _region(scene: Scene, object_index: int, instruction: str) -> Bool[Tensor, "
     parts = max(len(o.part_names) for o in scene.objects)
     region = torch.zeros(parts, dtype=torch.bool, device="cpu")
     understood = understand(instruction, scene.objects, object_index=object_index)
-    intent = intents_of(scene.objects[object_index])[understood.intent]
-    if intent.part != ANYWHERE:
+    model = scene.objects[object_index]
+    intent = intents_of(model)[understood.intent]
+    if intent.part != ANYWHERE or model.split == "S1":
         region[list(intent.labels)] = True
     return region

@@ -6,11 +6,13 @@ Frames are computed term by term in float64 with sqrt only: a row has the same b
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int, Int64
+from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import se3
@@ -19,6 +21,8 @@ from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.candidates import CandidateTable
 from r2h_batch.methods.predictors import TargetHand
+from r2h_batch.scene.bounds import outer_ball
+from r2h_batch.scene.objects import ObjectModel, has_frozen_frame
 from r2h_batch.scene.robot import Robot, ee_pose
 from r2h_batch.scene.scene import Scene
 
@@ -27,8 +31,7 @@ Gate = Literal["hand", "ik", "none"]
 ik: the arm reaches it; none: nothing."""
 
 Anchor = Literal["gripper", "object"]
-"""Point that stands on the palm's normal: the gripper's TCP, or the centre of the object's bounding
-box."""
+"""Point that stands on the palm's normal: the gripper's TCP, or the centre of the object (`center_of`)."""
 
 HEIGHT_M = 0.15
 """Height of the anchor above the estimated palm centre: the paper's figure for Contact-Handover;
@@ -235,12 +238,24 @@ def placed_above_palm(
     point = target.palm_point.double() + height_m * target.palm_normal.double()
     if at == "gripper":
         return poses_at(R_world_ee, point)
-    corners = [(o.vertices.min(0), o.vertices.max(0)) for o in scene.objects]
-    boxes = np.stack([(low.astype(np.float64) + high) / 2 for low, high in corners])
-    center_obj = torch.from_numpy(boxes).to(scene.device)[object_index.long()]
+    centers = np.stack([center_of(o) for o in scene.objects])
+    center_obj = torch.from_numpy(centers).to(scene.device)[object_index.long()]
     R_ee_obj = T_obj_ee[:, :3, :3].double().transpose(1, 2)
     center_ee = se3.rotate(R_ee_obj, center_obj - T_obj_ee[:, :3, 3].double())
     return poses_at(R_world_ee, point[:, None] - se3.rotate(R_world_ee, center_ee[:, None]))
+
+
+@lru_cache(maxsize=256)
+def center_of(model: ObjectModel) -> Float64[NDArray[Any], "3"]:
+    """(3,) the point of an object that stands above a palm, frame obj, m.
+
+    Of an object of r2h-v1 or r2h-release it is the centre of the box along the frame's axes. Of any other object it is the
+    centre of the smallest ball that holds it, which turns with the object.
+    """
+    if has_frozen_frame(model):
+        return (model.vertices.min(0).astype(np.float64) + model.vertices.max(0)) / 2
+    ball = outer_ball(model.hull_vertices.astype(np.float64))
+    return np.round(ball[:3], 6)  # the solver's last digits differ between machines
 
 
 def taken(rows: Int64[Tensor, "b k"], chosen: Int64[Tensor, " b"]) -> Int64[Tensor, " b"]:

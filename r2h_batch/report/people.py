@@ -104,7 +104,7 @@ def served(run: Run) -> Served:
         )
     if tables[0]["age_years"].null_count == len(ids[0]):
         raise ValueError(
-            "this run has no people; sweep with --people adults, children, elderly, all or a .csv"
+            "this run has no people; sweep with --people adults, children, elderly, all, wheelchair or a .csv"
         )
     # answers that are missing have no person in their rows: another method's row knows
     columns: dict[str, NDArray[Any]] = {}

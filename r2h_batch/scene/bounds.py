@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog
+from scipy.optimize import linprog, minimize
 from scipy.spatial import ConvexHull
 
 from r2h_batch.scene.robot import (
@@ -107,6 +107,28 @@ def inner_ball(points: Array) -> Array:
     )
     center = central.x[:3] if central.success else largest.x[:3]
     return np.append(center, max(radius - 1e-6, 1e-6))
+
+
+def outer_ball(points: Array) -> Array:
+    """Centre and radius (4,) of the smallest ball that holds the points (N, 3).
+
+    With t = r^2 - |c|^2 it is the least |c|^2 + t such that |p|^2 - 2 p . c <= t for each point p: a convex problem of four
+    variables.
+    """
+    middle = points.mean(0)
+    size = float(np.sqrt(((points - middle) ** 2).sum(1).max()))
+    p = (points - middle) / size
+    square, away = (p * p).sum(1), np.hstack([2.0 * p, np.ones((len(p), 1))])
+    found = minimize(
+        lambda v: v[:3] @ v[:3] + v[3],
+        [0.0, 0.0, 0.0, float(square.max())],
+        jac=lambda v: np.append(2.0 * v[:3], 1.0),
+        constraints={"type": "ineq", "fun": lambda v: away @ v - square, "jac": lambda v: away},
+        method="SLSQP",
+        options={"ftol": 1e-15, "maxiter": 200},
+    )
+    center = middle + size * found.x[:3]
+    return np.append(center, np.sqrt(((points - center) ** 2).sum(1).max()))
 
 
 BLOCK_POINTS = 16

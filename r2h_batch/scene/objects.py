@@ -281,6 +281,13 @@ def stored_key(model: ObjectModel) -> str | None:
     return f"{model.name}_S0" if same else None
 
 
+def has_frozen_frame(model: ObjectModel) -> bool:
+    """Whether an object, turned or not, is one of r2h-v1 and r2h-release: how their meshes lie belongs to these protocols,
+    and methods may use it. The frame of any other object says nothing about it."""
+    own = model if model.turn is None else model.turn.own
+    return own.name in BUILT_IN_NAMES and stored_key(own) is not None
+
+
 def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     """sha256 (hex) over names, dtypes, shapes and bytes of every field, in order: same geometry,
     same digest."""

@@ -129,7 +129,7 @@ class Options:
     people: Annotated[
         str,
         Flag(
-            "receivers with their own bodies and hands: adults, children, elderly, all, or a .csv of lengths "
+            "receivers with their own bodies and hands: adults, children, elderly, all, wheelchair, or a .csv of lengths "
             "(import people)",
             "trials",
         ),

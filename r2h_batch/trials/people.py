@@ -19,6 +19,7 @@ from r2h_batch.base import rng
 from r2h_batch.data.people import People, hand_lengths
 from r2h_batch.scene.hand import HandSet
 from r2h_batch.trials.receivers import SEATED, Person, PlaceHand, first_fitting, reach
+from r2h_batch.trials.wheelchair import POPLITEAL_M, off_the_lap
 from r2h_batch.types import PERSON
 
 Array = NDArray[np.float64]
@@ -106,7 +107,8 @@ def draw_people(
                 rows, members = np.flatnonzero(side[todo] == s), found.members(s)
                 hands[todo[rows]] = members[rng.choice(u[rows], len(members))]
         u = rng.uniforms(key, mine, 2, purpose=_PERSON, attempt=redrawn)
-        who, seated = found.person(hands[todo], u[0]), u[1] < SEATED
+        who = found.person(hands[todo], u[0])
+        seated = (u[1] < SEATED) | found.people.wheelchair
         T, bodies, left, _ = _fitted(
             key, mine, who, seated, hands[todo], found, placing, table_edge_m, redrawn
         )
@@ -144,7 +146,13 @@ def _fitted(
 
     def reaching(rows: Rows, v: Array) -> Person:
         size = {name: value[who[rows]] for name, value in found.people.lengths.items()}
+        if found.people.wheelchair:
+            size["popliteal_height"] = np.full(len(rows), POPLITEAL_M)
         return reach(seated[rows], size, v, side[rows], table_edge_m)
 
+    place_hand = placing(hand)
+    if found.people.wheelchair:
+        stature, chest = (found.people.lengths[k][who] for k in ("stature", "chest_depth"))
+        place_hand = off_the_lap(place_hand, stature, chest, found.hand_length[hand])
     before = redrawn * PROPOSALS
-    return first_fitting(key, ids, reaching, placing(hand), before=before, most=PROPOSALS)
+    return first_fitting(key, ids, reaching, place_hand, before=before, most=PROPOSALS)

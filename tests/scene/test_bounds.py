@@ -1,4 +1,6 @@
-"""Direction cells never lose the farthest point. (Bounding capsules: tests/kernels/test_collision.py.)"""
+"""Direction cells never lose the farthest point, the smallest ball holds all. Bounding capsules: tests/kernels/test_collision."""
+
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -34,3 +36,21 @@ def test_cells_never_lose_the_farthest_point() -> None:
         best = np.array([(x[:c] @ n).max() for x, c, n in zip(kept, count, d, strict=True)])
         np.testing.assert_allclose(best, (points @ d.T).max(0), atol=1e-9)
         assert count.mean() < 0.25 * len(points) or len(points) < 20
+
+
+def test_the_smallest_ball_is_that_of_some_of_its_points() -> None:
+    """Every ball through two, three or four of the points, by solving for its centre in their plane."""
+    rng = np.random.default_rng(3)
+    clouds = [rng.normal(size=(9, 3)) * scale for scale in (1.0, [1.0, 0.1, 0.02], [1.0, 1.0, 0.01])]
+    for points in [*clouds, np.array([[0.0, 0, 0], [0.2, 0, 0], [0.1, 0.01, 0], [0.1, 0, 0.02]])]:
+        best = np.inf
+        for size in (2, 3, 4):
+            for rows in combinations(range(len(points)), size):
+                first, *others = points[list(rows)]
+                away = np.array(others) - first
+                center = first + np.linalg.pinv(2 * away) @ (away**2).sum(1)
+                radius = np.linalg.norm(points - center, axis=1).max()
+                best = min(best, radius)
+        found = bounds.outer_ball(points)
+        assert abs(found[3] - best) < 1e-7
+        assert np.abs(np.linalg.norm(points - found[:3], axis=1).max() - found[3]) < 1e-12

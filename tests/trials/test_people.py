@@ -32,7 +32,8 @@ from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
 from r2h_batch.trials.people import Owners
 from r2h_batch.trials.protocol import trials_digest, trials_of
-from r2h_batch.trials.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM
+from r2h_batch.trials.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM, TABLE_HEIGHT_M, reach
+from r2h_batch.trials.wheelchair import KNEES, LAP_M, POPLITEAL_M, clear_of_lap
 from r2h_batch.types import PERSON, Trials
 
 
@@ -104,6 +105,52 @@ def test_every_person_is_some_hands_and_hands_are_in_the_order_of_their_people()
         hands = owners.members(side)
         found = {int(p) for u in np.linspace(0.001, 0.999, 200) for p in owners.person(hands, np.full(len(hands), u))}
         assert found == set(range(len(people)))
+
+
+def test_people_in_wheelchairs_sit_as_high_as_these_and_keep_hand_and_forearm_off_their_lap() -> None:
+    benchmark = BenchmarkOverrides(people="wheelchair").read()
+    trials, people = make_trials(trials=60, benchmark=benchmark), built_in_people("adults")
+    assert column(trials, "seated").all() and trials.receiver is not None
+    off = np.abs(people.age[None] - column(trials, "age_years")[:, None])
+    who = (off + np.abs(people.lengths["stature"][None] - column(trials, "stature_m")[:, None])).argmin(1)
+    row, size = trials.receiver.double().numpy(), {k: v[who] for k, v in people.lengths.items()}
+    joint = 0.485 - 0.74 + size["seated_shoulder"] - JOINT_BELOW_ACROMION * size["acromion_radiale"]
+    assert np.allclose(row[:, 0, 2], joint, atol=1e-6)
+    # the skin of the hand, and a line along the forearm, in a frame of the lap
+    hands, T = benchmark.hand_set.geometry.vertices[trials.hand_index.long()].double(), trials.T_world_hand.double()
+    skin = (hands @ T[:, :3, :3].mT + T[:, None, :3, 3]).numpy()
+    arm = row[:, 1:2, :3] + np.linspace(0, 1, 30)[None, :, None] * (row[:, 2:3, :3] - row[:, 1:2, :3])
+    facing = np.stack([row[:, 3, 3], row[:, 4, 3]], 1)
+    for points, thick in ((skin, 0.0), (arm, row[:, 1, 3])):
+        way = points[..., :2] - row[:, None, 3, :2]
+        ahead = (way * facing[:, None]).sum(2)
+        aside = way[..., 1] * facing[:, None, 0] - way[..., 0] * facing[:, None, 1]
+        over = (
+            (ahead > 0)
+            & (ahead < 0.35 * size["stature"][:, None] - size["chest_depth"][:, None] / 2)
+            & (np.abs(aside) < 0.22)
+        )
+        assert (
+            points[..., 2][over] > 0.685 - 0.74 + np.broadcast_to(np.reshape(thick, (-1, 1)), over.shape)[over]
+        ).all()
+
+
+def test_an_arm_that_rests_in_the_lap_is_refused() -> None:
+    people = built_in_people("wheelchair")
+    size = {name: value[:200] for name, value in people.lengths.items()}
+    seated, v = np.ones(200, bool), np.random.default_rng(5).random((12, 200))
+    found = reach(seated, {**size, "popliteal_height": np.full(200, POPLITEAL_M)}, v, np.zeros(200, np.int64), 0.45)
+    clear = clear_of_lap(found, KNEES * size["stature"], size["hand_length"])
+    tip = found.wrist + found.hand * size["hand_length"][:, None]
+    low = np.stack([found.elbow[:, 2], found.wrist[:, 2], tip[:, 2]]).min(0) - (LAP_M - TABLE_HEIGHT_M)
+    way = (found.wrist - found.torso)[:, :2]
+    ahead = (way * found.facing).sum(1)
+    aside = way[:, 1] * found.facing[:, 0] - way[:, 0] * found.facing[:, 1]
+    rests = (
+        (low < 0) & (found.wrist[:, 2] < LAP_M - TABLE_HEIGHT_M) & (ahead > 0) & (ahead < 0.4) & (np.abs(aside) < 0.2)
+    )
+    assert rests.sum() > 5 and not clear[rests].any()
+    assert (low > 0.1).sum() > 5 and clear[low > 0.1].all()
 
 
 def test_without_people_trials_are_the_protocols_own() -> None:

@@ -26,13 +26,12 @@ from r2h_batch.methods.predictors.principal_axes import InPrincipalAxes, load_ax
 from r2h_batch.methods.predictors.voxnet import load_voxnet
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.objects import (
-    BUILT_IN_NAMES,
     OBJECT_NAMES,
     VOXELS,
     ObjectModel,
+    has_frozen_frame,
     is_built_in,
     object_digest,
-    stored_key,
 )
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.noise import trial_ids
@@ -108,9 +107,9 @@ def _of_objects(
 def _network_for(model: ObjectModel, left_out: bool) -> ContactPredictor:
     """The built-in network for an object: the objects of r2h-v1 and r2h-release are shown to weights that know how these
     lie, in whatever frame; any other to the network that no frame decides."""
-    model = model if model.turn is None else model.turn.own
-    if stored_key(model) is None or model.name not in BUILT_IN_NAMES:
+    if not has_frozen_frame(model):
         return load_axes_network()
+    model = model if model.turn is None else model.turn.own
     return load_voxnet(model.name if left_out and model.name in OBJECT_NAMES else "")
 
 

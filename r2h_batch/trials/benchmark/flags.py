@@ -29,7 +29,7 @@ class BenchmarkFlags:
     persons: Literal["", "for-robot", "as-for-ur5e"] = ""
     """Where persons stand: scaled by the robot's reach (default), or as for the UR5e."""
     people: str = ""
-    """Receivers of every size: adults, children, elderly, all, or your own .csv (import people)."""
+    """Receivers of every size: adults, children, elderly, all, wheelchair, or your own .csv (import people)."""
     turn: str = ""
     """Turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x), or degrees about x, y, z
     (`20,40,60`)."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from r2h_batch.scene.objects import ObjectModel, load_objects
@@ -125,7 +125,8 @@ def _understand(
     words = _without(words, thing.names)
     named = _only_of(text, model, _find(words, _part_names(model, thing)))
     verb = next((v for v in _find(words, VERB_WORDS, inflected=True) if v in thing.verbs), TAKE)
-    part = named or thing.verbs.get(verb) or (intents[0].part if model.split == "S1" else ANYWHERE)
+    whole = model.split == "S1" and set(intents[0].labels) == _takeable(model)
+    part = named or thing.verbs.get(verb) or (intents[0].part if whole else ANYWHERE)
     if part not in {i.part for i in intents}:
         part = intents[0].part
     best = [k for k, i in enumerate(intents) if i.part == part and i.verb == verb]
@@ -191,7 +192,8 @@ def _part_names(model: ObjectModel, thing: Thing) -> dict[str, tuple[str, ...]]:
     """Words for every part: what may be taken, then the mesh's own part names."""
     names: dict[str, tuple[str, ...]] = {}
     for part in thing.parts:
-        names[part] = (part, *PART_WORDS.get(part, ()), *thing.part_words.get(part, ()))
+        more = (*PART_WORDS.get(part, ()), *thing.part_words.get(part, ()))
+        names[part] = (part, *(w for w in more if w not in thing.parts))
     taken = {w for words in names.values() for w in words}
     for label in model.part_names:
         spoken = label.replace("_", " ")
@@ -263,11 +265,11 @@ def _stem(word: str, inflected: bool) -> str:
 def _thing(model: ObjectModel) -> Thing:
     """Vocabulary of an object; a user's object has the words of its name and of its parts."""
     if model.words is not None:
-        return model.words
+        return _with_own_parts(model, model.words)
     if model.name in THINGS and any(
         set(p) & set(model.part_names) for p in THINGS[model.name].parts.values()
     ):
-        return THINGS[model.name]
+        return _with_own_parts(model, THINGS[model.name])
     allowed = _takeable(model)
     parts: dict[str, tuple[str, ...]] = {
         n.replace("_", " "): (n,) for i, n in enumerate(model.part_names) if i in allowed
@@ -282,6 +284,20 @@ def _thing(model: ObjectModel) -> Thing:
     return Thing(
         names=(model.name.replace("_", " "),), parts=parts, verbs={"use": next(iter(parts))}
     )
+
+
+def _with_own_parts(model: ObjectModel, thing: Thing) -> Thing:
+    """The vocabulary with the mesh's own names of parts that it has no word for: of the receiver's region (S1), which
+    somebody else may have declared, or of an object none of whose parts it knows."""
+    known = {label for labels in thing.parts.values() for label in labels}
+    if model.split == "S0" and known & set(model.part_names):
+        return thing
+    parts = dict(thing.parts)
+    for label in (model.part_names[i] for i in sorted(_takeable(model))):
+        if label not in known:
+            spoken = label.replace("_", " ")
+            parts[spoken] = (*parts.get(spoken, ()), label)
+    return replace(thing, parts=parts)
 
 
 def _takeable(model: ObjectModel) -> frozenset[int]:

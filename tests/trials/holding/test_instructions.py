@@ -1,9 +1,19 @@
 """Understanding of sentences: listed phrases, free ones, and what is refused."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from r2h_batch.scene.objects import load_objects
-from r2h_batch.trials.holding.instructions import InstructionError, instructions_of, intents_of, understand
+from r2h_batch.scene.objects import BUILT_IN_NAMES, INSTANCE_NAMES, load_objects
+from r2h_batch.scene.vocabulary import THINGS
+from r2h_batch.trials.holding.instructions import (
+    ANYWHERE,
+    InstructionError,
+    instructions_of,
+    intents_of,
+    understand,
+)
 
 OBJECTS = load_objects()
 
@@ -59,3 +69,35 @@ def test_an_objects_own_instruction_asks_for_the_receivers_region() -> None:
 def test_what_cannot_be_answered_is_refused_with_what_is_allowed(text: str, index: int | None, message: str) -> None:
     with pytest.raises(InstructionError, match=message):
         understand(text, object_index=index)
+
+
+@pytest.mark.parametrize(
+    ("name", "parts", "asked", "taken", "refused"),
+    [
+        ("trigger_sprayer", ["bottle"], "hand over the trigger sprayer bottle to human", {"bottle"}, "trigger"),
+        ("bottle", ["body", "base"], "hand over the bottle body to human", {"body", "base"}, "cap"),
+        ("binoculars", ["barrel", "right_barrel"], "hand me the binoculars by the barrel", {"barrel"}, "bridge"),
+    ],
+)
+def test_a_region_that_somebody_else_declared_is_asked_for_by_the_names_of_its_parts(
+    name: str, parts: list[str], asked: str, taken: set[str], refused: str
+) -> None:
+    (own,) = load_objects([name])
+    labels = [own.part_names.index(p) for p in parts]
+    model = replace(own, receiver_face=np.isin(own.face_part, labels), instruction=asked)
+    found = understand(asked, [model])
+    answer = intents_of(model)[found.intent]
+    assert {model.part_names[k] for k in answer.labels} == taken
+    for intent in intents_of(model):
+        for phrase in intent.phrases:
+            assert set(intents_of(model)[understand(phrase, [model]).intent].labels) == set(intent.labels), phrase
+    with pytest.raises(InstructionError, match=r"the receiver of the .* takes "):
+        understand(f"hand me the {name.replace('_', ' ')} by its {refused}", [model])
+
+
+def test_shipped_objects_have_words_for_every_part_of_their_region() -> None:
+    for model in load_objects(INSTANCE_NAMES + BUILT_IN_NAMES):
+        if model.split == "S1":
+            spoken = {i.part for i in intents_of(model)} - {ANYWHERE}
+            category = model.name if model.name in THINGS else model.name.rpartition("_")[0]
+            assert spoken == set(THINGS[category].parts), model.name
