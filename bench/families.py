@@ -606,9 +606,9 @@ def markdown(data: Mapping[str, Any]) -> str:
         "Differences of SR between two methods, over all trials: " + "; ".join(pair_words(data)) + ".",
         "## Turn test",
         "The same trials with turned objects ([turn test](../statistics.md#turn-test)): points of SR gained, with the 95 %"
-        " interval over categories. Handover-VA grasps from above along the frame's z, as published, and aligns its template from the"
-        " frame's axes, so its answer depends on them. Half turn and cycled axes map an object's voxel grid and its box onto"
-        " themselves. The last turn"
+        " interval over categories. Handover-VA grasps from above along the frame's z, as published, and aligns its template"
+        " from the frame's axes, so its answer depends on them. Half turn and cycled axes map an object's voxel grid and its box"
+        " onto themselves. The last turn"
         f" (`r2h-batch turn RUN --by {ANY_TURN}`, degrees about x, y and z) maps neither. FC, Contact and Intent place the centre"
         " of the object above the palm: of r2h-v2's objects that of the smallest ball around them, which turns with them; of"
         " r2h-v1's objects that of the box along the frame's axes, as these rows are frozen. Contact-Handover's network reads a"

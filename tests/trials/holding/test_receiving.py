@@ -14,9 +14,11 @@ from scipy.spatial import cKDTree
 from r2h_batch.assets.hand.measure import hull_planes, sample_surface, winding_number
 from r2h_batch.base import se3
 from r2h_batch.base.launch import init_warp
+from r2h_batch.data.people import people_hand
 from r2h_batch.scene.arrays import arrays_digest
 from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.objects import build_object, load_objects, object_digest
+from r2h_batch.trials.holding import receiving
 from r2h_batch.trials.holding.hand_closing import DEEPEST_M, distance_field, field_distance
 from r2h_batch.trials.holding.hand_contact import (
     REGIONS,
@@ -58,7 +60,7 @@ def depth_and_gaps(grasps, row: int) -> tuple[float, float, float, np.ndarray, n
 
     By the skinning twin, closest points of trimesh and solid angles; only what is near the other surface is measured.
     """
-    hand, model = load_hand(), OBJECTS[int(grasps.object_index[row])]
+    hand, model = grasps.hand, OBJECTS[int(grasps.object_index[row])]
     solid, side = model.mesh, int(grasps.side[row])
     skin, _ = skinning_twin(hand, grasps.pose[row].numpy(), grasps.shape[row].numpy(), side)
     T = grasps.T_obj_hand[row].double().numpy()
@@ -72,7 +74,7 @@ def depth_and_gaps(grasps, row: int) -> tuple[float, float, float, np.ndarray, n
     signed[near] = np.where(inside, -distance, distance)
     normal = np.zeros((len(skin), 3))
     normal[near] = solid.face_normals[face]
-    region = palmar_region()
+    region = palmar_region(hand)
     closest = [np.flatnonzero(region == r)[signed[region == r].argmin()] for r in range(len(REGIONS))]
     body = trimesh.Trimesh(skin, hand.faces_by_side[side].numpy(), process=False)
     points = np.concatenate([model.points, model.vertices, cloud[:4000]])
@@ -104,6 +106,17 @@ def test_a_sample_of_the_frozen_grasps_touches_and_does_not_cut(grasps) -> None:
     for index in (1, 6):  # a thin wall, a handle
         rows = grasps.rows_of(index, index % 2)
         assert check(grasps, int(rows[(7 * index) % len(rows)]))
+
+
+def test_grasps_of_the_peoples_hand_are_shipped_touch_and_do_not_cut(monkeypatch) -> None:
+    def asked(*args: object, **kwargs: object) -> None:
+        raise AssertionError("sampled")
+
+    monkeypatch.setattr(receiving, "sample_receiving", asked)
+    found = load_receiving(hand=people_hand())
+    assert len(found) == 2 * receiving.PER_SIDE * len(OBJECTS) and not torch.equal(found.pose, load_receiving().pose)
+    opposed = [check(found, int(found.rows_of(index, side)[5])) for index, side in ((0, 0), (4, 1), (8, 0), (12, 1))]
+    assert all(opposed)
 
 
 @pytest.mark.slow
