@@ -543,7 +543,7 @@ def spread_lines(data: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def network_report() -> dict[str, Any]:
-    """What training said of the contact network of families."""
+    """The report of the contact network's training."""
     return json.loads((ROOT / "assets" / "families" / "voxnet_axes.json").read_text())
 
 
