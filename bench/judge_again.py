@@ -159,8 +159,8 @@ def judged(name: str, judge: Judge, rows: dict[int, dict[str, Any]]) -> Iterator
     yield from ((i, episode_of(twin, env, k)) for k, (i, twin) in enumerate(twins.items()))
 
 
-def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: int) -> dict[str, Tally]:
-    """Sweeps a set and judges all its rows again; what became of each criterion, and of facts."""
+def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: int) -> tuple[int, dict[str, Tally]]:
+    """Sweeps a set and judges all its rows again; how many, and what became of each criterion, and of facts."""
     own = ["--objects", str(meshes), "--splits", "S0"] if name == "unseen" else []
     line = ["--method", *METHODS, "--trials", str(trials), "--sim", "none", "--save-paths", "--quiet"]
     with contextlib.redirect_stdout(io.StringIO()):
@@ -169,13 +169,14 @@ def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: i
         raise SystemExit(code)
     run = load_run(folder)
     judge = Judge(run, given=BenchmarkOverrides.of(BenchmarkFlags(objects=str(meshes))) if own else None)
-    tallies: dict[str, Tally] = {}
+    rows, tallies = 0, dict[str, Tally]()
     for method in run.methods:
         for trial_id, findings in judged(name, judge, rows_of(run, method)):
+            rows += 1
             for finding in findings:
                 key = "facts" if finding.kind == "fact" else finding.name
                 tallies.setdefault(key, Tally()).add(finding, f"{name} {method.split(' ')[0]} {trial_id}")
-    return tallies
+    return rows, tallies
 
 
 def main() -> None:
@@ -191,9 +192,10 @@ def main() -> None:
             mesh.export(meshes / f"{thing}.obj")
         report.add("judge_again.trials", args.trials)
         for name in args.sets:
-            tallies = judge_set(name, SETS[name], Path(kept) / name, meshes, args.trials)
+            rows, tallies = judge_set(name, SETS[name], Path(kept) / name, meshes, args.trials)
             margins = [t for criterion, t in tallies.items() if criterion != "facts"]
-            whole: dict[str, float] = {"margins": sum(t.rows for t in margins), "wrong": sum(t.wrong for t in margins)}
+            whole: dict[str, float] = {"rows": rows, "margins": sum(t.rows for t in margins)}
+            whole["wrong"] = sum(t.wrong for t in margins)
             whole["bounds_that_do_not"] = sum(t.beyond for t in margins)
             whole["largest_difference_mm"] = round(max((t.largest for t in margins), default=0.0), 4)
             for figure, value in whole.items():
@@ -207,7 +209,7 @@ def main() -> None:
                 figures |= {"median_bound_share": round(float(np.median(t.loose)), 3)} if t.loose else {}
                 for figure, value in figures.items() if t.rows else ():
                     report.add(f"judge_again.{name}.{criterion}.{figure}", value)
-    report.write(args.json)
+            report.write(args.json)  # an end before the last set leaves those that are done
 
 
 if __name__ == "__main__":

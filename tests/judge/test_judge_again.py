@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,15 +10,22 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 from judge_twin import Again
+from people_twin import episode_of, reception_of
 
 from r2h_batch import Evaluator, evaluate, make_trials
+from r2h_batch.closed_loop.env import End, HandoverEnv
+from r2h_batch.closed_loop.episodes import play
+from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge import metrics
+from r2h_batch.judge.reception import reception
+from r2h_batch.methods import oracle
 from r2h_batch.report import compare
 from r2h_batch.runs.rows import TrialNames
 from r2h_batch.sweep.scoring import judged_tables
-from r2h_batch.types import Predictions
+from r2h_batch.types import Predictions, Trials
 
+KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 POSES = next((Path(compare.__path__[0]) / "baselines" / "poses").glob("FC*/*.parquet"))
 
 
@@ -26,16 +34,18 @@ def again(place: int) -> Again:
     row = pq.read_table(POSES).slice(place, 1)
     trial_id = torch.tensor(row["trial_id"].to_numpy())
     T = [torch.tensor(np.array(row[k].to_pylist(), np.float32)).view(1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
     every = make_trials(trials=int(trial_id) // 2 + 1, protocol="r2h-v1")
-    trials = every[every.trial_id == trial_id]
+    return scored(Evaluator(KINEMATIC), every[every.trial_id == trial_id], Predictions(trial_id, *T))
+
+
+def scored(evaluator: Evaluator, trials: Trials, answer: Predictions) -> Again:
+    """The second judge of the row that one trial gets."""
     names = TrialNames.of(evaluator.scene)
-    tables = judged_tables(evaluator, trials, Predictions(trial_id, *T), None, ("details", "paths"), names)
     columns: dict[str, Any] = {}
-    for table in tables.values():
+    for table in judged_tables(evaluator, trials, answer, None, ("details", "paths"), names).values():
         for found in table.to_pylist():
             columns |= found
-    return Again(evaluator.scene, evaluator.config, trials, columns, T[0][0], T[1][0])
+    return Again(evaluator.scene, evaluator.config, trials, columns, answer.T_obj_ee[0], answer.T_world_ee[0])
 
 
 @pytest.fixture(scope="module")
@@ -133,3 +143,56 @@ def test_a_fault_of_the_judge_is_noticed(mutant, noticed, criteria, monkeypatch)
 def test_a_row_that_lies_is_noticed(changes, noticed, first):
     told = Again(first.scene, first.config, first.trials, first.row | changes, first.T_obj_ee, first.T_world_ee)
     assert noticed in {f.name for f in told.findings(("reach",)) if not f.holds}
+
+
+@pytest.fixture(scope="module")
+def handed_over() -> tuple[Again, Any]:
+    """A trial that the oracle solves, and its scores."""
+    evaluator = Evaluator(KINEMATIC)
+    trials = make_trials(trials=1, protocol="r2h-v1")[:1]
+    answer = oracle.predict(trials, evaluator.scene, evaluator=evaluator)
+    scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
+    return scored(evaluator, trials, answer), scores
+
+
+def test_a_reception_is_right_and_one_that_lies_is_noticed(handed_over, monkeypatch):
+    twin, scores = handed_over
+    found = reception(scores)
+    assert bool(found.received[0]) and [f for f in reception_of(twin, found, 0) if not f.holds] == []
+    nearer = found.T_world_hand.clone()
+    nearer[:, :3, 3] += 0.3 * (scores.inputs.T_world_ee[:, :3, 3] - nearer[:, :3, 3])
+    lies = {
+        "effort": replace(found, effort=found.effort + 2e-4),
+        "travel, m": replace(found, travel_m=found.travel_m + 2e-4),
+        "turn, degrees": replace(found, turn_deg=found.turn_deg + 0.1),
+        "hand beside its grasp": replace(found, T_world_hand=nearer),
+        "upper arm, m": replace(found, elbow=found.elbow + 0.01),
+        "counts fall": replace(found, count=found.count.flip(1) - torch.arange(6, dtype=torch.int16)),
+        "arm and torso to robot, m": replace(found, elbow=scores.inputs.T_world_ee[:, :3, 3]),
+    }
+    for noticed, lie in lies.items():
+        assert noticed in {f.name for f in reception_of(twin, lie, 0) if not f.holds}, noticed
+    assert twin.receiver is not None
+    deep = twin.receiver.copy()
+    deep[4, 0] = 1.0  # a torso that reaches through the robot
+    monkeypatch.setattr(twin, "receiver", deep)
+    assert {f.name for f in reception_of(twin, found, 0) if not f.holds} == {"arm and torso to robot, m"}
+
+
+@pytest.mark.slow
+def test_an_episode_is_right_and_one_that_lies_is_noticed(handed_over):
+    twin, scores = handed_over
+    policy = POLICIES["servo"]
+    env = HandoverEnv(scores, "moves", action=kind_of_action(policy))
+    play(env, policy)
+    said = env.episodes()
+    assert [f for f in episode_of(twin, env, 0) if not f.holds] == []
+    lies = {
+        "least_m": replace(said, least_m=said.least_m + 2e-4),
+        "hand_path_m": replace(said, hand_path_m=said.hand_path_m + 2e-4),
+        "robot_idle": replace(said, robot_idle=said.robot_idle + 0.01),
+        "dropped": replace(said, end=torch.full_like(said.end, End.DROP)),
+    }
+    for noticed, lie in lies.items():
+        told = SimpleNamespace(episodes=lambda lie=lie: lie, config=env.config, trace=env.trace)
+        assert noticed in {f.name for f in episode_of(twin, told, 0) if not f.holds}, noticed
