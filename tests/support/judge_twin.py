@@ -445,7 +445,9 @@ class Again:
         return -np.inf
 
     def _branches(self) -> Array:
-        """All solutions of ur-analytic-ik; where the planner has one goal, the one whose clearance the row means.
+        """All solutions of ur-analytic-ik; where the planner has one goal, the one whose clearance the row can mean.
+
+        The row does not say which one. Its margin is at most the overlap: of those that overlap so much, the least deep.
 
         Of another arm those that least squares finds from 40 random postures.
         """
@@ -456,8 +458,9 @@ class Again:
         target = turn @ self.T_world_ee @ np.linalg.inv(self.robot.T_flange_ee)
         found = np.array(arm.inverse_kinematics(np.ascontiguousarray(target))).reshape(-1, 6)
         if self.config.plan.goals == "one" and len(found):
-            margins = np.array([self._clearance(q) for q in found])
-            return found[[int(np.abs(margins - self.row["margin_plan_m"]).argmin())]]
+            margins, said = np.array([self._clearance(q) for q in found]), self.row["margin_plan_m"]
+            apart = np.where(margins <= said + TOLERANCE_M, said - margins, 1.0 + np.abs(margins - said))
+            return found[[int(apart.argmin())]]
         return found
 
     def _searched(self) -> Array:
