@@ -1,18 +1,18 @@
 """The Evaluator: a batch of handovers in, verdicts with margins and reasons out.
 
-A row passes these stages in this order. Each stage is one file of `r2h_batch.judge`:
+A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 
 | stage | file | result |
 |---|---|---|
-| inputs | `inputs` | poses and trials that fit; invalid rows marked |
-| grasp | `attach` | the object in the gripper: Stability's margin, poses of all bodies |
+| inputs | `inputs`, `execution_error` | poses and trials that fit; poses as a robot with errors reaches them |
+| grasp | `attach`, `grasp_physics` | the object in the gripper: invalid rows, Stability's margin, poses of all bodies |
 | IK | `ik` | every branch of the arm that reaches the handover pose |
 | plan | `plan` | a path without collision to one of the branches |
 | motion | `motion.time_law`, `motion.execute` | the path with times, as the arm executes it |
 | clearance | `distance` | where the robot is nearest to the receiver |
-| verdict | `metrics` | five criteria with margins, one outcome |
+| verdict | `metrics`, `scores` | five criteria with margins, one outcome |
 
-`_score_planned` is the whole of it. `_score_pose` has the goal posture (`goal`) in place of a path, and
+`_score_planned` runs all stages. `_score_pose` has the goal posture (`goal`) in place of a path, and
 `_score_trace` has a motion that the caller gives. The rest of this file is inputs, chunks and memory.
 """
 
@@ -93,17 +93,17 @@ POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
 
 ROW_BYTES, MOVED_ROW_BYTES = 32 << 10, 192 << 10
-"""Working memory of a row with a path, and of one whose motion is recorded; trees of the search not
-counted."""
+"""Working memory of a row with a path, and of one whose motion is recorded, without the trees of the
+planner's search."""
 
 SORTED_ROWS = 256
-"""From here on the rows of a CPU batch are taken object by object, and of each hand by hand: what
-rows near each other share is still in the caches, and they branch alike. Five to ten per cent
-faster, and another five where candidates share trials."""
+"""CPU batches of this size or more are sorted by object, then by hand. Neighbouring rows then share
+cached data and branches. This is five to ten per cent faster, and another five where candidates share
+trials."""
 
 SMALL_ROWS, SIZES_KEPT = 255, 8
-"""Poses of so many rows on a CPU are one small call (`base.launch.repeated`); of so many sizes a
-thread keeps a recording."""
+"""CPU pose calls up to SMALL_ROWS rows are recorded and replayed (`base.launch.repeated`). Each thread
+keeps recordings of at most SIZES_KEPT batch sizes."""
 
 
 class JudgedPoses(NamedTuple):
@@ -113,7 +113,7 @@ class JudgedPoses(NamedTuple):
     goal: Goal
     nearest: NearestApproach
     found: dict[str, Tensor]  # fields of `Scores`
-    changes: Changes | None = None  # where margins have to lead back to the poses
+    changes: Changes | None = None  # only if a pose requires a gradient
 
 
 class Evaluator:
@@ -123,13 +123,13 @@ class Evaluator:
     Args:
         config: thresholds, planning and motion; None: the default preset.
         device: `cpu`, `cuda` or `cuda:N`.
-        objects: what `Trials.object_index` counts; None: the 16 built-in ones.
-        hand_set: what `Trials.hand_index` counts; None: the built-in hands.
+        objects: the objects that `Trials.object_index` indexes; None: the 16 built-in ones.
+        hand_set: the hands that `Trials.hand_index` indexes; None: the built-in hands.
         robot: arm and gripper; None: the UR5e with a 2F-85.
         threads: CPU threads of a call; None: all cores.
     """
 
-    called = False  # whether a call has looked for poses that look wrong
+    called = False  # True after the first call has checked the poses for common mistakes
 
     def __init__(
         self,
@@ -176,12 +176,12 @@ class Evaluator:
 
         Args:
             benchmark: path of a benchmark file, or what `read_benchmark` returned.
-            config: planning and motion; it may not have other limits than the benchmark.
+            config: planning and motion; its thresholds and workplace must be defaults or equal the benchmark's.
             device: `cpu`, `cuda` or `cuda:N`.
             threads: CPU threads of a call; None: all cores.
 
         Raises:
-            ValueError: `config` has other limits, or (`FileError`, one line) the file is wrong.
+            ValueError: `config` has other thresholds or another workplace, or (`FileError`, one line) the file is wrong.
         """
         if isinstance(benchmark, (str, Path)):
             pieces = config is not None and config.plan.object_collision == "pieces"
@@ -198,7 +198,7 @@ class Evaluator:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        """The configuration: all that copies and pickles hold. Copies share the scene's tables, which
+        """The state of a copy or pickle: all but the handle and what calls keep. Copies share the scene's tables, which
         nobody changes; another process builds its own (`Scene.__reduce__`), rows are bitwise
         equal."""
         own = ("handle", "kinematic", "_small_calls", "_small_gradients", "_known_inputs")
@@ -215,7 +215,7 @@ class Evaluator:
 
     @contextmanager
     def working(self) -> Iterator[None]:
-        """Around what this evaluator computes: its kernels have its threads, torch has one."""
+        """A context in which kernels use `threads` CPU threads and torch uses one."""
         with one_torch_thread(self.scene.device), on_threads(self.threads):
             yield
 
@@ -244,10 +244,10 @@ class Evaluator:
         first call on a CPU warns of poses that look transposed, exchanged or in millimetres.
 
         Args:
-            T_obj_ee: grasps, (B, 4, 4): ee to the object's frame, m. (N, K, 4, 4) for K candidates
+            T_obj_ee: grasps, (B, 4, 4): the ee in the object's frame, m. (N, K, 4, 4) for K candidates
                 of each of N trials. Tensors on the evaluator's device, NumPy arrays or nested
                 lists of float32 or float64; judged in float32.
-            T_world_ee: handover poses, ee to the world, m, of the same shape. Rotations off by at
+            T_world_ee: handover poses: the ee in the world frame, m, of the same shape. Rotations off by at
                 most 1e-3 are orthonormalised.
             trials: B (or N) trials.
             stages: `all`: the benchmark. `pose`: what needs no path, with the same kernels
@@ -257,8 +257,8 @@ class Evaluator:
             keep_motion: also return the executed joint angles (24 kB for 8 s of motion).
 
         Returns:
-            Scores of B (or N K) rows, trial by trial (`Scores.by_trial`). Rows that are no pose are
-            INVALID_INPUT and leave the others untouched. `pose`: `path` has width 0, times are NaN,
+            Scores of B (or N K) rows, trial by trial (`Scores.by_trial`). A row whose matrix is not a
+            rigid transform is INVALID_INPUT; other rows are not affected. `pose`: `path` has width 0, times are NaN,
             `q_goal` and Plan's margin are those of `judge.goal.Goal`.
 
         Raises:
@@ -279,8 +279,8 @@ class Evaluator:
             check_indices(self.scene, trials)
             compile_stages(self.scene, paths=stages == "all")
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
-            # Copies: an optimizer's step in place must not change what a picture of these scores
-            # shows.
+            # Copies: an optimizer's step in place must not change the stored inputs, from which
+            # pictures of these scores are drawn.
             return scores.with_inputs(
                 ScoreInputs(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
             )
@@ -309,20 +309,21 @@ class Evaluator:
             time_s: time of each sample, s; of all motions at once if it is (W,).
             trials: B trials.
             length: how many samples of each motion count, 2 to W; None: all W.
-            planned_q: the plan, where q is what a robot or a simulator made of it: Plan judges
-                both (the plan alone where Safe fails, which judges q), the other criteria judge q.
-                None: q is the plan.
+            planned_q: the planned path, if q is its execution by a robot or a simulator. Plan then judges
+                both; if the robot touches the hand, Safe judges q and Plan judges planned_q alone.
+                The other criteria judge q. None: q is the plan.
             planned_length: as `length`, of the plan.
 
         Returns:
             Scores of B rows. INVALID_INPUT: an angle is not finite, times go back, are not finite or
-            end after 1e9 s, a joint moves in no time, or the plan begins more than 0.1 rad beside the motion. A motion
+            end after 1e9 s, a joint moves between two samples of equal time, or the plan's first sample is more
+            than 0.1 rad away from the motion's. A motion
             beyond the limits of angles is judged as one without a path.
 
         Raises:
             TypeError, ValueError: shape, dtype or device do not fit; before any work.
         """
-        # Nothing of it can be traced. As a decorator, `disable` would cost every import a second.
+        # torch.compile cannot trace this function. As a decorator, `disable` would cost every import a second.
         if torch.compiler.is_compiling():
             return torch.compiler.disable(self.score_motion)(
                 T_obj_ee,
@@ -427,7 +428,7 @@ class Evaluator:
         stages: Stages,
         keep_motion: bool = False,
     ) -> Scores:
-        """The batch in chunks that bound the memory; rows do not depend on where the cuts are."""
+        """The batch in chunks that bound the memory; results do not depend on the chunk boundaries."""
         n = len(trials)
         T_obj_ee, T_world_ee = executed_poses(
             self.config.execution_error, T_obj_ee, T_world_ee, trials
@@ -458,8 +459,7 @@ class Evaluator:
         """How many rows are judged together: `EvalConfig.chunk`, on CUDA more where there is memory
         for it.
 
-        More than these in one call are judged in chunks; a call with fewer leaves a GPU without
-        work.
+        A call with more rows is judged in chunks; a smaller call does not use the whole GPU.
         """
         check_stages(stages)
         chunk, device = self.config.chunk, self.scene.device
@@ -496,7 +496,7 @@ class Evaluator:
         planned = replace(planned, reason=weaken_singular_reason(planned.reason, ik))
         weight = self.scene.robot.joint_weight
         motion = time_path(planned.path, planned.length, config.execute, weight)
-        # sampled edges certify nothing, and paths against an estimated hand nothing of the true one
+        # the clearance is certified only for exact edges and the true hand
         certified = (
             planned.clearance_m
             if (config.plan.edge_check, config.plan.hand) == ("exact", "true")
@@ -536,7 +536,7 @@ class Evaluator:
     def _score_trace(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: Trace, trace: Trace, trials: Trials
     ) -> Scores:
-        """The stages of a motion that somebody gives: hold, then test it in place of IK and planning, judge.
+        """The stages of a motion given by the caller: grasp, then tests of the motion in place of IK and planning, verdict.
 
         A plan beside the motion is tested too, and the worse of both counts.
         """
@@ -571,14 +571,15 @@ class Evaluator:
         )  # fmt: skip
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
-        """As `_score_planned`, as far as it goes without a path."""
+        """The stages of `_score_planned` that need no path."""
         poses = T_obj_ee, T_world_ee
         inputs = (*(T.detach() for T in poses), *trials._tensors().values())
         inputs = tuple(x.contiguous() for x in inputs)
         differentiates = _differentiates(*poses)
         judge = self._judge_pose_and_changes if differentiates else self._judge_pose
         small = 0 < len(trials) <= SMALL_ROWS and not T_obj_ee.is_cuda
-        if small and not (differentiates and FOLLOWED):  # torch follows poses where they stay
+        # torch differentiates criteria of FOLLOWED at the callers' tensors
+        if small and not (differentiates and FOLLOWED):
             calls = self._small_gradients if differentiates else self._small_calls
             judged = calls(judge, *inputs)
             found = {name: x.clone() for name, x in judged.found.items()}
@@ -603,8 +604,8 @@ class Evaluator:
         return judged._replace(changes=found)
 
     def _judge_pose(self, *inputs: Tensor) -> "JudgedPoses":
-        """Results of `_score_pose` for poses and trials, field by field; mostly kernels alone, so
-        small calls can be recorded."""
+        """Results of `_score_pose` for poses and trials, field by field; it launches
+        mostly kernels, so small calls can be recorded."""
         scene, config = self.scene, self.config
         T_obj_ee, T_world_ee, *of_trials = inputs
         trials = Trials(*of_trials)
@@ -689,5 +690,5 @@ class Evaluator:
 
 
 def _differentiates(*poses: Tensor) -> bool:
-    """Whether margins have to lead back to these poses."""
+    """Whether margins need gradients with respect to these poses."""
     return torch.is_grad_enabled() and any(T.requires_grad for T in poses)

@@ -1,5 +1,5 @@
-"""Joint angles that bring the ee frame to a pose: all branches of the UR5e, residuals, a proof
-where there is none."""
+"""Joint angles that bring the ee frame to a pose: all branches of a UR arm, up to 8 postures of other
+arms, residuals, and whether it is proven that none exists."""
 
 import re
 from collections.abc import Sequence
@@ -57,14 +57,14 @@ class IkResult:
     rotation_error_rad: Float[Tensor, "b 8"]
     """Angle between the targets' and the reached ee axes; inf where there is no branch."""
     status: UInt8[Tensor, "b 4"]
-    """How the pair of branches 2 s + w was settled: a STATUS_* code of kernels/ik/step.py."""
+    """Solver status of the branch pair 2 s + w: a STATUS_* code of kernels/ik/step.py."""
     steps: Int[Tensor, "b 4"]
     """Damped least squares steps spent on the pair, over all seeds tried."""
 
     @property
     def unproven(self) -> Bool[Tensor, "b"]:
-        """Whether more postures may exist than were found (none, or up to 8 in the order of
-        finding): the arm has no closed form, and the target is not provably out of reach."""
+        """True if the numerical search may have missed solutions: the arm has no closed form, and the
+        target is not provably out of reach."""
         return (self.status >= int(any_arm.STATUS_NOT_FOUND)).any(1)
 
     @property

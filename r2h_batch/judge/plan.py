@@ -1,12 +1,13 @@
 """From joint branches to a collision-free path: which goals are free, straight lines, RRT-Connect,
 shortcuts, clearance.
 
-Every path keeps the robot's joint limits (`Robot.lower`, `.upper`): home and goals lie within them
-(judge/ik.py), the search draws postures within them (kernels/plan/rrt.py), and all else are straight
-lines between such postures. Speed and acceleration: judge/motion/time_law.py times the path. A
-motion that a caller gives is tested against angles and speeds in judge/trace.py (`plan_of_trace`),
-a posture of a closed loop in closed_loop/env.py. Torque limits hold in simulated motion alone
-(`actfrcrange` of scene/dynamics.py).
+Every path keeps the robot's joint limits (`Robot.lower`, `.upper`). Home lies within them
+(scene/scene.py), and so do goals (kernels/ik/step.py `within_limits`; other arms: judge/ik_any.py and
+kernels/native/arm.h). The search draws postures within them (kernels/plan/rrt.py). All else are straight
+lines between such postures, and a box of limits is convex. judge/motion/time_law.py times the path by
+speed and acceleration. A motion that a caller gives is tested against angles and speeds in
+judge/trace.py (`plan_of_trace`), a posture of a closed loop in closed_loop/env.py. In simulated motion
+MuJoCo limits torques (`actfrcrange`) and angles (`range`): scene/dynamics.py.
 """
 
 from dataclasses import dataclass
@@ -31,8 +32,8 @@ from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 
 GOAL_ROOM_M = 2e-4
-"""A path may come this much nearer to the hand than its goal does: the interval next to the goal
-must be certifiable."""
+"""The clearance of a path may be this much smaller than that of its goal: otherwise its last interval
+cannot be certified."""
 
 
 def random_key(trial_id: Int64[Tensor, " b"]) -> Int32[Tensor, " b"]:
@@ -184,7 +185,7 @@ def _measure_overlaps(
         rows = torch.nonzero(meets).flatten().to(torch.int32)
     elif path.shape[1] > 1:
         rows = planner.frontier.rows_where(meets)
-    else:  # a posture fits every queue, so nothing has to be waited for
+    else:  # a single posture cannot overflow the queues, so the host need not wait
         every = torch.arange(len(path), dtype=torch.int32, device=path.device)
         rows = torch.where(meets, every, -1)
     inputs = {"hull_ball": scene.hull_balls, "row": rows, "path": path, "length": length}
@@ -199,7 +200,7 @@ def _reasons(
     n_goals: Int32[Tensor, " b"],
     length: Int32[Tensor, " b"],
 ) -> Int32[Tensor, " b"]:
-    """PlanReason of each row; the first thing that rules a path out wins, so it is written last."""
+    """PlanReason of each row; the earliest failed check decides, because later lines replace earlier ones."""
     reason = torch.full_like(length, int(PlanReason.NO_PATH_IN_BUDGET))
     reason[length > 0] = int(PlanReason.OK)
     reason[(n_goals == 0) & valid.any(1)] = int(PlanReason.IK_IN_COLLISION)

@@ -24,8 +24,8 @@ from r2h_batch.types import PlanReason
 from r2h_batch.verdicts import MOST_SECONDS
 
 LIMIT_TOLERANCE_RAD = 1e-5
-"""A joint may stand this far beyond its limit, or turn this much farther between two samples: what
-float32 makes of an angle at the limit."""
+"""A joint may stand this far beyond its limit, or turn this much farther between two samples:
+float32 rounding."""
 SPEED_TOLERANCE = 1e-3
 """Tolerance as a share of a joint's largest speed: the rounding of times in float32."""
 Q_WORDS = "a torch tensor (N, W, joints) of angles in rad"
@@ -49,8 +49,8 @@ class Trace:
 
 
 def checked_plan(planned_q: Any, length: Tensor | None, trace: Trace, scene: Scene) -> Trace:
-    """The plans of executed motions: as `checked_trace`, as slow as can be, for a plan has no
-    times. Usable where the plan begins at the motion's first sample."""
+    """The plans of executed motions: as `checked_trace`, with times spread over MOST_SECONDS,
+    because a plan has no times. Usable where the plan begins at the motion's first sample."""
     planned_q = as_numbers("planned_q", planned_q, Q_WORDS, scene.device)
     samples = planned_q.shape[-2] if planned_q.ndim > 1 else 0
     times = torch.linspace(0, MOST_SECONDS, samples, dtype=torch.float32, device=planned_q.device)
@@ -126,7 +126,7 @@ def walked(
     scene: Scene, trace: Trace, active: Bool[Tensor, " b"]
 ) -> tuple[Float32[Tensor, "b w j"], Int32[Tensor, " b"]]:
     """The lines of active motions, and how many samples they have: 0 for motions beyond the joint
-    limits, whose lines may be as long as numbers are."""
+    limits, whose lines could be arbitrarily long."""
     lower, upper = (
         torch.tensor(np.array(x), dtype=torch.float64, device=trace.q.device)
         for x in (scene.robot.lower, scene.robot.upper)

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from r2h_batch.runs.store import FOREIGN, Run
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS
 
 FINER = ("apart_from_objects", "each_object")
-"""Sub-digests; older runs lack them."""
+"""Parts of the digests. They are not compared, because older runs do not store them."""
 
 
 @dataclass(frozen=True)
@@ -43,24 +44,26 @@ def common_trials(
 
     Args:
         runs: what `load_run` gives.
-        proven: folders whose rows come out the same under this code, which the project's tests
-            show of the shipped baselines. Their digest of the code may differ.
+        proven: folders whose verdicts the tests check with the current code (the shipped baselines).
+            Their digest of the code may differ.
         across_robots: also take runs of several robots: a trial of theirs is the same object, hand
             and random draw; where the person and the table stand may differ.
 
     Raises:
         ValueError: if the runs hold other trials, or were judged otherwise: robot, protocol, trials,
             digests and configuration are compared; versions, device, seed and predictors are not.
+            Of two runs of which one holds the release's own verdicts, robot and names of trials are compared.
     """
-    first, notes = runs[0], []
-    for run in runs[1:]:
+    notes = []
+    # every pair: a run that is compared by less (shipped, or of the release) proves nothing of two others
+    for first, run in combinations(runs, 2):
         if what := _differing(first, run, proven, across_robots):
             advice = "sweep both methods with the same version and options"
             if {first.folder, run.folder} & set(proven):
                 shipped = "the shipped baselines have the default options and protocol"
                 advice = f"{shipped}, with --sim mujoco and with --sim none: sweep like that"
             if what.startswith("robot"):
-                advice = "compare --across-robots takes a trial's number for the same trial"
+                advice = "to pair trials by number, add --across-robots to compare"
             found = f"{first.folder} and {run.folder} differ in {what}"
             raise ValueError(f"{found}: their trials cannot be paired; {advice}")
     asked = [run.header["trials"] for run in runs]
@@ -145,8 +148,8 @@ def _other_keys(left: Mapping[str, Any], right: Mapping[str, Any]) -> str:
 
 
 def _complete(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's configuration as JSON. Fields that its version did not have get today's defaults:
-    they say what it did."""
+    """A run's configuration as JSON. Fields that its version did not have get today's defaults,
+    as which older versions behaved."""
     whole = asdict(EvalConfig())
     for key, value in configuration.items():
         parts = isinstance(value, dict) and isinstance(whole.get(key), dict)

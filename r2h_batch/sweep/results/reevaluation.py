@@ -1,9 +1,9 @@
 """Judge a random sample of stored rows again, from the poses stored beside them.
 
-A digest shows that a file is as it was written, but whoever writes a row can write those
-too. Nobody can make up a verdict: trials follow from their ids and poses are stored, so the
-evaluator computes it again. Nor can anybody give a built-in method the poses of another one: it
-answers the sampled trials again. A user's method is not run: a folder may come from anybody.
+A digest shows that a file is as it was written, but a forger can write digests too. So verdicts are
+computed again: trials follow from their ids, and poses are stored. A built-in method answers the
+sampled trials again, so its rows cannot hold the poses of another method. A user's method is not run,
+because a folder may come from anybody.
 """
 
 import json
@@ -50,18 +50,20 @@ COMPARED = {
 """Columns that are judged again; poses are what they are judged from."""
 
 LATER_OPTIONS = ("receiver", "estimate", "candidates", "execution_error")
-"""Options of `EvalConfig` that older runs do not name, because those runs had only one way."""
+"""Options of `EvalConfig` that older runs do not name, because the option did not exist then. Today's default is what
+those runs did."""
 
 TOLERANCES = {"_m": BORDERLINE_M, "_deg": 0.05, "_s": 0.02, "q": 1e-3, "q_goal": 1e-3}
 """Tolerances of stored numbers on another kind of machine or with other versions, by the end of
-the column's name: m, degrees, s (two samples of a motion and rounding), rad. On the same, nothing."""
+the column's name: m, degrees, s (two samples of a motion and rounding), rad. With the same machine and
+versions the tolerance is 0."""
 
 EPISODE_TOLERANCE = 0.05
-"""The same of all numbers of an episode, in s, m, m/s and shares: a step."""
+"""Tolerance of all numbers of an episode, in s, m, m/s and shares: about one time step."""
 
 MOST_OTHER_CHOICES = 0.1
-"""Share of rows in which choices may differ there: between two grasps of nearly the same cost, or
-two places that are nearly as near. Of another method's answers nearly all differ."""
+"""On another machine, choices may differ in this share of rows: between two grasps of nearly the same
+cost, or two places that are nearly as near. Answers of a different method differ in nearly all rows."""
 
 CHOICES = ("answer", "nearest_pair", *(n for n in DETAIL_SCHEMA.names if n.startswith("witness_")))
 
@@ -96,9 +98,9 @@ class Reevaluation:
         scored: rows that were judged again.
         equal: rows of those that are equal bit for bit, with a built-in method's answers.
         differences: the values that differ.
-        built_in: whether it is a built-in method, and all of those rows are equal. What run.json says
-            of the machine that scored them is the writer's word, so it excuses nothing here.
-        asked: whether a built-in method answered again, in words, and if it did not, why.
+        built_in: whether it is a built-in method, and all of those rows are equal. The machine that
+            run.json names is not trusted, so no tolerance applies here.
+        asked: a sentence: whether the method answered again, or why not.
     """
 
     method: str
@@ -134,7 +136,7 @@ class Judge:
         self.evaluator = Evaluator.from_benchmark(self.benchmark, config, device=device)
         self.other = _other(header, device)
         self.loop, self.played = _loop_of(header["digests"].get("closed_loop"), run)
-        # the last bits of Safe's margins are the form's own (docs/gpu.md)
+        # the last bits of Safe's margins differ between the CPU and GPU forms (docs/gpu.md)
         self.form: Form = "one_thread" if header["device"]["kind"] == "cpu" else "frontier"
 
     def trials(self, trial_id: Any) -> Trials:
@@ -258,10 +260,10 @@ def reevaluate(
         ids = stored["trials"]["trial_id"].take(pa.array(rows))
         stored = {k: table.filter(pc.is_in(table["trial_id"], ids)) for k, table in stored.items()}
         if job is not None:
-            other, moved = _other_answers(job, ids.to_numpy(), stored["poses"], judge)
+            other, moved = _differing_answers(job, ids.to_numpy(), stored["poses"], judge)
             differences, unequal = differences + other, unequal | moved
         as_motions = entry.source.get("kind") == "motions"
-        differences += _other_rows(run, stored, as_motions, judge)
+        differences += _differing_rows(run, stored, as_motions, judge)
     unequal |= {d.trial_id for d in differences}
     if judge.other:
         differences = [d for d in differences if not _close(d)]
@@ -290,7 +292,7 @@ def _who_answers(run: Run, entry: Entry, judge: Judge) -> tuple[Job | None, str]
     return job, "asked again for the same trials"
 
 
-def _other_answers(
+def _differing_answers(
     job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge
 ) -> tuple[list[Difference], set[int]]:
     """The trials to which the method now gives another answer than the stored one, and the ids of those
@@ -317,11 +319,11 @@ def _other_answers(
     return found, set(ids[off > 0.0].tolist())
 
 
-def _other_rows(
+def _differing_rows(
     run: Run, stored: Mapping[str, pa.Table], as_motions: bool, judge: Judge
 ) -> Iterator[Difference]:
-    """Every stored value that the evaluator does not give again bit for bit; `as_motions`: of a file of
-    motions. A motion was judged as it is where nothing was planned."""
+    """Every stored value that the evaluator does not give again bit for bit; `as_motions`: the method is a
+    file of motions. Rows without `t_plan_s` were judged as given motions."""
     again: dict[str, dict[int, dict[str, Any]]] = {kind: {} for kind in COMPARED}
     if as_motions and "paths" not in stored:
         raise RunError(f"{run.folder}: a method of motions has no paths; sweep again")
@@ -344,7 +346,7 @@ def _other_rows(
     for kind, table in stored.items():
         if kind not in COMPARED:
             continue
-        # a run of another version may lack columns; a column of this one, or a null, is a claim
+        # a run of another version may lack columns; a stored value or null must match
         silent = set(COMPARED[kind]) - set(table.column_names)
         if silent and "code" not in judge.other:
             raise RunError(f"{run.folder}: its {kind} lack column {min(silent)!r}; sweep again")

@@ -13,6 +13,7 @@ from statsmodels.stats.contingency_tables import mcnemar as reference_mcnemar
 from statsmodels.stats.multitest import multipletests
 
 from r2h_batch.report.statistics import paired as pairing
+from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import Paired
 from r2h_batch.runs.store import Run, load_run
 
@@ -241,6 +242,20 @@ def test_runs_that_were_not_asked_the_same_are_refused(tmp_path, capsys, change,
     assert error.count("\n") == 1
     with pytest.raises(ValueError, match=f"differ in {what}: their trials cannot be paired"):
         pairing.pair_up([load_run(tmp_path / n) for n in "ab"])
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (1, 2, 0)])
+def test_two_runs_of_other_code_are_refused_beside_baselines_of_other_code(tmp_path, order):
+    """Shipped rows are compared without their code's digest, which says nothing of two others."""
+    runs = [
+        write_run(tmp_path / m, {m: np.zeros(4, int)}, 2, 2, digests={"trials": "t", "code": code})
+        for m, code in (("shipped", "old"), ("a", "new"), ("b", "another"))
+    ]
+    shipped = runs[0].folder
+    for other in (1, 2):
+        common_trials([runs[0], runs[other]], proven=[shipped])
+    with pytest.raises(ValueError, match=r"a and .*b differ in digests \(code\)"):
+        common_trials([runs[i] for i in order], proven=[shipped])
 
 
 def test_folders_with_other_shards_are_paired_row_by_row(tmp_path, capsys):
