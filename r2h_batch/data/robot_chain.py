@@ -374,10 +374,11 @@ def _to_axis(joint: Joint) -> Array:
 
 
 def _range(joint: Joint, shown: str) -> tuple[float, float]:
-    """Lower and upper limit, rad or m; a continuous joint gets one turn each way."""
+    """Lower and upper limit, rad or m; a joint that turns farther, or endlessly, gets one turn each way."""
     low, high = joint.lower, joint.upper
-    if joint.kind == "revolute" and np.isnan(low):
-        low, high = -2 * np.pi, 2 * np.pi
+    if joint.kind == "revolute":
+        turn = 2 * np.pi
+        low, high = (-turn, turn) if np.isnan(low) else (max(low, -turn), min(high, turn))
     if not low < high:
         where = f"{shown}: joint {printable(joint.name)}"
         raise FileError(f"{where}: limits {low:g} {high:g}; it needs lower < upper")

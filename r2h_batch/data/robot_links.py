@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 MAX_MESHES = 32
 """Most meshes of a link, and of all fingers."""
+MAX_NAME = 1000
 LONGEST_M = 3.0
 """Longest link: a mesh that is longer is in millimetres, and would be covered point by point."""
 
@@ -51,7 +52,12 @@ class Meshes:
             FileError: one line that says which file is missing, elsewhere or no mesh.
         """
         self.shown = model.shown
-        names = dict.fromkeys(g.file for g in geoms if g.file)
+        names = dict.fromkeys(g.file for g in geoms if g.kind == "mesh" or g.fitted)
+        if odd := [name for name in names if not name or len(name) > MAX_NAME]:
+            raise FileError(
+                f"{self.shown}: a mesh's file is called {printable(odd[0])[:40]!r}; give a name of 1 to"
+                f" {MAX_NAME} characters"
+            )
         files = {name: _file_of(model, name, packages) for name in names}
         try:
             meshes = load_robot_meshes(list(files.values()), "the robot's meshes")

@@ -24,6 +24,8 @@ from r2h_batch.base.io.read import FileError, path_within, printable, read_file
 Array = NDArray[np.float64]
 
 MAX_BYTES, MAX_LINKS, MAX_ELEMENTS, MAX_INCLUDES = 8 << 20, 256, 8192, 16
+MAX_ATTRIBUTES = 64
+"""Most attributes of an element: MuJoCo's parser compares each with all others."""
 SPEED_RAD_S = 2.0
 """Speed limit of a joint of an MJCF, which has none [choice]."""
 
@@ -172,6 +174,10 @@ def parsed(path: Path) -> Element:
         raise FileError(
             f"{shown}: begins with <{printable(root.tag)[:40]}>, not <robot> or <mujoco>"
         )
+    for element in root.iter():
+        if (count := len(element.attrib)) > MAX_ATTRIBUTES:
+            where = f"{shown}: <{printable(element.tag)[:40]}>"
+            raise FileError(f"{where} has {count} attributes; {MAX_ATTRIBUTES} are allowed")
     return root
 
 
@@ -222,7 +228,9 @@ def _rooted(body: Body) -> Body:
 
 def _check_tree(links: list[Element], joints: list[Element], shown: str) -> None:
     """Refuses links and joints that do not form trees, by name."""
-    names = [str(e.get("name")) for e in links]
+    names = [e.get("name", "") for e in links]
+    if "" in names:
+        raise FileError(f"{shown}: a link has no name")
     parent: dict[str, str] = {}
     for joint in joints:
         own, child = _end(joint, "parent", shown), _end(joint, "child", shown)
@@ -512,11 +520,12 @@ def _joint(
     low, high = model.jnt_range[first] if model.jnt_limited[first] else (np.nan, np.nan)
     speed = SPEED_RAD_S
     if said is not None:
-        limit = said[own].find("limit")
+        element = said.get(own)  # of a joint that MuJoCo splits there is none
+        limit = None if element is None else element.find("limit")
         none: Mapping[str, str] = {}
         given = none if limit is None else limit.attrib
         speed = float(given.get("velocity", "0"))
-        if said[own].get("type") == "continuous":
+        if element is not None and element.get("type") == "continuous":
             low = high = np.nan
         elif not model.jnt_limited[first] and given.keys() & {"lower", "upper"}:
             low, high = float(given.get("lower", "0")), float(given.get("upper", "0"))

@@ -294,6 +294,11 @@ BAD = {
         "</robot>",
         '<joint name="k" type="fixed"><parent link="left_finger"/><child link="base"/></joint></robot>',
     ),
+    "<link> has 65 attributes; 64 are allowed": (
+        "</robot>",
+        "<link " + " ".join(f'a{k}="1"' for k in range(65)) + "/></robot>",
+    ),
+    "a link has no name": ("</robot>", "<link/></robot>"),
     "two joints are called j2": ('name="j3"', 'name="j2"'),
     "joint left_slide follows itself": (
         '<joint name="left_slide" type="prismatic">',
@@ -328,6 +333,15 @@ def test_links_are_counted_before_a_mesh_is_read(tmp_path, monkeypatch):
         made(write_urdf(tmp_path), fingers=("l7", "left_finger"))
     with one_line("needs lower < upper"):
         made(write_urdf(tmp_path, **{'lower="-1.8" upper="1.8"': 'lower="0.5" upper="0.5"'}))
+    with one_line("joint of l2 is several joints; the arm's joints must be revolute"):
+        made(write_urdf(tmp_path, **{'name="j2" type="revolute"': 'name="j2" type="planar"'}))
+    for name in ("", "b" * 2000):
+        with one_line("a mesh's file is called '" + name[:40] + "'; give a name of 1 to 1000 characters"):
+            made(write_urdf(tmp_path, **{'"parts/block.stl"': f'"{name}"'}))
+    far = read_chain(
+        read_model(write_urdf(tmp_path, **{'lower="-1.8" upper="1.8"': 'lower="-90" upper="1"'})), "base", "flange"
+    )
+    assert far.lower.min() == -2 * np.pi and far.upper.max() < 2 * np.pi
     with one_line("link l4 is not a body: mass 0 kg"):
         path = write_urdf(tmp_path)
         text = path.read_text()
