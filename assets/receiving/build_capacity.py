@@ -1,7 +1,7 @@
 """Makes capacity.npz, for the objects of r2h-v1: ``python -m r2h_batch.assets.receiving.build_capacity``.
 
-It holds, per object, the arrays of ``r2h_batch.trials.holding.capacity.FIELDS`` of the grasps in held_out.npz, as ``NAME/FIELD``.
-About 40 CPU minutes; the same bytes on the same kind of machine. Transfers read it, predictors never do.
+It holds, per object, the arrays of ``r2h_batch.trials.holding.capacity.FORM`` of the grasps in held_out.npz, as ``NAME/FIELD``.
+About two CPU minutes; the same bytes on the same kind of machine. Transfers read it, predictors never do.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.objects import OBJECT_NAMES, stored_objects
-from r2h_batch.trials.holding.capacity import capacities
-from r2h_batch.trials.holding.held_out import load_held_out
+from r2h_batch.trials.holding.capacity import of_held_out
 
 HERE = Path(__file__).resolve().parent
 
@@ -27,8 +26,7 @@ HERE = Path(__file__).resolve().parent
 def made(name: str) -> tuple[dict[str, NDArray[Any]], float]:
     """Arrays of one built-in object, and the CPU seconds they took."""
     model, begin = stored_objects()[name], time.process_time()
-    skin = load_held_out((model,)).grasps.vertices.numpy()
-    return capacities(model, skin, load_hand()), time.process_time() - begin
+    return of_held_out(model, load_hand()), time.process_time() - begin
 
 
 def main() -> None:

@@ -2,22 +2,26 @@
 the hand, for each newton of grip.
 
 Linear programs over the skin points that touch the object. Like `HeldOut.grip_n`, the figures belong to the grasp
-and not to a trial. Those of the built-in objects are stored with the grasps.
+and not to a trial. They are stored with the grasps.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float32, Float64, Int64
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
+from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.scene.hand import HandModel, load_hand
-from r2h_batch.scene.objects import ObjectModel, stored_arrays_of, stored_key
+from r2h_batch.scene.objects import ObjectModel, object_digest, stored_arrays_of, stored_key
+from r2h_batch.trials.holding import held_out as sampled
+from r2h_batch.trials.holding.contact_forces import ContactForces
 from r2h_batch.trials.holding.hand_contact import ObjectSurface, palmar_region
 from r2h_batch.trials.holding.held_out import (
     CONTACT_M,
@@ -26,7 +30,9 @@ from r2h_batch.trials.holding.held_out import (
     G,
     HeldOut,
     friction_edges,
+    load_held_out,
 )
+from r2h_batch.trials.holding.receiving import VERSIONS
 
 Array = NDArray[np.float64]
 
@@ -35,8 +41,21 @@ GRIP_BASE_N, GRIP_PER_WEIGHT = 10.0, 5.0
 of the sample of Handovers@RPL holds 0.8 kg with 18.4 N a side."""
 SAFETY, MOST_GRIP_N = 1.6, 120.0
 """A person grips this much firmer than friction demands at least, and no firmer than this [choice]."""
-FIELDS = ("center", "point", "normal", "total_n", "capacity")
-"""Arrays of an object in the stored file."""
+AXES_SHARE = 0.7
+"""Share of the capacity along each axis that acts: all six act together [choice]."""
+FORM = {
+    "center": ArraySpec("float32", ("holds", 3)),
+    "point": ArraySpec("float32", ("holds", 3)),
+    "normal": ArraySpec("float32", ("holds", 3)),
+    "total_n": ArraySpec("float32", ("holds", len(GRAVITY))),
+    "capacity": ArraySpec("float32", ("holds", len(GRAVITY), 6)),
+}
+"""Arrays of an object in the stored file: those of `Grips`, for gravity along each of `GRAVITY`."""
+MADE_BY = (
+    *sampled.MADE_BY,
+    "r2h_batch.trials.holding.capacity",
+    "r2h_batch.trials.holding.contact_forces",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,88 +91,110 @@ def usual_grips(
 
     Args:
         held_out: what `load_held_out(objects)` gives.
-        objects: of which. Where the figures are not stored, a grasp takes seven linear programs.
+        objects: of which.
         grasp: (N,) rows of the grasps.
         down: (N, 3) unit vector of gravity, frame obj. The nearest of `held_out.GRAVITY` counts, as for `grip_n`.
     """
-    index = held_out.grasps.object_index.numpy()[grasp]
-    rows = []
-    for g, k, d in zip(grasp.tolist(), index.tolist(), down, strict=True):
-        model = objects[k]
-        R = np.eye(3) if model.turn is None else model.turn.R_new_own
-        j = int((d @ R @ GRAVITY.T).argmax())
-        own = _stored_row(held_out, k, model, g, j) or _solved(held_out, model, g, j)
-        center, point, normal, total, capacity = (np.asarray(x, np.float64) for x in own)
-        rows.append((R @ center, R @ point, R @ normal, R, total, capacity))
-    shapes = ((3,), (3,), (3,), (3, 3), (), (6,))
-    columns = zip(*rows, strict=True) if rows else ([] for _ in shapes)
-    pairs = zip(columns, shapes, strict=True)
-    return Grips(*(np.array(list(x), np.float64).reshape(-1, *shape) for x, shape in pairs))
+    every = Withstood.of(objects, held_out.grasps.hand)
+    R = every.axes[held_out.grasps.object_index.numpy()[grasp]]
+    gravity = np.einsum("nij,ni,gj->ng", R, down, GRAVITY).argmax(1)
+
+    def turned(v: NDArray[np.float32]) -> Array:
+        return np.asarray(np.einsum("nij,nj->ni", R, v[grasp].astype(np.float64)))
+
+    return Grips(
+        turned(every.center),
+        turned(every.point),
+        turned(every.normal),
+        R,
+        every.total_n[grasp, gravity].astype(np.float64),
+        every.capacity[grasp, gravity].astype(np.float64),
+    )
 
 
-def _stored_row(
-    held_out: HeldOut, index: int, model: ObjectModel, grasp: int, gravity: int
-) -> tuple[NDArray[np.float32], ...] | None:
-    own = model if model.turn is None else model.turn.own
-    stored, key = stored_arrays_of("capacity.npz", "receiving"), stored_key(own)
-    if held_out.grasps.hand is not load_hand() or f"{key}/capacity" not in stored:
-        return None
-    row = grasp - int((held_out.grasps.object_index < index).sum())
-    every = {k: stored[f"{key}/{k}"][row] for k in FIELDS}
-    return (*(every[k] for k in FIELDS[:3]), every["total_n"][gravity], every["capacity"][gravity])
+@dataclass(frozen=True, eq=False)
+class Withstood:
+    """What the M held-out grasps of O objects withstand, for gravity along each of `GRAVITY`.
+
+    Fields are those of `Grips`, in the frame of the object as it is stored. `axes` (O, 3, 3) turn it into the
+    object's.
+    """
+
+    center: Float32[NDArray[np.float32], "m 3"]
+    point: Float32[NDArray[np.float32], "m 3"]
+    normal: Float32[NDArray[np.float32], "m 3"]
+    total_n: Float32[NDArray[np.float32], "m 6"]
+    capacity: Float32[NDArray[np.float32], "m 6 6"]
+    axes: Float64[Array, "o 3 3"]
+
+    @staticmethod
+    def of(objects: Sequence[ObjectModel], hand: HandModel) -> Withstood:
+        """Of all held-out grasps of these objects, in the order of `load_held_out(objects, hand)`.
+
+        Those of built-in objects are stored. Others are computed once, some seconds each, and kept on disk.
+        """
+        return _withstood(tuple(objects), hand)
 
 
-@lru_cache(maxsize=4096)
-def _solved(
-    held_out: HeldOut, model: ObjectModel, grasp: int, gravity: int
-) -> tuple[NDArray[np.float32], ...]:
-    one = held_out.grasps[grasp : grasp + 1].vertices.numpy()
-    if model.turn is not None:
-        one = (one.astype(np.float64) @ model.turn.R_new_own).astype(np.float32)
-    own = model if model.turn is None else model.turn.own
-    made = capacities(own, one, held_out.grasps.hand, (gravity,))
-    return (*(made[k][0] for k in FIELDS[:3]), made["total_n"][0, 0], made["capacity"][0, 0])
+@lru_cache(maxsize=8)
+def _withstood(objects: tuple[ObjectModel, ...], hand: HandModel) -> Withstood:
+    each = [_of_object(o if o.turn is None else o.turn.own, hand) for o in objects]
+    columns = {k: np.concatenate([e[k] for e in each]) for k in FORM}
+    axes = [np.eye(3) if o.turn is None else np.asarray(o.turn.R_new_own) for o in objects]
+    return Withstood(**columns, axes=np.array(axes, np.float64))
+
+
+@lru_cache(maxsize=256)
+def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
+    stored = stored_arrays_of("capacity.npz", "receiving")
+    if hand is load_hand() and f"{(key := stored_key(model))}/capacity" in stored:
+        return {k: stored[f"{key}/{k}"] for k in FORM}
+    made_of = f"{object_digest(model)} {hand.digest} {code_digest(MADE_BY, VERSIONS)} capacity"
+    key = hashlib.sha256(made_of.encode()).hexdigest()
+    return cached("capacity", key, lambda: of_held_out(model, hand), FORM)
+
+
+def of_held_out(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
+    """Arrays of `FORM` of the held-out grasps of an object, from the programs."""
+    return capacities(model, load_held_out((model,), hand).grasps.vertices.numpy(), hand)
 
 
 def capacities(
-    model: ObjectModel,
-    skin: NDArray[np.float32],
-    hand: HandModel,
-    gravities: Sequence[int] = range(len(GRAVITY)),
-) -> dict[str, NDArray[np.float32]]:
-    """Arrays of `FIELDS` of hands with these skins, as in `Grips`, for each of some gravities.
+    model: ObjectModel, skin: NDArray[np.float32], hand: HandModel
+) -> dict[str, NDArray[Any]]:
+    """Arrays of `FORM` of hands with these skins.
 
     Args:
         model: the object.
         skin: (M, V, 3) float32, frame obj, m.
         hand: whose skins.
-        gravities: K rows of `GRAVITY`; total_n is (M, K), capacity (M, K, 6).
     """
-    m, k = len(skin), len(gravities)
-    shapes = ((m, 3), (m, 3), (m, 3), (m, k), (m, k, 6))
-    out = {name: np.zeros(s, np.float32) for name, s in zip(FIELDS, shapes, strict=True)}
+    out = {
+        name: np.zeros((len(skin), *spec.shape[1:]), spec.dtype)  # type: ignore[arg-type]
+        for name, spec in FORM.items()
+    }
     weight, com = float(model.mass) * G, np.asarray(model.com, np.float64)
     for i, (points, normals) in enumerate(_contacts(model, skin, hand)):
         if not len(points):
             continue
         center, faces = points.mean(0), int((normals @ normals.mean(0)).argmax())
         out["center"][i], out["point"][i], out["normal"][i] = center, points[faces], normals[faces]
-        for j, down in enumerate(GRAVITY[list(gravities)]):
-            held = np.r_[-weight * down, np.cross(com - center, -weight * down)]
-            total, capacity = capacity_of(points - center, normals, held, FRICTION)
-            out["total_n"][i, j], out["capacity"][i, j] = total, capacity
+        up = -weight * GRAVITY
+        held = np.concatenate([up, np.cross(com - center, up)], 1)
+        total, capacity = capacity_of(points - center, normals, held, FRICTION)
+        out["total_n"][i], out["capacity"][i] = total, capacity
     return out
 
 
 def capacity_of(
     arm: Float64[Array, "n 3"],
     normal: Float64[Array, "n 3"],
-    held: Float64[Array, " 6"],
+    held: Float64[Array, "k 6"],
     friction: float,
-) -> tuple[float, Float64[Array, " 6"]]:
-    """A grip that carries a load, and what it withstands beside it, for each newton of normal force.
+) -> tuple[Float64[Array, " k"], Float64[Array, "k 6"]]:
+    """Grips that carry loads, and what they withstand beside them, for each newton of normal force.
 
-    The least grip that carries the load is found first. The usual grip is firmer (`SAFETY`), and at least what
+    The least grip that carries a load is found first. The usual grip is firmer (`SAFETY`), and at least what
     people use for this weight. Along an axis it withstands t if forces within the friction cones, with normal
     forces that sum up to that grip, balance the load and t along the axis. The size of the load's own part along
     the axis is added, because the grip withstands it too.
@@ -161,52 +202,27 @@ def capacity_of(
     Args:
         arm: contact points from the centre, m.
         normal: outward unit normals of the object.
-        held: force (N) and moment about the centre (N m) that the hand exerts to carry the object.
+        held: forces (N) and moments about the centre (N m) that the hand exerts to carry the object.
         friction: coefficient between skin and object.
 
     Returns:
-        Sum of the normal forces, N (0: friction cannot carry the load), and the capacities, N/N and N m/N.
+        Sums of the normal forces, N (0: friction cannot carry the load), and the capacities, N/N and N m/N.
     """
-    wrench = friction_edges(arm, -normal, friction)
-    n, load = wrench.shape[1], held * MOMENT_SCALE
-    least = _solve(np.ones(n), wrench, load)
-    if least is None or least[1] > MOST_GRIP_N:
-        return 0.0, np.zeros(6)
-    usual = GRIP_BASE_N + GRIP_PER_WEIGHT * float(np.linalg.norm(held[:3]))
-    total = min(max(usual, SAFETY * least[1]), MOST_GRIP_N)
-    # the forces against t along the axis, those against -t, and t
-    both = np.zeros((12, 2 * n + 1))
-    both[:6, :n], both[6:, n:-1] = wrench, wrench
-    sums = np.zeros((2, 2 * n + 1))
-    sums[0, :n], sums[1, n:-1] = 1.0, 1.0
-    push = np.zeros(2 * n + 1)
-    push[-1] = -1.0
-    capacity = np.zeros(6)
-    for k in range(6):
-        both[:, -1] = 0.0
-        both[[k, k + 6], -1] = -1.0, 1.0
-        found = _solve(push, both, np.tile(load, 2), sums, [total] * 2)
-        if found is not None:
-            capacity[k] = (found[0][-1] + abs(load[k])) / total
-    return total, capacity / MOMENT_SCALE
+    contacts = ContactForces(friction_edges(arm, -normal, friction))
+    load = held * MOMENT_SCALE
+    least, basis = contacts.carry(load, MOST_GRIP_N)
+    carries = np.isfinite(least)
+    weight = np.linalg.norm(held[carries, :3], axis=1)
+    usual = np.maximum(GRIP_BASE_N + GRIP_PER_WEIGHT * weight, SAFETY * least[carries])
+    total, capacity = np.zeros(len(held)), np.zeros(held.shape)
+    total[carries] = usual.clip(max=MOST_GRIP_N)
+    further = contacts.withstand(load[carries], total[carries], basis[carries])
+    capacity[carries] = (further + abs(load[carries])) / total[carries, None] / MOMENT_SCALE
+    return total, capacity
 
 
 MOMENT_SCALE = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
 """Moments in N times 0.1 m, as `friction_edges` has them: the programs' rows have one size."""
-
-
-def _solve(
-    cost: Array,
-    A: Array,
-    b: Array,
-    A_most: Array | None = None,
-    most: Sequence[float] | None = None,
-) -> tuple[Array, float] | None:
-    """x and cost of the program min cost x, A x = b, A_most x <= most, x >= 0; None: it has no solution."""
-    made = linprog(
-        cost, A_eq=A, b_eq=b, A_ub=A_most, b_ub=most, method="highs-ds", options={"presolve": False}
-    )
-    return (made.x, float(made.fun)) if made.status == 0 else None
 
 
 def _contacts(

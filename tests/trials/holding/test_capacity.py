@@ -1,23 +1,34 @@
-"""Capacities of grasps: closed forms, and grasps of the held-out set."""
+"""Capacities of grasps: closed forms, scipy's linprog, and grasps of the held-out set."""
 
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.scene.hand import load_hand
-from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.objects import load_objects, turned
+from r2h_batch.trials.holding import capacity as programs_of
 from r2h_batch.trials.holding.capacity import (
+    FORM,
     GRIP_BASE_N,
     MOST_GRIP_N,
     SAFETY,
-    capacity_of,
+    Withstood,
+    capacities,
     usual_grips,
 )
-from r2h_batch.trials.holding.held_out import GRAVITY, load_held_out
+from r2h_batch.trials.holding.contact_forces import ContactForces
+from r2h_batch.trials.holding.held_out import FRICTION, GRAVITY, friction_edges, load_held_out
 
 HALF = 0.03
 PINCH = np.array([[HALF, 0, 0], [-HALF, 0, 0]]), np.array([[1.0, 0, 0], [-1, 0, 0]])
+
+
+def capacity_of(arm, normal, held, friction):
+    """One load of `capacity.capacity_of`."""
+    total, found = programs_of.capacity_of(arm, normal, held[None], friction)
+    return total[0], found[0]
 
 
 @pytest.mark.check
@@ -39,6 +50,7 @@ def test_a_load_is_carried_by_the_least_grip_and_a_margin_and_a_pinch_cannot_car
     assert capacity[2] == pytest.approx((total * friction - weight + weight) / total)
     about = np.array([0, 0, weight, 0.1, 0, 0])
     assert capacity_of(*PINCH, about, friction) == (0.0, pytest.approx(np.zeros(6)))
+    assert np.array_equal(programs_of.capacity_of(*PINCH, np.stack([about, 0 * about]), friction)[0], [0.0, GRIP_BASE_N])
     heavy = np.array([0, 0, 1.01 * MOST_GRIP_N * friction, 0, 0, 0])
     assert capacity_of(*PINCH, heavy, friction)[0] == 0.0
 
@@ -63,3 +75,67 @@ def test_held_out_grasps_that_carry_the_object_withstand_more_than_its_weight():
     assert (grips.total_n > 0).all() and (grips.total_n <= MOST_GRIP_N).all()
     assert (grips.capacity[:, 2] * grips.total_n >= weight - 1e-6).all()
     assert load_hand() is held_out.grasps.hand
+
+
+def least_and_most(edges, load, total=None):
+    """scipy's linprog: the least sum of normal forces that carries a load, inf: none. With `total`: how far the load may
+    grow along each axis, less of both signs."""
+    n = edges.shape[1]
+    if total is None:
+        made = linprog(np.ones(n), A_eq=edges, b_eq=load, method="highs")
+        return made.fun if made.status == 0 else np.inf
+    found = []
+    for axis in np.concatenate([np.eye(6), -np.eye(6)]):
+        most = {"A_ub": np.r_[np.ones(n), 0.0][None], "b_ub": [total]}
+        made = linprog(np.r_[np.zeros(n), -1.0], A_eq=np.c_[edges, -axis], b_eq=load, **most, method="highs")
+        assert made.status == 0
+        found.append(-made.fun)
+    return np.reshape(found, (2, 6)).min(0)
+
+
+@pytest.mark.parametrize("contacts", [1, 2, 3, 12, 60])
+def test_programs_over_contacts_are_linprogs(contacts):
+    """Random contacts of an ellipsoid, and two rows of the same ones; loads that few of them carry."""
+    rng = np.random.Generator(np.random.Philox(key=contacts))
+    normal = rng.normal(size=(contacts, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    edges = friction_edges(normal * [0.02, 0.03, 0.07], -normal, FRICTION)
+    edges = np.repeat(edges, 2, axis=1) if contacts == 12 else edges
+    loads = rng.normal(size=(8, 6)) * [3, 3, 3, 1, 1, 1]
+    loads[0], loads[1] = 0.0, edges[:, :3].sum(1)
+    programs = ContactForces(edges)
+    least, basis = programs.carry(loads, 200.0)
+    expected = np.array([least_and_most(edges, load) for load in loads])
+    carried = expected <= 200.0
+    assert (np.isfinite(least) == carried).all() and 1 <= carried.sum()
+    assert least[carried] == pytest.approx(expected[carried], abs=1e-6)
+    total = 1.3 * least[carried] + 5.0
+    most = programs.withstand(loads[carried], total, basis[carried])
+    twin = [least_and_most(edges, load, t) for load, t in zip(loads[carried], total, strict=True)]
+    assert most == pytest.approx(np.array(twin), abs=1e-6)
+    assert contacts < 12 or (carried.sum() == 8 and (most > 0.1).all())
+
+
+@pytest.mark.parametrize("name", ["bowl", "pliers"])
+def test_stored_capacities_are_those_of_the_programs_again_and_of_linprog(name):
+    (model,) = load_objects([name])
+    held_out = load_held_out((model,))
+    stored = Withstood.of((model,), held_out.grasps.hand)
+    rows = np.arange(5, len(held_out.grip_n), 170)
+    skin = held_out.grasps[torch.from_numpy(rows)].vertices.numpy()
+    made = capacities(model, skin, held_out.grasps.hand)
+    for field in FORM:
+        assert getattr(stored, field)[rows] == pytest.approx(made[field], rel=1e-6, abs=1e-6), field
+    carries = (stored.total_n > 0) == np.isfinite(held_out.grip_n.numpy())
+    assert carries.mean() > 0.9  # the rest: friction needs more than MOST_GRIP_N, or contacts at the very cutoff
+
+
+def test_a_turned_object_has_the_capacities_of_its_own_frame():
+    objects = load_objects(["hammer"])
+    R = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    rows, down = np.array([3, 77, 300]), np.repeat(GRAVITY[2:3], 3, axis=0)
+    own = usual_grips(load_held_out(objects), objects, rows, down)
+    other = (turned(objects[0], R),)
+    found = usual_grips(load_held_out(other), other, rows, down @ R.T)
+    assert np.array_equal(found.capacity, own.capacity) and np.array_equal(found.total_n, own.total_n)
+    assert found.center == pytest.approx(own.center @ R.T) and found.axes == pytest.approx(np.stack([R] * 3))
