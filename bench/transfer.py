@@ -30,9 +30,11 @@ HELD_EVERY = 2
 MEASURES = (
     "bench/transfer.py",
     "r2h_batch/closed_loop/transfer",
+    "r2h_batch/judge/closed_pose.py",
     "r2h_batch/judge/grasp_physics.py",
     "r2h_batch/judge/reception.py",
     "r2h_batch/trials/holding/capacity.py",
+    "r2h_batch/trials/holding/contact_forces.py",
 )
 CHANGES: dict[str, dict[str, Any]] = {
     "half the time step": {"steps": 16},

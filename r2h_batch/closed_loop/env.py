@@ -27,6 +27,9 @@ from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_betwe
 from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion
 from r2h_batch.closed_loop.registered import register
 from r2h_batch.closed_loop.relative import CAP_M, Passed, RelativeDistance
+from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
+from r2h_batch.closed_loop.transfer.in_loop import ASKED, LoopTransfers
+from r2h_batch.closed_loop.transfer.outcome import Outcome as Transferred
 from r2h_batch.judge.distance import person_distance
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.metrics import reach_distance
@@ -87,6 +90,8 @@ class End(IntEnum):
     """the object is held out within reach, but the hand cannot take it: fingers are on the receiver's region
     (Affordance), no grasp of the hand is free (motion takes), or the robot did not hold still (motion takes)"""
     TIMEOUT = 6
+    NOT_TAKEN = 7
+    """the hand came to the object, and the transfer ended badly (`release`)"""
 
 
 class Why(IntEnum):
@@ -103,6 +108,7 @@ class Why(IntEnum):
     NO_GRASP = 8
     NOT_STILL = 9
     LATE = 10
+    NOT_RIGHTLY_TAKEN = 11
 
 
 WORDS = np.array(
@@ -118,6 +124,7 @@ WORDS = np.array(
         "no grasp of the hand is free",
         "the object moved while the hand took it",
         "the horizon came first",
+        "the person did not get the object out of the gripper, or not well",
     ]
 )
 _NAMES = np.array([end.name.lower() for end in End])
@@ -207,11 +214,13 @@ class HandoverEnv(VectorEnv):
     `T_world_hand` and `hand_joints` (16, 3) as the camera has them, `age` s of that frame; `gap` m, distance of the
     robot from that hand (`receiver="body"`: and its arm), `CAP_M` at most; `T_hand_ee`, the handover pose that the
     method asked for, in the frame of the hand that it was asked for. With `privileged`: `true_T_world_hand`,
-    `true_gap`. Reward: 1 for a success, -1 for a contact, a collision or a drop, less a tenth of the horizon's share
+    `true_gap`. With `release="action"`: `wrist_force` N, world axes, during the transfer. Reward: 1 for a success, -1
+    for a contact, a collision, a drop or a transfer that ends badly, less a tenth of the horizon's share
     that a step takes.
 
     `info` has for each row `end` (a name of `End` in small letters), `why` in words, `success`, `least_m` and
-    `margins` (criterion -> m) of the plan that the episode began with. `_end` marks rows that end in this step.
+    `margins` (criterion -> m) of the plan that the episode began with, with `release` also `transfer`, the outcome of the
+    transfer. `_end` marks rows that end in this step.
 
     Without `autoreset`, rows that have ended stand still until `reset`, whose option `reset_mask` names rows (B,). With
     it, they begin their next episode in the step after their last one (`AutoresetMode.NEXT_STEP`). A first episode
@@ -229,6 +238,7 @@ class HandoverEnv(VectorEnv):
         num_envs: int | None = None,
         output: Output = "numpy",
         autoreset: bool = False,
+        release: str | None = None,
     ) -> None:
         """The handovers of a call of `Evaluator.score`.
 
@@ -241,9 +251,14 @@ class HandoverEnv(VectorEnv):
             num_envs: B, handovers at once, at most the rows of `scores`; None: all.
             output: numpy arrays, or torch tensors on the scene's device.
             autoreset: whether rows that have ended begin their next episode.
+            release: a release policy (`transfer.release`), with motion takes: an episode goes on when the hand has come to
+                the object, and ends with the transfer. "action": the policy lets go itself. Its actions have one number
+                more, the last, and the gripper opens once that is positive. None: the episode ends with the hand at the
+                object.
 
         Raises:
             ValueError: the scores hold no inputs, or their Evaluator has an execution error.
+            ImportError, TypeError: there is no such release policy, or it is no class.
         """
         if (inputs := scores.inputs) is None:
             raise ValueError("these scores hold no inputs; score again")
@@ -264,6 +279,8 @@ class HandoverEnv(VectorEnv):
         self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.motion = ReceiverMotion.parse(motion) if isinstance(motion, str) else motion
         self.privileged, self.scene = privileged, self.evaluator.scene
+        self._transfers = self._transfers_of(release)
+        self._lets_go = release == ASKED
         self._sees_person = self.evaluator.config.receiver == "body"
         self.num_envs, self.step_s = num_envs or n, 1.0 / self.config.rate_hz
         self._device = torch.device(self.scene.device)
@@ -283,6 +300,8 @@ class HandoverEnv(VectorEnv):
                   "hand_joints": (16, 3), "age": (), "gap": (), "T_hand_ee": (4, 4)}  # fmt: skip
         if privileged:
             shapes |= {"true_T_world_hand": (4, 4), "true_gap": ()}
+        if self._lets_go:
+            shapes["wrist_force"] = (3,)
         self.single_observation_space = Dict(
             {k: Box(-MOST, MOST, shape, np.float32) for k, shape in shapes.items()}
         )
@@ -293,11 +312,26 @@ class HandoverEnv(VectorEnv):
             "pose": Box(-10.0, 10.0, (4, 4), np.float32),
             "posture": Box(np.float32(robot.lower), np.float32(robot.upper)),
         }[action]
+        if self._lets_go:
+            arm = self.single_action_space
+            low, high = (np.append(x, np.float32(y)) for x, y in ((arm.low, -1), (arm.high, 1)))
+            self.single_action_space = Box(low, high)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._every = torch.arange(self.num_envs, dtype=torch.int64, device=self._device)
         self._hold(self._every)
         self._begun = False
+
+    def _transfers_of(self, release: str | None) -> LoopTransfers | None:
+        if release is None:
+            return None
+        if self.motion.kind != "takes":
+            raise ValueError(
+                f"release needs receivers that take (motion takes), not {self.motion.kind}"
+            )
+        if release == ASKED and self.action == "pose":
+            raise ValueError('release="action" needs action velocity, twist or posture, not pose')
+        return LoopTransfers(self.scene, release, self.config.rate_hz)
 
     def _hold(self, rows: Tensor) -> None:
         """Puts these rows of the pool into the gripper: grasps, and poses that were asked."""
@@ -375,6 +409,8 @@ class HandoverEnv(VectorEnv):
         self._ended_s, self._least, self.gap = (zero.clone() for _ in range(3))
         self._by_robot = torch.zeros(b, dtype=torch.bool, device=device)
         self._at_take = zero.new_zeros(b, 3)
+        self._offered: dict[int, Handed] = {}
+        self._transferred = np.full(b, "", object)
         self._bias = torch.eye(4, dtype=torch.float32, device=device).repeat(b, 1, 1)
         self._seen, self.T_world_hand = self._bias.clone(), self._bias.clone()
         self._last_seen, self._first = self.k_of.clone(), self.k_of.clone()
@@ -414,6 +450,9 @@ class HandoverEnv(VectorEnv):
             counted[rows] = 0.0
         self._ended_s[rows] = torch.where(self._held[rows], torch.inf, 0.0).float()
         self._by_robot[rows], self._at_take[rows] = False, 0.0
+        for row in rows.tolist() if self._transfers is not None else []:
+            self._transfers.forget(row)
+            self._transferred[row] = ""
         hands = MovingHands.of(self.scene, self._drawn, self.motion)
         self.hands = hands if self.hands is None else hands.keeping(self.hands, ~mask)
         T = self.hands.pose(self.times)
@@ -482,8 +521,12 @@ class HandoverEnv(VectorEnv):
         if not bool(given.isfinite().all()):
             row = int(torch.nonzero(~given.isfinite())[0, 0])
             raise ValueError(f"actions of row {row} are not finite; they must be {words}")
+        given = given.to(self._device)
+        if self._lets_go:
+            given, opens = given[:, :-1], given[:, -1]
+            self._opens = opens > 0
         with self.evaluator.working():
-            return self._step(given.to(self._device))
+            return self._step(given)
 
     def _step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
         running = self.ends == int(End.RUNNING)
@@ -491,6 +534,10 @@ class HandoverEnv(VectorEnv):
         first, last = self.times, (self.k_of + 1).double() * self.step_s
         assert self.hands is not None
         q, qd = self.moved(actions, rows)
+        if self._transfers is not None:  # the arm holds still while the person takes the object
+            stands = self._transfers.begun(self.num_envs).to(self._device)[rows]
+            q = torch.where(stands[:, None], self.q[rows], q)
+            qd = torch.where(stands[:, None], 0.0, qd)
         T = self.hands.pose(last)
         moved = self.hands.travel(first, last) > 1e-6
         passed = self._distance.over_step(
@@ -561,6 +608,8 @@ class HandoverEnv(VectorEnv):
             "least_m": self._least.cpu().numpy(),
             "margins": {name: margin[:, i] for i, name in enumerate(CRITERIA)},
         }
+        if self._transfers is not None:
+            info["transfer"] = self._transferred.astype(np.str_)
         if before is not None:
             info["_end"] = (before.cpu().numpy() == int(End.RUNNING)) & (ends != int(End.RUNNING))
         return info
@@ -724,6 +773,11 @@ class HandoverEnv(VectorEnv):
         assert self.hands is not None
         goal = reception_scores.T_world_hand[reception_scores.received]
         self.hands.take(self.times[some], some, goal)
+        if self._transfers is not None:
+            ids = self._drawn.trial_id[rows].cpu().numpy()
+            index = self.trials.object_index[rows].cpu().numpy()
+            handed = handed_of(reception_scores, ids, index, self.scene)
+            self._offered |= {row: handed[j : j + 1] for j, row in enumerate(some.tolist())}
         self._at_take[some] = T[reception_scores.received, :3, 3].float()
 
     def _taken(self, rows: Tensor, rest: Tensor) -> None:
@@ -736,7 +790,30 @@ class HandoverEnv(VectorEnv):
         self._finish(rows[gone], End.NOT_RECEIVED, Why.NOT_STILL)
         assert self.hands is not None
         there = ~gone & rest & (self.hands.taken_s[rows] <= self.times[rows])
-        self._finish(rows[there], End.SUCCESS, Why.TAKEN)
+        if self._transfers is None:
+            self._finish(rows[there], End.SUCCESS, Why.TAKEN)
+        else:
+            self._transfer(rows[~gone], there[~gone])
+
+    def _transfer(self, rows: Tensor, there: Tensor) -> None:
+        """Begins the transfers of rows whose hand is `there`, goes on with those that have begun, and ends what is
+        over."""
+        transfers = self._transfers
+        assert transfers is not None
+        begun = transfers.begun(self.num_envs).to(rows.device)[rows]
+        for row in rows[there & ~begun].tolist():
+            transfers.begin(row, self._offered.pop(row), self.config.seed)
+        over: dict[int, Transferred] = {}
+        for row in rows[begun].tolist():
+            opens = self._lets_go and bool(self._opens[row])
+            if (outcome := transfers.go_on(row, opens)) is not None:
+                over[row] = outcome
+        for row, outcome in over.items():
+            transfers.forget(row)
+            self._transferred[row] = str(outcome)
+            taken = outcome == Transferred.TAKEN
+            end, why = (End.SUCCESS, Why.TAKEN) if taken else (End.NOT_TAKEN, Why.NOT_RIGHTLY_TAKEN)
+            self._finish(torch.tensor([row], dtype=torch.int64, device=rows.device), end, why)
 
     def _finish(self, rows: Tensor, end: End, why: Why) -> None:
         """Ends episodes. One that came to nothing worse is looked at once more, all its way: does the robot meet
@@ -853,6 +930,9 @@ class HandoverEnv(VectorEnv):
             "gap": gap,
             "T_hand_ee": self._T_hand_ee.clone(),
         }
+        if self._lets_go:
+            assert self._transfers is not None
+            found["wrist_force"] = self._transfers.forces(self.num_envs).float().to(self._device)
         if self.privileged:
             found |= {"true_T_world_hand": self.T_world_hand.clone(), "true_gap": self.gap.clone()}
         return found

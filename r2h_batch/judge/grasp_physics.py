@@ -126,9 +126,25 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
     for name in FINGERS:
         add_servo(spec, name, kp, kv)
     T = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee @ np.linalg.inv(T_obj_ee)
+    add_object(spec, model, T, stiff=stiff)
+    return spec
+
+
+def add_object(
+    spec: mujoco.MjSpec, model: ObjectModel, T_gripper_obj: Array, *, stiff: Sequence[float]
+) -> None:
+    """Adds the object's convex pieces as a free body, the last joint of the model.
+
+    Args:
+        spec: with the fingers; its world is the gripper.
+        model: the object.
+        T_gripper_obj: (4, 4) where it is, m.
+        stiff: MuJoCo's solref of contacts.
+    """
     xx, yy, zz, xy, xz, yz = model.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     held = spec.worldbody.add_body(
-        name="object", pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]), explicitinertial=True, mass=float(model.mass), ipos=model.com,
+        name="object", pos=T_gripper_obj[:3, 3], quat=quat_wxyz(T_gripper_obj[:3, :3]),
+        explicitinertial=True, mass=float(model.mass), ipos=model.com,
         fullinertia=[xx, yy, zz, xy, xz, yz],
     )  # fmt: skip
     held.add_freejoint()
@@ -138,7 +154,6 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
             type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece_{k}", contype=2, conaffinity=1,
             friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
         )  # fmt: skip
-    return spec
 
 
 def add_closing_fingers(
@@ -188,6 +203,27 @@ def add_closing_fingers(
             contype=1, conaffinity=2, friction=[friction, 0.005, 0.0001], condim=4, solref=stiff,
         )  # fmt: skip
     tie(spec, "left", "right", (0, 1), solref=stiff)
+
+
+def add_motor(spec: mujoco.MjSpec, joint: str, damping: float) -> None:
+    """effort = ctrl - damping qd at a joint: full effort moves it at its largest speed, and at rest all of it
+    presses."""
+    spec.add_actuator(
+        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE, gainprm=[1.0, *[0] * 9], biasprm=[0, 0, -damping, *[0] * 7],
+    )  # fmt: skip
+
+
+def full_effort(robot: Robot) -> float:
+    """Largest effort of each finger's motor, N m (N: jaws): about 30 N (25 N) between the pads."""
+    return TORQUE_NM if robot.linkage.table is None else FORCE_N
+
+
+def opening_speed(robot: Robot) -> float:
+    """Speed of each finger's motor at which the gap opens by `CLOSING_M_S`, rad/s (m/s: jaws), half open."""
+    middle = robot.open_gap_m / 2
+    turn = float(drive_from_gap(robot, middle - 0.005) - drive_from_gap(robot, middle + 0.005))
+    return abs(turn) / 0.01 * CLOSING_M_S
 
 
 def finger_posture(robot: Robot, gap_m: float) -> Array:

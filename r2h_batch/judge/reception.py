@@ -6,7 +6,7 @@ holds it out, and the robot stands at its goal. docs/receivers.md has the defini
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
 
@@ -21,6 +21,7 @@ from torch import Tensor
 from r2h_batch.base import se3
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.validate import array, check_arguments, instance_of
+from r2h_batch.judge.closed_pose import closed_poses
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.hand_clearance import PosedHand, posed_hand
@@ -30,14 +31,20 @@ from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.hand import palm_frame
 from r2h_batch.scene.scene import Scene
 from r2h_batch.scene.tables import MIDDLE_ROOT
-from r2h_batch.trials.holding.held_out import GRAVITY, HeldOut, load_held_out
+from r2h_batch.trials.holding.capacity import (
+    AXES_SHARE,
+    GRIP_BASE_N,
+    GRIP_PER_WEIGHT,
+    Withstood,
+)
+from r2h_batch.trials.holding.held_out import GRAVITY, G, HeldOut, load_held_out
 from r2h_batch.types import CRITERIA, ScoreInputs, Scores
 
 STEPS = ("arm", "free", "way", "clear", "release", "hold")
 """Steps that a grasp must pass, in this order. arm: joint ranges allow it. free: the hand is clear
 of the closed gripper. way: it can come straight from 10 cm away. clear: arm and torso are clear of
 the robot. release: the fingers can open and back off by 10 cm. hold: the hand carries the object
-with at most `GRIP_N`."""
+with at most `GRIP_N`, also while it pulls."""
 
 ANGLES = (
     "shoulder_flexion",
@@ -54,6 +61,10 @@ ROOM_M = 0.0005
 """Between hand and gripper [choice]."""
 GRIP_N = 40.0
 """Largest force of one digit or the palm [choice]."""
+PULL_N = 10.0
+"""Pull of the person at which a gripper lets go [choice]: it turns the object in the hand about the gripper."""
+LIFT = 0.2
+"""The person pulls along the forearm, at least level, and this much upwards (as a slope) [choice]."""
 WAYS_TRIED = 8
 """The easiest grasps whose whole way is looked at, one after the other."""
 TRIALS_AT_ONCE, PAIRS_CHUNK = 256, 16
@@ -79,9 +90,11 @@ class Reception:
         elbow: where the elbow is then, world, m.
         T_world_hand: where the hand is then, m.
         wrist: where its wrist is then, world, m.
-        T_obj_ee: the grasp once the gripper has closed, m; identity where nothing is held.
+        pull: unit vector along which the person pulls, world.
+        T_obj_ee: the grasp once the gripper has closed (`closed_pose`), m; identity where nothing is held.
         T_world_obj: where the object is held out, m.
         opening_m: the gripper's squeezed opening.
+        closing_m: how far closing moved the centre of mass, m.
     """
 
     evaluated: Bool[Tensor, " b"]
@@ -97,9 +110,11 @@ class Reception:
     elbow: Float32[Tensor, "b 3"]
     T_world_hand: Float32[Tensor, "b 4 4"]
     wrist: Float32[Tensor, "b 3"]
+    pull: Float32[Tensor, "b 3"]
     T_obj_ee: Float32[Tensor, "b 4 4"]
     T_world_obj: Float32[Tensor, "b 4 4"]
     opening_m: Float32[Tensor, " b"]
+    closing_m: Float32[Tensor, " b"]
 
 
 @check_arguments(
@@ -145,12 +160,17 @@ class _Grasps:
     first: Int32[Tensor, "o 2"]
     number: Int32[Tensor, "o 2"]
     grip_n: Float32[Tensor, "m 6"]
+    withstands: dict[str, Tensor]
+    """fields of `capacity.Withstood`, float64"""
+    com: Float64[Tensor, "o 3"]
+    mass: Float64[Tensor, " o"]
     open_gap_m: float
 
 
 @lru_cache(maxsize=2)
 def _grasps(scene: Scene) -> _Grasps:
     held_out = load_held_out(scene.objects, scene.hands.model)
+    withstood = Withstood.of(scene.objects, scene.hands.model)
     grasps = held_out.grasps
     joints = grasps.joints.double()
     _, normal = palm_frame(joints, grasps.side)
@@ -176,8 +196,38 @@ def _grasps(scene: Scene) -> _Grasps:
         first.view(-1, 2).to(scene.device),
         number.view(-1, 2).to(scene.device),
         held_out.grip_n.to(scene.device),
+        {
+            f.name: torch.from_numpy(getattr(withstood, f.name)).to(scene.device, torch.float64)
+            for f in fields(withstood)
+        },
+        *(
+            torch.from_numpy(np.array([getattr(o, k) for o in scene.objects], np.float64)).to(
+                scene.device
+            )
+            for k in ("com", "mass")
+        ),
         scene.robot.open_gap_m,
     )
+
+
+def _once_closed(
+    scene: Scene, object_index: Tensor, T_obj_ee: Tensor, opening: Tensor, evaluated: Tensor
+) -> tuple[Float32[Tensor, "b 4 4"], Float32[Tensor, " b"]]:
+    """The grasps once the gripper has closed, as physics has it, and how far that moved the centre of mass (m);
+    others stay."""
+    rows, robot = torch.nonzero(evaluated).flatten(), scene.robot
+    T_ee_gripper = np.linalg.inv(robot.T_flange_ee) @ robot.T_flange_gripper
+    grasp = T_obj_ee[rows].double().cpu().numpy()
+    index = object_index[rows].long().cpu().numpy()
+    before = np.asarray(np.linalg.inv(grasp @ T_ee_gripper), np.float64)
+    gap = opening[rows].double().cpu().numpy()
+    after = closed_poses(robot, scene.objects, index, before, gap)
+    closed, moved = T_obj_ee.clone(), torch.zeros_like(opening)
+    closed[rows] = torch.from_numpy(np.linalg.inv(T_ee_gripper @ after)).to(closed)
+    com = np.array([scene.objects[k].com for k in index], np.float64).reshape(-1, 3)
+    was, now = (se3.apply(torch.from_numpy(T), torch.from_numpy(com)) for T in (before, after))
+    moved[rows] = se3.dot(now - was, now - was).sqrt().to(moved)
+    return closed, moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +248,7 @@ class _Batch:
     """first grasp of each trial's object and hand, and how many there are"""
     known: Int32[Tensor, " b"]
     of_trial: dict[str, Tensor]
+    closing_m: Float32[Tensor, " b"]
 
     @property
     def width(self) -> int:
@@ -226,10 +277,10 @@ def _reception(scores: Scores, leans_deg: tuple[float, ...]) -> Reception:
     arms = _arms(batch, leans_deg)
     passes = torch.zeros((*arms["effort"].shape, len(STEPS)), dtype=torch.bool, device=batch.device)
     passes[..., 0] = arms["effort"] >= 0
-    passes[..., 5] = _held(batch)
     way = _come(batch, arms, passes)
     _beside_robot(batch, arms, passes)
     _let_go(batch, arms, passes)
+    _carry(batch, arms, passes)
     passes = passes.cummin(2).values
     chosen = _easiest(batch, arms, way, passes[..., -1])
     return _result(batch, arms, passes.sum(1), chosen)
@@ -250,9 +301,11 @@ def _batch_of(scores: Scores) -> _Batch:
         se3.orthonormalise(torch.where(evaluated[:, None, None], T.to(device), eye))
         for T in executed
     )
-    attached = attach(T_obj_ee, torch.where(evaluated, scores.grasp_shift_m, 0.0)).contiguous()
+    grasped = attach(T_obj_ee, torch.where(evaluated, scores.grasp_shift_m, 0.0))
     squeezed = scores.opening_m - evaluator.config.thresholds.pad_squeeze_m
     opening = torch.where(evaluated, squeezed, 0.0).clamp(min=0.0).contiguous()
+    attached, closing_m = _once_closed(scene, trials.object_index, grasped, opening, evaluated)
+    attached = attached.contiguous()
     T_world_obj = se3.matmul(T_world_ee.double(), se3.inverse(attached.double())).float()
     objects = trials.object_index.long()
     side = scene.hands.set.side.to(device)[trials.hand_index.long()].long()
@@ -286,6 +339,7 @@ def _batch_of(scores: Scores) -> _Batch:
             "T_world_obj": T_world_obj.contiguous(),
             "T_world_hand": trials.T_world_hand.contiguous(),
         },
+        closing_m,
     )
 
 
@@ -405,7 +459,9 @@ def _result(
         torch.where(received[:, None], arms["elbow"][trial, k], nan),
         torch.where(received[:, None, None], T_hand.float(), nan),
         torch.where(received[:, None], wrist, nan),
+        torch.where(received[:, None], pull_direction(arms["elbow"][trial, k], wrist), nan),
         *(batch.of_trial[k] for k in ("attached", "T_world_obj", "opening")),
+        batch.closing_m,
     )
 
 
@@ -428,13 +484,49 @@ def _about_axis(grasps: _Grasps, objects: Tensor, angle: Tensor) -> Float32[Tens
     return se3.from_rotation(R, point - se3.rotate(R, point)).float()
 
 
-def _held(batch: _Batch) -> Bool[Tensor, "b k"]:
-    """Whether the hands carry the object against gravity, that of the nearest of `GRAVITY`."""
-    down = -batch.of_trial["T_world_obj"][:, 2, :3]
-    nearest = (down @ torch.from_numpy(GRAVITY.T).to(down)).argmax(1)
-    k = torch.arange(batch.width, dtype=torch.int64, device=down.device)
-    rows = (batch.first.long()[:, None] + k).clamp(max=len(batch.grasps.grip_n) - 1)
-    return batch.grasps.grip_n[rows, nearest[:, None]] <= GRIP_N
+def _carry(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
+    """Writes the step hold: the hands carry the object, and the object does not turn in them while they pull.
+
+    The gripper holds on at its TCP, as a point does, until `PULL_N`; then the hand has the weight alone. The person grips
+    as in a transfer (`capacity`): firmer with the load, both sides together with 2 `GRIP_N` at most.
+    """
+    trial, k = torch.nonzero(passes[..., :5].all(2), as_tuple=True)
+    pair = batch.pairs(trial, k, arms)
+    grasps, objects, row = batch.grasps, pair["object"].long(), pair["row"].long()
+    stored, T_obj = grasps.withstands, pair["T_world_obj"].double()
+    # objects of revolution may be turned about their axes: the grasp goes with the hand
+    T_grasp = se3.matmul(T_obj, _about_axis(grasps, objects, pair["turn"]).double())
+    R = se3.matmul(T_grasp[:, :3, :3], stored["axes"][objects])
+    down = -R[:, 2]
+    gravity = (down @ torch.from_numpy(GRAVITY.T).to(down)).argmax(1)
+    center = T_grasp[:, :3, 3] + se3.rotate(R, stored["center"][row])
+    weight = torch.zeros_like(center)
+    weight[:, 2] = grasps.mass[objects] * G
+    pull = PULL_N * pull_direction(pair["elbow"].double(), batch.wrists(pair).double())
+    com = se3.apply(T_obj, grasps.com[objects])
+    tcp = se3.apply(T_obj, pair["attached"][:, :3, 3].double())
+    own = torch.cat([weight, se3.cross(com - center, weight)], 1)
+    pulled = own + torch.cat([pull, se3.cross(tcp - center, pull)], 1)
+    size = se3.dot(pulled[:, :3], pulled[:, :3]).sqrt()
+    usual, capacity = stored["total_n"][row, gravity], stored["capacity"][row, gravity]
+    grip = torch.maximum(usual, GRIP_BASE_N + GRIP_PER_WEIGHT * size).clamp(max=2 * GRIP_N)
+    most = AXES_SHARE * capacity * grip[:, None]
+    stays = torch.ones_like(usual, dtype=torch.bool)
+    for load in (own, pulled):
+        along = torch.cat([se3.rotate(R.mT, part) for part in load.split(3, 1)], 1)
+        stays &= (along.abs() <= most).all(1)
+    passes[trial, k, 5] = stays & (grasps.grip_n[row, gravity] <= GRIP_N)
+
+
+def pull_direction(
+    elbow: Float64[Tensor, "n 3"], wrist: Float64[Tensor, "n 3"]
+) -> Float64[Tensor, "n 3"]:
+    """Unit vectors along which persons pull, world; see `LIFT`."""
+    along = elbow - wrist
+    along = torch.cat([along[:, :2], along[:, 2:].clamp(min=0.0)], 1)
+    along = along / se3.dot(along, along).sqrt()[:, None]
+    along[:, 2] += LIFT
+    return along / se3.dot(along, along).sqrt()[:, None]
 
 
 def chance_of_one(

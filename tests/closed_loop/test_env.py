@@ -599,3 +599,65 @@ def moved_by(T, way):
     T = T.clone()
     T[:, :3, 3] += way
     return T
+
+
+@pytest.fixture(scope="module")
+def takeable(scores):
+    """Handovers that the hand comes to and takes where nobody asks how."""
+    _, e = played(scores, "planned", "takes")
+    return scores[(e.end == int(End.SUCCESS)).nonzero().flatten()[:3]]
+
+
+class LetsGo:
+    """Follows the plan, and opens so long after it first felt the wrist."""
+
+    def __init__(self, env, after_s):
+        self.planned, self.after_s, self.step_s = Planned(env), after_s, env.step_s
+        self.felt_s = torch.zeros(env.num_envs)
+
+    def __call__(self, seen):
+        self.felt_s += (seen["wrist_force"] != 0).any(1) * self.step_s
+        opens = torch.where(self.felt_s > self.after_s, 1.0, -1.0)
+        return torch.cat([self.planned(seen), opens[:, None]], 1)
+
+
+def test_an_episode_may_end_with_the_transfer_and_says_how_it_went(takeable):
+    env = HandoverEnv(takeable, "takes", action=Planned.action, release="load-share")
+    e = run(env, Planned)
+    how = env._info(None)["transfer"]
+    assert set(how) <= {"taken", "badly_held", "dropped", "robot_dropped", "not_released", "torn_out", "stuck"}
+    assert ((e.end == int(End.SUCCESS)).numpy() == (how == "taken")).all() and "taken" in how
+    assert (e.end.numpy()[how != "taken"] == int(End.NOT_TAKEN)).all()
+    assert (e.time_s > env.hands.taken_s.float() + 0.3).all()
+    apart = HandoverEnv(takeable[1:2], "takes", action=Planned.action, release="load-share")
+    alone = run(apart, Planned)
+    assert alone.end[0] == e.end[1] and alone.time_s[0] == e.time_s[1]
+
+
+def test_an_action_opens_the_gripper_and_one_that_never_does_keeps_it(takeable):
+    ends, times = [], []
+    for seconds in (0.8, 100.0):
+        env = HandoverEnv(takeable, "takes", action=Planned.action, release="action")
+        assert env.single_action_space.shape == (7,)
+        seen, _ = env.reset()
+        policy = LetsGo(env, seconds)
+        while running(env):
+            seen, *_ = env.step(policy(seen))
+        e = env.episodes()
+        ends.append(env._info(None)["transfer"])
+        times.append(e.time_s)
+    assert "taken" in ends[0] and "taken" not in ends[1] and "not_released" in ends[1]
+    assert ((times[0] < times[1]) | torch.from_numpy(ends[0] != "taken")).all()
+
+
+def test_gymnasiums_checker_passes_with_an_action_to_open_and_what_does_not_fit_is_refused(scores):
+    one = envs.HandoverEnv(scores[:1], "takes", config=LoopConfig(horizon_s=1), release="action")
+    check_env(SingleHandoverEnv(one), skip_render_check=True)
+    seen, _ = one.reset(seed=5)
+    assert one.observation_space.contains(seen) and seen["wrist_force"].shape == (1, 3)
+    with pytest.raises(ValueError, match="release needs receivers that take"):
+        HandoverEnv(scores, "moves", release="load-share")
+    with pytest.raises(ValueError, match='release="action" needs action velocity, twist or posture'):
+        HandoverEnv(scores, "takes", action="pose", release="action")
+    with pytest.raises(ImportError, match="no release policy 'soon'"):
+        HandoverEnv(scores, "takes", release="soon")

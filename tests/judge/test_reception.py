@@ -23,9 +23,11 @@ from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.methods import oracle
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import ShapeKind, ee_pose, forward_kinematics
+from r2h_batch.trials.holding.capacity import usual_grips
 from r2h_batch.trials.holding.held_out import (
     CONE_EDGES,
     FRICTION,
+    GRAVITY,
     friction_edges,
     grip_forces,
     load_held_out,
@@ -490,6 +492,47 @@ def test_no_forearm_goes_through_the_torso():
     assert np.abs(effort[there] - twin[there]).max() < 1e-4
     plain, _ = searched(inputs)
     assert (~there).sum() >= 10 and (effort[there] > plain[there] + 1e-4).sum() >= 5
+
+
+def test_hands_hold_what_they_carry_and_what_a_pull_about_the_gripper_does_not_turn_in_them(scores, steps):
+    """Forces and moments in float64, from the poses, and the grips that transfers have."""
+    batch, arms, passes, _ = steps
+    judge._carry(batch, arms, passes)
+    trial, k, pair = pairs_of(batch, arms, passes[..., :5].all(2), 300)
+    held_out, objects = batch.grasps.held_out, evaluator().scene.objects
+    found = passes[trial, k, 5].numpy()
+    T_obj, turned = (
+        T.double().numpy()
+        for T in (pair["T_world_obj"], judge._about_axis(batch.grasps, pair["object"].long(), pair["turn"]))
+    )
+    T_grasp = T_obj @ turned
+    rows = pair["row"].long().numpy()
+    grips = usual_grips(held_out, objects, rows, -T_grasp[:, 2, :3])
+    elbow, wrist = pair["elbow"].double().numpy(), batch.wrists(pair).double().numpy()
+    expected, sure = [], []
+    for i, row in enumerate(rows):
+        model = objects[int(pair["object"][i])]
+        along = elbow[i] - wrist[i]
+        along[2] = max(along[2], 0.0)
+        pull = along / np.linalg.norm(along) + [0, 0, judge.LIFT]
+        pull *= judge.PULL_N / np.linalg.norm(pull)
+        weight = np.array([0, 0, float(model.mass) * 9.81])
+        center = T_grasp[i, :3, :3] @ grips.center[i] + T_grasp[i, :3, 3]
+        com = T_obj[i, :3, :3] @ np.asarray(model.com, float) + T_obj[i, :3, 3]
+        tcp = T_obj[i] @ np.append(pair["attached"][i, :3, 3].double().numpy(), 1.0)
+        axes = T_grasp[i, :3, :3] @ grips.axes[i]
+        grip = min(max(grips.total_n[i], 10 + 5 * np.linalg.norm(weight + pull)), 80.0)
+        load = [np.r_[weight, np.cross(com - center, weight)]]
+        load.append(load[0] + np.r_[pull, np.cross(tcp[:3] - center, pull)])
+        share = max(
+            (abs(np.r_[axes.T @ w[:3], axes.T @ w[3:]]) / (0.7 * grip * grips.capacity[i] + 1e-12)).max() for w in load
+        )
+        down = -axes[2]
+        weakest = float(held_out.grip_n[row, int((GRAVITY @ down).argmax())]) <= judge.GRIP_N
+        expected.append(weakest and share <= 1.0)
+        sure.append(abs(share - 1.0) > 1e-3)
+    assert np.mean(sure) > 0.9 and np.array_equal(found[sure], np.array(expected)[sure])
+    assert 0.05 < found.mean() < 0.95
 
 
 # --- what comes out --------------------------------------------------------------------------------------------------

@@ -44,12 +44,11 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Transferred:
-    """N handovers in one case: what came of them, the persons, and how far closing moved each object (m)."""
+    """N handovers in one case: what came of them, and the persons."""
 
     case: Case
     transfers: Transfers
     persons: Persons
-    closing_m: Float64[NDArray[np.float64], " n"]
 
 
 class Simulator:
@@ -98,7 +97,7 @@ class Simulator:
             com_closed=torch.from_numpy(np.array([c.com_closed for c in closed])),
             noise=noise_of(handed.trial_id, case.person, self.seed),
         )
-        return Transferred(case, made, persons, np.array([c.moved_m for c in closed]))
+        return Transferred(case, made, persons)
 
 
 _simulator: Simulator | None = None

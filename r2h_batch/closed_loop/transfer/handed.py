@@ -23,9 +23,6 @@ from r2h_batch.types import CRITERIA, ScoreInputs, Scores
 
 Array = NDArray[np.float64]
 
-LIFT = 0.2
-"""The person pulls along the forearm, at least level, and this much upwards (as a slope) [choice]."""
-
 
 @dataclass(frozen=True, eq=False)
 class Gripped:
@@ -66,6 +63,7 @@ class Handed(Gripped):
         press: (N, 3) unit vector into the object there.
         weight_n: (N,) weight of the object, N.
         R_world_gripper: (N, 3, 3) orientation of the gripper.
+        closing_m: (N,) how far the closing gripper has moved the object to where it is.
     """
 
     T_gripper_slip: Float64[Array, "n 4 4"]
@@ -76,6 +74,7 @@ class Handed(Gripped):
     press: Float64[Array, "n 3"]
     weight_n: Float64[Array, " n"]
     R_world_gripper: Float64[Array, "n 3 3"]
+    closing_m: Float64[Array, " n"]
 
 
 def gripped_of(scores: Scores, trial_id: NDArray[np.int64]) -> Gripped:
@@ -124,7 +123,7 @@ def handed_of(
     rows = torch.nonzero(found.received.cpu())[:, 0]
     numpy = {
         k: getattr(found, k).cpu()[rows].double().numpy()
-        for k in ("T_world_hand", "T_obj_ee", "T_world_obj", "opening_m", "elbow", "wrist")
+        for k in ("T_world_hand", "T_obj_ee", "T_world_obj", "opening_m", "pull", "closing_m")
     }
     index = object_index[rows.numpy()].astype(np.int64)
     held_out = load_held_out(scene.objects, scene.hands.model)
@@ -141,10 +140,6 @@ def handed_of(
     T_world_gripper = T_world_obj @ numpy["T_obj_ee"] @ _T_ee_gripper(scene.robot)
     T_gripper_world = np.linalg.inv(T_world_gripper)
     R = T_gripper_world[:, :3, :3]  # of float32 poses: orthonormal to 1e-6
-    pull = numpy["elbow"] - numpy["wrist"]
-    pull[:, 2] = np.maximum(pull[:, 2], 0.0)
-    pull = _unit(pull)
-    pull[:, 2] += LIFT
     normal = _turn(T_world_grasped[:, :3, :3], grips.normal)
     mass = np.array([float(o.mass) for o in scene.objects])[index]
     return Handed(
@@ -156,11 +151,12 @@ def handed_of(
         T_gripper_world @ T_world_slip,
         grips.capacity,
         grips.total_n,
-        _turn(R, _unit(pull)),
+        _turn(R, numpy["pull"]),
         _apply(T_gripper_world @ T_world_grasped, grips.point),
         _turn(R, -normal),
         mass * G,
         T_world_gripper[:, :3, :3],
+        numpy["closing_m"],
     )
 
 
@@ -174,7 +170,3 @@ def _apply(T: Array, p: Array) -> Array:
 
 def _turn(R: Array, v: Array) -> Array:
     return np.asarray(np.einsum("nij,nj->ni", R, v))
-
-
-def _unit(v: Array) -> Array:
-    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))

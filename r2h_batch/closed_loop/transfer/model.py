@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.judge.grasp_physics import (
-    CLOSING_M_S,
     FINGERS,
-    FORCE_N,
     FRICTION,
-    TORQUE_NM,
     add_closing_fingers,
+    add_motor,
     finger_posture,
+    full_effort,
+    opening_speed,
 )
 from r2h_batch.scene.dynamics import add_servo, quat_wxyz
 from r2h_batch.scene.model_parts import add_mesh
 from r2h_batch.scene.objects import ObjectModel
-from r2h_batch.scene.robot import Robot, drive_from_gap
+from r2h_batch.scene.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.
     add_closing_fingers(spec, base, robot, stiff=stiff, friction=setting.pad_friction)
     for name in FINGERS:
         spec.geom(name).priority = 1  # the friction of the pads counts, not the larger one
-        _add_motor(spec, name, full_effort(robot) / opening_speed(robot))
+        add_motor(spec, name, full_effort(robot) / opening_speed(robot))
     hand = spec.worldbody.add_body(
         name="hand", explicitinertial=True, mass=ARM_KG, inertia=[ARM_KG_M2] * 3
     )
@@ -118,27 +118,6 @@ def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.
     for body in spec.bodies:
         body.gravcomp = float(body.name not in ("world", "object"))
     return spec
-
-
-def _add_motor(spec: mujoco.MjSpec, joint: str, damping: float) -> None:
-    """effort = ctrl - damping qd at a joint: full effort moves it at its largest speed, and at rest all of it
-    presses."""
-    spec.add_actuator(
-        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE, gainprm=[1.0, *[0] * 9], biasprm=[0, 0, -damping, *[0] * 7],
-    )  # fmt: skip
-
-
-def full_effort(robot: Robot) -> float:
-    """Largest effort of each finger's motor, N m (N: jaws): about 30 N (25 N) between the pads."""
-    return TORQUE_NM if robot.linkage.table is None else FORCE_N
-
-
-def opening_speed(robot: Robot) -> float:
-    """Speed of each finger's motor at which the gap opens by `CLOSING_M_S`, rad/s (m/s: jaws), half open."""
-    middle = robot.open_gap_m / 2
-    turn = float(drive_from_gap(robot, middle - 0.005) - drive_from_gap(robot, middle + 0.005))
-    return abs(turn) / 0.01 * CLOSING_M_S
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from r2h_batch.base import rng
 from r2h_batch.closed_loop.transfer.handed import Handed
 from r2h_batch.closed_loop.transfer.model import LEAST_FRICTION, TICK_S, Setting
 from r2h_batch.closed_loop.transfer.worlds import Seen
-from r2h_batch.trials.holding.capacity import GRIP_BASE_N, GRIP_PER_WEIGHT
+from r2h_batch.trials.holding.capacity import AXES_SHARE, GRIP_BASE_N, GRIP_PER_WEIGHT
 
 BEGIN_S = 0.15
 """Before that nobody touches the object, and policies tare."""
@@ -30,8 +30,6 @@ PATIENCE_S, REST_S, FIRMER, PULLS = 0.5, 0.4, 1.25, 2
 pull the person gives up."""
 AWAY_M, KEEP_S = 0.25, 0.5
 """When the gripper lets go, the person goes on by so far. What then happens in the hand for so long decides."""
-AXES_SHARE = 0.7
-"""Share of the capacity along each axis that acts: all six act together [choice]."""
 FELT_SHARE = 0.3
 """Share of the new reading that the felt force takes over in a tick."""
 LOST_M, LOST_DEG = 0.05, 90.0

@@ -85,29 +85,65 @@ def simulate(
     """Runs N transfers to their ends.
 
     Args:
+        worlds, hands, R_world_gripper, com_closed, noise: as of `Running`.
+        policy: a class of `release.POLICIES`, or a user's.
+    """
+    running = Running(
+        worlds, hands, R_world_gripper=R_world_gripper, com_closed=com_closed, noise=noise
+    )
+    decides = policy(running.robot_side)
+    while (seen := running.observe()) is not None:
+        running.act(decides(seen))
+    return _transfers(running.book)
+
+
+class Running:
+    """N transfers, tick by tick: `observe`, then `act`.
+
+    Attributes:
+        book: what has happened.
+        robot_side: what release policies are made with.
+    """
+
+    def __init__(
+        self,
+        worlds: Worlds,
+        hands: Hands,
+        *,
+        R_world_gripper: Float64[Tensor, "n 3 3"],
+        com_closed: Float64[Tensor, "n 3"],
+        noise: Float64[NDArray[np.float64], "t n 3"],
+    ) -> None:
+        """Args:
         worlds: with the gripper closed and the weight acting.
         hands: the persons.
-        policy: a class of `release.POLICIES`, or a user's.
         R_world_gripper: (N, 3, 3) orientation of the gripper.
         com_closed: (N, 3) centre of mass when the gripper had closed, frame gripper, m.
         noise: of the sensor, world axes, N.
-    """
-    seen = worlds.seen()
-    book = Book(seen, com_closed, hands)
-    decides = policy(RobotSide(hands.weight, TICK_S))
-    fingers = _Robot(R_world_gripper)
-    for tick in range(MOST_TICKS):
-        seen = worlds.seen()
-        book.look(seen)
-        if not bool(book.running.any()):
-            break
-        action = decides(fingers.observes(seen, noise[tick]))
+        """
+        self.worlds, self.hands, self.noise = worlds, hands, noise
+        self.book = Book(worlds.seen(), com_closed, hands)
+        self.robot_side = RobotSide(hands.weight, TICK_S)
+        self._fingers = _Robot(R_world_gripper)
+
+    def observe(self) -> Observation | None:
+        """What release policies see at this tick; None: all transfers are over."""
+        seen, tick = self.worlds.seen(), self._fingers.tick
+        if tick == MOST_TICKS:
+            return None
+        self.book.look(seen)
+        if not bool(self.book.running.any()):
+            return None
+        return self._fingers.observes(seen, self.noise[tick])
+
+    def act(self, action: Action) -> None:
+        """Robots and persons act, and the worlds go on by a tick."""
+        book, seen = self.book, self.worlds.seen()
         book.decide(action.open)
-        acts = hands.act(seen, book.released, book.lost)
-        effort, shift = fingers.moves(action, book)
+        acts = self.hands.act(seen, book.released, book.lost)
+        effort, shift = self._fingers.moves(action, book)
         told = Told(effort, shift, acts.hand, acts.friction, acts.push)
-        worlds.step(told, book.running)
-    return _transfers(book)
+        self.worlds.step(told, book.running)
 
 
 class _Robot:

@@ -24,12 +24,12 @@ from r2h_batch.closed_loop.transfer.model import (
     TICK_S,
     Places,
     Setting,
-    full_effort,
     place,
     start_posture,
     transfer_spec,
 )
 from r2h_batch.closed_loop.transfer.worlds import Seen, Told
+from r2h_batch.judge.grasp_physics import full_effort
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import Robot
 from r2h_batch.trials.holding.held_out import G

@@ -53,9 +53,11 @@ MADE_OF = b"r2h_batch transfer"
 """Key of the Parquet file's metadata: the rows and the code that its transfers were made of, and the cases."""
 CODE = (
     "r2h_batch.closed_loop.transfer",
+    "r2h_batch.judge.closed_pose",
     "r2h_batch.judge.grasp_physics",
     "r2h_batch.judge.reception",
     "r2h_batch.trials.holding.capacity",
+    "r2h_batch.trials.holding.contact_forces",
 )
 VERSIONS = ("mujoco", "numpy", "scipy", "torch")
 
@@ -235,7 +237,7 @@ def table_of(handed: Handed, made: Sequence[Transferred], success: dict[int, boo
             "false_release": np.array([o == Outcome.FALSE_RELEASE for o in t.outcome], bool),
             **{k: getattr(t, k) for k in numbers},
             **{f"t{s}_s": t.share_s[:, k] for k, s in enumerate((10, 50, 90))},
-            "closing_m": one.closing_m,
+            "closing_m": handed.closing_m,
             **{f"person_{k}": getattr(one.persons, k) for k in _PERSON},
         }
         tables.append(_table(columns, n))

@@ -40,7 +40,7 @@ def screwdrivers(n: int = 3, below_m: float = 0.06) -> Handed:
     return Handed(
         np.arange(n, dtype=np.int64), np.zeros(n, np.int64), rows(T), np.full(n, gap), rows(down), rows(slip),
         rows([0.6, 0.6, 0.6, 0.01, 0.01, 0.01]), np.full(n, 20.0), rows([-0.2, 0.0, 0.98]), rows(slip[:3, 3]),
-        rows([0.0, 0.0, 1.0]), np.full(n, WEIGHT_N), rows(R_world),
+        rows([0.0, 0.0, 1.0]), np.full(n, WEIGHT_N), rows(R_world), np.zeros(n),
     )  # fmt: skip
 
 
