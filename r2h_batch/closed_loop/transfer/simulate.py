@@ -127,7 +127,7 @@ class Running:
         self._fingers = _Robot(R_world_gripper)
 
     def observe(self) -> Observation | None:
-        """What release policies see at this tick; None: all transfers are over."""
+        """The observation of release policies at this tick; None: all transfers are over."""
         seen, tick = self.worlds.seen(), self._fingers.tick
         if tick == MOST_TICKS:
             return None

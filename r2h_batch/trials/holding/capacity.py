@@ -114,7 +114,7 @@ def usual_grips(
 
 @dataclass(frozen=True, eq=False)
 class Withstood:
-    """What the M held-out grasps of O objects withstand, for gravity along each of `GRAVITY`.
+    """Loads that the M held-out grasps of O objects withstand, for gravity along each of `GRAVITY`.
 
     Fields are those of `Grips`, in the frame of the object as it is stored. `axes` (O, 3, 3) turn it into the
     object's.
@@ -129,7 +129,7 @@ class Withstood:
 
     @staticmethod
     def of(objects: Sequence[ObjectModel], hand: HandModel) -> Withstood:
-        """Of all held-out grasps of these objects, in the order of `load_held_out(objects, hand)`.
+        """All held-out grasps of these objects, in the order of `load_held_out(objects, hand)`.
 
         Those of built-in objects are stored. Others are computed once, some seconds each, and kept on disk.
         """
