@@ -19,6 +19,7 @@ None of it is part of this project. A robot whose file is not there is left out,
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -92,8 +93,8 @@ ROBOTS = {
 }  # fmt: skip
 
 
-def imported(sold: Sold, files: Path, folder: Path) -> tuple[int, float, str]:
-    """Exit code, minutes and the last line of the command."""
+def imported(sold: Sold, files: Path, folder: Path) -> tuple[int, dict[str, Any], str]:
+    """Exit code, minutes on the clock and of the processor, and the last line of the command."""
     path = files / sold.path
     flag = "--mjcf" if path.suffix == ".xml" else "--urdf"
     line = [
@@ -108,21 +109,26 @@ def imported(sold: Sold, files: Path, folder: Path) -> tuple[int, float, str]:
         "--out",
         str(folder),
     ]
-    start = time.perf_counter()
+    start, busy = time.perf_counter(), busy_s()
     done = subprocess.run(line, capture_output=True, text=True, check=False, cwd=ROOT)
-    minutes = (time.perf_counter() - start) / 60
+    minutes = {"minutes": (time.perf_counter() - start) / 60, "cpu_minutes": (busy_s() - busy) / 60}
     said = (done.stdout + done.stderr).strip().splitlines()
     return done.returncode, minutes, said[-1] if said else ""
+
+
+def busy_s() -> float:
+    """Processor seconds of all commands so far and of what they started."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def tried(name: str, sold: Sold, files: Path, out: Path, trials: int) -> dict[str, Any]:
     """One file: minutes, overshoot, misses, success of the oracle; or the refusal."""
     code, minutes, said = imported(sold, files, out / name)
     if code:
-        return {"minutes": minutes, "refused": said.replace(str(files), "FOLDER")}
+        return minutes | {"refused": said.replace(str(files), "FOLDER")}
     report = json.loads((out / name / "report.json").read_text())
-    found: dict[str, Any] = {
-        "minutes": minutes,
+    found: dict[str, Any] = minutes | {
         "overshoot_mm": max(row["mean_mm"] for row in report["links"].values()),
         "missed": report.get("ik_missed", 0),
         "reach_mm": 1e3 * report["reach_m"],
@@ -158,6 +164,7 @@ def table(found: dict[str, dict[str, Any]]) -> str:
         "IK missed",
         "oracle, %",
         "minutes",
+        "of the processor",
     ]
     rows = []
     for name, got in found.items():
@@ -165,7 +172,16 @@ def table(found: dict[str, dict[str, Any]]) -> str:
         flag = "mjcf" if sold.path.endswith(".xml") else "urdf"
         line = f"`--{flag} {Path(sold.path).name} {sold.flags}`"
         figures = [f"{got[k]:{f}}" for k, f in FORMS.items()] if "refused" not in got else [got["refused"], "", "", ""]
-        rows.append([sold.arm, sold.gripper or "2F-85 built in", sold.origin, line, *figures, f"{got['minutes']:.1f}"])
+        rows.append(
+            [
+                sold.arm,
+                sold.gripper or "2F-85 built in",
+                sold.origin,
+                line,
+                *figures,
+                *(f"{got[k]:.1f}" for k in ("minutes", "cpu_minutes")),
+            ]
+        )
     return markdown_table(heads, rows, left=True)
 
 
