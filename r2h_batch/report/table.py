@@ -192,11 +192,21 @@ def _misses(header: Mapping[str, Any]) -> str:
     )
 
 
+BY_DEFAULT = {
+    "benchmark": "the protocol's own",
+    "paths planned against": "the true hand",
+    "grasp candidates": "filtered",
+    "execution error": "none",
+    "averages": "trials of a split count the same",
+}
+"""What holds for a run of which `_origin` says nothing, beside one of which it does."""
+
+
 def _joined(origins: Sequence[tuple[str, Mapping[str, str]]]) -> dict[str, str]:
     """Where rows of several runs come from: once what is the same, else run by run."""
     joined = {}
     for key in dict.fromkeys(key for _, origin in origins for key in origin):
-        values = [(name, origin.get(key, NA)) for name, origin in origins]
+        values = [(name, origin.get(key, BY_DEFAULT.get(key, NA))) for name, origin in origins]
         same = len({value for _, value in values}) == 1
         joined[key] = values[0][1] if same else "; ".join(f"{n}: {v}" for n, v in values)
     return joined

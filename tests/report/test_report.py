@@ -103,6 +103,17 @@ def test_motions_that_meet_a_receivers_body_are_a_rate_of_those_past_one(tmp_pat
     assert table.rows[0].body_met.percent == 50.0 and '"body_met": 50.0' in report.render(table, "json")
 
 
+def test_beside_a_run_of_other_choices_the_default_ones_are_named(tmp_path, capsys):
+    folders = []
+    for name, hand, candidates in (("a", "true", "filtered"), ("b", "estimated", "as-generated")):
+        configuration = {"name": "any", "plan": asdict(PlanConfig(hand=hand)), "candidates": candidates}
+        folders.append(write_run(tmp_path / name, {"m": np.zeros(4, int)}, 2, 2, configuration=configuration).folder)
+    assert command("report", *folders) == 0
+    text = capsys.readouterr().out
+    assert "paths planned against: a: the true hand; b: the estimated hand" in text
+    assert "grasp candidates: a: filtered; b: as generated" in text and "a: n/a" not in text
+
+
 @pytest.mark.parametrize("edge_check", ["moveit", "exact"])
 def test_successes_that_pass_through_something_have_a_column_where_paths_are_sampled(tmp_path, edge_check):
     configuration = {"name": "any", "plan": asdict(PlanConfig(edge_check=edge_check))}
