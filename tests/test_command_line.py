@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from r2h_batch.__main__ import COMMANDS, main
-from r2h_batch.sweep.options import Options, help_text
+from r2h_batch.sweep.options import Options, help_text, set_help
 
 NESTED = (
     "results verify",
@@ -91,6 +91,16 @@ def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code
 def test_the_help_of_a_sweep_names_every_flag() -> None:
     shown = {*re.findall(r"--[a-z][a-z-]+", help_text("r2h-batch sweep"))}
     assert {f"--{f.name.replace('_', '-')}" for f in fields(Options)} - shown == set()
+
+
+def test_the_help_of_a_sweep_names_the_default_of_every_option_that_has_one() -> None:
+    entries = re.split(r"\n(?=  \S)", help_text("r2h-batch sweep") + set_help())
+    told = {e.split()[0].removeprefix("--").replace("-", "_"): " ".join(e.split()) for e in entries if e.strip()}
+    for field in fields(Options):
+        set_to = field.default not in ("", (), None) and not isinstance(field.default, bool)
+        assert ("default" in told[field.name]) >= set_to, field.name
+    assert told["trials"].endswith("(default: 500)") and told["splits"].endswith("(default: S0 S1)")
+    assert "default: runs/" in told["out"] and "default" not in told["quiet"]
 
 
 OTHERS = {"--rule", "--bar", "--head", "--tyro-", "--always", "--dirty", "--abbrev", "--exclude"}

@@ -151,7 +151,9 @@ class Options:
             "verdict",
         ),
     ] = "auto"
-    out: Annotated[str, Flag("run folder; the same command continues it", "output")] = ""
+    out: Annotated[
+        str, Flag("run folder; the same command continues it; default: runs/DATE-TIME", "output")
+    ] = ""
     format: Annotated[
         Literal["md", "latex", "csv", "json"], Flag("format of the table", "output")
     ] = "md"
@@ -243,7 +245,9 @@ class Options:
     ] = "preset"
     edge_check: Annotated[
         Literal["preset", "exact", "moveit"],
-        Flag("edges of a path: certified, or sampled at MoveIt's resolution"),
+        Flag(
+            "edges of a path: certified, or sampled at MoveIt's resolution; preset: exact, with preset paper moveit"
+        ),
     ] = "preset"
     plan_hand: Annotated[
         Literal["preset", "true", "estimated"],
@@ -295,7 +299,7 @@ class Options:
     ] = "planned"
     horizon: Annotated[
         float,
-        Flag("longest episode of a closed loop, s; slow arms need more than the default"),
+        Flag("longest episode of a closed loop, s; slow arms need more"),
     ] = 15.0
     log: Annotated[
         Literal["", "tensorboard", "wandb", "mlflow", "trackio"],
@@ -373,8 +377,16 @@ def _described(group: str, dashes: str) -> list[str]:
         else:
             value = {bool: "", str: "TEXT", float: "NUMBER"}.get(kind, "INT")
         shown = name.replace("_", "-") if dashes else name
-        rows.append((f"{dashes}{shown} {value}{more}".rstrip(), flag.help))
+        rows.append((f"{dashes}{shown} {value}{more}".rstrip(), flag.help + _default(name, flag)))
     return _columns(rows)
+
+
+def _default(name: str, flag: Flag) -> str:
+    """An option's default in brackets; "" for a switch, where nothing is set by default, or where the text names it."""
+    value = Options.__dataclass_fields__[name].default
+    if isinstance(value, bool) or value in ("", (), None) or "default" in flag.help:
+        return ""
+    return f" (default: {' '.join(value) if isinstance(value, tuple) else f'{value:g}' if isinstance(value, float) else value})"
 
 
 def _columns(rows: Sequence[tuple[str, str]]) -> list[str]:
