@@ -33,7 +33,7 @@ def has_slow_parts(page):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", filter(has_slow_parts, PAGES))
+@pytest.mark.parametrize("page", [*filter(has_slow_parts, PAGES)])
 def test_a_page_runs_with_its_slow_parts(page, tmp_path):
     assert follow(tmp_path, [page], "--slow") == {page: ""}
 
