@@ -338,6 +338,11 @@ class Drawing:
         """The name of the body that carries a geom."""
         return str(self.model.body(int(self.model.geom_bodyid[geom])).name)
 
+    def up_in(self, body: str) -> Array:
+        """The world's z in the frame of a body, with the arm at the target."""
+        up: Array = self.at(self.stored.target_q).body(body).xmat.reshape(3, 3)[2].copy()
+        return up
+
     @cached_property
     def marks(self) -> tuple[Mark, ...]:
         """All marks of the trial.

@@ -32,6 +32,8 @@ ASPECT = 1.2  # of the part of a window that the panel leaves free
 CLEAR = 0.35  # opacity of bodies that stand before what a failure is seen by
 FIRST_M = 1.1  # least distance of the first camera from what a failure is seen by
 PANEL = 0.12  # of the picture's width: how far the trial is moved to the left of its middle
+THIN_M = 0.004  # least radius of a red line
+ABOVE_M = 0.07  # words stand so far above what they name, and do not cover it
 SMOOTH_FACES = 20_000  # smaller meshes are drawn with flat faces
 
 
@@ -101,10 +103,11 @@ class Drawn:
             sizes = {"shaft_radius": r, "head_radius": 2.7 * r, "head_length": 6.7 * r}
             handles.append(scene.add_arrows(path, mark.points[None], np.array(color), **sizes))
         else:
-            wide = {"thickness": 2 * mark.radius_m, "thickness_units": "world"}
+            least = THIN_M if mark.group == "witness" else 0.0
+            wide = {"thickness": 2 * max(mark.radius_m, least), "thickness_units": "world"}
             handles.append(scene.add_line_segments(path, mark.points[None], color, **wide))
         if mark.text:
-            at = mark.points.mean(0)
+            at = mark.points.mean(0) + ABOVE_M * self.drawing.up_in(mark.body)
             label = scene.add_label(f"{path}_label", mark.text, position=at, anchor="bottom-center")
             handles.append(label)
 

@@ -2,18 +2,19 @@
 
 import base64
 import re
+import subprocess
 from io import BytesIO
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from needs import needs
+from needs import CHROMIUM, needs
 
 from r2h_batch.__main__ import main
 from r2h_batch.view.captions import as_markdown
 from r2h_batch.view.drawing import Drawing, view_of
-from r2h_batch.view.page import Drawn, aim
+from r2h_batch.view.page import Drawn, aim, write_page
 from r2h_batch.view.pictures import image_at_end, images, ringed, write_film
 from r2h_batch.view.stored import ExportError, Reader, one_failure_of_each
 
@@ -237,6 +238,28 @@ def test_every_failure_is_red_in_its_strip_and_film_and_not_covered_on_its_page(
     camera = view.look_at - view.distance_m * view.axes[2]
     turned = (point - camera) @ view.axes.T
     assert np.abs(turned[:2] / turned[2]).max() < 0.3  # it looks there
+
+
+@needs("chromium")
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "trial", "outcome"), [f for f in FAILURES if f[1] in (66, 24, 59, 2, 3)])
+def test_a_failure_with_a_motion_is_red_on_its_page_in_a_browser(published, method, trial, outcome, tmp_path):
+    """Where a window of 900 x 600 shows the scene: left of the panel, below the browser's notice, above the player; while the
+    motion rests at its end. (Of a page that stands still chromium now and then waits for a frame, without end.)"""
+    import imageio.v3 as imageio
+
+    stored = published.trial(trial, method)
+    assert stored.row["outcome"] == outcome
+    page, picture = write_page(stored, tmp_path / "page.html"), tmp_path / "page.png"
+    assert stored.moves
+    played_ms = round(1e3 * (Drawing(stored).motion()[0][-1] + 0.9))
+    flags = ["--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    flags += ["--window-size=900,600", f"--virtual-time-budget={played_ms}"]
+    flags += [f"--user-data-dir={tmp_path}/profile", f"--screenshot={picture}"]
+    subprocess.run([CHROMIUM, *flags, page.as_uri()], capture_output=True, timeout=300, check=True)
+    scene = imageio.imread(picture)[160:555, :565, :3]
+    assert (scene < 250).mean() > 0.2, "the browser drew no scene"
+    assert reds(scene) > 40
 
 
 def test_one_failure_of_each_kind_is_written_or_listed(run, reader, tmp_path, capsys):
