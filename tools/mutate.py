@@ -50,6 +50,8 @@ T_COME = "tests/judge/test_reception.py::test_hands_come_the_first_way_on_which_
 T_RELEASE = (
     "tests/judge/test_reception.py::test_the_gripper_lets_go_where_samples_of_opening_and_backing_off_keep_off_the_hand"
 )
+TAKEN = "r2h_batch/judge/reception.py"
+T_COSTS = "tests/judge/test_reception.py::test_turn_and_travel_are_those_of_the_hand_from_how_it_waits"
 T_WHOLE = "tests/judge/test_reception.py::test_whole_ways_are_free_where_every_sample_of_hand_and_arm_is"
 T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed"
 T_GRASP = f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit"
@@ -376,6 +378,36 @@ MUTATIONS = (
         "if k % 2 == 1 and",
         "if k % 2 == 3 and",
         ("tests/judge/test_reception.py::test_every_second_grasp_of_an_object_of_revolution_is_turned_to_where_the_hand_turns_least",),
+    ),
+    Mutation(
+        "reception: where the robot was asked to go, not where it went",
+        TAKEN,
+        "executed = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, trials)",
+        "executed = inputs.T_obj_ee, inputs.T_world_ee",
+        ("tests/judge/test_execution_error.py::test_reception_is_asked_where_the_robot_brings_the_object",),
+    ),
+    Mutation(
+        "reception: half of the hand's turn",
+        TAKEN,
+        "cosine.clamp(-1.0, 1.0).acos()",
+        "0.5 * cosine.clamp(-1.0, 1.0).acos()",
+        (T_COSTS,),
+    ),
+    Mutation(
+        "reception: the wrist's way begins at the elbow",
+        TAKEN,
+        'batch.robot["receiver"][:, 2, :3]',
+        'batch.robot["receiver"][:, 1, :3]',
+        (T_COSTS,),
+    ),
+    Mutation(
+        "export: objects with more trials count more",
+        "r2h_batch/view/export/release.py",
+        "float(np.mean([np.mean([v for v, o in pairs if o == name]) for name in objects]))",
+        "float(np.mean([v for v, _ in pairs]))",
+        (
+            "tests/view/export/test_export_release.py::test_each_object_counts_the_same_in_the_exported_averages_and_a_total_is_the_sum_of_both_times",
+        ),
     ),
     Mutation(
         "any arm: whole turns are other postures",
