@@ -376,6 +376,9 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
         some = [(words, kind) for words, kind in choices if words != "None"]
         kinds = [_NUMBERS.get(kind) or words.replace(",", ", ") for words, kind in some]
         text = f"{text[: found.start()]}{found[2]!r}; it must be {' or '.join(kinds)}"
-    if found := re.search(r"invalid choice '([^']*)'.*Expected one of \((.*)\)", text):
-        text += nearest(found[1], re.findall(r"'([^']*)'", found[2]))
+    if found := re.search(
+        r"invalid choice '([^']*)' for argument '(.*)'\. Expected one of \((.*)\)", text
+    ):
+        allowed = [word for word in re.findall(r"'([^']*)'", found[3]) if word]
+        text = f"{found[2]} is {found[1]!r}{nearest(found[1], allowed)}; allowed are {', '.join(allowed)}"
     return text or "the command line was not understood; see --help"

@@ -35,7 +35,7 @@ def values(text: str, name: str) -> tuple[float, ...]:
             return tuple(round(low + i * step, 12) for i in range(steps + 1))
         return tuple(parse_number(part.strip()) for part in text.split(","))
     except ValueError:
-        allowed = "METRES, A,B,... or LOW:HIGH:STEP in plain decimal digits"
+        allowed = "METRES, A,B,... or LOW:HIGH:STEP (HIGH not below LOW, STEP above 0) in plain decimal digits"
         raise ValueError(f"--{name} is {text!r}; it must be {allowed}") from None
 
 

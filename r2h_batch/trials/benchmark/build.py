@@ -484,7 +484,9 @@ def _objects_of(text: str, pieces: bool) -> tuple[ObjectModel, ...]:
         return read_benchmark(file, pieces=pieces).objects
     if not path.is_dir():
         how = "takes a folder of meshes, a benchmark.yaml or families:CATEGORY,...; one mesh: --object-mesh FILE"
-        raise FileError(f"{shown}: --objects {how}")
+        raise FileError(
+            f"{shown}: {'' if path.exists() else 'there is no such folder or file; '}--objects {how}"
+        )
     meshes = _files(path, MESHES)
     if not meshes:
         raise FileError(f"{shown}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml here")
