@@ -199,7 +199,7 @@ BY_DEFAULT = {
     "execution error": "none",
     "averages": "trials of a split count the same",
 }
-"""What holds for a run of which `_origin` says nothing, beside one of which it does."""
+"""Choices that `_origin` leaves out of a run, by its keys: a table names them beside a run that made another one."""
 
 
 def _joined(origins: Sequence[tuple[str, Mapping[str, str]]]) -> dict[str, str]:
