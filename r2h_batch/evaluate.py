@@ -46,6 +46,7 @@ from r2h_batch.judge.distance import (
     nearer_of,
     over_motion,
     person_distance,
+    person_distance_at,
 )
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.goal import Goal, failed_clearance, judge_goals, weaken_singular_reason
@@ -573,7 +574,9 @@ class Evaluator:
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         """The stages of `_score_planned` that need no path."""
         poses = T_obj_ee, T_world_ee
-        inputs = (*(T.detach() for T in poses), *trials._tensors().values())
+        of_trials = trials._tensors()
+        of_trials.pop("person", None)  # no stage looks at it
+        inputs = (*(T.detach() for T in poses), *of_trials.values())
         inputs = tuple(x.contiguous() for x in inputs)
         differentiates = _differentiates(*poses)
         judge = self._judge_pose_and_changes if differentiates else self._judge_pose
@@ -588,8 +591,6 @@ class Evaluator:
             judged = judge(*inputs)
             found, change = judged.found, judged.changes
         held, goal = judged.held, judged.goal
-        if trials.receiver is not None and self.config.receiver == "hand":
-            found["body_m"], _ = self._person_at_goal(trials, held, goal)
         scores = pose_scores(trials.trial_id, found)
         if change is not None:
             return differentiable(
@@ -615,8 +616,8 @@ class Evaluator:
         goal = judge_goals(scene, held.planner_poses, held.T_world_ee, ik, branches, active)
         nearest = hand_distance_at(scene, held.body_poses, goal.q, active)
         person = None
-        if config.receiver == "body":
-            person = self._person_at_goal(trials, held, goal)
+        if trials.receiver is not None:
+            person = person_distance_at(scene, held.body_poses, trials.receiver, goal.q, active)
         shared, nearest = self._judge(
             held,
             goal_reached=None,
@@ -631,12 +632,6 @@ class Evaluator:
         if person is not None:
             found["body_m"] = person[0]
         return JudgedPoses(held, goal, nearest, found)
-
-    def _person_at_goal(
-        self, trials: Trials, held: AttachedBatch, goal: Goal
-    ) -> tuple[Tensor, Tensor]:
-        path, length = goal.q[:, None], held.active.to(torch.int32)
-        return self._person_distance(trials, held.body_poses, path, length)
 
     def _judge(
         self,

@@ -86,11 +86,11 @@ def path_overlap(
     # tables
     world: World, hull_ball: wp.array(dtype=wp.vec4), bodies: TrialBodies,
     # rows
-    row_in: wp.array(dtype=int),  # (n,) trials whose path meets something; -1: none
+    row_in: wp.array(dtype=int),  # (n,) trials that are looked at
     path_in: wp.array3d(dtype=float),  # (B, W, JOINTS)
     length_in: wp.array(dtype=int),  # (B,)
-    # out, (B,): written for these rows where an overlap is found
-    clearance_out: wp.array(dtype=float), pair_out: wp.array(dtype=int), body_out: wp.array(dtype=int),
+    # in and out, (B,): written where a path's clearance is below 0 and an overlap is found
+    clearance_inout: wp.array(dtype=float), pair_inout: wp.array(dtype=int), body_inout: wp.array(dtype=int),
 ):  # fmt: skip
     """Minus a lower bound of the deepest penetration depth along each path, its pair and the robot's body.
 
@@ -98,9 +98,9 @@ def path_overlap(
     the largest depth counts (geometry/depth.py), mostly to 1 %. Others may be deeper: it is a bound.
     """
     trial = row_in[first + wp.tid()]
-    if trial < 0:
-        return
     last = length_in[trial] - 1
+    if last < 0 or not clearance_inout[trial] < 0.0:
+        return
     segments = wp.max(last, 1)  # a path of one posture is one segment without length
     R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
     p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
@@ -137,9 +137,9 @@ def path_overlap(
             pair_depth = wp.max(_pair_depth(world, body, obstacle), -best)
             if pair_depth > depth:
                 depth = pair_depth
-                clearance_out[trial] = -depth
-                pair_out[trial] = found.pair
-                body_out[trial] = found.body
+                clearance_inout[trial] = -depth
+                pair_inout[trial] = found.pair
+                body_inout[trial] = found.body
         if segment < segments:
             if deeper:
                 step = 0.5 / float(steps)

@@ -198,3 +198,10 @@ def close_rows(
     n = turned(W, palm_normal[h])
     c = wp.vec3(point[0] + reach_offset * n[0], point[1] + reach_offset * n[1], point[2] + reach_offset * n[2])
     ball_out[row] = moved(inverse(product(T_world_ee_in[row], inverse(A))), c)
+
+
+@wp.kernel
+def posture_lengths(first: int, active_in: wp.array(dtype=wp.bool), length_out: wp.array(dtype=int)):
+    """Waypoints of a path that is one posture: none in rows that are not active."""
+    row = first + wp.tid()
+    length_out[row] = wp.where(active_in[row], 1, 0)

@@ -3,7 +3,7 @@
 import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.codes import BRANCHES, CLEARANCE, FREE, POSTURE
+from r2h_batch.kernels.plan.codes import BRANCHES, CLEARANCE, FREE, PAIR_NONE, POSTURE
 
 from ..robot.posture import load, load_waypoint
 from ..robot.world import TrialBodies, World
@@ -69,6 +69,7 @@ def straight_lines(
 @wp.kernel
 def path_clearance(
     first: int, cap: float, tolerance: float,
+    without: float,  # the clearance of rows without a path
     # tables
     world: World, bodies: TrialBodies,
     # trials
@@ -80,7 +81,10 @@ def path_clearance(
     """Smallest clearance over all pairs along each path, exact to `tolerance` below `cap`."""
     trial = first + wp.tid()
     n = length_in[trial]
+    pair_out[trial] = PAIR_NONE
+    body_out[trial] = -1
     if n == 0:
+        clearance_out[trial] = without
         return
     best = float(cap)
     # the goal first: it is usually the tightest, and prunes the rest

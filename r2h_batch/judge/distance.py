@@ -1,6 +1,7 @@
 """How near the robot comes to the receiver: to the hand along a motion or at one posture, and to
 arm and torso."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,6 +19,7 @@ from r2h_batch.judge.plan import path_clearances
 from r2h_batch.kernels.judge import safe as safe_kernels
 from r2h_batch.kernels.judge.goal import goal_safe_distance
 from r2h_batch.kernels.judge.overlap import hand_overlap
+from r2h_batch.kernels.judge.rows import posture_lengths
 from r2h_batch.kernels.motion.worlds import WINDOW
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.scene.person import with_person
@@ -62,10 +64,21 @@ def person_distance(
     rows = len(length) if path.shape[1] <= WAYPOINTS else RECORDED_MOTION_ROOM * len(length)
     path, length = path.contiguous(), length.contiguous()
     distance, _, body = path_clearances(
-        scene, alone, path, length, tolerance_m=SAFE_TOLERANCE_M, rows=rows
+        scene, alone, path, length, tolerance_m=SAFE_TOLERANCE_M, without=math.nan, rows=rows
     )
-    moves = length > 0
-    return torch.where(moves, distance, torch.nan), torch.where(moves, body, -1)
+    return distance, body
+
+
+def person_distance_at(
+    scene: Scene,
+    body_poses: BodyPoses,
+    receiver: Float32[Tensor, "b 5 4"],
+    q: Float32[Tensor, "b 6"],
+    active: Bool[Tensor, " b"],
+) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
+    """The same at postures; NaN and -1 in rows that are not active."""
+    made = over_trials(posture_lengths, len(active), scene.device)(active=active.contiguous())
+    return person_distance(scene, body_poses, receiver, q[:, None], made["length"])
 
 
 @dataclass(frozen=True)

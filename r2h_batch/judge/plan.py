@@ -10,7 +10,9 @@ judge/trace.py (`plan_of_trace`), a posture of a closed loop in closed_loop/env.
 MuJoCo limits torques (`actfrcrange`) and angles (`range`): scene/dynamics.py.
 """
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float32, Int32, Int64
@@ -151,21 +153,23 @@ def path_clearances(
     length: Int32[Tensor, " b"],
     *,
     tolerance_m: float = CLEARANCE_TOLERANCE_M,
+    without: float = -math.inf,
     rows: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Smallest clearance along paths that were planned elsewhere, its pair and the robot's body, as
-    in `Plan`; minus the overlap where bodies meet.
+    in `Plan`; minus the overlap where bodies meet. Postures alone (W = 1) take launches over all rows.
 
     Args:
         scene: robot, objects, hands and table.
         body_poses: where bodies are.
         path: waypoints, rad.
-        length: number of waypoints; 0: no path, clearance -inf.
+        length: number of waypoints; 0: no path, body -1.
         tolerance_m: of clearances above 0.
+        without: the clearance where there is no path, m.
         rows: for how many paths of WAYPOINTS the frontier has room; None: as many as the waypoints make.
     """
     planner = Planner(scene, body_poses, rows=rows or -(-path.shape[1] // WAYPOINTS) * len(path))
-    found = planner.clearance(path, length, tolerance_m)
+    found = planner.clearance(path, length, tolerance_m, without)
     _measure_overlaps(planner, scene, path, length, *found)
     return found
 
@@ -180,17 +184,22 @@ def _measure_overlaps(
     body: Int32[Tensor, " b"],
 ) -> None:
     """Writes how deep the bodies meet on paths whose clearance is below 0, and which they are."""
-    meets = (length > 0) & (least < 0)
-    if planner.frontier is None:
-        rows = torch.nonzero(meets).flatten().to(torch.int32)
-    elif path.shape[1] > 1:
-        rows = planner.frontier.rows_where(meets)
-    else:  # a single posture cannot overflow the queues, so the host need not wait
-        every = torch.arange(len(path), dtype=torch.int32, device=path.device)
-        rows = torch.where(meets, every, -1)
+    if path.shape[1] == 1:  # a single posture cannot overflow the queues: the kernel skips rows
+        rows, chunk = _every_row(len(path), path.device), 16
+    else:
+        meets = (length > 0) & (least < 0)
+        frontier = planner.frontier
+        rows = torch.nonzero(meets).flatten() if frontier is None else frontier.rows_where(meets)
+        rows, chunk = rows.to(torch.int32), 1
     inputs = {"hull_ball": scene.hull_balls, "row": rows, "path": path, "length": length}
     outputs = {"clearance": least, "pair": pair, "body": body}
-    planner(path_overlap, len(rows), inputs=inputs, outputs=outputs, chunk=1)
+    planner(path_overlap, len(rows), inputs=inputs, outputs=outputs, chunk=chunk)
+
+
+@lru_cache(maxsize=16)
+def _every_row(b: int, device: torch.device) -> Int32[Tensor, " b"]:
+    """The numbers of b rows."""
+    return torch.arange(b, dtype=torch.int32, device=device)
 
 
 def _reasons(

@@ -1,12 +1,15 @@
 """Runs the planning kernels of a scene for both its stages, the straight lines and the searches."""
 
+import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
 from jaxtyping import Float32, Int32
 from torch import Tensor
 
-from r2h_batch.base.launch import launch_trials, new_outputs
+from r2h_batch.base.launch import over_trials
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M
 from r2h_batch.judge.frontier.levels import Frontier, uses_frontier
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
@@ -33,13 +36,15 @@ class Planner:
     def __call__(
         self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int
     ) -> None:
-        launch_options: dict[str, Any] = {"device": self._device, "chunk": chunk, "uneven": True}
-        launch_trials(
-            self._sized(kernel),
-            n,
-            inputs={**self._tables, **inputs},
-            outputs=outputs,
-            **launch_options,
+        self._over(kernel, n, chunk, outputs)(**inputs)
+
+    def _over(
+        self, kernel: Any, n: int, chunk: int, outputs: dict[str, Any] | None = None
+    ) -> Callable[..., Any]:
+        """`over_trials` with the world and the bodies."""
+        kernel, options = self._sized(kernel), {"chunk": chunk, "uneven": True}
+        return partial(
+            over_trials(kernel, n, self._device, outputs=outputs, **options), **self._tables
         )
 
     def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -47,23 +52,25 @@ class Planner:
         posture."""
         if self.frontier is not None:
             return self.frontier.check(q.contiguous(), active, per_trial)
-        made = new_outputs(check_postures, len(q), q.device)
-        inputs = {"per_trial": per_trial, "active": active.contiguous(), "q": q.contiguous()}
-        self(check_postures, len(q), inputs=inputs, outputs=made, chunk=64)
+        made = self._over(check_postures, len(q), 64)(
+            per_trial=per_trial, active=active.contiguous(), q=q.contiguous()
+        )
         return made["clear"], made["pair"], made["hand_clearance"]
 
     def clearance(
-        self, path: Tensor, length: Tensor, tolerance_m: float = CLEARANCE_TOLERANCE_M
+        self,
+        path: Tensor,
+        length: Tensor,
+        tolerance_m: float = CLEARANCE_TOLERANCE_M,
+        without: float = -math.inf,
     ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
-        """Smallest clearance along each path over all pairs (-inf without one), its pair and the
+        """Smallest clearance along each path over all pairs (`without` one: that), its pair and the
         robot's body."""
         if self.frontier is not None:
-            return self.frontier.clearance(path, length, tolerance_m)
-        made = new_outputs(path_clearance, len(path), path.device)
-        made["clearance"].fill_(-torch.inf)
-        made["body"].fill_(-1)
-        inputs = {"cap": CLEARANCE_CAP_M, "tolerance": tolerance_m, "path": path, "length": length}
-        self(path_clearance, len(path), inputs=inputs, outputs=made, chunk=8)
+            return self.frontier.clearance(path, length, tolerance_m, without)
+        made = self._over(path_clearance, len(path), 8)(
+            cap=CLEARANCE_CAP_M, tolerance=tolerance_m, without=without, path=path, length=length
+        )
         return made["clearance"], made["pair"], made["body"]
 
     def straight(

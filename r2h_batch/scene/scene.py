@@ -234,6 +234,17 @@ class Scene:
         return world
 
     @cached_property
+    def world_of_robot(self) -> Any:
+        """The same with the bare robot: no table, no object, no pairs of the robot with itself."""
+        world: Any = self.sized(World)()
+        world.assign(self.world)
+        world.table_from = world.n_robot
+        for name in ("self_links", "hull_first"):
+            n = getattr(world, name).shape[0]
+            setattr(world, name, wp.zeros(n, dtype=wp.int32, device=self.device))
+        return world
+
+    @cached_property
     def hull_balls(self) -> wp.array:
         """For each object hull the centre (object frame) and the radius of the largest ball inside
         it."""
@@ -461,12 +472,11 @@ class BodyPoses:
     opening_m: Float32[Tensor, " b"]
     world: Any = field(default=None, kw_only=True)
     """the tables that `bodies` index where they are not the scene's (person.py)"""
-    more_owners: tuple[Tensor, ...] = field(default=(), kw_only=True)
 
     @property
     def owners(self) -> tuple[Tensor, ...]:
         """The tensors, in order."""
-        return tuple(getattr(self, f.name) for f in fields(self)[1:-2])
+        return tuple(getattr(self, f.name) for f in fields(self)[1:-1])
 
     def tables(self, scene: Scene) -> Any:
         """The `World` that `bodies` index."""

@@ -4,7 +4,7 @@ import copy
 import pickle
 import threading
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import pytest
@@ -13,9 +13,11 @@ from problems import default_evaluator, make_batch
 from torch import Tensor
 
 from r2h_batch.base.launch.repeated import TRIES, RepeatedCalls
+from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.evaluate import SMALL_ROWS, Evaluator
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.scene.robot import load_robot
+from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Scores
 
 N = 260
@@ -57,6 +59,23 @@ def test_small_calls_of_any_order_and_size_have_the_bits_of_a_large_one(poses, w
         kept.append((some, evaluator.score(*(x[some] for x in poses), stages="pose")))
     for some, scores in kept:  # after all calls: no later one has written into an earlier result
         assert equal(scores, whole[some]), some
+
+
+def test_small_calls_before_a_persons_arm_and_torso_have_the_bits_of_a_large_one(poses):
+    trials = make_trials(trials=N, protocol="r2h-v1")[:N]
+    assert trials.receiver is not None
+    receiver = trials.receiver.clone()
+    receiver[::2, :4, 0] -= 0.3  # every other arm and torso stands in the robot's way
+    trials = replace(trials, receiver=receiver)
+    whole = default_evaluator().score(*poses[:2], trials, stages="pose")
+    assert (whole.body_m < 0).sum() > 20 and (whole.body_m == CLEARANCE_CAP_M).sum() > 20
+    evaluator, ran = copy.copy(default_evaluator()), []
+    judge = evaluator._judge_pose
+    evaluator._judge_pose = lambda *inputs: ran.append(len(inputs[0])) or judge(*inputs)  # type: ignore[method-assign]
+    for first, rows in [(0, 1), (1, 1), (4, 1), (7, 1), (0, 16), (32, 16), (8, 16), (0, SMALL_ROWS)] * 4:
+        some = slice(first, first + rows)
+        assert equal(evaluator.score(*(x[some] for x in (*poses[:2], trials)), stages="pose"), whole[some]), some
+    assert ran.count(1) <= TRIES and ran.count(16) <= TRIES  # the other calls were recorded launches
 
 
 def test_what_a_caller_changes_in_a_result_reaches_no_later_call(poses, whole):

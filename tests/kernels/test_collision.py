@@ -173,7 +173,7 @@ def clearance_of(scene, body_poses, paths):
         path[k, : len(p)] = torch.tensor(p, dtype=torch.float32)
     length = torch.tensor([len(p) for p in paths], dtype=torch.int32)
     least, (pair, body) = torch.full((n,), -9.0), torch.full((2, n), -1, dtype=torch.int32).unbind(0)
-    inputs = {"cap": CAP_M, "tolerance": CLEARANCE_TOLERANCE_M, "path": path, "length": length}
+    inputs = {"cap": CAP_M, "tolerance": CLEARANCE_TOLERANCE_M, "without": -9.0, "path": path, "length": length}
     outputs = {"clearance": least, "pair": pair, "body": body}
     Planner(scene, body_poses, None)(path_clearance, n, inputs=inputs, outputs=outputs, chunk=8)
     return least.numpy(), pair.numpy(), body.numpy()

@@ -247,6 +247,19 @@ def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
     return made
 
 
+def struct_with(base: Any, kind: Any, tensors: Mapping[str, Tensor]) -> Any:
+    """A copy of `base`, a `kind` (of wp.struct), with these tensors' memory in place of some of its arrays.
+
+    It keeps the tensors, and in its own `tensors` also what it is a copy of.
+    """
+    made = kind()
+    made.assign(base)  # the other arrays are shared
+    for name, value in tensors.items():
+        setattr(made, name, wp.from_torch(value, dtype=kind.vars[name].type.dtype))
+    vars(made)["tensors"] = {"base": base, **tensors}
+    return made
+
+
 _last_packed: dict[Any, tuple[TensorLayoutGuard, bytes]] = {}
 """The layout of the tensors that `struct_of` packed last and the packed bytes, for each struct."""
 

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 import warp as wp
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
+from torch.overrides import TorchFunctionMode
 
 from r2h_batch.base.launch import cached
 from r2h_batch.base.launch.arguments import bind, parameters, written_shapes
@@ -240,16 +240,40 @@ class Recording:
         return "object", id(value)
 
 
-class _TorchWork(TorchDispatchMode):
-    """Notices what torch computes; views of memory are none."""
+_VIEWS = frozenset(
+    {Tensor.__getitem__, Tensor.contiguous, Tensor.detach, Tensor.flatten, Tensor.to, Tensor.view}
+)
+"""Methods that mostly return a view of their tensor, and otherwise compute."""
 
-    @classmethod
-    def _should_skip_dynamo(cls) -> bool:
-        return False  # or torch imports its compiler for this mode, which takes a second
+_LAYOUT = frozenset(
+    {
+        Tensor.__len__,
+        Tensor.data_ptr,
+        Tensor.dim,
+        Tensor.element_size,
+        Tensor.get_device,
+        Tensor.is_contiguous,
+        Tensor.numel,
+        Tensor.size,
+        Tensor.stride,
+        Tensor.untyped_storage,
+    }
+)
+"""Methods that say where a tensor's memory is and how it is laid out, beside the getters of
+attributes."""
 
-    def __torch_dispatch__(
+
+class _TorchWork(TorchFunctionMode):
+    """Notices what torch computes, and what is asked of a tensor's numbers; views of memory are
+    neither."""
+
+    def __torch_function__(
         self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
-        if not func.is_view:
+        found = func(*args, **(kwargs or {}))
+        if func in _VIEWS:
+            if found.untyped_storage().data_ptr() != args[0].untyped_storage().data_ptr():
+                refuse()
+        elif func not in _LAYOUT and getattr(func, "__name__", "") != "__get__":
             refuse()
-        return func(*args, **(kwargs or {}))
+        return found

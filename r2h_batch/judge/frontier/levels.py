@@ -7,6 +7,7 @@ device; launches with empty queues do nothing. The results are those of plan/lin
 trial: the same goals and lines, clearances within the tolerance of both.
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -231,8 +232,9 @@ class Frontier(Levels):
         path: Float32[Tensor, "b w 6"],
         length: Int32[Tensor, " b"],
         tolerance: float = CLEARANCE_TOLERANCE_M,
+        without: float = -math.inf,
     ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
-        """As plan/lines.py `path_clearance`: -inf without a path; the pair, and the robot's body.
+        """As plan/lines.py `path_clearance`: `without` a path that, and -1; the pair, and the robot's body.
 
         The goals' postures first: they are mostly the tightest, so few others need a check.
         Then the segments, of long paths (motions, sample by sample) so many at a time from the end
@@ -259,7 +261,8 @@ class Frontier(Levels):
             self._all_frontier(edges, MAX_LEVEL, certify=0)
         least, pair, body = self._read(found)
         self._refuse_at_once()
-        return torch.where(length > 0, least, -torch.inf), pair, body
+        found = length > 0
+        return torch.where(found, least, without), pair, torch.where(found, body, -1)
 
     def ask(self, aim: int, tolerance: float) -> None:
         """Aim of the next levels: the smallest clearance (1), to `tolerance`, or whether margins

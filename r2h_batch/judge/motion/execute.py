@@ -9,6 +9,7 @@ its bodies may be off those lines: at the first step at which a contact could pu
 still be where it is alone, and there nothing touches (`nothing_pushes`).
 """
 
+import math
 from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from typing import Literal
@@ -20,7 +21,7 @@ from jaxtyping import Bool, Float32, Float64, Int32
 from torch import Tensor
 from torch.nn.functional import pad
 
-from r2h_batch.base.launch import new_outputs, over_trials
+from r2h_batch.base.launch import over_trials
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, ExecConfig
 from r2h_batch.judge.motion.simulation import Job, Samples
 from r2h_batch.judge.motion.time_law import Motion, limits, servo_law
@@ -63,11 +64,10 @@ def nothing_pushes(
     (object and table, which do not push, are counted).
     """
     kernel = scene.sized(path_clearance)
-    found = new_outputs(kernel, len(length), motion.device)
-    found["clearance"].fill_(-torch.inf)
-    over_trials(kernel, len(length), scene.device, outputs=found, chunk=1, uneven=True)(
+    found = over_trials(kernel, len(length), scene.device, chunk=1, uneven=True)(
         cap=NEAR_M,
         tolerance=LOCATED_M,
+        without=-math.inf,
         world=scene.world_without_hand,
         bodies=body_poses.bodies,
         path=motion.contiguous(),

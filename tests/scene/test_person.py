@@ -1,0 +1,65 @@
+"""A person's arm and torso as pieces of a hand: placed as NumPy places them in float64, and held by their bounds."""
+
+import itertools
+
+import numpy as np
+import pytest
+import warp as wp
+from problems import default_evaluator, make_batch
+
+from r2h_batch.judge.attach import attach_object
+from r2h_batch.scene.person import PIECES, with_person
+from r2h_batch.trials.protocol import make_trials
+
+N = 40
+
+
+@pytest.fixture(scope="module")
+def held():
+    scene = default_evaluator().scene
+    batch, trials = make_batch(scene, N), make_trials(trials=N, protocol="r2h-v1")[:N]
+    return attach_object(scene, batch.T_obj_ee, batch.T_world_ee, trials, scene.config).body_poses, trials
+
+
+def corners_of(receiver, T_world_hand):
+    """Cores (3, 8, 3) in the hand's frame and by how much they are grown, float64."""
+    shoulder, elbow, wrist, middle, half = receiver[:, :3]
+    facing = np.array([receiver[3, 3], receiver[4, 3], 0.0])
+    axes = np.stack([facing, np.cross([0.0, 0.0, 1.0], facing), [0.0, 0.0, 1.0]])
+    signs = np.array([s[::-1] for s in itertools.product((-1.0, 1.0), repeat=3)])
+    torso = middle + (signs * half) @ axes
+    world = np.stack([[elbow, wrist] * 4, [shoulder, elbow] * 4, torso])
+    local = (world - T_world_hand[:3, 3]) @ T_world_hand[:3, :3]
+    return local, np.array([receiver[1, 3], receiver[0, 3], 0.0])
+
+
+@pytest.mark.parametrize("hand", [False, True], ids=["alone", "beside the hand"])
+def test_pieces_are_where_the_person_is_and_lie_within_their_bounds(held, hand):
+    scene, (bodies, trials) = default_evaluator().scene, held
+    person = with_person(scene, bodies, trials.receiver, hand=hand)
+    table = {k: wp.to_torch(getattr(person.world, k)).numpy() for k in vars(person.world)["tensors"] if k != "base"}
+    own = scene.world.n_pieces if hand else 0
+    pieces = own + len(PIECES)
+    assert person.world.n_pieces == pieces and len(table["piece_start"]) == N * pieces
+    assert vars(person.bodies)["tensors"]["hand"].tolist() == [*range(N)]
+    base = wp.to_torch(scene.world.points).numpy()
+    for row in range(N):
+        T = trials.T_world_hand[row].double().numpy()
+        cores, grown = corners_of(trials.receiver[row].double().numpy(), T)
+        center, radius = (table[k].reshape(N, pieces, -1)[row] for k in ("piece_center", "piece_radius"))
+        whole = table["hand_center"][row], table["hand_radius"][row]
+        for k in range(len(PIECES)):
+            at = row * pieces + own + k
+            assert table["piece_blocks"][at] == 1 and table["piece_round"][at] == np.float32(grown[k])
+            start = table["piece_start"][at]
+            found = table["points"][start : start + 16].reshape(3, 16).T
+            assert np.array_equal(found[:8], found[8:]) and np.abs(found[:8] - cores[k]).max() < 3e-7
+            far = np.linalg.norm(found - center[own + k], axis=1).max() + grown[k]
+            assert far <= radius[own + k] <= far + 3e-6
+            assert np.linalg.norm(center[own + k] - whole[0]) + radius[own + k] <= whole[1]
+        if hand:  # the hand's own pieces as before
+            assert np.array_equal(table["points"][: len(base)], base)
+            first = int(bodies.hand_index[row]) * own
+            for name in ("piece_start", "piece_center", "piece_radius"):
+                of_scene = wp.to_torch(getattr(scene.world, name)).numpy()[first : first + own]
+                assert np.array_equal(table[name].reshape(N, pieces, -1)[row, :own], of_scene.reshape(own, -1))
