@@ -184,7 +184,8 @@ def _measure_overlaps(
     body: Int32[Tensor, " b"],
 ) -> None:
     """Writes how deep the bodies meet on paths whose clearance is below 0, and which they are."""
-    if path.shape[1] == 1:  # a single posture cannot overflow the queues: the kernel skips rows
+    if path.shape[1] == 1:
+        # the kernel passes over rows that meet nothing, and a single posture overflows no queue
         rows, chunk = _every_row(len(path), path.device), 16
     else:
         meets = (length > 0) & (least < 0)
