@@ -27,7 +27,7 @@ def held_rates(run: Run) -> dict[tuple[str, str], Rate]:
     rates = {}
     for entry in run.entries:
         path = entry.folder / FOLDER / f"{entry.slug}.parquet"
-        if not path.is_file() or _rows_of(path) != run.digest(entry.name):
+        if not path.is_file() or rows_of(path, MADE_OF) != run.digest(entry.name):
             continue
         table = pq.read_table(path, columns=["split", "held"])
         for split in pc.unique(table["split"]).to_pylist():
@@ -36,9 +36,14 @@ def held_rates(run: Run) -> dict[tuple[str, str], Rate]:
     return rates
 
 
-def _rows_of(path: Path) -> str | None:
-    """Digest of the rows that a file was made of; None: it is no such file."""
+def rows_of(path: Path, made_of: bytes) -> str | None:
+    """Digest of the rows that a file was made of, None: it is no such file.
+
+    Args:
+        path: of a Parquet file.
+        made_of: key of its metadata.
+    """
     try:
-        return str(json.loads(pq.read_schema(path).metadata[MADE_OF])["rows"])
+        return str(json.loads(pq.read_schema(path).metadata[made_of])["rows"])
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
         return None

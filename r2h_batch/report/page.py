@@ -27,6 +27,8 @@ from r2h_batch.report.table import (
     table_of,
 )
 from r2h_batch.report.text import NA, short_names
+from r2h_batch.report.transfers import HEADINGS as FUNNEL
+from r2h_batch.report.transfers import NOTE as TRANSFERS
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA
@@ -96,6 +98,9 @@ def page(
         co_failures=_co_failures(counted, short),
         gallery=gallery or {},
         table=_table(table),
+        funnels=[[short[f.method], f.release, *f.cells] for f in table.funnels],
+        funnel=["Method", "release", *FUNNEL],
+        funnel_note=TRANSFERS,
         headings=list(HEADINGS.values()),
         notes=[*table.notes, *([BEST_NOTE] if best_cells(table) else [])],
         facts=_all_facts(runs),

@@ -26,6 +26,10 @@ from r2h_batch.report.text import (
     tex_number,
     tex_table,
 )
+from r2h_batch.report.transfers import HEADINGS as FUNNEL
+from r2h_batch.report.transfers import NOTE as TRANSFERS
+from r2h_batch.report.transfers import Funnel, funnels
+from r2h_batch.report.transfers import about as about_funnels
 from r2h_batch.report.turn import MARK, Turned, about, turned
 from r2h_batch.runs.header import motions_left_out
 from r2h_batch.runs.store import Run
@@ -87,6 +91,7 @@ class Table:
             motions of a file are not judged, a sentence each.
         turns: turn tests of the methods that have one (`turn.turned`).
         scans: the lines of the same methods on the reader's own objects, by split and method.
+        funnels: from success to taken, of the methods with stored transfers.
     """
 
     rows: tuple[Row, ...]
@@ -95,6 +100,7 @@ class Table:
     misses: tuple[str, ...] = ()
     turns: tuple[Turned, ...] = ()
     scans: Mapping[tuple[str, str], Row] = field(default_factory=dict)
+    funnels: tuple[Funnel, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -160,7 +166,7 @@ def table_of(
     )
     misses |= dict.fromkeys(planned)
     beside = {} if scans is None else _beside(run, scans)
-    return Table(rows, origin, alike, tuple(misses), turned(run), beside)
+    return Table(rows, origin, alike, tuple(misses), turned(run), beside, funnels(run))
 
 
 def _beside(run: Run, scans: Run) -> dict[tuple[str, str], Row]:
@@ -274,7 +280,9 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
     if fmt == "json":
         rows = [_with_more(table, row) for row in table.rows]
         content = {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": table.notes}
-        return json_text(content | ({"turns": about(table.turns)} if table.turns else {}))
+        more = {"turns": about(table.turns)} if table.turns else {}
+        more |= {"transfers": about_funnels(table.funnels)} if table.funnels else {}
+        return json_text(content | more)
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
 
@@ -420,6 +428,9 @@ def _md(table: Table) -> str:
         ]
         if lines:
             parts += [caption, aligned(["Split", "Method", *headings], lines, 2)]
+    if table.funnels:
+        lines = [[plain(short[f.method]), plain(f.release), *f.cells] for f in table.funnels]
+        parts += [TRANSFERS, aligned(["Method", "release", *FUNNEL], lines, 2)]
     parts.append(notes_list([*map(plain, legend(short)), *table.notes]))
     return "\n\n".join(parts) + "\n"
 

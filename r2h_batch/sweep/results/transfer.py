@@ -22,6 +22,7 @@ from r2h_batch.closed_loop.transfer.release import release_of
 from r2h_batch.judge.reception import reception
 from r2h_batch.report.statistics.aggregate import clustered_rate
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
+from r2h_batch.report.transfers import FOLDER, MADE_OF
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
@@ -49,8 +50,6 @@ SCHEMA = pa.schema(
 """A row for each stored row that has a pose and each case; numbers as in `closed_loop.transfer.simulate.Transfers`,
 null where nothing is received or it did not happen. person_...: what the person was drawn with."""
 
-MADE_OF = b"r2h_batch transfer"
-"""Key of the Parquet file's metadata: the rows and the code that its transfers were made of, and the cases."""
 CODE = (
     "r2h_batch.closed_loop.transfer",
     "r2h_batch.judge.closed_pose",
@@ -111,7 +110,7 @@ def write_tables(
     with processes(simulator, count) as transfer:
         for name in names:
             entry = run.entry(name)
-            path = run.folder / "transfer" / f"{entry.slug}.parquet"
+            path = run.folder / FOLDER / f"{entry.slug}.parquet"
             made_of = {"rows": run.digest(name), "code": code, "seed": seed}
             stored = Stored.read(path, made_of)
             todo = [c for c in cases if stored.policies.get(c) != policies[c.release]]

@@ -1,6 +1,8 @@
 """The command `results transfer`: a row for each stored pose and case, kept where it is there already."""
 
+import json
 import re
+import shutil
 
 import numpy as np
 import pyarrow as pa
@@ -9,6 +11,10 @@ import pytest
 
 from r2h_batch.__main__ import main
 from r2h_batch.closed_loop.transfer.cases import Case
+from r2h_batch.report.page import page
+from r2h_batch.report.table import render as render_table
+from r2h_batch.report.table import table_of
+from r2h_batch.report.transfers import MADE_OF
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.transfer import SCHEMA, render
 
@@ -59,6 +65,32 @@ def test_a_run_without_bodies_and_wrong_words_are_told_what_is_missing(run, tmp_
     assert "take, touch, nobody, pull-early, weak" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--release", "soon"]) == 2
     assert "never, timer, threshold, load-share, probe" in capsys.readouterr().err
+
+
+def test_the_report_goes_from_success_to_taken_and_files_of_other_rows_are_left_out(run, tmp_path):
+    assert main(["results", "transfer", str(run), "--processes", "1"]) == 0
+    loaded = load_run(run)
+    table = table_of(loaded)
+    rows = pq.read_table(stored(run)).to_pylist()
+    takes = [r for r in rows if r["scenario"] == "take"]
+    (funnel,) = table.funnels
+    assert funnel.release == "load-share" and funnel.taken.total == len(takes) == 6
+    got = (sum(r["success"] for r in takes), sum(r["received"] for r in takes))
+    taken = [r for r in takes if r["outcome"] == "taken"]
+    assert (funnel.success.count, funnel.received.count) == got and funnel.taken.count == len(taken)
+    assert funnel.both.count == sum(r["success"] for r in taken)
+    text = render_table(table, "md")
+    assert "From success to taken" in text and f"{funnel.taken.percent:.1f}" in text
+    assert json.loads(render_table(table, "json"))["transfers"][0]["taken"]["count"] == len(taken)
+    assert "<h2>From success to taken</h2>" in page(loaded)
+    other = tmp_path / "other"
+    shutil.copytree(run, other)
+    (entry,) = load_run(other).entries
+    about = pq.read_schema(stored(run)).metadata[MADE_OF].replace(load_run(run).digest(entry.name).encode(), b"another")
+    table = pq.read_table(stored(run)).replace_schema_metadata({MADE_OF: about})
+    pq.write_table(table, other / "transfer" / f"{entry.slug}.parquet")
+    assert table_of(load_run(other)).funnels == ()
+    assert "From success to taken" not in render_table(table_of(load_run(other)), "md")
 
 
 def test_several_persons_of_a_trial_do_not_narrow_its_interval_as_more_trials_would(run):
