@@ -167,6 +167,7 @@ def test_a_reception_is_right_and_one_that_lies_is_noticed(handed_over, monkeypa
         "turn, degrees": replace(found, turn_deg=found.turn_deg + 0.1),
         "hand beside its grasp": replace(found, T_world_hand=nearer),
         "upper arm, m": replace(found, elbow=found.elbow + 0.01),
+        "closing, m": replace(found, closing_m=found.closing_m + 1e-4),
         "counts fall": replace(found, count=found.count.flip(1) - torch.arange(6, dtype=torch.int16)),
         "arm and torso to robot, m": replace(found, elbow=scores.inputs.T_world_ee[:, :3, 3]),
     }

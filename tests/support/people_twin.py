@@ -22,7 +22,7 @@ from r2h_batch.scene.robot import ShapeKind
 from r2h_batch.trials.holding.held_out import load_held_out
 
 Array = NDArray[np.float64]
-ROOM_M, GRIP_N, ROUNDED_M = 0.0005, 40.0, 2e-5
+ROOM_M, GRIP_N, ROUNDED_M, LOST_M = 0.0005, 40.0, 2e-5, 0.03
 REST_M_S, HELD_OUT_S, NEAR_M = 0.03, 0.1, 0.25
 UP = np.array([0.0, 0.0, 1.0])
 SCALES = ((180, 60), (180, 75), (75, 75), (80, 80), (80, 70), (30, 20), (60, 60))
@@ -77,8 +77,16 @@ def reception_of(again: Again, found: Any, index: int) -> Iterator[Finding]:
     here = again.true.staged.object_index
     yield Finding("object of the grasp", thing, here, "fact", wrong=thing != here)
 
+    # closing moves the object by millimetres: close_in_physics begins with the widest gap, and takes seven times as long
+    closed = rigid(found.T_obj_ee[index])
+    model = scene.objects[here]
+    com = np.append(np.asarray(model.com, np.float64), 1.0)
+    moved = float(np.linalg.norm((np.linalg.inv(closed) - np.linalg.inv(again.attached))[:3] @ com))
+    said = float(found.closing_m[index])
+    yield Finding("closing, m", said, moved, "fact", wrong=abs(said - moved) > 1e-5 or moved > LOST_M)
+
     # in the object's frame the hand is the grasp's, or turned about the axis of an object of revolution
-    T_world_obj = again.T_world_ee @ np.linalg.inv(again.attached)
+    T_world_obj = again.T_world_ee @ np.linalg.inv(closed)
     T_hand, T_obj_hand = rigid(found.T_world_hand[index]), rigid(own.T_obj_hand[0])
     turned = np.linalg.inv(T_world_obj) @ T_hand @ np.linalg.inv(T_obj_hand)
     axis, point = (x[thing].double().numpy() for x in (held_out.axis, held_out.axis_point))
@@ -87,7 +95,7 @@ def reception_of(again: Again, found: Any, index: int) -> Iterator[Finding]:
         off = max(np.abs(turned[:3, :3] @ axis - axis).max(), np.abs(turned[:3] @ np.append(point, 1.0) - point).max())
     yield Finding("hand beside its grasp", 0.0, float(off), "fact", wrong=off > 1e-4)
     gravity = np.concatenate([np.eye(3), -np.eye(3)])
-    newton = float(held_out.grip_n[grasp, int((gravity @ (T_world_obj[:3, :3].T @ -UP)).argmax())])
+    newton = float(held_out.grip_n[grasp, int((gravity @ ((T_world_obj @ turned)[:3, :3].T @ -UP)).argmax())])
     yield Finding("grip, N", GRIP_N, newton, "fact", wrong=newton > GRIP_N * (1 + 1e-6))
 
     T = T_world_obj @ turned

@@ -75,7 +75,7 @@ def tables_of_run(
     judge, names = judge_of_bodies(run, benchmark, device)
     tables = {}
     for name in names:
-        LOG.info(f"{name}: 256 grasps for each trial, 4 ms a trial")
+        LOG.info(f"{name}: 256 grasps for each trial, some 10 ms a trial")
         tables[name] = (of or table_of)(run, name, judge)
     return tables
 

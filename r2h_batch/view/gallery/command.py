@@ -53,7 +53,7 @@ def report(
         gallery: html: draw this many successes and failures of each kind and method. Each picture leads
             to a page of its trial in three dimensions, in a folder beside --out.
         perceived: print the run's measures beside people's ratings of the paper's four methods,
-            instead of Table I; md only. It tries 256 receiving grasps for each pose: 8 ms a trial.
+            instead of Table I; md only. It tries 256 receiving grasps for each pose: some 15 ms a trial.
         out: the file to write instead of printing.
         overwrite: replace what is there under these names.
         benchmark: where its files are now, if they are not where the sweep found them.
