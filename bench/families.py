@@ -86,10 +86,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     for name, flags in OTHERS.items():
         folder = swept(place / f"v2-{name.replace(' ', '-')}", "--method", *METHODS, *few, *V2, *flags)
         keep(orders=found["orders"] | {f"r2h-v2, {name}": order(folder)})
-    keep(regions=regions(), cost=cost())
+    keep(cost=cost())
     if options.scans:
         words = ("--splits", *options.splits, "--objects", options.scans)
         keep(scans=table(swept(place / "scans", "--method", *METHODS, *few, *V2, *words)))
+    keep(regions=regions())
     return found | {"contacts_cpu_s": contact_seconds()} | origin(v2)
 
 
