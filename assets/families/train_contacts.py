@@ -201,11 +201,13 @@ def main() -> None:
             parser.error(
                 f"--left-out: no training instance of {unknown[0]!r}; there are {', '.join(sorted(set(category)))}"
             )
-        net, _ = train(data, [i for i, c in enumerate(category) if c not in names], args.left_out_steps, args.seed)
+        seen = [i for i, c in enumerate(category) if c not in names]
+        net, _ = train(data, seen, args.left_out_steps, args.seed)
         for name in names:
             tests = load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == name])
             others = [n for n in names if n != name]
-            found = figures(net, tests) | {"together_with": others, "steps": args.left_out_steps}
+            more = {"together_with": others, "steps": args.left_out_steps, "instances": len(seen)}
+            found = figures(net, tests) | more
             report.setdefault("left_out", {})[name] = found
             print(name, found, flush=True)
         path.write_text(json.dumps(report, indent=1) + "\n")
