@@ -606,7 +606,9 @@ def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None, di
         for setting in settings:
             option, equals, value = setting.partition("=")
             if not equals:
-                raise UsageError(f"--set {setting!r}; it must be NAME=VALUE, `--set help` has them")
+                raise UsageError(
+                    f"--set is {setting!r}; it must be NAME=VALUE, and `--set help` has them"
+                )
             _check_names("--set", "option", [option])
             if option not in switches:
                 flags.append(f"--{option.replace('_', '-')}={value}")

@@ -588,7 +588,7 @@ def frame_of(turn: str) -> NDArray[np.float64]:
         angles = np.array([])
     if len(angles) != 3 or not (np.abs(angles) <= 360).all():
         raise FileError(
-            f"--turn {printable(turn)[:100]}: give {', '.join(FRAMES)}, or degrees about x, y and z, from -360 to 360, as"
+            f"{printable(turn)[:100]!r} is no turn: give {', '.join(FRAMES)}, or degrees about x, y and z, from -360 to 360, as"
             " 20,40,60"
         )
     return np.asarray(Rotation.from_euler("xyz", angles, degrees=True).as_matrix())
