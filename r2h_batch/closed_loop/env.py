@@ -450,9 +450,10 @@ class HandoverEnv(VectorEnv):
             counted[rows] = 0.0
         self._ended_s[rows] = torch.where(self._held[rows], torch.inf, 0.0).float()
         self._by_robot[rows], self._at_take[rows] = False, 0.0
-        for row in rows.tolist() if self._transfers is not None else []:
-            self._transfers.forget(row)
-            self._transferred[row] = ""
+        if self._transfers is not None:
+            for row in rows.tolist():
+                self._transfers.forget(row)
+            self._transferred[rows.cpu().numpy()] = ""
         hands = MovingHands.of(self.scene, self._drawn, self.motion)
         self.hands = hands if self.hands is None else hands.keeping(self.hands, ~mask)
         T = self.hands.pose(self.times)

@@ -170,6 +170,10 @@ class _Grasps:
 @lru_cache(maxsize=2)
 def _grasps(scene: Scene) -> _Grasps:
     held_out = load_held_out(scene.objects, scene.hands.model)
+    com, mass = (
+        torch.from_numpy(np.array([getattr(o, k) for o in scene.objects], np.float64))
+        for k in ("com", "mass")
+    )
     withstood = Withstood.of(scene.objects, scene.hands.model)
     grasps = held_out.grasps
     joints = grasps.joints.double()
@@ -200,12 +204,8 @@ def _grasps(scene: Scene) -> _Grasps:
             f.name: torch.from_numpy(getattr(withstood, f.name)).to(scene.device, torch.float64)
             for f in fields(withstood)
         },
-        *(
-            torch.from_numpy(np.array([getattr(o, k) for o in scene.objects], np.float64)).to(
-                scene.device
-            )
-            for k in ("com", "mass")
-        ),
+        com.to(scene.device),
+        mass.to(scene.device),
         scene.robot.open_gap_m,
     )
 
@@ -460,7 +460,9 @@ def _result(
         torch.where(received[:, None, None], T_hand.float(), nan),
         torch.where(received[:, None], wrist, nan),
         torch.where(received[:, None], pull_direction(arms["elbow"][trial, k], wrist), nan),
-        *(batch.of_trial[k] for k in ("attached", "T_world_obj", "opening")),
+        batch.of_trial["attached"],
+        batch.of_trial["T_world_obj"],
+        batch.of_trial["opening"],
         batch.closing_m,
     )
 

@@ -169,10 +169,9 @@ def capacities(
         skin: (M, V, 3) float32, frame obj, m.
         hand: whose skins.
     """
-    out = {
-        name: np.zeros((len(skin), *spec.shape[1:]), spec.dtype)  # type: ignore[arg-type]
-        for name, spec in FORM.items()
-    }
+    m, k = len(skin), len(GRAVITY)
+    shapes = ((m, 3), (m, 3), (m, 3), (m, k), (m, k, 6))
+    out = {name: np.zeros(shape, np.float32) for name, shape in zip(FORM, shapes, strict=True)}
     weight, com = float(model.mass) * G, np.asarray(model.com, np.float64)
     for i, (points, normals) in enumerate(_contacts(model, skin, hand)):
         if not len(points):
