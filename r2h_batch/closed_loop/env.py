@@ -5,10 +5,10 @@ hand as a camera does (noise, latency, drop-outs) and says how to go on. A row d
 batch. Definitions: docs/receivers.md, "Receivers that move".
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeGuard, get_args
 
 import gymnasium
 import numpy as np
@@ -21,10 +21,11 @@ from jaxtyping import Bool, Float32, Float64, Int8
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
-from r2h_batch.base.validate import validate_fields
+from r2h_batch.base.validate import describe_value, integer, optional, validate_fields
 from r2h_batch.base.validate_tensors import as_numbers
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
-from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion
+from r2h_batch.closed_loop.fingers import OwnHands
+from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion, Taken
 from r2h_batch.closed_loop.registered import register
 from r2h_batch.closed_loop.relative import CAP_M, Passed, RelativeDistance
 from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
@@ -38,6 +39,7 @@ from r2h_batch.judge.motion.time_law import limits
 from r2h_batch.judge.reception import reception
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses
+from r2h_batch.trials.holding.held_out import load_held_out
 from r2h_batch.trials.noise import PredictorNoise, perturbed, trial_ids
 from r2h_batch.types import CRITERIA, Scores, Trials
 
@@ -271,8 +273,7 @@ class HandoverEnv(VectorEnv):
             if word not in get_args(allowed):
                 words = ", ".join(get_args(allowed))
                 raise ValueError(f"{name} is {word!r}; allowed are {words}")
-        if num_envs is not None and not 1 <= num_envs <= n:
-            raise ValueError(f"num_envs is {num_envs}; these scores allow 1 to {n}")
+        optional(integer(1, n))("num_envs", num_envs)
         self.pool, self.config, self.action = scores, config or LoopConfig(), action
         self.output, self.autoreset = output, autoreset
         mode = AutoresetMode.NEXT_STEP if autoreset else AutoresetMode.DISABLED
@@ -333,6 +334,12 @@ class HandoverEnv(VectorEnv):
             raise ValueError('release="action" needs action velocity, twist or posture, not pose')
         return LoopTransfers(self.scene, release, self.config.rate_hz)
 
+    def __reduce__(self) -> Any:
+        """Refuses copies by pickle: judged scores leave their evaluator behind."""
+        raise TypeError(
+            "a HandoverEnv cannot be pickled or copied; make it where it runs, as gymnasium.make_vec does"
+        )
+
     def _hold(self, rows: Tensor) -> None:
         """Puts these rows of the pool into the gripper: grasps, and poses that were asked."""
         self._row = rows
@@ -351,12 +358,20 @@ class HandoverEnv(VectorEnv):
         self._opening = torch.where(shut, scores.opening_m, 0.0).contiguous()
         hand = self.trials.T_world_hand.double()
         self._T_hand_ee = se3.matmul(se3.inverse(hand), pose.double()).float()
-        self._distance = RelativeDistance(self.scene, self.trials, self._attached, self._opening)
-        affordance = CRITERIA.index("affordance")
-        self._blocked = scores.evaluated[:, affordance] & ~scores.passed[:, affordance]
         self._index = self.trials.hand_index.long().to(self._device)
         self._joints = self.scene.hands.joints.to(self._device)[self._index]
         self._pivot = self.scene.palms[0][self._index]
+        takes = self.motion.kind == "takes"
+        own = OwnHands(self.scene, self._skin(self._every)) if takes else None
+        self._distance = RelativeDistance(
+            self.scene, self.trials, self._attached, self._opening, own
+        )
+        affordance = CRITERIA.index("affordance")
+        self._blocked = scores.evaluated[:, affordance] & ~scores.passed[:, affordance]
+
+    def _skin(self, rows: Tensor) -> Float32[Tensor, "r v 3"]:
+        """Vertices of the hands as they wait, in their own frames, m."""
+        return self.scene.hands.vertices[self._index[rows].cpu()].to(self._device)
 
     def reset(
         self,
@@ -369,11 +384,14 @@ class HandoverEnv(VectorEnv):
         `seed` (one number) is that of noise and receivers from now on. Without one, the first call begins the first
         episodes, and a later one the next.
         """
+        if options is not None and not isinstance(options, Mapping):
+            raise TypeError(
+                f"options are {describe_value(options)}; they must be a mapping or None"
+            )
         mask = None if options is None else options.get("reset_mask")
         if seed is not None:
-            number = (
-                seed if isinstance(seed, int) else int(next((s for s in seed if s is not None), 0))
-            )
+            one = next((s for s in seed if s is not None), 0) if _is_list(seed) else seed
+            number = integer(0, what=" (or a list of such)")("seed", one)
             self.config = replace(self.config, seed=number)
             self.motion = replace(self.motion, seed=number)
             self._np_random = np.random.default_rng(number)
@@ -454,6 +472,9 @@ class HandoverEnv(VectorEnv):
             for row in rows.tolist():
                 self._transfers.forget(row)
             self._transferred[rows.cpu().numpy()] = ""
+        if (own := self._distance.own) is not None:
+            own.put(rows, self._skin(rows))
+            self._joints[rows] = self.scene.hands.joints.to(self._device)[self._index[rows]]
         hands = MovingHands.of(self.scene, self._drawn, self.motion)
         self.hands = hands if self.hands is None else hands.keeping(self.hands, ~mask)
         T = self.hands.pose(self.times)
@@ -522,7 +543,7 @@ class HandoverEnv(VectorEnv):
         if not bool(given.isfinite().all()):
             row = int(torch.nonzero(~given.isfinite())[0, 0])
             raise ValueError(f"actions of row {row} are not finite; they must be {words}")
-        given = given.to(self._device)
+        given = given.detach().to(self._device)
         if self._lets_go:
             given, opens = given[:, :-1], given[:, -1]
             self._opens = opens > 0
@@ -770,16 +791,27 @@ class HandoverEnv(VectorEnv):
         assert found is not None
         reception_scores = reception(replace(posed, q_goal=self.q[rows]).with_inputs(found))
         self._finish(rows[~reception_scores.received], End.NOT_RECEIVED, Why.NO_GRASP)
-        some = rows[reception_scores.received]
-        assert self.hands is not None
-        goal = reception_scores.T_world_hand[reception_scores.received]
-        self.hands.take(self.times[some], some, goal)
+        received = reception_scores.received
+        grasps = load_held_out(self.scene.objects, self.scene.hands.model).grasps.posed
+        which = reception_scores.grasp[received].long().cpu()
+        vertices, joints = (x[which].to(self._device) for x in (grasps.vertices, grasps.joints))
+        way = reception_scores.T_world_before, reception_scores.T_world_hand
+        some = rows[received]
         if self._transfers is not None:
             ids = self._drawn.trial_id[rows].cpu().numpy()
             index = self.trials.object_index[rows].cpu().numpy()
             handed = handed_of(reception_scores, ids, index, self.scene)
             self._offered |= {row: handed[j : j + 1] for j, row in enumerate(some.tolist())}
-        self._at_take[some] = T[reception_scores.received, :3, 3].float()
+        self._take(some, Taken(*(x[received] for x in way), vertices, joints))
+
+    def _take(self, rows: Tensor, grasp: Taken) -> None:
+        """Hands set out for these grasps, with the grasps' fingers from now on."""
+        assert self.hands is not None and self._distance.own is not None
+        self.hands.take(self.times, rows, grasp)
+        self._distance.own.put(rows, grasp.vertices)
+        self._joints[rows] = grasp.joints
+        self._at_take[rows] = self.T_world_ee[rows, :3, 3].float()
+        self.gap[rows] = self._apart(rows, self.q[rows], self.T_world_hand[rows])
 
     def _taken(self, rows: Tensor, rest: Tensor) -> None:
         """Ends what is taken: a success where the robot has held still."""
@@ -1001,6 +1033,10 @@ class SingleHandoverEnv(gymnasium.Env[Any, Any]):
 
     def close(self) -> None:
         self.vector.close()
+
+
+def _is_list(value: object) -> TypeGuard[Sequence[object]]:
+    return isinstance(value, (list, tuple, np.ndarray)) and np.ndim(value) == 1
 
 
 def _first(values: Mapping[str, Any]) -> dict[str, Any]:

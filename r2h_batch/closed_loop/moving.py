@@ -34,13 +34,14 @@ moves, draws back from a near robot and returns. takes: moves, and goes to its e
 (`judge.reception`) once the object is held out. replay: an imported motion that ends at the trial's
 pose."""
 
-STROKES = {"still": 0, "moves": 1, "reaches": 1, "hesitates": 2, "withdraws": 3, "takes": 2}
+STROKES = {"still": 0, "moves": 1, "reaches": 1, "hesitates": 2, "withdraws": 3, "takes": 3}
 """How many a hand may make."""
 WAITS_S, REACTS_S = (2.0, 6.0), (0.5, 2.0)
 """Before a hand leaves a pose where it was shown to the robot, and before one reaches at all."""
 STROKE_S, PAUSE_S, PAUSE_AT = (0.8, 1.4), (0.2, 1.0), 0.6
 BACK_M, BACK_S, AFRAID_M, AWAY_S = 0.20, 0.5, (0.03, 0.08), (0.5, 1.5)
-TAKE_AFTER_S, TAKE_S = (0.1, 0.4), (0.6, 1.0)
+TAKE_AFTER_S, TAKE_S, LAST_SHARE = (0.1, 0.4), (0.6, 1.0), 0.5
+"""Before a hand sets out to take the object, to 10 cm before the grasp, and the share of this for the last 10 cm."""
 REPLAYED_S = 4.0
 """Length of a replayed motion: the last seconds before the frame in which the hand receives."""
 SHARES = (0.8, 0.6, 0.4, 0.2, 0.0)
@@ -221,6 +222,40 @@ class Replayed:
         return gone[0] - gone[1]
 
 
+@dataclass(frozen=True)
+class Taken:
+    """Grasps with which R hands take their objects (`Reception`).
+
+    Attributes:
+        T_world_before: 10 cm before them, turned as there.
+        T_world_hand: there.
+        vertices: in the hand's frame, m.
+        joints: in the hand's frame, m.
+    """
+
+    T_world_before: Float32[Tensor, "r 4 4"]
+    T_world_hand: Float32[Tensor, "r 4 4"]
+    vertices: Float32[Tensor, "r v 3"]
+    joints: Float32[Tensor, "r 16 3"]
+
+    @property
+    def wrist(self) -> Float64[Tensor, "r 3"]:
+        """In the hand's frame, m."""
+        return self.joints[:, 0].double()
+
+    @property
+    def radius(self) -> Float64[Tensor, " r"]:
+        """No point of a hand is farther from its wrist, m."""
+        return farthest(self.vertices, self.joints)
+
+
+def farthest(
+    vertices: Float32[Tensor, "n v 3"], joints: Float32[Tensor, "n 16 3"]
+) -> Float64[Tensor, " n"]:
+    """Largest distance of a point of each hand from its wrist, m."""
+    return (vertices - joints[:, :1]).double().square().sum(2).amax(1).sqrt() + 1e-6
+
+
 @dataclass
 class MovingHands:
     """The receivers of B trials while they move. `react` is the only thing that changes them.
@@ -261,8 +296,7 @@ class MovingHands:
         joints, skin = scene.hands.joints[hand].double(), scene.hands.vertices
         wrist = joints[:, 0]
         every, place = torch.unique(hand, return_inverse=True)
-        root = scene.hands.joints[every, :1]
-        radius = (skin[every] - root).double().square().sum(2).amax(1).sqrt()[place] + 1e-6
+        radius = farthest(skin[every], scene.hands.joints[every])[place]
         T = trials.T_world_hand.double()
         drawn = {k: v.to(device) for k, v in _draws(trials, motion).items()}
         way: Strokes | Replayed
@@ -383,13 +417,19 @@ class MovingHands:
             2, rows, now + BACK_S + self._drawn["away"][rows], self._drawn["stroke"][rows], there
         )
 
-    def take(
-        self, time_s: float | Tensor, rows: Tensor, T_world_hand: Float32[Tensor, "r 4 4"]
-    ) -> None:
-        """Hands go to grasps that are held out to them; `time_s`: now, one number or (r,)."""
-        assert isinstance(self.way, Strokes)
-        begin, lasts = self._drawn["take_after"][rows] + time_s, self._drawn["take"][rows]
-        self.way.add(1, rows, begin, lasts, T_world_hand.double())
+    def take(self, time_s: Float64[Tensor, " b"], rows: Int64[Tensor, " r"], grasp: Taken) -> None:
+        """Hands take the grasps' shapes and go to them, on the way that reception says. What they meant to do is
+        forgotten; `time_s`: now, of all trials."""
+        way = self.way
+        assert isinstance(way, Strokes)
+        way.T_world_hand[rows] = way.pose(time_s)[rows]
+        way.begin[:, rows] = torch.inf
+        way.wrist[rows] = grasp.wrist
+        way.radius[rows] = torch.maximum(way.radius[rows], grasp.radius)
+        begin, lasts = self._drawn["take_after"][rows] + time_s[rows], self._drawn["take"][rows]
+        way.add(1, rows, begin, lasts, grasp.T_world_before.double())
+        begin, lasts = begin + lasts, LAST_SHARE * lasts
+        way.add(2, rows, begin, lasts, grasp.T_world_hand.double())
         self.taking[rows], self.taken_s[rows] = True, begin + lasts
 
     def people(

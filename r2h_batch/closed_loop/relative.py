@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float32, Float64
 from torch import Tensor
 
+from r2h_batch.closed_loop.fingers import OwnHands
 from r2h_batch.closed_loop.moving import MovingHands
 from r2h_batch.judge.distance import NearestApproach, hand_distance_at
 from r2h_batch.scene.scene import Scene
@@ -50,8 +51,10 @@ class RelativeDistance:
         trials: Trials,
         T_obj_ee: Float32[Tensor, "b 4 4"],
         opening_m: Float32[Tensor, " b"],
+        own: OwnHands | None = None,
     ) -> None:
-        self.scene, self.trials = scene, trials
+        """`own`: the hands of the trials, row by row; None: those of the scene."""
+        self.scene, self.trials, self.own = scene, trials, own
         self._grasp, self._opening = T_obj_ee, opening_m
         self._levers = scene.motion_radii.to(T_obj_ee.device).float()
 
@@ -69,13 +72,16 @@ class RelativeDistance:
         self, rows: Tensor, q: Float32[Tensor, "r j"], T_world_hand: Float32[Tensor, "r 4 4"]
     ) -> NearestApproach:
         """As `at`, with the robot's body and the point of the hand."""
-        trials = self.trials
+        trials, own = self.trials, self.own
+        hand = trials.hand_index[rows] if own is None else rows
         bodies = self.scene.body_poses(
-            trials.object_index[rows], trials.hand_index[rows], self._grasp[rows], T_world_hand.contiguous(),
-            self._opening[rows],
+            trials.object_index[rows], hand, self._grasp[rows], T_world_hand.contiguous(), self._opening[rows]
         )  # fmt: skip
         active = torch.ones(len(rows), dtype=torch.bool, device=q.device)
-        return hand_distance_at(self.scene, bodies, q.contiguous(), active, cap_m=CAP_M)
+        tables = None if own is None else own.tables
+        return hand_distance_at(
+            self.scene, bodies, q.contiguous(), active, cap_m=CAP_M, hands=tables
+        )
 
     def robot_travel(self, turned: Float32[Tensor, "r j"]) -> Float32[Tensor, " r"]:
         """Bound of the distance that any point of the robot moves while each joint turns by this

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float32, Int32
@@ -91,6 +92,18 @@ class NearestApproach:
     fraction: Float32[Tensor, " b"]
     point: Float32[Tensor, "b 3"]  # of the hand, world frame, m
     exact: bool = False  # no slack was taken off: what is farther is at the cap
+
+
+class HandTables(NamedTuple):
+    """Hands as the kernels of distances read them.
+
+    Attributes:
+        world: the `World` of r2h_batch.kernels.robot.world with these hands.
+        mesh: their `HandMesh`.
+    """
+
+    world: Any
+    mesh: Any
 
 
 def hand_distance(
@@ -223,6 +236,7 @@ def hand_distance_at(
     active: Bool[Tensor, " b"],
     *,
     cap_m: float = CLEARANCE_CAP_M,
+    hands: HandTables | None = None,
 ) -> NearestApproach:
     """The distance of the robot from the hand at postures, measured as in `hand_distance`.
 
@@ -232,11 +246,13 @@ def hand_distance_at(
         q: (B, J) float32, rad.
         active: (B,) rows to measure; the others are NaN.
         cap_m: exact below this, a lower bound above, m.
+        hands: those that `body_poses` counts; None: the scene's.
     """
+    tables = hands or HandTables(scene.world, scene.hand_mesh)
     made = over_trials(scene.sized(goal_safe_distance), len(active), scene.device)(
         cap=cap_m,
-        world=scene.world,
-        mesh=scene.hand_mesh,
+        world=tables.world,
+        mesh=tables.mesh,
         bodies=body_poses.bodies,
         active=active.contiguous(),
         q=q,

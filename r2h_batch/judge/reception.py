@@ -89,6 +89,7 @@ class Reception:
         rula: grand score (McAtamney and Corlett 1993) of that posture, 1 to 7; 0 where none is received.
         elbow: where the elbow is then, world, m.
         T_world_hand: where the hand is then, m.
+        T_world_before: where it is 10 cm before that, turned as there; from here it goes straight.
         wrist: where its wrist is then, world, m.
         pull: unit vector along which the person pulls, world.
         T_obj_ee: the grasp once the gripper has closed (`closed_pose`), m; identity where nothing is held.
@@ -109,6 +110,7 @@ class Reception:
     rula: Int8[Tensor, " b"]
     elbow: Float32[Tensor, "b 3"]
     T_world_hand: Float32[Tensor, "b 4 4"]
+    T_world_before: Float32[Tensor, "b 4 4"]
     wrist: Float32[Tensor, "b 3"]
     pull: Float32[Tensor, "b 3"]
     T_obj_ee: Float32[Tensor, "b 4 4"]
@@ -283,7 +285,7 @@ def _reception(scores: Scores, leans_deg: tuple[float, ...]) -> Reception:
     _carry(batch, arms, passes)
     passes = passes.cummin(2).values
     chosen = _easiest(batch, arms, way, passes[..., -1])
-    return _result(batch, arms, passes.sum(1), chosen)
+    return _result(batch, arms, way, passes.sum(1), chosen)
 
 
 def _batch_of(scores: Scores) -> _Batch:
@@ -429,7 +431,11 @@ def _easiest(
 
 
 def _result(
-    batch: _Batch, arms: dict[str, Tensor], count: Tensor, chosen: Int64[Tensor, " b"]
+    batch: _Batch,
+    arms: dict[str, Tensor],
+    way: Int32[Tensor, "b k"],
+    count: Tensor,
+    chosen: Int64[Tensor, " b"],
 ) -> Reception:
     received, nan = chosen >= 0, torch.nan
     trial = torch.arange(len(chosen), dtype=torch.int64, device=chosen.device)
@@ -439,6 +445,10 @@ def _result(
     turned = _about_axis(batch.grasps, pair["object"].long(), pair["turn"]).double()
     hand = batch.grasps.held_out.grasps.T_obj_hand.to(chosen.device)[row].double()
     T_hand = se3.matmul(se3.matmul(pair["T_world_obj"].double(), turned), hand)
+    in_object = se3.matmul(pair["T_world_obj"].double(), turned)[:, :3, :3]
+    comes = se3.rotate(in_object, _directions(batch.grasps, row, way[trial, k]).double())
+    T_before = T_hand.clone()
+    T_before[:, :3, 3] -= float(kernels.WAY_M) * comes
     relative = se3.matmul(se3.inverse(pair["T_world_hand"].double()), T_hand)[:, :3, :3]
     cosine = 0.5 * (relative.diagonal(dim1=1, dim2=2).sum(1) - 1.0)
     wrist = batch.wrists(pair)
@@ -458,6 +468,7 @@ def _result(
         torch.where(received, score, 0).to(torch.int8),
         torch.where(received[:, None], arms["elbow"][trial, k], nan),
         torch.where(received[:, None, None], T_hand.float(), nan),
+        torch.where(received[:, None, None], T_before.float(), nan),
         torch.where(received[:, None], wrist, nan),
         torch.where(received[:, None], pull_direction(arms["elbow"][trial, k], wrist), nan),
         batch.of_trial["attached"],
@@ -465,6 +476,15 @@ def _result(
         batch.of_trial["opening"],
         batch.closing_m,
     )
+
+
+def _directions(grasps: _Grasps, row: Tensor, way: Tensor) -> Float32[Tensor, "n 3"]:
+    """How hands go the last 10 cm to grasps, frame obj: `way_direction` of the kernels."""
+    _, along, normal = (x[row] for x in grasps.owners[:3])
+    between = normal + along
+    between = between / se3.dot(between, between).sqrt()[:, None]
+    which = way[:, None]
+    return torch.where(which == 1, along, torch.where(which == 2, between, normal))
 
 
 def _about_axis(grasps: _Grasps, objects: Tensor, angle: Tensor) -> Float32[Tensor, "n 4 4"]:

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.validate import integer, optional, text
 from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.sweep.jobs import make_jobs, set_up
@@ -100,6 +101,9 @@ def make_vector(
         ValueError: there are not as many handovers.
         UsageError: no such method or flag.
     """
+    integer(1)("num_envs", num_envs)
+    optional(integer(1))("trials", trials)
+    text("method", method)
     each = trials or max(LEAST_TRIALS, num_envs)
     line = ["--method", method, "--trials", str(each), "--sim", "none", *sweep]
     request = requested(parse(line))

@@ -1,12 +1,11 @@
 """Processes that read files of strangers end with the process that started them."""
 
-import contextlib
-import os
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
+
+from alive import alive, all_end
 
 READER = """
 import os, sys, time
@@ -30,13 +29,6 @@ with open(__file__, "rb") as file:
 """
 
 
-def alive(pid: int) -> bool:
-    with contextlib.suppress(ProcessLookupError, FileNotFoundError):
-        os.kill(pid, 0)
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    return False
-
-
 def test_a_reader_ends_with_a_parent_that_is_killed(tmp_path):
     (tmp_path / "endless_reader.py").write_text(READER)
     (tmp_path / "parent.py").write_text(PARENT)
@@ -52,7 +44,4 @@ def test_a_reader_ends_with_a_parent_that_is_killed(tmp_path):
     finally:
         parent.send_signal(signal.SIGKILL)
         parent.wait()
-    end = time.monotonic() + 20
-    while alive(child) and time.monotonic() < end:
-        time.sleep(0.1)
-    assert not alive(child)
+    assert all_end([child], 20)

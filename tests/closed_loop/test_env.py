@@ -1,5 +1,7 @@
 """The closed loop: today's verdicts beside a still hand, distances against MuJoCo C and the exact mesh, any batch."""
 
+import copy
+import pickle
 from dataclasses import replace
 from functools import cache, partial
 
@@ -15,15 +17,19 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.closed_loop import env as envs
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
 from r2h_batch.closed_loop.env import End, LoopConfig, SingleHandoverEnv
-from r2h_batch.closed_loop.moving import ReceiverMotion
+from r2h_batch.closed_loop.moving import ReceiverMotion, Taken
 from r2h_batch.closed_loop.policies import POLICIES, Planned, Replan
 from r2h_batch.closed_loop.relative import CAP_M
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError, Thresholds
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.distance import hand_distance_at
 from r2h_batch.methods import oracle as oracle_method
 from r2h_batch.methods import random as random_method
+from r2h_batch.scene.hand import make_hand_set
 from r2h_batch.scene.robot import ee_pose, load_robot
+from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.benchmark.benchmark import built_in
+from r2h_batch.trials.holding.held_out import load_held_out
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.verdicts import CRITERIA
 
@@ -273,9 +279,8 @@ def test_contacts_say_who_moved(scores):
     walker.reset()
     at = walker.T_world_hand.clone()
     at[:, :3, 3] = walker.T_world_ee[:, :3, 3].float()
-    every = torch.arange(walker.num_envs)
     walker.hands.way.begin[0] = torch.inf
-    walker.hands.take(0.0, every, at)
+    sent(walker, at)
     walker.hands.taking[:] = False
     while running(walker):
         walker.step(torch.zeros(walker.num_envs, 6))
@@ -392,7 +397,7 @@ def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, s
         HandoverEnv(scores, action="torque")
     with pytest.raises(ValueError, match="output is 'jax'; allowed are numpy, torch"):
         envs.HandoverEnv(scores, output="jax")
-    with pytest.raises(ValueError, match="num_envs is 17; these scores allow 1 to 16"):
+    with pytest.raises(ValueError, match="num_envs is 17; it must be a whole number from 1 to 16"):
         HandoverEnv(scores, num_envs=17)
     with pytest.raises(ValueError, match="rate_hz is 100; allowed is 10 to 50"):
         LoopConfig(rate_hz=100)
@@ -425,7 +430,18 @@ def test_actions_pass_the_checks_of_score_and_a_step_before_reset_is_named(score
     assert env.k == 0
     env.step(good.tolist())
     env.step(torch.from_numpy(good))
-    assert env.k == 2
+    env.step(torch.from_numpy(good).requires_grad_())  # of a policy that forgot torch.no_grad
+    assert env.k == 3 and not env.q.requires_grad
+    for seed, error in ((-1, ValueError), ("7", TypeError), (1.5, TypeError), (True, TypeError)):
+        with pytest.raises(error, match=r"seed is .*; it must be a whole number"):
+            env.reset(seed=seed)
+    whole = [env.reset(seed=seed)[0]["T_world_hand"] for seed in (7, np.int64(7), [7, 8], np.array([7, 8]))]
+    assert all(np.array_equal(whole[0], x) for x in whole)
+    with pytest.raises(TypeError, match=r"options are \[\]; they must be a mapping or None"):
+        env.reset(options=[])
+    for copy_of in (pickle.dumps, copy.deepcopy):
+        with pytest.raises(TypeError, match="make it where it runs"):
+            copy_of(env)
 
 
 def test_rows_begin_anew_one_by_one_and_an_episode_does_not_depend_on_when(scores):
@@ -480,6 +496,53 @@ def test_more_handovers_than_rows_come_in_turn(scores):
     assert len(env._poses) < 60  # what nobody asks for any more is dropped
 
 
+def sent(env, T_world_hand):
+    """Hands set out, as they are, for places that nobody looked at."""
+    rows = torch.arange(env.num_envs)
+    env._take(rows, Taken(T_world_hand, T_world_hand, env._skin(rows), env._joints[rows]))
+
+
+def test_a_hand_takes_the_object_with_the_fingers_and_on_the_way_that_reception_found(scores, monkeypatch):
+    """Beside a scene that has these fingers, built by itself. A hand sets out from where it is: some of these take the
+    object before they would have left, and what they meant to do is forgotten."""
+    found, rows_of = [], []
+    offer, look = envs.HandoverEnv._offer, envs.reception
+    monkeypatch.setattr(envs.HandoverEnv, "_offer", lambda env, rows: (rows_of.append(rows), offer(env, rows)))
+    monkeypatch.setattr(envs, "reception", lambda s: found.append(look(s)) or found[-1])
+    env, e = played(scores[scores.success], "planned", "takes")
+    won = e.end == int(End.SUCCESS)
+    assert won.sum() >= 4 and (e.overlap_m[won] == 0).all()
+    early, deeper = 0, 0
+    grasps = load_held_out(env.scene.objects, env.scene.hands.model).grasps
+    for rows, took in zip([r for r in rows_of if len(r)], found, strict=True):
+        for row, r in zip(rows.tolist(), range(len(rows)), strict=True):
+            if not won[row]:
+                continue
+            goal, before = took.T_world_hand[r], took.T_world_before[r]
+            assert torch.allclose(env.T_world_hand[row], goal, atol=1e-6)
+            assert torch.allclose(before[:3, :3], goal[:3, :3])
+            assert float((before - goal)[:3, 3].norm()) == pytest.approx(0.1, abs=1e-6)
+            early += int(env.hands.taken_s[row] < env.hands._drawn["waits"][row])
+            k = int(took.grasp[r])
+            own = make_hand_set(
+                grasps.hand, *(getattr(grasps, x)[[k]].numpy() for x in ("pose", "shape", "side")), ("own",)
+            )
+            alone = Scene(config=env.evaluator.config, robot=env.scene.robot, hand_set=own)
+            bodies = alone.body_poses(
+                env.trials.object_index[[row]], torch.zeros(1, dtype=torch.int32), env._attached[[row]],
+                goal[None].contiguous(), env._opening[[row]],
+            )  # fmt: skip
+            q, active = env.q[[row]].contiguous(), torch.ones(1, dtype=torch.bool)
+            near = hand_distance_at(alone, bodies, q, active, cap_m=CAP_M)
+            assert float(env.gap[row]) == pytest.approx(float(near.distance_m[0]), abs=2e-6)
+            waiting = env.scene.body_poses(
+                env.trials.object_index[[row]], env.trials.hand_index[[row]], env._attached[[row]],
+                goal[None].contiguous(), env._opening[[row]],
+            )  # fmt: skip
+            deeper += int(hand_distance_at(env.scene, waiting, q, active).distance_m[0] < 0)
+    assert early >= 1 and deeper >= 1  # waiting fingers would overlap the gripper
+
+
 def test_a_hand_that_takes_may_touch_the_gripper_by_itself_and_nothing_else(scores):
     """Hands sent to places in the robot: into the gripper, and into the forearm; and a robot that drives into the hand."""
     good = scores[scores.success][:6]
@@ -490,8 +553,7 @@ def test_a_hand_that_takes_may_touch_the_gripper_by_itself_and_nothing_else(scor
         env.hands.way.begin[0] = torch.inf
         at = env.T_world_hand.clone()
         at[:, :3, 3] += place(env) - env.scene.palm(env.trials.hand_index, env.T_world_hand)[0]
-        env._at_take = env.T_world_ee[:, :3, 3].float()
-        env.hands.take(torch.zeros(6), torch.arange(6), at)
+        sent(env, at)
         least = env.gap.clone()
         while running(env):
             env.step(actions)
@@ -513,8 +575,7 @@ def test_an_object_that_goes_farther_than_1_cm_while_it_is_taken_is_not_received
     env.reset(seed=0)
     env.hands.way.begin[0] = torch.inf
     begin = env.T_world_ee[:, :3, 3].clone()
-    env._at_take = begin.float()
-    env.hands.take(torch.zeros(6), torch.arange(6), env.T_world_hand.clone())
+    sent(env, env.T_world_hand.clone())
     up = torch.tensor([0.0, 0.0, 0.05, 0.0, 0.0, 0.0]).repeat(6, 1)
     gone = torch.zeros(6, dtype=torch.float64)
     while running(env):

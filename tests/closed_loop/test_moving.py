@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation, Slerp
 
 from r2h_batch.base import rng
-from r2h_batch.closed_loop.moving import KINDS, MovingHands, ReceiverMotion, elbow_of, minimum_jerk
+from r2h_batch.closed_loop.moving import KINDS, MovingHands, ReceiverMotion, Taken, elbow_of, minimum_jerk
 from r2h_batch.data.data_sets import HandMotion
 from r2h_batch.data.hand_sets import Collected, motion_file, write
 from r2h_batch.scene.hand import load_hand_set
@@ -37,6 +37,13 @@ def test_a_stroke_is_the_polynomial_of_least_jerk_at_rest_at_both_ends():
     assert minimum_jerk(torch.tensor([-3.0, 7.0])).tolist() == [0.0, 1.0]
 
 
+def moved_down(T):
+    """Ten centimetres below."""
+    T = T.clone()
+    T[:, 2, 3] -= 0.1
+    return T
+
+
 @pytest.mark.check
 @pytest.mark.parametrize("kind", STROKES)
 def test_no_point_of_a_hand_goes_farther_than_is_said_and_motions_are_smooth(scene, trials, kind):
@@ -45,7 +52,14 @@ def test_no_point_of_a_hand_goes_farther_than_is_said_and_motions_are_smooth(sce
     if kind == "withdraws":
         hands.react(3.0, torch.full((len(trials),), 0.01))
     if kind == "takes":
-        hands.take(7.0, torch.arange(len(trials)), goal)
+        now, own = torch.full((len(trials),), 7.0, dtype=torch.float64), trials.hand_index.long()
+        before_it = moved_down(goal)
+        hands.take(
+            now,
+            torch.arange(len(trials)),
+            Taken(before_it, goal, scene.hands.vertices[own], scene.hands.joints[own]),
+        )
+        assert (hands.pose(hands.taken_s - 0.5 * hands._drawn["take"]) - before_it).abs().max() < 1e-5
     before, speeds = skin(scene, trials, hands.pose(0.0)), []
     for a, b in pairwise(np.linspace(0.0, 12.0, 241).tolist()):
         after = skin(scene, trials, hands.pose(b))

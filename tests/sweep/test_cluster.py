@@ -8,6 +8,7 @@ from collections import deque
 from types import SimpleNamespace
 
 import pytest
+from alive import alive, all_end
 from disturbed import DEADLY, SLOW, finish, same_rows, start, stored_shards, wait_for
 from fake_bench import workers
 from needs import needs
@@ -79,14 +80,27 @@ def test_kill_9_of_the_driver_leaves_a_folder_that_goes_on(tmp_path, undisturbed
     out = tmp_path / "run"
     sweep = start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0.2")
     wait_for(lambda: len(stored_shards(out)) >= 3, "three shards")
+    children = [int(line.split()[0]) for line in (tmp_path / "log").read_text().splitlines()]
+    assert any(map(alive, children))
     sweep.kill()
     finish(sweep)
+    assert all_end(children, 60)
     stored = stored_shards(out)
     assert len(stored) < 12
     times = [p.stat().st_mtime_ns for p in stored]
     code, _, error = finish(start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0"))
     assert code == 0, error
     assert [p.stat().st_mtime_ns for p in stored] == times
+    same_rows(out, undisturbed)
+
+
+@pytest.mark.slow
+def test_two_sweeps_on_ray_in_one_folder_share_its_shards(tmp_path, undisturbed):
+    out, log = tmp_path / "run", tmp_path / "log"
+    sweeps = [start(tmp_path, out, SLOW, *ONE, FAKE_SECONDS="0.2") for _ in range(2)]
+    for code, table, error in map(finish, sweeps):
+        assert code == 0 and table.startswith("split,"), error
+    assert len(workers(log)) == 2
     same_rows(out, undisturbed)
 
 

@@ -1,6 +1,7 @@
 """Transfers of many handovers on all cores: rows, cases, processes."""
 
 import multiprocessing
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ import torch
 from jaxtyping import Float64
 from numpy.typing import NDArray
 
+from r2h_batch.base.io.child import end_with
 from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.closed_loop.transfer.person import SCENARIOS, Hands, Persons, draw_persons
@@ -103,8 +105,11 @@ class Simulator:
 _simulator: Simulator | None = None
 
 
-def _start(robot: Robot, objects: Sequence[ObjectModel], setting: Setting, seed: int) -> None:
+def _start(
+    parent: int, robot: Robot, objects: Sequence[ObjectModel], setting: Setting, seed: int
+) -> None:
     global _simulator
+    end_with(parent)
     torch.set_num_threads(1)
     _simulator = Simulator(robot, objects, setting, seed)
 
@@ -158,7 +163,7 @@ def _groups(parts: Iterable[Rows]) -> Iterator[Rows]:
 
 @contextmanager
 def processes(simulator: Simulator, count: int) -> Iterator[Processes]:
-    """Processes that simulate what `simulator` does.
+    """Processes that simulate what `simulator` does. They end with this one, however that ends.
 
     Args:
         simulator: with robot, objects and setting.
@@ -167,7 +172,8 @@ def processes(simulator: Simulator, count: int) -> Iterator[Processes]:
     if count == 1:
         yield Processes(simulator, None, 1)
         return
-    given = (simulator.robot, simulator.models.objects, simulator.setting, simulator.seed)
+    like = simulator.robot, simulator.models.objects, simulator.setting, simulator.seed
+    given = (os.getpid(), *like)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(count, context, initializer=_start, initargs=given) as pool:
         yield Processes(simulator, pool, count)

@@ -1,9 +1,13 @@
 """Claims about the transfer, on a screwdriver in the gripper's pads and a person's hand beside them."""
 
+import signal
+import subprocess
+import sys
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from alive import alive, all_end, children_of, until
 
 from r2h_batch.closed_loop.transfer import person, release
 from r2h_batch.closed_loop.transfer.cases import Case, Processes, Simulator, processes
@@ -144,6 +148,37 @@ def test_rows_have_the_same_bits_in_any_order_batch_and_number_of_processes(poli
         assert np.array_equal(x[2:3], getattr(alone.transfers, name), equal_nan=True), name
         both = np.concatenate([getattr(t.transfers, name) for t in found])
         assert np.array_equal(x, both, equal_nan=True), name
+
+
+DRIVER = """
+import os, time
+from pathlib import Path
+from r2h_batch.closed_loop.transfer.cases import Simulator, processes
+from r2h_batch.closed_loop.transfer.model import Setting
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.robot import load_robot
+
+if __name__ == "__main__":
+    with processes(Simulator(load_robot(), load_objects(["screwdriver"]), Setting(), 0), 2) as two:
+        waits = [two.pool.submit(time.sleep, 600 * k) for k in (0, 1)]
+        waits[0].result()
+        print("at work", flush=True)
+        waits[1].result()
+"""
+
+
+def test_processes_end_with_a_driver_that_is_killed(tmp_path):
+    (tmp_path / "driver.py").write_text(DRIVER)
+    driver = subprocess.Popen([sys.executable, str(tmp_path / "driver.py")], stdout=subprocess.PIPE, text=True)
+    try:
+        assert driver.stdout is not None and driver.stdout.readline() == "at work\n"
+        assert until(lambda: len(children_of(driver.pid)) >= 3, 60)  # two that simulate, and Python's tracker
+        children = children_of(driver.pid)
+        assert all(map(alive, children))
+    finally:
+        driver.send_signal(signal.SIGKILL)
+        driver.wait()
+    assert all_end(children, 20)
 
 
 def test_half_the_time_step_changes_no_outcome():
