@@ -92,8 +92,7 @@ def exposed_surface(shapes: list[Any], spacing: float) -> tuple[Array, Array]:
 
 def lattice(triangles: Array, spacing: float) -> Array:
     """Points on triangles (F, 3, 3), corners and edges included, at most `spacing` apart along the edges."""
-    edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
-    steps = np.maximum(1, np.ceil(edges / spacing)).astype(int)
+    steps = _steps(triangles, spacing)
     points = []
     for n in np.unique(steps):
         i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
@@ -101,6 +100,19 @@ def lattice(triangles: Array, spacing: float) -> Array:
         weights = np.stack([i[keep], j[keep], n - i[keep] - j[keep]], axis=1) / n
         points.append(np.einsum("pk,fkd->fpd", weights, triangles[steps == n]).reshape(-1, 3))
     return np.concatenate(points)
+
+
+def _steps(triangles: Array, spacing: float) -> NDArray[np.int64]:
+    """Into how many parts `lattice` divides the edges of each triangle."""
+    edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
+    return np.maximum(1, np.ceil(edges / spacing)).astype(np.int64)
+
+
+def few_at_once(triangles: Array, spacing: float) -> list[Array]:
+    """The triangles in groups whose lattices have at most `POINTS_AT_ONCE` points; one alone may have more."""
+    steps = _steps(triangles, spacing)
+    before = np.cumsum((steps + 1) * (steps + 2) // 2)
+    return np.split(triangles, 1 + np.flatnonzero(np.diff(before // POINTS_AT_ONCE)))
 
 
 def thinned(points: Array, cell: float) -> Array:
@@ -121,6 +133,8 @@ def disc(center: Array, normal: Array, radius: float, spacing: float) -> Array:
 
 
 PROTRUSION_SPACING_M = 0.4e-3
+POINTS_AT_ONCE = 1_000_000
+"""Most points of a lattice that is looked at for what sticks out: some 100 MB."""
 
 
 class Target:
@@ -136,9 +150,9 @@ class Target:
 
     def protrusion(self, shapes: list[Any]) -> float:
         """How far the mesh sticks out of the shapes (m): of all its corners and a finer lattice than the fit has seen."""
-        parts = np.array_split(self.triangles, max(1, len(self.triangles) // 2000))
         # hulls hold what their planes cut the triangles into
         spacing = 2e-3 if all(s.kind == HULL for s in shapes) else PROTRUSION_SPACING_M
+        parts = few_at_once(self.triangles, spacing)
         return max(float(union_distance(shapes, lattice(p, spacing)).max()) for p in parts)
 
     def mean_overshoot_mm(self, shapes: list[Any]) -> float:

@@ -12,7 +12,7 @@ from refusals import one_line
 from robot_files import ARM, read_arm, write_mjcf, write_urdf
 
 from r2h_batch.data import robot as robot_import
-from r2h_batch.data import robot_links
+from r2h_batch.data import robot_links, robot_shapes
 from r2h_batch.data.robot_chain import at_flange, read_chain, read_fingers
 from r2h_batch.data.robot_links import Meshes, files_of, link_of
 from r2h_batch.data.robot_model import read_model
@@ -317,6 +317,21 @@ def test_what_is_wrong_with_a_tree_is_named(words, tmp_path):
         path.write_text(text[:at] + text[at:].replace('"1.5"', '"-1.5"', 1))
     with one_line(words):
         read_model(path)
+
+
+def test_what_sticks_out_of_large_triangles_is_measured_in_bounded_memory(monkeypatch):
+    """Halves of sides of 6 cm have 23,000 points 0.4 mm apart."""
+    monkeypatch.setattr(robot_shapes, "POINTS_AT_ONCE", 30_000)
+    mesh = trimesh.creation.box((0.06, 0.06, 0.02))
+    sizes, whole = [], robot_shapes.lattice
+    monkeypatch.setattr(robot_shapes, "lattice", lambda t, spacing: (p := whole(t, spacing), sizes.append(len(p)))[0])
+    target = robot_shapes.Target(np.asarray(mesh.triangles), [])
+    sizes.clear()
+    ball = robot_shapes.Shape("capsule", np.zeros(3), np.eye(3), np.array([0.03, 0.005, 0.0]))
+    assert target.protrusion([ball]) == pytest.approx(np.hypot(np.hypot(0.03, 0.03), 0.005) - 0.03, abs=1e-9)
+    assert len(sizes) > 3 and max(sizes) < 50_000 < sum(sizes)
+    small = [len(t) for t in robot_shapes.few_at_once(np.full((5, 3, 3), 0.5), 0.1)]
+    assert small == [5]
 
 
 def test_links_are_counted_before_a_mesh_is_read(tmp_path, monkeypatch):
