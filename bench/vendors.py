@@ -9,7 +9,6 @@ below FOLDER, and sweeps the oracle on each robot that it writes. FOLDER holds, 
 | example-robot-data | the wheel of example-robot-data |
 | mink | the repository kevinzakka/mink |
 | menagerie | the repository google-deepmind/mujoco_menagerie |
-| mjctrl | the repository NikonPic/mjctrl, whose FR3 is Menagerie's with a hand |
 | franka_description, xarm_description | the ROS packages, with the named xacro file expanded into their folder |
 
 None of it is part of this project. A robot whose file is not there is left out, and the count of files says so. `--only NAME
@@ -79,10 +78,6 @@ ROBOTS = {
         "--base link00 --flange link06 --offset=0.051,0,0,0,1.5708,0 --home=0,1.8,-2.16,1.5,0,0",
     ),
     "sawyer": Sold("Sawyer", "", "robosuite", f"{SUITE}/sawyer/robot.xml", "--base base --flange right_hand"),
-    "fr3_jaws": Sold(
-        "FR3", "its hand, pads from meshes", "NikonPic/mjctrl (Menagerie)", "mjctrl/franka_fr3/fr3.xml",
-        "--base base --flange hand --fingers left_finger,right_finger",
-    ),
     "fr3": Sold("FR3", "", "franka_description", "franka_description/fr3.urdf", "--base fr3_link0 --flange fr3_link8"),
     "panda_jaws": Sold(
         "Panda", "its hand, pads from meshes", "Menagerie", "menagerie/franka_emika_panda/panda.xml",
