@@ -266,12 +266,12 @@ def search(bench: Bench) -> None:
     evaluator = Evaluator(replace(KINEMATIC, chunk=n), device=bench.device)
     spent = dict.fromkeys(SEARCHED, 0.0)
     problems: list[int] = []
-    launch_trials = planner.launch_trials
+    over_trials = planner.over_trials
 
-    def launched(kernel: Any, rows: int, **ways: Any) -> None:
+    def launched(kernel: Any, rows: int, device: str, **ways: Any) -> Callable[..., Any]:
         if kernel.key == "rrt_connect":
             problems.append(rows)
-        launch_trials(kernel, rows, **ways)
+        return over_trials(kernel, rows, device, **ways)
 
     def timed(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **kwargs: Any) -> Any:
@@ -288,7 +288,7 @@ def search(bench: Bench) -> None:
     with planning_form("frontier"):
         seconds = bench.seconds(partial(evaluator.score, *batch))
         with ExitStack() as stack:
-            stack.enter_context(mock.patch.object(planner, "launch_trials", launched))
+            stack.enter_context(mock.patch.object(planner, "over_trials", launched))
             for name, (owner, method) in SEARCHED.items():
                 stack.enter_context(mock.patch.object(owner, method, timed(name, getattr(owner, method))))
             scores = evaluator.score(*batch)

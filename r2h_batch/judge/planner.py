@@ -42,9 +42,10 @@ class Planner:
         self, kernel: Any, n: int, chunk: int, outputs: dict[str, Any] | None = None
     ) -> Callable[..., Any]:
         """`over_trials` with the world and the bodies."""
-        kernel, options = self._sized(kernel), {"chunk": chunk, "uneven": True}
+        kernel = self._sized(kernel)
         return partial(
-            over_trials(kernel, n, self._device, outputs=outputs, **options), **self._tables
+            over_trials(kernel, n, self._device, outputs=outputs, chunk=chunk, uneven=True),
+            **self._tables,
         )
 
     def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
