@@ -1,6 +1,6 @@
 """Makes receiving.npz, the receiving grasps of the built-in people's hand: ``python -m r2h_batch.assets.people.build_receiving``.
 
-After build_people. The sampler of receiving/build_receiving.py on another hand: 4 CPU minutes, no anny.
+After build_people. The sampler of receiving/build_receiving.py on another hand: a CPU minute, no anny.
 """
 
 from __future__ import annotations
