@@ -439,6 +439,8 @@ def marked(test: Mapping[str, Any]) -> bool:
 
 def turn_lines(data: Mapping[str, Any]) -> str:
     """Turn tests of both protocols."""
+    from r2h_batch.report.turn import words_for
+
     lines = [
         [
             f"{protocol} {t['group']} {short(t['method'])}", t["n"], f"{t['rate']:.1f}",
@@ -448,7 +450,8 @@ def turn_lines(data: Mapping[str, Any]) -> str:
         for protocol, tests in data["turned"].items()
         for t in tests
     ]  # fmt: skip
-    return markdown_table(["", "N", "as it lies", "half turn", "cycled axes", f"turn of {ANY_TURN}", "mark"], lines)
+    turns = [words_for(m["turn"]) for m in next(iter(data["turned"].values()))[0]["moves"]]
+    return markdown_table(["", "N", "as it lies", *turns, "mark"], lines)
 
 
 def order_lines(data: Mapping[str, Any]) -> str:
@@ -612,8 +615,8 @@ def markdown(data: Mapping[str, Any]) -> str:
         "The same trials with turned objects ([turn test](../statistics.md#turn-test)): points of SR gained, with the 95 %"
         " interval over categories. Handover-VA grasps from above along the frame's z, as published, and aligns its template"
         " from the frame's axes, so its answer depends on them. Half turn and cycled axes map an object's voxel grid and its box"
-        " onto themselves. The last turn"
-        f" (`r2h-batch turn RUN --by {ANY_TURN}`, degrees about x, y and z) maps neither. FC, Contact and Intent place the centre"
+        f" onto themselves. A turn by other angles (`r2h-batch turn RUN --by {ANY_TURN}`, degrees about x, y and z) maps neither."
+        " FC, Contact and Intent place the centre"
         " of the object above the palm: of r2h-v2's objects that of the smallest ball around them, which turns with them; of"
         " r2h-v1's objects that of the box along the frame's axes, as these rows are frozen. Contact-Handover's network reads a"
         " voxel grid along the frame's axes, so such a turn changes its answer a little.",
