@@ -566,6 +566,11 @@ def network_lines(data: Mapping[str, Any]) -> str:
         lines.append(["categories left out, mean", *(f"{np.mean(values):.2f}" for values in own)])
     lines.append(["exact maps, unseen instances", f"{report['exact_maps']['region']:.2f}", "same"])
     parts = [markdown_table(["area under the curve, region", *frames], lines)]
+    if (some := report["unseen_instances"][frames[-1]]).get("instances"):
+        parts.append(
+            f"The turned column of unseen instances speaks of the first two of each category of S1 ({some['instances']}), which"
+            f" have {some['region_as_they_lie']:.2f} as they lie."
+        )
     if left:
         one = next(iter(left.values()))
         each = ", ".join(f"{name.replace('_', ' ')} {v[frames[0]]['region']:.2f}" for name, v in left.items())
@@ -622,7 +627,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         " voxel grid along the frame's axes, so such a turn changes its answer a little.",
         turn_lines(data),
         "## Contact network",
-        f"The network was trained on {trained} training instances a category ({cpu} CPU seconds with its report) and works in"
+        f"The network was trained on {trained} training instances a category ({cpu} CPU seconds) and works in"
         " axes made from the object. For the sixteen objects of r2h-v1 there is another network, trained in the frames of their"
         " meshes. Region: the part that the receiver wants.",
         network_lines(data),
