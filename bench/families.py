@@ -666,17 +666,18 @@ def older_lines(data: Mapping[str, Any], report: Mapping[str, Any]) -> list[str]
     """A line that says so where the rows are older than the contact network that is shipped now."""
     if data.get("network") == report["sha256"]:
         return []
-    return [
+    lines = [
         "**The rows are older than the network.** This commit had another contact network (four training instances a category)"
-        " and held the centre of an object's box above the palm, for every object. The areas under the curve"
-        " below are those of the shipped network."
-        + (
-            f" So is the table of Contact-Handover beside exact maps, and on the same trials commit {newer['commit'][:12]} gives, mean"
-            f" of the splits: {', '.join(f'{m} {sr:.1f}' for m, sr in newer['sr'].items())}."
-            if (newer := data.get("newer"))
-            else ""
-        )
+        " and held the centre of an object's box above the palm, for every object. The areas under the curve below are those of"
+        " the shipped network."
     ]
+    if newer := data.get("newer"):
+        rates = ", ".join(f"{method} {sr:.1f}" for method, sr in newer["sr"].items())
+        lines[0] += (
+            " So is the table of Contact-Handover beside exact maps. On the same trials commit"
+            f" {newer['commit'][:12]} gives, mean of the splits: {rates}."
+        )
+    return lines
 
 
 def pair_words(data: Mapping[str, Any]) -> list[str]:
