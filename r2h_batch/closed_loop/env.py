@@ -795,14 +795,16 @@ class HandoverEnv(VectorEnv):
         grasps = load_held_out(self.scene.objects, self.scene.hands.model).grasps.posed
         which = reception_scores.grasp[received].long().cpu()
         vertices, joints = (x[which].to(self._device) for x in (grasps.vertices, grasps.joints))
-        way = reception_scores.T_world_before, reception_scores.T_world_hand
+        before, there = (
+            T[received] for T in (reception_scores.T_world_before, reception_scores.T_world_hand)
+        )
         some = rows[received]
         if self._transfers is not None:
             ids = self._drawn.trial_id[rows].cpu().numpy()
             index = self.trials.object_index[rows].cpu().numpy()
             handed = handed_of(reception_scores, ids, index, self.scene)
             self._offered |= {row: handed[j : j + 1] for j, row in enumerate(some.tolist())}
-        self._take(some, Taken(*(x[received] for x in way), vertices, joints))
+        self._take(some, Taken(before, there, vertices, joints))
 
     def _take(self, rows: Tensor, grasp: Taken) -> None:
         """Hands set out for these grasps, with the grasps' fingers from now on."""

@@ -60,14 +60,14 @@ class OwnHands:
             else:
                 kind = wp.vec4 if size == 4 else wp.vec3
                 setattr(owner, name, wp.from_torch(array.view(-1, size), dtype=kind))
-        size = torch.tensor([len(p) for p in padded], dtype=torch.int32, device=device)
+        rows = torch.tensor([len(p) for p in padded], dtype=torch.int32, device=device)
         first_of_hand = torch.arange(b, dtype=torch.int32, device=device) * len(self._in_blocks)
-        start = len(others) + first_of_hand[:, None] + torch.cumsum(size, 0) - size
+        start = len(others) + first_of_hand[:, None] + torch.cumsum(rows, 0) - rows
         world.points = wp.from_torch(self._points, dtype=wp.vec3)
         self._fixed = (
             start.to(torch.int32).flatten(),
-            (size // BLOCK_POINTS).repeat(b),
-            torch.zeros(b * len(size), dtype=torch.float32, device=device),
+            (rows // BLOCK_POINTS).repeat(b),
+            torch.zeros(b * len(rows), dtype=torch.float32, device=device),
         )
         for name, array in zip(
             ("piece_start", "piece_blocks", "piece_round"), self._fixed, strict=True

@@ -11,6 +11,7 @@ import pytest
 from alive import alive, all_end
 from disturbed import DEADLY, SLOW, finish, same_rows, start, stored_shards, wait_for
 from fake_bench import workers
+from made_runs import read_json
 from needs import needs
 
 from r2h_batch.runs import store
@@ -113,7 +114,7 @@ def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_ag
     assert log.read_text() == "x" * 3 and len(stored_shards(out)) == 11
     run = load_run(out)
     assert [s.index for s in run.missing(DEADLY)] == [s.index for s in run.quarantined(DEADLY)] == [4]
-    noted = store.read_json(out / "quarantine" / "fake_bench_deadly" / "000004.json")
+    noted = read_json(out / "quarantine" / "fake_bench_deadly" / "000004.json")
     assert (noted["first"], noted["last"], len(noted["errors"])) == (40, 50, 3)
     code, table, error = finish(start(tmp_path, out, DEADLY, FAKE_DEADLY="-1"))
     assert code == 0 and table.startswith("split,"), error
