@@ -160,7 +160,7 @@ def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only
     page = out.read_text()
     assert "ur5e/a" in page and "ur3e/a" in page and "old: ur5e_2f85; new: ur3e" in page
     assert command("compare", *folders) == 2
-    assert "compare --across-robots" in capsys.readouterr().err
+    assert "add --across-robots to compare" in capsys.readouterr().err
     assert command("compare", *folders, across_robots=True, format="json") == 0
     groups = json.loads(capsys.readouterr().out)
     assert groups[-1]["names"] == ["ur5e/a", "ur5e/b", "ur3e/a", "ur3e/b"]
