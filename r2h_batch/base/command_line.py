@@ -379,6 +379,6 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     if found := re.search(
         r"invalid choice '([^']*)' for argument '(.*)'\. Expected one of \((.*)\)", text
     ):
-        allowed = [word for word in re.findall(r"'([^']*)'", found[3]) if word]
-        text = f"{found[2]} is {found[1]!r}{nearest(found[1], allowed)}; allowed are {', '.join(allowed)}"
+        values = [word for word in re.findall(r"'([^']*)'", found[3]) if word]
+        text = f"{found[2]} is {found[1]!r}{nearest(found[1], values)}; allowed are {', '.join(values)}"
     return text or "the command line was not understood; see --help"

@@ -47,7 +47,8 @@ class OwnHands:
             name: torch.zeros(shape, dtype=torch.float32, device=device)
             for name, shape in shapes.items()
         }
-        mesh, world = HandMesh(), scene.sized(World)()
+        mesh = HandMesh()
+        world: Any = scene.sized(World)()
         world.assign(scene.world)  # its arrays are shared
         mesh.n_vertices, mesh.n_faces = vertices.shape[1], len(faces)
         mesh.faces = wp.array(faces, dtype=wp.int32, device=device)
