@@ -1,6 +1,7 @@
 """Hands whose fingers change in the middle of an episode: one for each trial, as distances read them."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import torch
 import warp as wp
