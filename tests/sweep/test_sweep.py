@@ -27,7 +27,7 @@ from r2h_batch.trials.predictions import write_predictions
             "--method randm",
             ["unknown method 'randm'", "did you mean random?", "random, oracle", "package.module:function"],
         ),
-        ("--method random --splits S2", ["S2", "'S0', 'S1'"]),
+        ("--method random --splits S2", ["S2", "--splits is 'S2'; allowed are S0, S1"]),
         ("--method random --trials 0", ["--trials is 0", "1 or more"]),
         ("--method random --device gpu", ["'gpu'", "cpu, cuda"]),
         ("--method random random", ["random is given twice"]),
