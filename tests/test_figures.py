@@ -10,15 +10,14 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
-APART = {"transfer"}
+APART = {"people", "transfer"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
-LONG = {"families", "judge_again", "judge_again_people"}
+LONG = {"families", "judge_again"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
 BY_HAND = {"release", "vendors"} | LONG
 """Benches that need files of others, which `make bench` takes only if it is given them (RELEASE=, VENDORS=), or hours."""
-NOT_YET = {"families", "people"}
-"""Benches of hours, and one that `make bench` has not run yet (people). Their pages name the commit and the conditions; their
-next run stores what it measured."""
+NOT_YET = {"families"}
+"""Of another commit in parts: its page names the commits and which rows are older."""
 
 
 @pytest.fixture(scope="module")
