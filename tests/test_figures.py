@@ -17,7 +17,7 @@ LONG = {"families", "judge_again"}
 BY_HAND = {"release", "vendors"} | LONG
 """Benches that need files of others, which `make bench` takes only if it is given them (RELEASE=, VENDORS=), or hours."""
 NOT_YET = {"families"}
-"""Of another commit in parts: its page names the commits and which rows are older."""
+"""Measured in parts on several commits: the page names them and says which rows are older."""
 
 
 @pytest.fixture(scope="module")
