@@ -16,7 +16,13 @@ import warp as wp
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch import cached, repeated
 from r2h_batch.base.launch.arguments import bind, new_outputs, written_shapes
-from r2h_batch.base.launch.threads import CHUNK, cpu_threads, share, thread_pool
+from r2h_batch.base.launch.threads import (
+    CHUNK,
+    cpu_threads,
+    one_torch_thread,
+    share,
+    thread_pool,
+)
 
 __all__ = [
     "BLOCK_DIM",
@@ -180,10 +186,12 @@ def over_trials(
             width = options.get("width", 1)
             return recording.launch(kernel, inputs, outputs or {}, sizes or {}, width)
         given = outputs or {}
-        made = {
-            name: new(shape, dtype=dtype, device=device)
-            for name, new, shape, dtype in written_shapes(kernel, n, sizes or {}, given)
-        }
+        # torch's second thread would spin for milliseconds after it has filled large memory
+        with one_torch_thread(device):
+            made = {
+                name: new(shape, dtype=dtype, device=device)
+                for name, new, shape, dtype in written_shapes(kernel, n, sizes or {}, given)
+            }
         made.update(given)
         launch_trials(kernel, n, inputs=inputs, outputs=made, device=device, **options)
         return made
