@@ -1,12 +1,12 @@
 """A trial played in closed loop as something to draw: the hand and its arm move too."""
 
+from functools import cached_property
 from typing import Any
 
 import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig
 from r2h_batch.closed_loop.episodes import play, policy_of
@@ -14,6 +14,7 @@ from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.closed_loop.policies import kind_of_action
 from r2h_batch.trials.protocol import trials_of
 from r2h_batch.view.drawing import Drawing
+from r2h_batch.view.skin import least_turn
 from r2h_batch.view.stored import Reader
 
 Array = NDArray[np.float64]
@@ -45,6 +46,19 @@ class EpisodeDrawing(Drawing):
         """Other places of hand (S, 4, 4) and body (S, 5, 4), for the steps from now on."""
         self._hands, self._receivers = T_world_hand, receivers
 
+    @cached_property
+    def _limbs(self) -> list[tuple[int, Array, Array, Array, Array]]:
+        """Upper arm and forearm as the trial begins: geom, its position and rotation, the joint that it turns about,
+        and the bone."""
+        model, found = self.model, []
+        for limb, (a, b) in zip(
+            ("upper_arm", "forearm"), _limbs_of(self.stored.receiver), strict=True
+        ):
+            geom, R = model.geom(f"receiver/{limb}_visual").id, np.zeros(9)
+            mujoco.mju_quat2Mat(R, model.geom_quat[geom])
+            found.append((geom, model.geom_pos[geom].copy(), R.reshape(3, 3), a, b - a))
+        return found
+
     def motion(self, executed: bool = True) -> tuple[Array, Array]:
         """Times (S,) s and postures with their steps (S, 7)."""
         return np.arange(len(self.steps), dtype=np.float64) * np.float64(self.step_s), self.steps
@@ -63,12 +77,18 @@ class EpisodeDrawing(Drawing):
         hand = model.body("hand").id
         model.body_pos[hand], model.body_quat[hand] = T[:3, 3], _quat(T[:3, :3])
         if self._receivers is not None:
-            shoulder, elbow, wrist = self._receivers[k, :3, :3]
-            for limb, a, b in (("upper_arm", shoulder, elbow), ("forearm", elbow, wrist)):
-                along = Rotation.align_vectors((b - a)[None], [[0.0, 0.0, 1.0]])[0].as_matrix()
-                geom = model.geom(f"receiver/{limb}_visual").id
-                model.geom_pos[geom], model.geom_quat[geom] = 0.5 * (a + b), _quat(along)
+            for (geom, position, R, joint, along), (a, b) in zip(
+                self._limbs, _limbs_of(self._receivers[k]), strict=True
+            ):
+                turn = least_turn(along, b - a)
+                model.geom_pos[geom] = a + turn @ (position - joint)
+                model.geom_quat[geom] = _quat(turn @ R)
         return super().at(q[:joints])
+
+
+def _limbs_of(receiver: Array) -> list[tuple[Array, Array]]:
+    """Ends of upper arm and forearm of a row of `Trials.receiver`, m."""
+    return [(receiver[k, :3], receiver[k + 1, :3]) for k in range(2)]
 
 
 def _quat(R: Array) -> Array:

@@ -59,7 +59,8 @@ from r2h_batch.scene.robot import (
 )
 from r2h_batch.scene.robot_visuals import part_origin
 from r2h_batch.scene.tables import Hands
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, SEXES
+from r2h_batch.view.skin import CLOTHED, skin_of
 from r2h_batch.view.stored import StoredTrial
 
 Array = NDArray[np.float64]
@@ -86,6 +87,8 @@ MARK_COLORS = {
     "target": (0.55, 0.20, 0.75, 0.35), "palm": (0.20, 0.65, 0.35, 1.0),
     "fingers": (0.9, 0.3, 0.2, 0.4), "receiver": (0.55, 0.62, 0.66, 1.0),
 }  # fmt: skip
+SEEN_THROUGH = 0.7
+"""Opacity of torso, legs and upper arm: they may stand before what a picture shows."""
 _BOX, _MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH
 _SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
 _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -279,7 +282,7 @@ def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
     if stored.receiver is not None:
         # with receiver "body" planning goes around arm and torso, so they collide here too
         judged = stored.header["configuration"].get("receiver") == "body"
-        _add_receiver(spec, stored.receiver, collides=judged)
+        _add_receiver(spec, stored, stored.receiver, hands, collides=judged)
     for name, at in CAMERAS.items():
         quat = _towards(np.subtract(SEEN_CENTER, at))
         spec.worldbody.add_camera(name=name, pos=at, quat=quat, fovy=45.0)
@@ -447,26 +450,34 @@ def _add_numbers(spec: mujoco.MjSpec, stored: StoredTrial, limits: Thresholds) -
             spec.add_numeric(name=name, data=[float(value)])
 
 
-def _add_receiver(spec: mujoco.MjSpec, receiver: Array, *, collides: bool) -> None:
-    """The receiver's arm and torso (`Trials.receiver`, (5, 4)); with `collides` links and object
-    may touch them."""
+def _add_receiver(
+    spec: mujoco.MjSpec, stored: StoredTrial, receiver: Array, hands: Hands, *, collides: bool
+) -> None:
+    """The receiver's skin, which is only seen, and arm and torso (`Trials.receiver`, (5, 4)); with `collides`
+    links and object may touch these."""
     body, color = spec.worldbody.add_body(name="receiver"), MARK_COLORS["receiver"]
-    kinds = [("_visual", {"group": VISUAL, "rgba": color, **_SEEN})]
-    if collides:
-        kinds.append(("", {"group": COLLISION, "rgba": (*color[:3], 0.4)}))
+    k, sex = stored.row["hand_index"], stored.row.get("sex")
+    palm = stored.T_world_hand[:3, :3] @ hands.palm_normal[k].double().numpy()
+    left = bool(hands.set.side[k])
+    skin = skin_of(receiver, left=left, palm=palm, sex=SEXES.index(sex) if sex in SEXES else None)
+    for part, (vertices, faces) in skin.items():
+        name, look = f"receiver/{part}_visual", "receiver" if part in CLOTHED else "hand"
+        alpha = SEEN_THROUGH if part in CLOTHED else 1.0
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        mesh.remove_unreferenced_vertices()
+        _add_surface(spec, body, name, f"receiver_{part}", mesh, look, alpha=alpha)
+    if not collides:
+        return
     shoulder, elbow, wrist = receiver[:3, :3]
     middle, half, x, y = receiver[3, :3], receiver[4, :3], receiver[3, 3], receiver[4, 3]
     turn = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
     limbs = (("upper_arm", shoulder, elbow), ("forearm", elbow, wrist))
-    # torso and upper arm may stand before what a picture shows
-    seen_through: dict[str, Any] = {"rgba": (*color[:3], 0.35)}
-    for ending, how in kinds:
-        for (limb, a, b), radius in zip(limbs, receiver[:2, 3], strict=True):
-            name, size = f"receiver/{limb}{ending}", [radius, 0, 0]
-            look = how if limb == "forearm" else how | seen_through
-            body.add_geom(name=name, type=_CAPSULE, fromto=[*a, *b], size=size, **look)
-        name, quat, look = f"receiver/torso{ending}", quat_wxyz(turn), how | seen_through
-        body.add_geom(name=name, type=_BOX, pos=middle, quat=quat, size=half, **look)
+    how: dict[str, Any] = {"group": COLLISION, "rgba": (*color[:3], 0.4)}
+    for (limb, a, b), radius in zip(limbs, receiver[:2, 3], strict=True):
+        size = [radius, 0, 0]
+        body.add_geom(name=f"receiver/{limb}", type=_CAPSULE, fromto=[*a, *b], size=size, **how)
+    quat = quat_wxyz(turn)
+    body.add_geom(name="receiver/torso", type=_BOX, pos=middle, quat=quat, size=half, **how)
 
 
 def _add_gripper_visuals(

@@ -1,0 +1,270 @@
+"""The skin of a trial's person, only to be seen: planning and Safe ask capsules and box (`Trials.receiver`).
+
+The body is that of the built-in person (`assets/people/skin.npz`) whose judged arm and chest are nearest to the trial's,
+scaled to these and bent at shoulder, elbow, hip and knee. The reaching arm ends at the wrist: the trial's own hand is
+drawn there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.scene.arrays import asset, read_arrays
+from r2h_batch.trials.receivers import SHOES_M, TABLE_HEIGHT_M
+
+Array = NDArray[np.float64]
+
+GEOMS = ("torso", "upper_arm", "forearm", "head")
+"""What is drawn apart: trunk, legs and the other sleeve; sleeve and forearm of the reaching arm; head, and the other forearm
+with its hand."""
+CLOTHED = ("torso", "upper_arm")
+BONES = (
+    "trunk",
+    "upper",
+    "fore",
+    "other_upper",
+    "other_fore",
+    "thigh",
+    "shin",
+    "other_thigh",
+    "other_shin",
+)
+JOINTS = (
+    *(
+        "shoulder",
+        "elbow",
+        "wrist",
+        "index",
+        "pinky",
+        "other_shoulder",
+        "other_elbow",
+        "other_wrist",
+    ),
+    *("hip", "knee", "other_hip", "other_knee"),
+)
+SIZES = (
+    *("upper", "fore", "upper_radius", "fore_radius", "chest_depth", "chest_breadth"),
+    *("acromial_height", "iliac_height", "popliteal_height", "seated_shoulder"),
+)
+"""Of a built-in person, m. The first six are read from a trial's receiver too: lengths and radii of the capsules, half sides of
+the box."""
+READ = 6
+HANGING, HANGING_FORE = (0.06, 0.16, -1.0), (0.30, 0.04, -0.95)
+RESTING, RESTING_FORE = (0.12, 0.12, -0.98), (0.86, -0.12, -0.42)
+"""The other arm of who stands or sits: ahead, outwards, up [choice]."""
+MOST_TWIST = 2.6
+"""Of the forearm, rad: a hand of another make may point anywhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skins:
+    """The bodies of P people: V vertices and the joints of `JOINTS`, in the frame of a person who stands at 0, looks along x,
+    and whose left is y; the right arm reaches."""
+
+    points: Array  # (V + joints, 3) of the mean person, m
+    basis: Array  # (K, V + joints, 3)
+    person: Array  # (P, K)
+    sizes: Array  # (P, 10) by `SIZES`
+    sex: NDArray[np.int8]  # (P,)
+    weights: Array  # (V, 9) by `BONES`, sums 1
+    faces: NDArray[np.int64]  # (F, 3)
+    geom: NDArray[np.int8]  # (F,) index into `GEOMS`
+
+    def nearest(self, sizes: Array, sex: int | None) -> int:
+        """The person whose first sizes (READ,) are nearest, of a sex or of either."""
+        off = np.linalg.norm(self.sizes[:, :READ] - sizes, axis=1)
+        return int(np.where((self.sex == sex) | (sex is None), off, np.inf).argmin())
+
+    def body(self, who: int) -> tuple[Array, dict[str, Array]]:
+        """Vertices (V, 3) and joints of a person."""
+        made = self.points + np.tensordot(self.person[who], self.basis, 1)
+        return made[: -len(JOINTS)], dict(zip(JOINTS, made[-len(JOINTS) :], strict=True))
+
+
+@lru_cache(maxsize=1)
+def skins() -> Skins:
+    """The built-in people's."""
+    a = read_arrays(asset("people", "skin.npz"))
+    weights = a["weights"].astype(np.float64)
+    return Skins(
+        a["points"].astype(np.float64),
+        a["basis"] * a["scale"].astype(np.float64)[:, None, None],
+        a["person"].astype(np.float64),
+        a["sizes"].astype(np.float64),
+        a["sex"],
+        weights / weights.sum(1, keepdims=True),
+        a["faces"].astype(np.int64),
+        a["geom"],
+    )
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A receiver in the frame of `Skins`: a left arm as a right one."""
+
+    origin: Array  # world, on the floor
+    axes: Array  # (3, 3) columns: ahead, left (of who reaches with the left arm: right), up
+    shoulder: Array
+    elbow: Array
+    wrist: Array
+    sizes: Array  # (READ,)
+    hips: float  # height of the box's underside above the floor
+
+    @classmethod
+    def of(cls, receiver: Array, left: bool) -> Placed:
+        """From a row of `Trials.receiver` (5, 4)."""
+        ahead = np.array([receiver[3, 3], receiver[4, 3], 0.0])
+        aside = np.array([-ahead[1], ahead[0], 0.0]) * (-1.0 if left else 1.0)
+        axes = np.stack([ahead, aside, [0.0, 0.0, 1.0]], 1)
+        middle, half = receiver[3, :3], receiver[4, :3]
+        floor = SHOES_M - TABLE_HEIGHT_M
+        origin = np.array([middle[0], middle[1], floor])
+        shoulder, elbow, wrist = (receiver[:3, :3] - origin) @ axes
+        arm = (np.linalg.norm(elbow - shoulder), np.linalg.norm(wrist - elbow))
+        sizes = np.array([*arm, receiver[0, 3], receiver[1, 3], half[0], half[1]])
+        return cls(origin, axes, shoulder, elbow, wrist, sizes, float(middle[2] - half[2] - floor))
+
+
+def skin_of(
+    receiver: Array, *, left: bool, palm: Array | None = None, sex: int | None = None
+) -> dict[str, tuple[Array, NDArray[np.int64]]]:
+    """The skin of a person as surfaces: vertices (V, 3), world, m, and faces, by the names of `GEOMS`.
+
+    Args:
+        receiver: (5, 4) as in `Trials.receiver`.
+        left: whether the left arm reaches.
+        palm: (3,) unit normal out of the receiving hand's palm, world: the forearm turns with it. None: it does not.
+        sex: 0 male, 1 female; None: that of the nearest person.
+    """
+    every, at = skins(), Placed.of(np.asarray(receiver, np.float64), left)
+    who = every.nearest(at.sizes, sex)
+    rest, joints = every.body(who)
+    normal = None if palm is None else np.asarray(palm, np.float64) @ at.axes
+    own = dict(zip(SIZES, every.sizes[who], strict=True))
+    moved = _moved(rest, joints, own, at, normal)
+    local = np.einsum("vb,bvk->vk", every.weights, np.stack([moved[b] for b in BONES]))
+    world = at.origin + local @ at.axes.T
+    faces = every.faces[:, ::-1] if left else every.faces
+    return {name: (world, faces[every.geom == k]) for k, name in enumerate(GEOMS)}
+
+
+def _moved(
+    rest: Array, joints: dict[str, Array], own: dict[str, float], at: Placed, palm: Array | None
+) -> dict[str, Array]:
+    """Bone -> all vertices (V, 3) as it moves them."""
+    seated = abs(at.hips - own["popliteal_height"]) < abs(at.hips - own["iliac_height"])
+    # the height that stays: the floor, or the seat
+    before = own["acromial_height"] - own["seated_shoulder"] if seated else 0.0
+    now = at.hips if seated else 0.0
+    wide = at.shoulder[1] / joints["shoulder"][1]
+    deep = at.sizes[4] / own["chest_depth"]
+    tall = (at.shoulder[2] - now) / (joints["shoulder"][2] - before)
+    scale, lift = np.array([deep, wide, tall]), np.array([0.0, 0.0, now - tall * before])
+
+    def trunk(points: Array) -> Array:
+        return points * scale + lift
+
+    there = {name: trunk(p) for name, p in joints.items()}
+    moved = {"trunk": trunk(rest)}
+    arm = ("shoulder", "elbow", "wrist")
+    reach = np.stack([at.shoulder, at.elbow, at.wrist])
+    wider = at.sizes[2:4] / [own["upper_radius"], own["fore_radius"]]
+    across = _across(joints)
+    moved["upper"], moved["fore"] = _arm(
+        rest, np.stack([joints[k] for k in arm]), reach, wider, across, palm
+    )
+    other = np.stack([joints[f"other_{k}"] for k in arm])
+    ways = np.array([RESTING, RESTING_FORE] if seated else [HANGING, HANGING_FORE])
+    ways *= tall * np.linalg.norm(np.diff(other, axis=0), axis=1)[:, None] / _norm(ways)
+    hanging = there["other_shoulder"] + np.cumsum([np.zeros(3), *ways], axis=0)
+    flip = np.array([1.0, -1.0, 1.0])
+    made = _arm(rest * flip, other * flip, hanging * flip, np.full(2, tall), None, None)
+    moved["other_upper"], moved["other_fore"] = (part * flip for part in made)
+    for side in ("", "other_"):
+        thigh, shin = f"{side}thigh", f"{side}shin"
+        if not seated:
+            moved[thigh] = moved[shin] = moved["trunk"]
+            continue
+        hip, knee = joints[f"{side}hip"], joints[f"{side}knee"]
+        start = there[f"{side}hip"]
+        length = np.linalg.norm(knee - hip)
+        rise = now + knee[2] - own["popliteal_height"] - start[2]
+        ahead = np.sqrt(max(length**2 - rise**2, 0.0))
+        end = start + np.array([ahead, 0.0, rise])
+        turn = least_turn(knee - hip, end - start)
+        moved[thigh] = start + (rest - hip) @ turn.T
+        moved[shin] = end + (rest - knee)
+    return moved
+
+
+def _arm(
+    rest: Array, before: Array, now: Array, wider: Array, across: Array | None, palm: Array | None
+) -> tuple[Array, Array]:
+    """The vertices as an upper arm and a forearm move them: stretched along the bones and widened about them.
+
+    Args:
+        rest: (V, 3) at rest.
+        before: (3, 3) shoulder, elbow, wrist at rest.
+        now: (3, 3) where these are.
+        wider: (2,) radii over those at rest, of upper arm and forearm.
+        across: (3,) out of the palm at rest; None: the forearm does not turn.
+        palm: (3,) the same now.
+    """
+    (up0, low0), (up, low) = (np.diff(p, axis=0) / _norm(np.diff(p, axis=0)) for p in (before, now))
+    long0, long = (_norm(np.diff(p, axis=0))[:, 0] for p in (before, now))
+    hinge0, hinge = np.cross(up0, low0), np.cross(up, low)
+    plain = least_turn(up0, up)
+    fore = _frame(low, hinge) @ _frame(low0, hinge0).T
+    # the upper arm is turned at the elbow and not at the shoulder
+    roll = _angle(plain @ hinge0, hinge, up)
+    twist = 0.0
+    if across is not None and palm is not None:
+        twist = float(np.clip(_angle(fore @ across, palm, low), -MOST_TWIST, MOST_TWIST))
+    bones = ((plain, up0, up, roll), (fore, low0, low, twist))
+    made = []
+    for k, (turn, along0, along, angle) in enumerate(bones):
+        t = (rest - before[k]) @ along0
+        off = (rest - before[k] - t[:, None] * along0) @ turn.T
+        share = np.clip(t / long0[k], 0.0, 1.0)
+        off = Rotation.from_rotvec(angle * share[:, None] * along).apply(off)
+        made.append(now[k] + (t * long[k] / long0[k])[:, None] * along + wider[k] * off)
+    return made[0], made[1]
+
+
+def _across(joints: dict[str, Array]) -> Array:
+    """Out of the palm of the reaching hand at rest, as `scene.hand.palm_frame` of a right hand."""
+    a, b = (joints[k] - joints["wrist"] for k in ("index", "pinky"))
+    return np.cross(a, b)
+
+
+def _norm(rows: Array) -> Array:
+    return np.asarray(np.linalg.norm(rows, axis=1, keepdims=True))
+
+
+def least_turn(a: Array, b: Array) -> Array:
+    """The least rotation (3, 3) that takes the direction of a to that of b."""
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    axis, cosine = np.cross(a, b), float(a @ b)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9:
+        return np.eye(3)
+    turn: Array = Rotation.from_rotvec(axis / sine * np.arctan2(sine, cosine)).as_matrix()
+    return turn
+
+
+def _frame(along: Array, hinge: Array) -> Array:
+    """Columns: along a bone, the hinge's axis made perpendicular to it, and the third."""
+    y = hinge - (hinge @ along) * along
+    y /= np.linalg.norm(y)
+    return np.stack([along, y, np.cross(along, y)], 1)
+
+
+def _angle(a: Array, b: Array, about: Array) -> float:
+    """From a to b about a unit axis, rad."""
+    a, b = (v - (v @ about) * about for v in (a, b))
+    return float(np.arctan2(np.cross(a, b) @ about, a @ b))
