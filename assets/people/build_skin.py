@@ -24,7 +24,7 @@ from r2h_batch.view.skin import BONES, GEOMS, JOINTS, SIZES
 F64 = NDArray[np.float64]
 HERE = Path(__file__).resolve().parent
 FACES = 8000
-"""Of the body with both hands and without the eyes, of 26,692."""
+"""Faces of the body with both hands and without the eyes, of 26,692."""
 COMPONENTS = 16
 EYE_FACES = 140
 
