@@ -20,8 +20,8 @@ from r2h_batch.trials.receivers import SHOES_M, TABLE_HEIGHT_M
 Array = NDArray[np.float64]
 
 GEOMS = ("torso", "upper_arm", "forearm", "head")
-"""Surfaces that are drawn apart: trunk, legs and the other sleeve; sleeve and forearm of the reaching arm; head, and the other forearm
-with its hand."""
+"""Surfaces that are drawn apart: trunk, legs and the other sleeve; sleeve and forearm of the reaching arm; head, and the
+other forearm with its hand."""
 CLOTHED = ("torso", "upper_arm")
 BONES = (
     "trunk",
@@ -51,8 +51,8 @@ SIZES = (
     *("upper", "fore", "upper_radius", "fore_radius", "chest_depth", "chest_breadth"),
     *("acromial_height", "iliac_height", "popliteal_height", "seated_shoulder"),
 )
-"""Lengths of a built-in person, m. The first six are read from a trial's receiver too: lengths and radii of the capsules, half sides of
-the box."""
+"""Lengths of a built-in person, m. The first six are read from a trial's receiver too: lengths and radii of the
+capsules, half sides of the box."""
 READ = 6
 HANGING, HANGING_FORE = (0.06, 0.16, -1.0), (0.30, 0.04, -0.95)
 RESTING, RESTING_FORE = (0.12, 0.12, -0.98), (0.86, -0.12, -0.42)
