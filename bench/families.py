@@ -8,6 +8,7 @@ none`). `--render` writes the page again from bench/results/families.json.
 import argparse
 import json
 import os
+import re
 import resource
 import statistics
 import subprocess
@@ -57,6 +58,14 @@ OF_REGIONS = 120
 """Trials of a category with each definition of its region."""
 ANY_TURN = "20,40,60"
 """Degrees about x, y and z: a turn that maps neither a box nor a voxel grid onto itself."""
+RECEIVERS = (
+    "Receivers of r2h-v2 are 2,000 people of 6 to 90 years, standing and seated, with hands of their own size; those of r2h-v1"
+    " are adults with one hand."
+)
+OF_THE_DRAFT = (
+    "**These rows are of r2h-v2's draft**, whose receivers were r2h-v1's adults."
+    " The frozen protocol has people of every size."
+)
 ROUNDS, ROWS = 7, 128
 MOST_CATEGORIES = 1000
 
@@ -66,6 +75,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     place, trials = options.rows, options.trials
     if options.kept:
         kept: dict[str, Any] = json.loads((place / "found.json").read_text())
+        if not is_frozen(kept):
+            sys.exit(f"{place / 'found.json'} was measured on r2h-v2's draft; give a new --rows FOLDER, without --kept")
         return kept | {"contacts_cpu_s": contact_seconds()} | origin(place / "v2")
     few = ("--trials", min(trials, FEW))
     v2 = swept(place / "v2", "--method", *METHODS, *BOUNDS, "--trials", trials, *V2)
@@ -100,6 +111,14 @@ def origin(v2: Path) -> dict[str, Any]:
     header = load_run(v2, verify=False).header
     rows = {"rows_commit": header["git_commit"], "rows_code": header["digests"]["code"]}
     return {**rows, "network": network_report()["sha256"], **made_by(MEASURES)}
+
+
+def is_frozen(data: Mapping[str, Any]) -> bool:
+    """Whether the rows are of r2h-v2 as it is frozen; its draft had the receivers of r2h-v1. A sweep itself refuses to go on
+    with rows of another digest."""
+    from r2h_batch.trials.benchmark.benchmark import built_in
+
+    return str(data["table"]["origin"]["benchmark"]).endswith(built_in("r2h-v2").digest)
 
 
 def table(folder: Path) -> dict[str, Any]:
@@ -228,6 +247,7 @@ def order(folder: Path) -> dict[str, Any]:
 def exact_maps(place: Path, v2: Path, trials: int) -> dict[str, Any]:
     """SR of Contact-Handover on unseen instances with the network and with exact maps, in the same trials."""
     from r2h_batch.assets.receiving.contact_maps import contact_map
+    from r2h_batch.data.people import people_hand
     from r2h_batch.runs.store import load_run
     from r2h_batch.trials.benchmark.benchmark import built_in
 
@@ -235,7 +255,7 @@ def exact_maps(place: Path, v2: Path, trials: int) -> dict[str, Any]:
     if not file.exists():
         objects = built_in("r2h-v2").objects
         names = np.array([o.name for o in objects])
-        maps = np.stack([contact_map(o) for o in objects])
+        maps = np.stack([contact_map(o, people_hand()) for o in objects])
         np.savez_compressed(file, object=names, probability=maps, source=np.array("exact maps"))
     exact = swept(
         place / "exact", "--method", "contact", "--trials", trials, *V2, "--set", f"predicted_contacts={file}"
@@ -429,6 +449,63 @@ def table_lines(data: Mapping[str, Any]) -> str:
     return markdown_table([*head, *(["own scans"] if scans else [])], lines)
 
 
+TABLE = re.compile(r"(?<=\[start:table\] -->\n).*?(?=<!-- --8<-- \[end:table\])", re.DOTALL)
+"""README's block of Table I."""
+
+
+def readme(text: str, data: Mapping[str, Any]) -> str:
+    """README.md with Table I of r2h-v2 in its block: SR, intervals for new categories, and which methods are tied.
+
+    Args:
+        text: of README.md.
+        data: families.json.
+    """
+    rows = {(r["split"], short(r["method"])): r for r in data["table"]["rows"]}
+    titles = dict.fromkeys(r["method"].partition(" (")[0] for r in data["table"]["rows"])
+    moved = {short(t["method"]) for t in data["turned"]["r2h-v2"] if marked(t)}
+    (whole,) = [c for c in data["compared"] if c["group"] == "all"]
+
+    def cell(split: str, name: str) -> str:
+        r = rows[split, name]
+        return f"{r['sr']:.1f} ({r['sr_new_categories_low']:.1f}-{r['sr_new_categories_high']:.1f})"
+
+    lines = [
+        [
+            t + (" ^" if short(t) in moved else ""),
+            cell("S0", short(t)),
+            cell("S1", short(t)),
+            beside(short(t), whole["pairs"]),
+        ]
+        for t in titles
+    ]
+    draft = [] if is_frozen(data) else [OF_THE_DRAFT]
+    n = data["table"]["rows"][0]["n"]
+    parts = [
+        *draft,
+        f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned; in brackets the 95 % interval for new"
+        " categories of objects. The last column compares methods over all trials: *better* holds for new categories, *better"
+        " here* for these objects alone.",
+        markdown_table(["", "SR S0", "SR S1", "beside the others"], lines),
+    ]
+    return TABLE.sub(lambda _: "\n" + "\n\n".join(parts) + "\n\n", text, count=1)
+
+
+def beside(name: str, pairs: Sequence[Mapping[str, Any]]) -> str:
+    """What a method's comparisons with the others say: `better than A; tied with B`; empty for a bound."""
+    back = {"better": "worse", "worse": "better"}
+    said: dict[str, list[str]] = {}
+    for pair in pairs:
+        a, b = short(pair["a"]), short(pair["b"])
+        if name not in (a, b):
+            continue
+        word, _, here = pair["verdict"].partition(" ")
+        word = word if name == a else back.get(word, word)
+        said.setdefault(" ".join(filter(None, (word, here))), []).append(b if name == a else a)
+    order = ("better", "better here", "tied", "worse here", "worse")
+    words = {w: f"{w} {'with' if w == 'tied' else 'than'} {', '.join(said[w])}" for w in order if w in said}
+    return "; ".join(words.values())
+
+
 def marked(test: Mapping[str, Any]) -> bool:
     """Whether a turn moves a method's SR by more than 10 points."""
     from r2h_batch.report.turn import MOST_POINTS
@@ -604,7 +681,8 @@ def markdown(data: Mapping[str, Any]) -> str:
     trained, cpu = report["training_instances"] // len(data["oracle"]), f"{report['cpu_seconds']:,}"
     parts = [
         "# Object families: results",
-        "See which conclusions about methods hold on objects that nobody tuned to. r2h-v2 is a draft; its figures may change."
+        "See which conclusions about methods hold on objects that nobody tuned to."
+        f" {RECEIVERS if is_frozen(data) else OF_THE_DRAFT}"
         f" `python bench/families.py --rows FOLDER --trials {data['trials']}` measured all of this, motion as planned (rows of"
         f" commit {data['rows_commit'][:12]}; `bench/results/families.json`). [Statistical terms](../statistics.md).",
         *older_lines(data, report),

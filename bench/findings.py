@@ -1,12 +1,11 @@
-"""The paper's eight findings against this benchmark's tables: docs/results/findings.md and README's table.
+"""The paper's eight findings against this benchmark's tables: docs/results/findings.md.
 
 `make tables` writes both (bench/tables.py). A finding is a list of conditions on Table I. It appears if all of them hold, in
 part if some do. A person wrote the causes below (CAUSES has the date); all figures come from the tables.
 """
 
 import csv
-import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -241,20 +240,3 @@ def page(tables: Mapping[str, Mapping]) -> str:
         "\n".join(f"{number}. {finding.cause}" for number, finding in enumerate(findings(), 1)),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def readme(text: str, default: Mapping, marked: Collection[str]) -> str:
-    """README.md with its table exchanged: SR of r2h-v1, default preset.
-
-    Args:
-        text: of README.md.
-        default: the JSON of the table.
-        marked: titles of the methods that a turn moves by more than 10 points.
-    """
-    cell, titles = cells_of(default), dict.fromkeys(r["method"].partition(" (")[0] for r in default["rows"])
-    rows = [
-        [t + (" ^" if t in marked else ""), *(f"{cell(split, SHORT.get(t, t), 'sr'):.1f}" for split in ("S0", "S1"))]
-        for t in titles
-    ]
-    table = markdown_table(["", "SR S0", "SR S1"], rows)
-    return re.sub(r"(?m)^\|\s*\| SR S0 \|.*\n(\|.*\n)*", lambda _: table + "\n", text, count=1)

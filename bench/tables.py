@@ -318,8 +318,7 @@ def render_all() -> dict[Path, str]:
     files[RESULTS / "ranks.md"] = ranks.page()
     measured = ranks.read("families")
     files[RESULTS / "families.md"] = families.markdown(measured)
-    marked = {t["method"].partition(" (")[0] for t in measured["turned"]["r2h-v1"] if families.marked(t)}
-    files[Path("README.md")] = findings.readme((ROOT / "README.md").read_text(), data["table1-v1"], marked)
+    files[Path("README.md")] = families.readme((ROOT / "README.md").read_text(), measured)
     return files
 
 

@@ -1,10 +1,11 @@
 """Builds the shipped instances of all families, or the training instances (needs the ``build`` extra):
 ``python -m r2h_batch.assets.families.build_families [--training build/families]``.
 
-Shipped: ``NAME.npz`` (an `ObjectModel`), ``grasps.npz``, ``grasps_as_generated.npz`` and ``receiving.npz`` with the arrays of
-assets/objects and assets/receiving, ``held_out.npz`` for the first two instances of a category, and ``report.json``:
-parameters, size, mass, way of resting and digest of each. Training instances have keys of their own, stay out of the wheel,
-and are objects alone.
+Shipped: ``NAME.npz`` (an `ObjectModel`), ``grasps.npz`` and ``grasps_as_generated.npz`` with the arrays of assets/objects,
+``receiving.npz`` and, for the first two instances of a category, ``held_out.npz`` with those of assets/receiving, and
+``report.json``: parameters, size, mass, way of resting and digest of each. Hands are those of the built-in people (after
+build_people). Training instances have keys of their own, stay out of the wheel, and are objects alone.
+``--only receiving`` and ``--only held_out`` make one file anew, of the stored objects.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.assets.hand.build_hand import write_npz
+from r2h_batch.data.people import people_hand
 from r2h_batch.methods.grasps import generate_grasps, sample_grasps
 from r2h_batch.scene.arrays import read_arrays
 from r2h_batch.scene.families.draw import FAMILIES, SHIPPED, TRAINING, Instance, draw_instance, model_of
-from r2h_batch.scene.objects import SAID, ObjectModel, object_digest
+from r2h_batch.scene.objects import SAID, ObjectModel, load_objects, object_digest
 from r2h_batch.scene.objects import SHIPPED_INSTANCES as TESTS
 from r2h_batch.trials.holding.held_out import sample_held_out
 from r2h_batch.trials.holding.sampler import sample_receiving
@@ -51,13 +53,35 @@ def built(series: int, held_out: bool, job: tuple[str, int]) -> tuple[ObjectMode
     found: dict[str, Arrays] = {}
     if series == SHIPPED:
         filtered, proposed = sample_grasps(model), generate_grasps(model)
-        found["receiving"] = sample_receiving(model)
+        found["receiving"] = sample_receiving(model, hand=people_hand())
         found["grasps"] = {k: getattr(filtered, k) for k in GRASPS}
         found["grasps_as_generated"] = {k: getattr(proposed, k) for k in GRASPS}
     if held_out and series == SHIPPED and index < HELD_OUT:
-        found["held_out"] = sample_held_out(model)
+        found["held_out"] = sample_held_out(model, hand=people_hand())
     named = {file: {f"{name}/{k}": v for k, v in arrays.items()} for file, arrays in found.items()}
     return model, named, described(instance, model) | {"cpu_s": round(time.process_time() - begin, 1)}
+
+
+def held(file: str, job: tuple[str, int]) -> tuple[str, Arrays, float]:
+    """A stored instance's name, its arrays of one of `HOLDS`, and the CPU seconds they took."""
+    begin, name = time.process_time(), f"{job[0]}_{job[1]:02d}"
+    (model,) = load_objects([name])
+    sample = sample_held_out if file == "held_out" else sample_receiving
+    found = sample(model, hand=people_hand())
+    return name, {f"{name}/{k}": v for k, v in found.items()}, time.process_time() - begin
+
+
+def make_only(file: str, jobs: list[tuple[str, int]], out: Path, pool: ProcessPoolExecutor) -> None:
+    """Writes one of `HOLDS` after each instance, so that what is made survives an interrupted run."""
+    path = out / f"{file}.npz"
+    known: Arrays = dict(read_arrays(path)) if path.exists() else {}
+    todo = [(c, i) for c, i in jobs if f"{c}_{i:02d}/side" not in known and (file != "held_out" or i < HELD_OUT)]
+    order = [f"{c}_{i:02d}" for c in FAMILIES for i in range(TESTS)]
+    for name, arrays, seconds in pool.map(partial(held, file), todo):
+        known |= arrays
+        left = int(arrays[f"{name}/side"].sum())
+        print(f"{name:20s} {len(arrays[f'{name}/side']) - left} right, {left} left, {seconds:5.1f} CPU-s", flush=True)
+        write_npz(path, {k: known[k] for n in order for k in known if k.startswith(f"{n}/")})
 
 
 def described(instance: Instance, model: ObjectModel) -> dict[str, Any]:
@@ -85,13 +109,19 @@ def main() -> None:
     parser.add_argument("--training", type=Path, help="write the training instances into this folder instead")
     parser.add_argument("--count", type=int, help="instances of each category; default: 6 to ship, 12 to learn from")
     parser.add_argument("--without-held-out", action="store_true", help="keep the stored held-out grasps")
+    parser.add_argument("--only", choices=HOLDS, help="make what this file lacks, of the stored instances")
+    parser.add_argument("--out", type=Path, default=HERE, help="folder to write (default: assets/families)")
     parser.add_argument("--jobs", type=int, default=1, help="instances made at a time; the result is the same")
     args = parser.parse_args()
     series, count = (TRAINING, LEARNED) if args.training else (SHIPPED, TESTS)
     count = args.count or count
-    out = args.training or HERE
+    out = args.training or args.out
     out.mkdir(parents=True, exist_ok=True)
     jobs = [(c, i) for c in args.categories or FAMILIES for i in range(count)]
+    if args.only:
+        with ProcessPoolExecutor(args.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+            make_only(args.only, jobs, out, pool)
+        return
     path = out / "report.json"
     report: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
     stored: dict[str, Arrays] = {p.stem: dict(read_arrays(p)) for p in out.glob("*.npz") if p.stem in FILES}
@@ -111,7 +141,9 @@ def main() -> None:
     path.write_text(json.dumps({n: report[n] for n in names}, indent=1) + "\n")
 
 
-FILES = ("grasps", "grasps_as_generated", "receiving", "held_out")
+HOLDS = ("receiving", "held_out")
+"""Files of hands that hold an instance."""
+FILES = ("grasps", "grasps_as_generated", *HOLDS)
 
 if __name__ == "__main__":
     main()

@@ -29,8 +29,8 @@ PROTOCOLS = (
     ),
     Protocol(
         "r2h-v2",
-        "draft: 96 objects of 16 families",
-        "draft, may change: as r2h-v1, with six instances of each of 16 object families",
+        "96 objects of 16 families, people of every size",
+        "as r2h-v1, with six instances of each of 16 object families, and 2,000 people from 6 to 90 years",
         bodies=True,
         families=True,
     ),

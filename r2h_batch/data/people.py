@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base.io.read import FileError, printable, read_file
-from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays
+from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays, stored_arrays
 from r2h_batch.scene.hand import HandModel, HandSet, make_hand_set
 from r2h_batch.verdicts import SEXES
 
@@ -133,8 +133,23 @@ def people_hand_set(people: People) -> HandSet:
         middle = ((place + 0.5) / len(members) * len(people)).astype(np.int64)
         shape[members] = people.hand_shape[people.by_hand[middle]]
     return make_hand_set(
-        people_hand(), stored["pose"], shape, stored["side"], stored["posture"].tolist()
-    )
+        people_hand(), stored["pose"], shape, stored["side"], stored["posture"].tolist(),
+        hulls=stored_hulls() if people is built_in_people(ALL) else None,
+    )  # fmt: skip
+
+
+def stored_hulls() -> tuple[NDArray[np.int32], NDArray[np.int32]] | None:
+    """What `hulls_of` found of the hands of all built-in people, on one machine: r2h-v2 has the same digest on any.
+    None before they are built."""
+    found = stored_arrays("people", "hulls.npz")
+    if not found:
+        return None
+    pieces = [piece.numpy() for piece in people_hand().pieces]
+    first = np.cumsum([0] + [len(piece) for piece in pieces])[:-1]
+    on = np.unpackbits(found["on_hull"], axis=1, count=sum(map(len, pieces))).astype(bool)
+    counts = np.add.reduceat(on, first, axis=1, dtype=np.int32)
+    ids = np.broadcast_to(np.concatenate(pieces), on.shape)[on]
+    return ids.astype(np.int32), np.cumsum([0, *counts.reshape(-1)]).astype(np.int32)
 
 
 def read_people(path: str | Path) -> People:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Int
+from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import se3
@@ -371,11 +372,10 @@ def make_hand_set(
     side: np.ndarray,
     posture: Sequence[str],
     in_body: np.ndarray | None = None,
+    hulls: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> HandSet:
     """Postures (H, 48), shapes (H, 10) and sides (H,) on a hand, right ones first; every piece's
-    hull is built and checked."""
-    from r2h_batch.scene.hand_pieces import hulls_of
-
+    hull is built and checked, unless what `hulls_of` found of them is stored: `hulls`."""
     check_postures(pose, shape)
     if in_body is not None and np.isnan(in_body[:, :, 3:]).all():
         in_body = in_body[:, :, :3]
@@ -389,8 +389,7 @@ def make_hand_set(
         ),
     }
     pose_, shape_, side_ = (torch.from_numpy(arrays[k]) for k in ("pose", "shape", "side"))
-    vertices = model.pose(pose_, shape_, side_).vertices.double().numpy()
-    ids, offsets = hulls_of(vertices, [p.numpy() for p in model.pieces], model.piece_names)
+    ids, offsets = hulls or posed_hulls(model, pose_, shape_, side_)
     hand = {} if model is load_hand() else {"hand": np.array(model.digest)}
     return HandSet(
         pose=pose_,
@@ -405,6 +404,16 @@ def make_hand_set(
         if in_body is None or not np.isfinite(in_body).any()
         else torch.from_numpy(in_body[order]),
     )
+
+
+def posed_hulls(
+    model: HandModel, pose: Tensor, shape: Tensor, side: Tensor
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """`hulls_of` of these hands."""
+    from r2h_batch.scene.hand_pieces import hulls_of
+
+    vertices = model.pose(pose, shape, side).vertices.double().numpy()
+    return hulls_of(vertices, [p.numpy() for p in model.pieces], model.piece_names)
 
 
 MAX_SKIN_PIECES = 40

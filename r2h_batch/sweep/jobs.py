@@ -180,6 +180,7 @@ def prepare(
             "benchmark": benchmark.digest,
             "objects": object_digest(objects),
             "hand_set": evaluator.scene.hands.set.digest,
+            **({} if benchmark.people is None else {"people": benchmark.people.digest}),
             "code": provenance.code_digest(),
             # runs of the default robot keep the digests they had before robots could be chosen
             **({} if robot == load_robot() else {"robot": robot.digest}),

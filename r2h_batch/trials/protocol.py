@@ -1,12 +1,12 @@
-"""Protocols r2h-v0, r2h-v1 and r2h-release: which object is handed to which hand, and where that
-stands.
+"""Protocols r2h-v0, r2h-v1, r2h-v2 and r2h-release: which object is handed to which hand, and where
+that stands.
 
 Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. Objects of the split take turns, hands alternate
 right and left, and the hand's pose is drawn from the reachable set by rejection with counters
 (protocol, trial id, attempt): a trial is the same alone or among a million, on any machine. In
 r2h-v0 the hand floats and its roll is free; in r2h-v1 it is that of a person who reaches for the
-object (receivers.py), in the same set; in r2h-release its palm lies in the box of the authors'
-release (palms.py).
+object (receivers.py), in the same set; in r2h-v2 it and the body are one of the built-in people's
+(people.py); in r2h-release its palm lies in the box of the authors' release (palms.py).
 """
 
 import hashlib
@@ -86,8 +86,9 @@ def make_trials(
         robot: hands stand within its reach; None: the UR5e.
         config: ball, table and home, which the hands must suit; None: the default.
         benchmark: a file, or what `read_benchmark` returned, in place of the four above.
-        protocol: `r2h-v1` (with `Trials.receiver`), `r2h-v0` (hands alone) or `r2h-release` (its own
-            objects, hands and place); None: the benchmark's, else r2h-v1.
+        protocol: `r2h-v1` (with `Trials.receiver`), `r2h-v2` (also with `Trials.person`), `r2h-v0` (hands
+            alone) or `r2h-release`, the last three with objects and hands of their own; None: the benchmark's,
+            else r2h-v1.
 
     Raises:
         TypeError, ValueError: an argument is none of these, or no hand fits table and home.
@@ -177,7 +178,7 @@ def trials_with_ids(
         hand_set: what `hand_index` counts.
         robot: hands stand within its reach.
         config: ball, table and home.
-        protocol: `r2h-v1`, `r2h-v0` or `r2h-release`.
+        protocol: of `registry.PROTOCOLS`.
         people: receivers of a protocol with bodies, such as `built_in_people("children")`, with a hand set of
             theirs (`people_hand_set`); None: the protocol's own.
 
@@ -200,6 +201,7 @@ def trials_with_ids(
     robot = defaults.robot if robot is None else robot
     config = defaults.config() if config is None else config
     given = defaults.hand_set if hand_set is None else hand_set
+    people = defaults.people if people is None else people
     hands = _hands(given)
     if people is not None and not with_people:
         how = f"take protocol {' or '.join(WITH_BODIES)}, or no people"

@@ -30,3 +30,32 @@ def test_a_variants_flags_and_options_are_a_sweeps():
     for v in sensitivity.variants():
         request = requested(parse(["--method", *v.methods, *(v.flags or sensitivity.BASE)]))
         jobs.resolve(request.methods, request.loop)
+
+
+def test_readmes_table_is_exchanged_and_says_who_is_better_from_both_sides():
+    import json
+
+    import families
+
+    pair = {"a": "FC-Handover (oracle hand + noise)", "b": "Intent-Handover (retrieval + noise)"}
+    other = {"a": "Contact-Handover (VoxNet)", "b": pair["a"], "verdict": "tied"}
+    pairs = [pair | {"verdict": "worse here"}, other]
+    assert families.beside("FC", pairs) == "tied with Contact; worse here than Intent"
+    assert families.beside("Intent", pairs) == "better here than FC" and families.beside("random", pairs) == ""
+    data = json.loads(families.STORED.read_text())
+    text = "before\n<!-- --8<-- [start:table] -->\nold\n<!-- --8<-- [end:table] -->\nafter\n"
+    found = families.readme(text, data)
+    assert "old" not in found and found.startswith("before\n") and found.endswith("after\n")
+    assert families.readme(found, data) == found
+    row = next(r for r in data["table"]["rows"] if r["split"] == "S0" and r["method"] == "oracle")
+    assert f"| oracle | {row['sr']:.1f} ({row['sr_new_categories_low']:.1f}-" in found
+
+
+def test_rows_of_the_draft_are_told_from_those_of_the_frozen_protocol():
+    import families
+
+    from r2h_batch.trials.benchmark.benchmark import built_in
+
+    own = f"--protocol r2h-v2, digest {built_in('r2h-v2').digest}"
+    assert families.is_frozen({"table": {"origin": {"benchmark": own}}})
+    assert not families.is_frozen({"table": {"origin": {"benchmark": "--protocol r2h-v2, digest 6e3705382fcb"}}})

@@ -19,7 +19,7 @@ from r2h_batch.base.registry import (
 )
 from r2h_batch.base.validate import instance_of, optional
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
-from r2h_batch.data.people import People
+from r2h_batch.data.people import ALL, People, built_in_people, people_hand_set
 from r2h_batch.scene.hand import HandSet, load_hand_set, neutral_hand_set
 from r2h_batch.scene.objects import (
     INSTANCE_NAMES,
@@ -172,13 +172,15 @@ def built_in(protocol: str = DEFAULT_PROTOCOL) -> Benchmark:
 
     Args:
         protocol: `r2h-v0` and `r2h-v1`: 16 objects, 400 hands; `r2h-v2`: 96 instances of the same
-            16 categories, 400 hands; `r2h-release`: objects, two hands,
+            16 categories, 2,000 people with 400 hands of theirs; `r2h-release`: objects, two hands,
             table and home of the authors' release (docs/release.md).
     """
     if protocol in WITH_FAMILIES:
         # objects take turns in their order: categories first, then instances
         in_turn = sorted(INSTANCE_NAMES, key=lambda name: name.rpartition("_")[2])
-        return Benchmark(load_objects(in_turn), load_hand_set(), drawn=protocol)
+        people = built_in_people(ALL)
+        hands = people_hand_set(people)
+        return Benchmark(load_objects(in_turn), hands, drawn=protocol, people=people)
     if protocol != RELEASE:
         return Benchmark(load_objects(), load_hand_set(), drawn=protocol)
     free = tuple(map(without_region, load_objects(RELEASE_S0)))

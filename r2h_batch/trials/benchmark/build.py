@@ -26,7 +26,14 @@ from r2h_batch.base.registry import (
 from r2h_batch.config import Workplace
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.mano import hand_from
-from r2h_batch.data.people import WORDS, People, built_in_people, people_hand_set, read_people
+from r2h_batch.data.people import (
+    WORDS,
+    People,
+    built_in_people,
+    people_hand,
+    people_hand_set,
+    read_people,
+)
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.hand import (
@@ -104,7 +111,9 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
             built = file.robot in ROBOTS
             robot = robot_of(file.robot if built else str(path_within(folder, file.robot)))
             own = own.on(robot, file.persons)
-        people = None if file.people is None else _people(file.people, folder)
+        people = own.people if file.trials is None else None  # those of a trials file have no body
+        if file.people is not None:
+            people = _people(file.people, folder)
         hand_set, listed, labels = _hands(file, folder, own, people), None, None
         objects = own.objects  # take longer to read than hands: what is wrong there is said first
         if "objects" in file.model_fields_set:
@@ -406,21 +415,23 @@ class BenchmarkOverrides(BenchmarkFlags):
         more = (object_from_argument(mesh, pieces=pieces) for mesh in self.object_mesh)
         objects = (*objects, *more)
         objects = _with_grasps(objects, self.grasps)
-        people = _people(self.people) if self.people else base.people
-        hand_set = self._hand_set(base.hand_set)
+        drawn, seen = self.protocol or base.drawn, self.receiver or base.receiver
+        people, hands = _receivers(base, drawn)
+        people = _people(self.people) if self.people else people
+        hand_set = self._hand_set(hands)
         if self.people and people is not None and not (self.hands or self.hand_model):
             hand_set = people_hand_set(people)
         other = objects != base.objects or hand_set is not base.hand_set
         listed, labels = base.listed, base.labels
         if self.trials_file:
             listed, hand_set, labels = read_trials_file(Path(self.trials_file), objects, hand_set)
+            people = people if self.people else None
         elif listed is not None and other:
             how = "lists trials of its own objects and hands; give --trials-file too"
             raise FileError(f"{printable(self.benchmark)}: {how}")
         if self.protocol and listed is not None:
             how = "draws trials, and these are listed; give one of the two"
             raise FileError(f"--protocol {self.protocol} {how}")
-        drawn, seen = self.protocol or base.drawn, self.receiver or base.receiver
         if seen == "body" and (listed is not None or drawn not in WITH_BODIES):
             named = "listed trials" if listed is not None else f"trials of {drawn}"
             how = f"take --protocol {' or '.join(WITH_BODIES)}, or --receiver hand"
@@ -463,14 +474,24 @@ class BenchmarkOverrides(BenchmarkFlags):
 
     def _hand_set(self, base: HandSet) -> HandSet:
         """The hand set of --hands on the hand of --hand-model, each else as in `base`."""
+        if not (self.hands or self.hand_model):
+            return base
+        if base.model is people_hand():  # what shapes of files and of this hand mean differs
+            base = load_hand_set()
         model = hand_of(Path(self.hand_model)) if self.hand_model else base.model
         if self.hands:
             return hand_set_of([(Path(self.hands), HandChoice())], model)
-        if not self.hand_model:
-            return base
         a = {k: getattr(base, k).numpy() for k in ("pose", "shape", "side")}
         turned = None if base.in_body is None else base.in_body.numpy()
         return make_hand_set(model, **a, posture=base.posture, in_body=turned)
+
+
+def _receivers(base: Benchmark, drawn: str) -> tuple[People | None, HandSet]:
+    """People and hands of a benchmark whose trials another protocol may draw: that one's, where they were its own's."""
+    own, new = built_in(base.drawn), built_in(drawn)
+    if base.people is not own.people or own.people is new.people:
+        return base.people, base.hand_set
+    return new.people, new.hand_set if base.hand_set is own.hand_set else base.hand_set
 
 
 def _objects_of(text: str, pieces: bool) -> tuple[ObjectModel, ...]:

@@ -21,6 +21,7 @@ from scipy.optimize import linprog
 from torch import Tensor
 
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
+from r2h_batch.data.people import people_hand
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.hand import HandModel, load_hand
 from r2h_batch.scene.objects import (
@@ -89,8 +90,9 @@ def load_held_out(objects: Sequence[ObjectModel], hand: HandModel | None = None)
     """The held-out receiving grasps of these objects, `object_index` counting them in order.
 
     Args:
-        objects: whose grasps. Those of built-in objects are stored; others are sampled once, a CPU
-            minute each, and kept on disk (`io.cache`).
+        objects: whose grasps. Those of built-in objects are stored on the built-in hand, those of the first two
+            instances of each family on the built-in people's; others are sampled once, a CPU minute each, and kept on
+            disk (`io.cache`).
         hand: whose hands; None: the built-in one.
 
     Returns:
@@ -104,8 +106,12 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     if model.turn is not None:
         own = _of_object(model.turn.own, hand)
         return {**own, "T_obj_hand": model.turn.poses(own["T_obj_hand"])}
-    stored = stored_arrays_of("held_out.npz", "receiving")
-    if hand is load_hand() and f"{(key := stored_key(model))}/side" in stored:
+    stored: dict[str, NDArray[Any]] = {}
+    if hand is load_hand():
+        stored = stored_arrays("receiving", "held_out.npz")
+    elif hand is people_hand():
+        stored = stored_arrays_of("held_out.npz", "people")
+    if f"{(key := stored_key(model))}/side" in stored:
         return {k: stored[f"{key}/{k}"] for k in (*FIELDS, "grip_n")}
     made_of = (
         f"{object_digest(model)} {hand.digest} {code_digest(MADE_BY, VERSIONS)} {SERIES}{PER_SIDE}"

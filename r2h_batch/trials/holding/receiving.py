@@ -150,8 +150,9 @@ def load_receiving(
 ) -> ReceivingGrasps:
     """Receiving grasps of objects, `object_index` counting them in order.
 
-    Those of the built-in hand and objects are stored. For a user's hand or object they are sampled
-    once (seconds an object) and kept on disk (`io.cache`).
+    Those of the built-in objects are stored on the built-in hand and on that of the built-in people, those of the
+    families' instances on the latter. For other objects and hands they are sampled once (seconds an object) and kept
+    on disk (`io.cache`).
 
     Args:
         objects: None: the 16 built-in ones.
@@ -246,10 +247,10 @@ def _made_of(model: ObjectModel, hand: HandModel) -> str:
 
 @lru_cache(maxsize=1)
 def _stored_of_people() -> dict[str, NDArray[Any]]:
-    """The same of the hand of `data/people.py`."""
-    return stored_arrays("people", "receiving.npz")
+    """The same of the hand of `data/people.py`; the instances of families are stored with this hand alone."""
+    return stored_arrays_of("receiving.npz", "people")
 
 
 @lru_cache(maxsize=1)
 def _stored() -> dict[str, NDArray[Any]]:
-    return stored_arrays_of("receiving.npz", "receiving")
+    return stored_arrays("receiving", "receiving.npz")
