@@ -4,15 +4,15 @@ import json
 from pathlib import Path
 
 import pytest
-from golden import CASES, GOLDEN, compute, made_with, sweep_digests
+from golden import ENGINES, GOLDEN, compute, made_with, sweep_digests
 
 from r2h_batch.scene.robot import load_robot, write_robot
 
 QUICK = ("pose", "none")
-MARKED = [pytest.param(case, marks=pytest.mark.check if case in QUICK else ()) for case in CASES]
+CASES = [pytest.param(case, marks=pytest.mark.check if case in QUICK else ()) for case in (*ENGINES, "pose")]
 
 
-@pytest.mark.parametrize("case", MARKED)
+@pytest.mark.parametrize("case", CASES)
 def test_nothing_has_changed(case: str, tmp_path: Path) -> None:
     stored = json.loads(GOLDEN.read_text())
     same_machine = stored["made_with"] == made_with()

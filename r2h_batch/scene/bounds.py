@@ -182,10 +182,9 @@ def _farthest(
     corner[:, (axis + 1) % 3] = np.repeat(u, 2)
     corner[:, (axis + 2) % 3] = np.tile(v, 2)
     height = points @ corner.T
-    rivals = np.unique(np.append(height.argmax(0), np.argsort(height.sum(1))[-8:]))
-    beaten = np.zeros(len(points), dtype=bool)
-    for rival in rivals:
-        beaten |= (height < height[rival] - 1e-9).all(1)
+    rivals = np.append(height.argmax(0), np.argsort(height.sum(1))[-8:])
+    at = np.ascontiguousarray(height.T)  # numpy reduces the first axis fastest
+    beaten = (at[:, :, None] < at[:, None, rivals] - 1e-9).all(0).any(1)
     return points[~beaten]
 
 
