@@ -139,7 +139,7 @@ def people_hand_set(people: People) -> HandSet:
 
 
 def stored_hulls() -> tuple[NDArray[np.int32], NDArray[np.int32]] | None:
-    """What `hulls_of` found of the hands of all built-in people, on one machine: r2h-v2 has the same digest on any.
+    """The stored hulls of the hands of all built-in people, as `hulls_of` finds them: r2h-v2 has one digest on any machine.
     None before they are built."""
     found = stored_arrays("people", "hulls.npz")
     if not found:
