@@ -491,7 +491,7 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
 
 
 def beside(name: str, pairs: Sequence[Mapping[str, Any]]) -> str:
-    """What a method's comparisons with the others say: `better than A; tied with B`; empty for a bound."""
+    """A method's comparisons with the others, as `better than A; tied with B`; empty for a bound."""
     back = {"better": "worse", "worse": "better"}
     said: dict[str, list[str]] = {}
     for pair in pairs:
