@@ -3,16 +3,22 @@
 `python bench/transfer.py` simulates the transfers of the shipped rows of r2h-v1 (the first `--trials` of each split after those
 that the model was fitted on) and of `oracle,for=reception`: five policies, take and touch. It halves the time step and varies
 friction and mass for the oracle, asks which objects the closed gripper holds for 1 s, and measures the cost of a transfer and the
-memory of `--memory` transfers. `--render` writes the page again from the JSON.
+memory of `--memory` transfers. `--render` writes the page again from the JSON. `--trials 200 --processes 2 --parts FOLDER` takes
+half an hour or more; started again, it goes on with what is missing in the folder.
 """
 
 import argparse
+import json
 import time
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from _report import ROOT, made_by, markdown_table, memory_over, page_from
+from _source import digests
 
 PAGE = ROOT / "docs" / "results" / "transfer.md"
 STORED = ROOT / "bench" / "results" / "transfer.json"
@@ -37,12 +43,25 @@ MEASURES = (
     "r2h_batch/trials/holding/contact_forces.py",
 )
 CHANGES: dict[str, dict[str, Any]] = {
-    "half the time step": {"steps": 16},
+    "half the time step": {"steps": 12},
     "skin friction 0.4": {"skin_friction": 0.4 / 0.6},
     "mass x 1.5": {"mass": 1.5},
     "pad friction 0.5": {"pad_friction": 0.5},
 }
 COMPARED = (("load-share", "take"), ("threshold", "take"), ("load-share", "touch"))
+VARIED_ROWS = 100
+"""Received rows of the oracle that the changes are tried on."""
+
+OTHER_ENDS = (
+    "robot_dropped",
+    "badly_held",
+    "dropped",
+    "torn_out",
+    "hand_slipped_off",
+    "not_released",
+    "stuck",
+    "exploded",
+)
 
 HEAD = """# Transfers: who takes the object, and when the gripper lets go
 
@@ -86,7 +105,7 @@ second trial of each split, and the objects that are lost most.
 
 ## Other ends
 
-Counts of received trials that were not taken.
+Counts of received trials that were not taken, with `take`. Methods, policies and ends that never occur are left out.
 
 {ends}
 
@@ -161,39 +180,95 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     scene = judge.evaluator.scene
     simulator = Simulator(scene.robot, tuple(scene.objects), Setting(), 0)
     cases = [*(Case(r, s, 0) for s in SCENARIO for r in RELEASE), *(Case(r, s, 0) for r, s in MORE)]
+    parts = Parts(options.parts, {"trials": options.trials, "source": digests(MEASURES)})
     methods: dict[str, Any] = {}
-    core_ms: list[float] = []
     forces: dict[str, list[float]] = {release: [] for release in RELEASE}
     with processes(simulator, options.processes) as transfer:
         for name in [*run.methods, BOUND]:
-            handed, won, n = rows_of(run, judge, name, options.trials)
-            begin = time.process_time()
-            parts = [made for _, made in transfer([handed], cases)] if len(handed) else []
-            core_ms.append(1e3 * (time.process_time() - begin) / max(len(handed) * len(cases), 1))
-            methods[name] = {"trials": n, "received": len(handed), "success": sum(won.values())}
-            methods[name]["cases"] = [
-                summary(case, [p[k].transfers for p in parts], handed.trial_id, won) for k, case in enumerate(cases)
-            ]
-            for k, (release, scenario, _) in enumerate(cases):
-                if scenario == "take":
-                    forces[release] += [x for p in parts for x in p[k].transfers.hand_n.tolist() if x > 0]
-            print(name, methods[name]["received"], "received", f"{core_ms[-1]:.0f} core-ms", flush=True)
-            if name == "oracle":
-                received = handed
-                sensitivity, compared = varied(simulator, handed)
+            made = parts.get(
+                f"transfers of {name}", partial(transfers_of, run, judge, name, options.trials, cases, transfer)
+            )
+            for release, found in made.pop("forces").items():
+                forces[release] += found
+            methods[name] = made
             if name != BOUND:
-                methods[name]["held"] = held_of(run, judge, name, simulator)
-                print(name, "held", methods[name]["held"], flush=True)
+                made["held"] = parts.get(f"held of {name}", partial(held_of, run, judge, name, simulator))
+    received, _, _ = rows_of(run, judge, "oracle", options.trials)
+    sensitivity, compared = parts.get("sensitivity", lambda: varied(simulator, received[:VARIED_ROWS]))
     return {
         "trials": options.trials,
         "methods": methods,
         "force": {r: [len(x), *np.percentile(x, FORCE_PERCENT).tolist()] for r, x in forces.items()},
         "sensitivity": sensitivity,
         "compared": compared,
-        "core_ms": float(np.median(core_ms)) if options.processes == 1 else None,
-        "memory": memory_over(options.memory, lambda done: again(simulator, received, done)),
+        "core_ms": parts.get("cost", lambda: cost(simulator, received, cases)),
+        "memory": parts.get(
+            "memory", lambda: memory_over(options.memory, lambda done: again(simulator, received, done))
+        ),
         **made_by(MEASURES),
     }
+
+
+class Parts:
+    """Figures that are measured once: a bench that was stopped goes on with those that are missing.
+
+    Args:
+        folder: where they are kept; None: nowhere.
+        of: what they depend on. A part of anything else is measured again.
+    """
+
+    def __init__(self, folder: Path | None, of: dict[str, Any]) -> None:
+        self.folder, self.of = folder, of
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def get(self, name: str, measured: Callable[[], Any]) -> Any:
+        """A part as it is kept, or measured and kept."""
+        path = None if self.folder is None else self.folder / f"{name.replace('/', '_')}.json"
+        if path is not None and path.is_file():
+            kept = json.loads(path.read_text())
+            if kept["of"] == self.of:
+                print(name, "is kept in", path, flush=True)
+                return kept["part"]
+        part = measured()
+        print(name, {k: v for k, v in part.items() if k not in ("cases", "forces")} if isinstance(part, dict) else part)
+        if path is not None:
+            path.write_text(json.dumps({"of": self.of, "part": part}))
+        return part
+
+
+def transfers_of(run: Any, judge: Any, name: str, trials: int, cases: list[Any], transfer: Any) -> dict[str, Any]:
+    """Outcomes of a method's transfers in all cases, and the forces on the persons who took."""
+    handed, won, n = rows_of(run, judge, name, trials)
+    begin, parts, done = time.time(), [], 0
+    for rows, made in transfer([handed], cases):
+        parts.append(made)
+        done += len(rows)
+        print(f"{name}: {done} of {len(handed)} received rows, {time.time() - begin:.0f} s", flush=True)
+    found: dict[str, list[float]] = {release: [] for release in RELEASE}
+    for k, case in enumerate(cases):
+        if case.scenario == "take":
+            found[case.release] += [x for p in parts for x in p[k].transfers.hand_n.tolist() if x > 0]
+    return {
+        "trials": n,
+        "received": len(handed),
+        "success": sum(won.values()),
+        "cases": [summary(c, [p[k].transfers for p in parts], handed.trial_id, won) for k, c in enumerate(cases)],
+        "forces": found,
+    }
+
+
+def cost(simulator: Any, handed: Any, cases: list[Any]) -> float:
+    """Core milliseconds of a transfer in this process (median of three groups), with the closing shared by all cases."""
+    from r2h_batch.closed_loop.transfer.cases import ROWS
+
+    times = []
+    for k in range(3):
+        rows = handed[np.arange(k * ROWS, (k + 1) * ROWS) % len(handed)]
+        begin = time.process_time()
+        simulator(rows, cases)
+        times.append(1e3 * (time.process_time() - begin) / (len(rows) * len(cases)))
+    return float(np.median(times))
 
 
 def again(simulator: Any, handed: Any, done: int) -> int:
@@ -283,16 +358,6 @@ def markdown(data: dict[str, Any]) -> str:
         return "-" if x is None else f"{x:.{digits}f}"
 
     funnel, policies, ends = [], [], []
-    shown = (
-        "robot_dropped",
-        "badly_held",
-        "dropped",
-        "torn_out",
-        "hand_slipped_off",
-        "not_released",
-        "stuck",
-        "exploded",
-    )
     for name, m in data["methods"].items():
         by = {(c["release"], c["scenario"]): c for c in m["cases"]}
         own, n = by["load-share", "take"], m["trials"]
@@ -304,7 +369,9 @@ def markdown(data: dict[str, Any]) -> str:
             got = m["received"]
             rates = [rate(c["outcomes"].get(k, 0), got) for c, k in ((take, "taken"), (touch, "kept"))]
             policies.append([name, release, got, *rates, number(take["pull_n"], 1), number(take["transfer_s"], 2)])
-            ends.append([name, release, *(take["outcomes"].get(o, 0) for o in shown)])
+            ends.append([name, release, *(take["outcomes"].get(o, 0) for o in OTHER_ENDS)])
+    some = [k for k in range(len(OTHER_ENDS)) if any(e[2 + k] for e in ends)]
+    ends = [[*e[:2], *(e[2 + k] for k in some)] for e in ends if any(e[2:])]
     more, held, held_ms = [], [], float("nan")
     for name, m in data["methods"].items():
         by = {(c["release"], c["scenario"]): c for c in m["cases"]}
@@ -324,7 +391,7 @@ def markdown(data: dict[str, Any]) -> str:
         commit=str(data["commit"])[:12],
         funnel=markdown_table(["Method", "n", "SR", "received", "taken", "taken and success"], funnel),
         policies=markdown_table(["Method", "policy", "received", "taken", "kept", "pull, N", "time, s"], policies),
-        ends=markdown_table(["Method", "policy", *(o.replace("_", " ") for o in shown)], ends),
+        ends=markdown_table(["Method", "policy", *(OTHER_ENDS[k].replace("_", " ") for k in some)], ends),
         more=markdown_table(["Method", "received", *(f"{r}, {w}" for r, w in MORE)], more),
         force=markdown_table(["policy", "n", *(f"{p} %" for p in FORCE_PERCENT)], force),
         held=markdown_table(["Method", "n", "held 1 s", "lost most (of)"], held),
@@ -335,7 +402,7 @@ def markdown(data: dict[str, Any]) -> str:
         sensitivity=markdown_table(["change", "outcomes", "which"], changes),
         **{k: oracle[f"{k}_s"] for k in ("t10", "t50", "t90", "transfer")},
         grip=oracle["grip_n"],
-        ms=data["core_ms"] or float("nan"),
+        ms=data["core_ms"],
         load=data["hardware"]["load_at_start"],
     )
 
@@ -354,7 +421,8 @@ def memory_text(memory: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=40, help="of each split")
-    parser.add_argument("--processes", type=int, default=1, help="1: the cost is measured too")
+    parser.add_argument("--processes", type=int, default=1, help="that simulate")
+    parser.add_argument("--parts", type=Path, help="folder where finished parts are kept: a stopped bench goes on")
     parser.add_argument("--memory", type=int, default=2000, help="transfers over which memory is measured")
     page_from(parser, STORED, PAGE, measure, markdown)
 

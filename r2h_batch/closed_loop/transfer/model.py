@@ -31,8 +31,8 @@ Array = NDArray[np.float64]
 
 TICK_S = 1 / 120
 """Person, sensor and policy act this often: the rate of Handovers@RPL."""
-STEPS = 8
-"""Steps of the simulation in a tick: 1.04 ms each. docs/transfer.md says what half of it changes."""
+STEPS = 6
+"""Steps of the simulation in a tick: 1.39 ms each. docs/transfer.md says what half of it changes."""
 
 GRIPPER_KG, WRIST_N_M = 4.0, 60_000.0
 """The moving base of the gripper, and how stiffly the robot's arm holds it [choice]. The force of that spring is
@@ -45,6 +45,8 @@ HAND = ("hand_x", "hand_y", "hand_z", "hand_rx", "hand_ry", "hand_rz")
 WRIST = ("wrist_x", "wrist_y", "wrist_z")
 CARRIED_DAMPING, FREE_DAMPING = 50.0, 1e-5
 """Damping of the object while the gripper closes, per kg and kg m^2, and after that."""
+MEMORY = 2**21
+"""Bytes for contacts and constraints: 30 times what transfers use. MuJoCo's own choice is 15 MB a world."""
 LEAST_FRICTION = 1e-6
 """Dry friction of an open hand: rows of constraints must not come and go."""
 
@@ -71,6 +73,7 @@ def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.
     step = TICK_S / setting.steps
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
+    spec.memory = MEMORY
     option = spec.option
     option.timestep, option.gravity = step, [0, 0, 0]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

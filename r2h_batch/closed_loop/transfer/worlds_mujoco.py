@@ -149,47 +149,67 @@ class MujocoWorlds:
         n = len(closed)
         sizes = {"load": 3, "shifted": 3, "com": 3, "p_obj": 3, "R_obj": 9, "slip": 7, "arm": 3}
         self._out = {k: np.zeros((n, size)) for k, size in sizes.items()}
-        self._touching, self._fine = np.zeros(n, bool), np.ones(n, bool)
+        self._speed, self._wrist = np.zeros((n, m.nv)), np.zeros((2, n, 3))
+        self._touching = np.zeros(n, bool)
+        self._ctrl = np.zeros((n, m.nu))
+        self._reads = [self._read(i) for i in range(n)]
         for i in range(n):
             self._look(i)
 
+    def _read(self, i: int) -> list[tuple[Array, Array]]:
+        """Where a world's numbers go, and MuJoCo's own arrays with them: indexing anew costs as much as a step."""
+        d, p, out = self.data[i], self.places, self._out
+        acc, force = self._wrist
+        return [
+            (acc[i], d.qacc[_span(p.wrist_v)]),
+            (force[i], d.actuator_force[_span(p.wrist)]),
+            (out["shifted"][i], d.qpos[_span(p.wrist_q)]),
+            (out["com"][i], d.xipos[p.object_body]),
+            (out["p_obj"][i], d.xpos[p.object_body]),
+            (out["R_obj"][i], d.xmat[p.object_body]),
+            (out["slip"][i], d.qpos[_span(p.slip_q)]),
+            (out["arm"][i], d.actuator_force[_span(p.hand[:3])]),
+            (self._speed[i], d.qvel),
+        ]
+
     def seen(self) -> Seen:
         """The state now. The tensors are the worlds' own: valid until the next step."""
+        acc, force = self._wrist
+        self._out["load"][:] = GRIPPER_KG * acc - force
         out = {k: torch.from_numpy(v) for k, v in self._out.items()}
         out["R_obj"] = out["R_obj"].view(-1, 3, 3)
-        return Seen(
-            **out, touching=torch.from_numpy(self._touching), fine=torch.from_numpy(self._fine)
-        )
+        fine = np.abs(self._speed).max(1) < TOO_FAST  # not where one is NaN
+        return Seen(**out, touching=torch.from_numpy(self._touching), fine=torch.from_numpy(fine))
 
     def step(self, told: Told, running: Bool[Tensor, " n"]) -> None:
         """Goes on by a tick where `running`."""
-        p = self.places
-        effort, shift, hand = (x.numpy() for x in (told.effort, told.shift, told.hand))
-        friction = told.friction.numpy()
-        push = None if told.push is None else told.push.numpy()
+        p, ctrl = self.places, self._ctrl
+        ctrl[:, p.fingers] = told.effort.numpy()[:, None] * self.effort
+        ctrl[:, p.wrist], ctrl[:, p.hand[:3]] = told.shift.numpy(), told.hand.numpy()
+        friction, slip_v = told.friction.numpy(), _span(p.slip_v)
+        push = None if told.push is None else self._wrench(told.push.numpy())
         for i in torch.nonzero(running)[:, 0].tolist():
             m, d = self.models[i], self.data[i]
-            d.ctrl[p.fingers] = effort[i] * self.effort
-            d.ctrl[p.wrist] = shift[i]
-            d.ctrl[p.hand[:3]] = hand[i]
-            m.dof_frictionloss[p.slip_v] = friction[i]
+            d.ctrl[:] = ctrl[i]
+            m.dof_frictionloss[slip_v] = friction[i]
             if push is not None:
-                force, at = push[i, :3], push[i, 3:]
-                moment = np.cross(at - d.xipos[p.object_body], force)
-                d.xfrc_applied[p.object_body] = *force, *moment
+                d.xfrc_applied[p.object_body] = push[i]
             mujoco.mj_step(m, d, self.steps)
             self._look(i)
 
+    def _wrench(self, push: Array) -> Array:
+        """Force and moment about the centre of mass of forces at points, (n, 6)."""
+        force, at = push[:, :3], push[:, 3:]
+        return np.concatenate([force, np.cross(at - self._out["com"], force)], 1)
+
     def _look(self, i: int) -> None:
-        d, p, out = self.data[i], self.places, self._out
-        out["load"][i] = GRIPPER_KG * d.qacc[p.wrist_v] - d.actuator_force[p.wrist]
-        out["shifted"][i] = d.qpos[p.wrist_q]
-        out["com"][i] = d.xipos[p.object_body]
-        out["p_obj"][i] = d.xpos[p.object_body]
-        out["R_obj"][i] = d.xmat[p.object_body]
-        out["slip"][i] = d.qpos[p.slip_q]
-        out["arm"][i] = d.actuator_force[p.hand[:3]]
+        for to, of in self._reads[i]:
+            to[:] = of
+        d = self.data[i]
         # a contact is always one of a pad: no other geoms of the model can touch
-        self._touching[i] = bool((d.contact.dist < TOUCH_M).any())
-        speed = np.abs(d.qvel).max()
-        self._fine[i] = bool(np.isfinite(speed) and speed < TOO_FAST)
+        self._touching[i] = bool(d.ncon) and bool((d.contact.dist < TOUCH_M).any())
+
+
+def _span(index: NDArray[np.int64]) -> slice:
+    """The slice of neighbouring places: numpy then needs no copy."""
+    return slice(int(index[0]), int(index[-1]) + 1)

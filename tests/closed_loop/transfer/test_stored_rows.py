@@ -6,7 +6,7 @@ import torch
 
 from r2h_batch.closed_loop.transfer.cases import Case, Simulator
 from r2h_batch.closed_loop.transfer.handed import handed_of
-from r2h_batch.closed_loop.transfer.model import Setting
+from r2h_batch.closed_loop.transfer.model import STEPS, Setting
 from r2h_batch.judge.reception import reception
 from r2h_batch.report.compare.command import baselines_for
 from r2h_batch.runs.store import load_run
@@ -33,13 +33,13 @@ def received():
     return handed, evaluator.scene
 
 
-def simulated(received, cases: list[Case], steps: int = 8):
+def simulated(received, cases: list[Case], steps: int = STEPS):
     handed, scene = received
     return Simulator(scene.robot, tuple(scene.objects), Setting(steps=steps), 0)(handed, cases)
 
 
 def test_half_the_time_step_changes_no_outcome(received):
-    whole, half = (simulated(received, FORCES, n) for n in (8, 16))
+    whole, half = (simulated(received, FORCES, n) for n in (STEPS, 2 * STEPS))
     assert len(received[0]) >= 10
     pairs = [
         (x, y)

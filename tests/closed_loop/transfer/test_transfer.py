@@ -12,7 +12,7 @@ from alive import alive, all_end, children_of, until
 from r2h_batch.closed_loop.transfer import person, release
 from r2h_batch.closed_loop.transfer.cases import Case, Processes, Simulator, processes
 from r2h_batch.closed_loop.transfer.handed import Handed
-from r2h_batch.closed_loop.transfer.model import Setting
+from r2h_batch.closed_loop.transfer.model import STEPS, Setting
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import drive_from_gap, load_robot, pad_center_z
 
@@ -154,7 +154,7 @@ DRIVER = """
 import os, time
 from pathlib import Path
 from r2h_batch.closed_loop.transfer.cases import Simulator, processes
-from r2h_batch.closed_loop.transfer.model import Setting
+from r2h_batch.closed_loop.transfer.model import STEPS, Setting
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import load_robot
 
@@ -183,7 +183,7 @@ def test_processes_end_with_a_driver_that_is_killed(tmp_path):
 
 def test_half_the_time_step_changes_no_outcome():
     cases = [Case("load-share", "take", 0), Case("threshold", "take", 0), Case("timer", "touch", 0)]
-    whole, half = (simulated(screwdrivers(4), *cases, setting=Setting(steps=n)) for n in (8, 16))
+    whole, half = (simulated(screwdrivers(4), *cases, setting=Setting(steps=n)) for n in (STEPS, 2 * STEPS))
     assert [m.transfers.outcome for m in whole] == [m.transfers.outcome for m in half]
 
 
