@@ -5,7 +5,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linprog, minimize
 from scipy.spatial import ConvexHull
 
@@ -135,11 +135,18 @@ BLOCK_POINTS = 16
 """As in kernels/geometry/shape.py (tests/kernels/test_codes.py)."""
 
 
-def point_blocks(points: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Rows (16 k, 3) of a hull for geometry/shape.py, BLOCKS: 16 points at a time, their x, y and z
-    one after the other."""
-    full = np.concatenate([points, np.repeat(points[-1:], -len(points) % BLOCK_POINTS, axis=0)])
-    return full.reshape(-1, BLOCK_POINTS, 3).transpose(0, 2, 1).reshape(-1, 3)
+def point_blocks(
+    points: NDArray[np.floating], start: ArrayLike
+) -> tuple[NDArray[np.floating], NDArray[np.int64]]:
+    """Rows of hulls for geometry/shape.py, BLOCKS: 16 points at a time, their x, y and z one after
+    the other; and where each hull's rows start. Points start[k] to start[k + 1] - 1 are hull k's;
+    its last one fills its last block."""
+    first, end = np.asarray(start)[:-1], np.asarray(start)[1:]
+    count = -(-(end - first) // BLOCK_POINTS) * BLOCK_POINTS
+    rows = np.cumsum(np.append(0, count))
+    index = np.arange(rows[-1]) + np.repeat(first - rows[:-1], count)
+    full = points[np.minimum(index, np.repeat(end - 1, count))]
+    return full.reshape(-1, BLOCK_POINTS, 3).transpose(0, 2, 1).reshape(-1, 3), rows
 
 
 CELLS_PER_EDGE = 6
@@ -154,18 +161,18 @@ def support_cells(points: Array) -> Array:
     a side of the cube keeps, its rows of cells keep a part, and of that its cells.
     """
     edges = np.linspace(-1.0, 1.0, CELLS_PER_EDGE + 1)
-    header, kept, total = [], [], 6 * CELLS_PER_EDGE**2
+    kept = []
     for axis in range(3):
         for sign in (1.0, -1.0):
             side = _farthest(points, axis, sign, (-1.0, 1.0), (-1.0, 1.0))
             for u in pairwise(edges):
                 row = _farthest(side, axis, sign, u, (-1.0, 1.0))
                 for v in pairwise(edges):
-                    cell = _farthest(row, axis, sign, u, v)
-                    header.append((total, len(cell), 0))
-                    kept.append(point_blocks(cell))
-                    total += len(kept[-1])
-    return np.concatenate([np.array(header, dtype=np.float64), *kept])
+                    kept.append(_farthest(row, axis, sign, u, v))
+    count = np.array([len(cell) for cell in kept])
+    blocks, rows = point_blocks(np.concatenate(kept), np.cumsum(np.append(0, count)))
+    header = np.stack([len(kept) + rows[:-1], count, np.zeros_like(count)], 1)
+    return np.concatenate([header.astype(np.float64), blocks])
 
 
 def _farthest(
@@ -179,12 +186,12 @@ def _farthest(
     """
     corner = np.empty((4, 3))
     corner[:, axis] = sign
-    corner[:, (axis + 1) % 3] = np.repeat(u, 2)
-    corner[:, (axis + 2) % 3] = np.tile(v, 2)
+    corner[:, (axis + 1) % 3] = u[0], u[0], u[1], u[1]
+    corner[:, (axis + 2) % 3] = v[0], v[1], v[0], v[1]
     height = points @ corner.T
     rivals = np.append(height.argmax(0), np.argsort(height.sum(1))[-8:])
     at = np.ascontiguousarray(height.T)  # numpy reduces the first axis fastest
-    beaten = (at[:, :, None] < at[:, None, rivals] - 1e-9).all(0).any(1)
+    beaten = (at[:, None] < at[:, rivals, None] - 1e-9).all(0).any(0)
     return points[~beaten]
 
 

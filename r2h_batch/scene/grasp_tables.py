@@ -127,17 +127,15 @@ def surface_tables(
 
     Surfaces, each a (T, 3, 3) array of triangles, are sorted into nodes of 64 and leaves of 8 with
     bounding spheres. Those that are not `closed` get an empty bounding box: nothing lies inside."""
-    points: list[NDArray[np.float32]] = []
-    leaf_first, node_first, surface_first = [0], [0], [0]
-    for triangles in surfaces:
-        centers = triangles.mean(axis=1)
-        for node in _split(centers, np.arange(len(triangles)), _NODE_TRIANGLES):
-            for leaf in _split(centers, node, _LEAF_TRIANGLES):
-                points.append(triangles[leaf].reshape(-1, 3))
-                leaf_first.append(leaf_first[-1] + len(leaf))
-            node_first.append(len(leaf_first) - 1)
-        surface_first.append(len(node_first) - 1)
-    flat = np.concatenate([*points, np.zeros((0, 3), np.float32)]).astype(np.float32)
+    every = np.concatenate([*surfaces, np.zeros((0, 3, 3), np.float32)]).astype(np.float32)
+    centers = every.mean(axis=1)
+    surface_start = np.cumsum([0] + [len(triangles) for triangles in surfaces])
+    rows, node_start = _split(centers, np.arange(len(every)), surface_start, _NODE_TRIANGLES)
+    rows, leaf_start = _split(centers, rows, node_start, _LEAF_TRIANGLES)
+    surface_first = np.searchsorted(node_start, surface_start).tolist()
+    node_first = np.searchsorted(leaf_start, node_start).tolist()
+    leaf_first = leaf_start.tolist()
+    flat = every[rows].reshape(-1, 3)
     leaf_points = [3 * i for i in leaf_first]
     node_points = [leaf_points[i] for i in node_first]
     nothing = np.zeros((1, 3), np.float32)
@@ -191,16 +189,22 @@ def _lanes(rows: NDArray[np.float32], first: list[int]) -> NDArray[np.float32]:
 
 
 def _split(
-    centers: NDArray[np.float32], rows: NDArray[np.intp], most: int
-) -> list[NDArray[np.intp]]:
-    """Groups of at most `most` rows: halves along the longest side, again and again."""
-    if len(rows) <= most:
-        return [rows] if len(rows) else []
-    at = centers[rows]
-    longest = (at.max(axis=0) - at.min(axis=0)).argmax()
-    order = rows[at[:, longest].argsort(kind="stable")]
-    half = -(-len(rows) // most // 2) * most if len(rows) > 2 * most else len(rows) // 2
-    return _split(centers, order[:half], most) + _split(centers, order[half:], most)
+    centers: NDArray[np.float32], rows: NDArray[np.intp], start: NDArray[np.intp], most: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Groups of at most `most` rows: halves along the longest side, again and again, all groups of
+    a round at once. Group k is rows[start[k] : start[k + 1]], as it is in what comes back."""
+    start = np.unique(start)  # a surface without a triangle has no group
+    while (np.diff(start) > most).any():
+        size = np.diff(start)
+        owner = np.repeat(np.arange(len(size)), size)
+        at = centers[rows]
+        side = np.maximum.reduceat(at, start[:-1]) - np.minimum.reduceat(at, start[:-1])
+        along = at[np.arange(len(at)), side.argmax(1)[owner]]
+        along[(size <= most)[owner]] = 0.0  # done: its rows keep their order
+        rows = rows[np.lexsort((along, owner))]
+        half = np.where(size > 2 * most, -(-size // most // 2) * most, size // 2)
+        start = np.union1d(start, (start[:-1] + half)[size > most])
+    return rows, start
 
 
 def _bounds(

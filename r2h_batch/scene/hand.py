@@ -35,7 +35,8 @@ SHAPE_SIZE = 10
 RIGHT, LEFT = 0, 1
 
 FINGER_ROOTS = (1, 4, 7, 10)
-_CHUNK = 256
+_CHUNK = 32
+"""Hands posed at a time: their tables stay in a core's cache, and 400 hands take 0.6 of the time of 256 at a time."""
 
 
 @dataclass(frozen=True)

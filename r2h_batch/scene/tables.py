@@ -82,9 +82,8 @@ class Hands:
     def blocks(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """The same points in blocks (kernels/geometry/shape.py, BLOCKS), and where each piece
         starts."""
-        points, start = self.points
-        blocks = [bounds.point_blocks(points[a:b]) for a, b in pairwise(start)]
-        return np.concatenate(blocks), np.cumsum([0] + [len(b) for b in blocks]).astype(np.int32)
+        blocks, start = bounds.point_blocks(*self.points)
+        return blocks, start.astype(np.int32)
 
     @cached_property
     def faces(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
@@ -239,7 +238,7 @@ class WorldTables:
         """Corners in blocks of the arm's bodies, in the kernels' order; none but of hulls."""
         corners = corners_of(self.robot.arm)
         return [
-            bounds.point_blocks(corners[i]) if len(corners[i]) else np.zeros((0, 3), np.float32)
+            bounds.point_blocks(corners[i], [0, len(corners[i])])[0].astype(np.float32)
             for i in self.arm_order
         ]
 
