@@ -23,12 +23,15 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.assets.hand.build_handset import JOINT_RANGE_DEG, draw_angles, mirrored, pose_from_angles
 from r2h_batch.config import HOME_Q
-from r2h_batch.data.people import GROUPS, WHEELCHAIR, built_in_people, people_hand_set
+from r2h_batch.data.people import GROUPS, WHEELCHAIR, built_in_people, hand_lengths, people_hand, people_hand_set
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import contact, fc, handover_va, intent, oracle, random
 from r2h_batch.runs.store import Run, load_run
+from r2h_batch.scene.arrays import asset, read_arrays
+from r2h_batch.scene.hand import load_hand, load_hand_set
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides
@@ -129,6 +132,50 @@ def thumbs_at_rest(pose: NDArray[np.float32], side: NDArray[np.int8]) -> NDArray
     return out.reshape(-1, 48).astype(np.float32)
 
 
+OTHER_POSTURES = ("open_flat", "cupped", "grip_cylinder", "pinch", "relaxed")
+
+
+def drawn_again(axes: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    """200 postures a side of `OTHER_POSTURES`, from the built-in set's ranges and other random numbers, as turns about a hand's
+    axes."""
+    pose, kinds = [], [OTHER_POSTURES[i % len(OTHER_POSTURES)] for i in range(200)] * 2
+    for i, kind in enumerate(kinds):
+        rng = np.random.default_rng([41, i])
+        angles = draw_angles(rng, kind)
+        while ((angles < JOINT_RANGE_DEG[..., 0]) | (angles > JOINT_RANGE_DEG[..., 1])).any():
+            angles = draw_angles(rng, kind)
+        right = pose_from_angles(angles, axes)
+        pose.append(mirrored(right) if i >= 200 else right)
+    side = np.repeat(np.arange(2, dtype=np.int8), 200)
+    return {"pose": np.asarray(pose, np.float32), "side": side, "posture": np.array(kinds)}
+
+
+def stand_ins(folder: Path) -> dict[str, list[str]]:
+    """Flags of the built-in hand with other postures, and of its built-in postures as long as a tall man's hand."""
+    hand, hands = load_hand(), load_hand_set()
+    axes, none = hand.joint_axes.double().numpy(), np.zeros((400, 10), np.float32)
+    np.savez(folder / "drawn_again.npz", shape=none, **drawn_again(axes))
+    stored = dict(read_arrays(asset("hand", "hand.npz")))
+    length = float(hand_lengths(hand, none[:1])[0])
+    for name in ("vertices", "shape_basis", "joints_rest", "joint_shape_basis"):
+        stored[name] = (stored[name] * (0.210 / length)).astype(stored[name].dtype)
+    np.savez(folder / "long.npz", **stored)
+    np.savez(
+        folder / "as_built_in.npz",
+        pose=hands.pose.numpy(),
+        shape=hands.shape.numpy(),
+        side=hands.side.numpy(),
+        posture=np.array(hands.posture),
+    )
+    return {
+        "stand-in hand, other postures": ["--hands", str(folder / "drawn_again.npz")],
+        "stand-in hand, stretched to 210 mm": [
+            *("--hand-model", str(folder / "long.npz")),
+            *("--hands", str(folder / "as_built_in.npz")),
+        ],
+    }
+
+
 def hand_files(folder: Path) -> dict[str, list[str]]:
     """Flags of hands for the same bodies of r2h-v1: name -> words of a sweep."""
     model = ROOT / "assets" / "people" / "hand.npz"
@@ -136,7 +183,7 @@ def hand_files(folder: Path) -> dict[str, list[str]]:
     adults = people_hand_set(built_in_people("adults"))
     people = every.by_hand
     length = every.lengths["hand_length"]
-    found: dict[str, list[str]] = {"stand-in hand": []}
+    found: dict[str, list[str]] = {"stand-in hand": [], **stand_ins(folder)}
     poses = {"": adults.pose.numpy()}
     poses[", thumb as Anny rests it"] = thumbs_at_rest(poses[""], adults.side.numpy())
     for mm, how in ((150, ""), (186, ""), (210, ""), (210, ", thumb as Anny rests it")):
@@ -145,7 +192,11 @@ def hand_files(folder: Path) -> dict[str, list[str]]:
         file = folder / f"hands_{mm}{len(how)}.npz"
         np.savez(file, pose=poses[how], shape=shape, side=adults.side, posture=np.array(adults.posture))
         found[f"people's hand, {mm} mm{how}"] = ["--hand-model", str(model), "--hands", str(file)]
-    return found
+    again = drawn_again(people_hand().joint_axes.double().numpy())
+    again["pose"] = thumbs_at_rest(again["pose"], again["side"])
+    np.savez(folder / "all_three.npz", shape=shape, **again)
+    all_three = f"people's hand, {mm} mm{how}, other postures"
+    return found | {all_three: ["--hand-model", str(model), "--hands", str(folder / "all_three.npz")]}
 
 
 def draw(path: Path) -> None:
