@@ -18,8 +18,8 @@ from jaxtyping import Float32, Float64, Int64
 from numpy.typing import NDArray
 
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
-from r2h_batch.scene.hand import HandModel, load_hand
-from r2h_batch.scene.objects import ObjectModel, object_digest, stored_arrays_of, stored_key
+from r2h_batch.scene.hand import HandModel
+from r2h_batch.scene.objects import ObjectModel, object_digest, stored_key
 from r2h_batch.trials.holding import held_out as sampled
 from r2h_batch.trials.holding.contact_forces import ContactForces
 from r2h_batch.trials.holding.hand_contact import ObjectSurface, palmar_region
@@ -31,6 +31,7 @@ from r2h_batch.trials.holding.held_out import (
     HeldOut,
     friction_edges,
     load_held_out,
+    stored_of_hand,
 )
 from r2h_batch.trials.holding.receiving import VERSIONS
 
@@ -146,8 +147,8 @@ def _withstood(objects: tuple[ObjectModel, ...], hand: HandModel) -> Withstood:
 
 @lru_cache(maxsize=256)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
-    stored = stored_arrays_of("capacity.npz", "receiving")
-    if hand is load_hand() and f"{(key := stored_key(model))}/capacity" in stored:
+    stored = stored_of_hand("capacity.npz", hand)
+    if f"{(key := stored_key(model))}/capacity" in stored:
         return {k: stored[f"{key}/{k}"] for k in FORM}
     made_of = f"{object_digest(model)} {hand.digest} {code_digest(MADE_BY, VERSIONS)} capacity"
     key = hashlib.sha256(made_of.encode()).hexdigest()

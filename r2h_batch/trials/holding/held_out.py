@@ -90,9 +90,9 @@ def load_held_out(objects: Sequence[ObjectModel], hand: HandModel | None = None)
     """The held-out receiving grasps of these objects, `object_index` counting them in order.
 
     Args:
-        objects: whose grasps. Those of built-in objects are stored on the built-in hand, those of the first two
-            instances of each family on the built-in people's; others are sampled once, a CPU minute each, and kept on
-            disk (`io.cache`).
+        objects: whose grasps. Those of built-in objects on the built-in hand are stored, and on the built-in people's those
+            of r2h-v1's objects and of the first two instances of each family; others are sampled once, a CPU minute
+            each, and kept on disk (`io.cache`).
         hand: whose hands; None: the built-in one.
 
     Returns:
@@ -106,11 +106,7 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     if model.turn is not None:
         own = _of_object(model.turn.own, hand)
         return {**own, "T_obj_hand": model.turn.poses(own["T_obj_hand"])}
-    stored: dict[str, NDArray[Any]] = {}
-    if hand is load_hand():
-        stored = stored_arrays("receiving", "held_out.npz")
-    elif hand is people_hand():
-        stored = stored_arrays_of("held_out.npz", "people")
+    stored = stored_of_hand("held_out.npz", hand)
     if f"{(key := stored_key(model))}/side" in stored:
         return {k: stored[f"{key}/{k}"] for k in (*FIELDS, "grip_n")}
     made_of = (
@@ -119,6 +115,13 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     key = hashlib.sha256(made_of.encode()).hexdigest()
     form = {**FORM, "grip_n": ArraySpec("float32", ("holds", 6))}
     return cached("held-out", key, lambda: sample_held_out(model, hand=hand), form)
+
+
+def stored_of_hand(name: str, hand: HandModel) -> dict[str, NDArray[Any]]:
+    """OBJECT/FIELD -> array of a shipped file about this hand's held-out grasps; nothing of another than the built-in hands."""
+    if hand is load_hand():
+        return stored_arrays("receiving", name)
+    return stored_arrays_of(name, "people") if hand is people_hand() else {}
 
 
 def sample_held_out(

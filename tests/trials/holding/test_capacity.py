@@ -6,6 +6,7 @@ import torch
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.data.people import people_hand
 from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.objects import load_objects, turned
 from r2h_batch.trials.holding import capacity as programs_of
@@ -19,7 +20,7 @@ from r2h_batch.trials.holding.capacity import (
     usual_grips,
 )
 from r2h_batch.trials.holding.contact_forces import ContactForces
-from r2h_batch.trials.holding.held_out import FRICTION, GRAVITY, friction_edges, load_held_out
+from r2h_batch.trials.holding.held_out import FRICTION, GRAVITY, friction_edges, grip_forces, load_held_out
 
 HALF = 0.03
 PINCH = np.array([[HALF, 0, 0], [-HALF, 0, 0]]), np.array([[1.0, 0, 0], [-1, 0, 0]])
@@ -118,14 +119,20 @@ def test_programs_over_contacts_are_linprogs(contacts):
     assert contacts < 12 or (carried.sum() == 8 and (most > 0.1).all())
 
 
-@pytest.mark.parametrize("name", ["bowl", "pliers"])
-def test_stored_capacities_are_those_of_the_programs_again_and_of_linprog(name):
+@pytest.mark.parametrize("name, hand", [("bowl", load_hand), ("pliers", load_hand), ("cup", people_hand)])
+def test_stored_capacities_are_those_of_the_programs_again_and_of_linprog(name, hand, monkeypatch):
+    def asked(*args):
+        raise AssertionError("computed")
+
+    monkeypatch.setattr(programs_of, "of_held_out", asked)
     (model,) = load_objects([name])
-    held_out = load_held_out((model,))
+    held_out = load_held_out((model,), hand())
     stored = Withstood.of((model,), held_out.grasps.hand)
     rows = np.arange(5, len(held_out.grip_n), 170)
     skin = held_out.grasps[torch.from_numpy(rows)].vertices.numpy()
     made = capacities(model, skin, held_out.grasps.hand)
+    forces = grip_forces(model, skin[:1], held_out.grasps.hand)
+    assert forces == pytest.approx(held_out.grip_n[rows[:1]].numpy(), rel=1e-5)
     for field in FORM:
         assert getattr(stored, field)[rows] == pytest.approx(made[field], rel=1e-6, abs=1e-6), field
     carries = (stored.total_n > 0) == np.isfinite(held_out.grip_n.numpy())

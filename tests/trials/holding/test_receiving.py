@@ -18,7 +18,7 @@ from r2h_batch.data.people import people_hand
 from r2h_batch.scene.arrays import arrays_digest
 from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.objects import build_object, load_objects, object_digest
-from r2h_batch.trials.holding import receiving
+from r2h_batch.trials.holding import held_out, receiving
 from r2h_batch.trials.holding.hand_closing import DEEPEST_M, distance_field, field_distance
 from r2h_batch.trials.holding.hand_contact import (
     REGIONS,
@@ -117,6 +117,19 @@ def test_grasps_of_the_peoples_hand_are_shipped_touch_and_do_not_cut(monkeypatch
     assert len(found) == 2 * receiving.PER_SIDE * len(OBJECTS) and not torch.equal(found.pose, load_receiving().pose)
     opposed = [check(found, int(found.rows_of(index, side)[5])) for index, side in ((0, 0), (4, 1), (8, 0), (12, 1))]
     assert all(opposed)
+
+
+def test_held_out_grasps_of_the_peoples_hand_are_shipped_touch_and_are_other_grasps(monkeypatch) -> None:
+    def asked(*args: object, **kwargs: object) -> None:
+        raise AssertionError("sampled")
+
+    monkeypatch.setattr(held_out, "sample_receiving", asked)
+    found = held_out.load_held_out(OBJECTS, people_hand()).grasps
+    assert len(found) == 2 * held_out.PER_SIDE * len(OBJECTS)
+    opposed = [check(found, int(found.rows_of(index, side)[100])) for index, side in ((1, 0), (5, 1), (9, 0), (13, 1))]
+    assert all(opposed)
+    shown = {row.tobytes() for row in load_receiving(hand=people_hand()).pose.numpy()}
+    assert not shown & {row.tobytes() for row in found.pose.numpy()}
 
 
 @pytest.mark.slow
