@@ -3,7 +3,8 @@
 `python bench/transfer.py` simulates the transfers of the shipped rows of r2h-v1 (the first `--trials` of each split after those
 that the model was fitted on) and of `oracle,for=reception`: five policies, take and touch. It halves the time step and varies
 friction and mass for the oracle, asks which objects the closed gripper holds for 1 s, and measures the cost of a transfer and the
-memory of `--memory` transfers. `--render` writes the page again from the JSON. `--trials 200 --processes 2 --parts FOLDER` takes
+memory of `--memory` transfers. It holds MuJoCo-Warp against MuJoCo C on this CPU over `AGREE` received trials; `--agree N` prints
+this alone and writes nothing. `--render` writes the page again from the JSON. `--trials 200 --processes 2 --parts FOLDER` takes
 half an hour or more; started again, it goes on with what is missing in the folder.
 """
 
@@ -63,6 +64,20 @@ OTHER_ENDS = (
     "exploded",
 )
 
+AGREE = 100
+"""Received trials on which the engines are compared."""
+AGREE_IN = {
+    "pull": ("pull_n", 1.0, "N"),
+    "force on the person": ("hand_n", 1.0, "N"),
+    "grip": ("grip_n", 1.0, "N"),
+    "transfer time": ("transfer_s", 1e3, "ms"),
+    "t50": ("share_s", 1e3, "ms"),
+    "slip in the hand": ("slip_m", 1e3, "mm"),
+    "slip in the gripper": ("robot_slip_m", 1e3, "mm"),
+    "turn in the hand": ("turn_deg", 1.0, "deg"),
+}
+"""Numbers of a transfer whose differences are shown: attribute, factor, unit."""
+
 HEAD = """# Transfers: who takes the object, and when the gripper lets go
 
 See what a release policy changes ([definitions, and what may not be claimed](../transfer.md)). `python bench/transfer.py`
@@ -115,7 +130,7 @@ Outcomes of the oracle's received trials that change, of {compared} ({cases}).
 
 {sensitivity}
 
-## Beside people
+{engines}## Beside people
 
 Shares of the weight over time. Times are inputs, not validated: we chose how fast the simulated person takes the weight.
 
@@ -128,6 +143,21 @@ Shares of the weight over time. Times are inputs, not validated: we chose how fa
 
 A transfer takes {ms:.0f} ms of one core (process time, policies and scenarios as above, with the closing of the gripper shared;
 load of the machine at the start {load}). A grasp of `results held` takes {held_ms:.0f} ms. {memory}
+"""
+
+
+ENGINES = """## Two engines
+
+The same {trials} received trials in MuJoCo C (float64) and in batched MuJoCo-Warp worlds (float32), both on this CPU.
+`C decides`: MuJoCo C contradicts the worlds' contacts, or a world failed, so the result is MuJoCo C's. `differ`: other outcomes
+among the rest.
+
+{outcomes}
+
+Differences among the rest: the median, the 95th percentile and the largest.
+
+{numbers}
+
 """
 
 
@@ -201,6 +231,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "force": {r: [len(x), *np.percentile(x, FORCE_PERCENT).tolist()] for r, x in forces.items()},
         "sensitivity": sensitivity,
         "compared": compared,
+        "engines": parts.get(
+            "engines", lambda: agreement(simulator, rows_of(run, judge, "oracle", AGREE)[0][:AGREE])
+        ),
         "core_ms": parts.get("cost", lambda: cost(simulator, received, cases)),
         "memory": parts.get(
             "memory", lambda: memory_over(options.memory, lambda done: again(simulator, received, done))
@@ -346,6 +379,65 @@ def varied(simulator: Any, handed: Any) -> tuple[dict[str, Any], int]:
     return found, len(base)
 
 
+def agreement(simulator: Any, handed: Any) -> dict[str, Any]:
+    """How far MuJoCo-Warp's transfers are from MuJoCo C's, case by case."""
+    from r2h_batch.closed_loop.transfer.batched import BatchedSimulator
+    from r2h_batch.closed_loop.transfer.cases import Case
+
+    cases = [Case(r, s, 0) for r, s in COMPARED]
+    batched = BatchedSimulator(simulator.robot, simulator.models.objects, simulator.setting, simulator.seed)
+    found: dict[str, Any] = {"trials": len(handed), "cases": {}}
+    for one, (two, doubt) in zip(simulator(handed, cases), batched.worlds(handed, cases), strict=True):
+        a, b, sure = one.transfers, two.transfers, ~doubt
+        pairs = [(x, y) for x, y, s in zip(a.outcome, b.outcome, sure, strict=True) if s and x != y]
+        same = sure & np.array([x == y for x, y in zip(a.outcome, b.outcome, strict=True)], bool)
+        numbers = {}
+        for words, (name, factor, _) in AGREE_IN.items():
+            x, y = (getattr(t, name)[same] for t in (a, b))
+            off = factor * np.abs(x - y if x.ndim == 1 else x[:, 1] - y[:, 1])
+            off = off[np.isfinite(off)]
+            numbers[words] = [*np.percentile(off, (50, 95)).tolist(), float(off.max())] if len(off) else None
+        found["cases"][f"{one.case.release}, {one.case.scenario}"] = {
+            "decided": int(doubt.sum()),
+            "differ": {f"{x} -> {y}": k for (x, y), k in Counter(pairs).items()},
+            "numbers": numbers,
+        }
+        print(one.case, found["cases"][f"{one.case.release}, {one.case.scenario}"], flush=True)
+    return found
+
+
+def engines_text(found: dict[str, Any]) -> str:
+    """The section of `agreement`."""
+    outcomes, numbers = [], []
+    for case, c in found["cases"].items():
+        which = "; ".join(f"{pair} ({k})" for pair, k in c["differ"].items())
+        outcomes.append([case, c["decided"], sum(c["differ"].values()), which or "-"])
+    for words, (_, _, unit) in AGREE_IN.items():
+        cells = [c["numbers"][words] for c in found["cases"].values()]
+        texts = ["-" if x is None else " / ".join(f"{v:.2g}" for v in x) for x in cells]
+        numbers.append([f"{words}, {unit}", *texts])
+    return ENGINES.format(
+        trials=found["trials"],
+        outcomes=markdown_table(["case", "C decides", "differ", "which (C -> MuJoCo-Warp)"], outcomes),
+        numbers=markdown_table(["", *found["cases"]], numbers),
+    )
+
+
+def agree(trials: int) -> None:
+    """Prints the section of `agreement` over the oracle's first received trials that nothing was tuned on."""
+    from r2h_batch.closed_loop.transfer.cases import Simulator
+    from r2h_batch.closed_loop.transfer.model import Setting
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results.reevaluation import Judge
+
+    run = load_run(BASELINES)
+    judge = Judge(run)
+    scene = judge.evaluator.scene
+    handed, _, _ = rows_of(run, judge, "oracle", trials)
+    simulator = Simulator(scene.robot, tuple(scene.objects), Setting(), 0)
+    print(engines_text(agreement(simulator, handed[:trials])))
+
+
 def markdown(data: dict[str, Any]) -> str:
     """The page."""
     from r2h_batch.report.statistics.aggregate import wilson_interval
@@ -400,6 +492,7 @@ def markdown(data: dict[str, Any]) -> str:
         compared=data["compared"],
         cases=", ".join(f"{r} with {s}" for r, s in COMPARED),
         sensitivity=markdown_table(["change", "outcomes", "which"], changes),
+        engines=engines_text(data["engines"]) if "engines" in data else "",
         **{k: oracle[f"{k}_s"] for k in ("t10", "t50", "t90", "transfer")},
         grip=oracle["grip_n"],
         ms=data["core_ms"],
@@ -424,6 +517,9 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1, help="that simulate")
     parser.add_argument("--parts", type=Path, help="folder where finished parts are kept: a stopped bench goes on")
     parser.add_argument("--memory", type=int, default=2000, help="transfers over which memory is measured")
+    parser.add_argument("--agree", type=int, default=0, help="compare the engines on so many received trials")
+    if (count := parser.parse_known_args()[0].agree) > 0:
+        return agree(count)
     page_from(parser, STORED, PAGE, measure, markdown)
 
 

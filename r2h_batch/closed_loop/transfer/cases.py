@@ -8,12 +8,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import torch
 from jaxtyping import Float64
 from numpy.typing import NDArray
+from torch import Tensor
 
 from r2h_batch.base.io.child import end_with
 from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
@@ -73,7 +74,7 @@ class Simulator:
         worlds: Callable[..., Worlds] = MujocoWorlds,
     ) -> None:
         self.robot, self.setting, self.seed = robot, setting, seed
-        self.worlds = worlds
+        self.worlds, self.rows = worlds, ROWS
         self.models = Models(robot, objects, setting)
 
     def __call__(self, handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
@@ -89,17 +90,65 @@ class Simulator:
         return np.array(rows, np.float64).reshape(-1, 3)
 
     def _one(self, handed: Handed, closed: list[Any], case: Case) -> Transferred:
-        scenario = SCENARIOS[case.scenario]
-        persons = draw_persons(scenario, handed.trial_id, case.person)
-        made = simulate(
-            self.worlds(closed, persons.arm_n_m, self.robot, self.setting),
-            Hands(handed, scenario, persons, self.setting),
-            release_of(case.release)[0],
-            R_world_gripper=torch.from_numpy(handed.R_world_gripper),
-            com_closed=torch.from_numpy(np.array([c.com_closed for c in closed])),
-            noise=noise_of(handed.trial_id, case.person, self.seed),
-        )
-        return Transferred(case, made, persons)
+        persons = persons_of(handed, case)
+        worlds = self.worlds(closed, persons.arm_n_m, self.robot, self.setting)
+        com_closed = torch.from_numpy(np.array([c.com_closed for c in closed]))
+        return transferred(worlds, com_closed, handed, case, persons, self.setting, self.seed)
+
+
+def persons_of(handed: Handed, case: Case) -> Persons:
+    """The persons who take the objects of N handovers."""
+    return draw_persons(SCENARIOS[case.scenario], handed.trial_id, case.person)
+
+
+def transferred(
+    worlds: Worlds,
+    com_closed: Float64[Tensor, "n 3"],
+    handed: Handed,
+    case: Case,
+    persons: Persons,
+    setting: Setting,
+    seed: int,
+) -> Transferred:
+    """Runs N transfers of one case to their ends.
+
+    Args:
+        worlds: with closed grippers, in any simulator.
+        com_closed: (N, 3) centre of mass when the gripper had closed, frame gripper, m.
+        handed: N handovers.
+        case: policy, scenario and person.
+        persons: of `persons_of`.
+        setting: what a study varies.
+        seed: of the sensor's noise.
+    """
+    hands = Hands(handed, SCENARIOS[case.scenario], persons, setting, str(com_closed.device))
+    made = simulate(
+        worlds,
+        hands,
+        release_of(case.release)[0],
+        R_world_gripper=torch.from_numpy(handed.R_world_gripper),
+        com_closed=com_closed,
+        noise=noise_of(handed.trial_id, case.person, seed),
+    )
+    return Transferred(case, made, persons)
+
+
+class Simulates(Protocol):
+    """Simulates transfers, in some engine.
+
+    Attributes:
+        rows: handovers that it takes at a time.
+    """
+
+    rows: int
+
+    def __call__(self, handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
+        """Every row in every case."""
+        ...
+
+    def hold(self, gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
+        """`Models.hold` of every row: m, m, degrees."""
+        ...
 
 
 _simulator: Simulator | None = None
@@ -127,24 +176,26 @@ def _hold(gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
 class Processes:
     """Simulates in several processes, or in this one; rows come back in their order."""
 
-    def __init__(self, simulator: Simulator, pool: ProcessPoolExecutor | None, count: int) -> None:
+    def __init__(self, simulator: Simulates, pool: ProcessPoolExecutor | None, count: int) -> None:
         self.simulator, self.pool, self.count = simulator, pool, count
 
     def __call__(
         self, handed: Iterable[Handed], cases: Sequence[Case]
     ) -> Iterator[tuple[Handed, list[Transferred]]]:
-        """Groups of at most `ROWS` rows, each with all cases."""
+        """Groups of at most `simulator.rows` rows, each with all cases."""
+        groups = _groups(handed, self.simulator.rows)
         if self.pool is None:
-            return ((group, self.simulator(group, cases)) for group in _groups(handed))
-        return self._ahead(self.pool, _groups(handed), partial(_transfer, cases=cases))
+            return ((group, self.simulator(group, cases)) for group in groups)
+        return self._ahead(self.pool, groups, partial(_transfer, cases=cases))
 
     def hold(
         self, gripped: Iterable[Gripped]
     ) -> Iterator[tuple[Gripped, Float64[NDArray[np.float64], "n 3"]]]:
-        """Groups of at most `ROWS` rows, each with `Simulator.hold`."""
+        """Groups of at most `simulator.rows` rows, each with `Simulator.hold`."""
+        groups = _groups(gripped, self.simulator.rows)
         if self.pool is None:
-            return ((group, self.simulator.hold(group)) for group in _groups(gripped))
-        return self._ahead(self.pool, _groups(gripped), _hold)
+            return ((group, self.simulator.hold(group)) for group in groups)
+        return self._ahead(self.pool, groups, _hold)
 
     def _ahead(
         self, pool: ProcessPoolExecutor, groups: Iterator[Rows], work: Callable[[Rows], Found]
@@ -157,19 +208,19 @@ class Processes:
             yield group, found
 
 
-def _groups(parts: Iterable[Rows]) -> Iterator[Rows]:
-    return (rows[i : i + ROWS] for rows in parts for i in range(0, len(rows), ROWS))
+def _groups(parts: Iterable[Rows], most: int) -> Iterator[Rows]:
+    return (rows[i : i + most] for rows in parts for i in range(0, len(rows), most))
 
 
 @contextmanager
-def processes(simulator: Simulator, count: int) -> Iterator[Processes]:
+def processes(simulator: Simulates, count: int) -> Iterator[Processes]:
     """Processes that simulate what `simulator` does. They end with this one, however that ends.
 
     Args:
-        simulator: with robot, objects and setting.
+        simulator: of MuJoCo C. Another has all its worlds in this process.
         count: how many; 1: this one.
     """
-    if count == 1:
+    if count == 1 or not isinstance(simulator, Simulator):
         yield Processes(simulator, None, 1)
         return
     like = simulator.robot, simulator.models.objects, simulator.setting, simulator.seed

@@ -3,8 +3,11 @@
 import math
 from enum import StrEnum
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.closed_loop.transfer.model import TICK_S
@@ -139,7 +142,7 @@ class Book:
         """Notes where the policy lets go at this tick."""
         new = self.running & opens & self.decided_s.isinf()
         self.decided_s[new] = self.time_s
-        self.release_share[new] = self._share[new]
+        self.release_share = torch.where(new, self._share, self.release_share)
 
     def _end(self, seen: Seen) -> None:
         t, does = self.time_s, self.hands.does
@@ -181,6 +184,19 @@ class Book:
         """The outcome of every transfer."""
         names = [str(o) for o in Outcome]
         return [names[k] for k in self.code.tolist()]
+
+
+def free_at(touching: Bool[NDArray[np.bool_], "t n"]) -> Int64[NDArray[np.int64], " n"]:
+    """The tick at which `Book` finds N grippers free; T: never.
+
+    Args:
+        touching: (T, N) whether a pad touches the object.
+    """
+    before = np.ones_like(touching, shape=(FREE_TICKS - 1, touching.shape[1]))
+    near = np.concatenate([before, touching])
+    apart = sliding_window_view(~near, FREE_TICKS, axis=0).all(-1)
+    free = apart & (np.arange(len(touching)) * TICK_S >= BEGIN_S)[:, None]
+    return np.where(free.any(0), free.argmax(0), len(touching)).astype(np.int64)
 
 
 def _dot(a: Tensor, b: Tensor) -> Float64[Tensor, " n"]:

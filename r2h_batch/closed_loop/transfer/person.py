@@ -142,21 +142,35 @@ class Hands:
     """
 
     def __init__(
-        self, handed: Handed, scenario: Scenario, persons: Persons, setting: Setting
+        self,
+        handed: Handed,
+        scenario: Scenario,
+        persons: Persons,
+        setting: Setting,
+        device: str = "cpu",
     ) -> None:
+        """Args:
+        handed: N handovers.
+        scenario: what the persons do.
+        persons: N persons.
+        setting: what a study varies.
+        device: of the tensors, the worlds' own.
+        """
+
+        def here(x: NDArray[np.float64]) -> Tensor:
+            return torch.from_numpy(x).to(device)
+
         self.scenario = scenario
         self.grip, self.arm_n_m, self.pull_n, self.pause_s = (
-            torch.from_numpy(getattr(persons, f.name)) for f in fields(Persons)
+            here(getattr(persons, f.name)) for f in fields(Persons)
         )
-        self.weight = torch.from_numpy(handed.weight_n * setting.mass)
-        self.up, self.along = torch.from_numpy(-handed.down), torch.from_numpy(handed.pull)
-        self.usual = torch.from_numpy(handed.total_n) * self.grip
-        self.withstands = torch.from_numpy(handed.capacity) * (AXES_SHARE * setting.skin_friction)
+        self.weight = here(handed.weight_n * setting.mass)
+        self.up, self.along = here(-handed.down), here(handed.pull)
+        self.usual = here(handed.total_n) * self.grip
+        self.withstands = here(handed.capacity) * (AXES_SHARE * setting.skin_friction)
         R = np.swapaxes(handed.T_gripper_obj[:, :3, :3], 1, 2)
         off = handed.point - handed.T_gripper_obj[:, :3, 3]
-        self.point, self.press = (
-            torch.from_numpy(np.einsum("nij,nj->ni", R, v)) for v in (off, handed.press)
-        )
+        self.point, self.press = (here(np.einsum("nij,nj->ni", R, v)) for v in (off, handed.press))
         self.grip_n = torch.zeros_like(self.weight)
         self.support = torch.zeros_like(self.up)
         self.does = torch.zeros_like(self.weight, dtype=torch.int64)

@@ -196,7 +196,7 @@ class Probe:
         self.tare = torch.zeros_like(robot.weight_n)
         self.lasting = Lasting(round(self.HOLD_S / robot.tick_s), robot.weight_n)
         self.forces: list[Tensor] = []
-        self.mass = robot.weight_n.cpu().numpy() / G + self.FINGERS_KG
+        self.mass = robot.weight_n / G + self.FINGERS_KG
         self.omega = 2 * np.pi * np.array(self.HZ)
 
     def __call__(self, seen: Observation) -> Action:
@@ -229,14 +229,43 @@ class Probe:
         for k, force in enumerate(self.forces):  # one after the other: the same bits in every batch
             mean = mean + weights[:, k, None, None] * force
         share = (mean[0, :, 2] - self.tare) / self.robot.weight_n.clamp(min=LoadShare.LEAST_N)
-        found = mean.cpu().numpy()
-        response = np.moveaxis(found[3:6] + 1j * found[6:], 0, 2)
-        own = self.mass[:, None, None] * np.diag(self.omega**2)
-        holds = np.linalg.svd(response - own, compute_uv=False)[:, 1]
+        own = torch.stack([self.mass * w**2 for w in self.omega])
+        response = mean[3:6] - torch.diag_embed(own.T).movedim(0, 1), mean[6:]
         sure = self.SIGMAS * np.sqrt(covariance.diagonal()[3:].max())
         least = self.LEAST_N_M + self.OWN_SHARE * self.mass * self.omega[1] ** 2
-        hand = torch.from_numpy(holds - sure > least).to(self.no.device)
-        return hand & (share > self.SHARE)
+        return second_singular_exceeds(*response, least + float(sure)) & (share > self.SHARE)
+
+
+def second_singular_exceeds(
+    re: Float64[Tensor, "3 n 3"], im: Float64[Tensor, "3 n 3"], least: Float64[Tensor, " n"]
+) -> Bool[Tensor, " n"]:
+    """Whether the second singular value of N complex 3 x 3 matrices A exceeds a number.
+
+    It does where A^H A - least^2 has two positive eigenvalues. Their signs follow from the coefficients of the
+    characteristic polynomial. Sums and products of single rows have the same bits in every batch, and no device waits.
+
+    Args:
+        re, im: (3, N, 3) parts of A, its columns first.
+        least: (N,) the number.
+    """
+
+    def product(i: int, j: int) -> tuple[Tensor, Tensor]:
+        """Row i, column j of A^H A, real and imaginary."""
+        real = re[i] * re[j] + im[i] * im[j]
+        imaginary = re[i] * im[j] - im[i] * re[j]
+        return total(real), total(imaginary)
+
+    def total(rows: Tensor) -> Tensor:
+        return rows[:, 0] + rows[:, 1] + rows[:, 2]
+
+    a, b, c = (product(i, i)[0] - least * least for i in range(3))
+    (x, x_im), (y, y_im), (z, z_im) = (product(i, j) for i, j in ((0, 1), (0, 2), (1, 2)))
+    xx, yy, zz = (u * u + v * v for u, v in ((x, x_im), (y, y_im), (z, z_im)))
+    # the real part of x z conj(y)
+    turned = (x * z - x_im * z_im) * y + (x * z_im + x_im * z) * y_im
+    trace, minors = a + b + c, a * b + a * c + b * c - xx - yy - zz
+    determinant = a * b * c + 2 * turned - a * zz - b * yy - c * xx
+    return torch.where(determinant > 0, (minors > 0) & (trace > 0), ~((minors > 0) & (trace < 0)))
 
 
 POLICIES: dict[str, Any] = {

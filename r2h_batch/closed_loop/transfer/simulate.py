@@ -26,6 +26,8 @@ BACK_AFTER_S, BACK_M_S, BACK_M = 0.2, 0.15, 0.10
 """The robot backs off once the fingers have opened for so long: they stay hooked in headphones otherwise."""
 MOST_TICKS = 720
 """No transfer lasts longer: 6 s."""
+POLL_TICKS = 32
+"""On another device than the CPU the host asks this often whether all transfers are over."""
 _UNIFORMS = 4
 
 
@@ -121,10 +123,13 @@ class Running:
         com_closed: (N, 3) centre of mass when the gripper had closed, frame gripper, m.
         noise: of the sensor, world axes, N.
         """
-        self.worlds, self.hands, self.noise = worlds, hands, noise
-        self.book = Book(worlds.seen(), com_closed, hands)
+        seen = worlds.seen()
+        self.worlds, self.hands = worlds, hands
+        self.noise = torch.from_numpy(noise).to(seen.load)
+        self.asks = 1 if seen.load.device.type == "cpu" else POLL_TICKS
+        self.book = Book(seen, com_closed.to(seen.load), hands)
         self.robot_side = RobotSide(hands.weight, TICK_S)
-        self._fingers = _Robot(R_world_gripper)
+        self._fingers = _Robot(R_world_gripper.to(seen.load))
 
     def observe(self) -> Observation | None:
         """The observation of release policies at this tick; None: all transfers are over."""
@@ -132,7 +137,7 @@ class Running:
         if tick == MOST_TICKS:
             return None
         self.book.look(seen)
-        if not bool(self.book.running.any()):
+        if tick % self.asks == 0 and not bool(self.book.running.any()):
             return None
         return self._fingers.observes(seen, self.noise[tick])
 
@@ -153,9 +158,9 @@ class _Robot:
         self.R, self.tick = R_world_gripper, 0
         self.late: list[Tensor] = []
 
-    def observes(self, seen: Seen, noise: Float64[NDArray[np.float64], "n 3"]) -> Observation:
+    def observes(self, seen: Seen, noise: Float64[Tensor, "n 3"]) -> Observation:
         """The policies' observation now."""
-        force = _rotate(self.R, seen.load) + torch.from_numpy(noise)
+        force = _rotate(self.R, seen.load) + noise
         self.late = [*self.late[-SENSOR_TICKS:], force]
         now = Observation(self.tick * TICK_S, self.late[0], _rotate(self.R, seen.shifted))
         self.tick += 1
@@ -183,18 +188,21 @@ def _rotate(R: Float64[Tensor, "n 3 3"], v: Float64[Tensor, "n 3"]) -> Float64[T
 
 def _transfers(book: Book) -> Transfers:
     def happened(when: Tensor) -> NDArray[np.float64]:
-        return torch.where(when.isfinite(), when, torch.nan).numpy()
+        return here(torch.where(when.isfinite(), when, torch.nan))
+
+    def here(x: Tensor) -> NDArray[np.float64]:
+        return x.cpu().numpy()
 
     return Transfers(
         book.outcomes(),
-        book.release_share.numpy(),
+        here(book.release_share),
         happened(book.released_s - BEGIN_S),
         np.stack([happened(book.passed_s[k]) for k in range(len(SHARES))], 1),
-        book.pull_n.numpy(),
-        book.grip_n.numpy(),
-        book.hand_n.numpy(),
-        book.slip_m.numpy(),
+        here(book.pull_n),
+        here(book.grip_n),
+        here(book.hand_n),
+        here(book.slip_m),
         np.array(book.turn_deg()),
-        book.robot_slip_m.numpy(),
-        book.ended_s.numpy(),
+        here(book.robot_slip_m),
+        here(book.ended_s),
     )

@@ -79,8 +79,8 @@ class Models:
             self._made[index] = spec.compile()
         return self._made[index]
 
-    def close(self, row: Gripped) -> Closed:
-        """Closes the gripper of one row.
+    def ajar(self, row: Gripped) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """The model of one row, with its own masses and damping, and the state before the gripper closes.
 
         Args:
             row: of length 1. Without a person, the open hand waits at the object's origin.
@@ -96,6 +96,16 @@ class Models:
         inertia = m.body_inertia[places.object_body].sum()
         m.dof_damping[places.slip_v] = np.repeat([mass, inertia], 3) * CARRIED_DAMPING
         mujoco.mj_forward(m, d)
+        return m, d
+
+    def close(self, row: Gripped) -> Closed:
+        """Closes the gripper of one row.
+
+        Args:
+            row: as of `ajar`.
+        """
+        m, d = self.ajar(row)
+        places = Places.of(m)
         start = d.xipos[places.object_body].copy()
         d.ctrl[places.fingers] = full_effort(self.robot)
         mujoco.mj_step(m, d, CLOSE_TICKS * self.setting.steps)

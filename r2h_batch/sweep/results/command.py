@@ -11,6 +11,7 @@ transfer RUN      simulate the transfer: the person takes the object, the grippe
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from r2h_batch.base.command_line import UsageError, check_seed
 from r2h_batch.sweep.results.rethreshold import rethreshold
@@ -208,6 +209,7 @@ def transfer(
     method: tuple[str, ...] = (),
     seed: int = 0,
     processes: int = 0,
+    sim: Literal["auto", "mujoco", "mjwarp"] = "auto",
     benchmark: BenchmarkFlags = BUILT_IN,
     device: str = "cpu",
 ) -> int:
@@ -224,14 +226,16 @@ def transfer(
         draws: persons that are drawn for each trial.
         method: only these methods, by the sweep's word (fc) or the table's name.
         seed: seed of the sensor's noise.
-        processes: processes that simulate; 0: one for each core.
+        processes: processes that simulate; 0: one for each core. mjwarp: one.
+        sim: engine; auto: mujoco on a CPU, mjwarp on CUDA.
         benchmark: where its files are now, if they are not where the sweep found them.
-        device: cpu, cuda or cuda:N, for the reception.
+        device: cpu, cuda or cuda:N, for the reception and mjwarp.
     """
     from itertools import product
 
     from r2h_batch.base.launch import cpu_threads
     from r2h_batch.closed_loop.transfer.cases import Case
+    from r2h_batch.config import ExecConfig
     from r2h_batch.runs.files import RunError, in_the_way
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results import transfer as transferred
@@ -240,12 +244,17 @@ def transfer(
     if draws < 1 or processes < 0:
         raise UsageError("--draws must be 1 or more, --processes 0 or more")
     check_seed(seed)
+    engine = ExecConfig(sim=sim).engine(device)
+    if engine == "mjwarp" and processes > 1:
+        raise UsageError(
+            f"--processes {processes}: mjwarp has its worlds in one process; --sim mujoco takes several"
+        )
     if what := in_the_way(folder / "transfer", folder=True):
         raise RunError(what)
     run = load_run(folder).only(method)
     files = transferred.write_tables(
         run, benchmark, release=release, scenario=scenario, persons=draws, seed=seed,
-        count=processes or cpu_threads(), device=device,
+        count=processes or cpu_threads(), sim=engine, device=device,
     )  # fmt: skip
     cases = [Case(*c) for c in product(release, scenario, range(draws))]
     print(transferred.render(files, cases), end="")

@@ -13,7 +13,15 @@ import pyarrow.parquet as pq
 from r2h_batch.base.io.cache import code_digest
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import atomic_path
-from r2h_batch.closed_loop.transfer.cases import Case, Processes, Simulator, Transferred, processes
+from r2h_batch.base.registry import ENGINES
+from r2h_batch.closed_loop.transfer.cases import (
+    Case,
+    Processes,
+    Simulates,
+    Simulator,
+    Transferred,
+    processes,
+)
 from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.closed_loop.transfer.outcome import Outcome
@@ -24,6 +32,7 @@ from r2h_batch.report.statistics.aggregate import clustered_rate
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.report.transfers import FOLDER, MADE_OF
 from r2h_batch.runs.store import Run
+from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
 from r2h_batch.sweep.scoring import progress
@@ -59,6 +68,7 @@ CODE = (
     "r2h_batch.trials.holding.contact_forces",
 )
 VERSIONS = ("mujoco", "numpy", "scipy", "torch")
+"""Packages whose versions may change a transfer, beside the engine's."""
 
 NOTES = (
     "n counts received rows; nobody takes the others. taken: in the person's hand, slipped by less than 2 cm and turned by"
@@ -81,6 +91,7 @@ def write_tables(
     persons: int,
     seed: int,
     count: int,
+    sim: str,
     device: str,
 ) -> dict[str, Path]:
     """Method -> its file RUN/transfer/METHOD.parquet, each with every case asked for.
@@ -94,8 +105,9 @@ def write_tables(
         scenario: names of `person.SCENARIOS`.
         persons: drawn for each trial.
         seed: of the sensor's noise.
-        count: processes.
-        device: cpu, cuda or cuda:N, for the reception.
+        count: processes, of engine mujoco.
+        sim: engine, mujoco or mjwarp.
+        device: cpu, cuda or cuda:N, for the reception and mjwarp.
 
     Raises:
         RunError: the run lacks something.
@@ -104,14 +116,15 @@ def write_tables(
     policies = {spec: release_of(spec)[1] for spec in release}
     cases = [Case(*c) for c in product(release, scenario, range(persons))]
     scene = judge.evaluator.scene
-    simulator = Simulator(scene.robot, tuple(scene.objects), Setting(), seed)
-    code = code_digest(CODE, VERSIONS)
+    simulator = _simulator(sim, scene, seed, device)
+    (packages,) = (engine.packages for engine in ENGINES if engine.name == sim)
+    code = code_digest(CODE, (*VERSIONS, *packages))
     written = {}
     with processes(simulator, count) as transfer:
         for name in names:
             entry = run.entry(name)
             path = run.folder / FOLDER / f"{entry.slug}.parquet"
-            made_of = {"rows": run.digest(name), "code": code, "seed": seed}
+            made_of = {"rows": run.digest(name), "code": code, "seed": seed, "sim": sim}
             stored = Stored.read(path, made_of)
             todo = [c for c in cases if stored.policies.get(c) != policies[c.release]]
             written[name] = path
@@ -127,6 +140,15 @@ def write_tables(
             total = len(run.trials(name, ["trial_id"]))
             _write(path, made_of, after, stored, todo, _with_progress(rows, name, total))
     return written
+
+
+def _simulator(sim: str, scene: Scene, seed: int, device: str) -> Simulates:
+    given = scene.robot, tuple(scene.objects), Setting(), seed
+    if sim == "mujoco":
+        return Simulator(*given)
+    from r2h_batch.closed_loop.transfer.batched import BatchedSimulator  # MuJoCo-Warp: seconds
+
+    return BatchedSimulator(*given, device)
 
 
 class Stored:

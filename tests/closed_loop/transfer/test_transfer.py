@@ -8,44 +8,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from alive import alive, all_end, children_of, until
+from screwdriver import OBJECTS, ROBOT, screwdrivers
 
 from r2h_batch.closed_loop.transfer import person, release
 from r2h_batch.closed_loop.transfer.cases import Case, Processes, Simulator, processes
 from r2h_batch.closed_loop.transfer.handed import Handed
 from r2h_batch.closed_loop.transfer.model import STEPS, Setting
-from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import drive_from_gap, load_robot, pad_center_z
-
-ROBOT, OBJECTS = load_robot(), load_objects(["screwdriver"])
-WEIGHT_N = float(OBJECTS[0].mass) * 9.81
-
-
-def screwdrivers(n: int = 3, below_m: float = 0.06) -> Handed:
-    """The handle between the pads, long axis across them; gravity along it. The hand is `below_m` below."""
-    model = OBJECTS[0]
-    long = int(np.ptp(model.vertices, axis=0).argmax())
-    R = np.roll(np.eye(3), -long, axis=1).T  # the long axis becomes x of the gripper
-    R = R if np.linalg.det(R) > 0 else -R
-    center = np.asarray(model.com, float)
-    T = np.eye(4)
-    T[:3, :3] = R
-    gap = 0.03
-    T[:3, 3] = [0, 0, float(pad_center_z(ROBOT, drive_from_gap(ROBOT, gap)))] - R @ center
-    slip = np.eye(4)
-    slip[:3, 3] = T[:3, 3] + R @ center + [below_m, 0, 0]
-    down = np.array([1.0, 0.0, 0.0])
-    R_world = np.array([[0.0, 1, 0], [0, 0, 1], [-1, 0, 0]])
-    R_world = R_world if np.linalg.det(R_world) > 0 else R_world * [1, -1, 1]
-    assert np.allclose(R_world @ down, [0, 0, -1])
-
-    def rows(x: object) -> np.ndarray:
-        return np.repeat(np.asarray(x, float)[None], n, axis=0)
-
-    return Handed(
-        np.arange(n, dtype=np.int64), np.zeros(n, np.int64), rows(T), np.full(n, gap), rows(down), rows(slip),
-        rows([0.6, 0.6, 0.6, 0.01, 0.01, 0.01]), np.full(n, 20.0), rows([-0.2, 0.0, 0.98]), rows(slip[:3, 3]),
-        rows([0.0, 0.0, 1.0]), np.full(n, WEIGHT_N), rows(R_world), np.zeros(n),
-    )  # fmt: skip
 
 
 def simulated(handed: Handed, *cases: Case, setting: Setting | None = None):
@@ -159,7 +127,7 @@ from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import load_robot
 
 if __name__ == "__main__":
-    with processes(Simulator(load_robot(), load_objects(["screwdriver"]), Setting(), 0), 2) as two:
+    with processes(Simulator(load_robot(), load_objects(["screwdriver", "knife"]), Setting(), 0), 2) as two:
         waits = [two.pool.submit(time.sleep, 600 * k) for k in (0, 1)]
         waits[0].result()
         print("at work", flush=True)

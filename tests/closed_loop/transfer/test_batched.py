@@ -1,0 +1,131 @@
+"""Claims about transfers in batched MuJoCo-Warp worlds, held against MuJoCo C."""
+
+from dataclasses import fields, replace
+from unittest import mock
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+from pretend_cuda import OnCuda, pretending
+from screwdriver import OBJECTS, ROBOT, screwdrivers
+
+from r2h_batch.closed_loop.transfer import worlds_mjwarp
+from r2h_batch.closed_loop.transfer.batched import BatchedSimulator
+from r2h_batch.closed_loop.transfer.cases import Case, Simulator, Transferred
+from r2h_batch.closed_loop.transfer.handed import Handed
+from r2h_batch.closed_loop.transfer.model import Setting
+from r2h_batch.closed_loop.transfer.outcome import free_at
+from r2h_batch.closed_loop.transfer.release import second_singular_exceeds
+from r2h_batch.closed_loop.transfer.simulate import Transfers
+from r2h_batch.closed_loop.transfer.worlds_mjwarp import Batch
+
+CASES = [Case("load-share", "take", 0), Case("probe", "take", 0), Case("threshold", "touch", 0)]
+NUMBERS = [f.name for f in fields(Transfers) if f.name != "outcome"]
+
+
+def knives_and_screwdrivers() -> Handed:
+    """Two objects with different pieces, masses and grasps, in turn."""
+    parts = screwdrivers(2), screwdrivers(2, below_m=0.04, index=1)
+    both = Handed(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Handed)))
+    return replace(both, trial_id=np.arange(4))[np.array([0, 2, 1, 3])]
+
+
+@pytest.fixture(scope="module")
+def exact() -> Simulator:
+    return Simulator(ROBOT, OBJECTS, Setting(), seed=0)
+
+
+@pytest.fixture(scope="module")
+def batched() -> BatchedSimulator:
+    return BatchedSimulator(ROBOT, OBJECTS, Setting(), seed=0)
+
+
+def same_bits(a: Transferred, b: Transferred) -> bool:
+    return a.transfers.outcome == b.transfers.outcome and all(
+        np.array_equal(getattr(a.transfers, k), getattr(b.transfers, k), equal_nan=True) for k in NUMBERS
+    )
+
+
+def test_worlds_with_different_objects_agree_with_mujoco_c(exact, batched):
+    handed = knives_and_screwdrivers()
+    for one, (two, doubt) in zip(exact(handed, CASES), batched.worlds(handed, CASES), strict=True):
+        a, b = one.transfers, two.transfers
+        assert a.outcome == b.outcome and not doubt.any()
+        assert not same_bits(one, two)  # float32: they were not copied
+        for name, most in {"pull_n": 0.01, "hand_n": 0.01, "slip_m": 1e-5, "robot_slip_m": 1e-5}.items():
+            assert np.allclose(getattr(a, name), getattr(b, name), rtol=0, atol=most), name
+        for name in ("transfer_s", "time_s"):
+            assert np.allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9, equal_nan=True), name
+        assert np.allclose(a.turn_deg, b.turn_deg, rtol=0, atol=0.2)
+
+
+def test_a_row_does_not_depend_on_its_batch(batched):
+    handed = knives_and_screwdrivers()
+    (whole,), (alone,) = (batched(rows, CASES[:1]) for rows in (handed, handed[2:3]))
+    for name in NUMBERS:
+        assert np.array_equal(getattr(whole.transfers, name)[2:3], getattr(alone.transfers, name), equal_nan=True), name
+
+
+def test_where_the_contacts_of_the_worlds_lie_mujoco_c_decides(exact, batched):
+    handed, case = screwdrivers(3), CASES[:1]
+    nothing_touches = mock.patch.object(
+        Batch, "_touching", lambda self: torch.zeros(self.n, dtype=torch.bool, device="cpu")
+    )
+    with nothing_touches:
+        ((wrong, doubt),) = batched.worlds(handed, case)
+        (made,) = batched(handed, case)
+    assert wrong.transfers.outcome == ["torn_out"] * 3 and doubt.all()
+    assert same_bits(made, exact(handed, case)[0])
+
+
+def test_where_worlds_lose_contacts_mujoco_c_decides(exact, monkeypatch):
+    monkeypatch.setattr(worlds_mjwarp, "NACON_PER_WORLD", 1)
+    handed, small = screwdrivers(2), BatchedSimulator(ROBOT, OBJECTS, Setting(), seed=0)
+    assert small.worlds(handed, CASES[:1])[0][1].all()
+    assert same_bits(small(handed, CASES[:1])[0], exact(handed, CASES[:1])[0])
+
+
+def test_on_a_gpu_the_host_waits_for_the_end_of_a_batch_only(batched, monkeypatch):
+    handed, case = screwdrivers(2), Case("probe", "take", 0)
+    ((before, _),) = batched.worlds(handed, [case])
+    batch = batched._batch[1]
+
+    def there(x):
+        return {k: there(v) for k, v in x.items()} if isinstance(x, dict) else OnCuda(x)
+
+    names = ("data_of", "model_of", "at", "contact_m", "contact_world", "gravity", "before")
+    monkeypatch.setattr(wp, "stream_from_torch", lambda stream: None)
+    with pretending() as seen:
+        for name in names:
+            monkeypatch.setattr(batch, name, there(getattr(batch, name)))
+        ((made, _),) = batched.worlds(handed, [case])
+    assert same_bits(before, made)
+    inside = [where for _, where in seen.waits if "running.any" not in where]
+    asked = len(seen.waits) - len(inside)
+    assert 2 <= asked <= 8  # once in 32 ticks of 200
+    allowed = ("simulate.py", "outcome.py", "batched.py")  # results, after the last tick
+    assert inside and all(where.startswith(allowed) for where in inside), inside
+    assert len(inside) < 30
+
+
+def test_the_tick_at_which_a_gripper_is_free_is_the_books():
+    touching = np.ones((40, 3), bool)
+    touching[25:, 0] = False  # four ticks apart: 25, 26, 27, 28
+    touching[5:20, 1] = False  # apart before anybody comes, at tick 18 still
+    touching[30:33, 2] = False  # too short
+    assert free_at(touching).tolist() == [28, 18, 40]
+
+
+def test_the_second_singular_value_is_numpys():
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(5000, 3, 3)) + 1j * rng.normal(size=(5000, 3, 3))
+    A[::2] = A[::2] * rng.normal(size=(2500, 1, 3)) ** 4
+    second = np.linalg.svd(A, compute_uv=False)[:, 1]
+    columns = np.ascontiguousarray(np.moveaxis(A, 2, 0))
+    for share in (1.0, 1e-6):
+        least = second * (1 + share * rng.uniform(-1, 1, 5000))
+        found = second_singular_exceeds(
+            torch.from_numpy(columns.real.copy()), torch.from_numpy(columns.imag.copy()), torch.from_numpy(least)
+        )
+        assert np.array_equal(found.numpy(), second > least)
