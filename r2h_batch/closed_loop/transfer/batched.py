@@ -119,12 +119,14 @@ class BatchedSimulator:
         if not doubt.any():
             return made
         (exact,) = self.exact(handed[doubt], [made.case])
-        found = {}
-        for f in fields(Transfers):
-            values = np.array(getattr(made.transfers, f.name))
-            values[doubt] = getattr(exact.transfers, f.name)
-            found[f.name] = values.tolist() if f.name == "outcome" else values
-        return replace(made, transfers=Transfers(**found))
+        outcome = list(made.transfers.outcome)
+        for i, ours in zip(np.flatnonzero(doubt).tolist(), exact.transfers.outcome, strict=True):
+            outcome[i] = ours
+        numbers = {f.name for f in fields(Transfers)} - {"outcome"}
+        found = {name: getattr(made.transfers, name).copy() for name in numbers}
+        for name, values in found.items():
+            values[doubt] = getattr(exact.transfers, name)
+        return replace(made, transfers=Transfers(outcome=outcome, **found))
 
 
 def touching(

@@ -13,7 +13,7 @@ import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -64,14 +64,16 @@ class Standing:
         before: (N, nq) qpos that `seen.touching` belongs to.
         com_closed: (N, 3) centre of mass when the gripper had closed, m.
         models: MuJoCo C's model of each.
+        overflowed: (N,) whether a world has lost constraints or contacts.
     """
 
     handed: Handed
     state: dict[str, Tensor]
     seen: Seen
     before: Float32[Tensor, "n nq"]
-    com_closed: Tensor
+    com_closed: Float64[Tensor, "n 3"]
     models: list[mujoco.MjModel]
+    overflowed: Bool[Tensor, " n"]
 
 
 class Batch:
@@ -97,9 +99,7 @@ class Batch:
             gravity: Any = wp.zeros(n, dtype=wp.vec3)
             self.model.opt.gravity = gravity
             self.model.opt.warn_overflow = 0  # it prints to stdout; the bits are read below
-            self.data = mjw.make_data(
-                host, nworld=n, njmax=NJMAX, naconmax=NACON_PER_WORLD * n, nvmax=None
-            )
+            self.data = mjw.make_data(host, nworld=n, njmax=NJMAX, naconmax=NACON_PER_WORLD * n)
             self.before_warp: Any = wp.zeros_like(self.data.qpos)
             mjw.step(self.model, self.data)  # compiles what the graph needs
             with wp.ScopedCapture() as capture:
@@ -135,13 +135,14 @@ class Batch:
         self._ticks(SETTLE_TICKS)
         state = {k: self.data_of[k].clone() for k in STATE}
         models = [m for m, _ in started]
-        return Standing(handed, state, self.seen(), self.before.clone(), closed, models)
+        seen, before = self.seen(), self.before.clone()
+        return Standing(handed, state, seen, before, closed, models, self.overflowed())
 
-    def go_on_from(self, standing: Standing, arm_n_m: Tensor) -> None:
+    def go_on_from(self, standing: Standing, arm_n_m: Float64[Tensor, " n"]) -> None:
         """Puts every world into the state of its row, with the stiffness of its person's arm."""
         for name, values in standing.state.items():
             self.data_of[name].copy_(values)
-        self.data_of["overflow"].zero_()  # the simulator only ever adds to it
+        self.data_of["overflow"].zero_()
         k = arm_n_m.float()[:, None]
         hand = self.places.hand[:3]
         for field, column, values in (
@@ -187,7 +188,7 @@ class Batch:
         )
 
     def overflowed(self) -> Bool[Tensor, " n"]:
-        """Which worlds have lost constraints or contacts since `go_on_from`; all, if the pool of contacts was too small."""
+        """Which worlds have lost constraints or contacts; all, if the pool of contacts was too small."""
         d = self.data_of
         own = (d["overflow"] != 0) | (d["nefc"] > NJMAX)
         return own | (d["nacon"] > NACON_PER_WORLD * self.n)
@@ -222,6 +223,7 @@ class Batch:
                 state = np.stack([getattr(d, name) for _, d in started])
                 getattr(self.data, name).assign(state.astype(np.float32))
             self.model.opt.gravity.zero_()
+            self.data.overflow.zero_()  # the simulator only ever adds to it
             wp.synchronize_device(self.device)  # the worlds go on on torch's stream
 
     def _pieces(self, object_index: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
@@ -255,11 +257,11 @@ class WarpWorlds:
         overflowed: (N,) whether a world has lost constraints or contacts.
     """
 
-    def __init__(self, batch: Batch, standing: Standing, arm_n_m: Tensor) -> None:
+    def __init__(self, batch: Batch, standing: Standing, arm_n_m: Float64[Tensor, " n"]) -> None:
         self.batch, self._seen = batch, standing.seen
         batch.go_on_from(standing, arm_n_m.to(batch.gravity.device))
         self.touched, self.postures = [standing.seen.touching], [standing.before]
-        self.overflowed = torch.zeros_like(standing.seen.touching)
+        self.overflowed = standing.overflowed
 
     def seen(self) -> Seen:
         """The state now."""

@@ -53,7 +53,7 @@ def test_worlds_with_different_objects_agree_with_mujoco_c(exact, batched):
         a, b = one.transfers, two.transfers
         assert a.outcome == b.outcome and not doubt.any()
         assert not same_bits(one, two)  # float32: they were not copied
-        for name, most in {"pull_n": 0.01, "hand_n": 0.01, "slip_m": 1e-5, "robot_slip_m": 1e-5}.items():
+        for name, most in {"pull_n": 0.05, "hand_n": 0.05, "slip_m": 2e-5, "robot_slip_m": 2e-5}.items():
             assert np.allclose(getattr(a, name), getattr(b, name), rtol=0, atol=most), name
         for name in ("transfer_s", "time_s"):
             assert np.allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9, equal_nan=True), name
@@ -68,15 +68,15 @@ def test_a_row_does_not_depend_on_its_batch(batched):
 
 
 def test_where_the_contacts_of_the_worlds_lie_mujoco_c_decides(exact, batched):
-    handed, case = screwdrivers(3), CASES[:1]
+    handed, case = screwdrivers(2), [Case("never", "take", 0)]
     nothing_touches = mock.patch.object(
         Batch, "_touching", lambda self: torch.zeros(self.n, dtype=torch.bool, device="cpu")
     )
     with nothing_touches:
         ((wrong, doubt),) = batched.worlds(handed, case)
         (made,) = batched(handed, case)
-    assert wrong.transfers.outcome == ["torn_out"] * 3 and doubt.all()
-    assert same_bits(made, exact(handed, case)[0])
+    assert wrong.transfers.outcome == ["torn_out"] * 2 and doubt.all()
+    assert made.transfers.outcome == ["not_released"] * 2 and same_bits(made, exact(handed, case)[0])
 
 
 def test_where_worlds_lose_contacts_mujoco_c_decides(exact, monkeypatch):
