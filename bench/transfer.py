@@ -149,8 +149,8 @@ load of the machine at the start {load}). A grasp of `results held` takes {held_
 ENGINES = """## Two engines
 
 The same {trials} received trials in MuJoCo C (float64) and in batched MuJoCo-Warp worlds (float32), both on this CPU.
-`C decides`: MuJoCo C contradicts the worlds' contacts, or a world failed, so the result is MuJoCo C's. `differ`: other outcomes
-among the rest.
+`C decides`: MuJoCo C contradicts the worlds' contacts, a slip or turn is near a limit, or a world failed, so the result is MuJoCo
+C's. `differ`: other outcomes among the rest.
 
 {outcomes}
 
