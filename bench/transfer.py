@@ -231,9 +231,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "force": {r: [len(x), *np.percentile(x, FORCE_PERCENT).tolist()] for r, x in forces.items()},
         "sensitivity": sensitivity,
         "compared": compared,
-        "engines": parts.get(
-            "engines", lambda: agreement(simulator, rows_of(run, judge, "oracle", AGREE)[0][:AGREE])
-        ),
+        "engines": parts.get("engines", lambda: agreement(simulator, rows_of(run, judge, "oracle", AGREE)[0][:AGREE])),
         "core_ms": parts.get("cost", lambda: cost(simulator, received, cases)),
         "memory": parts.get(
             "memory", lambda: memory_over(options.memory, lambda done: again(simulator, received, done))

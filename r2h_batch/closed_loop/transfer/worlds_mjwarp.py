@@ -195,7 +195,7 @@ class Batch:
 
     def _touching(self) -> Bool[Tensor, " n"]:
         """Whether the contact list has a contact of each world."""
-        there = torch.arange(len(self.contact_m), device=self.gravity.device)
+        there = torch.arange(len(self.contact_m), dtype=torch.int32, device=self.gravity.device)
         near = (there < self.data_of["nacon"]) & (self.contact_m < TOUCH_M)
         world = torch.where(near, self.contact_world.long(), self.n)
         found = torch.zeros(self.n + 1, dtype=torch.bool, device=self.gravity.device)
