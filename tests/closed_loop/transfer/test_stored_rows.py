@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from r2h_batch.closed_loop.transfer.batched import BatchedSimulator
 from r2h_batch.closed_loop.transfer.cases import Case, Simulator
 from r2h_batch.closed_loop.transfer.handed import handed_of
 from r2h_batch.closed_loop.transfer.model import STEPS, Setting
@@ -54,3 +55,14 @@ def test_probe_keeps_what_is_touched_and_hands_over_what_is_gripped(received):
     assert "false_release" not in touched
     kept = [k for k, outcome in enumerate(touched) if outcome == "kept"]
     assert sum(taken[k] == "taken" for k in kept) >= 0.8 * len(kept)
+
+
+def test_batched_worlds_of_many_objects_end_as_in_mujoco_c(received):
+    handed, scene = received
+    given = scene.robot, tuple(scene.objects), Setting(), 0
+    exact, batched = (engine(*given)(handed, FORCES) for engine in (Simulator, BatchedSimulator))
+    assert len(set(handed.object_index.tolist())) >= 5
+    for one, two in zip(exact, batched, strict=True):
+        assert one.transfers.outcome == two.transfers.outcome
+        off = np.abs(one.transfers.pull_n - two.transfers.pull_n)
+        assert np.median(off) < 0.01 and (off < 1.0).mean() >= 0.9
