@@ -82,6 +82,13 @@ class Benchmark:
         """Source of the trials: the rule that draws them, or `listed`."""
         return self.drawn if self.listed is None else LISTED
 
+    @property
+    def has_bodies(self) -> bool:
+        """Whether its trials have receivers with arm and torso."""
+        if self.listed is not None:
+            return self.listed.receiver is not None
+        return self.drawn in WITH_BODIES
+
     def __post_init__(self) -> None:
         checked_objects(self.objects)
         if not self.objects:
@@ -92,7 +99,7 @@ class Benchmark:
             )
         if self.receiver not in ("hand", "body"):
             raise ValueError(f"Benchmark.receiver is {self.receiver!r}; allowed are hand, body")
-        if self.receiver == "body" and self.protocol not in WITH_BODIES:
+        if self.receiver == "body" and not self.has_bodies:
             raise ValueError(
                 f"receiver is body, trials of {self.protocol} have none; take {' or '.join(WITH_BODIES)}"
             )

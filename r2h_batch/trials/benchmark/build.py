@@ -432,8 +432,9 @@ class BenchmarkOverrides(BenchmarkFlags):
         if self.protocol and listed is not None:
             how = "draws trials, and these are listed; give one of the two"
             raise FileError(f"--protocol {self.protocol} {how}")
-        if seen == "body" and (listed is not None or drawn not in WITH_BODIES):
-            named = "listed trials" if listed is not None else f"trials of {drawn}"
+        bodies = drawn in WITH_BODIES if listed is None else listed.receiver is not None
+        if seen == "body" and not bodies:
+            named = "listed trials without receiver" if listed is not None else f"trials of {drawn}"
             how = f"take --protocol {' or '.join(WITH_BODIES)}, or --receiver hand"
             raise FileError(f"--receiver body: {named} have no body; {how}")
         if people is not None and (listed is not None or drawn not in WITH_BODIES):

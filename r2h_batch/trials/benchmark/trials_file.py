@@ -12,11 +12,14 @@ side 0 right, 1 left |
 | `hand`, `skin`, `skin_side`, `T_hand_palm`, `skin_faces`, `skin_piece` | (N,), (H, V, 3), (H,),
 (H, 4, 4), (F, 3), (F,) | - | hands that are meshes: `make_skin_set` of scene/hand.py; `hand` is a
 row of `skin` |
+| `receiver` | (N, 5, 4) float | list of 20 | optional: the receiver's arm and torso, as `Trials.receiver` |
+| `person` | (N, 5) float | list of 5 | optional, with `receiver`: years, 0 male or 1 female, stature and
+hand length in metres, 0 standing or 1 seated |
 | `id`, `variant` | (N,) text | text | optional: what its owner calls the trial, and the method behind
 it |
 
 A .json holds the arrays of the .npz by name, as lists. A .csv has the columns object, hand,
-T_world_hand_0 to _15, and id and variant if they are said.
+T_world_hand_0 to _15, and receiver_0 to _19, person_0 to _4, id and variant if they are said.
 """
 
 from __future__ import annotations
@@ -30,14 +33,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from r2h_batch.base.io.arrays import Spec, check_arrays, check_poses
+from r2h_batch.base.io.arrays import RIGID, Spec, check_arrays, check_poses
 from r2h_batch.base.io.parquet import read_parquet_arrays
 from r2h_batch.base.io.read import FileError, printable, read_npz
 from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.scene.hand import MAX_SKIN_PIECES, HandSet, make_hand_set, make_skin_set
 from r2h_batch.scene.hand_file import check_postures
 from r2h_batch.scene.objects import ObjectModel
-from r2h_batch.types import Trials
+from r2h_batch.types import PERSON, Trials
 from r2h_batch.verdicts import SPLITS
 
 LISTED = "listed"
@@ -48,7 +51,8 @@ MAX_TRIALS = 1_000_000
 FARTHEST_M = 10.0
 
 POSTURE = ("pose", "shape", "side")
-WIDTH = {"T_world_hand": 16, "pose": 48, "shape": 10}
+WIDTH = {"T_world_hand": 16, "pose": 48, "shape": 10, "receiver": 20, "person": 5}
+BODY = ("receiver", "person")
 LABELS = ("id", "variant")
 TEXTS = ("object", *LABELS)
 SKIN: dict[str, Spec] = {
@@ -58,10 +62,11 @@ SKIN: dict[str, Spec] = {
 SPECS: dict[str, Spec] = {
     "object": ("U", ("N",)), "T_world_hand": ("f", ("N", 4, 4)), "hand": ("iu", ("N",)),
     "pose": ("f", ("N", 48)), "shape": ("f", ("N", 10)), "side": ("iu", ("N",)),
-    **dict.fromkeys(LABELS, ("U", ("N",))),
+    "receiver": ("f", ("N", 5, 4)), "person": ("f", ("N", 5)), **dict.fromkeys(LABELS, ("U", ("N",))),
 }  # fmt: skip
 CSV = {
     **dict.fromkeys(TEXTS, ("string", 1)), "hand": ("int64", 1), "T_world_hand": ("float64", 16),
+    "receiver": ("float64", 20), "person": ("float64", 5),
 }  # fmt: skip
 
 Labels = dict[int, tuple[str, str]]
@@ -99,13 +104,88 @@ def read_trials_file(
     split = np.array([SPLITS.index(o.split) for o in objects])[object_index]
     order = np.argsort(split, kind="stable")
     ids = np.concatenate([2 * np.arange((split == k).sum()) + k for k in range(len(SPLITS))])
+    receiver, person = _bodies(columns, T, where)
     trials = Trials(
         trial_id=torch.from_numpy(ids.astype(np.int64)),
         object_index=torch.from_numpy(object_index[order].astype(np.int32)),
         hand_index=torch.from_numpy(hand[order].astype(np.int32)),
         T_world_hand=torch.from_numpy(T[order]),
+        receiver=None if receiver is None else torch.from_numpy(receiver[order]),
+        person=None if person is None else torch.from_numpy(person[order]),
     )
     return trials, hand_set, _labels(columns, ids, order, where)
+
+
+def _bodies(
+    columns: Columns, T_world_hand: NDArray[np.float32], where: str
+) -> tuple[NDArray[np.float32] | None, NDArray[np.float32] | None]:
+    """`Trials.receiver` and `Trials.person` of a file that has them: numbers that a body can have."""
+    receiver, person = columns.get("receiver"), columns.get("person")
+    if receiver is not None:
+        receiver = receiver.astype(np.float64)
+        _lengths(f"{where}: receiver: {{}} of trial {{}}", receiver, T_world_hand)
+        receiver = np.ascontiguousarray(receiver, np.float32)
+    if person is not None:
+        if receiver is None:
+            raise FileError(f"{where}: has person and no receiver; give both, or receiver alone")
+        for k, (name, values, unit) in enumerate(WHO):
+            low, high = values[0], values[-1]
+            x = person[:, k].astype(np.float64)
+            ok = np.isin(x, values) if unit == "" else (x >= low) & (x <= high)
+            if not ok.all():
+                row = int((~ok).argmax())
+                allowed = f"{low:g} or {high:g}" if unit == "" else f"{low:g} to {high:g} {unit}"
+                raise FileError(
+                    f"{where}: person: {name} of trial {row} is {x[row]:g}; allowed is {allowed}"
+                )
+        none = np.zeros((len(person), len(PERSON) - len(WHO)))  # nobody was drawn before
+        person = np.ascontiguousarray(np.concatenate([person, none], 1), np.float32)
+    return receiver, person
+
+
+WHO: tuple[tuple[str, tuple[float, float], str], ...] = (
+    ("age", (0.0, 120.0), "years"),
+    ("female", (0.0, 1.0), ""),
+    ("stature", (0.6, 2.35), "m"),
+    ("hand length", (0.08, 0.26), "m"),
+    ("seated", (0.0, 1.0), ""),
+)
+"""Columns of `person`: what they are, their range or the two values that are allowed, and the unit."""
+LIMB_M, RADIUS_M, HALF_M, WRIST_M = (0.05, 0.60), (0.01, 0.20), (0.03, 0.60), 0.30
+"""Lengths of upper arm and forearm, radii, half sizes of the torso; how far the wrist may lie from the hand's frame [choice]."""
+
+
+def _lengths(what: str, receiver: NDArray[np.float64], T_world_hand: NDArray[np.float32]) -> None:
+    """Refuse receivers whose numbers no body has."""
+    bone = np.linalg.norm(np.diff(receiver[:, :3, :3], axis=1), axis=2)
+    for name, values, (low, high) in (
+        ("upper arm", bone[:, 0], LIMB_M),
+        ("forearm", bone[:, 1], LIMB_M),
+        ("radius of the upper arm", receiver[:, 0, 3], RADIUS_M),
+        ("radius of the forearm", receiver[:, 1, 3], RADIUS_M),
+        *((f"half size {k} of the torso", receiver[:, 4, k], HALF_M) for k in range(3)),
+        (
+            "distance of the wrist from the hand's frame",
+            np.linalg.norm(receiver[:, 2, :3] - T_world_hand[:, :3, 3], axis=1),
+            (0.0, WRIST_M),
+        ),
+        (
+            "distance of the torso from the robot",
+            np.abs(receiver[:, 3, :3]).max(1),
+            (0.0, FARTHEST_M),
+        ),
+    ):
+        if (bad := ~((values >= low) & (values <= high))).any():
+            row = int(bad.argmax())
+            raise FileError(
+                f"{what.format(name, row)} is {values[row]:.3g} m; allowed is {low:g} to {high:g} m"
+            )
+    facing = np.abs(np.linalg.norm(receiver[:, 3:, 3], axis=1) - 1.0)
+    if (facing > RIGID).any():
+        row = int((facing > RIGID).argmax())
+        raise FileError(
+            f"{what.format('facing', row)} (last number of the rows 3 and 4) is no unit vector"
+        )
 
 
 def _labels(columns: Columns, ids: NDArray[Any], order: NDArray[Any], where: str) -> Labels | None:
@@ -136,7 +216,7 @@ def _check_columns(columns: Columns, where: str) -> None:
     hands = [n for n in POSTURE if n in columns]
     if ("hand" in columns) == bool(hands):
         raise FileError(f"{where}: give either hand (rows of the hand set) or pose, shape and side")
-    optional = (*LABELS, *(POSTURE if "hand" in columns else ("hand",)))
+    optional = (*LABELS, *BODY, *(POSTURE if "hand" in columns else ("hand",)))
     n = check_arrays(columns, SPECS, where, optional=optional, only=True)["N"]
     if not 1 <= n <= MAX_TRIALS:
         raise FileError(f"{where}: {n} trials; 1 to {MAX_TRIALS} are allowed")
@@ -211,6 +291,8 @@ def _csv(path: Path) -> Columns:
     found = read_csv_arrays(path, CSV)
     if "T_world_hand" in found:
         found["T_world_hand"] = found["T_world_hand"].reshape(-1, 4, 4)
+    if "receiver" in found:
+        found["receiver"] = found["receiver"].reshape(-1, 5, 4)
     return found
 
 
