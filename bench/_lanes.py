@@ -25,6 +25,7 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import planner, search
 from r2h_batch.judge.frontier import levels, safe
+from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.kernels.frontier import queues, safe_queues
 from r2h_batch.kernels.plan import codes
 from r2h_batch.kernels.robot.joints import OBJECT
@@ -194,7 +195,7 @@ def report_lanes(report: Report, trials: int) -> None:
     batch = trials_with_ids(torch.arange(trials), objects=evaluator.scene.objects, protocol="r2h-v1")
     poses = random.predict(batch, evaluator.scene, seed=0)
     asked = poses.T_obj_ee, poses.T_world_ee, batch
-    with levels.planning_form("frontier"), ExitStack() as stack:
+    with planning_form("frontier"), ExitStack() as stack:
         whole = evaluator.score(*asked)
         for module in (levels, planner):
             stack.enter_context(mock.patch.object(module, "launch_trials", lanes.launch))

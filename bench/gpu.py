@@ -32,7 +32,8 @@ from r2h_batch.base import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import planner
-from r2h_batch.judge.frontier.levels import FORMS, Frontier, planning_form
+from r2h_batch.judge.frontier.form import FORMS, planning_form
+from r2h_batch.judge.frontier.levels import Frontier
 from r2h_batch.judge.search import Search
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import make_trials, trials_with_ids

@@ -11,7 +11,7 @@ from pretend_cuda import OnCuda, Seen, pretending
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels
-from r2h_batch.judge.frontier.levels import planning_form
+from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.grasp_tables import gripper_tables

@@ -9,7 +9,7 @@ from seven import seven_joints
 from r2h_batch import Evaluator
 from r2h_batch.base.launch.instances import of_joints
 from r2h_batch.config import EvalConfig, ExecConfig
-from r2h_batch.judge.frontier.levels import planning_form
+from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.plan.lines import check_postures

@@ -13,8 +13,7 @@ from torch import Tensor
 
 from r2h_batch.base.launch import new_outputs, over_trials
 from r2h_batch.config import CLEARANCE_CAP_M
-from r2h_batch.judge.frontier.levels import uses_frontier
-from r2h_batch.judge.frontier.safe import SafeFrontier
+from r2h_batch.judge.frontier.form import uses_frontier
 from r2h_batch.judge.motion.execute import Executed
 from r2h_batch.judge.plan import path_clearances
 from r2h_batch.kernels.judge import safe as safe_kernels
@@ -131,6 +130,8 @@ def hand_distance(
         distance = found["distance"]
         motion = {"path": path, "length": length}
         if uses_frontier(scene.device):
+            from r2h_batch.judge.frontier.safe import SafeFrontier
+
             frontier = SafeFrontier(scene, bodies, **motion, tolerance=SAFE_TOLERANCE_M)
             frontier(found)
             meets = frontier.rows_where(moves & (distance < 0))

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Float32, Int32
@@ -11,9 +11,12 @@ from torch import Tensor
 
 from r2h_batch.base.launch import over_trials
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M
-from r2h_batch.judge.frontier.levels import Frontier, uses_frontier
+from r2h_batch.judge.frontier.form import uses_frontier
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
 from r2h_batch.scene.scene import BodyPoses, Scene
+
+if TYPE_CHECKING:  # half of the kernels, which a CPU does not need
+    from r2h_batch.judge.frontier.levels import Frontier
 
 
 class Planner:
@@ -27,11 +30,12 @@ class Planner:
         self._tables = {"world": body_poses.tables(scene), "bodies": body_poses.bodies}
         self._device, self._sized = scene.device, scene.sized
         self.joint_weight = scene.robot.joint_weight
-        self.frontier = (
-            Frontier(**self._tables, device=scene.device, rows=rows or len(body_poses.object_index))
-            if uses_frontier(scene.device)
-            else None
-        )
+        self.frontier: Frontier | None = None
+        if uses_frontier(scene.device):
+            from r2h_batch.judge.frontier import levels
+
+            rows = rows or len(body_poses.object_index)
+            self.frontier = levels.Frontier(**self._tables, device=scene.device, rows=rows)
 
     def __call__(
         self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int

@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import trimesh
 import warp as wp
 from numpy.typing import NDArray
 
@@ -95,6 +94,8 @@ def gripper_tables(robot: Robot, device: str = "cpu") -> Gripper:
 
 def _sides(boxes: NDArray[np.float64]) -> NDArray[np.float32]:
     """The triangles of boxes (`ObjectModel.receiver_boxes`)."""
+    import trimesh  # 0.3 s: only regions in boxes need it
+
     cube = trimesh.creation.box((2.0, 2.0, 2.0)).triangles.reshape(-1, 3)
     corners = boxes[:, :1] + (cube * boxes[:, 1:2]) @ boxes[:, 2:].transpose(0, 2, 1)
     return corners.astype(np.float32).reshape(-1, 3, 3)

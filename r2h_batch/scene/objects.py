@@ -17,25 +17,27 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from r2h_batch.base.io.cache import is_cached
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.validate import describe_value
+from r2h_batch.scene import mesh_import
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.mesh_import.cache import kept_with_warnings, key_of
-from r2h_batch.scene.mesh_import.closed import ObjectMeshError, Repair, closed_mesh
-from r2h_batch.scene.mesh_import.file import SUFFIXES, labels_of
-from r2h_batch.scene.mesh_import.pieces import convex_hull, convex_pieces
-from r2h_batch.scene.mesh_import.region import part_of_faces, receiver_region, region_boxes
+from r2h_batch.scene.mesh_import.limits import ObjectMeshError
 from r2h_batch.scene.solid import sample_surface, solid_occupancy
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
+
+if TYPE_CHECKING:  # trimesh takes 0.3 s, and stored objects are read without it
+    import trimesh
+
+    from r2h_batch.scene.mesh_import import Repair
 
 S0_NAMES = ("game_controller", "bowl", "headphones", "eyeglasses", "cup", "wineglass")
 S1_NAMES = (
@@ -134,6 +136,8 @@ class ObjectModel:
     @property
     def mesh(self) -> trimesh.Trimesh:
         """The surface as a trimesh (a copy, float64)."""
+        import trimesh
+
         return trimesh.Trimesh(self.vertices.astype(np.float64), self.faces, process=False)
 
 
@@ -365,7 +369,7 @@ def build_object(
         else:
             make = lambda: _as_arrays(_built(mesh, **options))  # noqa: E731
             model = _from_arrays(kept_with_warnings(key, make, _from_arrays))
-    boxes = region_boxes(receiver, model.part_names, model.name)
+    boxes = mesh_import.region_boxes(receiver, model.part_names, model.name)
     return model if boxes is None else _frozen(replace(model, receiver_boxes=boxes))
 
 
@@ -403,17 +407,19 @@ def _built(
     pieces: bool | Literal["fine"],
 ) -> ObjectModel:
     """`build_object` without the disk."""
-    closed = closed_mesh(mesh, name, scale)
-    if face_part is None and (groups := labels_of(closed.source)) is not None:
+    import trimesh
+
+    closed = mesh_import.closed_mesh(mesh, name, scale)
+    if face_part is None and (groups := mesh_import.labels_of(closed.source)) is not None:
         face_part, part_names = groups
     surface = closed.mesh
     vertices, faces = surface.vertices.astype(np.float32), surface.faces.astype(np.int32)
     solid = trimesh.Trimesh(vertices.astype(np.float64), faces, process=False)
-    parts = part_of_faces(face_part, part_names, closed, name)
+    parts = mesh_import.part_of_faces(face_part, part_names, closed, name)
     region = np.zeros(len(faces), bool)
     if split == "S1":
-        region = receiver_region(solid, receiver, closed, parts, part_names, name)
-    hull = convex_hull(solid.vertices)
+        region = mesh_import.receiver_region(solid, receiver, closed, parts, part_names, name)
+    hull = mesh_import.convex_hull(solid.vertices)
     points, point_face = sample_surface(solid, POINTS)
     occupied, origin, pitch = solid_occupancy(solid, VOXELS)
     return _frozen(
@@ -428,7 +434,9 @@ def _built(
             receiver_face=region,
             hull_vertices=hull[0],
             hull_faces=hull[1],
-            **_packed(convex_pieces(solid, name, fine=pieces == "fine") if pieces else [hull]),
+            **_packed(
+                mesh_import.convex_pieces(solid, name, fine=pieces == "fine") if pieces else [hull]
+            ),
             points=points.astype(np.float32),
             normals=solid.face_normals[point_face].astype(np.float32),
             point_part=parts[point_face],
@@ -500,7 +508,7 @@ def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
     if any(c in argument for c in "\r\n\0"):
         raise ObjectMeshError(f"object mesh {shown!r}: has a line end in its name; rename the file")
     match = re.fullmatch(r"(?P<file>.+?)(?::(?P<split>S\d+)(?::(?P<receiver>.+))?)?", argument)
-    endings = "|".join(e[1:] for e in SUFFIXES)
+    endings = "|".join(e[1:] for e in mesh_import.SUFFIXES)
     said = re.fullmatch(rf"(.+?\.(?:{endings})):(.*)", argument, re.IGNORECASE)
     if match is None or (said and match["file"] == argument and not os.path.lexists(argument)):
         found = (
@@ -535,7 +543,9 @@ def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> ObjectModel:
     for key in ("mass", "voxel_pitch"):
         values[key] = float(np.asarray(values[key]))
     repair = json.loads(str(values.pop("repair", "null")))
-    values["repair"] = Repair(**{**repair, "steps": tuple(repair["steps"])}) if repair else None
+    values["repair"] = (
+        mesh_import.Repair(**{**repair, "steps": tuple(repair["steps"])}) if repair else None
+    )
     return _frozen(ObjectModel(**values))
 
 

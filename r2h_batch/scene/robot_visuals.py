@@ -7,7 +7,6 @@ from typing import Any
 
 import airo_models
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -140,5 +139,7 @@ def visual_triangles(name: str, arm: str = "ur5e") -> Array:
 
 
 def _triangles(path: Path, T: Array) -> Array:
+    import trimesh  # 0.3 s: only pictures need it
+
     mesh = trimesh.load_mesh(path, process=False)
     return np.asarray(trimesh.transform_points(mesh.vertices, T)[mesh.faces], dtype=np.float64)

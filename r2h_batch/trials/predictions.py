@@ -15,7 +15,6 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from r2h_batch.base.io.arrays import Spec, check_array, check_arrays, not_rigid
-from r2h_batch.base.io.parquet import read_parquet_arrays
 from r2h_batch.base.io.read import FileError, open_file, printable, read_npz
 from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.base.io.write import write_npz
@@ -254,6 +253,8 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
 
 def _parquet(path: Path) -> dict[str, Any]:
     """Motions, one a row: trial_id or id, T_obj_ee (16 numbers), q (lists of joint angles), time_s (a list)."""
+    from r2h_batch.base.io.parquet import read_parquet_arrays  # 0.1 s, for few files
+
     arrays, counts = read_parquet_arrays(path, most=MAX_BYTES, rows=10_000_000, text=["id"])
     for name, length in _LENGTH_OF.items():
         if name in counts:

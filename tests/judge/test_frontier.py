@@ -14,6 +14,7 @@ from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, ExecConfig, Plan
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M
 from r2h_batch.judge.frontier import levels, safe
+from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.plan import Plan
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.robot import load_robot
@@ -30,7 +31,7 @@ def one_thread(scene: Scene, plan: str, n: int) -> Problems:
 
 
 def by_frontier(scene: Scene, plan: str, n: int) -> Plan:
-    with levels.planning_form("frontier"):
+    with planning_form("frontier"):
         return solve(scene, make_batch(scene, n, random_share=0.5), PLANS[plan]).plan
 
 
@@ -78,7 +79,7 @@ def test_rows_of_both_forms_have_the_same_bits(robot: str, n: int) -> None:
     poses = random.predict(trials, evaluator.scene, seed=5)
     asked = poses.T_obj_ee, poses.T_world_ee, trials
     here = evaluator.score(*asked)
-    with levels.planning_form("frontier"):
+    with planning_form("frontier"):
         there = evaluator.score(*asked)
     counts = {"straight": here.path_len == 2, "searched": here.path_len > 2, "failed": here.path_len == 0}
     print(robot, {name: int(rows.sum()) for name, rows in counts.items()})
@@ -121,7 +122,7 @@ def test_rows_do_not_depend_on_their_batch_their_place_or_the_number_of_lanes(sc
         paths = b.T_obj_ee[at], moved[at], scores.path_time_s[at], b.trials[at]
         return scores, evaluator.score_motion(*paths, length=scores.path_len[at])
 
-    with levels.planning_form("frontier"):
+    with planning_form("frontier"):
         scores, moved = judged(slice(None))
         assert (scores.path_len > 2).sum() >= 20 and (moved.margin[:, 4] < 0).sum() >= 2
         order = torch.from_numpy(np.random.default_rng(1).permutation(48))
@@ -142,7 +143,7 @@ def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=48))
     trials = trials_with_ids(torch.arange(48), objects=scene.objects, protocol="r2h-v0")
     poses = oracle.predict(trials, scene, seed=0)
-    with levels.planning_form("frontier"), ExitStack() as patched:
+    with planning_form("frontier"), ExitStack() as patched:
         whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
         for (module, name), value in SHORT[what].items():
             patched.enter_context(mock.patch.object(module, name, value))
@@ -155,14 +156,14 @@ def test_a_single_row_has_room_for_its_whole_path() -> None:
     evaluator, trials = default_evaluator().kinematic, make_trials(trials=100)
     asked = random.predict(trials, evaluator.scene, seed=0)
     row = trials.trial_id == 79
-    with levels.planning_form("frontier"):
+    with planning_form("frontier"):
         scores = evaluator.score(asked.T_obj_ee[row], asked.T_world_ee[row], trials[row])
     assert scores.path_len[0] > 2
 
 
 def test_a_queue_that_is_too_short_ends_the_batch_and_says_so(scene: Scene) -> None:
     few = mock.patch.multiple(levels, LEAST=256, PER_ROW=1)
-    with levels.planning_form("frontier"), few:
+    with planning_form("frontier"), few:
         with pytest.raises(MemoryError, match="cannot allocate"):
             solve(scene, make_batch(scene, 96, random_share=0.0))
         full = levels.Frontier(scene.world, None, "cpu", 1)

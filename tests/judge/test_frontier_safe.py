@@ -12,7 +12,7 @@ from r2h_batch import evaluate
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, hand_distance
-from r2h_batch.judge.frontier import levels
+from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.motion.execute import Executed
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.scene import BodyPoses, Scene
@@ -32,7 +32,7 @@ class Moved:
         return hand_distance(self.scene, self.body_poses, self.executed, self.active)
 
     def by_frontier(self) -> NearestApproach:
-        with levels.planning_form("frontier"):
+        with planning_form("frontier"):
             return self.touch()
 
     def off_its_path(self, by_rad: float) -> "Moved":

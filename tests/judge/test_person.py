@@ -15,7 +15,7 @@ from r2h_batch import evaluate
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, nearer_of, person_distance
-from r2h_batch.judge.frontier.levels import planning_form
+from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.methods import fc
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.trials.protocol import make_trials

@@ -20,7 +20,7 @@ from planning_twins import (
 from problems import Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, PlanConfig
-from r2h_batch.judge.frontier.levels import planning_form
+from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.ik import one_branch
 from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.judge.plan import GOAL_ROOM_M, WAYPOINTS, plan_paths, random_key

@@ -7,7 +7,7 @@ from planning_twins import checker_of, dense, recheck
 from problems import default_evaluator, make_batch, solve
 
 from r2h_batch import EvalConfig, Evaluator, make_trials
-from r2h_batch.judge.frontier.levels import planning_form
+from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.methods import random
 from r2h_batch.types import Outcome, PlanReason, Scores
 from r2h_batch.verdicts import CRITERIA

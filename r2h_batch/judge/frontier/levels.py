@@ -8,11 +8,9 @@ trial: the same goals and lines, clearances within the tolerance of both.
 """
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import torch
@@ -51,29 +49,6 @@ NONE = (NO_PAIR << 32) | NO_PAIR
 """Key of an edge that nothing blocks (kernels/frontier/queues.py)."""
 
 TOO_SHORT = "cannot allocate a longer queue of intervals: fewer rows at once have more room each"
-
-Form = Literal["frontier", "one_thread"]
-FORMS: tuple[Form, ...] = get_args(Form)
-_form: Form | None = None
-
-
-@contextmanager
-def planning_form(form: Form) -> Iterator[None]:
-    """Inside, planning and Safe take this form on every device (tests, benches; one thread of a program only).
-
-    Outside, CUDA takes "frontier", all edges level by level, and a CPU "one_thread", one thread a trial.
-    """
-    global _form
-    before, _form = _form, form
-    try:
-        yield
-    finally:
-        _form = before
-
-
-def uses_frontier(device: str) -> bool:
-    """Whether planning on this device goes level by level."""
-    return _form == "frontier" if _form else device != "cpu"
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from r2h_batch.base.registry import PROTOCOL_NAMES
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.frontier.levels import Form, planning_form
+from r2h_batch.judge.frontier.form import Form, planning_form
 from r2h_batch.runs import provenance
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING

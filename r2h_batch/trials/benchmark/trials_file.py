@@ -34,7 +34,6 @@ import torch
 from numpy.typing import NDArray
 
 from r2h_batch.base.io.arrays import RIGID, Spec, check_arrays, check_poses
-from r2h_batch.base.io.parquet import read_parquet_arrays
 from r2h_batch.base.io.read import FileError, printable, read_npz
 from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.scene.hand import MAX_SKIN_PIECES, HandSet, make_hand_set, make_skin_set
@@ -276,6 +275,8 @@ def _skins(columns: Columns, where: str) -> HandSet:
 
 def _parquet(path: Path) -> Columns:
     """The columns of a Parquet file, whose sizes are checked before anything is read."""
+    from r2h_batch.base.io.parquet import read_parquet_arrays
+
     columns, counts = read_parquet_arrays(
         path, most=1 << 30, rows=MAX_TRIALS, text=TEXTS, row_bytes=MAX_ROW_BYTES
     )

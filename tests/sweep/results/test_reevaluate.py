@@ -13,7 +13,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.closed_loop.env import LoopConfig
 from r2h_batch.closed_loop.episodes import Loop
 from r2h_batch.closed_loop.moving import ReceiverMotion
-from r2h_batch.judge.frontier.levels import planning_form
+from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.methods import random
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import TRIAL_SCHEMA
