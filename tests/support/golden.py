@@ -26,31 +26,49 @@ METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
 KINEMATIC_TRIALS = 64
 SIMULATED_TRIALS = 8
 CANDIDATES = 512
+TIMES = ("t_plan_s", "t_method_s", "planned_q")
+"""Times; and motions, which only files have."""
 NOT_COMPARED = (
-    *("t_plan_s", "t_method_s", "body_m", "planned_q"),  # the last: of motions from files alone
+    *(*TIMES, "body_m"),
     *("age_years", "sex", "stature_m", "hand_length_m", "seated", "redrawn"),
 )
-"""Times; and what trials of r2h-v0, which these are, do not have."""
+"""Times; and what trials of r2h-v0, which most of these are, do not have."""
 MACHINE_FACTS = ("t_plan_s", "versions", "git_commit", "digests", "configuration")
 """Fields of trial.json on where and with what it was made. The digest of the code changes with every comment."""
 
 ENGINES = ("none", "mujoco", "mjwarp")
+FAMILIES = "r2h-v2"
+CASES = (*ENGINES, "pose", FAMILIES)
+FAMILIES_METHODS, FAMILIES_TRIALS = ("handover-va", "contact", "intent"), 16
 
 
 def compute(case: str, folder: Path) -> dict[str, dict[str, str]]:
-    """Digest and outcomes of each part of a case: `none`, `mujoco`, `mjwarp` (with an export), or `pose`."""
+    """Digest and outcomes of each part of a case of `CASES`; an engine's also of an export."""
+    if case == FAMILIES:
+        return _families(folder)
     return _candidates() if case == "pose" else sweep_digests(case, folder)
+
+
+def _families(folder: Path) -> dict[str, dict[str, str]]:
+    """Rows of methods in r2h-v2, with who the receivers are; motion as planned."""
+    line = [
+        "--method",
+        *FAMILIES_METHODS,
+        "--protocol",
+        FAMILIES,
+        "--trials",
+        str(FAMILIES_TRIALS // 2),
+        "--sim",
+        "none",
+    ]
+    return _rows(FAMILIES, line, FAMILIES_METHODS, folder, TIMES)
 
 
 def sweep_digests(
     sim: str, folder: Path, methods: Sequence[str] = METHODS, more: Sequence[str] = ()
 ) -> dict[str, dict[str, str]]:
     """Built-in methods through the command, in this process: kernels, objects and tables are loaded once. `more` flags."""
-    from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.command import main as sweep
-
     trials = KINEMATIC_TRIALS if sim == "none" else SIMULATED_TRIALS
-    run = folder / sim
     line = [
         "--method",
         *methods,
@@ -61,20 +79,28 @@ def sweep_digests(
         str(trials // 2),
         "--sim",
         sim,
-        "--save-paths",
-        "--out",
-        str(run),
     ]
-    _run(sweep, line)
-    stored = load_run(run)
+    found = _rows(sim, line, methods, folder, NOT_COMPARED)
+    if sim == "mujoco" and len(methods) > 1:
+        found["export"] = _export(folder / sim, methods[1], folder / "export")
+    return found
+
+
+def _rows(
+    case: str, line: list[str], methods: Sequence[str], folder: Path, not_compared: Iterable[str]
+) -> dict[str, dict[str, str]]:
+    """A part for each method of a sweep, with all tables that it stores."""
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.command import main as sweep
+
+    _run(sweep, [*line, "--save-paths", "--out", str(folder / case)])
+    stored = load_run(folder / case)
     found = {}
     for short, name in zip(methods, stored.methods, strict=True):
         tables = [stored.trials(name), stored.details(name), stored.poses(name), stored.paths(name)]
-        rows = [_without(row, NOT_COMPARED) for table in tables for row in table.to_pylist()]
+        rows = [_without(row, not_compared) for table in tables for row in table.to_pylist()]
         outcomes = " ".join(row["outcome"] for row in stored.trials(name).to_pylist())
-        found[f"{sim}.{short}"] = {"digest": _digest(rows), "outcomes": outcomes}
-    if sim == "mujoco" and len(methods) > 1:
-        found["export"] = _export(run, stored.methods[1], folder / "export")
+        found[f"{case}.{short}"] = {"digest": _digest(rows), "outcomes": outcomes}
     return found
 
 
@@ -134,6 +160,11 @@ def _digest(parts: list[Any]) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
+def holds(stored: dict[str, Any], name: str) -> str:
+    """What must be equal on this machine: the digest where this part of golden.json was made with the same, else outcomes."""
+    return "digest" if stored["cases"][name].get("made_with", stored["made_with"]) == made_with() else "outcomes"
+
+
 def made_with() -> dict[str, Any]:
     """Processor and versions: where the digests hold to the last bit."""
     from importlib import metadata
@@ -153,21 +184,28 @@ def _processor() -> str:
 def main() -> None:
     """Print what differs from golden.json; with --write, replace it."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--write", action="store_true", help="replace golden.json")
-    write = parser.parse_args().write
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join(CASES)}; default: all")
+    parser.add_argument("--write", action="store_true", help="replace golden.json, or these cases in it")
+    options = parser.parse_args()
+    write, cases = options.write, options.cases or CASES
     with tempfile.TemporaryDirectory() as folder:
         found: dict[str, dict[str, str]] = {}
-        for case in (*ENGINES, "pose"):
+        for case in cases:
             found |= compute(case, Path(folder))
-    before = json.loads(GOLDEN.read_text())["cases"] if GOLDEN.exists() else {}
-    changed = [k for k in found if found[k] != before.get(k)]
+    stored = json.loads(GOLDEN.read_text()) if GOLDEN.exists() else {"made_with": made_with(), "cases": {}}
+    before = stored["cases"]
+    changed = [k for k in found if any(found[k][part] != before.get(k, {}).get(part) for part in found[k])]
     for name in changed:
         old, new = before.get(name, {}).get("outcomes", "").split(), found[name]["outcomes"].split()
         print(
             f"{name}: other rows, {sum(a != b for a, b in zip(old, new, strict=False))} of {len(new)} outcomes differ"
         )
     if write:
-        GOLDEN.write_text(json.dumps({"made_with": made_with(), "cases": found}, indent=1) + "\n")
+        whole = {"made_with": made_with(), "cases": found}
+        if options.cases:  # the others stay, with what they were made with
+            own = {} if stored["made_with"] == made_with() else {"made_with": made_with()}
+            whole = stored | {"cases": before | {name: part | own for name, part in found.items()}}
+        GOLDEN.write_text(json.dumps(whole, indent=1) + "\n")
         print(f"{GOLDEN.name} written")
     else:
         print(f"{len(found) - len(changed)} of {len(found)} parts equal")

@@ -178,7 +178,8 @@ class BenchmarkFile(_Entry):
     )
     people: FilePath | None = Field(
         default=None,
-        description="receivers with their own bodies and hands: adults, children, elderly, all, wheelchair, or a .csv of lengths",
+        description="receivers with their own bodies and hands: adults, children, elderly, all, wheelchair, or a .csv of"
+        " lengths; null: the protocol's own",
     )
     table: TableEntry = Field(default=TableEntry())
     home: Annotated[
