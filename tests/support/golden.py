@@ -161,7 +161,7 @@ def _digest(parts: list[Any]) -> str:
 
 
 def holds(stored: dict[str, Any], name: str) -> str:
-    """What must be equal on this machine: the digest where this part of golden.json was made with the same, else outcomes."""
+    """The field that must be equal on this machine: the digest where this part was made with the same, else the outcomes."""
     return "digest" if stored["cases"][name].get("made_with", stored["made_with"]) == made_with() else "outcomes"
 
 
