@@ -1,4 +1,5 @@
-"""`report --by-people`: success by age, stature, hand, sex and seat, and the people whom no method serves."""
+"""`report --by-people`: success by age, stature, hand, sex and seat, and the people whom no method serves; who could
+receive the object and who takes it, where `results reception` and `results transfer` have stored that."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,10 +9,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from r2h_batch.report.statistics.aggregate import wilson_interval
 from r2h_batch.report.text import aligned, csv_text, json_text, legend, notes_list, short_names
+from r2h_batch.report.transfers import TAKEN, takes_of
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import Outcome
 
@@ -29,6 +32,8 @@ MEDIAN_M = 0.05
 SERVED = 0.5
 """An object is served if every method succeeds in at least this share of its trials with median adults [choice]."""
 SHOWN = 20
+RECEPTION, RECEIVED = "reception", "received"
+"""Folder of a run that holds METHOD.parquet, and its column."""
 COLUMNS = (
     "trial_id",
     "object",
@@ -49,6 +54,8 @@ class Served:
     methods: tuple[str, ...]
     success: NDArray[np.bool_]
     columns: Mapping[str, NDArray[Any]]
+    later: Mapping[str, Mapping[str, NDArray[np.float64]]]
+    """`received`, or `taken, RELEASE` -> method -> (n,) share of a trial's simulated persons, NaN: not stored"""
 
     def groups(self) -> list[tuple[str, str, Mask]]:
         """(what divides, group, its trials); groups without trials are left out."""
@@ -117,7 +124,52 @@ def served(run: Run) -> Served:
     success = np.array([[o == won for o in t["outcome"].to_pylist()] for t in tables])
     known = np.array([x is not None for x in columns["age_years"].tolist()])
     columns = {k: v[known] for k, v in columns.items()}
-    return Served(tuple(run.methods), success[:, known], columns)
+    later = {
+        what: {method: values[known] for method, values in of.items()}
+        for what, of in _later(run, ids[0], success).items()
+    }
+    return Served(tuple(run.methods), success[:, known], columns, later)
+
+
+def _later(
+    run: Run, trial_id: NDArray[np.int64], success: Mask
+) -> dict[str, dict[str, NDArray[np.float64]]]:
+    """`Served.later` of all trials, in their order."""
+    found: dict[str, dict[str, NDArray[np.float64]]] = {}
+    for k, method in enumerate(run.methods):
+        got = _received(run, method, trial_id, success[k])
+        if got is not None:
+            found.setdefault(RECEIVED, {})[method] = got
+        rows = takes_of(run, method)
+        for release in dict.fromkeys(rows["release"].tolist()) if rows else ():
+            of = rows["release"] == release
+            place = np.searchsorted(trial_id, rows["trial_id"][of])
+            count = np.bincount(place, minlength=len(trial_id)).astype(np.float64)
+            taken = np.bincount(place, rows["outcome"][of] == TAKEN, len(trial_id))
+            share = np.where(count > 0, taken / np.maximum(count, 1.0), np.nan)
+            found.setdefault(f"{TAKEN}, {release}", {})[method] = share
+    return found
+
+
+def _received(
+    run: Run, method: str, trial_id: NDArray[np.int64], success: Mask
+) -> NDArray[np.float64] | None:
+    """1 or 0 of each trial that `results reception` has judged, else NaN; None without its file, or if that was made of other
+    rows: its trials or successes are not the run's."""
+    entry = run.entry(method)
+    path = entry.folder / RECEPTION / f"{entry.slug}.parquet"
+    if not path.is_file():
+        return None
+    table = pq.read_table(path, columns=["trial_id", "success", "evaluated", "received"])
+    ids, won, asked, got = (c.to_numpy(zero_copy_only=False) for c in table.columns)
+    if not np.isin(ids, trial_id).all():
+        return None
+    place = np.searchsorted(trial_id, ids)
+    if not np.array_equal(success[place], won.astype(bool)):
+        return None
+    found = np.full(len(trial_id), np.nan)
+    found[place] = np.where(asked.astype(bool), got.astype(np.float64), np.nan)
+    return found
 
 
 def people_lines(run: Run, fmt: str = "md") -> str:
@@ -142,6 +194,11 @@ def people_lines(run: Run, fmt: str = "md") -> str:
             "successes": int(found.success[k, rows].sum()),
             "no_method": int((~found.success[:, rows].any(0)).sum()),
             "redrawn": int(found.columns["redrawn"][rows].astype(np.int64).sum()),
+            **{
+                what.replace(", ", "_"): _mean(of[method][rows])
+                for what, of in found.later.items()
+                if method in of
+            },
         }
         for by, group, rows in [
             ("all", "all", np.ones(found.success.shape[1], bool)),
@@ -177,9 +234,33 @@ def _md(found: Served) -> str:
         "SR in % with its 95 % interval (Wilson). No method: trials in which no method succeeds.",
         "Redrawn: people for whom no posture fitted; the trial took the next one.",
     ]
-    return (
-        "\n\n".join([aligned(head, lines, 2), notes_list(notes), *_not_served(found, names)]) + "\n"
+    parts = [aligned(head, lines, 2), notes_list(notes), *_later_tables(found, groups, names)]
+    return "\n\n".join([*parts, *_not_served(found, names)]) + "\n"
+
+
+def _later_tables(
+    found: Served, groups: Sequence[tuple[str, str, Mask]], names: Mapping[str, str]
+) -> list[str]:
+    """A table of received and taken, where these are stored."""
+    if not found.later:
+        return []
+    cells = [(what, method) for what, of in found.later.items() for method in of]
+    lines = []
+    for by, group, rows in groups:
+        shares = [_mean(found.later[what][method][rows]) for what, method in cells]
+        lines.append([by, group, *("-" if x is None else f"{100 * x:.1f}" for x in shares)])
+    head = ["By", "Group", *(f"{names[method]}: {what}" for what, method in cells)]
+    note = (
+        "Received (results reception) and taken (results transfer, scenario take), % of the group's trials for which they are"
+        " stored: those with a pose. Of several simulated persons a trial counts the share. Not in SR."
     )
+    return [aligned(head, lines, 2), notes_list([note])]
+
+
+def _mean(values: NDArray[np.float64]) -> float | None:
+    """The mean of the numbers that are there; None: there are none."""
+    there = values[~np.isnan(values)]
+    return float(there.mean()) if len(there) else None
 
 
 def _not_served(found: Served, names: Mapping[str, str]) -> Sequence[str]:

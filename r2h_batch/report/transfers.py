@@ -62,21 +62,34 @@ def funnels(run: Run) -> tuple[Funnel, ...]:
     """
     found = []
     for entry in run.entries:
-        path = entry.folder / FOLDER / f"{entry.slug}.parquet"
-        if not path.is_file() or rows_of(path, MADE_OF) != run.digest(entry.name):
-            continue
-        names = ["trial_id", "release", "scenario", "success", "received", "outcome"]
-        table = pq.read_table(path, columns=names)
-        rows = {k: table[k].to_numpy(zero_copy_only=False) for k in names}
-        takes = rows["scenario"] == SCENARIO
-        for release in dict.fromkeys(rows["release"][takes].tolist()):
-            of = takes & (rows["release"] == release)
+        rows = takes_of(run, entry.name)
+        for release in dict.fromkeys(rows["release"].tolist()) if rows else ():
+            of = rows["release"] == release
             success, got = (rows[k][of].astype(bool) for k in ("success", "received"))
             taken = rows["outcome"][of] == TAKEN
             shares = (success, got, taken, taken & success)
             rates = (_over_trials(hits, rows["trial_id"][of]) for hits in shares)
             found.append(Funnel(entry.name, release, *rates))
     return tuple(found)
+
+
+def takes_of(run: Run, method: str) -> dict[str, NDArray[Any]]:
+    """Column -> values of a method's stored transfers in which the person takes the object; empty without a file, and of a file
+    that was made of other rows than the run's.
+
+    Args:
+        run: what `load_run` or `join` gives.
+        method: its name in the run.
+    """
+    entry = run.entry(method)
+    path = entry.folder / FOLDER / f"{entry.slug}.parquet"
+    if not path.is_file() or rows_of(path, MADE_OF) != run.digest(entry.name):
+        return {}
+    names = ["trial_id", "release", "scenario", "success", "received", "outcome"]
+    table = pq.read_table(path, columns=names)
+    rows = {k: table[k].to_numpy(zero_copy_only=False) for k in names}
+    takes = rows["scenario"] == SCENARIO
+    return {k: values[takes] for k, values in rows.items()}
 
 
 def about(found: Sequence[Funnel]) -> list[dict[str, Any]]:

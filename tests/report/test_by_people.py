@@ -1,13 +1,17 @@
 """Success by people: every group's counts by hand, and whom no method serves."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
 from made_runs import make_header, make_scores, make_trials, store, write_run
 
 from r2h_batch.report.people import people_lines, served
+from r2h_batch.report.transfers import MADE_OF
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome
@@ -66,3 +70,57 @@ def test_who_is_not_served_is_named(run: Run) -> None:
 def test_a_run_without_people_gets_one_line(tmp_path) -> None:
     with pytest.raises(ValueError, match="this run has no people; sweep with --people adults"):
         people_lines(write_run(tmp_path / "run", {"m": np.zeros(4, int)}, 2, 2))
+
+
+def stored_later(run: Run) -> None:
+    """Reception of method a's six trials, of which five have a goal posture, and transfers of three of b's, two persons each."""
+    entry = run.entry("a")
+    columns = {
+        "trial_id": np.arange(6),
+        "success": [True, True, True, False, False, True],
+        "evaluated": [True] * 5 + [False],
+        "received": [True, False, True, True, False, False],
+    }
+    (entry.folder / "reception").mkdir()
+    pq.write_table(pa.table(columns), entry.folder / "reception" / f"{entry.slug}.parquet")
+    entry = run.entry("b")
+    rows = {
+        "trial_id": [0, 0, 3, 3, 4, 4, 0],
+        "release": ["wait"] * 7,
+        "scenario": ["take"] * 6 + ["tug"],
+        "success": [True] * 7,
+        "received": [True] * 7,
+        "outcome": ["taken", "taken", "taken", "dropped", "dropped", "dropped", "dropped"],
+    }
+    about = {MADE_OF: json.dumps({"rows": run.digest("b")}).encode()}
+    (entry.folder / "transfer").mkdir()
+    table = pa.table(rows).replace_schema_metadata(about)
+    pq.write_table(table, entry.folder / "transfer" / f"{entry.slug}.parquet")
+
+
+def test_received_and_taken_are_counted_by_people_where_they_are_stored(run: Run) -> None:
+    assert "received" not in people_lines(run)
+    stored_later(run)
+    found = json.loads(people_lines(run, "json"))["rows"]
+    cell = {(r["by"], r["group"], r["method"]): r for r in found}
+    assert cell["all", "all", "a"]["received"] == pytest.approx(3 / 5)
+    assert cell["all", "all", "b"]["taken_wait"] == pytest.approx((1.0 + 0.5 + 0.0) / 3)
+    assert cell["age, years", "below 13", "b"]["taken_wait"] == pytest.approx(0.25)
+    assert cell["age, years", "65 and more", "a"]["received"] is None and "received" not in cell["all", "all", "b"]
+    text = people_lines(run)
+    (head,) = (line for line in text.splitlines() if "a: received" in line)
+    assert "b: taken, wait" in head
+    below = [line for line in text.splitlines() if "below 13" in line][1]
+    assert [c.strip() for c in below.strip("|").split("|")][2:] == ["50.0", "25.0"]
+
+
+def test_reception_and_transfers_of_other_rows_are_left_out(run: Run) -> None:
+    stored_later(run)
+    path = run.entry("a").folder / "reception" / f"{run.entry('a').slug}.parquet"
+    table = pq.read_table(path)
+    other = pa.array([False, True, True, False, False, True])
+    pq.write_table(table.set_column(1, "success", other), path)
+    path = run.entry("b").folder / "transfer" / f"{run.entry('b').slug}.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.replace_schema_metadata({MADE_OF: json.dumps({"rows": "0"}).encode()}), path)
+    assert served(run).later == {}
