@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.assets.people.bodies import ABOVE_JOINT, GROUPS, Bodies, Model, lengths
+from r2h_batch.data.people import LENGTHS_M
 from r2h_batch.scene.arrays import read_arrays
 from r2h_batch.view.skin import BONES, GEOMS, JOINTS, SIZES
 
@@ -99,7 +100,7 @@ def sizes(length: dict[str, F64]) -> F64:
         "chest_depth": 0.5 * length["chest_depth"],
         "chest_breadth": 0.5 * length["chest_breadth"],
     }
-    return np.stack([found.get(name, length.get(name)) for name in SIZES], 1)
+    return np.stack([(length | found)[name] for name in SIZES], 1)
 
 
 def main() -> None:
@@ -123,15 +124,7 @@ def main() -> None:
     weights = kept.of(bone_weights(model))
     every = np.concatenate([np.concatenate(skin), np.concatenate(joints)], 1)
     made = arrays(every, weights, kept, model)
-    names = (
-        "acromion_radiale",
-        "radiale_stylion",
-        "biceps_circumference",
-        "forearm_circumference",
-        "wrist_circumference",
-    )
-    names += ("chest_depth", "chest_breadth", "acromial_height", "iliac_height", "popliteal_height", "seated_shoulder")
-    made["sizes"] = sizes({name: table[name].astype(np.float64) for name in names}).astype(np.float32)
+    made["sizes"] = sizes({name: table[name].astype(np.float64) for name in LENGTHS_M}).astype(np.float32)
     made["sex"] = table["sex"]
     write_npz(HERE / "skin.npz", made)
     basis = made["basis"] * made["scale"].astype(np.float64)[:, None, None]

@@ -50,10 +50,9 @@ class EpisodeDrawing(Drawing):
     def _limbs(self) -> list[tuple[int, Array, Array, Array, Array]]:
         """Upper arm and forearm as the trial begins: geom, its position and rotation, the joint that it turns about,
         and the bone."""
-        model, found = self.model, []
-        for limb, (a, b) in zip(
-            ("upper_arm", "forearm"), _limbs_of(self.stored.receiver), strict=True
-        ):
+        model, found, receiver = self.model, [], self.stored.receiver
+        assert receiver is not None  # `show` has got one of this trial
+        for limb, (a, b) in zip(("upper_arm", "forearm"), _limbs_of(receiver), strict=True):
             geom, R = model.geom(f"receiver/{limb}_visual").id, np.zeros(9)
             mujoco.mju_quat2Mat(R, model.geom_quat[geom])
             found.append((geom, model.geom_pos[geom].copy(), R.reshape(3, 3), a, b - a))
