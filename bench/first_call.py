@@ -1,0 +1,69 @@
+"""Seconds of a first call whose kernels have to be compiled, on one core and on all.
+
+python bench/first_call.py [--rounds N] [--json FILE]
+
+Each call is a process of its own with an empty cache of kernels and one row; `pose` asks for `stages="pose"`, `all` for a whole
+trial. One core and all cores take turns, and the side that goes first changes from round to round. Wall time, without the
+imports and the Evaluator. An idle machine is needed: work beside it takes a core from one side only.
+"""
+
+import multiprocessing
+import os
+import statistics
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+from _report import ROOT, Report, arguments
+
+MEASURES = ("bench/first_call.py", "kernels", "r2h_batch/base/launch", "r2h_batch/judge/compile.py")
+STAGES = ("pose", "all")
+
+
+def first_call_s(stages: str, cores: tuple[int, ...], cache: str) -> float:
+    """Seconds of the first call of a new process on these cores, with its kernels in this empty folder."""
+    os.sched_setaffinity(0, cores)
+    os.environ["WARP_CACHE_PATH"] = cache
+    import torch
+
+    from r2h_batch.config import EvalConfig, ExecConfig
+    from r2h_batch.evaluate import Evaluator
+    from r2h_batch.trials.protocol import make_trials
+
+    with np.load(ROOT / "bench" / "mix.npz") as mix:
+        T_obj_ee, T_world_ee = (torch.from_numpy(mix[k])[:1] for k in ("T_obj_ee", "T_world_ee"))
+    trials = make_trials("S0", 1, protocol="r2h-v0")
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+    begin = time.perf_counter()
+    evaluator.score(T_obj_ee, T_world_ee, trials, stages=stages)
+    return time.perf_counter() - begin
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--rounds", type=int, default=3)
+    given = parser.parse_args()
+    report, everything = Report(MEASURES), tuple(sorted(os.sched_getaffinity(0)))
+    times: dict[tuple[str, int], list[float]] = {}
+    for turn in range(given.rounds):
+        for stages in STAGES:
+            sides = (everything[:1], everything)
+            for cores in sides if turn % 2 == 0 else sides[::-1]:
+                with (
+                    tempfile.TemporaryDirectory() as cache,
+                    ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool,
+                ):
+                    seconds = pool.submit(first_call_s, stages, cores, cache).result()
+                times.setdefault((stages, len(cores)), []).append(seconds)
+                print(f"round {turn + 1}, {stages}, {len(cores)} cores: {seconds:.1f} s", flush=True)
+    for (stages, cores_n), seconds_n in times.items():
+        report.add(f"first_call.{stages}.{cores_n}_cores_s", statistics.median(seconds_n))
+    for stages in STAGES:
+        one, more = (times[stages, n] for n in (1, len(everything)))
+        report.add(f"first_call.{stages}.ratio", statistics.median(a / b for a, b in zip(one, more, strict=True)))
+    report.write(given.json)
+
+
+if __name__ == "__main__":
+    main()
