@@ -13,15 +13,16 @@ import statistics
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
+from typing import Literal
 
 import numpy as np
 from _report import ROOT, Report, arguments
 
 MEASURES = ("bench/first_call.py", "kernels", "r2h_batch/base/launch", "r2h_batch/judge/compile.py")
-STAGES = ("pose", "all")
+STAGES: tuple[Literal["pose", "all"], ...] = ("pose", "all")
 
 
-def first_call_s(stages: str, cores: tuple[int, ...], cache: str) -> float:
+def first_call_s(stages: Literal["pose", "all"], cores: tuple[int, ...], cache: str) -> float:
     """Seconds of the first call of a new process on these cores, with its kernels in this empty folder."""
     os.sched_setaffinity(0, cores)
     os.environ["WARP_CACHE_PATH"] = cache

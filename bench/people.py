@@ -169,12 +169,12 @@ def stand_ins(folder: Path) -> dict[str, list[str]]:
     """Flags of the built-in hand with other postures, and of its built-in postures as long as a tall man's hand."""
     hand, hands = load_hand(), load_hand_set()
     axes, none = hand.joint_axes.double().numpy(), np.zeros((400, 10), np.float32)
-    np.savez(folder / "drawn_again.npz", shape=none, **drawn_again(axes))
+    np.savez(folder / "drawn_again.npz", shape=none, allow_pickle=False, **drawn_again(axes))
     stored = dict(read_arrays(asset("hand", "hand.npz")))
     length = float(hand_lengths(hand, none[:1])[0])
     for name in ("vertices", "shape_basis", "joints_rest", "joint_shape_basis"):
         stored[name] = (stored[name] * (0.210 / length)).astype(stored[name].dtype)
-    np.savez(folder / "long.npz", **stored)
+    np.savez(folder / "long.npz", allow_pickle=False, **stored)
     np.savez(
         folder / "as_built_in.npz",
         pose=hands.pose.numpy(),
@@ -209,7 +209,7 @@ def hand_files(folder: Path) -> dict[str, list[str]]:
         found[f"people's hand, {mm} mm{how}"] = ["--hand-model", str(model), "--hands", str(file)]
     again = drawn_again(people_hand().joint_axes.double().numpy())
     again["pose"] = thumbs_at_rest(again["pose"], again["side"])
-    np.savez(folder / "all_three.npz", shape=shape, **again)
+    np.savez(folder / "all_three.npz", shape=shape, allow_pickle=False, **again)
     all_three = f"people's hand, {mm} mm{how}{POSTURES}"
     return found | {all_three: ["--hand-model", str(model), "--hands", str(folder / "all_three.npz")]}
 

@@ -120,8 +120,10 @@ def clean_commit() -> str:
 
 
 def golden_digest() -> str:
-    """sha256 of golden's cases: what the project calls unchanged verdicts (CONTRIBUTING.md)."""
-    cases = json.loads((ROOT / "tests" / "golden.json").read_text())["cases"]
+    """sha256 of golden's cases: what the project calls unchanged verdicts (CONTRIBUTING.md). Those of r2h-v2 do not count: its
+    table comes from bench/families.py."""
+    golden = json.loads((ROOT / "tests" / "golden.json").read_text())["cases"]
+    cases = {name: case for name, case in golden.items() if not name.startswith("r2h-v2.")}
     return hashlib.sha256(json.dumps(cases, sort_keys=True).encode()).hexdigest()
 
 
