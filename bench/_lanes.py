@@ -20,10 +20,11 @@ import numpy as np
 import torch
 from _report import Report
 
+from r2h_batch.base import launch
 from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge import planner, search
+from r2h_batch.judge import search
 from r2h_batch.judge.frontier import levels, safe
 from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.kernels.frontier import queues, safe_queues
@@ -197,7 +198,7 @@ def report_lanes(report: Report, trials: int) -> None:
     asked = poses.T_obj_ee, poses.T_world_ee, batch
     with planning_form("frontier"), ExitStack() as stack:
         whole = evaluator.score(*asked)
-        for module in (levels, planner):
+        for module in (levels, launch):  # `over_trials` of the planner launches in the latter
             stack.enter_context(mock.patch.object(module, "launch_trials", lanes.launch))
         for stage, (owner, name) in STAGES.items():
             stack.enter_context(mock.patch.object(owner, name, lanes.labelled(stage, getattr(owner, name))))

@@ -36,3 +36,15 @@ def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path,
     assert min(parts) > 0 and values["gpu.search.share_of_whole"] > 0
     assert f"| gpu.forms.loser | {values['gpu.forms.loser']} |" in (tmp_path / "gpu.md").read_text()
     assert "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
+
+
+@pytest.mark.slow
+def test_lanes_of_every_stage_are_counted_and_counting_changes_no_row(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCH))
+    from _lanes import STAGES, report_lanes
+    from _report import Report
+
+    report = Report()
+    report_lanes(report, 32)
+    assert all(0 < report.values[f"gpu_lanes.{stage}.useful"] <= 1 for stage in STAGES)
+    assert all(report.values[f"gpu_lanes.{stage}.cpu_ms"] > 0 for stage in STAGES)
