@@ -77,7 +77,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         kept: dict[str, Any] = json.loads((place / "found.json").read_text())
         if not is_frozen(kept):
             sys.exit(f"{place / 'found.json'} was measured on r2h-v2's draft; give a new --rows FOLDER, without --kept")
-        return kept | {"contacts_cpu_s": contact_seconds()} | origin(place / "v2")
+        return kept | {"contacts_cpu_s": contact_seconds(), "sizes": sizes()} | origin(place / "v2")
     few = ("--trials", min(trials, FEW))
     v2 = swept(place / "v2", "--method", *METHODS, *BOUNDS, "--trials", trials, *V2)
     found: dict[str, Any] = {"trials": trials, "turned": {}, "orders": {}}
@@ -101,7 +101,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         words = ("--splits", *options.splits, "--objects", options.scans)
         keep(scans=table(swept(place / "scans", "--method", *METHODS, *few, *V2, *words)))
     keep(regions=regions())
-    return found | {"contacts_cpu_s": contact_seconds()} | origin(v2)
+    return found | {"contacts_cpu_s": contact_seconds(), "sizes": sizes()} | origin(v2)
 
 
 def origin(v2: Path) -> dict[str, Any]:
@@ -324,7 +324,7 @@ def regions() -> list[dict[str, Any]]:
 
 
 def cost() -> dict[str, Any]:
-    """Process seconds of a scene of 96 objects, a trial's time against r2h-v1's by turns, memory, and the wheel's size."""
+    """Process seconds of a scene of 96 objects, a trial's time against r2h-v1's by turns, and memory."""
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.methods import intent
     from r2h_batch.trials.benchmark.benchmark import built_in
@@ -357,10 +357,14 @@ def cost() -> dict[str, Any]:
     found["trial_ms"] = {p: 1e3 * statistics.median(t) / ROWS for p, t in times.items()}
     found["trial_ratio"] = {"median": statistics.median(ratios), "low": min(ratios), "high": max(ratios)}
     found["first_use"] = first_use()
-    found["wheel_mb"] = packed_mb(("r2h_batch", "kernels", "assets"))
-    files = (ROOT / "assets" / "families").glob("*")
-    found["families_mb"] = sum(p.stat().st_size for p in files if p.suffix in (".npz", ".safetensors", ".json")) / 1e6
     return found
+
+
+def sizes() -> dict[str, float]:
+    """Megabytes of the families' files and of all that a wheel packs."""
+    files = (ROOT / "assets" / "families").glob("*")
+    stored = sum(p.stat().st_size for p in files if p.suffix in (".npz", ".safetensors", ".json"))
+    return {"families_mb": stored / 1e6, "wheel_mb": packed_mb(("r2h_batch", "kernels", "assets"))}
 
 
 def first_use() -> dict[str, float]:
@@ -784,7 +788,7 @@ def cost_lines(data: Mapping[str, Any]) -> list[str]:
         f"r2h-v1, first in its process, with Warp and its kernels: {v1['ready_cpu_s']:.1f} CPU s, {v1['resident_mib']:.0f} MiB;"
         f" then r2h-v2: {v2['ready_cpu_s']:.1f} CPU s, {v2['resident_mib'] - v1['resident_mib']:.0f} MiB more"
     )
-    contacts, first = data["contacts_cpu_s"], own["first_use"]
+    contacts, first, size = data["contacts_cpu_s"], own["first_use"], data["sizes"]
     ms, ratio = own["trial_ms"], own["trial_ratio"]
     lines = [
         f"- A scene with warm tables, and its first {ROWS} trials: {ready}.",
@@ -793,7 +797,7 @@ def cost_lines(data: Mapping[str, Any]) -> list[str]:
         f"- The contact network on an object of yours: {contacts:.2f} CPU s, kept on disk afterwards.",
         f"- A kinematic trial: {ms['r2h-v2']:.2f} ms, {ms['r2h-v1']:.2f} ms of r2h-v1; ratio by turns {ratio['median']:.2f}"
         f" ({ratio['low']:.2f} to {ratio['high']:.2f}, {ROUNDS} turns of {ROWS} trials).",
-        f"- Files of the families: {own['families_mb']:.1f} MB, of {own['wheel_mb']:.1f} MB that a wheel packs.",
+        f"- Files of the families: {size['families_mb']:.1f} MB, of {size['wheel_mb']:.1f} MB that a wheel packs.",
     ]
     return [
         "## What 96 objects cost",
