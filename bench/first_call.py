@@ -58,8 +58,8 @@ def main() -> None:
                     seconds = pool.submit(first_call_s, stages, cores, cache).result()
                 times.setdefault((stages, len(cores)), []).append(seconds)
                 print(f"round {turn + 1}, {stages}, {len(cores)} cores: {seconds:.1f} s", flush=True)
-    for (stages, cores_n), seconds_n in times.items():
-        report.add(f"first_call.{stages}.{cores_n}_cores_s", statistics.median(seconds_n))
+    for (asked, cores_n), seconds_n in times.items():
+        report.add(f"first_call.{asked}.{cores_n}_cores_s", statistics.median(seconds_n))
     for stages in STAGES:
         one, more = (times[stages, n] for n in (1, len(everything)))
         report.add(f"first_call.{stages}.ratio", statistics.median(a / b for a, b in zip(one, more, strict=True)))
