@@ -148,3 +148,29 @@ def grow_run(
     whose span lies in the run, `slack` longer, adds nothing. A range meets the run when it is within `join` of it.
     """
     ...
+
+
+@wp.func_native("return r2h::boxes_within(lanes.data + 8 * row, count, x, within2, far2.data);")
+def boxes_within(
+    lanes: wp.array(dtype=float), row: int, count: int, x: wp.vec3, within2: float, far2: wp.array(dtype=float)
+) -> int:
+    """Boxes that may be within sqrt(within2) of x; `far2` (8,): their squared distances, or a little less."""
+    ...
+
+
+@wp.func_native("return r2h::least_lane(row.data, bits);")
+def least_lane(row: wp.array(dtype=float), bits: int) -> int:
+    """The lane of `bits` with the least number in `row` (8,); `bits` is not 0."""
+    ...
+
+
+@wp.func_native("return r2h::nearest_triangle(lanes.data + 8 * row, count, x, best.data);")
+def nearest_triangle(
+    lanes: wp.array(dtype=float), row: int, count: int, x: wp.vec3, best: wp.array(dtype=float)
+) -> int:
+    """The triangle nearest to x, -1: none is nearer than `best`.
+
+    `best` (5,): squared distance, weights of the second and third corner, squared distance of their point, and 1 where another
+    triangle is as near but for rounding and gives another distance.
+    """
+    ...

@@ -37,102 +37,82 @@ def between_gaps(
     return low, high
 
 
-@wp.struct
-class Bracket:
-    """Where the pads stop: between the gaps bottom and top; `guess`: a bottom to try next (0: none)."""
-
-    bottom: float
-    top: float
-    guess: float
-    low: float  # y of the material in the last prism asked
-    high: float
-    found: int
-    steps: int
+# What `close_on` asks about next.
+SWEPT = wp.constant(0)  # the prism of all gaps
+AT_TOP = wp.constant(1)  # the prism of the gap `top`
+NARROW = wp.constant(2)  # the prism of the gaps from `bottom` to `top`
+LAST = wp.constant(3)  # the same from the least gap on, after MAX_STEPS
 
 
-@wp.func
-def _narrow(k: Bracket, g: Gripper, surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, half_gap: float):
-    """The bracket with its top at a gap that the pads do reach, or `found`: the prism's bound, until it says no more.
-
-    W = material in the prism swept over [bottom, top] is at least w(g) for every gap g of it. So the pads pass all gaps
-    above W: the top falls to W, or to the bottom where W lies below that. A bound that takes off less than half of the
-    bracket is followed by one over the upper half.
-    """
-    k.guess = 0.0
-    narrowing = 1 - k.found
-    while narrowing == 1:
-        low, high = between_gaps(g, surfaces, s, R, t, k.bottom, k.top, half_gap)
-        k.steps += 1
-        k.low = low
-        k.high = high
-        w = high - low
-        if w < k.bottom:
-            k.top = k.bottom
-            narrowing = 0
-        elif k.top - k.bottom <= FOUND_M or k.steps >= MAX_STEPS:
-            k.found = 1  # w jumps past g here: the pads' tips meet a step
-            narrowing = 0
-        else:
-            slow = wp.where(w > 0.5 * (k.bottom + k.top), 1, 0)
-            k.top = wp.min(k.top, w)
-            if slow == 1:
-                k.guess = k.bottom
-                k.bottom = 0.5 * (k.bottom + k.top)
-            else:
-                narrowing = 0
-    return k
-
-
+# Closing pads stop at the largest gap g with w(g) >= g. The pads' z depends on the gap, so w does too: this is a fixed point, and
+# w has jumps where the pads' ends pass a step of the object. What is certain is a bound: the prism swept over [a, b] holds the
+# prisms of all gaps in it, so its material W(a, b) >= w(g) for a <= g <= b, and W(a, b) < a proves that the pads pass through
+# [a, b]. So `top` falls, in one loop around one call of `between_gaps`:
+#
+# 1. AT_TOP: w(top) >= top ends the search; else a secant through the last two (gap, w) says where w = g is to be expected, and
+#    that is the bottom of the bracket;
+# 2. NARROW: the pads pass all gaps above W(bottom, top): the top falls to W, or to the bottom where W lies below that. A bound
+#    that takes off less than half of the bracket is followed by one over the upper half. Else AT_TOP follows.
 @wp.func
 def close_on(g: Gripper, surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, open_gap: float) -> Closing:
-    """The largest gap g <= open_gap with w(g) >= g, w(g) being the material between pads that stand at gap g.
-
-    Closing pads stop there. The pads' z depends on the gap, so w does too: this is a fixed point, and w has jumps where
-    the pads' ends pass a step of the object. What is certain is a bound: the prism swept over [a, b] holds the prisms of
-    all gaps in it, so its material W(a, b) >= w(g) for a <= g <= b, and W(a, b) < a proves that the pads pass through
-    [a, b]. From the top: w(top) >= top ends the search; else a secant through the last two (gap, w) says where w = g is to
-    be expected, and the bracket from there to the top is narrowed (`_narrow`) until the pads are known to reach its top.
-    """
+    """The largest gap g <= open_gap with w(g) >= g, w(g) being the material between pads that stand at gap g."""
     half_gap = 0.5 * open_gap
     least = gap_from_drive(g, g.drive_upper)
-    k = Bracket()
-    k.bottom = least
-    k.top = open_gap
-    low, high = between_gaps(g, surfaces, s, R, t, k.bottom, k.top, half_gap)
-    k.steps = 1
-    if low <= high:
-        k.top = wp.clamp(high - low, least, k.top)
-        last_top = float(0.0)
-        last_w = float(0.0)
-        while k.found == 0 and k.steps < MAX_STEPS:
-            low, high = between_gaps(g, surfaces, s, R, t, k.top, k.top, half_gap)
-            k.steps += 1
-            w = high - low
-            if low <= high and (w >= k.top - FOUND_M or k.top <= least):
-                k.found = 1
-            elif k.top <= least:
-                break
-            # the pads pass `top`: narrow [bottom, top], with a bottom where the secant expects w = g
-            expected = float(w)
-            if last_top > k.top + FOUND_M and low <= high:
-                slope = wp.clamp((last_w - w) / (last_top - k.top), -0.9, 0.99)
-                expected = (w - slope * k.top) / (1.0 - slope)
-            last_top = k.top
-            last_w = w
-            k.bottom = wp.clamp(wp.max(expected, k.guess), least, k.top)
-            k.low = low
-            k.high = high
-            k = _narrow(k, g, surfaces, s, R, t, half_gap)
-            low = k.low
-            high = k.high
-    if k.found == 0 and k.steps >= MAX_STEPS and k.top > least:  # never seen: the bound stands for the answer
-        low, high = between_gaps(g, surfaces, s, R, t, least, k.top, half_gap)
-        k.found = wp.where(low <= high, 1, 0)
     out = Closing()
-    out.low = low
-    out.high = high
-    out.opening = k.top
-    out.found = k.found
+    asked = int(SWEPT)
+    bottom = float(least)
+    top = float(open_gap)
+    guess = float(0.0)  # a bottom to try next (0: none)
+    last_top = float(0.0)
+    last_w = float(0.0)
+    steps = int(0)
+    running = bool(True)
+    while running:
+        low, high = between_gaps(g, surfaces, s, R, t, wp.where(asked == AT_TOP, top, bottom), top, half_gap)
+        out.low = low
+        out.high = high
+        some = low <= high
+        w = high - low
+        steps += 1
+        if asked == SWEPT:
+            running = some
+            if some:
+                top = wp.clamp(w, least, top)
+            asked = AT_TOP
+        elif asked == AT_TOP:
+            if some and (w >= top - FOUND_M or top <= least):
+                out.found = 1
+            running = out.found == 0 and top > least
+            expected = float(w)
+            if last_top > top + FOUND_M and some:
+                slope = wp.clamp((last_w - w) / (last_top - top), -0.9, 0.99)
+                expected = (w - slope * top) / (1.0 - slope)
+            last_top = top
+            last_w = w
+            bottom = wp.clamp(wp.max(expected, guess), least, top)
+            guess = 0.0
+            asked = NARROW
+        elif asked == NARROW:
+            if w < bottom:
+                top = bottom
+                asked = AT_TOP
+            elif top - bottom <= FOUND_M or steps >= MAX_STEPS:
+                out.found = 1  # w jumps past g here: the pads' tips meet a step
+                running = False
+            else:
+                asked = wp.where(w > 0.5 * (bottom + top), NARROW, AT_TOP)
+                top = wp.min(top, w)
+                if asked == NARROW:
+                    guess = bottom
+                    bottom = 0.5 * (bottom + top)
+        else:
+            out.found = wp.where(some, 1, 0)
+            running = False
+        if running and asked == AT_TOP and steps >= MAX_STEPS:  # never seen: the bound stands for the answer
+            asked = LAST
+            bottom = least
+            running = top > least
+    out.opening = top
     return out
 
 

@@ -3,6 +3,8 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.angles import angle_of
+from r2h_batch.kernels.geometry.surface import Surfaces
+from r2h_batch.kernels.geometry.surface_distance import nearest_on_surface
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -30,7 +32,9 @@ def _turned_back(T: wp.mat44, v: wp.vec3):
 @wp.kernel
 def region_presented(
     first: int, cap: float, facing_deg: float, reach_radius: float,
-    mesh_in: wp.array(dtype=wp.uint64),  # the region of each object as a mesh; 0: it has none
+    surfaces: Surfaces,  # the region of object o: surface o + region_offset; without a triangle: it has none
+    region_offset: int,
+    mesh_in: wp.array(dtype=wp.uint64),  # the regions as meshes of Warp
     center_in: wp.array(dtype=wp.vec3),  # the region's centre, object frame
     palm_point_in: wp.array(dtype=wp.vec3),  # of each hand, hand frame
     active_in: wp.array(dtype=wp.bool), object_in: wp.array(dtype=int), hand_in: wp.array(dtype=int),
@@ -47,10 +51,10 @@ def region_presented(
     """
     row = first + wp.tid()
     o = object_in[row]
-    mesh = mesh_in[o]
+    region = o + region_offset
     angle = float(wp.nan)
     distance = float(wp.nan)
-    if active_in[row] and mesh != wp.uint64(0):
+    if active_in[row] and surfaces.surface_first[region] < surfaces.surface_first[region + 1]:
         grasp, pose = attached_in[row], T_world_ee_in[row]
         tcp = wp.vec3(grasp[0, 3], grasp[1, 3], grasp[2, 3])
         a = _turned_back(grasp, center_in[o] - tcp)
@@ -58,11 +62,8 @@ def region_presented(
         b = _turned_back(pose, palm - wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3]))
         # atan2 keeps its digits where acos loses them: at 0 and 180 degrees
         angle = wp.degrees(angle_of(wp.length(wp.cross(a, b)), wp.dot(a, b)))
-        x = ball_in[row]
-        hit = wp.mesh_query_point_no_sign(mesh, x, cap)
-        distance = cap
-        if hit.result:
-            distance = wp.length(wp.mesh_eval_position(mesh, hit.face, hit.u, hit.v) - x)
+        nearest, _ = nearest_on_surface(surfaces, region, mesh_in[o], ball_in[row], cap)
+        distance = nearest
     presented_out[row] = angle <= facing_deg and distance <= reach_radius
     angle_out[row] = angle
     distance_out[row] = distance

@@ -2,6 +2,9 @@
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.surface import Surfaces
+from r2h_batch.kernels.geometry.surface_distance import nearest_on_surface
+from r2h_batch.kernels.grasp.crossings import crossings
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -10,37 +13,35 @@ wp.set_module_options(OPTIONS)
 @wp.kernel
 def point_to_object(
     first: int, cap: float,
-    mesh_in: wp.array(dtype=wp.uint64),  # one mesh id per object
-    low_in: wp.array(dtype=wp.vec3),  # and its bounding box
-    high_in: wp.array(dtype=wp.vec3), object_in: wp.array(dtype=int),
+    # tables
+    surfaces: Surfaces,  # surface o is object o's, closed
+    mesh_in: wp.array(dtype=wp.uint64),  # the same triangles as a mesh of Warp
+    # trials
+    object_in: wp.array(dtype=int),
     point_in: wp.array(dtype=wp.vec3),  # object frame
+    # out
     distance_out: wp.array(dtype=float), nearest_out: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
     """Distance from a point to the object (0 inside it) and the object's nearest point, object frame.
 
-    The winding number says what is inside; outside the bounding box it is not needed.
+    A line through the point says what is inside; outside the bounding box it is not needed.
     """
     trial = first + wp.tid()
     o = object_in[trial]
     x = point_in[trial]
-    low = low_in[o]
-    high = high_in[o]
-    d = float(cap)
-    y = x
+    low = surfaces.low[o]
+    high = surfaces.high[o]
     inside = bool(False)
     if x[0] > low[0] and x[0] < high[0] and x[1] > low[1] and x[1] < high[1] and x[2] > low[2] and x[2] < high[2]:
-        hit = wp.mesh_query_point_sign_winding_number(mesh_in[o], x, cap)
-        if hit.result:
-            inside = hit.sign < 0.0
-            y = wp.mesh_eval_position(mesh_in[o], hit.face, hit.u, hit.v)
-            d = wp.length(y - x)
-    else:
-        hit = wp.mesh_query_point_no_sign(mesh_in[o], x, cap)
-        if hit.result:
-            y = wp.mesh_eval_position(mesh_in[o], hit.face, hit.u, hit.v)
-            d = wp.length(y - x)
-    if inside:
-        d = 0.0
-        y = x
+        ys = wp.zeros(shape=24, dtype=float)
+        signs = wp.zeros(shape=24, dtype=int)
+        _, winding = crossings(
+            surfaces, o, wp.identity(n=3, dtype=float), wp.vec3(0.0, 0.0, 0.0), x[0], x[2], x[1], ys, signs
+        )
+        inside = winding != 0
+    d = float(0.0)
+    y = x
+    if not inside:
+        d, y = nearest_on_surface(surfaces, o, mesh_in[o], x, cap)
     distance_out[trial] = d
     nearest_out[trial] = y

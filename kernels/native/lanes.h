@@ -429,6 +429,121 @@ R2H_FUNCTION int grow_run(int near, int sticking, const float *span, const float
     return near;
 }
 
+// ------------------------------------------------------- the nearest point of a surface
+
+// What a squared distance d^2 may differ by where distances differ by 0.1 um: 2 d (0.1 um). Rounding
+// of the nearest point is a fifth of it for objects within a metre.
+R2H_FUNCTION float tie(float d2) { return 2.0e-7f * sqrtf(d2) + 1.0e-14f; }
+
+// `far2` (1 row): squared distances of x from eight boxes, at most. Returns the boxes that may hold
+// something as near as sqrt(within2), but for rounding.
+// Rows: centre x, y, z; half sides x, y, z.
+R2H_FUNCTION int boxes_within(const float *p, int count, const wp::vec3 &x, float within2, float *far2) {
+    within2 = within2 + tie(within2);
+    int bits = each_lane([&](Lane lane) {
+        auto beyond = [&](int axis) {
+            floats d = lane.row(p, axis) - x.c[axis];
+            d = (d < 0.0f ? -d : d) - lane.row(p, 3 + axis);
+            return d > 0.0f ? d : (floats)(0.0f);
+        };
+        floats dx = beyond(0), dy = beyond(1), dz = beyond(2);
+        floats d2 = (dx * dx + dy * dy + dz * dz) * 0.99999f;
+        lane.put(far2, 0, d2);
+        return lane.bits(d2 <= within2);
+    });
+    return bits & first_lanes(count);
+}
+
+// The lane of `bits` (some bit is set) with the least number in `row`.
+R2H_FUNCTION int least_lane(const float *row, int bits) {
+    int least = first_lane(bits);
+    for (bits &= bits - 1; bits != 0; bits &= bits - 1) {
+        int lane = first_lane(bits);
+        least = row[lane] < row[least] ? lane : least;
+    }
+    return least;
+}
+
+// Eight triangles (9 rows) as to how near they come to x. By Voronoi regions (Ericson, Real-Time
+// Collision Detection, 5.1.5); the one that holds x is asked last of all, so it decides.
+// Triangles whose height is below a millionth of their sides are left out: rounding would put the
+// point anywhere. Returns the lane of the nearest, -1: none is nearer than `best`.
+//
+// `best`: the nearest triangle so far; its squared distance, the weights v, w of its second and
+// third corner there, the squared distance of the point that they give, and 1 where another
+// triangle is as near but for rounding and gives another distance.
+R2H_FUNCTION int nearest_triangle(const float *p, int count, const wp::vec3 &x, float *best) {
+    float far2[8], weight_b[8], weight_c[8], given2[8];
+    each_lane([&](Lane lane) {
+        auto corner = [&](int i) { return Points{lane.row(p, 3 * i), lane.row(p, 3 * i + 1), lane.row(p, 3 * i + 2)}; };
+        auto less = [](const Points &a, const Points &b) { return Points{a.x - b.x, a.y - b.y, a.z - b.z}; };
+        auto dot = [](const Points &a, const Points &b) { return a.x * b.x + a.y * b.y + a.z * b.z; };
+        Points a = corner(0), b = corner(1), c = corner(2);
+        Points at = {(floats)(x.c[0]), (floats)(x.c[1]), (floats)(x.c[2])};
+        Points ab = less(b, a), ac = less(c, a), bc = less(c, b);
+        Points ap = less(at, a), bp = less(at, b), cp = less(at, c);
+        floats d1 = dot(ab, ap), d2 = dot(ac, ap), d3 = dot(ab, bp), d4 = dot(ac, bp);
+        floats d5 = dot(ab, cp), d6 = dot(ac, cp);
+        floats va = d3 * d6 - d5 * d4, vb = d5 * d2 - d1 * d6, vc = d1 * d4 - d3 * d2;
+        floats zero = (floats)(0.0f), one = (floats)(1.0f);
+        floats of_all = one / (va + vb + vc);
+        floats v = vb * of_all, w = vc * of_all;
+        floats along_b = d4 - d3, along_c = d5 - d6;
+        ints on_bc = (va <= 0.0f) & (along_b >= 0.0f) & (along_c >= 0.0f);
+        floats f = along_b / (along_b + along_c);
+        v = on_bc ? one - f : v;
+        w = on_bc ? f : w;
+        ints on_ac = (vb <= 0.0f) & (d2 >= 0.0f) & (d6 <= 0.0f);
+        f = d2 / (d2 - d6);
+        v = on_ac ? zero : v;
+        w = on_ac ? f : w;
+        ints at_c = (d6 >= 0.0f) & (d5 <= d6);
+        v = at_c ? zero : v;
+        w = at_c ? one : w;
+        ints on_ab = (vc <= 0.0f) & (d1 >= 0.0f) & (d3 <= 0.0f);
+        f = d1 / (d1 - d3);
+        v = on_ab ? f : v;
+        w = on_ab ? zero : w;
+        ints at_b = (d3 >= 0.0f) & (d4 <= d3);
+        v = at_b ? one : v;
+        w = at_b ? zero : w;
+        ints at_a = (d1 <= 0.0f) & (d2 <= 0.0f);
+        v = at_a ? zero : v;
+        w = at_a ? zero : w;
+        floats u = one - v - w;
+        w = one - u - v;
+        auto squared = [&](floats u, floats v, floats w) {
+            Points y = {u * a.x + v * b.x + w * c.x, u * a.y + v * b.y + w * c.y, u * a.z + v * b.z + w * c.z};
+            Points toward = less(y, at);
+            return dot(toward, toward);
+        };
+        floats d2_here = squared(u, v, w);
+        Points normal = {ab.y * ac.z - ab.z * ac.y, ab.z * ac.x - ab.x * ac.z, ab.x * ac.y - ab.y * ac.x};
+        floats sides2 = dot(ab, ab) + dot(ac, ac) + dot(bc, bc);
+        ints is_sliver = dot(normal, normal) < 1.0e-12f * sides2 * sides2;
+        lane.put(far2, 0, is_sliver ? (floats)(1.0e38f) : d2_here);
+        lane.put(weight_b, 0, v);
+        lane.put(weight_c, 0, w);
+        u = one - v - w;
+        lane.put(given2, 0, squared(u, v, one - u - v));
+        return 0;
+    });
+    int nearest = -1;
+    for (int k = 0; k < count; ++k) {
+        float slack = tie(best[0]);
+        if (far2[k] <= best[0] + slack && given2[k] != best[3])
+            best[4] = far2[k] < best[0] - slack ? 0.0f : 1.0f;
+        if (far2[k] < best[0]) {
+            best[0] = far2[k];
+            best[1] = weight_b[k];
+            best[2] = weight_c[k];
+            best[3] = given2[k];
+            nearest = k;
+        }
+    }
+    return nearest;
+}
+
 // ------------------------------------------------------------------- balls, eight at a time
 
 // 2 um: what all sums of one of these functions may round away.

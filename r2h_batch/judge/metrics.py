@@ -137,7 +137,7 @@ def reach(e: Evidence) -> Criterion:
     """Reach(g, h) <=> V_O(g, h) meets the ball B_h. Margin: r_h - dist(c_h, solid of the object,
     or its convex hull with `reach="hull"`).
 
-    The mesh's tree stands in the object's frame: the ball is moved there, not the object.
+    The surface's tables stand in the object's frame: the ball is moved there, not the object.
     """
     held = e.held
     distance = reach_distance(e.scene, held.objects, held.ball)
@@ -152,19 +152,17 @@ def reach_distance(
     """Distance of points from what Reach measures of their objects, 0 inside.
 
     Args:
-        scene: with the objects' meshes.
+        scene: with the objects' surfaces.
         objects: (B,) int32 rows of `Scene.objects`.
         point: (B, 3) float32, object frame, m.
 
     Returns:
         (B,) m.
     """
-    surfaces = scene.grasp_tables.surfaces
     made = over_trials(reach_kernels.point_to_object, len(point), scene.device, chunk=64)(
         cap=FARTHEST_M,
+        surfaces=scene.reach_surfaces,
         mesh=scene.reach_mesh_ids,
-        low=surfaces.low,
-        high=surfaces.high,
         object=objects,
         point=point,
     )

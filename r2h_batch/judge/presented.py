@@ -41,14 +41,16 @@ def presented(
         held: B trials with the object in the gripper.
         thresholds: with `reach_radius_m`.
     """
-    meshes, center = scene.regions
+    regions = scene.regions
     point, _ = scene.palms
     made = over_trials(kernels.region_presented, len(held.active), scene.device, chunk=64)(
         cap=FARTHEST_M,
         facing_deg=FACING_DEG,
         reach_radius=thresholds.reach_radius_m,
-        mesh=meshes,
-        center=center,
+        surfaces=regions.surfaces,
+        region_offset=regions.offset,
+        mesh=regions.mesh_ids,
+        center=regions.centers,
         palm_point=point,
         active=held.active,
         object=held.objects,

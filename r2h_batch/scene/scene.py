@@ -23,10 +23,18 @@ from r2h_batch.base.validate import describe_value, instance_of, integer, option
 from r2h_batch.base.validate_tensors import check_indices, check_tensor, checked_device
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
+from r2h_batch.kernels.geometry.surface import Surfaces
 from r2h_batch.kernels.robot.place import place_bodies
 from r2h_batch.kernels.robot.tool import Tool
 from r2h_batch.kernels.robot.world import TrialBodies, World
-from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tables
+from r2h_batch.scene.grasp_tables import (
+    GraspTables,
+    Regions,
+    grasp_tables,
+    gripper_tables,
+    region_centers,
+    surfaces_on,
+)
 from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.model import SceneModel, scene_model
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
@@ -281,8 +289,16 @@ class Scene:
         ]
 
     @cached_property
+    def reach_surfaces(self) -> Surfaces:
+        """The surfaces that Reach measures: the objects', or their hulls'."""
+        if self.config.reach == "solid":
+            return self.grasp_tables.surfaces
+        hulls = [o.hull_vertices[o.hull_faces] for o in self.objects]
+        return surfaces_on(self.device, hulls, [True] * len(hulls))
+
+    @cached_property
     def reach_mesh_ids(self) -> wp.array:
-        """Handles of the meshes that Reach measures: the objects, or their hulls."""
+        """Handles of the same triangles as meshes, for Warp's mesh queries."""
         if self.config.reach == "solid":
             return self.object_mesh_ids
         return wp.array([m.id for m in self._hull_meshes], dtype=wp.uint64, device=self.device)
@@ -293,21 +309,19 @@ class Scene:
         return wp.array([m.id for m in self._object_meshes], dtype=wp.uint64, device=self.device)
 
     @cached_property
-    def regions(self) -> tuple[wp.array, wp.array]:
-        """The receivers' regions: handles for Warp's mesh queries (0: the object has none), and
-        their centres by area (object frame, m)."""
-        corners = [o.vertices.astype(np.float64)[o.faces[o.receiver_face]] for o in self.objects]
-        area = [
-            np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1) for t in corners
-        ]
-        center = [
-            np.average(t.mean(1), axis=0, weights=a) if len(t) else np.zeros(3)
-            for t, a in zip(corners, area)
-        ]
+    def regions(self) -> Regions:
+        """The receivers' regions, as faces of their objects."""
+        offset = len(self.objects)
+        surfaces = self.grasp_tables.surfaces
+        corners = [o.vertices[o.faces[o.receiver_face]] for o in self.objects]
+        if self.grasp_tables.volumes:  # its regions are boxes
+            surfaces, offset = surfaces_on(self.device, corners, [False] * len(corners)), 0
         ids = [0 if m is None else m.id for m in self._region_meshes]
-        return (
+        return Regions(
+            surfaces,
+            offset,
             wp.array(ids, dtype=wp.uint64, device=self.device),
-            wp.array(np.array(center, np.float32), dtype=wp.vec3, device=self.device),
+            wp.array(region_centers(corners), dtype=wp.vec3, device=self.device),
         )
 
     @cached_property

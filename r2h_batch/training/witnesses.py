@@ -16,6 +16,7 @@ from r2h_batch.judge.attach import ROWS_CHUNK, AttachedBatch
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.grasp import CUT_CAP_M
 from r2h_batch.judge.ik import home_posture
+from r2h_batch.kernels.geometry.surface import Surfaces
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.witness import change as change_kernels
 from r2h_batch.kernels.witness import closing as closing_kernels
@@ -106,8 +107,8 @@ def find(
             scene, held.attached, objects, held.squeezed_m, decided["region_bound"], region=True
         ),
         _off_region(scene, x, objects, decided["holds_region"]),
-        _nearest_to_point(scene, x, objects, scene.object_mesh_ids),
-        _nearest_to_point(scene, held.ball, objects, scene.reach_mesh_ids),
+        _nearest_to_point(scene, x, objects, scene.grasp_tables.surfaces, scene.object_mesh_ids),
+        _nearest_to_point(scene, held.ball, objects, scene.reach_surfaces, scene.reach_mesh_ids),
         _hand_contact(
             scene, held.body_poses, goal.q, decided["safe_body"], decided["safe_distance"]
         ),
@@ -169,16 +170,19 @@ def fingers(
 
 
 def _nearest_to_point(
-    scene: Scene, x: Float32[Tensor, "b 3"], object_index: Int32[Tensor, " b"], meshes: wp.array
+    scene: Scene,
+    x: Float32[Tensor, "b 3"],
+    object_index: Int32[Tensor, " b"],
+    surfaces: Surfaces,
+    meshes: wp.array,
 ) -> dict[str, Tensor]:
-    """The point of the object's mesh nearest to x (object frame), and its distance, 0 inside."""
+    """The point of the object's surface nearest to x (object frame), and its distance, 0 inside."""
     made: dict[str, Tensor] = over_trials(
         reach_kernels.point_to_object, len(x), scene.device, chunk=256
     )(
         cap=FARTHEST_M,
+        surfaces=surfaces,
         mesh=meshes,
-        low=scene.grasp_tables.surfaces.low,
-        high=scene.grasp_tables.surfaces.high,
         object=object_index,
         point=x,
     )
