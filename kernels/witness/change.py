@@ -26,6 +26,9 @@ STEEPEST = wp.constant(0.05)
 LEAST_SQUARE = wp.constant(1.0e-18)
 """A root of less counts as 1e-9, and does not move."""
 
+OUT_OF_REACH_M = wp.constant(1.0e10)
+"""Where no search for a nearest point begins: beyond `FARTHEST_M`."""
+
 FIXED = wp.constant(-1)
 """A carrier of a point: nothing that moves. The others, for an arm of J joints: 0 to J a link (J with the ee), J + 1 the
 gripper, J + 2 the held object."""
@@ -50,6 +53,8 @@ def decided_by(
     q_plan_out: wp.array2d(dtype=float), q_safe_out: wp.array2d(dtype=float), ee_origin_out: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
     """Which witnesses each margin needs; -inf, -1 and False: none.
+
+    `ee_origin`: what the nearest material is asked of, OUT_OF_REACH_M where it is not.
 
     A clearance at its cap is a bound that does not move. Fingers that hold the region overlap it by `overlap`, give or take
     `tolerance`. `q_plan`: where Plan's bodies meet (home, or the goal); `q_safe`: the goal.
@@ -80,6 +85,8 @@ def decided_by(
     holds_region_out[trial] = near and apart < 0.0 and wp.abs(apart + overlap) < tolerance
     T = T_obj_ee_in[trial]
     ee_origin_out[trial] = wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+    if kind != NO_MATERIAL and not holds_region_out[trial]:
+        ee_origin_out[trial] = wp.vec3(OUT_OF_REACH_M, OUT_OF_REACH_M, OUT_OF_REACH_M)
 
     reason = reason_in[trial]
     reached = active and reason != unreachable and reason != not_found

@@ -9,6 +9,7 @@ To first order (see surface.py). The extreme y of the material in the prism is a
 import warp as wp
 
 from r2h_batch.kernels.geometry.angles import sin_cos
+from r2h_batch.kernels.geometry.shape import ROUNDING_M
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose, line_hit
 from r2h_batch.kernels.grasp.prism import FAR, clip_edge, corner
 from r2h_batch.kernels.grasp.width import between_gaps, close_on
@@ -126,6 +127,19 @@ def _met(
 
 
 @wp.func
+def _may_end(
+    ball: wp.vec4, rx: wp.vec3, ry: wp.vec3, rz: wp.vec3, t: wp.vec3, low: float, high: float, half_x: float,
+    z_low: float, z_high: float,
+) -> bool:  # fmt: skip
+    """Whether a ball (object frame) reaches into the prism, and to y = `low` or `high` there."""
+    at = wp.vec3(wp.dot(rx, center(ball)), wp.dot(ry, center(ball)), wp.dot(rz, center(ball))) + t
+    off_x = wp.abs(at[0]) - half_x - ball[3]
+    off_z = wp.abs(at[2] - 0.5 * (z_low + z_high)) - 0.5 * (z_high - z_low) - ball[3]
+    near_end = wp.min(wp.abs(at[1] - low), wp.abs(at[1] - high)) - ball[3]
+    return off_x <= 0.0 and off_z <= 0.0 and near_end <= STEP_M
+
+
+@wp.func
 def _extremes(
     surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, low: float, high: float, half_x: float, z_low: float,
     z_high: float,
@@ -139,19 +153,21 @@ def _extremes(
     ry = wp.vec3(R[1, 0], R[1, 1], R[1, 2])
     rz = wp.vec3(R[2, 0], R[2, 1], R[2, 2])
     for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
-        for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
-            ball = surfaces.leaf_sphere[leaf]
-            at = wp.vec3(wp.dot(rx, center(ball)), wp.dot(ry, center(ball)), wp.dot(rz, center(ball))) + t
-            off_x = wp.abs(at[0]) - half_x - ball[3]
-            off_z = wp.abs(at[2] - 0.5 * (z_low + z_high)) - 0.5 * (z_high - z_low) - ball[3]
-            near_end = wp.min(wp.abs(at[1] - low), wp.abs(at[1] - high)) - ball[3]
-            if off_x <= 0.0 and off_z <= 0.0 and near_end <= STEP_M:
-                for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
-                    u = R * surfaces.points[3 * tri] + t
-                    v = R * surfaces.points[3 * tri + 1] + t
-                    w = R * surfaces.points[3 * tri + 2] + t
-                    a = _extreme_of_triangle(a, low, u, v, w, half_x, z_low, z_high)
-                    b = _extreme_of_triangle(b, high, u, v, w, half_x, z_low, z_high)
+        if _may_end(surfaces.node_sphere[node], rx, ry, rz, t, low, high, half_x, z_low, z_high):
+            for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
+                if _may_end(surfaces.leaf_sphere[leaf], rx, ry, rz, t, low, high, half_x, z_low, z_high):
+                    for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
+                        u = R * surfaces.points[3 * tri] + t
+                        v = R * surfaces.points[3 * tri + 1] + t
+                        w = R * surfaces.points[3 * tri + 2] + t
+                        least = wp.min(u, wp.min(v, w))
+                        most = wp.max(u, wp.max(v, w))
+                        in_x = least[0] <= half_x and most[0] >= -half_x
+                        if in_x and least[2] <= z_high and most[2] >= z_low:
+                            if wp.max(least[1] - low, low - most[1]) < a.error + ROUNDING_M:
+                                a = _extreme_of_triangle(a, low, u, v, w, half_x, z_low, z_high)
+                            if wp.max(least[1] - high, high - most[1]) < b.error + ROUNDING_M:
+                                b = _extreme_of_triangle(b, high, u, v, w, half_x, z_low, z_high)
     return a, b
 
 

@@ -15,7 +15,7 @@ from r2h_batch.kernels.geometry.closest import TOUCH_M, closest_on_triangle, ero
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.shape import BOX, CAPSULE, CYLINDER, Shape, from_ball, triangle_shape
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose
-from r2h_batch.kernels.grasp.triangle import DEPTH_M
+from r2h_batch.kernels.grasp.triangle import DEPTH_M, GJK_M, apart
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import (
     FIXED,
@@ -202,6 +202,8 @@ def triangle_witness(
     r = wp.sqrt(wp.max(wp.length_sq(u - middle), wp.max(wp.length_sq(v - middle), wp.length_sq(w - middle))))
     if signed_distance(kind, size, middle) - r >= best:
         return out
+    if apart(kind, size, wp.min(u, wp.min(v, w)), wp.max(u, wp.max(v, w))) >= wp.max(best, 0.0) + GJK_M:
+        return out
     for k in range(3):
         x = wp.where(k == 0, u, wp.where(k == 1, v, w))
         s = signed_distance(kind, size, x)
@@ -210,16 +212,19 @@ def triangle_witness(
             out.x = x
     depth = wp.max(-out.distance, 0.0)
     a = triangle_shape(start)
-    d = gjk(a, R, p, points, eroded(kind, size, depth), points, p - middle, 1.0e30, 0.0)
-    x = d.point
-    if d.upper <= TOUCH_M:
-        x = _deepest(points, a, kind, size, R, p, depth, u, v, w)
-    elif depth == 0.0:
-        x = _polished(kind, size, x, u, v, w)
-    s = signed_distance(kind, size, x)
-    if s < out.distance:
-        out.distance = s
-        out.x = x
+    # at this distance from the primitive, or from its points that are at least `depth` deep, a corner is the nearest
+    needed = wp.max(out.distance, 0.0) + GJK_M
+    d = gjk(a, R, p, points, eroded(kind, size, depth), points, p - middle, needed, 0.0)
+    if d.lower < needed:
+        x = d.point
+        if d.upper <= TOUCH_M:
+            x = _deepest(points, a, kind, size, R, p, depth, u, v, w)
+        elif depth == 0.0:
+            x = _polished(kind, size, x, u, v, w)
+        s = signed_distance(kind, size, x)
+        if s < out.distance:
+            out.distance = s
+            out.x = x
     if out.distance < wp.min(best, -RIDGE_M):
         out.n = outwards_inside(kind, size, out.x, u, v, w)
     elif out.distance < best:
@@ -254,6 +259,16 @@ def finger_velocity(g: Gripper, i: int, gap: float, x: wp.vec3):
     return out
 
 
+@wp.func
+def _box_apart(kind: int, size: wp.vec3, R: wp.mat33, p: wp.vec3, middle: wp.vec3, half: wp.vec3) -> float:
+    """A lower bound of the distance between a primitive and the box middle +- half, which R, p take to its frame."""
+    at = R * middle + p
+    reach = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(3):
+        reach[k] = wp.abs(R[k, 0]) * half[0] + wp.abs(R[k, 1]) * half[1] + wp.abs(R[k, 2]) * half[2]
+    return apart(kind, size, at - reach, at + reach)
+
+
 @wp.kernel
 def surface_witness(
     first: int,
@@ -272,39 +287,47 @@ def surface_witness(
     primitive's point there moves per metre of opening, ee frame.
     """
     trial = first + wp.tid()
-    s = object_index_in[trial] + surface_offset
-    R_ee_obj, t_ee_obj = inverse_pose(T_obj_ee_in[trial])
-    drive = drive_from_gap(gripper, opening_in[trial])
     best = float(bound_in[trial])
     part = int(-1)
     point = wp.vec3(0.0, 0.0, 0.0)
     normal = wp.vec3(0.0, 0.0, 0.0)
-    for i in range(gripper.kind.shape[0]):
-        if (used >> i) & 1 != 0:
-            Rg, pg = finger_pose(gripper, i, drive)
-            R = wp.transpose(Rg) * R_ee_obj
-            p = wp.transpose(Rg) * (t_ee_obj - pg)
-            kind = gripper.kind[i]
-            size = gripper.size[i]
-            for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
-                ball = surfaces.node_sphere[node]
-                if signed_distance(kind, size, R * center(ball) + p) - ball[3] < best:
-                    for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
-                        ball = surfaces.leaf_sphere[leaf]
-                        if signed_distance(kind, size, R * center(ball) + p) - ball[3] < best:
-                            for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
-                                near = triangle_witness(surfaces.points, 3 * tri, kind, size, R, p, best)
-                                if near.distance < best:
-                                    best = near.distance
-                                    part = i
-                                    point = wp.transpose(R) * (near.x - p)
-                                    normal = Rg * near.n
+    if best > -wp.inf:
+        o = object_index_in[trial]
+        s = o + surface_offset
+        middle = 0.5 * (surfaces.low[o] + surfaces.high[o])
+        half = 0.5 * (surfaces.high[o] - surfaces.low[o])
+        R_ee_obj, t_ee_obj = inverse_pose(T_obj_ee_in[trial])
+        drive = drive_from_gap(gripper, opening_in[trial])
+        for i in range(gripper.kind.shape[0]):
+            if (used >> i) & 1 != 0:
+                Rg, pg = finger_pose(gripper, i, drive)
+                R = wp.transpose(Rg) * R_ee_obj
+                p = wp.transpose(Rg) * (t_ee_obj - pg)
+                kind = gripper.kind[i]
+                size = gripper.size[i]
+                nodes = surfaces.surface_first[s + 1]
+                far = wp.max(best, 0.0) + GJK_M
+                if surface_offset == 0 and _box_apart(kind, size, R, p, middle, half) >= far:  # regions may be larger
+                    nodes = 0
+                for node in range(surfaces.surface_first[s], nodes):
+                    ball = surfaces.node_sphere[node]
+                    if signed_distance(kind, size, R * center(ball) + p) - ball[3] < best:
+                        for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
+                            ball = surfaces.leaf_sphere[leaf]
+                            if signed_distance(kind, size, R * center(ball) + p) - ball[3] < best:
+                                for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
+                                    near = triangle_witness(surfaces.points, 3 * tri, kind, size, R, p, best)
+                                    if near.distance < best:
+                                        best = near.distance
+                                        part = i
+                                        point = wp.transpose(R) * (near.x - p)
+                                        normal = Rg * near.n
+        if part >= 0:
+            x = R_ee_obj * point + t_ee_obj
+            finger_out[trial] = finger_velocity(gripper, part, opening_in[trial], x)
     part_out[trial] = part
     point_out[trial] = point
     normal_out[trial] = normal
-    if part >= 0:
-        x = R_ee_obj * point + t_ee_obj
-        finger_out[trial] = finger_velocity(gripper, part, opening_in[trial], x)
 
 
 @wp.kernel
