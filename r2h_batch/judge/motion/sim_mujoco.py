@@ -9,10 +9,11 @@ import mujoco
 import numpy as np
 import torch
 from mujoco import rollout
+from numpy.typing import NDArray
 
 from r2h_batch.base.launch import cpu_threads, over_trials, thread_pool
 from r2h_batch.base.launch.instances import of_joints
-from r2h_batch.judge.motion.simulation import Job, Samples, warnings_unwritten
+from r2h_batch.judge.motion.simulation import Job, Samples, only_stepping
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.kernels.motion.worlds import WINDOW
 
@@ -21,6 +22,12 @@ ON_CPU = True
 
 CHUNK = 64
 """Trials whose commands are held in memory at once: about 20 MB."""
+
+UNCONSTRAINED = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(
+    mujoco.mjtDisableBit.mjDSBL_DAMPER
+)
+"""Flags without effect in MuJoCo C for the arm alone while its joints are within their limits: it has
+no other constraints, and no joint of it has damping. The steps are the same."""
 
 Simulator = tuple[mujoco.MjModel, mujoco.MjData]
 """A copy of the model, which trials are put into one after the other, and its state."""
@@ -35,7 +42,7 @@ def simulate(job: Job) -> Samples:
     for _ in range(workers):
         model = copy.copy(job.scene.model)
         simulators.put((model, mujoco.MjData(model)))
-    with warnings_unwritten():
+    with only_stepping():
         for first in range(0, len(job.rows), CHUNK):
             rows = range(first, min(first + CHUNK, len(job.rows)))
             steps = job.samples[rows.start : rows.stop].astype(np.int64) * job.record_steps
@@ -78,14 +85,17 @@ def _run(
     scene, trial, n = job.scene, job.trials[i], job.start.shape[1]
     scene.load(model, trial, data)
     command[:, n:] = scene.hold(trial)
-    start = np.zeros((1, 1 + model.nq + model.nv))
-    start[0, 1 : 1 + model.nq] = scene.start(trial, job.start[i])
-    state, _ = rollout.rollout(model, data, start, np.ascontiguousarray(command)[None])
-    time, q, qd = np.split(np.concatenate([start, state[0]]), [1, 1 + model.nq], axis=1)
+    start = scene.start(trial, job.start[i])
+    states = _states(model, data, start, command, constrained=scene.full)
+    if not scene.full and not _within_limits(model, states[:, 1 : 1 + n]):
+        states = _states(model, data, start, command, constrained=True)
+    time, q, qd = np.split(states, [1, 1 + model.nq], axis=1)
     kept = q[:: job.record_steps, :n]
     out.q[i, : len(kept)] = kept
     out.q[i, len(kept) :] = kept[-1]
-    acceleration = np.abs(np.diff(qd[:, :n], axis=0)) / model.opt.timestep
+    acceleration = np.diff(qd[:, :n], axis=0)
+    np.abs(acceleration, out=acceleration)
+    acceleration /= model.opt.timestep
     out.acceleration[i], out.sway_m[i] = acceleration.max(0), scene.sway(trial, q)
     begins = np.arange(0, len(command), job.record_steps * int(WINDOW))
     most = np.maximum.reduceat(acceleration, begins) @ job.motion_radii.T
@@ -97,8 +107,34 @@ def _run(
     # after a warning (bad position, velocity, acceleration) rollout repeats the last state: time
     # stands still
     on_time = abs(time[-1, 0] - len(command) * model.opt.timestep) < 0.5 * model.opt.timestep
-    finite = np.isfinite(q).all(1) & np.isfinite(qd).all(1)
-    out.valid[i] = on_time and bool(finite.all())
+    out.valid[i] = on_time and bool(np.isfinite(states).all())
     if not out.valid[i]:
+        finite = np.isfinite(q).all(1) & np.isfinite(qd).all(1)
         last = max(int(np.argmin(finite)) - 1, 0) if not finite.all() else -1
         out.failed_state[i] = np.concatenate([q[last], qd[last]])
+
+
+def _states(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    start: NDArray[np.float64],
+    command: NDArray[np.float64],
+    *,
+    constrained: bool,
+) -> NDArray[np.float64]:
+    """Time, qpos and qvel (steps + 1, 1 + nq + nv) of a motion that begins at rest."""
+    model.opt.disableflags &= ~UNCONSTRAINED
+    model.opt.disableflags |= 0 if constrained else UNCONSTRAINED
+    states = np.empty((len(command) + 1, 1 + model.nq + model.nv))
+    states[0] = [0.0, *start, *np.zeros(model.nv)]
+    rollout.rollout(model, data, states[:1], command[None], state=states[None, 1:])
+    return states
+
+
+def _within_limits(model: mujoco.MjModel, q: NDArray[np.float64]) -> bool:
+    """Whether no joint was beyond its limits at positions (n, nq) of the arm alone; False for
+    NaN."""
+    limited = model.jnt_limited.astype(bool)
+    low, high = model.jnt_range[limited].T
+    q = q[:, limited]
+    return bool((q.min(0) >= low).all() and (q.max(0) <= high).all())

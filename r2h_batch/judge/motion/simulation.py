@@ -1,9 +1,12 @@
 """Input and output of a simulator, the same for every engine."""
 
+import ctypes
+import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import mujoco
@@ -64,32 +67,68 @@ class Samples:
 
 
 _lock = threading.Lock()
-_quiet = 0
-_before: Any = None
+_inside = 0
+_until_outside = ExitStack()
 
 
 @contextmanager
-def warnings_unwritten() -> Iterator[None]:
-    """While it lasts, MuJoCo writes no MUJOCO_LOG.TXT into the working directory: what it warns of
-    is in the states.
+def only_stepping() -> Iterator[None]:
+    """While it lasts, MuJoCo only steps: it writes no MUJOCO_LOG.TXT into the working directory
+    (what it warns of is in the states) and reads no clock for `MjData.timer`.
 
-    A handler that the user has set stays in charge.
+    A handler or clock that the user has set stays in charge.
     """
-    global _quiet, _before
+    global _inside
     with _lock:
-        if _quiet == 0:
-            _before = mujoco.get_mju_user_warning()
-            if _before is None:
-                mujoco.set_mju_user_warning(_say_nothing)
-        _quiet += 1
+        if _inside == 0:
+            _until_outside.enter_context(_warnings_unwritten())
+            _until_outside.enter_context(_clock_unread())
+        _inside += 1
     try:
         yield
     finally:
         with _lock:
-            _quiet -= 1
-            if _quiet == 0 and _before is None:
-                mujoco.set_mju_user_warning(None)
+            _inside -= 1
+            if _inside == 0:
+                _until_outside.close()
+
+
+@contextmanager
+def _warnings_unwritten() -> Iterator[None]:
+    if mujoco.get_mju_user_warning() is not None:
+        yield
+        return
+    mujoco.set_mju_user_warning(_say_nothing)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
 
 
 def _say_nothing(message: str) -> None:
     pass
+
+
+@contextmanager
+def _clock_unread() -> Iterator[None]:
+    """A step reads it twenty times or more, a seventh of the time of the arm alone."""
+    clock = _clock()
+    if clock is None or mujoco.get_mjcb_time() is not None:
+        yield
+        return
+    before, clock.value = clock.value, None
+    try:
+        yield
+    finally:
+        clock.value = before
+
+
+@cache
+def _clock() -> ctypes.c_void_p | None:
+    """The C library's `mjcb_time`, which Python can set to other clocks but not to none. None where
+    the library does not show it."""
+    bindings = sys.modules[mujoco.mj_step.__module__].__file__
+    try:
+        return ctypes.c_void_p.in_dll(ctypes.CDLL(bindings), "mjcb_time")
+    except (OSError, ValueError):
+        return None

@@ -266,6 +266,20 @@ def test_both_engines_move_the_arm_the_same_way(engines):
     assert lag > (0.1 if engines[0] is ARM else 0.01)  # it moved
 
 
+@pytest.mark.parametrize("config", [ARM, MJWARP], ids=["mujoco", "mjwarp"])
+def test_the_arm_alone_is_stopped_by_the_limits_of_its_joints(config):
+    p, joint = problems(), 2
+    upper = float(default_evaluator().scene.robot.upper[joint])
+    path, row = p.plan.path.clone(), int(torch.nonzero(p.plan.length > 0)[1])
+    path[row, 1:] = path[row, 0]
+    path[row, 1:, joint] = upper + 0.3
+    length = torch.zeros_like(p.plan.length)
+    length[row] = 2
+    e = run(config, path=path, length=length)
+    end = float(e.path[row, int(e.length[row]) - 1, joint])
+    assert upper < end < upper + 0.15 and e.valid[row] and not e.settled[row]
+
+
 def test_the_deviation_bounds_how_far_any_body_was_from_its_plan():
     """Against the robot's and the object's own points, at every recorded time and at times between."""
     p, e, evaluator = problems(), reference_run(MUJOCO), default_evaluator()
