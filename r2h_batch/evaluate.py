@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import torch
 from jaxtyping import Float, Float32, Int
@@ -36,7 +36,7 @@ from r2h_batch.base.launch.threads import on_threads, one_torch_thread
 from r2h_batch.base.summary import html_table
 from r2h_batch.base.validate import instance_of, optional
 from r2h_batch.config import EvalConfig, ExecutionError
-from r2h_batch.judge import ik_jacobian, metrics
+from r2h_batch.judge import metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
 from r2h_batch.judge.compile import compile_stages
 from r2h_batch.judge.distance import (
@@ -50,7 +50,6 @@ from r2h_batch.judge.distance import (
 )
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.goal import Goal, failed_clearance, judge_goals, weaken_singular_reason
-from r2h_batch.judge.grasp_physics import shake
 from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
     KnownInputs,
@@ -63,20 +62,8 @@ from r2h_batch.judge.inputs import (
     warn_of_no_gradient,
     warn_of_payload,
 )
-from r2h_batch.judge.motion.execute import execute
-from r2h_batch.judge.motion.time_law import time_path
-from r2h_batch.judge.plan import plan_paths, random_key
 from r2h_batch.judge.presented import presented
 from r2h_batch.judge.scores import motion_scores, pose_fields, pose_scores, verdict
-from r2h_batch.judge.trace import (
-    Trace,
-    checked_plan,
-    checked_trace,
-    executed_trace,
-    final_pose,
-    plan_of_trace,
-    worse_plan,
-)
 from r2h_batch.scene.hand import HandSet
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.person import with_person
@@ -84,11 +71,16 @@ from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
-from r2h_batch.training.first_order import Changes
-from r2h_batch.training.gradients import FOLLOWED, changes, differentiable
 from r2h_batch.trials.benchmark.benchmark import Benchmark
 from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
+
+if TYPE_CHECKING:
+    from r2h_batch.judge.trace import Trace
+    from r2h_batch.training.first_order import Changes
+
+# Stages of paths, motions and gradients are imported where they are called: with their kernels and
+# MuJoCo they would take a fifth of the time to the first verdict on a pose.
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
@@ -114,7 +106,7 @@ class JudgedPoses(NamedTuple):
     goal: Goal
     nearest: NearestApproach
     found: dict[str, Tensor]  # fields of `Scores`
-    changes: Changes | None = None  # only if a pose requires a gradient
+    changes: "Changes | None" = None  # only if a pose requires a gradient
 
 
 class Evaluator:
@@ -324,6 +316,8 @@ class Evaluator:
         Raises:
             TypeError, ValueError: shape, dtype or device do not fit; before any work.
         """
+        from r2h_batch.judge.trace import checked_plan, checked_trace, final_pose
+
         # torch.compile cannot trace this function. As a decorator, `disable` would cost every import a second.
         if torch.compiler.is_compiling():
             return torch.compiler.disable(self.score_motion)(
@@ -473,6 +467,10 @@ class Evaluator:
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool
     ) -> Scores:
         """Every stage: hold, IK, plan, move, judge."""
+        from r2h_batch.judge.motion.execute import execute
+        from r2h_batch.judge.motion.time_law import time_path
+        from r2h_batch.judge.plan import plan_paths, random_key
+
         scene, config = self.scene, self.config
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
         active = held.active
@@ -535,12 +533,14 @@ class Evaluator:
         )  # fmt: skip
 
     def _score_trace(
-        self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: Trace, trace: Trace, trials: Trials
+        self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: "Trace", trace: "Trace", trials: Trials
     ) -> Scores:
         """The stages of a motion given by the caller: grasp, then tests of the motion in place of IK and planning, verdict.
 
         A plan beside the motion is tested too, and the worse of both counts.
         """
+        from r2h_batch.judge.trace import executed_trace, plan_of_trace, worse_plan
+
         scene = self.scene
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, self.config)
         active, poses = held.active, held.body_poses
@@ -581,8 +581,12 @@ class Evaluator:
         differentiates = _differentiates(*poses)
         judge = self._judge_pose_and_changes if differentiates else self._judge_pose
         small = 0 < len(trials) <= SMALL_ROWS and not T_obj_ee.is_cuda
-        # torch differentiates criteria of FOLLOWED at the callers' tensors
-        if small and not (differentiates and FOLLOWED):
+        if differentiates:
+            from r2h_batch.training.gradients import FOLLOWED, differentiable
+
+            # torch differentiates criteria of FOLLOWED at the callers' tensors
+            small = small and not FOLLOWED
+        if small:
             calls = self._small_gradients if differentiates else self._small_calls
             judged = calls(judge, *inputs)
             found = {name: x.clone() for name, x in judged.found.items()}
@@ -600,6 +604,8 @@ class Evaluator:
 
     def _judge_pose_and_changes(self, *inputs: Tensor) -> "JudgedPoses":
         """As `_judge_pose`, with how the margins change."""
+        from r2h_batch.training.gradients import changes
+
         judged = self._judge_pose(*inputs)
         found = changes(self.scene, self.config, judged.found, judged.held, judged.goal)
         return judged._replace(changes=found)
@@ -652,6 +658,8 @@ class Evaluator:
             nearest = nearer_of(nearest, *person)
         slip_m = None
         if config.stability == "physics":
+            from r2h_batch.judge.grasp_physics import shake
+
             rows = held.active & (held.grasp.margin_m >= 0)
             slip_m = shake(scene.objects, held.objects, held.attached, rows, scene.robot)
         evidence = metrics.Evidence(
@@ -676,7 +684,9 @@ class Evaluator:
 
     def _branches(self, config: EvalConfig, held: AttachedBatch) -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""
-        solve = ik_jacobian.solve_ik if config.ik.solver == "pytorch-kinematics" else solve_ik
+        solve = solve_ik
+        if config.ik.solver == "pytorch-kinematics":
+            from r2h_batch.judge.ik_jacobian import solve_ik as solve
         robot, home = self.scene.robot, config.workplace.home_q
         ik = solve(held.T_world_ee, active=held.active, robot=robot, home=home)
         if config.plan.goals == "set":

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import FileError, printable
@@ -16,10 +15,10 @@ F64 = NDArray[np.float64]
 MAX_FRAMES = MAX_FILES = 200_000
 
 
-def rigid(turn: Rotation | F64, place: F64) -> F64:
-    """(N, 4, 4) poses of N rotations, also as matrices, and places (N, 3)."""
+def rigid(turn: F64, place: F64) -> F64:
+    """(N, 4, 4) poses of N rotation matrices and places (N, 3)."""
     T = np.tile(np.eye(4), (len(place), 1, 1))
-    T[:, :3, :3] = turn.as_matrix() if isinstance(turn, Rotation) else turn
+    T[:, :3, :3] = turn
     T[:, :3, 3] = place
     return T
 

@@ -131,7 +131,7 @@ def _motion(
         else:
             fingers = postures + model.pose_mean.double().numpy()[side]
     place = transl if hand is None else hand.wrist(transl, np.tile(shape, (len(sides), 1)), sides)
-    T = rigid(Rotation.from_rotvec(turn), place)
+    T = rigid(Rotation.from_rotvec(turn).as_matrix(), place)
     return HandMotion(source, side, T, fingers, shape, **more)
 
 
@@ -165,7 +165,7 @@ def _grab(path: Path, hand: ManoHand | None, bodies: Bodies | None) -> list[Hand
     turn, place = (
         _parameter(found["object"], k, 3, f"{where} object") for k in ("global_orient", "transl")
     )
-    T = rigid(Rotation.from_rotvec(turn).inv(), place)
+    T = rigid(Rotation.from_rotvec(turn).inv().as_matrix(), place)
     body = _parameter(found["body"], "global_orient", 3, f"{where} body")
     facing = Rotation.from_rotvec(body).as_matrix()[:, :, 2]
     root, arms = path.resolve().parents[2], None
@@ -233,7 +233,7 @@ def _arctic(path: Path, hand: ManoHand | None, bodies: Bodies | None) -> list[Ha
     if not isinstance(found, Mapping):
         raise FileError(f"{where}: holds no dictionary; it is not a sequence of ARCTIC")
     rows = numbers(read_npy(path.with_name(f"{stem}.object.npy")), (None, 7), f"{where} object")
-    T = rigid(Rotation.from_rotvec(rows[:, 1:4]), rows[:, 4:] / 1000)
+    T = rigid(Rotation.from_rotvec(rows[:, 1:4]).as_matrix(), rows[:, 4:] / 1000)
     facing, up, arms = _arctic_body(path.with_name(f"{stem}.smplx.npy"), len(rows), where, bodies)
     name, _, action = stem.partition("_")
     hands = []
@@ -418,7 +418,7 @@ def _dexycb(path: Path, hand: ManoHand | None, _: Bodies | None) -> list[HandMot
     frames, places = hands[seen], poses[seen, grasped]
     if (np.abs(np.linalg.norm(places[:, :4], axis=1) - 1) > 1e-2).any():
         raise FileError(f"{where}: pose_y holds quaternions that are not rotations")
-    T = rigid(Rotation.from_quat(places[:, :4]), places[:, 4:])
+    T = rigid(Rotation.from_quat(places[:, :4]).as_matrix(), places[:, 4:])
     number = objects[grasped]
     known = type(number) is int and 1 <= number <= len(YCB)
     name = YCB[number - 1] if known else name_of(f"ycb_{number}")

@@ -34,7 +34,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.log import LOG
@@ -183,6 +182,8 @@ def _graspnet_labels(path: Path, T_obj_source: F64 | None) -> Found:
     best = good[np.argsort(score.ravel()[good], kind="stable")[:BEST]]
     point, view, _, _ = np.unravel_index(best, grid)
     angle, depth, width = numbers(offsets.reshape(-1, 3)[best], (None, 3), f"{where} offsets").T
+    from scipy.spatial.transform import Rotation  # 0.4 s: benchmarks without such files need none
+
     R = _views()[view] @ Rotation.from_rotvec(np.outer(angle, [1.0, 0.0, 0.0])).as_matrix()
     T = _graspnet_poses(R, points[point], depth, T_obj_source)
     arrays = {"T_obj_ee": T, "width": width, "score": 1.1 - score.ravel()[best].astype(np.float64)}
@@ -210,6 +211,8 @@ def isaac(path: Path, *, gripper: str, **_: Any) -> Found:
     grasps = found.get("grasps")
     if not isinstance(grasps, dict) or not 1 <= len(grasps) <= MAX_LISTED:
         raise FileError(f"{where}: needs 1 to {MAX_LISTED} named grasps")
+    from scipy.spatial.transform import Rotation
+
     T, score = np.tile(np.eye(4), (len(grasps), 1, 1)), np.zeros(len(grasps))
     for i, (name, grasp) in enumerate(grasps.items()):
         at = f"{where}: {printable(name)[:40]}"

@@ -7,16 +7,13 @@ from r2h_batch.base.launch import load
 from r2h_batch.base.launch.instances import of_joints
 from r2h_batch.kernels.grasp.region import primitives_clearance
 from r2h_batch.kernels.grasp.width import close_gripper
-from r2h_batch.kernels.ik.any_arm import solve_any
 from r2h_batch.kernels.ik.nearest import nearest_posture
 from r2h_batch.kernels.ik.step import solve_ik_kernel
 from r2h_batch.kernels.judge.goal import goal_clearance
 from r2h_batch.kernels.judge.presented import region_presented
 from r2h_batch.kernels.judge.reach import point_to_object
 from r2h_batch.kernels.judge.rows import usable_rows
-from r2h_batch.kernels.judge.safe import safe_distance
 from r2h_batch.kernels.judge.verdict import judge_criterion
-from r2h_batch.kernels.plan.lines import straight_lines
 from r2h_batch.kernels.robot.place import place_bodies
 from r2h_batch.scene.scene import Scene
 
@@ -32,10 +29,8 @@ SHARED = (
     region_presented,
     judge_criterion,
 )
-"""of each such file that does not,"""
-
-PLANNED = (safe_distance, straight_lines)
-"""and of those that calls with paths need beside them."""
+"""of each such file that does not. The kernels of paths and of arms without a closed form are
+imported where they are needed: Warp parses every file of kernels that is imported."""
 
 
 def compile_stages(scene: Scene, *, paths: bool) -> None:
@@ -52,6 +47,14 @@ def compile_stages(scene: Scene, *, paths: bool) -> None:
 
 @cache
 def _compile(joints: int, closed_form: bool, paths: bool) -> None:
-    arm = (solve_ik_kernel, nearest_posture) if closed_form else (of_joints(solve_any, joints),)
-    sized = (*SIZED, *PLANNED) if paths else SIZED
+    arm, sized = (solve_ik_kernel, nearest_posture), SIZED
+    if not closed_form:
+        from r2h_batch.kernels.ik.any_arm import solve_any
+
+        arm = (of_joints(solve_any, joints),)
+    if paths:
+        from r2h_batch.kernels.judge.safe import safe_distance
+        from r2h_batch.kernels.plan.lines import straight_lines
+
+        sized = (*SIZED, safe_distance, straight_lines)
     load((*(of_joints(kernel, joints) for kernel in sized), *SHARED, *arm), "cpu")

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float32, Int32
@@ -14,16 +14,17 @@ from torch import Tensor
 from r2h_batch.base.launch import new_outputs, over_trials
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.judge.frontier.form import uses_frontier
-from r2h_batch.judge.motion.execute import Executed
-from r2h_batch.judge.plan import path_clearances
-from r2h_batch.kernels.judge import safe as safe_kernels
 from r2h_batch.kernels.judge.goal import goal_safe_distance
-from r2h_batch.kernels.judge.overlap import hand_overlap
 from r2h_batch.kernels.judge.rows import posture_lengths
-from r2h_batch.kernels.motion.worlds import WINDOW
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
+
+if TYPE_CHECKING:
+    from r2h_batch.judge.motion.execute import Executed
+
+# What paths and motions need is imported in the functions for them: a pose's first verdict is there
+# 0.2 s earlier.
 
 SAFE_TOLERANCE_M = 2e-5
 """How exactly the smallest distance over time is located."""
@@ -60,6 +61,8 @@ def person_distance(
     without a path. Where they meet: minus a lower bound of the deepest penetration depth found, as
     a sampled path's margin of Plan is (kernels/judge/overlap.py).
     """
+    from r2h_batch.judge.plan import path_clearances
+
     alone = with_person(scene, body_poses, receiver, hand=False)
     rows = len(length) if path.shape[1] <= WAYPOINTS else RECORDED_MOTION_ROOM * len(length)
     path, length = path.contiguous(), length.contiguous()
@@ -108,7 +111,7 @@ class HandTables(NamedTuple):
 def hand_distance(
     scene: Scene,
     body_poses: BodyPoses,
-    executed: Executed,
+    executed: "Executed",
     active: Bool[Tensor, " b"],
 ) -> NearestApproach:
     """The smallest distance of the robot from the hand over each motion.
@@ -118,13 +121,15 @@ def hand_distance(
     a primitive, which no translation that parts them can be shorter than. Between two samples the
     arm may be off their line (`over_motion`).
     """
+    from r2h_batch.kernels.judge.overlap import hand_overlap
+    from r2h_batch.kernels.judge.safe import safe_distance
 
     def measure(
         bodies: BodyPoses, path: Tensor, length: Tensor, rows: Tensor | None
     ) -> tuple[Tensor, ...]:
         b, moves = len(length), (length > 0) & (active if rows is None else active[rows])
         tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": bodies.bodies}
-        found = new_outputs(safe_kernels.safe_distance, b, scene.device)
+        found = new_outputs(safe_distance, b, scene.device)
         found["body"].fill_(-1)
         found["segment"].fill_(-1)
         distance = found["distance"]
@@ -137,7 +142,7 @@ def hand_distance(
             meets = frontier.rows_where(moves & (distance < 0))
         else:
             inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
-            kernel = scene.sized(safe_kernels.safe_distance)
+            kernel = scene.sized(safe_distance)
             over_trials(kernel, b, scene.device, outputs=found, chunk=16, uneven=True)(**inputs)
             meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
         # the search for the smallest distance ends where bodies meet: how deep is a search of its
@@ -161,7 +166,7 @@ def hand_distance(
 def over_motion(
     scene: Scene,
     body_poses: BodyPoses,
-    executed: Executed,
+    executed: "Executed",
     measure: Measure,
 ) -> tuple[Tensor, ...]:
     """How near each motion comes, with the slack between path and motion taken off.
@@ -178,6 +183,8 @@ def over_motion(
     segments: a blow costs the window that it falls into, and fingers that are pushed are judged where
     they are.
     """
+    from r2h_batch.kernels.motion.worlds import WINDOW
+
     slack, opening, length = executed.window_slack_m, executed.window_opening_m, executed.length
     start = torch.zeros_like(length)
     if slack is None or opening is None:  # as planned

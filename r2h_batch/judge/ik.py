@@ -13,14 +13,11 @@ import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from r2h_batch.base.launch import init_warp, over_trials
 from r2h_batch.judge import ik_any
-from r2h_batch.kernels.ik import any_arm
 from r2h_batch.kernels.ik import step as ik_step
-from r2h_batch.kernels.ik.jacobian import first_branch
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.robot.fk import UrParameters, vec6d
 from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot, ur_lengths
@@ -65,7 +62,9 @@ class IkResult:
     def unproven(self) -> Bool[Tensor, "b"]:
         """True if the numerical search may have missed solutions: the arm has no closed form, and the
         target is not provably out of reach."""
-        return (self.status >= int(any_arm.STATUS_NOT_FOUND)).any(1)
+        from r2h_batch.kernels.ik.any_arm import STATUS_NOT_FOUND  # 0.1 s to import, for paths only
+
+        return (self.status >= int(STATUS_NOT_FOUND)).any(1)
 
     @property
     def reachable(self) -> Bool[Tensor, "b"]:
@@ -213,6 +212,8 @@ def one_branch(
     n, device = len(T_world_ee), T_world_ee.device
     if robot.family != "ur":  # the first posture found is that of the nearest seed
         return ik.valid & (ik.valid.cumsum(1) == 1)
+    from r2h_batch.kernels.ik.jacobian import first_branch  # the default has no need of it
+
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
     made = over_trials(first_branch, n, place, chunk=64)(
         iterations=JACOBIAN_STEPS,
@@ -313,6 +314,7 @@ def reference_chain(robot: Robot, **to: Any) -> Any:
 
 def _urdf_of(robot: Robot) -> tuple[str, str]:
     """The chain of an arm as a URDF, and the name of its last link, the ee."""
+    from scipy.spatial.transform import Rotation
 
     def joint(k: int, kind: str, T: np.ndarray) -> str:
         turn, place = Rotation.from_matrix(T[:3, :3]).as_euler("xyz"), T[:3, 3]

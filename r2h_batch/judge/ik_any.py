@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float32
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.launch.instances import of_joints
-from r2h_batch.kernels.ik import any_arm
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.scene.robot import Robot, ee_pose, forward_kinematics
 
@@ -50,6 +48,8 @@ def solve(
     Returns:
         The fields of `judge.ik.SearchedIk`.
     """
+    from r2h_batch.kernels.ik import any_arm  # 0.1 s to import, and a UR needs none
+
     joints, device = len(robot.joints), T_world_ee.device
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
     chain, seeds = tables(robot, place)
@@ -86,7 +86,11 @@ def tables(robot: Robot, device: str) -> tuple[Any, Any]:
     joints = len(robot.joints)
     T = np.stack([*robot.T_parent_joint, robot.T_wrist3_ee])
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
-    from scipy.stats import qmc  # takes half a second to import, and a UR needs none
+    # these take half a second to import, and a UR needs none
+    from scipy.spatial.transform import Rotation
+    from scipy.stats import qmc
+
+    from r2h_batch.kernels.ik import any_arm
 
     q = lower + (upper - lower) * qmc.Halton(joints, scramble=False).random(SEEDS + 1)[1:]
     ee = ee_pose(robot, q)

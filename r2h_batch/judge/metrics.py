@@ -18,7 +18,6 @@ from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, EvalConfig
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
-from r2h_batch.judge.grasp_physics import DROPPED_M
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
@@ -98,6 +97,8 @@ def stability(e: Evidence) -> Criterion:
     """
     number, kind = e.held.grasp.margin_m, e.held.margin_kind
     if e.slip_m is not None:
+        from r2h_batch.judge.grasp_physics import DROPPED_M  # with MuJoCo, which has run then
+
         left = torch.where(e.slip_m.isnan(), -torch.inf, DROPPED_M - e.slip_m).float()
         # only grasps that pass geometrically were shaken
         slips = (number >= 0) & (left < number)

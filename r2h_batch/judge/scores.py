@@ -3,6 +3,7 @@ and witnesses."""
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -14,13 +15,15 @@ from r2h_batch.judge.attach import ROWS_CHUNK, AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.metrics import Criterion, constants
-from r2h_batch.judge.motion.execute import Executed, executed_time_at
-from r2h_batch.judge.motion.time_law import Motion, time_at
-from r2h_batch.judge.plan import Plan
 from r2h_batch.judge.presented import Presented
 from r2h_batch.kernels.judge import verdict as kernels
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
 from r2h_batch.verdicts import REGISTRY, SPLITS
+
+if TYPE_CHECKING:  # paths: a pose's first verdict is there 0.2 s earlier without them
+    from r2h_batch.judge.motion.execute import Executed
+    from r2h_batch.judge.motion.time_law import Motion
+    from r2h_batch.judge.plan import Plan
 
 
 def verdict(
@@ -88,9 +91,9 @@ def motion_scores(
     shared: dict[str, Tensor],
     region: Presented,
     active: Bool[Tensor, " b"],
-    planned: Plan,
-    motion: Motion,
-    executed: Executed,
+    planned: "Plan",
+    motion: "Motion",
+    executed: "Executed",
     nearest: NearestApproach,
     config: ExecConfig | None,
     *,
@@ -100,6 +103,9 @@ def motion_scores(
 ) -> Scores:
     """`Scores` of trials that were planned and moved; `shared` from `verdict`. `config`: the time
     law of the path, None for motions with times of their own."""
+    from r2h_batch.judge.motion.execute import executed_time_at
+    from r2h_batch.judge.motion.time_law import time_at
+
     has_path, witnessed = planned.length > 0, nearest.body >= 0
     restless = has_path & executed.valid & ~executed.settled
     last = (planned.length - 1).clamp(min=0).long()
@@ -172,7 +178,7 @@ def _no_path(b: int, joints: int, device: torch.device) -> dict[str, Tensor]:
     return {"path": path, "path_time_s": path[:, :, 0], "motion": path, "failed_state": state}
 
 
-def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
+def _kept_motion(executed: "Executed", keep: bool) -> tuple[Tensor, Tensor, Tensor]:
     """Recorded samples and their number, of all that moved or only of those whose simulation
     failed; and their state then."""
     length = executed.recorded if keep else torch.where(executed.valid, 0, executed.recorded)

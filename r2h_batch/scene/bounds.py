@@ -1,14 +1,15 @@
 """Bounding capsules and lever arms for the collision kernels (float64 NumPy, on loading a
 scene)."""
 
-from functools import lru_cache
+import hashlib
+import json
+from functools import cache, lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linprog, minimize
-from scipy.spatial import ConvexHull
 
+from r2h_batch.scene.arrays import asset
 from r2h_batch.scene.robot import (
     Primitives,
     Robot,
@@ -89,9 +90,33 @@ def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
     return capsule_of_balls(points, np.zeros(len(points)))
 
 
+def ball_inside(points: Array) -> Array:
+    """`inner_ball`, read from `BALLS` where it is there: the linear programs and scipy would take a sixth of a process' start."""
+    stored = _stored_balls().get(hull_key(points))
+    return inner_ball(points) if stored is None else np.array(stored)
+
+
+BALLS = "inner_balls.json"
+"""In assets/objects: `hull_key` -> `inner_ball` of the hulls of all shipped objects (assets/objects/build_inner_balls.py)."""
+
+
+def hull_key(points: Array) -> str:
+    """Name of a hull in `BALLS`: sha256 (hex) of its float64 points."""
+    return hashlib.sha256(points.tobytes()).hexdigest()
+
+
+@cache
+def _stored_balls() -> dict[str, list[float]]:
+    balls: dict[str, list[float]] = json.loads(asset("objects", BALLS).read_text(encoding="utf-8"))
+    return balls
+
+
 def inner_ball(points: Array) -> Array:
     """Centre and radius (4,) of the largest ball inside the points' hull (of equals the most
     central), a little less."""
+    from scipy.optimize import linprog  # 0.5 s with ConvexHull
+    from scipy.spatial import ConvexHull
+
     faces = ConvexHull(points).equations  # unit normals: n . x + d + r <= 0
     n, d = faces[:, :3], faces[:, 3]
     one = np.ones((len(n), 1))
@@ -115,6 +140,8 @@ def outer_ball(points: Array) -> Array:
     With t = r^2 - |c|^2 it is the least |c|^2 + t such that |p|^2 - 2 p . c <= t for each point p: a convex problem of four
     variables.
     """
+    from scipy.optimize import minimize  # 0.5 s
+
     middle = points.mean(0)
     size = float(np.sqrt(((points - middle) ** 2).sum(1).max()))
     p = (points - middle) / size

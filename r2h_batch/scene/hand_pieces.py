@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 F64 = NDArray[np.float64]
 Ids = NDArray[np.int32]
@@ -94,6 +93,8 @@ def hulls_of(vertices: F64, pieces: Sequence[Ids], names: Sequence[str]) -> tupl
     Raises if a vertex of a piece lies outside its hull by more than a micrometre: the pieces would
     not hold the skin.
     """
+    from scipy.spatial import ConvexHull, QhullError  # 0.4 s: stored hands have their hulls
+
     every: list[Ids] = []
     for h, skin in enumerate(vertices):
         for piece, name in zip(pieces, names):

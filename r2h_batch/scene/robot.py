@@ -12,11 +12,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, QhullError
 
 from r2h_batch.base.io.arrays import Spec, check_arrays, check_poses
 from r2h_batch.base.io.read import FileError, printable, read_npz, read_yaml
@@ -236,6 +233,8 @@ class Robot:
         if self.family == "ur":
             lengths = ur_lengths(self)
             return lengths.a2 + lengths.a3
+
+        from scipy.optimize import minimize  # 0.2 s, and a UR needs none
 
         def apart(q: Array) -> float:
             T = forward_kinematics(self, q)
@@ -483,6 +482,8 @@ def corners_of(shapes: Primitives) -> tuple[Array, ...]:
 def hull_size(corners: ArrayLike) -> Array:
     """Radius and half length (m) of the cylinder about the frame's z that holds a hull, and radius
     of the ball about the frame's origin in it (below 0: the origin is outside)."""
+    from scipy.spatial import ConvexHull  # 0.4 s: only robots with hulls need it
+
     points = np.asarray(corners, np.float64)
     inner = -float(ConvexHull(points).equations[:, 3].max())
     radius, half = np.hypot(points[:, 0], points[:, 1]).max(), np.abs(points[:, 2]).max()
@@ -886,6 +887,8 @@ def _sizes_and_corners(a: dict[str, Array]) -> tuple[Array, tuple[Array, ...]]:
     size = np.array(a["size"])
     if "corners" not in a:
         return frozen(size), ()
+    from scipy.spatial import QhullError
+
     count = a["corner_count"]
     if (count < 0).any() or count.sum() != len(a["corners"]):
         raise ValueError("corner_count must add up to the number of corners")
@@ -1036,6 +1039,8 @@ def robot_file(robot: Robot) -> RobotFile:
 
 def write_robot(folder: Path, robot: Robot) -> None:
     """Writes robot.yaml and robot.npz, which `read_robot` reads as the same robot."""
+    import yaml
+
     file = robot_file(robot).model_dump(exclude_none=True)
     folder.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump(file, sort_keys=False, default_flow_style=None, width=98)

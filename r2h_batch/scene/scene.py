@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, SupportsIndex
+from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import numpy as np
 import torch
@@ -36,10 +36,12 @@ from r2h_batch.scene.grasp_tables import (
     surfaces_on,
 )
 from r2h_batch.scene.hand import HandSet, load_hand_set
-from r2h_batch.scene.model import SceneModel, scene_model
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.scene.tables import Hands, WorldTables
+
+if TYPE_CHECKING:  # it brings MuJoCo (0.2 s), which only simulations and pictures need
+    from r2h_batch.scene.model import SceneModel
 
 PLACED = (
     "R_hand_world",
@@ -184,7 +186,7 @@ class Scene:
         T = self.T_wrist_ee.astype(np.float32)
         return wp.mat33(*T[:3, :3].ravel()), wp.vec3(*T[:3, 3])
 
-    def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> SceneModel:
+    def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> "SceneModel":
         """The scene as one MuJoCo model, which takes any trial with one of these hands: what is simulated
         and rendered.
 
@@ -192,6 +194,8 @@ class Scene:
             hand_indices: rows of the hand set.
             execute: engine's settings; None: those of the configuration.
         """
+        from r2h_batch.scene.model import scene_model
+
         hands = sequence_of(SupportsIndex, "numbers of hands", least=0)(
             "hand_indices", tuple(_listed(hand_indices))
         )

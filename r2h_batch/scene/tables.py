@@ -28,6 +28,9 @@ from r2h_batch.scene.robot import Robot, ShapeKind, corners_of
 MIDDLE_ROOT = 4
 """MANO's joint where the middle finger begins."""
 
+HANDS_AT_ONCE = 8
+"""Hands whose faces are bounded at a time: their arrays stay in a core's cache, which takes a quarter of the time."""
+
 
 @dataclass(frozen=True)
 class Hands:
@@ -98,13 +101,18 @@ class Hands:
                 f"{(owner < 0).sum()} faces of the hand lie in no convex piece: make the hand model again"
             )
         order = np.argsort(owner, kind="stable")
-        corners = [v[:, faces[order, k]] for k in range(3)]  # one array takes twice the time
-        center = (reduce(np.minimum, corners) + reduce(np.maximum, corners)) / 2
-        off = [c - center for c in corners]
-        radius = np.sqrt(reduce(np.maximum, [se3.dot(d, d) for d in off])) + 1e-6
+        faces = faces[order].astype(np.int32)
+        ball = np.empty((len(v), len(faces), 4), np.float32)
+        for start in range(0, len(v), HANDS_AT_ONCE):
+            part = slice(start, start + HANDS_AT_ONCE)
+            by_axis = np.ascontiguousarray(v[part].transpose(2, 0, 1))
+            corners = [np.take(by_axis, faces[:, k], axis=2) for k in range(3)]  # (3, h, F) each
+            center = (reduce(np.minimum, corners) + reduce(np.maximum, corners)) / 2
+            away = [x * x + y * y + z * z for x, y, z in (c - center for c in corners)]
+            ball[part, :, :3] = center.transpose(1, 2, 0)
+            ball[part, :, 3] = np.sqrt(reduce(np.maximum, away)) + 1e-6
         first = np.searchsorted(owner[order], np.arange(len(self.model.pieces) + 1))
-        ball = np.concatenate([center, radius[..., None]], 2).astype(np.float32)
-        return faces[order].astype(np.int32), first.astype(np.int32), ball
+        return faces, first.astype(np.int32), ball
 
     def piece_points(self, hand: int, piece: int) -> NDArray[np.float32]:
         """Hull points of one convex piece of one hand, hand frame."""
@@ -311,5 +319,5 @@ class WorldTables:
         """For each object hull the centre (object frame) and the radius of the largest ball inside
         it."""
         points, _, start = self._object_points
-        balls = [_of_hull(bounds.inner_ball, points[a:b].tobytes()) for a, b in pairwise(start)]
+        balls = [_of_hull(bounds.ball_inside, points[a:b].tobytes()) for a, b in pairwise(start)]
         return np.stack(balls).astype(np.float32)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from r2h_batch.scene import bounds
-from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.objects import BUILT_IN_NAMES, INSTANCE_NAMES, load_objects
 
 
 @pytest.mark.check
@@ -54,3 +54,17 @@ def test_the_smallest_ball_is_that_of_some_of_its_points() -> None:
         found = bounds.outer_ball(points)
         assert abs(found[3] - best) < 1e-7
         assert np.abs(np.linalg.norm(points - found[:3], axis=1).max() - found[3]) < 1e-12
+
+
+def test_stored_balls_are_those_that_would_be_found() -> None:
+    for model in load_objects((*BUILT_IN_NAMES, *INSTANCE_NAMES[::7])):
+        hull = model.hull_vertices.astype(np.float64)
+        np.testing.assert_allclose(
+            bounds.ball_inside(hull), bounds.inner_ball(hull), rtol=0, atol=1e-9, err_msg=model.name
+        )
+
+
+def test_shipped_objects_need_no_linear_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounds, "inner_ball", lambda points: pytest.fail("an inner ball is not stored"))
+    for model in load_objects((*BUILT_IN_NAMES, *INSTANCE_NAMES)):
+        bounds.ball_inside(model.hull_vertices.astype(np.float64))

@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.read import FileError, path_within, printable, read_file, read_npy
@@ -613,6 +612,8 @@ def frame_of(turn: str) -> NDArray[np.float64]:
             f"{printable(turn)[:100]!r} is no turn: give {', '.join(FRAMES)}, or degrees about x, y and z, from -360 to 360, as"
             " 20,40,60"
         )
+    from scipy.spatial.transform import Rotation  # 0.4 s: only angles need it
+
     return np.asarray(Rotation.from_euler("xyz", angles, degrees=True).as_matrix())
 
 
