@@ -2,6 +2,7 @@
 cores."""
 
 from functools import cache
+from typing import Any
 
 from r2h_batch.base.launch import load
 from r2h_batch.base.launch.instances import of_joints
@@ -33,6 +34,15 @@ SHARED = (
 imported where they are needed: Warp parses every file of kernels that is imported."""
 
 
+def planned() -> tuple[Any, ...]:
+    """A kernel of each file that depends on the number of joints and that calls with paths need
+    beside them."""
+    from r2h_batch.kernels.judge.safe import safe_distance
+    from r2h_batch.kernels.plan.lines import straight_lines
+
+    return safe_distance, straight_lines
+
+
 def compile_stages(scene: Scene, *, paths: bool) -> None:
     """Compiles, or loads, what the first call needs. What a stage needs only for some trials or
     options is compiled when it is launched.
@@ -47,14 +57,10 @@ def compile_stages(scene: Scene, *, paths: bool) -> None:
 
 @cache
 def _compile(joints: int, closed_form: bool, paths: bool) -> None:
-    arm, sized = (solve_ik_kernel, nearest_posture), SIZED
+    arm: tuple[Any, ...] = (solve_ik_kernel, nearest_posture)
     if not closed_form:
         from r2h_batch.kernels.ik.any_arm import solve_any
 
         arm = (of_joints(solve_any, joints),)
-    if paths:
-        from r2h_batch.kernels.judge.safe import safe_distance
-        from r2h_batch.kernels.plan.lines import straight_lines
-
-        sized = (*SIZED, safe_distance, straight_lines)
+    sized = (*SIZED, *planned()) if paths else SIZED
     load((*(of_joints(kernel, joints) for kernel in sized), *SHARED, *arm), "cpu")

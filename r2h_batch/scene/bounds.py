@@ -3,6 +3,7 @@ scene)."""
 
 import hashlib
 import json
+from collections.abc import Sequence
 from functools import cache, lru_cache
 from itertools import pairwise
 
@@ -62,27 +63,38 @@ def capsule_of_balls(centers: Array, radii: Array) -> tuple[Array, Array, float]
         if len(centers) > 1
         else np.eye(3)[0],
     ]
+    axes = np.array(candidates)
+    along = np.stack([centers @ axis for axis in axes])
+    # all axes at once, (3, axes, N): one coordinate of all points is contiguous
+    across = centers - along[..., None] * axes[:, None]
+    across = np.ascontiguousarray(across.transpose(2, 0, 1))
+    middle = (across.min(2) + across.max(2)) / 2
+    # of a slanted axis' box it is not across
+    middle = np.stack([m - (m @ axis) * axis for m, axis in zip(middle.T, axes, strict=True)], 1)
+    # a few steps towards the smallest enclosing circle (Badoiu and Clarkson 2003)
+    for _ in range(50):
+        far = (_length(across - middle[:, :, None]) + radii).argmax(1)
+        middle = middle + (across[:, np.arange(len(axes)), far] - middle) * 0.05
     best: tuple[float, Array, Array, float] | None = None
-    for axis in candidates:
-        along = centers @ axis
-        across = centers - along[:, None] * axis
-        middle = (across.min(0) + across.max(0)) / 2
-        middle = middle - (middle @ axis) * axis  # of a slanted axis' box it is not across
-        # a few steps towards the smallest enclosing circle (Badoiu and Clarkson 2003)
-        for _ in range(50):
-            far = np.argmax(np.linalg.norm(across - middle, axis=1) + radii)
-            middle = middle + (across[far] - middle) * 0.05
-        off = np.linalg.norm(across - middle, axis=1)
+    for axis, height, off, center in zip(
+        axes, along, _length(across - middle[:, :, None]), middle.T, strict=True
+    ):
         radius = float((off + radii).max())
         slack = np.sqrt(np.maximum((radius - radii) ** 2 - off**2, 0.0))
-        low, high = float((along + slack).min()), float((along - slack).max())
+        low, high = float((height + slack).min()), float((height - slack).max())
         if low > high:
             low = high = (low + high) / 2
         volume = np.pi * radius**2 * (high - low) + 4 / 3 * np.pi * radius**3
         if best is None or volume < best[0]:
-            best = (volume, middle + low * axis, middle + high * axis, radius)
+            best = (volume, center + low * axis, center + high * axis, radius)
     assert best is not None
     return best[1], best[2], best[3] + 1e-6
+
+
+def _length(vectors: Array) -> Array:
+    """Lengths of vectors (3, ...)."""
+    x, y, z = vectors
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
@@ -187,39 +199,43 @@ def support_cells(points: Array) -> Array:
     A cell keeps every point that can be farthest along some direction of it (`_farthest`). Of what
     a side of the cube keeps, its rows of cells keep a part, and of that its cells.
     """
-    edges = np.linspace(-1.0, 1.0, CELLS_PER_EDGE + 1)
+    whole = (-1.0, 1.0)
+    windows = list(pairwise(np.linspace(*whole, CELLS_PER_EDGE + 1)))
+    sides = [(axis, sign) for axis in range(3) for sign in whole[::-1]]
     kept = []
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            side = _farthest(points, axis, sign, (-1.0, 1.0), (-1.0, 1.0))
-            for u in pairwise(edges):
-                row = _farthest(side, axis, sign, u, (-1.0, 1.0))
-                for v in pairwise(edges):
-                    kept.append(_farthest(row, axis, sign, u, v))
+    around = [_corners(*side, whole, whole) for side in sides]
+    for side, of_side in zip(sides, _farthest(points, around), strict=True):
+        rows = _farthest(of_side, [_corners(*side, u, whole) for u in windows])
+        for u, row in zip(windows, rows, strict=True):
+            kept += _farthest(row, [_corners(*side, u, v) for v in windows])
     count = np.array([len(cell) for cell in kept])
     blocks, rows = point_blocks(np.concatenate(kept), np.cumsum(np.append(0, count)))
     header = np.stack([len(kept) + rows[:-1], count, np.zeros_like(count)], 1)
     return np.concatenate([header.astype(np.float64), blocks])
 
 
-def _farthest(
-    points: Array, axis: int, sign: float, u: tuple[float, float], v: tuple[float, float]
-) -> Array:
-    """The points that can be farthest along a direction whose coordinate `axis` is `sign` and whose
-    next two lie in u and v.
-
-    Left out is what one other point beats along all four corners of these directions: a linear
-    function that is smaller at the corners is smaller in between.
-    """
+def _corners(axis: int, sign: float, u: tuple[float, float], v: tuple[float, float]) -> Array:
+    """(4, 3) corners of the directions whose coordinate `axis` is `sign` and whose next two lie in u
+    and v."""
     corner = np.empty((4, 3))
     corner[:, axis] = sign
     corner[:, (axis + 1) % 3] = u[0], u[0], u[1], u[1]
     corner[:, (axis + 2) % 3] = v[0], v[1], v[0], v[1]
-    height = points @ corner.T
-    rivals = np.append(height.argmax(0), np.argsort(height.sum(1))[-8:])
-    at = np.ascontiguousarray(height.T)  # numpy reduces the first axis fastest
-    beaten = (at[:, None] < at[:, rivals, None] - 1e-9).all(0).any(0)
-    return points[~beaten]
+    return corner
+
+
+def _farthest(points: Array, corners: Sequence[Array]) -> list[Array]:
+    """For each window of directions (its corners) the points that can be farthest along one of them.
+
+    Left out is what one other point beats along all four corners: a linear function that is smaller
+    at the corners is smaller in between.
+    """
+    height = points @ np.concatenate(corners).T
+    at = np.ascontiguousarray(height.T).reshape(len(corners), 4, -1)
+    rivals = np.concatenate([at.argmax(2), at.sum(1).argsort(1)[:, -8:]], 1)
+    least = np.take_along_axis(at, rivals[:, None], 2) - 1e-9
+    beaten = (at[:, :, None] < least[..., None]).all(1).any(1)
+    return [points[~worse] for worse in beaten]
 
 
 def gripper_balls(robot: Robot) -> tuple[Array, Array]:

@@ -123,6 +123,11 @@ class Hands:
         ].numpy()
 
 
+def _length(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Lengths of vectors (..., 3), in half the time of `np.linalg.norm`."""
+    return np.sqrt(se3.dot(vectors, vectors))
+
+
 @lru_cache(maxsize=128)
 def _of_hull(what: Callable[[NDArray[np.float64]], Any], points: bytes) -> Any:
     """A table of a hull (its float32 points): objects are the same in every scene."""
@@ -255,10 +260,10 @@ class WorldTables:
         low, high = (f.reduceat(points, start[:-1], axis=0) for f in (np.minimum, np.maximum))
         center = (low + high) / 2
         piece = np.repeat(np.arange(len(center)), np.diff(start))
-        radius = np.maximum.reduceat(np.linalg.norm(points - center[piece], axis=1), start[:-1])
+        radius = np.maximum.reduceat(_length(points - center[piece]), start[:-1])
         v = self.hands.vertices.numpy()
         hand_center = (v.min(1) + v.max(1)) / 2
-        hand_radius = np.linalg.norm(v - hand_center[:, None], axis=2).max(1)
+        hand_radius = _length(v - hand_center[:, None]).max(1)
         return {
             "n_pieces": (len(self.hands.model.piece_names), wp.int32),
             "piece_start": (self.hands.blocks[1][:-1], wp.int32),

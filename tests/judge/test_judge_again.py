@@ -17,7 +17,8 @@ from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.closed_loop.episodes import play
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
 from r2h_batch.config import EvalConfig, ExecConfig
-from r2h_batch.judge import metrics
+from r2h_batch.judge import metrics, plan
+from r2h_batch.judge.motion import time_law
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import oracle
 from r2h_batch.report import compare
@@ -71,13 +72,13 @@ def further(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def freer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Paths claim 1 mm of clearance that they have not."""
-    own = evaluate.plan_paths
+    own = plan.plan_paths
 
     def planned(*a: Any, **k: Any) -> Any:
         found = own(*a, **k)
         return replace(found, clearance_m=found.clearance_m + 1e-3)
 
-    monkeypatch.setattr(evaluate, "plan_paths", planned)
+    monkeypatch.setattr(plan, "plan_paths", planned)
 
 
 def beside(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,13 +94,13 @@ def beside(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def faster(monkeypatch: pytest.MonkeyPatch) -> None:
     """Motions take a percent less."""
-    own = evaluate.time_path
+    own = time_law.time_path
 
     def timed(*a: Any, **k: Any) -> Any:
         found = own(*a, **k)
         return replace(found, time_s=0.99 * found.time_s, t_exec_s=0.99 * found.t_exec_s)
 
-    monkeypatch.setattr(evaluate, "time_path", timed)
+    monkeypatch.setattr(time_law, "time_path", timed)
 
 
 def shifted(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,8 +7,8 @@ import pytest
 import torch
 from problems import default_evaluator
 
-from r2h_batch import evaluate
 from r2h_batch.config import EstimateConfig, EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.judge.motion import execute as motion
 from r2h_batch.methods import fc
 from r2h_batch.methods.predictors import PredictorNoise, predict_target
 from r2h_batch.trials.protocol import make_trials
@@ -86,7 +86,7 @@ def test_a_path_clear_of_the_estimated_hand_does_not_rule_a_contact_with_the_tru
         seen.append(clearance_m)
         return moved(*args, clearance_m=clearance_m, **more)
 
-    moved = evaluate.execute
-    monkeypatch.setattr(evaluate, "execute", execute)
+    moved = motion.execute
+    monkeypatch.setattr(motion, "execute", execute)
     evaluator(EvalConfig(plan=PlanConfig(hand=hand), estimate=SEEN)).score(*(x[:4] for x in asked))
     assert len(seen) == 1 and (seen[0] is not None) == certain

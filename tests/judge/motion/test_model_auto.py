@@ -12,7 +12,6 @@ from motions import ARM, BRIEF, MUJOCO, N, into_the_table, placed, problems, ref
 from problems import default_evaluator
 
 import r2h_batch.judge.motion.execute as module
-from r2h_batch import evaluate
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, PlanConfig
 from r2h_batch.judge.motion import sim_mujoco
 from r2h_batch.judge.motion.execute import FINGER_GIVE_M, NEAR_M, Executed, execute, nothing_pushes
@@ -74,7 +73,7 @@ def test_without_a_certified_clearance_the_motion_itself_rules_contacts_out():
     # whoever has no bound says so and is asked in the same way: sampled edges, paths planned against an estimated hand
     batch = problems().batch
     for plan in (PlanConfig(edge_check="moveit"), PlanConfig(hand="estimated")):
-        with mock.patch.object(evaluate, "execute", wraps=execute) as moved:
+        with mock.patch.object(module, "execute", wraps=execute) as moved:
             judge = copy.copy(default_evaluator())
             judge.config = EvalConfig(plan=plan)
             judge.score(batch.T_obj_ee[:2], batch.T_world_ee[:2], batch.trials[:2])
