@@ -226,15 +226,27 @@ def _split(
     start = np.unique(start)  # a surface without a triangle has no group
     while (np.diff(start) > most).any():
         size = np.diff(start)
-        owner = np.repeat(np.arange(len(size)), size)
+        # NumPy sorts numbers of 16 bits in linear time
+        groups = np.arange(len(size), dtype=np.min_scalar_type(len(size)))
+        owner = np.repeat(groups, size)
         at = centers[rows]
         side = np.maximum.reduceat(at, start[:-1]) - np.minimum.reduceat(at, start[:-1])
         along = at[np.arange(len(at)), side.argmax(1)[owner]]
         along[(size <= most)[owner]] = 0.0  # done: its rows keep their order
-        rows = rows[np.lexsort((along, owner))]
+        first = _order(along)
+        rows = rows[first[np.argsort(owner[first], kind="stable")]]
         half = np.where(size > 2 * most, -(-size // most // 2) * most, size // 2)
         start = np.union1d(start, (start[:-1] + half)[size > most])
     return rows, start
+
+
+def _order(values: NDArray[np.float32]) -> NDArray[np.int64]:
+    """The order of a stable sort, in half the time: the bits of a number, turned over if it is negative, sort as the
+    number does, and its place behind them makes them unique."""
+    bits = (values + np.float32(0)).view(np.int32)  # one zero
+    keys = ((bits ^ ((bits >> 31) & 0x7FFFFFFF)).astype(np.int64) << 32) | np.arange(len(bits))
+    keys.sort()
+    return keys & 0xFFFFFFFF
 
 
 def _bounds(

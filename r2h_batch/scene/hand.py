@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import se3
+from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.config import BALL_OFFSET_M
 from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays
 from r2h_batch.scene.hand_file import check_postures, read_hand, read_hand_set
@@ -168,11 +169,12 @@ class HandModel:
             )
         empty = partial(torch.empty, dtype=torch.float32, device=pose.device)
         vertices, joints = empty((rows, *self.vertices.shape)), empty((rows, JOINTS, 3))
-        for start in range(0, rows, _CHUNK):
-            part = slice(start, start + _CHUNK)
-            vertices[part], joints[part] = self._pose_sides(
-                pose[part].double(), shape[part].double(), side[part] == LEFT
-            )
+        with one_torch_thread(pose.device):  # idle threads would spin: as much CPU time again
+            for start in range(0, rows, _CHUNK):
+                part = slice(start, start + _CHUNK)
+                vertices[part], joints[part] = self._pose_sides(
+                    pose[part].double(), shape[part].double(), side[part] == LEFT
+                )
         return HandGeometry(vertices, joints)
 
     def _pose_sides(self, pose: Tensor, shape: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
@@ -197,27 +199,27 @@ class HandModel:
         for i in range(SHAPE_SIZE):
             amount = shape[:, i, None, None]
             rest = rest + amount * self.joint_shape_basis[..., i].to(device).double()
-            skin = skin + amount * self.shape_basis[..., i].to(device).double()
+            skin += amount * self.shape_basis[..., i].to(device).double()
         if self.pose_basis is not None:
             eye = torch.eye(3, dtype=torch.float64, device=device)
             feature = (rotation[:, 1:] - eye).flatten(1)  # (B, 135)
             for i in range(feature.shape[1]):
                 moves = self.pose_basis[..., i].to(device).double()
-                skin = skin + feature[:, i, None, None] * moves
+                skin += feature[:, i, None, None] * moves
         world_rotation, world_joint = [rotation[:, 0]], [rest[:, 0]]
         for j in range(1, JOINTS):
             p = self.parents[j]
             world_rotation.append(se3.matmul(world_rotation[p], rotation[:, j]))
             bone = rest[:, j] - rest[:, p]
             world_joint.append(se3.rotate(world_rotation[p], bone) + world_joint[p])
-        blended = torch.zeros(
-            (len(pose), len(self.vertices), 12), dtype=torch.float64, device=device
-        )
         shift = [world_joint[j] - se3.rotate(world_rotation[j], rest[:, j]) for j in range(JOINTS)]
         turned = torch.stack(world_rotation, 1).flatten(2)
         matrix = torch.cat([turned, torch.stack(shift, 1)], dim=2)
-        for bones, weights in zip(*(a.to(device).T for a in self._influences)):
-            blended = blended + weights[:, None] * matrix[:, bones]
+        # in place: twice as fast as with new memory for each sum
+        (bones, *other_bones), (weight, *weights) = (a.to(device).T for a in self._influences)
+        blended = matrix[:, bones].mul_(weight[:, None])
+        for bones, weight in zip(other_bones, weights, strict=True):
+            blended += matrix[:, bones].mul_(weight[:, None])
         posed = se3.rotate(blended[..., :9].unflatten(-1, (3, 3)), skin) + blended[..., 9:]
         joints = torch.stack(world_joint, dim=1)
         flip = torch.stack([mirror, torch.ones_like(mirror), torch.ones_like(mirror)], dim=2)

@@ -624,7 +624,8 @@ Each = Field(min_length=4, max_length=12)
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    # most processes read no robot.yaml: pydantic builds its schemas at the first one
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Servo(_Part):

@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from r2h_batch.base.command_line import nearest
@@ -43,7 +42,8 @@ Verb = Annotated[str, AfterValidator(_verb), Field(json_schema_extra={"enum": li
 
 
 class _Entry(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid")
+    # most processes read no benchmark file: pydantic builds its schemas at the first one
+    model_config = ConfigDict(strict=True, extra="forbid", defer_build=True)
 
 
 class WordsEntry(_Entry):
@@ -278,19 +278,20 @@ ABOUT = """\
 """
 
 
-class _Plain(yaml.SafeDumper):
-    """Writes no anchors: `read_yaml` refuses them."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
 def built_in_text() -> str:
     """YAML that `read_benchmark` reads as the built-in benchmark."""
+    import yaml
+
+    class Plain(yaml.SafeDumper):
+        """Writes no anchors: `read_yaml` refuses them."""
+
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
     file = BenchmarkFile(objects=[_entry_of(o) for o in load_objects()])
     data = file.model_dump(exclude_none=True)
     return ABOUT + yaml.dump(
-        data, Dumper=_Plain, sort_keys=False, default_flow_style=None, width=118
+        data, Dumper=Plain, sort_keys=False, default_flow_style=None, width=118
     )
 
 
