@@ -27,3 +27,21 @@ def test_the_collector_rests_during_an_import_and_is_as_before_afterwards(works,
         assert gc.isenabled() is works and names() == ["collects", "thing"]
     finally:
         (gc.enable if before else gc.disable)()
+
+
+def test_what_an_import_made_is_old_and_what_a_program_froze_stays_frozen(tmp_path, monkeypatch):
+    (tmp_path / "aging").mkdir()
+    (tmp_path / "aging" / "__init__.py").write_text("")
+    for name in ("first", "second"):
+        (tmp_path / "aging" / f"{name}.py").write_text("made = [[]]\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    find, _ = lazy_names("aging", {"first": "first", "second": "second"})
+    assert gc.get_freeze_count() == 0
+    made = find("first").made
+    assert any(x is made for x in gc.get_objects(generation=2))
+    gc.freeze()
+    try:
+        find("second")
+        assert gc.get_freeze_count() > 0
+    finally:
+        gc.unfreeze()
