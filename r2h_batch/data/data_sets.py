@@ -512,7 +512,7 @@ def _oakink(path: Path, *_: ManoHand | Bodies | None) -> list[HandMotion]:
         if (np.abs(np.linalg.norm(turns, axis=1) - 1) > 1e-2).any():
             raise FileError(f"{where}: pose holds quaternions that are not rotations")
         R = Rotation.from_quat(turns, scalar_first=True)
-    T = rigid(R[:1], numbers(found.get("tsl"), (3,), f"{where} tsl")[None])
+    T = rigid(R[:1].as_matrix(), numbers(found.get("tsl"), (3,), f"{where} tsl")[None])
     shape = numbers(found.get("shape"), (10,), f"{where} shape")
     verb = "receive" if match[3] == HANDOVER and RECEIVER in text else action
     return [

@@ -11,6 +11,7 @@ from r2h_batch.kernels.grasp.width import close_gripper
 from r2h_batch.kernels.ik.nearest import nearest_posture
 from r2h_batch.kernels.ik.step import solve_ik_kernel
 from r2h_batch.kernels.judge.goal import goal_clearance
+from r2h_batch.kernels.judge.goal_distance import goal_safe_distance
 from r2h_batch.kernels.judge.presented import region_presented
 from r2h_batch.kernels.judge.reach import point_to_object
 from r2h_batch.kernels.judge.rows import usable_rows
@@ -18,7 +19,7 @@ from r2h_batch.kernels.judge.verdict import judge_criterion
 from r2h_batch.kernels.robot.place import place_bodies
 from r2h_batch.scene.scene import Scene
 
-SIZED = (goal_clearance, place_bodies)
+SIZED = (goal_clearance, goal_safe_distance, place_bodies)
 """A kernel of each file that every call needs and that depends on the number of joints; what takes
 longest stands first,"""
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from r2h_batch.base.launch import new_outputs, over_trials
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.judge.frontier.form import uses_frontier
-from r2h_batch.kernels.judge.goal import goal_safe_distance
+from r2h_batch.kernels.judge.goal_distance import goal_safe_distance
 from r2h_batch.kernels.judge.rows import posture_lengths
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.scene.person import with_person

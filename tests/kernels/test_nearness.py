@@ -8,7 +8,7 @@ from problems import default_evaluator, make_batch
 
 from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
-from r2h_batch.kernels.judge.goal import goal_safe_distance
+from r2h_batch.kernels.judge.goal_distance import goal_safe_distance
 from r2h_batch.kernels.judge.hand_distance import posture_distance
 from r2h_batch.kernels.judge.nearness import guessed_distance
 from r2h_batch.kernels.options import OPTIONS
