@@ -74,6 +74,11 @@ class Hands:
         return torch.stack([along, out, side[:, None] * se3.cross(along, out)], 2)
 
     @cached_property
+    def by_coordinate(self) -> NDArray[np.float32]:
+        """The vertices as (3, H, V): NumPy works on contiguous coordinates ten times as fast."""
+        return np.ascontiguousarray(self.vertices.numpy().transpose(2, 0, 1))
+
+    @cached_property
     def points(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
         """Hull points of all pieces of all hands, and where each piece starts."""
         v = self.vertices.numpy()
@@ -92,7 +97,7 @@ class Hands:
     def faces(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32]]:
         """The skin's faces (F, 3) grouped by the piece that encloses them, where each piece starts,
         and a ball (centre, radius) around each face of each hand (H, F, 4)."""
-        faces, v = self.model.faces.numpy(), self.vertices.numpy()
+        faces, v = self.model.faces.numpy(), self.by_coordinate
         owner = np.full(len(faces), -1)
         for k, piece in reversed(list(enumerate(self.model.pieces))):
             owner[np.isin(faces, piece.numpy()).all(1)] = k
@@ -102,11 +107,10 @@ class Hands:
             )
         order = np.argsort(owner, kind="stable")
         faces = faces[order].astype(np.int32)
-        ball = np.empty((len(v), len(faces), 4), np.float32)
-        for start in range(0, len(v), HANDS_AT_ONCE):
+        ball = np.empty((v.shape[1], len(faces), 4), np.float32)
+        for start in range(0, v.shape[1], HANDS_AT_ONCE):
             part = slice(start, start + HANDS_AT_ONCE)
-            by_axis = np.ascontiguousarray(v[part].transpose(2, 0, 1))
-            corners = [np.take(by_axis, faces[:, k], axis=2) for k in range(3)]  # (3, h, F) each
+            corners = [np.take(v[:, part], faces[:, k], axis=2) for k in range(3)]  # (3, h, F) each
             center = (reduce(np.minimum, corners) + reduce(np.maximum, corners)) / 2
             away = [x * x + y * y + z * z for x, y, z in (c - center for c in corners)]
             ball[part, :, :3] = center.transpose(1, 2, 0)
@@ -261,9 +265,9 @@ class WorldTables:
         center = (low + high) / 2
         piece = np.repeat(np.arange(len(center)), np.diff(start))
         radius = np.maximum.reduceat(_length(points - center[piece]), start[:-1])
-        v = self.hands.vertices.numpy()
-        hand_center = (v.min(1) + v.max(1)) / 2
-        hand_radius = _length(v - hand_center[:, None]).max(1)
+        v = self.hands.by_coordinate
+        hand_center = (v.min(2) + v.max(2)) / 2
+        hand_radius = _length((v - hand_center[:, :, None]).transpose(1, 2, 0)).max(1)
         return {
             "n_pieces": (len(self.hands.model.piece_names), wp.int32),
             "piece_start": (self.hands.blocks[1][:-1], wp.int32),
@@ -271,7 +275,7 @@ class WorldTables:
             "piece_round": (np.zeros(len(center)), wp.float32),
             "piece_center": (center, wp.vec3),
             "piece_radius": (radius + 1e-6, wp.float32),
-            "hand_center": (hand_center, wp.vec3),
+            "hand_center": (hand_center.T, wp.vec3),
             "hand_radius": (hand_radius + 1e-6, wp.float32),
         }
 
