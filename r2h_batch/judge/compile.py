@@ -19,9 +19,11 @@ from r2h_batch.kernels.judge.verdict import judge_criterion
 from r2h_batch.kernels.robot.place import place_bodies
 from r2h_batch.scene.scene import Scene
 
-SIZED = (goal_clearance, goal_safe_distance, place_bodies)
-"""A kernel of each file that every call needs and that depends on the number of joints; what takes
-longest stands first,"""
+SIZED = (goal_clearance, place_bodies)
+"""A kernel of each file that every call needs and that depends on the number of joints,"""
+
+POSED = (goal_safe_distance,)
+"""of each such file that calls without paths need beside them,"""
 
 SHARED = (
     primitives_clearance,
@@ -31,8 +33,9 @@ SHARED = (
     region_presented,
     judge_criterion,
 )
-"""of each such file that does not. The kernels of paths and of arms without a closed form are
-imported where they are needed: Warp parses every file of kernels that is imported."""
+"""and of each that every call needs and that does not depend on it. The kernels of paths and of
+arms without a closed form are imported where they are needed: Warp parses every file of kernels
+that is imported."""
 
 
 def planned() -> tuple[Any, ...]:
@@ -41,7 +44,7 @@ def planned() -> tuple[Any, ...]:
     from r2h_batch.kernels.judge.safe import safe_distance
     from r2h_batch.kernels.plan.lines import straight_lines
 
-    return safe_distance, straight_lines
+    return straight_lines, safe_distance
 
 
 def compile_stages(scene: Scene, *, paths: bool) -> None:
@@ -63,5 +66,6 @@ def _compile(joints: int, closed_form: bool, paths: bool) -> None:
         from r2h_batch.kernels.ik.any_arm import solve_any
 
         arm = (of_joints(solve_any, joints),)
-    sized = (*SIZED, *planned()) if paths else SIZED
+    # what takes longest is compiled first
+    sized = (*(planned() if paths else POSED), *SIZED)
     load((*(of_joints(kernel, joints) for kernel in sized), *SHARED, *arm), "cpu")

@@ -39,9 +39,11 @@ def test_every_file_that_a_call_launches_from_is_among_those_compiled_at_once(st
     thread.start()
     thread.join()
     always = {k.module.name for k in (*compiled.SIZED, *compiled.SHARED, solve_ik_kernel, nearest_posture)}
-    planned = {k.module.name for k in compiled.planned()}
-    assert always <= launched
-    assert launched == always if stages == "pose" else planned <= launched
+    posed, planned = ({k.module.name for k in kernels} for kernels in (compiled.POSED, compiled.planned()))
+    if stages == "pose":
+        assert launched == always | posed
+    else:
+        assert always | planned <= launched and launched.isdisjoint(posed)
 
 
 def test_missing_files_are_announced_and_compiled_once(tmp_path):
@@ -53,3 +55,23 @@ def test_missing_files_are_announced_and_compiled_once(tmp_path):
         )
         said.append(done.stderr)
     assert "compiling 2 files of kernels" in said[0] and said[1] == ""
+
+
+POSE = """
+import sys
+import torch
+from r2h_batch import Evaluator, make_trials
+trials = make_trials(trials=1, protocol="r2h-v0")[:1]
+pose = torch.eye(4)[None]
+Evaluator().score(pose, trials.T_world_hand, trials, stages="pose")
+print(*sorted(sys.modules))
+"""
+
+
+def test_a_first_verdict_on_a_pose_imports_nothing_for_motions_gradients_or_hulls():
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", POSE], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert "r2h_batch.kernels.judge.goal" in loaded
+    needless = ("mujoco", "scipy", "trimesh", "yaml", "torch._dynamo", "r2h_batch.judge.plan", "r2h_batch.judge.motion")
+    needless += ("r2h_batch.kernels.plan.rrt", "r2h_batch.kernels.witness", "r2h_batch.kernels.ik.any_arm")
+    assert loaded.isdisjoint(needless)
