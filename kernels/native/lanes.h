@@ -54,6 +54,29 @@ namespace r2h {
 
 typedef unsigned long long bits64;
 
+template <typename T> struct Xyz {
+    T x, y, z;
+};
+typedef Xyz<float> Point;
+
+R2H_FUNCTION Point xyz(const float *p) { return {p[0], p[1], p[2]}; }
+R2H_FUNCTION Point xyz(const wp::vec3 &p) { return {p.c[0], p.c[1], p.c[2]}; }
+template <typename A, typename B> R2H_FUNCTION auto operator+(const Xyz<A> &a, const Xyz<B> &b) {
+    return Xyz<decltype(a.x + b.x)>{a.x + b.x, a.y + b.y, a.z + b.z};
+}
+template <typename A, typename B> R2H_FUNCTION auto operator-(const Xyz<A> &a, const Xyz<B> &b) {
+    return Xyz<decltype(a.x - b.x)>{a.x - b.x, a.y - b.y, a.z - b.z};
+}
+template <typename S, typename T> R2H_FUNCTION auto operator*(S s, const Xyz<T> &a) {
+    return Xyz<decltype(s * a.x)>{s * a.x, s * a.y, s * a.z};
+}
+template <typename A, typename B> R2H_FUNCTION auto dot(const Xyz<A> &a, const Xyz<B> &b) {
+    return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+template <typename A, typename B> R2H_FUNCTION auto cross(const Xyz<A> &a, const Xyz<B> &b) {
+    return Xyz<decltype(a.x * b.x)>{a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
 // ---------------------------------------------------------------------------- eight lanes
 
 // `each_lane(body)` calls body(lane) and returns the bits that it gives. Clang for CPUs
@@ -65,12 +88,63 @@ typedef float floats __attribute__((ext_vector_type(8)));
 typedef int ints __attribute__((ext_vector_type(8)));
 typedef bool bools __attribute__((ext_vector_type(8)));
 
+typedef Xyz<floats> Points; // one of each lane
+struct Balls {
+    Points center;
+    floats radius;
+};
+
 struct Lane {
     // Row r of the group at p.
     static inline floats row(const float *p, int r) {
         floats x;
         __builtin_memcpy(&x, p + 8 * r, sizeof(x));
         return x;
+    }
+    // Entries first .. first + 7 of `count`; the last again where there are no more. Points lie side
+    // by side in three vectors, of which each coordinate takes every third number.
+    static inline floats entries(const float *p, int first, int count) {
+        float copy[8];
+        if (first + 8 > count) {
+            for (int k = 0; k < 8; ++k)
+                copy[k] = p[first + k < count ? first + k : count - 1];
+            return row(copy, 0);
+        }
+        return row(p + first, 0);
+    }
+    static inline Points entries(const wp::vec3 *points, int first, int count) {
+        const float *p = &points[first].c[0];
+        float copy[24];
+        if (first + 8 > count) {
+            for (int k = 0; k < 8; ++k)
+                __builtin_memcpy(copy + 3 * k, &points[first + k < count ? first + k : count - 1], 3 * sizeof(float));
+            p = copy;
+        }
+        floats a = row(p, 0), b = row(p, 1), c = row(p, 2);
+        floats x = __builtin_shufflevector(a, b, 0, 3, 6, 9, 12, 15, -1, -1);
+        floats y = __builtin_shufflevector(a, b, 1, 4, 7, 10, 13, -1, -1, -1);
+        floats z = __builtin_shufflevector(a, b, 2, 5, 8, 11, 14, -1, -1, -1);
+        return {__builtin_shufflevector(x, c, 0, 1, 2, 3, 4, 5, 10, 13),
+                __builtin_shufflevector(y, c, 0, 1, 2, 3, 4, 8, 11, 14),
+                __builtin_shufflevector(z, c, 0, 1, 2, 3, 4, 9, 12, 15)};
+    }
+    static inline Balls entries(const wp::vec4 *balls, int first, int count) {
+        const float *p = &balls[first].c[0];
+        float copy[32];
+        if (first + 8 > count) {
+            for (int k = 0; k < 8; ++k)
+                __builtin_memcpy(copy + 4 * k, &balls[first + k < count ? first + k : count - 1], 4 * sizeof(float));
+            p = copy;
+        }
+        floats a = row(p, 0), b = row(p, 1), c = row(p, 2), d = row(p, 3);
+        floats xy = __builtin_shufflevector(a, b, 0, 4, 8, 12, 1, 5, 9, 13);
+        floats zr = __builtin_shufflevector(a, b, 2, 6, 10, 14, 3, 7, 11, 15);
+        floats xy_more = __builtin_shufflevector(c, d, 0, 4, 8, 12, 1, 5, 9, 13);
+        floats zr_more = __builtin_shufflevector(c, d, 2, 6, 10, 14, 3, 7, 11, 15);
+        return {{__builtin_shufflevector(xy, xy_more, 0, 1, 2, 3, 8, 9, 10, 11),
+                 __builtin_shufflevector(xy, xy_more, 4, 5, 6, 7, 12, 13, 14, 15),
+                 __builtin_shufflevector(zr, zr_more, 0, 1, 2, 3, 8, 9, 10, 11)},
+                __builtin_shufflevector(zr, zr_more, 4, 5, 6, 7, 12, 13, 14, 15)};
     }
     template <typename T, typename X> static inline void put(T *p, int r, X x) {
         __builtin_memcpy(p + 8 * r, &x, sizeof(x));
@@ -85,9 +159,21 @@ template <typename F> static inline int each_lane(F body) { return body(Lane());
 #else
 typedef float floats;
 typedef int ints;
+typedef Point Points;
+struct Balls {
+    Point center;
+    float radius;
+};
 
 struct Lane {
     int k;
+    CUDA_CALLABLE inline int entry(int first, int count) const { return first + k < count ? first + k : count - 1; }
+    CUDA_CALLABLE inline float entries(const float *p, int first, int count) const { return p[entry(first, count)]; }
+    CUDA_CALLABLE inline Point entries(const wp::vec3 *p, int first, int count) const { return xyz(p[entry(first, count)]); }
+    CUDA_CALLABLE inline Balls entries(const wp::vec4 *p, int first, int count) const {
+        const wp::vec4 &ball = p[entry(first, count)];
+        return {{ball.c[0], ball.c[1], ball.c[2]}, ball.c[3]};
+    }
     CUDA_CALLABLE inline float row(const float *p, int r) const { return p[8 * r + k]; }
     template <typename T> CUDA_CALLABLE inline void put(T *p, int r, T x) const { p[8 * r + k] = x; }
     CUDA_CALLABLE inline int bits(int mask) const { return mask << k; }
@@ -100,6 +186,12 @@ template <typename F> CUDA_CALLABLE inline int each_lane(F body) {
         bits |= body(Lane{k});
     return bits;
 }
+#endif
+
+#if defined(R2H_VECTORS)
+R2H_FUNCTION floats root(floats x) { return __builtin_elementwise_sqrt(x); }
+#else
+R2H_FUNCTION float root(float x) { return sqrtf(x); }
 #endif
 
 R2H_FUNCTION int first_lanes(int count) { return (1 << count) - 1; }
@@ -123,22 +215,6 @@ R2H_FUNCTION int lowest_bit(bits64 bits) {
 
 // The point of one lane in rows 0 .. 2.
 R2H_FUNCTION wp::vec3 lane_point(const float *p, int lane) { return wp::vec3(p[lane], p[8 + lane], p[16 + lane]); }
-
-template <typename T> struct Xyz {
-    T x, y, z;
-};
-typedef Xyz<floats> Points; // one of each lane
-typedef Xyz<float> Point;
-
-R2H_FUNCTION Point xyz(const float *p) { return {p[0], p[1], p[2]}; }
-R2H_FUNCTION Point xyz(const wp::vec3 &p) { return {p.c[0], p.c[1], p.c[2]}; }
-R2H_FUNCTION Point operator+(Point a, Point b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
-R2H_FUNCTION Point operator-(Point a, Point b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
-R2H_FUNCTION Point operator*(float s, Point a) { return {s * a.x, s * a.y, s * a.z}; }
-R2H_FUNCTION float dot(Point a, Point b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-R2H_FUNCTION Point cross(Point a, Point b) {
-    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-}
 
 // R x + t, of the points in rows 0 .. 2.
 R2H_FUNCTION Points placed(Lane lane, const float *p, const wp::mat33 &R, const wp::vec3 &t) {
@@ -549,33 +625,26 @@ R2H_FUNCTION int nearest_triangle(const float *p, int count, const wp::vec3 &x, 
 // 2 um: what all sums of one of these functions may round away.
 R2H_FUNCTION float rounding() { return 2.0e-6f; }
 
-// Bit i: whether near(i) holds, for entries 0 .. count - 1 (1 to 64). The loop over eight has no
-// branch, so a compiler makes vector instructions of it.
+// Bit i: whether near(lane, first) holds for entry i = first + lane of 0 .. count - 1 (1 to 64).
 template <typename F> CUDA_CALLABLE inline bits64 each_entry(int count, F near) {
     bits64 found = 0;
     R2H_ROLLED
-    for (int block = 0; block < count; block += 8) {
-        unsigned int is_near[8];
-        R2H_ROLLED
-        for (int k = 0; k < 8; ++k)
-            is_near[k] = near(block + k < count ? block + k : count - 1) ? 1u : 0u;
-        unsigned int bits = 0;
-        R2H_ROLLED
-        for (int k = 0; k < 8; ++k)
-            bits |= is_near[k] << k;
-        found |= (bits64)bits << block;
-    }
+    for (int first = 0; first < count; first += 8)
+        found |= (bits64)each_lane([&](Lane lane) { return lane.bits(near(lane, first)); }) << first;
     int none = 64 - count;
     return none > 0 ? (found << none) >> none : found;
 }
 
-R2H_FUNCTION float unit_interval(float s) { return s < 0.0f ? 0.0f : (s > 1.0f ? 1.0f : s); }
+R2H_FUNCTION floats unit_interval(floats s) {
+    floats zero = (floats)(0.0f), one = (floats)(1.0f);
+    return s < 0.0f ? zero : (s > 1.0f ? one : s);
+}
 
 // A segment with its direction u; inv is 1 / |u|^2, 0 for a point.
 struct Segment {
     Point start, u;
     float inv;
-    CUDA_CALLABLE inline float nearest(Point from_start) const { return unit_interval(dot(from_start, u) * inv); }
+    CUDA_CALLABLE inline floats nearest(const Points &from_start) const { return unit_interval(dot(from_start, u) * inv); }
 };
 
 R2H_FUNCTION Segment segment(const wp::vec3 &c0, const wp::vec3 &c1) {
@@ -584,9 +653,9 @@ R2H_FUNCTION Segment segment(const wp::vec3 &c0, const wp::vec3 &c1) {
     return {xyz(c0), u, uu > 0.0f ? 1.0f / uu : 0.0f};
 }
 
-// The squared distance of a point from it.
-R2H_FUNCTION float squared_distance(const Segment &of, Point x) {
-    x = x - of.start;
+// The squared distances of points from it.
+R2H_FUNCTION floats squared_distance(const Segment &of, const Points &points) {
+    Points x = points - of.start;
     x = x - of.nearest(x) * of.u;
     return dot(x, x);
 }
@@ -596,9 +665,9 @@ R2H_FUNCTION bits64 balls_within(const wp::vec3 *centers, const float *radii, in
                                  const wp::vec3 &c1, float radius, float cutoff) {
     Segment capsule = segment(c0, c1);
     float around = cutoff + radius + rounding();
-    return each_entry(count, [&](int i) {
-        float far = around + radii[i];
-        return (far > 0.0f) & (squared_distance(capsule, xyz(centers[i])) <= far * far);
+    return each_entry(count, [&](Lane lane, int first) {
+        floats far = around + lane.entries(radii, first, count);
+        return (far > 0.0f) & (squared_distance(capsule, lane.entries(centers, first, count)) <= far * far);
     });
 }
 
@@ -613,25 +682,26 @@ R2H_FUNCTION bits64 capsules_within(const wp::vec3 *ends0, const wp::vec3 *ends1
     float a = dot(u, u);
     float of_a = a > 1.0e-12f ? 1.0f / a : 0.0f;
     float around = cutoff + radius + 1.0e-5f;
-    return each_entry(count, [&](int i) {
-        Point p = xyz(ends0[i]);
-        Point v = xyz(ends1[i]) - p, r = xyz(c0) - p;
-        float b = dot(u, v), c = dot(u, r), e = dot(v, v), f = dot(v, r);
-        float denom = a * e - b * b;
-        int is_long = e > 1.0e-12f;
-        int turned = denom > 1.0e-9f * a * e;
-        float s_low = -c * of_a, s_high = (b - c) * of_a;
-        float s_in = (b * f - c * e) / (turned ? denom : 1.0f);
-        s_in = unit_interval(turned ? s_in : 0.0f);
-        float t = (b * s_in + f) / (is_long ? e : 1.0f);
-        t = is_long ? t : 0.0f;
-        float s = unit_interval(t > 1.0f ? s_high : s_low);
-        int within = (t >= 0.0f) & (t <= 1.0f) & is_long;
+    return each_entry(count, [&](Lane lane, int first) {
+        floats zero = (floats)(0.0f), one = (floats)(1.0f);
+        Points p = lane.entries(ends0, first, count);
+        Points v = lane.entries(ends1, first, count) - p, r = xyz(c0) - p;
+        floats b = dot(u, v), c = dot(u, r), e = dot(v, v), f = dot(v, r);
+        floats denom = a * e - b * b;
+        ints is_long = e > 1.0e-12f;
+        ints turned = denom > 1.0e-9f * a * e;
+        floats s_low = -c * of_a, s_high = (b - c) * of_a;
+        floats s_in = (b * f - c * e) / (turned ? denom : one);
+        s_in = unit_interval(turned ? s_in : zero);
+        floats t = (b * s_in + f) / (is_long ? e : one);
+        t = is_long ? t : zero;
+        floats s = unit_interval(t > 1.0f ? s_high : s_low);
+        ints within = (t >= 0.0f) & (t <= 1.0f) & is_long;
         s = within ? s_in : s;
         t = unit_interval(t);
-        Point x = r + s * u - t * v;
-        float far = around + radii[i];
-        int within_reach = (far > 0.0f) & (dot(x, x) <= far * far);
+        Points x = r + s * u - t * v;
+        floats far = around + lane.entries(radii, first, count);
+        ints within_reach = (far > 0.0f) & (dot(x, x) <= far * far);
         return within_reach | (denom < 1.0e-3f * a * e);
     });
 }
@@ -651,32 +721,35 @@ R2H_FUNCTION bits64 balls_near(const wp::vec3 *centers, const float *radii, int 
     Segment capsule = segment(c0, c1);
     Point start = xyz(c0), end = xyz(c1), spin = xyz(w), swing = xyz(a);
     float keep = target + rounding();
-    return each_entry(count, [&](int i) {
-        Point x = xyz(centers[i]);
-        float r = radii[i];
-        float s = capsule.nearest(x - start);
-        Point t = start + s * capsule.u - x;
-        float far = sqrtf(dot(t, t));
-        float apart = far - r - radius;
-        Point n = (1.0f / (far > 1.0e-12f ? far : 1.0e-12f)) * t;
-        Point m = cross(n, spin);
+    float sweeps_from = moving != 0 ? keep + tolerance : 1.0e30f;
+    return each_entry(count, [&](Lane lane, int first) {
+        Points x = lane.entries(centers, first, count);
+        floats r = lane.entries(radii, first, count);
+        floats s = capsule.nearest(x - start);
+        Points t = start + s * capsule.u - x;
+        floats far = root(dot(t, t));
+        floats apart = far - r - radius;
+        floats least_far = (floats)(1.0e-12f);
+        Points n = (1.0f / (far > 1.0e-12f ? far : least_far)) * t;
+        Points m = cross(n, spin);
         // g . y + n . b: how fast a point y of the capsule accelerates along n
-        Point g = {n.y * swing.z - n.z * swing.y + m.y * spin.z - m.z * spin.y,
-                   n.z * swing.x - n.x * swing.z + m.z * spin.x - m.x * spin.z,
-                   n.x * swing.y - n.y * swing.x + m.x * spin.y - m.y * spin.x};
-        float n0 = dot(n, start), n1 = dot(n, end), m0 = dot(m, start), m1 = dot(m, end);
-        float g0 = dot(g, start), g1 = dot(g, end), vn = dot(n, xyz(v));
-        float least = dot(n, xyz(b)) + (g0 < g1 ? g0 : g1);
-        least = least - radius * sqrtf(dot(g, g));
-        float rest = third / 6.0f - 0.5f * (least < 0.0f ? least : 0.0f);
-        rest = rest < 0.5f * second ? rest : 0.5f * second;
-        float to0 = n0 + m0 + vn, to1 = n1 + m1 + vn, from0 = n0 - m0 - vn, from1 = n1 - m1 - vn;
-        float to = to0 < to1 ? to0 : to1, from = from0 < from1 ? from0 : from1;
-        float low = (to < from ? to : from) - radius * (1.0f + 0.5f * dot(m, m));
+        Points g = {n.y * swing.z - n.z * swing.y + m.y * spin.z - m.z * spin.y,
+                    n.z * swing.x - n.x * swing.z + m.z * spin.x - m.x * spin.z,
+                    n.x * swing.y - n.y * swing.x + m.x * spin.y - m.y * spin.x};
+        floats n0 = dot(n, start), n1 = dot(n, end), m0 = dot(m, start), m1 = dot(m, end);
+        floats g0 = dot(g, start), g1 = dot(g, end), vn = dot(n, xyz(v));
+        floats least = dot(n, xyz(b)) + (g0 < g1 ? g0 : g1);
+        least = least - radius * root(dot(g, g));
+        floats zero = (floats)(0.0f), half = (floats)(0.5f * second);
+        floats rest = third / 6.0f - 0.5f * (least < 0.0f ? least : zero);
+        rest = rest < half ? rest : half;
+        floats to0 = n0 + m0 + vn, to1 = n1 + m1 + vn, from0 = n0 - m0 - vn, from1 = n1 - m1 - vn;
+        floats to = to0 < to1 ? to0 : to1, from = from0 < from1 ? from0 : from1;
+        floats low = (to < from ? to : from) - radius * (1.0f + 0.5f * dot(m, m));
         low = low - rest - dot(n, x) - r;
-        int by_travel = apart >= keep + travel;
-        int by_sweep = (moving != 0) & (apart > keep + tolerance) & (low >= keep);
-        return !(by_travel | by_sweep);
+        ints by_travel = apart >= keep + travel;
+        ints by_sweep = (apart > sweeps_from) & (low >= keep);
+        return (by_travel | by_sweep) == 0;
     });
 }
 
@@ -688,10 +761,13 @@ R2H_FUNCTION bool is_box(int kind) { return kind == 3; }
 R2H_FUNCTION bool is_cylinder(int kind) { return kind == 2 || kind == 6; }
 R2H_FUNCTION float half_length(int kind, const wp::vec3 &size) { return kind == 0 ? 0.0f : size.c[1]; }
 
-// |x|, |y|, |z| of a point in the frame R, p.
-R2H_FUNCTION Point folded(Point x, const wp::mat33 &R, const wp::vec3 &p) {
-    Point c = x - xyz(p);
-    auto along = [&](int i) { return fabsf(dot({R.data[0][i], R.data[1][i], R.data[2][i]}, c)); };
+// |x|, |y|, |z| of points in the frame R, p.
+R2H_FUNCTION Points folded(const Points &x, const wp::mat33 &R, const wp::vec3 &p) {
+    Points c = x - xyz(p);
+    auto along = [&](int i) {
+        floats u = dot(Point{R.data[0][i], R.data[1][i], R.data[2][i]}, c);
+        return u < 0.0f ? -u : u;
+    };
     return {along(0), along(1), along(2)};
 }
 
@@ -703,83 +779,49 @@ R2H_FUNCTION Point folded(Point x, const wp::mat33 &R, const wp::vec3 &p) {
 R2H_FUNCTION bits64 balls_in_reach(const wp::vec4 *balls, int count, int kind, const wp::vec3 &size, float radius,
                                    const wp::mat33 &R, const wp::vec3 &p, float limit, const wp::vec3 &n, float beyond,
                                    float known) {
-    const float *rows = &balls[0].c[0];
-    float sx = size.c[0], sy = size.c[1], sz = size.c[2], half = half_length(kind, size);
+    float half = half_length(kind, size);
     float plane = beyond - known - rounding(), around = limit + rounding();
-    bits64 found = 0;
-    R2H_ROLLED
-    for (int block = 0; block < count; block += 8) {
-        float x[8], y[8], z[8], r[8], far2[8];
-        unsigned int near[8];
-        float copy[32];
-        const float *eight = rows + 4 * block;
-        if (block + 8 > count) {
-            R2H_ROLLED
-            for (int k = 0; k < 32; ++k)
-                copy[k] = rows[4 * (block + k / 4 < count ? block + k / 4 : count - 1) + k % 4];
-            eight = copy;
-        }
-        R2H_ROLLED
-        for (int k = 0; k < 8; ++k) {
-            Point c = xyz(eight + 4 * k);
-            r[k] = eight[4 * k + 3];
-            near[k] = plane - dot(xyz(n), c) >= r[k] ? 0u : 1u;
-            c = folded(c, R, p);
-            x[k] = c.x, y[k] = c.y, z[k] = c.z;
-        }
+    return each_entry(count, [&](Lane lane, int first) {
+        floats zero = (floats)(0.0f), touching = (floats)(1.0e-5f);
+        auto above = [&](const floats &x, float limit) { return x > limit ? x - limit : zero; };
+        Balls ball = lane.entries(balls, first, count);
+        ints behind = plane - dot(xyz(n), ball.center) >= ball.radius;
+        Points c = folded(ball.center, R, p);
+        floats far2;
         if (is_box(kind)) {
-            R2H_ROLLED
-            for (int k = 0; k < 8; ++k) {
-                float dx = x[k] > sx ? x[k] - sx : 0.0f, dy = y[k] > sy ? y[k] - sy : 0.0f;
-                float dz = z[k] > sz ? z[k] - sz : 0.0f;
-                far2[k] = dx * dx + dy * dy + dz * dz;
-            }
+            floats dx = above(c.x, size.c[0]), dy = above(c.y, size.c[1]), dz = above(c.z, size.c[2]);
+            far2 = dx * dx + dy * dy + dz * dz;
         } else if (is_cylinder(kind)) {
-            R2H_ROLLED
-            for (int k = 0; k < 8; ++k) {
-                float ring = sqrtf(x[k] * x[k] + y[k] * y[k]);
-                float dr = ring > sx ? ring - sx : 0.0f, dz = z[k] > sy ? z[k] - sy : 0.0f;
-                far2[k] = dr * dr + dz * dz;
-            }
+            floats dr = above(root(c.x * c.x + c.y * c.y), size.c[0]), dz = above(c.z, size.c[1]);
+            far2 = dr * dr + dz * dz;
         } else {
-            R2H_ROLLED
-            for (int k = 0; k < 8; ++k) {
-                float dz = z[k] > half ? z[k] - half : 0.0f;
-                float far = sqrtf(x[k] * x[k] + y[k] * y[k] + dz * dz);
-                far = far > radius ? far - radius : 0.0f;
-                far2[k] = far * far;
-            }
+            floats dz = above(c.z, half);
+            floats far = above(root(c.x * c.x + c.y * c.y + dz * dz), radius);
+            far2 = far * far;
         }
-        unsigned int bits = 0;
-        R2H_ROLLED
-        for (int k = 0; k < 8; ++k) {
-            float cutoff = around + r[k];
-            cutoff = cutoff > 1.0e-5f ? cutoff : 1.0e-5f;
-            near[k] &= far2[k] >= cutoff * cutoff ? 0u : 1u;
-        }
-        R2H_ROLLED
-        for (int k = 0; k < 8; ++k)
-            bits |= near[k] << k;
-        found |= (bits64)bits << block;
-    }
-    int none = 64 - count;
-    return none > 0 ? (found << none) >> none : found;
+        floats cutoff = around + ball.radius;
+        cutoff = cutoff > 1.0e-5f ? cutoff : touching;
+        return (behind | (far2 >= cutoff * cutoff)) == 0;
+    });
 }
 
+// The least of value(lane, first) over the entries first + lane of 0 .. count - 1, and the first entry
+// that attains it.
 struct Least {
     float value;
     int at;
 };
 
-// The least of value(i) for i = 0 .. count - 1, and the first i that attains it.
 template <typename F> CUDA_CALLABLE inline Least least_of(int count, F value) {
     Least least = {1.0e30f, 0};
-    for (int block = 0; block < count; block += 8) {
-        float found[8];
-        for (int k = 0; k < 8; ++k)
-            found[k] = value(block + k < count ? block + k : count - 1);
+    float found[8];
+    for (int first = 0; first < count; first += 8) {
+        each_lane([&](Lane lane) {
+            lane.put(found, 0, value(lane, first));
+            return 0;
+        });
         for (int k = 0; k < 8; ++k) {
-            least.at = found[k] < least.value ? block + k : least.at;
+            least.at = found[k] < least.value ? first + k : least.at;
             least.value = found[k] < least.value ? found[k] : least.value;
         }
     }
@@ -791,26 +833,27 @@ template <typename F> CUDA_CALLABLE inline Least least_of(int count, F value) {
 R2H_FUNCTION wp::vec2 nearest_ball(const wp::vec3 *centers, const float *radii, int count, const wp::vec3 &c0,
                                    const wp::vec3 &c1) {
     Segment axis = segment(c0, c1);
-    Least least = least_of(count, [&](int i) { return sqrtf(squared_distance(axis, xyz(centers[i]))) - radii[i]; });
+    Least least = least_of(count, [&](Lane lane, int first) {
+        return root(squared_distance(axis, lane.entries(centers, first, count))) - lane.entries(radii, first, count);
+    });
     return wp::vec2(least.value, (float)least.at);
 }
 
 // Which of the balls' centres is nearest to the core of a primitive at R, p.
 R2H_FUNCTION int nearest_center(const wp::vec4 *balls, int count, int kind, const wp::vec3 &size, const wp::mat33 &R,
                                 const wp::vec3 &p) {
-    const float *rows = &balls[0].c[0];
     float half = half_length(kind, size);
-    auto squared = [&](int i) {
-        Point c = folded(xyz(rows + 4 * i), R, p);
-        Point d = c - xyz(size);
+    return least_of(count, [&](Lane lane, int first) {
+        floats zero = (floats)(0.0f);
+        Points c = folded(lane.entries(balls, first, count).center, R, p);
+        Points d = c - xyz(size);
         if (!is_box(kind)) {
-            float ring = sqrtf(c.x * c.x + c.y * c.y);
-            d = {is_cylinder(kind) ? ring - size.c[0] : ring, 0.0f, c.z - half};
+            floats ring = root(c.x * c.x + c.y * c.y);
+            d = {is_cylinder(kind) ? ring - size.c[0] : ring, zero, c.z - half};
         }
-        d = {d.x > 0.0f ? d.x : 0.0f, d.y > 0.0f ? d.y : 0.0f, d.z > 0.0f ? d.z : 0.0f};
+        d = {d.x > 0.0f ? d.x : zero, d.y > 0.0f ? d.y : zero, d.z > 0.0f ? d.z : zero};
         return dot(d, d);
-    };
-    return least_of(count, squared).at;
+    }).at;
 }
 
 // ------------------------------------------------------------------------- support of hulls
