@@ -135,17 +135,21 @@ def cut_to_prism(
     ...
 
 
-@wp.func_native(
-    "return r2h::grow_run(near, sticking, span.data, cut.data, slack, join, run_low.data, run_high.data, n);"
-)
-def grow_run(
-    near: int, sticking: int, span: wp.array(dtype=float), cut: wp.array(dtype=float), slack: float, join: float,
+@wp.func_native("return r2h::add_run(low.data, high.data, n, a, b);")
+def add_run(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a: float, b: float) -> int:
+    """Joins [a, b] to the n runs that it meets, in place; the new number of runs. Without room the nearest takes it in."""
+    ...
+
+
+@wp.func_native("return r2h::add_lanes(near, sticking, span.data, cut.data, slack, run_low.data, run_high.data, n);")
+def add_lanes(
+    near: int, sticking: int, span: wp.array(dtype=float), cut: wp.array(dtype=float), slack: float,
     run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
 ) -> int:  # fmt: skip
-    """Joins lanes to the only run (n = 1), lowest lane first, until one does not meet it; returns the lanes that are left.
+    """As `add_run`, of each lane of `near`, lowest first.
 
-    This is `add_run` in its usual case. A lane's range of y is its `cut` where it is in `sticking`, else its `span`. A lane
-    whose span lies in the run, `slack` longer, adds nothing. A range meets the run when it is within `join` of it.
+    A lane's range of y is its `cut` where it is in `sticking`, else its `span`. An empty range adds nothing, nor does a lane
+    whose span lies in a run, `slack` longer.
     """
     ...
 

@@ -8,13 +8,14 @@ from r2h_batch.kernels.geometry.lanes import (
     LEAF_ROWS,
     NODE_ROWS,
     TRIANGLE_ROWS,
+    add_run,
     boxes_in_prism,
     first_lane,
     lane_point,
     triangles_in_prism,
 )
 from r2h_batch.kernels.geometry.surface import Surfaces, line_hit
-from r2h_batch.kernels.grasp.prism import FAR, JOIN_M, MAX_RUNS, add_run
+from r2h_batch.kernels.grasp.prism import FAR, JOIN_M, MAX_RUNS
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)

@@ -13,18 +13,18 @@ from r2h_batch.kernels.geometry.lanes import (
     LEAF_ROWS,
     NODE_ROWS,
     TRIANGLE_ROWS,
+    add_lanes,
     boxes_along,
     boxes_in_prism,
     cut_to_prism,
     first_lane,
-    grow_run,
     lane_point,
     leaf_in_prism,
     outside_runs,
 )
 from r2h_batch.kernels.geometry.surface import Surfaces, line_hit
 from r2h_batch.kernels.grasp.crossings import solid_along_line
-from r2h_batch.kernels.grasp.prism import COVERED_M, JOIN_M, add_run, corner, outermost
+from r2h_batch.kernels.grasp.prism import COVERED_M, corner, outermost
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -66,20 +66,7 @@ def _add_leaf(
         at = cut_to_prism(corners, sticking, half_x, z_low, z_high, cut)
         if at != 0:
             _add_corners(corners, at, half_x, z_low, z_high, cut)
-    near = grow_run(near, sticking, span, cut, COVERED_M, JOIN_M, run_low, run_high, runs)
-    while near != 0:
-        lane = first_lane(near)
-        near = near & (near - 1)
-        low = span[lane]
-        high = span[8 + lane]
-        if (sticking >> lane) & 1 != 0:
-            low = cut[lane]
-            high = cut[8 + lane]
-        if low <= high:
-            runs = add_run(run_low, run_high, runs, low, high)
-            near = outside_runs(span, near, COVERED_M, run_low, run_high, runs)  # asked anew: the runs have grown
-            near = grow_run(near, sticking, span, cut, COVERED_M, JOIN_M, run_low, run_high, runs)
-    return runs
+    return add_lanes(near, sticking, span, cut, COVERED_M, run_low, run_high, runs)
 
 
 @wp.func(inline=False)

@@ -33,37 +33,6 @@ COVERED_M = wp.constant(1.0e-7)
 FAR = wp.constant(1.0e30)
 
 
-@wp.func(inline=False)
-def add_run(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a: float, b: float) -> int:
-    """Joins [a, b] to the runs it meets, in place; the new number of runs."""
-    i = int(0)
-    while i < n:
-        if a <= high[i] + JOIN_M and b >= low[i] - JOIN_M:
-            a = wp.min(a, low[i])
-            b = wp.max(b, high[i])
-            n -= 1
-            low[i] = low[n]
-            high[i] = high[n]
-            i = 0  # the grown run may meet one that was passed
-        else:
-            i += 1
-    if n < MAX_RUNS:
-        low[n] = a
-        high[n] = b
-        n += 1
-    else:  # no room: the nearest run takes it in
-        gap = float(FAR)
-        k = int(0)
-        for j in range(n):
-            d = wp.max(low[j] - b, a - high[j])
-            if d < gap:
-                gap = d
-                k = j
-        low[k] = wp.min(low[k], a)
-        high[k] = wp.max(high[k], b)
-    return n
-
-
 @wp.func
 def outermost(run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), runs: int, half_gap: float):
     """Lowest and highest y of the runs that meet |y| < half_gap (low > high: none)."""

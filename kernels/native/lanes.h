@@ -480,29 +480,58 @@ R2H_FUNCTION int cut_to_prism(const float *corners, int lanes, float half_x, flo
     return bits & (0x01010101 * lanes);
 }
 
-// Joins lanes to the one run that there is (n = 1), lowest lane first, until one does not meet it;
-// returns the lanes of `near` that are left. It is the usual case of `add_run` (grasp/runs.py).
+// Ranges within this of each other are one run.
+R2H_FUNCTION float join() { return 1.0e-6f; }
+R2H_FUNCTION int most_runs() { return 24; }
+
+// Joins [a, b] to the n runs that it meets, in place; returns how many there are now.
+R2H_FUNCTION int add_run(float *low, float *high, int n, float a, float b) {
+    int i = 0;
+    while (i < n) {
+        if (a <= high[i] + join() && b >= low[i] - join()) {
+            a = low[i] < a ? low[i] : a;
+            b = high[i] > b ? high[i] : b;
+            --n;
+            low[i] = low[n];
+            high[i] = high[n];
+            i = 0; // the grown run may meet one that was passed
+        } else
+            ++i;
+    }
+    if (n < most_runs()) {
+        low[n] = a;
+        high[n] = b;
+        return n + 1;
+    }
+    int nearest = 0; // no room: the nearest run takes it in
+    float gap = 1.0e30f;
+    for (int k = 0; k < n; ++k) {
+        float below = low[k] - b, above = a - high[k];
+        float apart = below > above ? below : above;
+        nearest = apart < gap ? k : nearest;
+        gap = apart < gap ? apart : gap;
+    }
+    low[nearest] = a < low[nearest] ? a : low[nearest];
+    high[nearest] = b > high[nearest] ? b : high[nearest];
+    return n;
+}
+
+// Joins lanes of `near` to the n runs, lowest lane first; returns how many runs there are now.
 //
-// A lane's range of y is its `cut` where it is in `sticking`, else its `span`. It does nothing
-// where its span lies in the run, `slack` longer. A range within `join` of the run meets it.
-R2H_FUNCTION int grow_run(int near, int sticking, const float *span, const float *cut, float slack, float join,
-                          float *run_low, float *run_high, int n) {
-    float low = run_low[0], high = run_high[0];
-    while (n == 1 && near != 0) {
+// A lane's range of y is its `cut` where it is in `sticking`, else its `span`; an empty one
+// (low > high) and one whose span lies in a run, `slack` longer, add nothing.
+R2H_FUNCTION int add_lanes(int near, int sticking, const float *span, const float *cut, float slack, float *low,
+                           float *high, int n) {
+    for (; near != 0; near &= near - 1) {
         int lane = first_lane(near);
         const float *y = ((sticking >> lane) & 1) ? cut : span;
-        float a = y[lane], b = y[8 + lane];
-        if (a <= b && !(a <= high + join && b >= low - join))
-            break;
-        near &= near - 1;
-        if (a <= b && !(span[lane] >= low - slack && span[8 + lane] <= high + slack)) {
-            low = a < low ? a : low;
-            high = b > high ? b : high;
-        }
+        bool adds = y[lane] <= y[8 + lane];
+        for (int i = 0; i < n && adds; ++i)
+            adds = !(span[lane] >= low[i] - slack && span[8 + lane] <= high[i] + slack);
+        if (adds)
+            n = add_run(low, high, n, y[lane], y[8 + lane]);
     }
-    run_low[0] = low;
-    run_high[0] = high;
-    return near;
+    return n;
 }
 
 // ------------------------------------------------------- the nearest point of a surface
