@@ -202,15 +202,15 @@ def support_cells(points: Array) -> Array:
     whole = (-1.0, 1.0)
     windows = list(pairwise(np.linspace(*whole, CELLS_PER_EDGE + 1)))
     sides = [(axis, sign) for axis in range(3) for sign in whole[::-1]]
-    kept = []
+    kept: list[Array] = []
     around = [_corners(*side, whole, whole) for side in sides]
     for side, of_side in zip(sides, _farthest(points, around), strict=True):
         rows = _farthest(of_side, [_corners(*side, u, whole) for u in windows])
         for u, row in zip(windows, rows, strict=True):
             kept += _farthest(row, [_corners(*side, u, v) for v in windows])
     count = np.array([len(cell) for cell in kept])
-    blocks, rows = point_blocks(np.concatenate(kept), np.cumsum(np.append(0, count)))
-    header = np.stack([len(kept) + rows[:-1], count, np.zeros_like(count)], 1)
+    blocks, first = point_blocks(np.concatenate(kept), np.cumsum(np.append(0, count)))
+    header = np.stack([len(kept) + first[:-1], count, np.zeros_like(count)], 1)
     return np.concatenate([header.astype(np.float64), blocks])
 
 
@@ -234,8 +234,9 @@ def _farthest(points: Array, corners: Sequence[Array]) -> list[Array]:
     at = np.ascontiguousarray(height.T).reshape(len(corners), 4, -1)
     rivals = np.concatenate([at.argmax(2), at.sum(1).argsort(1)[:, -8:]], 1)
     least = np.take_along_axis(at, rivals[:, None], 2) - 1e-9
-    beaten = (at[:, :, None] < least[..., None]).all(1).any(1)
-    return [points[~worse] for worse in beaten]
+    worse = at[:, :, None] < least[..., None]  # (windows, 4, rivals, points)
+    beaten = np.any(np.all(worse, axis=1), axis=1)
+    return [points[~left_out] for left_out in beaten]
 
 
 def gripper_balls(robot: Robot) -> tuple[Array, Array]:

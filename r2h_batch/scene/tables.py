@@ -127,9 +127,10 @@ class Hands:
         ].numpy()
 
 
-def _length(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+def _length(vectors: NDArray[Any]) -> NDArray[Any]:
     """Lengths of vectors (..., 3), in half the time of `np.linalg.norm`."""
-    return np.sqrt(se3.dot(vectors, vectors))
+    x, y, z = (vectors[..., k] for k in range(3))
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 @lru_cache(maxsize=128)
