@@ -124,10 +124,11 @@ def execute(
     not depend on each other. A row whose object is FAR_OBJECT_M off does not run and is not at rest.
 
     `clearance_m`: certified smallest distance of all pairs along each planned path
-    (`Plan.clearance_m`). With `model="auto"` the arm alone moves first; where no body can have come
-    as near to another as to touch it, the contacts of the whole scene cannot have pushed and the
-    motion stands: known from the clearance, if it is given and large enough, else from a walk along
-    the motion (`nothing_pushes`). The other rows are moved in the whole scene.
+    (`Plan.clearance_m`). With `model="auto"` the arm alone moves first, with `model="scene"` in
+    MuJoCo C the whole scene without contacts; where no body can have come as near to another as to
+    touch it, the contacts of the whole scene cannot have pushed and the motion stands: known from
+    the clearance, if it is given and large enough, else from a walk along the motion
+    (`nothing_pushes`). The other rows are moved in the whole scene with its contacts.
     """
     engine = config.engine(scene.device)
     if engine == "none":
@@ -136,15 +137,21 @@ def execute(
         end, none = motion.t_exec_s, torch.zeros_like(length)
         return Executed(path, length, end, length > 0, true, zero, zero, zero, none, None)
 
-    def move(model: Literal["scene", "arm"], rows: Bool[Tensor, " b"]) -> Executed:
-        run = _Runner(scene, body_poses, path, length, motion, replace(config, model=model), engine)
+    def move(
+        model: Literal["scene", "arm"], rows: Bool[Tensor, " b"], contacts: bool = True
+    ) -> Executed:
+        how = replace(config, model=model)
+        run = _Runner(scene, body_poses, path, length, motion, how, engine, contacts)
         return _until_at_rest(run, rows)
 
     sticks_out = body_poses.object_motion_radius - scene.motion_radii.amax(0).to(path.device)
     found = (length > 0) & (sticks_out.amax(1) <= FAR_OBJECT_M)
-    if config.model != "auto":
+    if config.model == "auto":
+        alone = _with_fingers(move("arm", found), found)
+    elif config.model == "scene" and engine == "mujoco":
+        alone = move("scene", found, contacts=False)
+    else:
         return move(config.model, found)
-    alone = _with_fingers(move("arm", found), found)
     free = torch.zeros_like(found)
     if clearance_m is not None:
         # Two bodies may each be off by the deviation, towards each other; the clearance is located
@@ -212,9 +219,9 @@ class _Runner:
 
     def __init__(
         self, scene: Scene, body_poses: BodyPoses, path: Tensor, length: Tensor, motion: Motion, config: ExecConfig,
-        engine: str
+        engine: str, contacts: bool
     ) -> None:  # fmt: skip
-        self.scene, self.config = scene, config
+        self.scene, self.config, self.contacts = scene, config, contacts
         self.path, self.length = path.contiguous(), length
         self.reference_s = motion.t_exec_s.double().cpu().numpy()
         module = import_module(f"r2h_batch.judge.motion.sim_{engine}")
@@ -250,6 +257,7 @@ class _Runner:
             self.scene.model(self.trials.hand_index[rows], self.config), self.law, self.tables, rows, self.trials.rows(rows),
             self.path[torch.from_numpy(rows), 0].double().cpu().numpy(),
             samples, self.config.record_steps, self.device, self.scene.motion_radii.cpu().numpy(),
+            self.contacts,
         )  # fmt: skip
         return self._judged(job, self.simulate(job), sample_s)
 

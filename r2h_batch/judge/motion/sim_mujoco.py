@@ -23,11 +23,12 @@ ON_CPU = True
 CHUNK = 64
 """Trials whose commands are held in memory at once: about 20 MB."""
 
-UNCONSTRAINED = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(
-    mujoco.mjtDisableBit.mjDSBL_DAMPER
-)
+_BIT = mujoco.mjtDisableBit
+UNCONSTRAINED = int(_BIT.mjDSBL_CONSTRAINT) | int(_BIT.mjDSBL_DAMPER)
 """Flags without effect in MuJoCo C for the arm alone while its joints are within their limits: it has
 no other constraints, and no joint of it has damping. The steps are the same."""
+ONE_ISLAND = int(_BIT.mjDSBL_ISLAND) | int(_BIT.mjDSBL_DAMPER)
+"""And for the whole scene, whose moving bodies are one tree."""
 
 Simulator = tuple[mujoco.MjModel, mujoco.MjData]
 """A copy of the model, which trials are put into one after the other, and its state."""
@@ -86,9 +87,18 @@ def _run(
     scene.load(model, trial, data)
     command[:, n:] = scene.hold(trial)
     start = scene.start(trial, job.start[i])
-    states = _states(model, data, start, command, constrained=scene.full)
-    if not scene.full and not _within_limits(model, states[:, 1 : 1 + n]):
-        states = _states(model, data, start, command, constrained=True)
+    every = scene.model.opt.disableflags
+    if scene.full:
+        model.opt.disableflags = every | ONE_ISLAND
+        if not job.contacts:
+            model.opt.disableflags |= int(_BIT.mjDSBL_CONTACT)
+        states = _states(model, data, start, command)
+    else:
+        model.opt.disableflags = every | UNCONSTRAINED
+        states = _states(model, data, start, command)
+        if not _within_limits(model, states[:, 1 : 1 + n]):
+            model.opt.disableflags = every
+            states = _states(model, data, start, command)
     time, q, qd = np.split(states, [1, 1 + model.nq], axis=1)
     kept = q[:: job.record_steps, :n]
     out.q[i, : len(kept)] = kept
@@ -119,12 +129,8 @@ def _states(
     data: mujoco.MjData,
     start: NDArray[np.float64],
     command: NDArray[np.float64],
-    *,
-    constrained: bool,
 ) -> NDArray[np.float64]:
     """Time, qpos and qvel (steps + 1, 1 + nq + nv) of a motion that begins at rest."""
-    model.opt.disableflags &= ~UNCONSTRAINED
-    model.opt.disableflags |= 0 if constrained else UNCONSTRAINED
     states = np.empty((len(command) + 1, 1 + model.nq + model.nv))
     states[0] = [0.0, *start, *np.zeros(model.nv)]
     rollout.rollout(model, data, states[:1], command[None], state=states[None, 1:])

@@ -33,6 +33,7 @@ class Job:
     record_steps: int
     device: str
     motion_radii: NDArray[np.float64]  # (bodies, J) m a radian, of all points of the robot
+    contacts: bool = True  # False: nothing touches, and MuJoCo C need not look for it
 
 
 @dataclass(frozen=True)

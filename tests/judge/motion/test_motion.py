@@ -32,7 +32,9 @@ from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import EvalConfig, ExecConfig, Thresholds
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import hand_distance
+from r2h_batch.judge.motion import sim_mujoco
 from r2h_batch.judge.motion.execute import execute
+from r2h_batch.judge.motion.simulation import Job, Samples
 from r2h_batch.judge.motion.time_law import Motion, time_at, time_path
 from r2h_batch.kernels.robot.posture import duration
 from r2h_batch.scene.model import SceneModel
@@ -320,3 +322,22 @@ def test_a_gpu_moves_the_arm_as_mujoco_does_on_the_cpu():
     a, g = on_cpu[same_path], on_gpu[same_path]
     assert torch.equal(a.outcome[~a.borderline], g.outcome[~a.borderline])
     np.testing.assert_allclose(a.t_exec_s.numpy(), g.t_exec_s.numpy(), atol=0.017)
+
+
+def test_only_what_touches_is_simulated_with_the_contacts_of_the_scene_and_all_of_it_keeps_its_bits(monkeypatch):
+    path, length, row = into_the_table()
+    honest, asked = sim_mujoco.simulate, {True: set[int](), False: set[int]()}
+
+    def counted(job: Job) -> Samples:
+        asked[job.contacts] |= set(job.rows.tolist())
+        return honest(job)
+
+    monkeypatch.setattr(sim_mujoco, "simulate", counted)
+    found = run(BRIEF, path=path, length=length)
+    assert asked[False] == set(torch.nonzero(length > 0).flatten().tolist()) and asked[True] == {row}
+    monkeypatch.setattr(sim_mujoco, "simulate", lambda job: honest(replace(job, contacts=True)))
+    whole = run(BRIEF, path=path, length=length)
+    for i in torch.nonzero(length > 0).flatten().tolist():
+        assert torch.equal(found.path[i, : int(found.length[i])], whole.path[i, : int(whole.length[i])])
+    for name in ("length", "settled", "slack_m", "deviation_m", "window_slack_m", "window_opening_m"):
+        assert torch.equal(getattr(found, name), getattr(whole, name)), name
