@@ -267,12 +267,11 @@ class Scene:
         """Object surfaces, receiver regions and the gripper, for grasp.py."""
         return grasp_tables(self.objects, self.robot, self.device)
 
-    def _mesh(self, vertices: Any, faces: Any, *, closed: bool = True) -> wp.Mesh:
-        """A mesh for Warp's queries; `closed`: with winding numbers."""
+    def _mesh(self, vertices: Any, faces: Any) -> wp.Mesh:
+        """A mesh for Warp's queries."""
         return wp.Mesh(
             points=wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=self.device),
             indices=wp.array(faces.astype(np.int32).ravel(), dtype=wp.int32, device=self.device),
-            support_winding_number=closed,
         )
 
     @cached_property
@@ -286,9 +285,7 @@ class Scene:
     @cached_property
     def _region_meshes(self) -> list[wp.Mesh | None]:
         return [
-            self._mesh(o.vertices, o.faces[o.receiver_face], closed=False)
-            if o.receiver_face.any()
-            else None
+            self._mesh(o.vertices, o.faces[o.receiver_face]) if o.receiver_face.any() else None
             for o in self.objects
         ]
 
