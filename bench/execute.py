@@ -18,7 +18,7 @@ import torch
 from _mix import load_mix, on
 from _report import Report, arguments
 
-import r2h_batch.evaluate as evaluate
+import r2h_batch.judge.motion.execute as execution
 from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
@@ -79,7 +79,7 @@ class Mix:
             rows[job.scene.full] |= set(job.rows.tolist())
             return simulate(job, **k)
 
-        with mock.patch.object(evaluate, "execute", watched), mock.patch.object(engine, "simulate", counted):
+        with mock.patch.object(execution, "execute", watched), mock.patch.object(engine, "simulate", counted):
             start = time.process_time()
             scores = evaluator.score(self.g, self.h, self.trials)
             seen["seconds"] = time.process_time() - start

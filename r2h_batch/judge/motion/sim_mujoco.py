@@ -106,10 +106,10 @@ def _run(
     acceleration = np.diff(qd[:, :n], axis=0)
     np.abs(acceleration, out=acceleration)
     acceleration /= model.opt.timestep
-    out.acceleration[i], out.sway_m[i] = acceleration.max(0), scene.sway(trial, q)
     begins = np.arange(0, len(command), job.record_steps * int(WINDOW))
-    most = np.maximum.reduceat(acceleration, begins) @ job.motion_radii.T
-    out.bend[i, : len(begins)] = most.max(1)
+    of_window = np.maximum.reduceat(acceleration, begins)
+    out.acceleration[i], out.sway_m[i] = of_window.max(0), scene.sway(trial, q)
+    out.bend[i, : len(begins)] = (of_window @ job.motion_radii.T).max(1)
     if scene.full:
         fingers = scene.fingers(trial, q) * [-1, 1, 1]  # the smallest angle as a maximum too
         found = np.maximum(np.maximum.reduceat(fingers[1:], begins), fingers[begins])
