@@ -24,7 +24,7 @@ from r2h_batch.judge.grasp_physics import (
     full_effort,
     opening_speed,
 )
-from r2h_batch.judge.motion.simulation import only_stepping
+from r2h_batch.judge.motion.simulation import warnings_unwritten
 from r2h_batch.scene.dynamics import quat_wxyz
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import Robot
@@ -58,7 +58,7 @@ def closed_poses(
         m = _model(robot, objects[int(object_index[i])])
         return _closed(m, robot, T_gripper_obj[i], float(opening_m[i]))
 
-    with only_stepping():
+    with warnings_unwritten():
         rows = list(thread_pool(cpu_threads()).map(one, range(len(object_index))))
     return np.array(rows, np.float64).reshape(-1, 4, 4)
 

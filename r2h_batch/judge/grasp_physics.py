@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base.launch import cpu_threads, thread_pool
-from r2h_batch.judge.motion.simulation import only_stepping
+from r2h_batch.judge.motion.simulation import warnings_unwritten
 from r2h_batch.scene.dynamics import add_servo, quat_wxyz
 from r2h_batch.scene.model_parts import FingerFrames, add_mesh, tie
 from r2h_batch.scene.objects import ObjectModel
@@ -81,7 +81,7 @@ def close_in_physics(
         model, T = objects[int(object_index[i])], np.asarray(T_obj_ee[i], np.float64)
         return _close(robot, model, T, down[i] if shake else None, shake_m_s2)
 
-    with only_stepping():
+    with warnings_unwritten():
         rows = list(thread_pool(cpu_threads()).map(one, range(len(object_index))))
     opening, moved, slip, turned = np.array(rows, np.float64).reshape(-1, 4).T
     return Closed(opening, moved, slip, turned, np.isfinite(slip) & (slip < DROPPED_M))

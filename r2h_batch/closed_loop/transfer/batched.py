@@ -36,7 +36,7 @@ from r2h_batch.closed_loop.transfer.person import LOST_DEG, LOST_M, Persons
 from r2h_batch.closed_loop.transfer.simulate import Transfers
 from r2h_batch.closed_loop.transfer.worlds_mjwarp import Batch, Standing, WarpWorlds
 from r2h_batch.closed_loop.transfer.worlds_mujoco import TOUCH_M
-from r2h_batch.judge.motion.simulation import only_stepping
+from r2h_batch.judge.motion.simulation import warnings_unwritten
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import Robot
 
@@ -87,7 +87,7 @@ class BatchedSimulator:
             1 << (n - 1).bit_length()
         )  # a few sizes only: worlds stand from one group to the next
         full = handed[np.minimum(np.arange(worlds), n - 1)]
-        with only_stepping():
+        with warnings_unwritten():
             batch = self._standing(full)
             standing = batch.close(full)
             return [self._one(batch, standing, case, n) for case in cases]

@@ -24,7 +24,7 @@ from r2h_batch.closed_loop.transfer.release import release_of
 from r2h_batch.closed_loop.transfer.simulate import Transfers, noise_of, simulate
 from r2h_batch.closed_loop.transfer.worlds import Worlds
 from r2h_batch.closed_loop.transfer.worlds_mujoco import Models, MujocoWorlds
-from r2h_batch.judge.motion.simulation import only_stepping
+from r2h_batch.judge.motion.simulation import warnings_unwritten
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import Robot
 
@@ -79,13 +79,13 @@ class Simulator:
 
     def __call__(self, handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
         """Every row in every case; the gripper closes once for each row."""
-        with only_stepping():
+        with warnings_unwritten():
             closed = [self.models.close(handed[i : i + 1]) for i in range(len(handed))]
             return [self._one(handed, closed, case) for case in cases]
 
     def hold(self, gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
         """`Models.hold` of every row: m, m, degrees."""
-        with only_stepping():
+        with warnings_unwritten():
             rows = [self.models.hold(gripped[i : i + 1]) for i in range(len(gripped))]
         return np.array(rows, np.float64).reshape(-1, 3)
 

@@ -16,7 +16,7 @@ from r2h_batch.closed_loop.transfer.person import SCENARIOS, Hands, draw_persons
 from r2h_batch.closed_loop.transfer.release import Action, Observation, RobotSide, release_of
 from r2h_batch.closed_loop.transfer.simulate import Running, noise_of
 from r2h_batch.closed_loop.transfer.worlds_mujoco import Models, MujocoWorlds
-from r2h_batch.judge.motion.simulation import only_stepping
+from r2h_batch.judge.motion.simulation import warnings_unwritten
 from r2h_batch.scene.scene import Scene
 
 ASKED = "action"
@@ -70,7 +70,7 @@ class LoopTransfers:
         """
         scenario = SCENARIOS["take"]
         persons = draw_persons(scenario, handed.trial_id, 0)
-        with only_stepping():
+        with warnings_unwritten():
             closed = self.models.close(handed)
         worlds = MujocoWorlds([closed], persons.arm_n_m, self.scene.robot, self.models.setting)
         running = Running(
@@ -101,7 +101,7 @@ class LoopTransfers:
         ticks = one.steps * TICKS_A_S // self.rate_hz - (one.steps - 1) * TICKS_A_S // self.rate_hz
         if isinstance(one.policy, _Asked):
             one.policy.opens |= opens
-        with only_stepping():
+        with warnings_unwritten():
             for _ in range(ticks):
                 seen = one.running.observe()
                 if seen is None:

@@ -20,7 +20,7 @@ import warp as wp
 
 from r2h_batch.base.launch import launch
 from r2h_batch.base.launch.instances import of_joints
-from r2h_batch.judge.motion.simulation import Job, Samples, only_stepping
+from r2h_batch.judge.motion.simulation import Job, Samples, clock_unread, warnings_unwritten
 from r2h_batch.kernels.motion.time_law import Law
 from r2h_batch.kernels.motion.worlds import (
     OVERFLOW,
@@ -406,7 +406,7 @@ def simulate(job: Job) -> Samples:
     it is not valid."""
     out = Samples.empty(job)
     todo = np.arange(len(job.rows))
-    with _one_at_a_time, only_stepping():
+    with _one_at_a_time, warnings_unwritten(), clock_unread():
         for turn in range(TRIES):
             if not len(todo):
                 break

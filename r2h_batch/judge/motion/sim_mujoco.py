@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.launch import cpu_threads, over_trials, thread_pool
 from r2h_batch.base.launch.instances import of_joints
-from r2h_batch.judge.motion.simulation import Job, Samples, only_stepping
+from r2h_batch.judge.motion.simulation import Job, Samples, clock_unread, warnings_unwritten
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.kernels.motion.worlds import WINDOW
 
@@ -43,7 +43,7 @@ def simulate(job: Job) -> Samples:
     for _ in range(workers):
         model = copy.copy(job.scene.model)
         simulators.put((model, mujoco.MjData(model)))
-    with only_stepping():
+    with warnings_unwritten(), clock_unread():
         for first in range(0, len(job.rows), CHUNK):
             rows = range(first, min(first + CHUNK, len(job.rows)))
             steps = job.samples[rows.start : rows.stop].astype(np.int64) * job.record_steps

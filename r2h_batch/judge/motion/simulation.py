@@ -3,10 +3,10 @@
 import ctypes
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, wraps
 from typing import Any
 
 import mujoco
@@ -67,35 +67,40 @@ class Samples:
         )  # fmt: skip
 
 
-_lock = threading.Lock()
-_inside = 0
-_until_outside = ExitStack()
+Context = Callable[[], AbstractContextManager[None]]
 
 
+def _shared(context: Context) -> Context:
+    """The context, entered by the first thread that needs it and left by the last."""
+    lock, entered, inside = threading.Lock(), ExitStack(), 0
+
+    @contextmanager
+    @wraps(context)
+    def shared() -> Iterator[None]:
+        nonlocal inside
+        with lock:
+            if inside == 0:
+                entered.enter_context(context())
+            inside += 1
+        try:
+            yield
+        finally:
+            with lock:
+                inside -= 1
+                if inside == 0:
+                    entered.close()
+
+    return shared
+
+
+@_shared
 @contextmanager
-def only_stepping() -> Iterator[None]:
-    """While it lasts, MuJoCo only steps: it writes no MUJOCO_LOG.TXT into the working directory
-    (what it warns of is in the states) and reads no clock for `MjData.timer`.
+def warnings_unwritten() -> Iterator[None]:
+    """While it lasts, MuJoCo writes no MUJOCO_LOG.TXT into the working directory: what it warns of
+    is in the states.
 
-    A handler or clock that the user has set stays in charge.
+    A handler that the user has set stays in charge.
     """
-    global _inside
-    with _lock:
-        if _inside == 0:
-            _until_outside.enter_context(_warnings_unwritten())
-            _until_outside.enter_context(_clock_unread())
-        _inside += 1
-    try:
-        yield
-    finally:
-        with _lock:
-            _inside -= 1
-            if _inside == 0:
-                _until_outside.close()
-
-
-@contextmanager
-def _warnings_unwritten() -> Iterator[None]:
     if mujoco.get_mju_user_warning() is not None:
         yield
         return
@@ -110,9 +115,11 @@ def _say_nothing(message: str) -> None:
     pass
 
 
+@_shared
 @contextmanager
-def _clock_unread() -> Iterator[None]:
-    """A step reads it twenty times or more, a seventh of the time of the arm alone."""
+def clock_unread() -> Iterator[None]:
+    """While it lasts, MuJoCo's steps read no clock for `MjData.timer`: they would twenty times or
+    more, a seventh of the time of the arm alone. A clock that the user has set stays in charge."""
     clock = _clock()
     if clock is None or mujoco.get_mjcb_time() is not None:
         yield

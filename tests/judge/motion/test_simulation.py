@@ -2,7 +2,7 @@
 
 import mujoco
 
-from r2h_batch.judge.motion.simulation import only_stepping
+from r2h_batch.judge.motion.simulation import clock_unread, warnings_unwritten
 
 PENDULUM = "<mujoco><worldbody><body><joint axis='0 1 0'/><geom size='.1' pos='1 0 0'/></body></worldbody></mujoco>"
 STEP = mujoco.mjtTimer.mjTIMER_STEP
@@ -17,8 +17,8 @@ def stepped() -> mujoco.MjData:
 
 def test_the_clock_is_read_again_after_the_last_simulation_and_states_do_not_depend_on_it():
     before = stepped()
-    with only_stepping():
-        with only_stepping():
+    with clock_unread():
+        with clock_unread():
             pass
         inside = stepped()
     after = stepped()
@@ -38,7 +38,7 @@ def test_a_clock_and_a_handler_of_the_user_stay_in_charge():
     mujoco.set_mjcb_time(clock)
     mujoco.set_mju_user_warning(said.append)
     try:
-        with only_stepping():
+        with warnings_unwritten(), clock_unread():
             assert stepped().timer[STEP].duration >= 50.0
             assert mujoco.get_mju_user_warning() == said.append
         assert mujoco.get_mjcb_time() is clock and mujoco.get_mju_user_warning() == said.append
