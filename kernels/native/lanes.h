@@ -480,7 +480,8 @@ R2H_FUNCTION int cut_to_prism(const float *corners, int lanes, float half_x, flo
     return bits & (0x01010101 * lanes);
 }
 
-// Ranges within this of each other are one run.
+// Ranges within `join` of each other are one run (JOIN_M of grasp/prism.py), of which there is room
+// for `most_runs` (MAX_RUNS).
 R2H_FUNCTION float join() { return 1.0e-6f; }
 R2H_FUNCTION int most_runs() { return 24; }
 
@@ -581,12 +582,10 @@ R2H_FUNCTION int nearest_triangle(const float *p, int count, const wp::vec3 &x, 
     float far2[8], weight_b[8], weight_c[8], given2[8];
     each_lane([&](Lane lane) {
         auto corner = [&](int i) { return Points{lane.row(p, 3 * i), lane.row(p, 3 * i + 1), lane.row(p, 3 * i + 2)}; };
-        auto less = [](const Points &a, const Points &b) { return Points{a.x - b.x, a.y - b.y, a.z - b.z}; };
-        auto dot = [](const Points &a, const Points &b) { return a.x * b.x + a.y * b.y + a.z * b.z; };
         Points a = corner(0), b = corner(1), c = corner(2);
-        Points at = {(floats)(x.c[0]), (floats)(x.c[1]), (floats)(x.c[2])};
-        Points ab = less(b, a), ac = less(c, a), bc = less(c, b);
-        Points ap = less(at, a), bp = less(at, b), cp = less(at, c);
+        Point at = xyz(x);
+        Points ab = b - a, ac = c - a, bc = c - b;
+        Points ap = at - a, bp = at - b, cp = at - c;
         floats d1 = dot(ab, ap), d2 = dot(ac, ap), d3 = dot(ab, bp), d4 = dot(ac, bp);
         floats d5 = dot(ab, cp), d6 = dot(ac, cp);
         floats va = d3 * d6 - d5 * d4, vb = d5 * d2 - d1 * d6, vc = d1 * d4 - d3 * d2;
@@ -618,12 +617,11 @@ R2H_FUNCTION int nearest_triangle(const float *p, int count, const wp::vec3 &x, 
         floats u = one - v - w;
         w = one - u - v;
         auto squared = [&](floats u, floats v, floats w) {
-            Points y = {u * a.x + v * b.x + w * c.x, u * a.y + v * b.y + w * c.y, u * a.z + v * b.z + w * c.z};
-            Points toward = less(y, at);
+            Points toward = u * a + v * b + w * c - at;
             return dot(toward, toward);
         };
         floats d2_here = squared(u, v, w);
-        Points normal = {ab.y * ac.z - ab.z * ac.y, ab.z * ac.x - ab.x * ac.z, ab.x * ac.y - ab.y * ac.x};
+        Points normal = cross(ab, ac);
         floats sides2 = dot(ab, ab) + dot(ac, ac) + dot(bc, bc);
         ints is_sliver = dot(normal, normal) < 1.0e-12f * sides2 * sides2;
         lane.put(far2, 0, is_sliver ? (floats)(1.0e38f) : d2_here);
