@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from _report import Report
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import launch
 from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import EvalConfig, ExecConfig
@@ -31,7 +32,6 @@ from r2h_batch.kernels.frontier import queues, safe_queues
 from r2h_batch.kernels.plan import codes
 from r2h_batch.kernels.robot.joints import OBJECT
 from r2h_batch.methods import random
-from r2h_batch.trials.protocol import trials_with_ids
 
 WARP, COPIES, REPEATS, WARPS = 32, 32, 3, 64
 STAGES = {
@@ -192,8 +192,11 @@ def costs_of(kernel: Any, inputs: Mapping[str, Any], outputs: Mapping[str, Any],
 
 def report_lanes(report: Report, trials: int) -> None:
     """Useful lanes and the longest chain of each stage, in the GPU's form, of one chunk of the method `random`."""
-    evaluator, lanes = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=trials), threads=1), Lanes()
-    batch = trials_with_ids(torch.arange(trials), objects=evaluator.scene.objects, protocol="r2h-v1")
+    evaluator, lanes = (
+        Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none"), chunk=trials), threads=1),
+        Lanes(),
+    )
+    batch = load_benchmark("r2h-v1").with_objects(evaluator.scene.objects).trials_with_ids(torch.arange(trials))
     poses = random.predict(batch, evaluator.scene, seed=0)
     asked = poses.T_obj_ee, poses.T_world_ee, batch
     with planning_form("frontier"), ExitStack() as stack:

@@ -1,12 +1,13 @@
 """The frozen mix: 1,024 trials of r2h-v0, S0 and S1 by turns, half with the poses of `oracle`, half with those of `random`."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Trials
 
 MIX = Path(__file__).with_name("mix.npz")
@@ -19,7 +20,9 @@ def load_mix(scene: Scene, n: int | None = None) -> tuple[Poses, torch.Tensor]:
     with np.load(MIX, allow_pickle=False) as mix:
         ids, by_oracle = (torch.from_numpy(mix[k]) for k in ("trial_id", "by_oracle"))
         T_obj_ee, T_world_ee = (torch.from_numpy(mix[k]) for k in ("T_obj_ee", "T_world_ee"))
-    trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0")
+    trials = replace(load_benchmark("r2h-v0").with_objects(scene.objects), hand_set=scene.hands.set).trials_with_ids(
+        ids
+    )
     whole = repeated((T_obj_ee, T_world_ee, trials), len(ids) if n is None else n)
     return on(whole, str(scene.device)), by_oracle[torch.arange(len(whole[2])) % len(ids)]
 

@@ -25,6 +25,7 @@ from _is_free import is_free
 from _report import Report, arguments
 from _twins import let_collide, make_batch, oracle, solve, staged
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import HOME_Q, EvalConfig
 from r2h_batch.scene.scene import Scene
@@ -115,7 +116,7 @@ def main() -> None:
     args = options()
     torch.set_num_threads(1)
     report = Report(MEASURES)
-    scene = Scene("cpu", config=EvalConfig())
+    scene = Scene(load_benchmark("r2h-v1"), config=EvalConfig(), device="cpu")
     problems, q = configurations(scene, args.trials, args.per_trial)
     count = q.shape[0] * q.shape[1]
     report.add("collision.configs", count)

@@ -40,7 +40,7 @@ BOUNDS = ("random", "oracle")
 SHORT = {"FC-Handover": "FC", "Handover-VA": "VA", "Contact-Handover": "Contact", "Intent-Handover": "Intent"}
 TRIALS, SOME, FEW = 500, 240, 120
 """Trials of each split: of Table I, of a turn test, of another configuration."""
-V1, V2 = ("--protocol", "r2h-v1", "--sim", "none"), ("--protocol", "r2h-v2", "--sim", "none")
+V1, V2 = ("--benchmark", "r2h-v1", "--sim", "none"), ("--benchmark", "r2h-v2", "--sim", "none")
 OTHERS = {
     "preset paper": ("--preset", "paper"),
     "preset release": ("--preset", "release"),
@@ -112,9 +112,9 @@ def origin(v2: Path) -> dict[str, Any]:
 def is_frozen(data: Mapping[str, Any]) -> bool:
     """Whether the rows are of r2h-v2 as it is frozen; its draft had the receivers of r2h-v1. A sweep itself refuses to go on
     with rows of another digest."""
-    from r2h_batch.trials.benchmark.benchmark import built_in
+    from r2h_batch import load_benchmark
 
-    return str(data["table"]["origin"]["benchmark"]).endswith(built_in("r2h-v2").digest)
+    return str(data["table"]["origin"]["benchmark"]).endswith(load_benchmark("r2h-v2").digest)
 
 
 def table(folder: Path) -> dict[str, Any]:
@@ -242,14 +242,14 @@ def order(folder: Path) -> dict[str, Any]:
 
 def exact_maps(place: Path, v2: Path, trials: int) -> dict[str, Any]:
     """SR of Contact-Handover on unseen instances with the network and with exact maps, in the same trials."""
+    from r2h_batch import load_benchmark
     from r2h_batch.assets.receiving.contact_maps import contact_map
     from r2h_batch.data.people import people_hand
     from r2h_batch.runs.store import load_run
-    from r2h_batch.trials.benchmark.benchmark import built_in
 
     file = place / "exact_maps.npz"
     if not file.exists():
-        objects = built_in("r2h-v2").objects
+        objects = load_benchmark("r2h-v2").objects
         names = np.array([o.name for o in objects])
         maps = np.stack([contact_map(o, people_hand()) for o in objects])
         np.savez_compressed(file, object=names, probability=maps, source=np.array("exact maps"))
@@ -281,13 +281,12 @@ def regions() -> list[dict[str, Any]]:
 
     Receiving hands, contact maps and what methods see of the region follow the definition.
     """
+    from r2h_batch import load_benchmark
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.methods import contact, fc, handover_va, intent
-    from r2h_batch.trials.benchmark.benchmark import built_in
-    from r2h_batch.trials.protocol import make_trials
 
     methods = {"FC": fc, "VA": handover_va, "Contact": contact, "Intent": intent}
-    whole = built_in("r2h-v2")
+    whole = load_benchmark("r2h-v2")
     found = []
     for category, definitions in REGIONS.items():
         own = [o for o in whole.objects if o.name.rpartition("_")[0] == category.replace(" ", "_")]
@@ -298,8 +297,8 @@ def regions() -> list[dict[str, Any]]:
                 for o, r in zip(own, region, strict=True)
             )
             benchmark = replace(whole, objects=objects)
-            evaluator = Evaluator.from_benchmark(benchmark, as_planned(), threads=1)
-            trials = make_trials(["S1"], OF_REGIONS, benchmark=benchmark)
+            evaluator = Evaluator(benchmark, as_planned(), threads=1)
+            trials = benchmark.trials(OF_REGIONS, splits=["S1"])
             rates = {}
             for name, method in methods.items():
                 answer = method.predict(trials, evaluator.scene, seed=0)
@@ -321,20 +320,19 @@ def regions() -> list[dict[str, Any]]:
 
 def cost() -> dict[str, Any]:
     """Process seconds of a scene of 96 objects, a trial's time against r2h-v1's by turns, and memory."""
+    from r2h_batch import load_benchmark
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.methods import intent
-    from r2h_batch.trials.benchmark.benchmark import built_in
-    from r2h_batch.trials.protocol import make_trials
 
     begin = resident_mib()
     found: dict[str, Any] = {}
     score: dict[str, Callable[[], object]] = {}
     for protocol in ("r2h-v1", "r2h-v2"):
-        benchmark = built_in(protocol)
+        benchmark = load_benchmark(protocol)
         seconds = time.process_time()
-        evaluator = Evaluator.from_benchmark(benchmark, as_planned(), threads=1)
+        evaluator = Evaluator(benchmark, as_planned(), threads=1)
         evaluator.scene.world, evaluator.scene.grasp_tables, evaluator.scene.object_mesh_ids  # noqa: B018
-        trials = make_trials(["S0", "S1"], ROWS // 2, benchmark=benchmark)
+        trials = benchmark.trials(ROWS // 2, splits=["S0", "S1"])
         answer = intent.predict(trials, evaluator.scene, seed=0)
         evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
         found[protocol] = {"ready_cpu_s": time.process_time() - seconds, "resident_mib": resident_mib() - begin}

@@ -28,14 +28,14 @@ def first_call_s(stages: Literal["pose", "all"], cores: tuple[int, ...], cache: 
     os.environ["WARP_CACHE_PATH"] = cache
     import torch
 
+    from r2h_batch import load_benchmark
     from r2h_batch.config import EvalConfig, ExecConfig
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.trials.protocol import make_trials
 
     with np.load(ROOT / "bench" / "mix.npz") as mix:
         T_obj_ee, T_world_ee = (torch.from_numpy(mix[k])[:1] for k in ("T_obj_ee", "T_world_ee"))
-    trials = make_trials("S0", 1, protocol="r2h-v0")
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+    trials = load_benchmark("r2h-v0").trials(1, splits="S0")
+    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
     begin = time.perf_counter()
     evaluator.score(T_obj_ee, T_world_ee, trials, stages=stages)
     return time.perf_counter() - begin

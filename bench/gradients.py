@@ -18,10 +18,10 @@ from pathlib import Path
 import torch
 from _report import ROOT, Report, arguments
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random
-from r2h_batch.trials.protocol import make_trials
 
 MEASURES = (
     *("bench/gradients.py", "examples/refine_poses.py", "kernels", "r2h_batch/judge", "r2h_batch/scene"),
@@ -33,8 +33,8 @@ SIZES = {1: 200, 2048: 7}
 
 def cost(report: Report) -> None:
     """Calls with and without the backward pass, by turns."""
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
-    trials = make_trials(trials=max(SIZES) // 2)
+    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
+    trials = load_benchmark("r2h-v1").trials(max(SIZES) // 2)
     start = random.predict(trials, evaluator.scene, seed=0)
     for b, pairs in SIZES.items():
         asked, plain = trials[:b], (start.T_obj_ee[:b], start.T_world_ee[:b])

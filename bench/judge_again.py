@@ -38,23 +38,23 @@ from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods.predictors import PredictorNoise
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results.reevaluation import Judge
-from r2h_batch.trials.benchmark.build import BenchmarkFlags, BenchmarkOverrides
 from r2h_batch.trials.noise import estimated_hand
 
 TOLERANCE_M = 1e-4
-V1 = ["--protocol", "r2h-v1"]
+V1 = ["--benchmark", "r2h-v1"]
 SETS = {
     "v1": V1,
     "body": [*V1, "--receiver", "body"],
-    "paper": ["--preset", "paper", "--protocol", "r2h-v0"],
+    "paper": ["--preset", "paper", "--benchmark", "r2h-v0"],
     "unseen": V1,
-    "families": ["--protocol", "r2h-v2"],
+    "families": ["--benchmark", "r2h-v2"],
     "panda": [*V1, "--robot", "panda_hand"],
     "ur10e": [*V1, "--robot", "ur10e_2f85"],
-    "release": ["--preset", "release", "--protocol", "r2h-release"],
+    "release": ["--preset", "release", "--benchmark", "r2h-release"],
     "error": [*V1, "--set", "execution_error=5mm,1deg"],
     "reception": V1,
     "closed": V1,
@@ -168,7 +168,7 @@ def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: i
     if code:
         raise SystemExit(code)
     run = load_run(folder)
-    judge = Judge(run, given=BenchmarkOverrides.of(BenchmarkFlags(objects=str(meshes))) if own else None)
+    judge = Judge(run, given=BenchmarkChoice(objects=str(meshes)) if own else None)
     rows, tallies = 0, dict[str, Tally]()
     for method in run.methods:
         for trial_id, findings in judged(name, judge, rows_of(run, method)):

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 os.environ["R2H_BATCH_CACHE"] = "off"
 
-from r2h_batch import Evaluator, make_trials
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.scene.grasp_tables import grasp_tables
@@ -219,7 +219,10 @@ def measure(
     given = source if isinstance(source, trimesh.Trimesh) else load_mesh_file(source, name)
     volume = clean.volume if clean is not None else model.repair.volume_given_m3 if model.repair else model.mesh.volume
     row |= changed(model, given if clean is None else clean, given, volume, count)
-    evaluator, trials = Evaluator(objects=[model]), make_trials(["S0"], n, objects=[model])
+    evaluator, trials = (
+        Evaluator(load_benchmark("r2h-v1").with_objects([model])),
+        load_benchmark("r2h-v1").with_objects([model]).trials(n, splits=["S0"]),
+    )
     setting = Setting(evaluator, {}, lambda first, last: trials.trial_id[first:last], lambda ids: trials)
     for method in METHODS if grasps else ():
         (job,) = make_jobs(Methods((method,)), [], setting)

@@ -23,19 +23,18 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from r2h_batch import load_benchmark
 from r2h_batch.assets.hand.build_handset import JOINT_RANGE_DEG, draw_angles, mirrored, pose_from_angles
 from r2h_batch.config import HOME_Q
 from r2h_batch.data.people import GROUPS, WHEELCHAIR, built_in_people, hand_lengths, people_hand, people_hand_set
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import contact, fc, handover_va, intent, oracle, random
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.scene.arrays import asset, read_arrays
 from r2h_batch.scene.hand import load_hand, load_hand_set
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import PERSON
 from r2h_batch.view.drawing import Drawing, View
 from r2h_batch.view.pictures import painter
@@ -216,10 +215,10 @@ def hand_files(folder: Path) -> dict[str, list[str]]:
 
 def draw(path: Path) -> None:
     """24 receivers of `people: all` from the side of their arm, by stature, with the robot at home."""
-    benchmark = BenchmarkOverrides(people="all").read()
-    trials = make_trials(trials=120, benchmark=benchmark)
+    benchmark = BenchmarkChoice(people="all").read()
+    trials = benchmark.trials(120)
     assert trials.person is not None
-    evaluator = Evaluator.from_benchmark(benchmark).kinematic
+    evaluator = Evaluator(benchmark).kinematic
     order = np.argsort(trials.person[:, PERSON.index("stature_m")].numpy(), kind="stable")
     images = []
     for row in order[np.linspace(0, len(order) - 1, 24).astype(int)].tolist():
@@ -236,14 +235,14 @@ def draw(path: Path) -> None:
 def cost(rounds: int = 7, trials: int = 64) -> dict[str, Any]:
     """Core milliseconds of a trial by turns, and adults' over r2h-v1's of each turn: drawing, and judging the oracle's answers
     without motions (all are successes in both, so that outcomes do not differ)."""
-    made = {V1: built_in(), "adults": BenchmarkOverrides(people="adults").read()}
+    made = {V1: load_benchmark("r2h-v1"), "adults": BenchmarkChoice(people="adults").read()}
     judged: dict[str, Callable[[], object]] = {}
     for name, benchmark in made.items():
-        evaluator = Evaluator.from_benchmark(benchmark, threads=1).kinematic
-        drawn = make_trials(trials=trials, benchmark=benchmark)
+        evaluator = Evaluator(benchmark, threads=1).kinematic
+        drawn = benchmark.trials(trials)
         answer = oracle.predict(drawn, evaluator.scene, seed=0, evaluator=evaluator)
         judged[name] = partial(evaluator.score, answer.T_obj_ee, answer.T_world_ee, drawn)
-    drawing = {name: partial(make_trials, trials=trials, benchmark=b) for name, b in made.items()}
+    drawing = {name: partial(b.trials, trials) for name, b in made.items()}
     found: dict[str, Any] = {}
     for what, calls in (("drawing", drawing), ("judging", judged)):
         times: dict[str, list[float]] = {name: [] for name in calls}
@@ -270,10 +269,10 @@ def of_group(group: str, options: argparse.Namespace) -> dict[str, Any]:
 def of_reception(options: argparse.Namespace) -> dict[str, Any]:
     """Hand -> method -> trials of `RECEIVED`, those that are received, and those that are a success too."""
     found: dict[str, Any] = {}
-    for name, benchmark in ((V1, built_in()), ("adults", BenchmarkOverrides(people="adults").read())):
+    for name, benchmark in ((V1, load_benchmark("r2h-v1")), ("adults", BenchmarkChoice(people="adults").read())):
         few = replace(benchmark, objects=load_objects(RECEIVED))
-        evaluator = Evaluator.from_benchmark(few, threads=1).kinematic
-        drawn = make_trials(trials=options.trials, benchmark=few)
+        evaluator = Evaluator(few, threads=1).kinematic
+        drawn = few.trials(options.trials)
         found[name] = {}
         for method, module in FOUR.items():
             answer = module.predict(drawn, evaluator.scene, seed=0)

@@ -178,14 +178,14 @@ def grasps(png: Path) -> None:
     import torch
     from matplotlib.figure import Figure
 
+    from r2h_batch import load_benchmark
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.judge.grasp import close_gripper
     from r2h_batch.methods.predictors import PredictorNoise, predict_receiving, retrieve_receiving
-    from r2h_batch.trials.protocol import trials_with_ids
     from r2h_batch.verdicts import Outcome
 
-    evaluator = Evaluator().kinematic
-    scene, trials = evaluator.scene, trials_with_ids(torch.tensor(HELD))
+    evaluator = Evaluator(load_benchmark("r2h-v1")).kinematic
+    scene, trials = evaluator.scene, load_benchmark("r2h-v1").trials_with_ids(torch.tensor(HELD))
     exact = PredictorNoise().scaled(0)
     figure = Figure(figsize=(1.7 * len(trials), 1.95 * len(HOLDING)), layout="constrained")
     axes = figure.subplots(len(HOLDING), len(trials), squeeze=False)

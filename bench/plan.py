@@ -25,8 +25,8 @@ from _report import Report, arguments
 from _twins import Batch, Checker, Problems, checker_of, dense, motion_samples, ompl_solve, recheck, solve
 from numpy.typing import NDArray
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch.threads import on_threads
-from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.motion.time_law import time_path
@@ -166,7 +166,7 @@ def main() -> None:
     parser.add_argument("--resolution-rad", type=float, default=1 / 64, help="OMPL's edge resolution")
     options = parser.parse_args()
     report = Report(MEASURES)
-    scene = Evaluator(EvalConfig(), device=options.device).scene
+    scene = Evaluator(load_benchmark("r2h-v1"), device=options.device).scene
     (T_obj_ee, T_world_ee, trials), _ = load_mix(scene)
     whole = Batch(trials, T_obj_ee, T_world_ee)
     rows, checkers, goals = free_rows(scene, solve(scene, whole), options.problems)

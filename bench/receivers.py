@@ -8,11 +8,12 @@ import numpy as np
 import torch
 from PIL import Image
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import HOME_Q
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random
+from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.scene.hand import load_hand_set, palm_frame
-from r2h_batch.trials.protocol import make_trials, trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.view.drawing import Drawing, View
 from r2h_batch.view.pictures import painter
@@ -60,7 +61,7 @@ def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def people(trials: Trials, rows: list[int], path: Path) -> None:
     """Trials from the side of the receiver's arm, four in a line, with the robot at home and a random object in it."""
-    evaluator = Evaluator().kinematic
+    evaluator = Evaluator(load_benchmark("r2h-v1")).kinematic
     images = []
     for row in rows:
         trial = trials[row : row + 1]
@@ -101,7 +102,7 @@ def main() -> None:
     given = parser.parse_args()
     found = {}
     for protocol in ("r2h-v0", "r2h-v1"):
-        trials = make_trials(trials=given.trials, protocol=protocol)
+        trials = load_benchmark(protocol).trials(given.trials)
         found[protocol] = angles(trials)
         print(f"{protocol}: digest of {given.trials} trials a split {trials_digest(trials)}")
         for name, x in found[protocol].items():

@@ -25,15 +25,15 @@ import trimesh
 from _report import Report
 from scipy.spatial.transform import Rotation
 
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main as r2h_batch_main
 from r2h_batch.base import se3
 from r2h_batch.data.release import PADS_M, T_world_release, along_z
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.export.release import TOOL_M
 
@@ -156,7 +156,7 @@ def palms(seed: int, name: str, count: int) -> Any:
 
 def inverse_kinematics(report: Report, planning: Any, robot: Any, count: int) -> None:
     """Whether either finds joints for the first grasp of each object of r2h-release, 15 cm above palms of theirs."""
-    objects = built_in("r2h-release").objects
+    objects = load_benchmark("r2h-release").objects
     targets = []
     for model, known in zip(objects, candidates_of(objects)):
         grasp = known.T_obj_ee[0].astype(float) @ along_z(PADS_M[""])
@@ -270,7 +270,7 @@ def main() -> None:
     parser.add_argument("--release", type=Path, help="folder with evaluation.py and planning.py of the release")
     parser.add_argument("--method", default="contact")
     # its first arm box touches a table at the height of the base, as r2h-v1 has it: its planner then finds nothing
-    parser.add_argument("--protocol", default="r2h-release")
+    parser.add_argument("--benchmark", default="r2h-release")
     parser.add_argument("--trials", type=int, default=25, help="of each split, in the loop")
     parser.add_argument("--flags", type=int, default=25, help="trials whose flags are compared, at few samples of Safe")
     parser.add_argument(
@@ -285,7 +285,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         own, files = folder / "own", folder / "files"
-        line = ("--method", args.method, "--protocol", args.protocol, "--trials", args.trials, "--sim", "none")
+        line = ("--method", args.method, "--benchmark", args.benchmark, "--trials", args.trials, "--sim", "none")
         quietly(sweep, *line, "--save-paths", "--out", own)
         report.add(
             "release.export.core_s",

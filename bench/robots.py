@@ -30,6 +30,7 @@ from _twins import Batch, dense, ompl_solve, oracle, recheck, solve
 from ik import pseudo_inverse
 from plan import free_rows
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
@@ -39,8 +40,6 @@ from r2h_batch.methods import oracle as oracle_method
 from r2h_batch.methods import random as random_method
 from r2h_batch.scene.robot import Robot, ee_pose, load_robot
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.protocol import make_trials
 
 MEASURES = (
     "bench/robots.py",
@@ -128,9 +127,9 @@ class Answered:
     """A robot's evaluator, and trials that it can judge: half with the oracle's answers, half with random's."""
 
     def __init__(self, robot: Robot, count: int) -> None:
-        benchmark = built_in().on(robot)
-        self.evaluator = Evaluator.from_benchmark(benchmark, KINEMATIC)
-        trials = make_trials(trials=count // 2, benchmark=benchmark)
+        benchmark = load_benchmark("r2h-v1").on(robot)
+        self.evaluator = Evaluator(benchmark, KINEMATIC)
+        trials = benchmark.trials(count // 2)
         scene = self.evaluator.scene
         best = oracle_method.predict(trials, scene, seed=0, evaluator=self.evaluator)
         any_ = random_method.predict(trials, scene, seed=0)
@@ -160,7 +159,7 @@ def whole_trials(answered: dict[str, Answered]) -> dict[str, dict[str, float]]:
 
 def collisions(robot: Robot, count: int, per_trial: int = 250) -> dict[str, int]:
     """Own verdicts on postures, half near a hand and half anywhere, against MuJoCo C's distances."""
-    rng, scene = np.random.default_rng(11), Scene(robot=robot)
+    rng, scene = np.random.default_rng(11), Scene(load_benchmark("r2h-v1").on(robot))
     found = {"postures": 0, "borderline": 0, "disagreements": 0, "colliding": 0}
     for _ in range(count // (40 * per_trial)):
         stages, base = oracle.random_stages(scene, rng, 40)

@@ -70,13 +70,13 @@ def grasps_of(folder: Path, method: str, evaluator: Any) -> Any:
     """Scores of the stored poses of a method, without paths."""
     import torch
 
+    from r2h_batch import load_benchmark
     from r2h_batch.runs.store import load_run
-    from r2h_batch.trials.protocol import trials_with_ids
 
     run = load_run(folder)
     rows = [row for table in run.shards("poses", run.named(method)) for row in table.to_pylist()]
     poses = [torch.tensor([row[k] for row in rows]).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
-    trials = trials_with_ids(torch.tensor([row["trial_id"] for row in rows]))
+    trials = load_benchmark("r2h-v1").trials_with_ids(torch.tensor([row["trial_id"] for row in rows]))
     return evaluator.score(*poses, trials, stages="pose")
 
 
@@ -128,7 +128,7 @@ def in_physics(scores: Any, n: int) -> list[dict[str, Any]]:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """The sweeps, and both views of the grasps."""
-    from r2h_batch import Evaluator
+    from r2h_batch import Evaluator, load_benchmark
     from r2h_batch.report.robustness import LEVELS, figure, render, robustness
     from r2h_batch.runs.store import load_run
 
@@ -136,7 +136,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     swept(out, "--method", *METHODS, "--trials", trials, "--sim", "none", "--set", "robustness=true")
     found = robustness([load_run(out / level) for level in LEVELS])
     figure(found).savefig(PAGE.with_suffix(".png"), dpi=110)
-    evaluator = Evaluator()
+    evaluator = Evaluator(load_benchmark("r2h-v1"))
     weight, simulated = {}, {}
     for curve in found.curves:
         name = curve.method.partition(" (")[0]

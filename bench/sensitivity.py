@@ -16,7 +16,7 @@ from _report import markdown_table, swept
 METHODS = ("fc", "handover-va", "contact", "intent")
 TITLES = {"fc": "FC-Handover", "handover-va": "Handover-VA", "contact": "Contact-Handover", "intent": "Intent-Handover"}
 COLUMNS = ("sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
-BASE = ("--protocol", "r2h-v1")
+BASE = ("--benchmark", "r2h-v1")
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def variants() -> list[Variant]:
     ]
     return [
         Variant("base"),
-        Variant("protocol r2h-v0", ("--protocol", "r2h-v0")),
+        Variant("protocol r2h-v0", ("--benchmark", "r2h-v0")),
         Variant("plan-hand estimated", (*BASE, "--plan-hand", "estimated")),
         Variant("candidates as generated", (*BASE, "--candidates", "as-generated")),
         Variant("errors of frames", (*BASE, "--hand-errors", "frames")),
@@ -70,7 +70,7 @@ def variants() -> list[Variant]:
         Variant("reach of the hull", (*BASE, "--reach", "hull")),
         Variant("preset paper", (*BASE, "--preset", "paper")),
         Variant("preset release", (*BASE, "--preset", "release")),
-        Variant("protocol r2h-release", ("--protocol", "r2h-release")),
+        Variant("protocol r2h-release", ("--benchmark", "r2h-release")),
         *(Variant(f"{m},{said}", (), ((m, said),)) for m, said in own),
     ]
 

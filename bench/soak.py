@@ -23,12 +23,12 @@ from pathlib import Path
 
 from _report import ROOT, Report, arguments, resident_mib
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random as random_method
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.command import verify
-from r2h_batch.trials.protocol import make_trials
 
 MEASURES = (
     "bench/soak.py",
@@ -190,8 +190,8 @@ def calls(given: argparse.Namespace, report: Report) -> None:
 
 def memory_of_calls(kind: str, calls: int) -> dict[str, float]:
     """Resident memory in MiB after each of `COUNTS` calls, and milliseconds a call."""
-    judge = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), threads=1)
-    trials = make_trials(trials=50)
+    judge = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")), threads=1)
+    trials = load_benchmark("r2h-v1").trials(50)
     answer = random_method.predict(trials, judge.scene, seed=0)
     moved = answer.T_world_ee.clone().requires_grad_(kind == "gradient")
     seen, start = {}, time.perf_counter()

@@ -62,7 +62,7 @@ class Published:
 
 
 _SHIPPED, _OTHERS, _PAPER = Path("r2h_batch/report/compare"), Path("bench/rows"), ("--preset", "paper")
-_V0, _V1 = ("--protocol", "r2h-v0", "--sim", "mujoco"), ("--protocol", "r2h-v1", "--sim", "mujoco")
+_V0, _V1 = ("--benchmark", "r2h-v0", "--sim", "mujoco"), ("--benchmark", "r2h-v1", "--sim", "mujoco")
 _RELEASE = ("--preset", "release")
 PUBLISHED = (
     Published("table1-v1", "Table I of r2h-v1", _V1, _SHIPPED / "baselines"),
@@ -75,18 +75,18 @@ PUBLISHED = (
     Published(
         "table1-v1-release-preset",
         "Table I of r2h-v1, with the definitions of the authors' release",
-        ("--protocol", "r2h-v1", *_RELEASE),
+        ("--benchmark", "r2h-v1", *_RELEASE),
         _OTHERS / "v1-release-preset",
     ),
     Published(
         "table1-release",
         "Table I of r2h-release, with the definitions of the authors' release",
-        ("--protocol", "r2h-release", *_RELEASE),
+        ("--benchmark", "r2h-release", *_RELEASE),
         _OTHERS / "release-release-preset",
     ),
     Published("table1-v0", "Table I of r2h-v0", _V0, _OTHERS / "v0"),
     Published(
-        "as-planned", "", ("--protocol", "r2h-v1", "--sim", "none", "--no-poses"), _SHIPPED / "baselines_as_planned"
+        "as-planned", "", ("--benchmark", "r2h-v1", "--sim", "none", "--no-poses"), _SHIPPED / "baselines_as_planned"
     ),
 )
 TABLES = tuple(p for p in PUBLISHED if p.title)

@@ -14,6 +14,7 @@ time of one more warm call, taken around the stages of evaluate.py; other = what
 import statistics
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -21,9 +22,10 @@ from _mix import MIX, load_mix
 from _report import Report, arguments
 
 import r2h_batch.base.launch as launch
+from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.trials.protocol import trials_digest, trials_with_ids
+from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.types import Outcome, PlanReason, Scores
 
 MEASURES = (
@@ -43,8 +45,8 @@ def freeze(evaluator: Evaluator) -> None:
     from r2h_batch.methods import oracle, random
 
     scene = evaluator.scene
-    trials = trials_with_ids(
-        torch.arange(MIX_TRIALS), objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0"
+    trials = replace(load_benchmark("r2h-v0").with_objects(scene.objects), hand_set=scene.hands.set).trials_with_ids(
+        torch.arange(MIX_TRIALS)
     )
     by_oracle = torch.zeros(MIX_TRIALS, dtype=torch.bool)
     by_oracle[torch.from_numpy(np.random.default_rng(0).permutation(MIX_TRIALS)[: MIX_TRIALS // 2])] = True
@@ -82,7 +84,7 @@ def main() -> None:
 
     start = time.perf_counter()
     config = EvalConfig(execute=ExecConfig(sim=options.sim))
-    evaluator = Evaluator(config, device=options.device, threads=options.threads)
+    evaluator = Evaluator(load_benchmark("r2h-v1"), config, device=options.device, threads=options.threads)
     if options.freeze:
         freeze(evaluator)
         return

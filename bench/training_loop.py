@@ -20,6 +20,7 @@ import torch
 from _mix import Poses, load_mix, on, repeated
 from _report import Report, arguments
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
@@ -109,7 +110,12 @@ def main() -> None:
     options = parser.parse_args()
     report, clock = Report(MEASURES), Clock(options.device)
     largest = options.largest or (65536 if options.device == "cpu" else 1 << 20)
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), device=options.device, threads=options.threads)
+    evaluator = Evaluator(
+        load_benchmark("r2h-v1"),
+        EvalConfig(execute=ExecConfig(sim="none")),
+        device=options.device,
+        threads=options.threads,
+    )
     mix = candidates(evaluator, "mix")
     report.add("training_loop.threads", launch.cpu_threads(options.threads))
 

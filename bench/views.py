@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from _report import ROOT, made_by, markdown_table, swept
 
+from r2h_batch import load_benchmark
+
 STORED = ROOT / "bench" / "results" / "views.json"
 VIEWS = {
     "the whole solid": "",
@@ -52,14 +54,14 @@ def area_under_curve(probability: np.ndarray, touched: np.ndarray) -> float:
 
 def measure(out: Path, trials: int) -> dict[str, Any]:
     """Rates and maps of every view."""
-    from r2h_batch import Evaluator, make_trials
+    from r2h_batch import Evaluator
     from r2h_batch.assets.receiving.contact_maps import contact_map
     from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD
     from r2h_batch.report.table import record, table_of
     from r2h_batch.runs.store import load_run
 
-    evaluator = Evaluator()
-    made = make_trials(trials=2 * trials)
+    evaluator = Evaluator(load_benchmark("r2h-v1"))
+    made = load_benchmark("r2h-v1").trials(2 * trials)
     truth = [contact_map(o) >= CONTACT_THRESHOLD for o in evaluator.scene.objects]
     rows, whole = {}, None
     for number, (name, options) in enumerate(VIEWS.items()):

@@ -30,6 +30,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from r2h_batch import load_benchmark
+
 HERE, ROOT = Path(__file__).resolve(), Path(__file__).resolve().parents[1]
 MEASURES = (
     "bench/watch.py",
@@ -104,15 +106,14 @@ def judge_of(sim: str) -> Any:
     from r2h_batch import EvalConfig, Evaluator
     from r2h_batch.config import ExecConfig
 
-    return Evaluator(EvalConfig(execute=ExecConfig(sim="none")) if sim == "none" else None)
+    return Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")) if sim == "none" else None)
 
 
 @cache
 def first_trials(protocol: str) -> Any:
     """The trials of bench/mix.npz, or those of another protocol with their numbers."""
-    from r2h_batch import make_trials
 
-    trials = make_trials(trials=512, protocol=protocol)
+    trials = load_benchmark(protocol).trials(512)
     return trials[trials.trial_id.argsort()]
 
 

@@ -8,10 +8,9 @@ import torch
 from generator import SEEN, frame_of
 from torch import Tensor
 
-from r2h_batch import Evaluator, Trials
+from r2h_batch import Evaluator, Trials, load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.methods import candidates_of, stacked
-from r2h_batch.trials import trials_with_ids
 
 FIRST_TRAINING_ID = 1_000_000  # the benchmark's own trials stay unseen
 
@@ -89,7 +88,7 @@ class Examples:
 def collect(evaluator: Evaluator, clouds: Clouds, count: int, objects: Tensor, generator: torch.Generator) -> Examples:
     """`count` proposals on training objects, those kept that pass the pose stage; each also held the other way round."""
     per = -(-count * len(evaluator.scene.objects) // (10 * len(objects))) * 10
-    trials = trials_with_ids(FIRST_TRAINING_ID + torch.arange(per * 2), protocol="r2h-v0")
+    trials = load_benchmark("r2h-v0").trials_with_ids(FIRST_TRAINING_ID + torch.arange(per * 2))
     trials = trials[torch.isin(trials.object_index, objects.int())][:count]
     T_obj_ee, T_world_ee = proposals(evaluator, trials, clouds, generator)
     scores = evaluator.score(T_obj_ee, T_world_ee, trials, stages="pose")

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from r2h_batch import Evaluator, make_trials
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.closed_loop import End, HandoverEnv, LoopConfig, Servo
 from r2h_batch.closed_loop.policies import FOLLOW, SLOW_M, STOP_M
 from r2h_batch.config import EvalConfig, ExecConfig
@@ -151,8 +151,8 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     options = parser.parse_args(argv)
     begin = time.perf_counter(), time.process_time()
     torch.manual_seed(options.seed)
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
-    trials = make_trials(trials=options.trials, protocol="r2h-v1")
+    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
+    trials = load_benchmark("r2h-v1").trials(options.trials)
     answer = predict(trials, evaluator.scene, evaluator=evaluator)
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
     half = torch.arange(len(scores)) % 2 == 0

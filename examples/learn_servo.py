@@ -11,7 +11,7 @@ import time
 
 import torch
 
-from r2h_batch import Evaluator, make_trials
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.closed_loop import End, Episodes, HandoverEnv, LoopConfig, Servo, play
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.methods.oracle import predict
@@ -55,8 +55,8 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(argv)
     begin, random = time.perf_counter(), torch.Generator().manual_seed(options.seed)
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
-    trials = make_trials(trials=options.trials, protocol="r2h-v1")  # half of both splits to learn, half to test
+    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
+    trials = load_benchmark("r2h-v1").trials(options.trials)  # half of both splits to learn, half to test
     answer = predict(trials, evaluator.scene, evaluator=evaluator)
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
     half = torch.arange(len(scores)) % 2 == 0

@@ -9,7 +9,7 @@ import time
 
 import torch
 
-from r2h_batch import Evaluator, Predictions, Trials, make_trials
+from r2h_batch import Evaluator, Predictions, Trials, load_benchmark
 from r2h_batch.base import LOGGERS, Logger, twist
 from r2h_batch.methods.random import predict
 
@@ -60,8 +60,8 @@ def main(argv: list[str] | None = None) -> tuple[float, float]:
     parser.add_argument("--rate-m", type=float, default=0.004)
     parser.add_argument("--log", choices=LOGGERS, help="write outcomes and margins of each step to runs/refine")
     args = parser.parse_args(argv)
-    trials = make_trials(["S0", "S1"], args.trials)
-    evaluator = Evaluator()
+    trials = load_benchmark("r2h-v1").trials(args.trials, splits=["S0", "S1"])
+    evaluator = Evaluator(load_benchmark("r2h-v1"))
     start: Predictions = predict(trials, evaluator.scene)
     before = evaluator.score(start.T_obj_ee, start.T_world_ee, trials)
     rows = ~before.success

@@ -19,7 +19,7 @@ from generator import CLOUD, SEEN, Flow, cloud_in, to_numbers, to_pose
 from handovers import Clouds, Examples, collect, palm_frames
 from torch import Tensor
 
-from r2h_batch import Evaluator, Trials, make_trials, reward
+from r2h_batch import Evaluator, Trials, load_benchmark, reward
 from r2h_batch.base import se3
 from r2h_batch.report.statistics import wilson_interval
 
@@ -215,7 +215,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     args = options(argv)
     torch.set_num_threads(1)  # the networks are small: more threads mostly wait for each other, or for busy cores
     random = torch.Generator().manual_seed(args.seed)
-    evaluator = Evaluator()
+    evaluator = Evaluator(load_benchmark("r2h-v1"))
     clouds = Clouds.of(evaluator)
     names = [o.name for o in evaluator.scene.objects]
     held_out = torch.tensor([names.index(n) for n in HELD_OUT])
@@ -239,7 +239,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     cpu.append(time.process_time())
 
     model.random.manual_seed(args.seed + 1)  # the same samples whether trained now or before
-    trials = make_trials(["S0", "S1"], args.trials)
+    trials = load_benchmark("r2h-v1").trials(args.trials, splits=["S0", "S1"])
     trials = trials[torch.isin(trials.object_index, held_out.int())]
     plain = model.sample(evaluator, trials)
     many = [model.sample(evaluator, trials) for _ in range(args.candidates)]

@@ -11,9 +11,10 @@ from r2h_batch.base.package import FOLDERS, VERSION, lazy_names
 if TYPE_CHECKING:
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
+    from r2h_batch.protocols.benchmark import Benchmark
+    from r2h_batch.protocols.load import load_benchmark
     from r2h_batch.scene.scene import Scene
     from r2h_batch.training import reward
-    from r2h_batch.trials.protocol import make_trials
     from r2h_batch.types import CRITERIA, Outcome, PlanReason, Predictions, Scores, Trials
     from r2h_batch.view.page import show
 
@@ -33,6 +34,7 @@ __version__ = VERSION
 
 __all__ = [
     "CRITERIA",
+    "Benchmark",
     "EvalConfig",
     "Evaluator",
     "Outcome",
@@ -41,7 +43,7 @@ __all__ = [
     "Scene",
     "Scores",
     "Trials",
-    "make_trials",
+    "load_benchmark",
     "reward",
     "show",
 ]
@@ -52,6 +54,7 @@ if not TYPE_CHECKING:  # else any name would pass
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
+            "Benchmark": "protocols.benchmark",
             "CRITERIA": "verdicts",
             "EvalConfig": "config",
             "Evaluator": "evaluate",
@@ -61,7 +64,7 @@ if not TYPE_CHECKING:  # else any name would pass
             "Scene": "scene.scene",
             "Scores": "types",
             "Trials": "types",
-            "make_trials": "trials.protocol",
+            "load_benchmark": "protocols.load",
             "reward": "training.reward",
             "show": "view.page",
         },

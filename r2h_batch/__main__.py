@@ -37,10 +37,10 @@ COMMANDS = {
     ),
     "ls": (
         "sweep.ls:ls",
-        "List methods, objects, robots, protocols or runs.",
+        "List methods, objects, robots, benchmarks or runs.",
     ),
     "benchmark": (
-        "trials.benchmark.command:COMMANDS",
+        "protocols.command:COMMANDS",
         "Show what a benchmark file may say, or check one.",
     ),
     "view": (

@@ -18,12 +18,11 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 
 import copy
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Float32, Int
@@ -54,6 +53,7 @@ from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
     KnownInputs,
     Stages,
+    check_benchmark,
     check_indices,
     check_receiver,
     check_stages,
@@ -64,15 +64,12 @@ from r2h_batch.judge.inputs import (
 )
 from r2h_batch.judge.presented import presented
 from r2h_batch.judge.scores import motion_scores, pose_fields, pose_scores, verdict
-from r2h_batch.scene.hand import HandSet
-from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
-from r2h_batch.trials.benchmark.benchmark import Benchmark
-from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
 
 if TYPE_CHECKING:
@@ -114,36 +111,35 @@ class Evaluator:
     compiled kernels.
 
     Args:
-        config: thresholds, planning and motion; None: the default preset.
+        benchmark: what is judged (`load_benchmark`); None: the default benchmark.
+        config: how it is judged: planning and motion; None: the default preset. Its thresholds and
+            workplace must be defaults or equal the benchmark's.
         device: `cpu`, `cuda` or `cuda:N`.
-        objects: the objects that `Trials.object_index` indexes; None: the 16 built-in ones.
-        hand_set: the hands that `Trials.hand_index` indexes; None: the built-in hands.
-        robot: arm and gripper; None: the UR5e with a 2F-85.
         threads: CPU threads of a call; None: all cores.
+
+    Raises:
+        TypeError, ValueError: one of these is something else.
     """
 
     called = False  # True after the first call has checked the poses for common mistakes
 
     def __init__(
         self,
+        benchmark: Benchmark | None = None,
         config: EvalConfig | None = None,
         *,
         device: str | torch.device = "cpu",
-        objects: Sequence[ObjectModel] | None = None,
-        hand_set: HandSet | None = None,
-        robot: Robot | None = None,
         threads: int | None = None,
     ) -> None:
-        hint = (
-            f"; a device goes by name: Evaluator(device={config!r})"
-            if isinstance(config, str)
-            else ""
-        )
-        optional(instance_of(EvalConfig, f"EvalConfig() or EvalConfig.preset(NAME){hint}"))(
+        how = "load_benchmark(NAME or FILE)"
+        if isinstance(benchmark, EvalConfig):
+            how += ", and Evaluator(config=EvalConfig(...)) for a configuration"
+        optional(instance_of(Benchmark, how))("benchmark", benchmark)
+        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))(
             "config", config
         )
         cpu_threads(threads)
-        self.scene = Scene(device, config=config, objects=objects, hand_set=hand_set, robot=robot)
+        self.scene = Scene(benchmark or load_benchmark(), device, config=config)
         warn_of_payload(self.scene)
         self.config = self.scene.config
         self.threads = threads
@@ -156,39 +152,10 @@ class Evaluator:
         )
         self._known_inputs = KnownInputs()
 
-    @classmethod
-    def from_benchmark(
-        cls,
-        benchmark: Benchmark | str | Path,
-        config: EvalConfig | None = None,
-        *,
-        device: str | torch.device = "cpu",
-        threads: int | None = None,
-    ) -> Self:
-        """The evaluator of a benchmark: its objects, hands, robot, limits, table and home.
-
-        Args:
-            benchmark: path of a benchmark file, or what `read_benchmark` returned.
-            config: planning and motion; its thresholds and workplace must be defaults or equal the benchmark's.
-            device: `cpu`, `cuda` or `cuda:N`.
-            threads: CPU threads of a call; None: all cores.
-
-        Raises:
-            ValueError: `config` has other thresholds or another workplace, or (`FileError`, one line) the file is wrong.
-        """
-        if isinstance(benchmark, (str, Path)):
-            pieces = config is not None and config.plan.object_collision == "pieces"
-            benchmark = read_benchmark(benchmark, pieces=pieces)
-        instance_of(Benchmark, "a file's path, or read_benchmark(FILE)")("benchmark", benchmark)
-        merged = benchmark.config(config)
-        return cls(
-            merged,
-            device=device,
-            objects=benchmark.objects,
-            hand_set=benchmark.hand_set,
-            robot=benchmark.robot,
-            threads=threads,
-        )
+    @property
+    def benchmark(self) -> Benchmark:
+        """What is judged."""
+        return self.scene.benchmark
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of a copy or pickle: all but the handle and what calls keep. Copies share the scene's tables, which
@@ -265,6 +232,7 @@ class Evaluator:
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
+        check_benchmark(self.benchmark, trials)
         if not self.called and not T_obj_ee.is_cuda:  # looking at values would wait for a GPU
             self.called = True
             warn_of_doubts(T_obj_ee, T_world_ee, trials)
@@ -329,7 +297,8 @@ class Evaluator:
                 planned_q=planned_q,
                 planned_length=planned_length,
             )
-        instance_of(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
+        instance_of(Trials, "benchmark.trials(...), or r2h_batch.Trials")("trials", trials)
+        check_benchmark(self.benchmark, trials)
         if self.config.execution_error.any:
             raise ValueError(
                 "execution_error changes poses, and motions are judged as they are; score motions"

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self, SupportsIndex
+from typing import Any, NamedTuple, Self, SupportsIndex
 
 import numpy as np
 import torch
@@ -135,6 +135,13 @@ def _alone(value: Any) -> Any:
     return value
 
 
+class _Origin(NamedTuple):
+    """What trials know of the benchmark that they index."""
+
+    objects: tuple[str, ...]
+    benchmark: str
+
+
 @dataclass(frozen=True)
 class Trials(_Rows):
     """N trials: which object is handed to which hand, and where that hand stands.
@@ -160,11 +167,12 @@ class Trials(_Rows):
     receiver: Float32[Tensor, "n 5 4"] | None = None
     person: Float32[Tensor, "n 6"] | None = None
 
-    def named(self, objects: Sequence[Any]) -> Self:
+    def named(self, objects: Sequence[Any], *, benchmark: str = "") -> Self:
         """The same trials, which know what their objects are called.
 
         Args:
             objects: objects or names, as indexed by `object_index`.
+            benchmark: whose trials they are (`Benchmark.label`), where they are those of one.
 
         Raises:
             TypeError: no sequence.
@@ -173,17 +181,24 @@ class Trials(_Rows):
             raise TypeError(
                 f"objects is {describe_value(objects)}; it must be a sequence of objects or names"
             )
-        return replace(self)._with_context(tuple(str(getattr(o, "name", o)) for o in objects))
+        names = tuple(str(getattr(o, "name", o)) for o in objects)
+        return replace(self)._with_context(_Origin(names, benchmark))
 
     @property
     def object_names(self) -> list[str]:
-        """(N,) names of the objects; ValueError for trials that were not told (`make_trials` tells
-        them)."""
+        """(N,) names of the objects; ValueError for trials that were not told (`Benchmark.trials`
+        tells them)."""
         if self._context is None:
             raise ValueError(
                 "these trials do not know their objects' names; say trials.named(scene.objects)"
             )
-        return [self._context[i] for i in self.object_index.tolist()]
+        return [self._context.objects[i] for i in self.object_index.tolist()]
+
+    @property
+    def benchmark(self) -> str:
+        """`NAME@DIGEST` of the benchmark whose objects and hands they index; empty for trials that were
+        not told."""
+        return "" if self._context is None else str(self._context.benchmark)
 
     @property
     def splits(self) -> list[str]:

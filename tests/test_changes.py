@@ -140,7 +140,7 @@ trials = trials_with_ids(ids, protocol="r2h-near")
 assert torch.equal(trials[7:9].T_world_hand, trials_with_ids(ids[7:9], protocol="r2h-near").T_world_hand)
 assert not torch.equal(trials.T_world_hand, trials_with_ids(ids, protocol="r2h-v0").T_world_hand)
 assert "r2h-near" in said("ls protocols") and "r2h-near: hands alone, lower" in said_help()
-said("sweep --protocol r2h-near --method random --trials 6 --sim none --out run")
+said("sweep --benchmark r2h-near --method random --trials 6 --sim none --out run")
 assert load_run("run").header["protocol"] == "r2h-near"
 said("results reevaluate run")
 open("benchmark.yaml", "w").write("protocol: r2h-near\\n")

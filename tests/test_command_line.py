@@ -75,7 +75,7 @@ def test_the_help_of_a_command_loads_nothing_heavy():
         ("results rethreshold x --reach-radios 1", ["did you mean --reach-radius?"]),
         ("scene x --trail 1 --out y", ["did you mean --trial?"]),
         ("trials --out x --splits S3", ["--splits is 'S3'", "allowed are S0, S1\n"]),
-        ("sweep --protocol r2h-v3", ["--protocol is 'r2h-v3', did you mean r2h-v2?; allowed are r2h-v0, r2h-v1, "]),
+        ("sweep --benchmark r2h-v3", ["--benchmark is 'r2h-v3', did you mean r2h-v2?; allowed are r2h-v0, r2h-v1, "]),
         ("ls robot", ["is 'robot', did you mean robots?; allowed are methods, "]),
         ("sweep --method random --objects not_there", ["not_there: there is no such folder or file; --objects takes"]),
         ("trials --trials 3", ["--out"]),

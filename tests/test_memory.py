@@ -9,11 +9,11 @@ import pytest
 import torch
 from pretend_cuda import pretending
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch.memory import CUDA_ROWS, in_chunks
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import POSE_CHUNK_CUDA, Evaluator
 from r2h_batch.methods import random
-from r2h_batch.trials.protocol import make_trials
 
 WORDS = {
     "torch": torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB"),
@@ -44,8 +44,8 @@ def test_out_of_memory_halves_the_rows_and_says_so(error: Exception, caplog: pyt
 
 def test_an_evaluator_that_runs_out_of_memory_gives_the_same_rows() -> None:
     config = EvalConfig(execute=ExecConfig(sim="none"))
-    evaluator = Evaluator(config)
-    trials = make_trials(("S0",), 12)
+    evaluator = Evaluator(load_benchmark("r2h-v1"), config)
+    trials = load_benchmark("r2h-v1").trials(12, splits=("S0",))
     poses = random.predict(trials, evaluator.scene, seed=0)
     whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials, "pose")
     judge, sizes = Evaluator._score_pose, []
@@ -63,13 +63,13 @@ def test_an_evaluator_that_runs_out_of_memory_gives_the_same_rows() -> None:
     assert parts.outcome.tolist() == whole.outcome.tolist()
     assert evaluator.rows_at_once("pose") == 4 * evaluator.rows_at_once("all") == 4 * config.chunk
     with pretending():
-        there = Evaluator(replace(config, chunk=64), device="cuda:0")
+        there = Evaluator(load_benchmark("r2h-v1"), replace(config, chunk=64), device="cuda:0")
         assert there.rows_at_once("pose") == POSE_CHUNK_CUDA and there.rows_at_once("all") == CUDA_ROWS
 
 
 def test_hundreds_of_calls_of_one_row_take_no_more_memory_than_the_first() -> None:
-    judge = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), threads=1)
-    trials = make_trials(trials=2)
+    judge = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")), threads=1)
+    trials = load_benchmark("r2h-v1").trials(2)
     answer = random.predict(trials, judge.scene, seed=0)
 
     def memory_mib(calls: int) -> float:

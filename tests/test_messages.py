@@ -1,12 +1,14 @@
 """Messages about files that a command cannot take: what was given, what is allowed, what to do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.io.read import FileError
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.scene.hand_file import read_hand_set
-from r2h_batch.trials.protocol import make_trials
 
 
 def hands(**changes):
@@ -47,4 +49,6 @@ def test_a_table_that_leaves_no_place_for_a_hand_is_told_in_seconds(protocol):
     with pytest.raises(
         ValueError, match=r"no place for a hand where r2h-v\d draws them: .*Table \(center \(0.6, 0.0, 0.3\)"
     ):
-        make_trials(("S0",), 40, config=everywhere, protocol=protocol)
+        replace(load_benchmark(protocol), workplace=everywhere.workplace, thresholds=everywhere.thresholds).trials(
+            40, splits=("S0",)
+        )

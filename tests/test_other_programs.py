@@ -17,7 +17,7 @@ from other_defaults import everything
 from problems import assert_same, default_evaluator, make_batch
 from torch._subclasses.fake_tensor import FakeTensorMode
 
-from r2h_batch import Evaluator
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.training.torch_op import score_op
 
@@ -32,7 +32,7 @@ DEFAULTS = Path(__file__).parent / "support" / "other_defaults.py"
 @pytest.fixture(scope="module")
 def evaluator() -> Evaluator:
     """Two threads, however many cores there are: one thread needs no pool, and no pool can hang."""
-    return Evaluator(threads=2)
+    return Evaluator(load_benchmark("r2h-v1"), threads=2)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,9 @@ def test_a_handler_that_interrupts_a_call_at_its_pool_and_scores_gets_the_same_r
 @pytest.mark.parametrize("how", [copy.copy, copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
 def test_a_copied_evaluator_gives_the_same_rows(batch, how):
     mine = load_objects(["cup", "hammer"])
-    first = Evaluator(replace(default_evaluator().config, width="whole"), objects=mine, threads=1)
+    first = Evaluator(
+        load_benchmark("r2h-v1").with_objects(mine), replace(default_evaluator().config, width="whole"), threads=1
+    )
     few = make_batch(first.scene, 8)
     second = how(first)
     assert (second.config, second.threads, second.scene.device) == (first.config, 1, "cpu")

@@ -8,6 +8,7 @@ import torch
 import trimesh
 from problems import default_evaluator, make_batch
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import OPEN_GAP_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.motion.time_law import time_path
@@ -15,14 +16,13 @@ from r2h_batch.methods import fc, handover_va
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.report.statistics import aggregate
 from r2h_batch.sweep.command import main as sweep
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.verdicts import CRITERIA
 
 
 def test_reach_measures_the_hull_and_the_solid_where_it_is_told():
     scene = default_evaluator().scene
     batch = make_batch(scene, 64)
-    judged = Evaluator(replace(EvalConfig(), reach="hull"), objects=scene.objects)
+    judged = Evaluator(load_benchmark("r2h-v1").with_objects(scene.objects), replace(EvalConfig(), reach="hull"))
     solid, hull = (
         e.score(batch.T_obj_ee, batch.T_world_ee, batch.trials, stages="pose").margin[:, CRITERIA.index("reach")]
         for e in (default_evaluator(), judged)
@@ -66,7 +66,7 @@ def test_every_object_counts_the_same_in_its_averages(tmp_path, capsys):
     from r2h_batch.report.statistics.tally import tally
     from r2h_batch.runs.store import load_run
 
-    line = ["--method", "random", "--protocol", "r2h-release", "--preset", "release", "--trials", "13"]
+    line = ["--method", "random", "--benchmark", "r2h-release", "--preset", "release", "--trials", "13"]
     assert sweep([*line, "--splits", "S0", "--out", str(tmp_path / "run")]) == 0
     assert "averages: objects of a split count the same" in capsys.readouterr().out
     run = load_run(tmp_path / "run")
@@ -85,8 +85,8 @@ def test_every_object_counts_the_same_in_its_averages(tmp_path, capsys):
 
 @pytest.mark.parametrize("method", [fc, handover_va], ids=lambda m: m.TITLE)
 def test_methods_choose_narrow_grasps_wherever_there_is_one(method):
-    scene = Evaluator(replace(EvalConfig(), candidates="narrow")).scene
-    trials = make_trials(trials=16)
+    scene = Evaluator(load_benchmark("r2h-v1"), replace(EvalConfig(), candidates="narrow")).scene
+    trials = load_benchmark("r2h-v1").trials(16)
     answer = method.predict(trials, scene)
     across = [
         np.ptp(scene.objects[o].vertices.astype(float) @ T[:3, 1].double().numpy())

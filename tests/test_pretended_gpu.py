@@ -8,6 +8,7 @@ import pytest
 import torch
 from pretend_cuda import OnCuda, Seen, pretending
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels
@@ -17,7 +18,6 @@ from r2h_batch.methods import oracle, random
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions, Scores, Trials
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
@@ -25,7 +25,7 @@ KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 
 @pytest.fixture(scope="module")
 def trials() -> Trials:
-    return make_trials(("S0", "S1"), 32)
+    return load_benchmark("r2h-v1").trials(32, splits=("S0", "S1"))
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def poses(scene: Scene, trials: Trials) -> Predictions:
 @pytest.fixture(scope="module")
 def gpu() -> Iterator[tuple[Seen, Evaluator]]:
     with pretending() as seen:
-        yield seen, Evaluator(KINEMATIC, device="cuda:0")
+        yield seen, Evaluator(load_benchmark("r2h-v1"), KINEMATIC, device="cuda:0")
 
 
 def scored(gpu: tuple[Seen, Evaluator], poses: Predictions, trials: Trials, stages: str, **config: object) -> Scores:
@@ -98,7 +98,7 @@ def test_the_pose_stage_never_waits_for_the_device_and_gives_the_rows_of_a_cpu(
     there = scored(gpu, poses, trials, "pose")
     assert gpu[0].waits == [] and len(gpu[0].launches) >= 8
     assert gpu[0].arrays == []  # the very first call finds all tables: one that is captured may not make them
-    here = Evaluator(KINEMATIC).score(poses.T_obj_ee, poses.T_world_ee, trials, "pose")
+    here = Evaluator(load_benchmark("r2h-v1"), KINEMATIC).score(poses.T_obj_ee, poses.T_world_ee, trials, "pose")
     assert bits(there.to("cpu")) == bits(here)
 
 
@@ -118,7 +118,9 @@ def test_a_captured_call_needs_nothing_of_the_host_and_writes_where_it_did_befor
         assert seen.waits == [] and seen.launches == []
         assert places == {f.name: getattr(there, f.name).data_ptr() for f in fields(Scores)}
         alone = replace(trials[rows], receiver=None)  # a captured call knows no arm and torso
-        here = Evaluator(KINEMATIC).score(poses.T_obj_ee[rows], poses.T_world_ee[rows], alone, "pose")
+        here = Evaluator(load_benchmark("r2h-v1"), KINEMATIC).score(
+            poses.T_obj_ee[rows], poses.T_world_ee[rows], alone, "pose"
+        )
         copied = bits(there.to("cpu"))
         seen.waits.clear()
         assert copied == bits(here)
@@ -138,7 +140,7 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
     copied = there.to("cpu")
     assert [what for what, _ in seen.waits] == ["copy to the CPU"]
     assert copied.inputs is not None and copied.inputs.trials.T_world_hand.device.type == "cpu"
-    evaluator = Evaluator(replace(KINEMATIC, plan=plan))
+    evaluator = Evaluator(load_benchmark("r2h-v1"), replace(KINEMATIC, plan=plan))
     here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     assert torch.equal(copied.outcome, here.outcome) and torch.equal(copied.path_len, here.path_len)
     with planning_form("frontier"):
@@ -147,14 +149,16 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
 
 
 def test_a_receivers_body_is_walked_level_by_level_for_one_wait_more(gpu: tuple[Seen, Evaluator], scene: Scene) -> None:
-    trials = make_trials(trials=16, protocol="r2h-v1")
+    trials = load_benchmark("r2h-v1").trials(16)
     poses = random.predict(trials, scene, seed=0)
     there = scored(gpu, poses, trials, "all", receiver="body")
     assert len(gpu[0].waits) <= 5, gpu[0].waits
     assert "path_clearance" not in gpu[0].launches
     copied = there.to("cpu")
     with planning_form("frontier"):
-        here = Evaluator(replace(KINEMATIC, receiver="body")).score(poses.T_obj_ee, poses.T_world_ee, trials)
+        here = Evaluator(load_benchmark("r2h-v1"), replace(KINEMATIC, receiver="body")).score(
+            poses.T_obj_ee, poses.T_world_ee, trials
+        )
     assert bits(copied) == bits(here) and (here.body_m[here.path_len > 0] <= CLEARANCE_CAP_M).sum() >= 3
 
 

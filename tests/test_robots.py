@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from r2h_batch import Evaluator
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge import ik_jacobian
@@ -18,8 +18,6 @@ from r2h_batch.judge.ik_any import APART_RAD
 from r2h_batch.methods.oracle import predict
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import ROBOTS, Robot, ee_pose, load_robot, read_robot, write_robot
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import PlanReason
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
@@ -60,16 +58,16 @@ def test_a_redundant_arm_gets_eight_postures_a_target_for_few_steps() -> None:
     "robot", [pytest.param(UR3E, marks=pytest.mark.check), load_robot("panda_hand")], ids=lambda r: r.name
 )
 def test_the_oracle_succeeds_on_another_arm_and_its_paths_are_that_arms(robot):
-    benchmark = built_in().on(robot)
-    evaluator = Evaluator.from_benchmark(benchmark, KINEMATIC)
-    trials = make_trials(trials=2, benchmark=benchmark)
+    benchmark = load_benchmark("r2h-v1").on(robot)
+    evaluator = Evaluator(benchmark, KINEMATIC)
+    trials = benchmark.trials(2)
     answer = predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
     assert scores.success.all()
     start, goal = scores.path[:, 0], scores.path[torch.arange(len(trials)), scores.path_len.long() - 1]
     assert torch.equal(start, torch.tensor([robot.home_q]).expand_as(start))
     assert np.abs(ee_pose(robot, goal.double().numpy())[:, :3, 3] - answer.T_world_ee[:, :3, 3].numpy()).max() < 1e-5
-    usual = Evaluator(KINEMATIC).score(answer.T_obj_ee, answer.T_world_ee, trials)
+    usual = Evaluator(load_benchmark("r2h-v1"), KINEMATIC).score(answer.T_obj_ee, answer.T_world_ee, trials)
     assert not torch.equal(usual.path[:, 0], start)
     compiled = torch.compile(evaluator.score, backend="aot_eager", fullgraph=True)
     assert torch.equal(compiled(answer.T_obj_ee, answer.T_world_ee, trials).path, scores.path)
@@ -77,8 +75,8 @@ def test_the_oracle_succeeds_on_another_arm_and_its_paths_are_that_arms(robot):
 
 @pytest.mark.parametrize("robot", [UR3E, load_robot("panda_hand")], ids=lambda r: r.name)
 def test_each_joint_of_a_given_motion_has_its_own_limit_of_speed(robot: Robot) -> None:
-    evaluator, n = Evaluator(KINEMATIC, robot=robot), len(robot.joints)
-    trials, grasp = make_trials(trials=n)[:n], torch.eye(4).repeat(n, 1, 1)
+    evaluator, n = Evaluator(load_benchmark("r2h-v1").on(robot), KINEMATIC), len(robot.joints)
+    trials, grasp = load_benchmark("r2h-v1").trials(n)[:n], torch.eye(4).repeat(n, 1, 1)
     q = torch.tensor(robot.home_q).repeat(n, 2, 1)
     q[:, 1] += 0.05 * torch.eye(n)
     least_s = 0.05 / torch.tensor(robot.max_velocity.tolist())[:, None] * torch.tensor([0.0, 1.0])
@@ -95,24 +93,31 @@ def test_objects_that_are_too_heavy_for_an_arm_are_named_and_a_payload_is_no_oth
     np.testing.assert_allclose([arm.carries_kg for arm in arms], [3.95, 1.95, 11.45, 2.24])
     objects = [replace(o, mass=kg) for o, kg in zip(load_objects()[:2], (2.0, 2.3), strict=True)]
     with pytest.warns(UserWarning, match=r"1 of 2 objects are heavier than the 2.24 kg that panda_hand carries"):
-        Evaluator(KINEMATIC, robot=arms[3], objects=objects)
+        Evaluator(load_benchmark("r2h-v1").on(arms[3]).with_objects(objects), KINEMATIC)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        Evaluator(KINEMATIC, objects=objects)
+        Evaluator(load_benchmark("r2h-v1").with_objects(objects), KINEMATIC)
     write_robot(tmp_path, replace(arms[3], payload_kg=None))
     again = read_robot(tmp_path)
     assert again == arms[3] and again.carries_kg == np.inf
 
 
 def test_persons_stand_for_the_robot_or_as_for_the_ur5e() -> None:
-    usual = make_trials(trials=4, benchmark=built_in())
-    same = make_trials(trials=4, benchmark=built_in().on(UR3E, "as-for-ur5e"))
-    own = make_trials(trials=4, benchmark=built_in().on(UR3E))
+    usual = load_benchmark("r2h-v1").trials(4)
+    same = load_benchmark("r2h-v1").on(UR3E, "as-for-ur5e").trials(4)
+    own = load_benchmark("r2h-v1").on(UR3E).trials(4)
     assert torch.equal(usual.T_world_hand, same.T_world_hand)
     assert own.T_world_hand[:, 0, 3].mean() < 0.8 * usual.T_world_hand[:, 0, 3].mean()
-    digests = {b.digest for b in (built_in(), built_in().on(UR3E), built_in().on(UR3E, "as-for-ur5e"))}
+    digests = {
+        b.digest
+        for b in (
+            load_benchmark("r2h-v1"),
+            load_benchmark("r2h-v1").on(UR3E),
+            load_benchmark("r2h-v1").on(UR3E, "as-for-ur5e"),
+        )
+    }
     named_alike = replace(UR3E, name=load_robot().name)
-    digests |= {replace(built_in(), robot=named_alike).digest}
+    digests |= {replace(load_benchmark("r2h-v1"), robot=named_alike).digest}
     assert len(digests) == 4
 
 

@@ -10,9 +10,11 @@ import torch
 from made_runs import write_run
 from problems import default_evaluator, make_batch
 
-from r2h_batch import EvalConfig, Evaluator, Predictions, Scene, make_trials, reward, show
+from r2h_batch import Benchmark, EvalConfig, Evaluator, Predictions, Scene, load_benchmark, reward, show
 from r2h_batch.base.soft import soft_success
 from r2h_batch.config import EstimateConfig, ExecConfig, ExecutionError, IkConfig, PlanConfig, Thresholds, Workplace
+from r2h_batch.data.people import built_in_people
+from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.report.statistics import aggregate, paired
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.thresholds import rank_stability, rethreshold
@@ -20,7 +22,6 @@ from r2h_batch.runs.files import RunError
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
 from r2h_batch.trials.predictions import load_predictions, write_predictions
-from r2h_batch.trials.protocol import trials_digest, trials_of, trials_with_ids
 
 WRONG = {
     "None": None, "text": "a", "bytes": b"a", "a float": 1.5, "infinity": float("inf"), "NaN": float("nan"), "minus one": -1,
@@ -48,18 +49,21 @@ def scored() -> dict:
 
 
 CALLS = {
-    "make_trials": (make_trials, lambda _: {"splits": ("S0",), "trials": 2, **dict.fromkeys(
-        ("objects", "hand_set", "config", "benchmark", "protocol"))}),
-    "trials_with_ids": (trials_with_ids, lambda _: {"trial_id": torch.arange(2), "objects": None, "hand_set": None,
-        "config": None, "protocol": "r2h-v0"}),
-    "trials_of": (trials_of, lambda _: {"benchmark": _benchmark(), "trial_id": torch.arange(2)}),
-    "trials_digest": (trials_digest, lambda _: {"trials": batch().trials, "objects": None}),
-    "Evaluator": (Evaluator, lambda _: {"config": None, "device": "cpu", "objects": None, "hand_set": None, "threads": None}),
-    "Evaluator.from_benchmark": (Evaluator.from_benchmark, lambda _: {"benchmark": _benchmark(), "config": None,
-        "device": "cpu", "threads": None}),
+    "load_benchmark": (load_benchmark, lambda _: {"which": "r2h-v0", "pieces": False}),
+    "Benchmark": (Benchmark, lambda _: {f: getattr(_benchmark(), f) for f in Benchmark.__dataclass_fields__}),
+    "Benchmark.trials": (lambda **k: _benchmark().trials(**k), lambda _: {"splits": ("S0",), "trials": 2}),
+    "Benchmark.trials_with_ids": (lambda **k: _benchmark().trials_with_ids(**k), lambda _: {"trial_id": torch.arange(2)}),
+    "Benchmark.evaluator": (lambda **k: _benchmark().evaluator(**k), lambda _: {
+        "preset": "default", "device": "cpu", "threads": None}),
+    "Benchmark.on": (lambda **k: _benchmark().on(**k), lambda _: {"robot": _benchmark().robot, "persons": "for-robot"}),
+    "Benchmark.with_objects": (lambda **k: _benchmark().with_objects(**k), lambda _: {"objects": _benchmark().objects}),
+    "Benchmark.with_people": (lambda **k: _benchmark().with_people(**k), lambda _: {"people": built_in_people("adults")}),
+    "Benchmark.config": (lambda **k: _benchmark().config(**k), lambda _: {"base": None}),
+    "trials_digest": (trials_digest, lambda _: {"trials": batch().trials}),
+    "Evaluator": (Evaluator, lambda _: {"benchmark": None, "config": None, "device": "cpu", "threads": None}),
     "Evaluator.score": (lambda **k: default_evaluator().score(**k), lambda _: {**scored(), "stages": "pose"}),
     "Evaluator.rows_at_once": (lambda **k: default_evaluator().rows_at_once(**k), lambda _: {"stages": "pose"}),
-    "Scene": (Scene, lambda _: {"device": "cpu", "config": None, "objects": None, "hand_set": None}),
+    "Scene": (Scene, lambda _: {"benchmark": _benchmark(), "device": "cpu", "config": None}),
     "Scene.palm": (lambda **k: default_evaluator().scene.palm(**k), lambda _: {
         "hand_index": batch().trials.hand_index, "T_world_hand": batch().trials.T_world_hand}),
     "Scene.model": (lambda **k: default_evaluator().scene.model(**k), lambda _: {"hand_indices": [0], "execute": None}),
@@ -79,7 +83,7 @@ CALLS = {
     "soft_success": (soft_success, lambda _: {"margin": scores().margin, "evaluated": scores().evaluated,
         "success": scores().success, "temperature_m": 0.01, "log": False}),
     "load_predictions": (load_predictions, lambda tmp: {"path": _file(tmp)}),
-    "write_predictions": (write_predictions, lambda tmp: {"path": tmp / "p.npz", "predictions": _answers()}),
+    "write_predictions": (write_predictions, lambda tmp: {"path": tmp / "p.npz", "predictions": _answers(), "benchmark": ""}),
     "load_run": (load_run, lambda tmp: {"folder": _run(tmp).folder, "verify": True}),
     "Run.named": (lambda word, run: run.named(word), lambda tmp: {"word": "a", "run": _run(tmp)}),
     "Run.only": (lambda methods, run: run.only(methods), lambda tmp: {"methods": ["a"], "run": _run(tmp)}),
@@ -138,9 +142,8 @@ def _run(tmp):
 
 @cache
 def _benchmark():
-    from r2h_batch.trials.benchmark.benchmark import built_in
 
-    return built_in()
+    return load_benchmark("r2h-v1")
 
 
 def _answers():

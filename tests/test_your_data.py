@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 import yaml
 
-from r2h_batch import make_trials
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.methods.predictors import read_observations
+from r2h_batch.protocols.file_fields import BenchmarkFile, read_benchmark_file, read_object_file
+from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.sweep.options import Options
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.benchmark.model import BenchmarkFile, read_benchmark_file, read_object_file
-from r2h_batch.trials.benchmark.trials_file import read_trials_file
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs/your_data.md").read_text()
 CODE = {kind: re.findall(rf"```{kind}\n(.*?)```", PAGE, re.S) for kind in ("yaml", "python")}
@@ -51,7 +50,7 @@ def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_p
 
 def test_the_python_of_the_page_writes_files_that_are_read(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    base = built_in()
+    base = load_benchmark("r2h-v1")
     for text in CODE["python"]:
         if "np.savez" in text:
             (tmp_path / "x.py").write_text(text)
@@ -59,5 +58,5 @@ def test_the_python_of_the_page_writes_files_that_are_read(tmp_path, monkeypatch
     trials, _, _ = read_trials_file(tmp_path / "two.npz", base.objects, base.hand_set)
     assert [base.objects[i].name for i in trials.object_index.tolist()] == ["cup", "hammer"]
     seen = read_observations(base.objects, base.hand_set.model, hands="exact.npz")
-    seen.check_trials(make_trials(trials=5).trial_id.numpy())
+    seen.check_trials(load_benchmark("r2h-v1").trials(5).trial_id.numpy())
     assert seen.sources() == {"target": "exact"} and np.load("exact.npz")["trial_id"].shape == (10,)

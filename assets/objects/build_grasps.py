@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.judge.grasp import close_gripper, region_distance, squeezed
 from r2h_batch.methods.candidates import STORED
@@ -61,7 +62,7 @@ def main() -> None:
 
 def _judged(model: ObjectModel, found: Candidates) -> dict[str, object]:
     """How many pass Stability, and Affordance, when this evaluator asks."""
-    scene, limits = Scene(objects=[model]), Thresholds()
+    scene, limits = Scene(load_benchmark("r2h-v1").with_objects([model])), Thresholds()
     T, index = torch.from_numpy(found.T_obj_ee), torch.zeros(len(found), dtype=torch.int32)
     held = close_gripper(scene.grasp_tables, T, index, w_max=limits.w_max_m, w_min=limits.w_min_m)
     region_m, _ = region_distance(scene.grasp_tables, T, index, squeezed(held, limits), cap_m=CLEARANCE_CAP_M)

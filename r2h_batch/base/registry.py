@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 
 class Protocol(NamedTuple):
-    """A rule that draws trials. `trials/protocol.py` has its function, under `draws(NAME)`."""
+    """A named benchmark. `protocols/NAME.py` (- as _) has the function that makes it, of the same name."""
 
     name: str
-    help: str  # of --protocol
-    about: str  # for `ls protocols`
-    bodies: bool = False  # receivers have arms and a torso
-    families: bool = False  # objects are instances: categories take turns, then their instances
+    help: str  # of --benchmark
+    about: str  # for `ls benchmarks`
 
 
 RELEASE = "r2h-release"
@@ -25,14 +23,11 @@ PROTOCOLS = (
         "r2h-v1",
         "hands of people who reach",
         "hands on the arms of people who stand and reach",
-        bodies=True,
     ),
     Protocol(
         "r2h-v2",
         "96 objects of 16 families, people of every size",
         "as r2h-v1, with six instances of each of 16 object families, and 2,000 people from 6 to 90 years",
-        bodies=True,
-        families=True,
     ),
     Protocol(
         RELEASE,
@@ -42,10 +37,6 @@ PROTOCOLS = (
 )
 DEFAULT_PROTOCOL = "r2h-v1"
 PROTOCOL_NAMES = tuple(entry.name for entry in PROTOCOLS)
-WITH_BODIES = tuple(entry.name for entry in PROTOCOLS if entry.bodies)
-"""Protocols whose receivers have arms and a torso."""
-WITH_FAMILIES = tuple(entry.name for entry in PROTOCOLS if entry.families)
-"""Protocols whose objects are instances of families."""
 
 
 class Preset(NamedTuple):
@@ -97,17 +88,15 @@ METHOD_NAMES = tuple(entry.name for entry in METHODS)
 
 TURNS = ("half", "cycled")
 """Turns of the objects' frames that a turn test makes: by 180 degrees about z; x to y, y to z, z to x.
-`trials/benchmark/build.py` has them."""
+`protocols/edit.py` has them."""
 
 if TYPE_CHECKING:
     ProtocolName: TypeAlias = str
-    ProtocolWord: TypeAlias = str
     PresetName: TypeAlias = str
     EngineName: TypeAlias = str
     EngineWord: TypeAlias = str
 else:  # in a checked field: one of the names; a word may also be empty, or leave the choice open
     ProtocolName = Literal[PROTOCOL_NAMES]
-    ProtocolWord = Literal[("", *PROTOCOL_NAMES)]
     PresetName = Literal[PRESET_NAMES]
     EngineName = Literal[("none", *ENGINE_NAMES)]
     EngineWord = Literal[("auto", "none", *ENGINE_NAMES)]

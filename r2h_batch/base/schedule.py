@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base import rng
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.verdicts import SPLITS
 
 _HAND = 0  # purpose of the random counters
@@ -70,7 +69,7 @@ def assign_hands(
     ids: NDArray[np.int64],
     side: NDArray[np.int64],
     sides: NDArray[np.int64],
-    protocol: str = DEFAULT_PROTOCOL,
+    rule: str,
 ) -> NDArray[np.int64]:
     """The hand of each trial: a random one of its side, or of the other where there is none.
 
@@ -78,12 +77,12 @@ def assign_hands(
         ids: (N,) trials.
         side: (N,) sides of their hands: 0 right, 1 left.
         sides: (H,) side of each hand of the set.
-        protocol: seeds the random numbers.
+        rule: name of the rule that draws the trials; seeds the random numbers.
 
     Returns:
         (N,) indices into the hand set.
     """
-    (u,) = rng.uniforms(rng.key_of(protocol), ids, 1, purpose=_HAND)
+    (u,) = rng.uniforms(rng.key_of(rule), ids, 1, purpose=_HAND)
     hand = np.zeros(len(ids), np.int64)
     for s in (0, 1):
         rows, members = np.flatnonzero(side == s), np.flatnonzero(sides == s)

@@ -51,6 +51,22 @@ def cross(a: Float[Tensor, "*#b 3"], b: Float[Tensor, "*#b 3"]) -> Float[Tensor,
     )
 
 
+def from_frames(world: NDArray[np.float64], local: NDArray[np.float64]) -> NDArray[np.float64]:
+    """R = world local^T of frames, in sums of a fixed order.
+
+    Args:
+        world: (n, 3, 3) axes in the world as columns.
+        local: (n, 3, 3) the same axes in the other frame.
+
+    Returns:
+        (n, 3, 3) `R_world_local`.
+    """
+    R = world[:, :, None, 0] * local[:, None, :, 0]
+    for k in (1, 2):
+        R = R + world[:, :, None, k] * local[:, None, :, k]
+    return np.asarray(R)
+
+
 def rotate(R: Array, v: Array) -> Array:
     """R v, term by term.
 

@@ -288,7 +288,7 @@ class MovingHands:
         """
         if trials.receiver is None and motion.kind in ("reaches", "hesitates", "takes"):
             raise ValueError(
-                f"receiver motion {motion.kind} needs receivers with a body; use protocol r2h-v1, or"
+                f"receiver motion {motion.kind} needs receivers with a body; take a benchmark of people, or"
                 " still, moves, withdraws, replay"
             )
         device, n = trials.T_world_hand.device, len(trials)

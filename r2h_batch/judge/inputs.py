@@ -13,6 +13,7 @@ from r2h_batch.base.launch.arguments import TensorLayoutGuard
 from r2h_batch.base.validate import describe_value, instance_of, one_of
 from r2h_batch.base.validate_tensors import as_numbers, check_range, check_tensor
 from r2h_batch.config import EvalConfig
+from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.predictions import doubts
 from r2h_batch.types import Predictions, Trials
@@ -34,7 +35,7 @@ def checked_inputs(
     """
     device = torch.device(scene.device)
     check_stages(stages)
-    instance_of(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
+    instance_of(Trials, "benchmark.trials(...), or r2h_batch.Trials")("trials", trials)
     check_tensor("trials.trial_id", trials.trial_id, "a torch tensor (N,) of torch.int64")
     if trials.trial_id.ndim != 1:
         raise ValueError(
@@ -152,6 +153,18 @@ def _holds(x: Tensor, span: int) -> bool:
     return x.storage_offset() * x.itemsize + span <= x.untyped_storage().nbytes()
 
 
+def check_benchmark(benchmark: Benchmark, trials: Trials) -> None:
+    """Raises ValueError for trials that say that they are of another benchmark: their objects and hands are others, or stand
+    elsewhere."""
+    name, _, digest = trials.benchmark.rpartition("@")
+    if digest and digest != benchmark.digest:
+        ours, theirs = benchmark.digest[:8], digest[:8]
+        raise ValueError(
+            f"these trials are of benchmark {name} ({theirs}), and {benchmark.name} ({ours}) is judged here; take trials of"
+            f" evaluator.benchmark.trials(...), or the evaluator of the benchmark that drew them: benchmark.evaluator()"
+        )
+
+
 def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tensor]) -> None:
     """Raises ValueError where `receiver="body"` and trials have none, or for a gradient that does
     not exist."""
@@ -173,7 +186,7 @@ def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tens
         return
     if trials.receiver is None:
         raise ValueError(
-            "receiver is 'body', these trials have none; take protocol r2h-v1, or receiver='hand'"
+            "receiver is 'body', these trials have none; take a benchmark of people, or receiver='hand'"
         )
     found = trials.receiver
     if found.is_cpu and not torch.compiler.is_compiling():  # a malformed receiver never collides
@@ -183,7 +196,7 @@ def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tens
             row = int(wrong.int().argmax())
             raise ValueError(
                 f"trials.receiver of row {row} has NaN, infinity or a number beyond {MOST_M:g} m, or a size that"
-                " is not above 0; take protocol r2h-v1, or receiver='hand'"
+                " is not above 0; take a benchmark of people, or receiver='hand'"
             )
     if torch.is_grad_enabled() and any(T.requires_grad for T in poses):
         raise ValueError(

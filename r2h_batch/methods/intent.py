@@ -134,7 +134,9 @@ def predict(
     check_choice("select", select, Select)
     check_choice("at", at, Place)
     if at == "ergonomic" and trials.receiver is None:
-        raise ValueError("at is 'ergonomic': these trials have no bodies; take protocol r2h-v1")
+        raise ValueError(
+            "at is 'ergonomic': these trials have no bodies; take a benchmark of people"
+        )
     table, w_max = candidate_table(scene), scene.config.thresholds.w_max_m
     if instructions is not None and len(instructions) != len(trials):
         raise ValueError(

@@ -69,9 +69,7 @@ def predict(
     """
     check_choice("for_", for_, Aim)
     if evaluator is None:
-        evaluator = Evaluator(
-            scene.config, device=scene.device, objects=scene.objects, hand_set=scene.hands.set
-        )
+        evaluator = Evaluator(scene.benchmark, scene.config, device=scene.device)
     check_candidates(scene, trials.object_index)
     evaluator = evaluator.kinematic
     n, home = len(trials), trials.trial_id.device

@@ -4,7 +4,9 @@ import shlex
 from collections.abc import Sequence
 
 from r2h_batch.base.registry import TURNS
-from r2h_batch.report.compare.command import BASELINES, baselines_for, stored_rows
+from r2h_batch.base.io.read import FileError
+from r2h_batch.report.compare.command import BASELINES
+from r2h_batch.report.compare.stored import baselines_for, is_stored, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.turn import folder_of
 from r2h_batch.runs.store import Run, load_run
@@ -33,7 +35,7 @@ def next_commands(runs: Sequence[Run]) -> str:
 
 def _turnable(run: Run) -> bool:
     """Whether `turn` takes the folder: nobody made its turn test, and a built-in method answered in it."""
-    if run.folder in stored_rows():
+    if is_stored(run):
         return False
     flags = (run.header.get("benchmark") or {}).get("flags", ())
     if any(f.startswith("--turn") for f in flags) or folder_of(run.folder, TURNS[-1]).exists():
@@ -49,7 +51,10 @@ def _compared(runs: Sequence[Run]) -> str | None:
     if sum(len(run.methods) for run in runs) > 1:
         return "" if judged_alike(runs) else None
     (run,) = runs
-    shipped = load_run(baselines_for(run.header), verify=False)
+    try:
+        shipped = load_run(baselines_for(run.header), verify=False)
+    except FileError:
+        return None
     across = run.robot != shipped.robot
     if shipped.folder == run.folder or not judged_alike([run, shipped], across_robots=across):
         return None

@@ -2,7 +2,7 @@
 read."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, SupportsIndex
@@ -35,12 +35,10 @@ from r2h_batch.scene.grasp_tables import (
     region_centers,
     surfaces_on,
 )
-from r2h_batch.scene.hand import HandSet, load_hand_set
-from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
-from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.scene.tables import Hands, WorldTables
 
 if TYPE_CHECKING:  # it brings MuJoCo (0.2 s), which only simulations and pictures need
+    from r2h_batch.protocols.benchmark import Benchmark
     from r2h_batch.scene.model import SceneModel
 
 PLACED = (
@@ -58,26 +56,25 @@ and hand."""
 
 class Scene:
     """Everything that stays the same over trials. `objects` and `hands` are indexed by
-    `Trials.object_index, hand_index`."""
+    `Trials.object_index, hand_index`.
+
+    Args:
+        benchmark: its objects, hands, robot, limits and workplace.
+        device: `cpu`, `cuda` or `cuda:N`.
+        config: planning and motion; None: the default preset.
+    """
 
     def __init__(
         self,
+        benchmark: "Benchmark",
         device: str | torch.device = "cpu",
         *,
         config: EvalConfig | None = None,
-        objects: Sequence[ObjectModel] | None = None,
-        hand_set: HandSet | None = None,
-        robot: Robot | None = None,
     ) -> None:
         self.device = checked_device(device)
-        optional(instance_of(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
-        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))(
-            "config", config
-        )
+        self.config = benchmark.config(config)
         init_warp()
-        optional(instance_of(Robot, "such as load_robot(NAME)"))("robot", robot)
-        self.robot = robot or load_robot(DEFAULT_ROBOT)
-        self.config = self.robot.fitted(config or EvalConfig())
+        self.benchmark, self.robot, self.objects = benchmark, benchmark.robot, benchmark.objects
         home, joints = self.config.workplace.home_q, len(self.robot.joints)
         if len(home) != joints:
             raise ValueError(
@@ -90,11 +87,7 @@ class Scene:
                 raise ValueError(
                     f"workplace.home_q[{i}] is {q}; the joint goes from {low:.4f} to {high:.4f} rad"
                 )
-        self.objects = checked_objects(objects)
-        if not self.objects:
-            raise ValueError("a scene needs at least one object; objects is empty")
-        hand_set = hand_set or load_hand_set()
-        self.hands = Hands.posed(hand_set)
+        self.hands = Hands.posed(benchmark.hand_set)
         if self.device != "cpu":
             self._build_tables()
 
@@ -126,12 +119,8 @@ class Scene:
         return html_table(repr(self), ("index", "object", "split", "instruction"), rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Rebuilt from its configuration: tables on a device do not travel. What is built in goes
-        by name."""
-        built_in = {id(o) for o in load_objects()}
-        objects = tuple(o.name if id(o) in built_in else o for o in self.objects)
-        hand_set = None if self.hands.set is load_hand_set() else self.hands.set
-        return _scene_of, (self.device, self.config, objects, hand_set, self.robot)
+        """Rebuilt from benchmark and configuration: tables on a device do not travel."""
+        return _scene_of, (self.benchmark, self.device, self.config)
 
     def __copy__(self) -> "Scene":
         """Itself: a scene does not change."""
@@ -444,16 +433,9 @@ class Scene:
         return BodyPoses(bodies, *owners)
 
 
-def _scene_of(
-    device: str,
-    config: EvalConfig,
-    objects: tuple[ObjectModel | str, ...],
-    hand_set: HandSet | None,
-    robot: Robot,
-) -> Scene:
+def _scene_of(benchmark: "Benchmark", device: str, config: EvalConfig) -> Scene:
     """The scene that was pickled."""
-    named = [load_objects([o])[0] if isinstance(o, str) else o for o in objects]
-    return Scene(device, config=config, objects=named, hand_set=hand_set, robot=robot)
+    return Scene(benchmark, device, config=config)
 
 
 def _listed(indices: object) -> Iterable[Any]:

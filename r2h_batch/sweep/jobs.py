@@ -21,6 +21,8 @@ from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.base.registry import METHOD_NAMES, METHODS
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.user_code import HOW, UserFunction, load_function, user_files
+from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.protocols.trials_file import Labels
 from r2h_batch.runs import provenance
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import (
@@ -32,13 +34,12 @@ from r2h_batch.sweep.options import (
     text_of_options,
 )
 from r2h_batch.sweep.request import Methods, Request, Work
-from r2h_batch.trials.benchmark.benchmark import Benchmark
-from r2h_batch.trials.benchmark.trials_file import Labels
 from r2h_batch.trials.predictions import (
     Answers,
     Motions,
     PredictionsError,
     align,
+    check_benchmark,
     doubts,
     load_answers,
 )
@@ -153,15 +154,13 @@ def prepare(
     import platform
 
     from r2h_batch.evaluate import Evaluator
+    from r2h_batch.protocols.benchmark import trials_digest
     from r2h_batch.scene.objects import object_digest
     from r2h_batch.scene.robot import load_robot
-    from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 
     count, objects = min(max(plan.values()), DIGEST_TRIALS), benchmark.objects
-    first_trials = make_trials(list(plan), count, benchmark=benchmark)
-    evaluator = Evaluator.from_benchmark(
-        benchmark, config, device=work.device, threads=work.threads
-    )
+    first_trials = benchmark.trials(count, splits=list(plan))
+    evaluator = Evaluator(benchmark, config, device=work.device, threads=work.threads)
     robot, execute = benchmark.robot, config.execute
     about_robot: dict[str, Any] = {"name": robot.name, "digest": robot.digest}
     if robot.ik_missed and robot.family != "ur":
@@ -176,7 +175,7 @@ def prepare(
         "trials": plan,
         "configuration": asdict(config),
         "digests": {
-            "trials": trials_digest(first_trials, objects=objects),
+            "trials": trials_digest(first_trials),
             "benchmark": benchmark.digest,
             "objects": object_digest(objects),
             "hand_set": evaluator.scene.hands.set.digest,
@@ -205,7 +204,7 @@ def prepare(
 
     own_chunk = CPU_CHUNK if work.device == "cpu" else evaluator.rows_at_once()
     return Setting(
-        evaluator, header, ids, partial(trials_of, benchmark), loop, benchmark.labels,
+        evaluator, header, ids, benchmark.trials_with_ids, loop, benchmark.labels,
         chunk=work.chunk or own_chunk, part=work.part,
     )  # fmt: skip
 
@@ -256,6 +255,10 @@ def make_jobs(methods: Methods, files: Files, setting: Setting) -> list[Job]:
         if motions is not None and motions.q.shape[1] != len(robot.joints) and len(motions.q):
             words = f"motions of {motions.q.shape[1]} joints; {robot.name} has {len(robot.joints)}"
             raise PredictionsError(f"{path}: {words}; name their robot with --robot")
+        check_benchmark(answers, setting.evaluator.benchmark.label, path)
+        if not answers.benchmark:
+            ours = setting.evaluator.benchmark.name
+            LOG.info(f"{path}: does not say its benchmark; it is judged on {ours}")
         rows = align(predictions, planned, source=path, allow_missing=methods.allow_missing)
         kind = "predictions" if motions is None else "motions"
         source = {"kind": kind, "file": path, "sha256": digest}

@@ -11,14 +11,14 @@ Line = tuple[str, ...]
 
 
 def ls(
-    what: Literal["methods", "objects", "families", "robots", "protocols", "runs"],
+    what: Literal["methods", "objects", "families", "robots", "benchmarks", "runs"],
     folder: Path | None = None,
     /,
 ) -> int:
-    """List methods, objects, families, robots, protocols or runs, one a line.
+    """List methods, objects, families, robots, benchmarks or runs, one a line.
 
     Args:
-        what: methods, objects, families (and their shipped instances), robots, protocols or runs.
+        what: methods, objects, families (and their shipped instances), robots, benchmarks or runs.
         folder: with `runs`, the folder to search; by default runs.
     """
     if folder is not None and what != "runs":
@@ -26,7 +26,7 @@ def ls(
             f"ls {what} takes nothing more, and {str(folder)!r} is given; only ls runs FOLDER has a second word"
         )
     lines = list({
-        "methods": _methods, "objects": _objects, "families": _families, "robots": _robots, "protocols": _protocols,
+        "methods": _methods, "objects": _objects, "families": _families, "robots": _robots, "benchmarks": _benchmarks,
         "runs": lambda: _runs(folder or Path("runs")),
     }[what]())  # fmt: skip
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))] if lines else []
@@ -79,7 +79,7 @@ def _robots() -> Iterator[Line]:
         yield name, *(f"{word} {1e3 * size:.0f} mm" for word, size in sizes.items())
 
 
-def _protocols() -> Iterator[Line]:
+def _benchmarks() -> Iterator[Line]:
     from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOLS
 
     for entry in PROTOCOLS:

@@ -25,7 +25,6 @@ from r2h_batch.base.registry import (
     PROTOCOLS,
     EngineWord,
     PresetName,
-    ProtocolWord,
 )
 from r2h_batch.base.user_code import HOW
 from r2h_batch.base.validate import expand_home
@@ -61,7 +60,7 @@ GROUPS = ("methods", "trials", "verdict", "output", "work")
 """Groups of the help, in order."""
 
 
-_PROTOCOL_HELP = "; ".join(
+_BENCHMARK_HELP = "; ".join(
     f"{p.name}{' (default)' if p.name == DEFAULT_PROTOCOL else ''}: {p.help}"
     for p in sorted(PROTOCOLS, key=lambda p: p.name != DEFAULT_PROTOCOL)
 )
@@ -96,13 +95,18 @@ class Options:
         tuple[Literal["S0", "S1"], ...],
         Flag("S0: free handover; S1: functional handover", "trials"),
     ] = ("S0", "S1")
-    protocol: Annotated[ProtocolWord, Flag(_PROTOCOL_HELP, "trials")] = ""
     receiver: Annotated[
         Literal["", "hand", "body"],
-        Flag("what planning and Safe see: hand (default), or body (with r2h-v1)", "trials"),
+        Flag(
+            "what planning and Safe see of the person: hand, or body; default: the benchmark's",
+            "trials",
+        ),
     ] = ""
     trials_file: Annotated[str, Flag("your own trials, .npz or .parquet", "trials")] = ""
-    benchmark: Annotated[str, Flag("your benchmark.yaml (r2h-batch benchmark show)", "trials")] = ""
+    benchmark: Annotated[
+        str,
+        Flag(f"{_BENCHMARK_HELP}; or your benchmark.yaml, or package.module:function", "trials"),
+    ] = ""
     objects: Annotated[str, Flag("other objects: folder, or benchmark.yaml", "trials")] = ""
     object_mesh: Annotated[
         tuple[str, ...],

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from r2h_batch.base.user_code import load_function
 from r2h_batch.config import EstimateConfig, EvalConfig, IkConfig
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs import provenance
 from r2h_batch.sweep.options import (
     KINDS,
@@ -16,7 +17,6 @@ from r2h_batch.sweep.options import (
     UsageError,
     execution_error,
 )
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 from r2h_batch.verdicts import SPLITS
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
     from r2h_batch.data.release import Imported
     from r2h_batch.methods.predictors import PredictorNoise
-    from r2h_batch.trials.benchmark.benchmark import Benchmark
+    from r2h_batch.protocols.benchmark import Benchmark
     from r2h_batch.trials.noise import Errors
 
 
@@ -32,17 +32,19 @@ if TYPE_CHECKING:
 class TrialPlan:
     """Which trials are planned: the benchmark by its flags, splits, and how many of each."""
 
-    benchmark: BenchmarkOverrides
+    benchmark: BenchmarkChoice
     splits: tuple[str, ...]  # in the order of `SPLITS`
     count: int | None  # None: not said
 
     def read(self, *, pieces: bool) -> "Benchmark":
-        """The benchmark; `pieces` as `read_benchmark` takes it.
+        """The benchmark; `pieces` as `load_benchmark` takes it.
 
         Raises:
             ValueError: one line; a `UsageError` where a split has no object.
         """
-        if splits := self.benchmark.said_splits():  # before any mesh is built
+        from r2h_batch.protocols.edit import said_splits
+
+        if splits := said_splits(self.benchmark):  # before any mesh is built
             self._check_splits(splits)
         return self.benchmark.read(pieces=pieces)
 
@@ -203,7 +205,7 @@ def requested(options: Options) -> Request:
     errors = options.hand_errors
     if errors == "preset":
         errors = preset.estimate.errors
-    flags = {f.name: getattr(options, f.name) for f in fields(BenchmarkOverrides)}
+    flags = {f.name: getattr(options, f.name) for f in fields(BenchmarkChoice)}
     splits = tuple(s for s in SPLITS if s in options.splits)
     count = None if options.trials == Options.trials else options.trials
     cluster = None
@@ -219,7 +221,7 @@ def requested(options: Options) -> Request:
         allow_empty_candidates=options.allow_empty_candidates, allow_missing=options.allow_missing,
     )  # fmt: skip
     return Request(
-        TrialPlan(BenchmarkOverrides(**flags), splits, count),
+        TrialPlan(BenchmarkChoice(**flags), splits, count),
         _configuration(options, preset, errors, pieces=released is not None and released.boxes),
         methods,
         Work(options.device, options.threads, options.chunk, options.part, cluster),
@@ -242,7 +244,7 @@ def _with_trials(options: Options) -> tuple[Options, "Imported | None"]:
         return options, None
     from r2h_batch.data.release import about, imported
 
-    own = ("benchmark", "trials_file", "objects", "object_mesh", "hands", "hand_model", "protocol")
+    own = ("benchmark", "trials_file", "objects", "object_mesh", "hands", "hand_model")
     if taken := [name for name in own if getattr(options, name)]:
         flag = taken[0].replace("_", "-")
         raise UsageError(f"--{flag} and --trials-from both say the trials; give one of the two")

@@ -12,7 +12,7 @@ from r2h_batch.base.command_line import UsageError, check_range, counted, refuse
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import atomic_path, check_output_file, write_text
-from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
+from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 
 if TYPE_CHECKING:
     from r2h_batch.report.board import Standing
@@ -24,7 +24,7 @@ def submit(
     *,
     out: Path | None = None,
     rows: int = 200,
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     overwrite: bool = False,
 ) -> int:
     """Write a finished run as one file for a leaderboard, after judging a sample of its rows again.
@@ -83,7 +83,7 @@ def leaderboard(
     least: int = 200,
     baselines: Path | None = None,
     seconds: int = 1800,
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     overwrite: bool = False,
 ) -> int:
     """Judge a sample of each submission's rows again, and write a static page that ranks their methods.

@@ -18,11 +18,11 @@ from pydantic import TypeAdapter
 
 from r2h_batch.base.io.child import answer_parent, read_in_child
 from r2h_batch.base.io.read import FileError, archive_members, open_archive, printable
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.board import Judged, Standing, standing_of
-from r2h_batch.report.compare.command import baselines_for, stored_rows
+from r2h_batch.report.compare.stored import baselines_for, stored_rows
 from r2h_batch.report.statistics.common import Common, common_trials
 from r2h_batch.runs.store import Run, load_run
-from r2h_batch.trials.benchmark.flags import BenchmarkFlags
 
 MAX_BYTES, MAX_MEMBERS = 4 << 30, 100_000
 MEMORY_BYTES = 16 << 30
@@ -48,7 +48,7 @@ class Verdict:
 
 
 def judge_alone(
-    path: Path, name: str, *, rows: int, seconds: int, benchmark: BenchmarkFlags, baselines: str
+    path: Path, name: str, *, rows: int, seconds: int, benchmark: BenchmarkChoice, baselines: str
 ) -> Verdict:
     """Unpack, verify and judge a submission, and compare it with the baselines.
 
@@ -108,16 +108,15 @@ def unpack(path: Path, folder: Path) -> Path:
     return folder
 
 
-def judged_again(run: Run, rows: int, benchmark: BenchmarkFlags) -> dict[str, Judged]:
+def judged_again(run: Run, rows: int, benchmark: BenchmarkChoice) -> dict[str, Judged]:
     """How a sample of each method's rows was judged again; ValueError where a row is not what the
     evaluator says."""
     from r2h_batch.sweep.results.reevaluation import Judge, check_poses, reevaluate
-    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 
     if run.unfinished or not run.methods:
         raise ValueError(f"{(run.unfinished or ('no method',))[0]} is not complete")
     check_poses(run)
-    judge = Judge(run, given=BenchmarkOverrides.of(benchmark))
+    judge = Judge(run, given=benchmark)
     judged = {}
     for method in run.methods:
         found = reevaluate(run, method, rows, judge)
@@ -150,7 +149,7 @@ def _verdict(asked: Mapping[str, Any], folder: Path) -> Verdict:
     flags: dict[str, Any] = {
         k: tuple(v) if isinstance(v, list) else v for k, v in asked["benchmark"].items()
     }
-    judged = judged_again(run, asked["rows"], BenchmarkFlags(**flags))
+    judged = judged_again(run, asked["rows"], BenchmarkChoice(**flags))
     standings = [
         standing_of(run, method, asked["name"], judged[method], baselines, common)
         for method in run.methods

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from r2h_batch.base.command_line import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.registry import TURNS
-from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
+from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
@@ -24,7 +24,7 @@ def turn(
     trials: int = 0,
     by: tuple[str, ...] = (),
     format: Literal["md", "csv", "json"] = "md",
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     device: str = "cpu",
 ) -> int:
     """Score a run's trials again with turned objects: does a method depend on how a mesh lies in its file?
@@ -44,12 +44,12 @@ def turn(
         benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
+    from r2h_batch.protocols.edit import frame_of
     from r2h_batch.report.turn import folder_of, render, turned
     from r2h_batch.runs.store import load_run
     from r2h_batch.runs.writing import open_run
     from r2h_batch.sweep.command import stop_signals
     from r2h_batch.sweep.scoring import ProgressFile, Scoring, Stopped, score_local, shard_size
-    from r2h_batch.trials.benchmark.build import frame_of
 
     if trials < 0:
         raise UsageError(f"--trials is {trials}; it must be 0 (all) or more")
@@ -86,12 +86,13 @@ def turn(
     return 2 if refused else 0
 
 
-def _setting(run: "Run", word: str, trials: int, flags: BenchmarkFlags, device: str) -> "Setting":
+def _setting(run: "Run", word: str, trials: int, flags: BenchmarkChoice, device: str) -> "Setting":
     """The run's evaluator and plan with turned objects."""
+    from r2h_batch.protocols.edit import in_frame
+    from r2h_batch.protocols.of_run import benchmark_of_run
     from r2h_batch.sweep.jobs import prepare
     from r2h_batch.sweep.request import Work
     from r2h_batch.sweep.results.reevaluation import configuration
-    from r2h_batch.trials.benchmark.build import BenchmarkOverrides, benchmark_of_run, in_frame
 
     header, where = run.header, str(run.folder)
     if (header.get("benchmark") or {}).get("flags") and any(
@@ -100,7 +101,7 @@ def _setting(run: "Run", word: str, trials: int, flags: BenchmarkFlags, device: 
         raise UsageError(
             f"{where}: its objects are turned already; give the run of the objects as they lie"
         )
-    own = benchmark_of_run(header, BenchmarkOverrides.of(flags), where)
+    own = benchmark_of_run(header, flags, where)
     plan = {split: min(n, trials or n) for split, n in header["trials"].items()}
     config = configuration(header["configuration"], where)
     work = Work(device, None, 0, (1, 1), None)

@@ -5,19 +5,14 @@ from typing import TYPE_CHECKING
 from r2h_batch.base.package import lazy_names
 
 if TYPE_CHECKING:
-    from r2h_batch.trials.benchmark.build import read_benchmark
     from r2h_batch.trials.holding.receiving import load_receiving
     from r2h_batch.trials.noise import PredictorNoise
     from r2h_batch.trials.predictions import load_predictions, write_predictions
-    from r2h_batch.trials.protocol import make_trials, trials_with_ids
 
 __all__ = [
     "PredictorNoise",
     "load_predictions",
     "load_receiving",
-    "make_trials",
-    "read_benchmark",
-    "trials_with_ids",
     "write_predictions",
 ]
 
@@ -28,9 +23,6 @@ if not TYPE_CHECKING:  # else any name would pass
             "PredictorNoise": "noise",
             "load_predictions": "predictions",
             "load_receiving": "holding.receiving",
-            "make_trials": "protocol",
-            "read_benchmark": "benchmark.build",
-            "trials_with_ids": "protocol",
             "write_predictions": "predictions",
         },
     )

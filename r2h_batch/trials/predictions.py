@@ -45,7 +45,8 @@ _HOW_MOTIONS = (
     "samples one after another, length (N,) samples of each; T_world_ee (N,4,4) where a length is 0"
 )
 _HOW = {
-    "": "write np.savez(FILE, trial_id=..., T_obj_ee=..., T_world_ee=...) or r2h_batch.trials.predictions.write_predictions",
+    "": "write np.savez(FILE, trial_id=..., T_obj_ee=..., T_world_ee=..., benchmark=trials.benchmark), or"
+    " r2h_batch.trials.predictions.write_predictions",
     ".csv": "write the columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), a line for each trial",
     ".json": 'write {"trial_id": [...], "T_obj_ee": [4 x 4, ...], "T_world_ee": [4 x 4, ...]}',
 }
@@ -93,6 +94,8 @@ class Answers:
     motions: Motions | None = None
     ids: tuple[str, ...] | None = None
     """texts that name the trials; None: `predictions.trial_id` does"""
+    benchmark: str = ""
+    """`Trials.benchmark` of the trials that they answer; empty: the file does not say"""
 
     def named(self, trial_ids: dict[str, int] | None, source: str) -> "Answers":
         """The same with the numbers of the trials that are named by text.
@@ -145,6 +148,7 @@ def load_answers(path: str | Path) -> Answers:
     try:
         arrays, method = _arrays(path, suffix)
         shown = printable(path)
+        benchmark = _one_text(arrays.pop("benchmark", np.array("")), "benchmark", shown)
         ids = None
         if "id" in arrays:
             check_array(f"{shown}: id", arrays["id"], ("U", ("N",)))
@@ -153,14 +157,14 @@ def load_answers(path: str | Path) -> Answers:
                 raise FileError(f"{shown}: has trial_id and id; give one of the two")
             arrays["trial_id"] = np.arange(len(ids))
         if not arrays.keys() & set(_MOTION_KEYS):
-            return Answers(_checked(path, arrays, method), None, ids)
+            return Answers(_checked(path, arrays, method), None, ids, benchmark)
         how = _HOW_MOTIONS
         motions = _motions(arrays, shown)
         if "T_world_ee" not in arrays:
             if not bool((motions.length > 0).all()):
                 raise FileError(f"{shown}: length of some trial is 0, and there is no T_world_ee")
             arrays["T_world_ee"] = np.full((len(motions.length), 4, 4), np.nan, np.float32)
-        return Answers(_checked(path, arrays, method), motions, ids)
+        return Answers(_checked(path, arrays, method), motions, ids, benchmark)
     except FileError as error:
         raise PredictionsError(f"{error}; {how}") from error
 
@@ -236,11 +240,7 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
             if suffix == ".json"
             else read_npz(path, most=MAX_BYTES, most_each=MAX_BYTES)
         )
-        method = arrays.pop("method", np.array(path.stem))
-        if method.dtype.kind != "U" or method.size != 1:
-            found = f"'method' is {method.dtype} {method.shape}"
-            raise FileError(f"{shown}: {found}; it must be one string: np.array('NAME')")
-        return arrays, str(method.item())
+        return arrays, _one_text(arrays.pop("method", np.array(path.stem)), "method", shown)
     what = "neither .npz, .csv nor .json"
     if not magic:
         what = "the file is empty (0 bytes)"
@@ -249,6 +249,14 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
     elif magic.startswith(b"\x93NUMPY"):
         what = "a single .npy array; predictions need several named ones"
     raise FileError(f"{shown}: {what}")
+
+
+def _one_text(value: Any, name: str, shown: str) -> str:
+    """The text of an array of one."""
+    if value.dtype.kind != "U" or value.size != 1:
+        found = f"{name!r} is {value.dtype} {value.shape}"
+        raise FileError(f"{shown}: {found}; it must be one string: np.array('NAME')")
+    return str(value.item())
 
 
 def _parquet(path: Path) -> dict[str, Any]:
@@ -302,12 +310,36 @@ def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
     return Predictions(trial_id=torch.from_numpy(ids.astype(np.int64)), method=method, **floats)
 
 
-def write_predictions(path: str | Path, predictions: Predictions) -> None:
+def check_benchmark(answers: Answers, benchmark: str, source: str) -> None:
+    """Refuses answers to trials of another benchmark: trial ids are 0, 1, 2 in every one.
+
+    Args:
+        answers: of a file.
+        benchmark: `Benchmark.label` of the trials that are planned.
+        source: where the answers come from, for messages.
+
+    Raises:
+        PredictionsError: they say that they answer another one.
+    """
+    (name, _, digest), (ours, _, own) = (
+        text.rpartition("@") for text in (answers.benchmark, benchmark)
+    )
+    if answers.benchmark and digest != own:
+        found = f"answers trials of benchmark {printable(name)[:80]} ({printable(digest)[:8]})"
+        raise PredictionsError(
+            f"{source}: {found}, and {ours} ({own[:8]}) is judged here; name its benchmark with --benchmark, or answer"
+            f" load_benchmark({ours!r}).trials(...)"
+        )
+
+
+def write_predictions(path: str | Path, predictions: Predictions, *, benchmark: str = "") -> None:
     """Write predictions to a .npz file; `load_predictions` reads them back equal.
 
     Args:
         path: the file; an existing one is replaced.
         predictions: the predictions.
+        benchmark: `Trials.benchmark` of the trials that they answer; a sweep on another benchmark then
+            refuses the file.
 
     Raises:
         PredictionsError: the file has another ending.
@@ -325,7 +357,8 @@ def write_predictions(path: str | Path, predictions: Predictions) -> None:
     if path.suffix != ".npz":
         shown = printable(path)
         raise PredictionsError(f"{shown}: predictions are written as .npz, not {path.suffix!r}")
-    write_npz(path, {"method": np.array(method), **data})
+    told = {"benchmark": np.array(text("benchmark", benchmark))} if benchmark else {}
+    write_npz(path, {"method": np.array(method), **told, **data})
 
 
 def align(

@@ -7,7 +7,7 @@ from typing import Any
 
 from r2h_batch.base.command_line import UsageError, check_range
 from r2h_batch.base.io.write import check_output_file
-from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
+from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 
 FILMS = (".mp4", ".webm", ".gif")
 STRIPS = (".png", ".jpg", ".jpeg", ".pdf", ".svg")
@@ -33,7 +33,7 @@ def view(
     transfer: str = "",
     release: str = "load-share",
     overwrite: bool = False,
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
 ) -> int:
     """Look at the trials of a run folder in a browser, or write one as a page, a film or strips.
 
@@ -98,10 +98,9 @@ def view(
         from r2h_batch.scene.offscreen import ready
 
         ready()
-    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    reader = Reader(run, benchmark)
     if transfer and trial is not None and video is not None:
         from r2h_batch.closed_loop.transfer.cases import Case
         from r2h_batch.view.transfer import write_transfer_film

@@ -12,7 +12,6 @@ from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig
 from r2h_batch.closed_loop.episodes import play, policy_of
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.closed_loop.policies import kind_of_action
-from r2h_batch.trials.protocol import trials_of
 from r2h_batch.view.drawing import Drawing
 from r2h_batch.view.skin import least_turn
 from r2h_batch.view.stored import Reader
@@ -110,7 +109,7 @@ def episode_of(
     T_obj_ee, T_world_ee = (
         torch.from_numpy(T[None]).float() for T in (stored.T_obj_ee, stored.T_world_ee)
     )
-    trials = trials_of(reader.benchmark, ids)
+    trials = reader.benchmark.trials_with_ids(ids)
     scores = reader.evaluator.kinematic.score(T_obj_ee, T_world_ee, trials)
     moving, config = ReceiverMotion.parse(motion, seed), LoopConfig(seed=seed)
     kind: Any = kind_of_action(act)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.protocols.draw.receivers import SHOES_M, TABLE_HEIGHT_M
 from r2h_batch.scene.arrays import asset, read_arrays
-from r2h_batch.trials.receivers import SHOES_M, TABLE_HEIGHT_M
 
 Array = NDArray[np.float64]
 

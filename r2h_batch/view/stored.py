@@ -24,14 +24,14 @@ from r2h_batch.base.io.read import FileError
 from r2h_batch.config import EvalConfig, ExecutionError, Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.execution_error import executed_poses
+from r2h_batch.protocols.benchmark import Benchmark, trials_digest
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.scene.robot import Robot, load_robot
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
-from r2h_batch.trials.benchmark.benchmark import Benchmark
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides, benchmark_of_run
-from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CRITERIA, MOST_SECONDS
 
@@ -93,10 +93,10 @@ class StoredTrial:
 class Reader:
     """Trials of one run folder, one after the other."""
 
-    def __init__(self, run: str | Path, given: BenchmarkOverrides | None = None) -> None:
+    def __init__(self, run: str | Path, given: BenchmarkChoice | None = None) -> None:
         self.where = str(run)
         self.run: Run = load_run(run)
-        self.given = given or BenchmarkOverrides()
+        self.given = given or BenchmarkChoice()
         self._rows: dict[str, Any] = {}
 
     def method(self, word: str | None = None) -> str:
@@ -190,8 +190,8 @@ class Reader:
         counts = header["trials"]
         listed = benchmark.listed is not None or len(set(counts.values())) == 1
         if sum(counts.values()) <= CHECKED_TRIALS and listed:
-            trials = make_trials(list(counts), max(counts.values()), benchmark=benchmark)
-            if trials_digest(trials, objects=benchmark.objects) != header["digests"]["trials"]:
+            trials = benchmark.trials(max(counts.values()), splits=list(counts))
+            if trials_digest(trials) != header["digests"]["trials"]:
                 version, commit = header["versions"].get("r2h_batch"), header.get("git_commit")
                 words = f"was made with other trials: use r2h_batch {version} at commit {commit}"
                 raise ExportError(f"{self.where}: {words}")
@@ -206,7 +206,7 @@ class Reader:
             config = TypeAdapter(EvalConfig).validate_json(text, strict=True)
             if config.execute.sim == "mjwarp" and header["device"]["kind"] != "cpu":
                 config = replace(config, execute=replace(config.execute, sim="mujoco"))
-            return Evaluator.from_benchmark(self.benchmark, config)
+            return Evaluator(self.benchmark, config)
         except ValueError as error:  # pydantic's ValidationError is one
             what = " ".join(str(error).split())[:200]
             words = f"its configuration cannot be judged by this version ({what})"
@@ -215,7 +215,7 @@ class Reader:
     def _trial(self, row: dict[str, Any]) -> Trials:
         """This row's trial, made from the protocol."""
         objects = self.benchmark.objects
-        trial = trials_of(self.benchmark, _tensor([row["trial_id"]], torch.int64))
+        trial = self.benchmark.trials_with_ids(_tensor([row["trial_id"]], torch.int64))
         hand, name = int(trial.hand_index[0]), objects[int(trial.object_index[0])].name
         if name != row["object"] or hand != row.get("hand_index", hand):
             words = f"trial {row['trial_id']} is not the one of {self.run.header['protocol']!r}"

@@ -15,13 +15,13 @@ from r2h_batch.closed_loop.transfer.worlds import Told
 from r2h_batch.closed_loop.transfer.worlds_mujoco import MujocoWorlds
 from r2h_batch.judge.grasp_physics import FINGERS
 from r2h_batch.judge.reception import Reception, reception
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.scene.model_parts import COLORS, add_mesh
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.offscreen import renderer
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_one
-from r2h_batch.trials.benchmark.flags import BenchmarkFlags
 from r2h_batch.trials.holding.held_out import load_held_out
 from r2h_batch.view.pictures import Image, film_writer
 from r2h_batch.view.stored import ExportError, Reader
@@ -69,7 +69,7 @@ def write_transfer_film(
     *,
     size: tuple[int, int],
     fps: int,
-    benchmark: BenchmarkFlags,
+    benchmark: BenchmarkChoice,
 ) -> str:
     """Simulates the transfer of a stored row and writes it as a film; how it ended.
 

@@ -12,12 +12,12 @@ import torch
 from problems import default_evaluator, make_batch
 from torch import Tensor
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch.repeated import TRIES, RepeatedCalls
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.evaluate import SMALL_ROWS, Evaluator
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.scene.robot import load_robot
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Scores
 
 N = 260
@@ -62,7 +62,7 @@ def test_small_calls_of_any_order_and_size_have_the_bits_of_a_large_one(poses, w
 
 
 def test_small_calls_before_a_persons_arm_and_torso_have_the_bits_of_a_large_one(poses):
-    trials = make_trials(trials=N, protocol="r2h-v1")[:N]
+    trials = load_benchmark("r2h-v1").trials(N)[:N]
     assert trials.receiver is not None
     receiver = trials.receiver.clone()
     receiver[::2, :4, 0] -= 0.3  # every other arm and torso stands in the robot's way

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.closed_loop import moving
 from r2h_batch.closed_loop.arm_ranges import lower_arm_angles, within_ranges
@@ -14,16 +15,15 @@ from r2h_batch.methods import oracle
 from r2h_batch.scene.hand import palm_frame
 from r2h_batch.scene.tables import MIDDLE_ROOT
 from r2h_batch.trials.holding.held_out import load_held_out
-from r2h_batch.trials.protocol import make_trials
 
 
 @pytest.fixture(scope="module")
 def evaluator():
-    return Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+    return Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
 
 
 def test_angles_are_those_of_the_judge_at_the_grasps_that_people_take(evaluator):
-    trials = make_trials(trials=12, protocol="r2h-v1")
+    trials = load_benchmark("r2h-v1").trials(12)
     answer = oracle.predict(trials, evaluator.scene, evaluator=evaluator)
     posed = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials, stages="pose")
     found = reception(posed, leans_deg=(0.0,))
@@ -48,7 +48,7 @@ def test_angles_are_those_of_the_judge_at_the_grasps_that_people_take(evaluator)
 
 
 def test_no_hand_goes_where_its_wrist_cannot(evaluator, monkeypatch):
-    trials, motion = make_trials(trials=60, protocol="r2h-v1"), ReceiverMotion("moves", 0.15, 50.0)
+    trials, motion = load_benchmark("r2h-v1").trials(60), ReceiverMotion("moves", 0.15, 50.0)
 
     def beyond(trials):
         hands = MovingHands.of(evaluator.scene, trials, motion)

@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from scipy.spatial.transform import Rotation
 
+from r2h_batch import load_benchmark
 from r2h_batch.closed_loop import env as envs
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
 from r2h_batch.closed_loop.env import End, LoopConfig, SingleHandoverEnv
@@ -28,9 +29,7 @@ from r2h_batch.methods import random as random_method
 from r2h_batch.scene.hand import make_hand_set
 from r2h_batch.scene.robot import ee_pose, load_robot
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.trials.holding.held_out import load_held_out
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.verdicts import CRITERIA
 
 ON_LINE_RAD = 2e-6
@@ -41,14 +40,14 @@ ROBOTS = pytest.mark.parametrize("robot", ["ur5e_2f85", "panda_hand"])
 @cache
 def evaluator_of(robot):
     benchmark = built_in(protocol="r2h-v1").on(load_robot(robot))
-    return Evaluator.from_benchmark(benchmark, EvalConfig(execute=ExecConfig(sim="none"))), benchmark
+    return Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none"))), benchmark
 
 
 @cache
 def scores_of(robot):
     """Good handovers, and random ones: some fail, some have no path, some search for theirs."""
     evaluator, benchmark = evaluator_of(robot)
-    trials = make_trials(trials=8, benchmark=benchmark)
+    trials = benchmark.trials(8)
     good = oracle_method.predict(trials, evaluator.scene, evaluator=evaluator)
     poor = random_method.predict(trials, evaluator.scene, seed=3)
     some = torch.arange(len(trials)) % 4 == 3
@@ -314,8 +313,8 @@ def test_replanning_searches_around_what_blocks_the_straight_line(scores):
 
 
 def test_arm_and_torso_are_touched_where_the_judge_says_so_and_only_with_receiver_body(evaluator, scores):
-    body = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), receiver="body"))
-    trials = make_trials(trials=24, protocol="r2h-v1")
+    body = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none"), receiver="body"))
+    trials = load_benchmark("r2h-v1").trials(24)
     poses = oracle_method.predict(trials, evaluator.scene, evaluator=evaluator)
     blind = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     # how near the judge says the planned motion comes to arm and torso
@@ -351,7 +350,7 @@ def test_an_object_that_stays_2_cm_outside_of_the_ball_is_not_received(scores):
     given = scores.inputs
     for inside, end in ((-0.02, End.TIMEOUT), (0.01, End.SUCCESS)):
         smaller = replace(benchmark, thresholds=Thresholds(reach_radius_m=far + inside))
-        one = Evaluator.from_benchmark(smaller, EvalConfig(execute=ExecConfig(sim="none"))).score(
+        one = Evaluator(load_benchmark("r2h-v1"), smaller).score(
             given.T_obj_ee[[row]], given.T_world_ee[[row]], given.trials[torch.tensor([row])]
         )
         assert float(one.margin[0, reach]) == pytest.approx(inside, abs=1e-5)
@@ -403,7 +402,10 @@ def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, s
         LoopConfig(rate_hz=100)
     with pytest.raises(ValueError, match="score again"):
         HandoverEnv(torch.utils._pytree.tree_map(lambda x: x, type(scores)(**scores._tensors())))
-    off = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), execution_error=ExecutionError(camera_m=0.01)))
+    off = Evaluator(
+        load_benchmark("r2h-v1"),
+        EvalConfig(execute=ExecConfig(sim="none"), execution_error=ExecutionError(camera_m=0.01)),
+    )
     inputs = scores.inputs
     with pytest.raises(ValueError, match="no execution_error"):
         HandoverEnv(off.score(inputs.T_obj_ee[:1], inputs.T_world_ee[:1], inputs.trials[:1]))
@@ -527,7 +529,9 @@ def test_a_hand_takes_the_object_with_the_fingers_and_on_the_way_that_reception_
             own = make_hand_set(
                 grasps.hand, *(getattr(grasps, x)[[k]].numpy() for x in ("pose", "shape", "side")), ("own",)
             )
-            alone = Scene(config=env.evaluator.config, robot=env.scene.robot, hand_set=own)
+            alone = Scene(
+                replace(load_benchmark("r2h-v1").on(env.scene.robot), hand_set=own), config=env.evaluator.config
+            )
             bodies = alone.body_poses(
                 env.trials.object_index[[row]], torch.zeros(1, dtype=torch.int32), env._attached[[row]],
                 goal[None].contiguous(), env._opening[[row]],
@@ -592,7 +596,7 @@ def test_an_object_within_reach_is_received_after_it_was_held_out_for_a_tenth_of
     _, benchmark = evaluator_of("ur5e_2f85")
     wide = replace(benchmark, thresholds=Thresholds(reach_radius_m=2.0))
     given, rows = scores.inputs, torch.nonzero(scores.success).flatten()[:3]
-    some = Evaluator.from_benchmark(wide, EvalConfig(execute=ExecConfig(sim="none"))).score(
+    some = Evaluator(load_benchmark("r2h-v1"), wide).score(
         given.T_obj_ee[rows], given.T_world_ee[rows], given.trials[rows]
     )
     env = HandoverEnv(some, "still", config=LoopConfig(rate_hz=rate_hz))

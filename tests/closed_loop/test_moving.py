@@ -8,21 +8,21 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation, Slerp
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import rng
 from r2h_batch.closed_loop.moving import KINDS, MovingHands, ReceiverMotion, Taken, elbow_of, minimum_jerk
 from r2h_batch.data.data_sets import HandMotion
 from r2h_batch.data.hand_sets import Collected, motion_file, write
+from r2h_batch.protocols.draw.receivers import OF_PERSON, OF_POSTURE, propose
 from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.protocol import make_trials
-from r2h_batch.trials.receivers import OF_PERSON, OF_POSTURE, propose
 
 STROKES = [k for k in KINDS if k not in ("still", "replay")]
 
 
 @pytest.fixture(scope="module")
 def trials():
-    return make_trials(trials=12, protocol="r2h-v1")
+    return load_benchmark("r2h-v1").trials(12)
 
 
 def skin(scene, trials, T):
@@ -107,7 +107,7 @@ def test_rows_are_the_same_in_any_batch_and_differ_by_seed(scene, trials):
 
 @pytest.mark.parametrize("turn_deg", [20.0, 35.0])
 def test_the_turn_of_a_hand_that_moves_has_the_root_mean_square_that_is_asked(scene, turn_deg):
-    trials = replace(make_trials(trials=400, protocol="r2h-v1"), receiver=None)  # hands without arms have no ranges
+    trials = replace(load_benchmark("r2h-v1").trials(400), receiver=None)  # hands without arms have no ranges
     hands = MovingHands.of(scene, trials, ReceiverMotion("moves", 0.1, turn_deg))
     before, after = (hands.pose(t)[:, :3, :3].double().numpy() for t in (0.0, 99.0))
     turned = np.degrees(Rotation.from_matrix(after @ before.transpose(0, 2, 1)).magnitude())
@@ -168,8 +168,10 @@ def test_an_imported_motion_ends_at_the_trials_pose_and_goes_as_it_was_recorded(
         recorded.append((turns, places))
     out = tmp_path / "hands.npz"
     write(out, found)
-    small = Scene(hand_set=load_hand_set(out), objects=scene.objects[:2])
-    trials = make_trials(["S0"], 4, objects=small.objects, hand_set=small.hands.set, protocol="r2h-v1")
+    small = Scene(replace(load_benchmark("r2h-v1").with_objects(scene.objects[:2]), hand_set=load_hand_set(out)))
+    trials = replace(load_benchmark("r2h-v1").with_objects(small.objects), hand_set=small.hands.set).trials(
+        4, splits=["S0"]
+    )
     motion = ReceiverMotion.parse(f"replay:{motion_file(out)}")
     hands = MovingHands.of(small, trials, motion)
     assert (hands.pose(99.0) - trials.T_world_hand).abs().max() < 1e-5
@@ -188,4 +190,4 @@ def test_an_imported_motion_ends_at_the_trials_pose_and_goes_as_it_was_recorded(
         far = (skin(small, trials, hands.pose(a + 0.07)) - skin(small, trials, hands.pose(a))).norm(dim=2).amax(1)
         assert (far <= hands.travel(a, a + 0.07).double() + 1e-5).all()
     with pytest.raises(ValueError, match="no hand"):
-        MovingHands.of(scene, make_trials(trials=2, protocol="r2h-v1"), motion)
+        MovingHands.of(scene, load_benchmark("r2h-v1").trials(2), motion)

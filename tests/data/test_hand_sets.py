@@ -1,5 +1,6 @@
 """Hand sets from GRAB, ARCTIC, H2O, DexYCB and OakInk: small folders in their formats, read back as what they mean."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import hand_data
@@ -12,11 +13,11 @@ from mano_files import mano_dictionary, mano_twin, write_mano
 from scipy.spatial.transform import Rotation
 from smplx_files import SIDES, smplx_twin, write_smplx
 
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.data.hand_sets import motion_file
 from r2h_batch.data.mano import load_mano
 from r2h_batch.scene.hand import load_hand_set
-from r2h_batch.trials.protocol import make_trials
 
 RECEIVER = "pass1/A01001_0004_0001_0002/2021-09-26-19-59-58"
 
@@ -168,7 +169,7 @@ def test_oakink_takes_the_receivers_of_handovers(tmp_path, capsys):
     h = truth(0, 0)
     assert np.abs(hands["pose"][:, 3:] - h["fingers"][WIDEST]).max() < 1e-5
     assert np.abs(hands["T_world_hand"][0, :3, 3] - h["place"][WIDEST]).max() < 1e-6, "tsl is the wrist joint"
-    trials = make_trials(trials=6, hand_set=load_hand_set(tmp_path / "hands.npz"))
+    trials = replace(load_benchmark("r2h-v1"), hand_set=load_hand_set(tmp_path / "hands.npz")).trials(6)
     assert sorted(set(trials.hand_index.tolist())) == [0, 1], "right hands only: they stand for every trial"
     code, out, _, hands, _ = imported(capsys, tmp_path, "oakink", "--frame", "first", out="all.npz")
     assert code == 0 and "4 hands" in out and "use the mug" in hands["instruction"].tolist()

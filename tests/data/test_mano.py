@@ -9,6 +9,7 @@ import torch
 from mano_files import mano_dictionary, mano_twin, write_mano
 from refusals import one_line
 
+from r2h_batch import load_benchmark
 from r2h_batch.data.mano import hand_arrays, load_mano
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.scene.hand import load_hand, load_hand_set, make_hand_set
@@ -16,7 +17,6 @@ from r2h_batch.scene.hand_pieces import close_holes
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.trials.holding import receiving
 from r2h_batch.trials.holding.sampler import NoHoldError
-from r2h_batch.trials.protocol import make_trials
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def benches(imported):
     numbers = [x[rows].numpy() for x in (every.pose, every.shape, every.side)]
     own, hands = (make_hand_set(model, *numbers, every.posture[rows]) for model in (load_hand(), imported.model))
     assert hands.digest != own.digest
-    return [Evaluator(hand_set=h).kinematic for h in (own, hands)]
+    return [Evaluator(replace(load_benchmark("r2h-v1"), hand_set=h)).kinematic for h in (own, hands)]
 
 
 METHODS = ("random", "oracle", "handover_va", "fc", "contact", "intent")
@@ -68,7 +68,7 @@ METHODS = ("random", "oracle", "handover_va", "fc", "contact", "intent")
 def test_our_hand_in_manos_layout_gets_the_same_verdicts(benches, method, trials):
     found = []
     for evaluator in benches:
-        asked = make_trials(trials=trials // 2, hand_set=evaluator.scene.hands.set)
+        asked = replace(load_benchmark("r2h-v1"), hand_set=evaluator.scene.hands.set).trials(trials // 2)
         given = {"evaluator": evaluator} if method == "oracle" else {}
         answer = import_module(f"r2h_batch.methods.{method}").predict(asked, evaluator.scene, seed=3, **given)
         found.append((asked, answer, evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)))

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from r2h_batch.__main__ import main
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
+from r2h_batch.protocols.choice import BenchmarkChoice
 
 
 def block(x0, x1):
@@ -49,7 +49,7 @@ def test_objects_come_in_the_frame_of_the_hands_with_parts_and_region(oakink, tm
     said = capsys.readouterr()
     assert "3 objects of oakink (1 with a receiver's region)" in said.out
     assert "C9 has no name; left out" in said.err and "points outside" in said.err
-    found = {o.name: o for o in BenchmarkOverrides(objects=str(out)).read().objects}
+    found = {o.name: o for o in BenchmarkChoice(objects=str(out)).read().objects}
     assert set(found) == {"knife_1", "mug", "knife_v"}
     knife = found["knife_1"]
     assert knife.mesh.bounds.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-7), "its loader's frame"

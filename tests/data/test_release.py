@@ -19,12 +19,11 @@ from r2h_batch import EvalConfig, Evaluator
 from r2h_batch.__main__ import main
 from r2h_batch.data.release import read_trials
 from r2h_batch.judge.grasp import region_distance
+from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.objects import object_digest
 from r2h_batch.scene.robot import Primitives, ShapeKind, load_robot, slide_table, table_linkage
-from r2h_batch.trials.benchmark.build import read_benchmark
-from r2h_batch.trials.protocol import trials_of
 from r2h_batch.types import Outcome
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.export.region_boxes import region_as_boxes
@@ -124,7 +123,7 @@ def imported(folder, trials):
     with (folder / "out" / "trials.csv").open() as file:
         names = {int(row["trial_id"]): row["id"] for row in csv.DictReader(file)}
     benchmark = read_benchmark(folder / "out" / "benchmark.yaml")
-    evaluator = Evaluator.from_benchmark(benchmark, EvalConfig(width="whole")).kinematic
+    evaluator = Evaluator(benchmark, EvalConfig(width="whole")).kinematic
     return names, benchmark, evaluator, np.load(folder / "out" / "predictions.npz")
 
 
@@ -140,7 +139,7 @@ def test_fixtures_get_the_margins_and_flags_that_the_release_publishes(tmp_path)
     variants, column = ("intent_aware", "region_agnostic", "missed_delivery"), CRITERIA.index
     names, benchmark, evaluator, poses = imported(tmp_path, [fixture(n, v) for n in OBJECTS for v in variants])
     ids, *T = (torch.from_numpy(poses[k]) for k in ("trial_id", "T_obj_ee", "T_world_ee"))
-    scores = evaluator.score(*T, trials_of(benchmark, ids))
+    scores = evaluator.score(*T, benchmark.trials_with_ids(ids))
     rows = {names[i]: scores[k] for k, i in enumerate(ids.tolist())}
     for name in OBJECTS:
         for variant in variants:
@@ -355,7 +354,7 @@ def test_a_receivers_palm_frame_is_where_the_hand_stands(tmp_path):
     P[:3, 3] = (-0.6, -0.3, 0.9)
     trial["receiver"] = {"side": "left", "T_world_hand": P.tolist()}
     _, benchmark, evaluator, _ = imported(tmp_path, [trial])
-    trials = trials_of(benchmark, torch.tensor([0]))
+    trials = benchmark.trials_with_ids(torch.tensor([0]))
     point, normal, _ = evaluator.scene.palm(trials.hand_index, trials.T_world_hand)
     # our world stands 0.75 m lower and is turned by half a turn about z
     assert torch.allclose(point[0], torch.tensor([0.6, 0.3, 0.15]), atol=1e-5)

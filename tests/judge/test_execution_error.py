@@ -9,12 +9,12 @@ import torch
 from problems import default_evaluator
 from scipy.spatial.transform import Rotation
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import fc, oracle
 from r2h_batch.scene.robot import ee_pose, load_robot
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions
 from r2h_batch.view.stored import judged_again
 
@@ -30,7 +30,7 @@ def evaluator(error):
 
 @pytest.fixture(scope="module")
 def asked():
-    trials = make_trials(trials=24)
+    trials = load_benchmark("r2h-v1").trials(24)
     answer = fc.predict(trials, default_evaluator().scene)
     return answer.T_obj_ee, answer.T_world_ee, trials
 
@@ -68,7 +68,7 @@ def test_reception_is_asked_where_the_robot_brings_the_object(asked):
 
 
 def test_errors_have_the_sizes_that_were_asked_and_are_independent():
-    trials = make_trials(trials=2000)
+    trials = load_benchmark("r2h-v1").trials(2000)
     (turn, shift), (held_turn, held_shift) = drawn(BOTH, trials)
     for found, sd in ((np.degrees(turn), 2.0), (shift, 0.010), (np.degrees(held_turn), 4.0), (held_shift, 0.005)):
         # 4,000 draws: the deviation is within 5 %, the mean within 4 standard errors
@@ -100,7 +100,7 @@ def test_a_trial_meets_the_same_errors_in_any_batch_and_a_bias_is_that_of_all(as
 
 
 def test_a_method_that_searches_with_the_evaluator_does_not_know_the_errors():
-    trials, answers = make_trials(trials=4), []
+    trials, answers = load_benchmark("r2h-v1").trials(4), []
     for error in (ExecutionError(), BOTH):
         judge = evaluator(error)
         answers.append(oracle.predict(trials, judge.scene, evaluator=judge).T_world_ee)

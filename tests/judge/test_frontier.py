@@ -10,6 +10,7 @@ import pytest
 import torch
 from problems import Problems, assert_same, default_evaluator, make_batch, solve
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M
@@ -19,7 +20,6 @@ from r2h_batch.judge.plan import Plan
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.protocol import make_trials, trials_with_ids
 from r2h_batch.types import CRITERIA, Scores
 
 PLANS = {"exact": PlanConfig(), "moveit": PlanConfig(goals="one", edge_check="moveit")}
@@ -74,8 +74,12 @@ FULL = [pytest.param(robot, 2000, marks=pytest.mark.slow, id=robot) for robot in
 def test_rows_of_both_forms_have_the_same_bits(robot: str, n: int) -> None:
     """Straight, searched and failed. In 0.5 % of the rows Plan's and Safe's smallest clearance, and where Safe's is, may differ,
     within its tolerance."""
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=n), robot=load_robot(robot))
-    trials = trials_with_ids(torch.arange(20_000, 20_000 + n), objects=evaluator.scene.objects, protocol="r2h-v1")
+    evaluator = Evaluator(
+        load_benchmark("r2h-v1").on(load_robot(robot)), EvalConfig(execute=ExecConfig(sim="none"), chunk=n)
+    )
+    trials = (
+        load_benchmark("r2h-v1").with_objects(evaluator.scene.objects).trials_with_ids(torch.arange(20_000, 20_000 + n))
+    )
     poses = random.predict(trials, evaluator.scene, seed=5)
     asked = poses.T_obj_ee, poses.T_world_ee, trials
     here = evaluator.score(*asked)
@@ -112,7 +116,7 @@ def test_rows_do_not_depend_on_their_batch_their_place_or_the_number_of_lanes(sc
     found = solve(scene, wide).plan
     searched, others = (torch.nonzero(x).flatten() for x in ((found.length > 2), found.length <= 2))
     batch = wide.rows(torch.cat([searched[:24], others[:24]]))
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
     noise = 0.1 * torch.randn((48, 1, 6), generator=torch.Generator().manual_seed(5))
 
     def judged(rows: slice | torch.Tensor) -> tuple[Scores, Scores]:
@@ -140,8 +144,8 @@ def test_rows_do_not_depend_on_their_batch_their_place_or_the_number_of_lanes(sc
 def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(
     scene: Scene, what: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=48))
-    trials = trials_with_ids(torch.arange(48), objects=scene.objects, protocol="r2h-v0")
+    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none"), chunk=48))
+    trials = load_benchmark("r2h-v0").with_objects(scene.objects).trials_with_ids(torch.arange(48))
     poses = oracle.predict(trials, scene, seed=0)
     with planning_form("frontier"), ExitStack() as patched:
         whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
@@ -153,7 +157,7 @@ def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(
 
 def test_a_single_row_has_room_for_its_whole_path() -> None:
     """Trial 79 of the method `random`: its clearance needs more than 4,096 intervals at once."""
-    evaluator, trials = default_evaluator().kinematic, make_trials(trials=100)
+    evaluator, trials = default_evaluator().kinematic, load_benchmark("r2h-v1").trials(100)
     asked = random.predict(trials, evaluator.scene, seed=0)
     row = trials.trial_id == 79
     with planning_form("frontier"):

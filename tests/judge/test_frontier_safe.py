@@ -8,7 +8,7 @@ from unittest import mock
 import pytest
 import torch
 
-from r2h_batch import evaluate
+from r2h_batch import evaluate, load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, hand_distance
@@ -16,7 +16,6 @@ from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.motion.execute import Executed
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.scene import BodyPoses, Scene
-from r2h_batch.trials.protocol import trials_with_ids
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,8 @@ class Moved:
 @cache
 def moved(method: ModuleType, n: int) -> Moved:
     """Motions as planned of a method's first n trials."""
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=n))
-    trials = trials_with_ids(torch.arange(n), objects=evaluator.scene.objects, protocol="r2h-v0")
+    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none"), chunk=n))
+    trials = load_benchmark("r2h-v0").with_objects(evaluator.scene.objects).trials_with_ids(torch.arange(n))
     poses = method.predict(trials, evaluator.scene, seed=0)
     with mock.patch.object(evaluate, "hand_distance", wraps=hand_distance) as asked:
         evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)

@@ -11,6 +11,7 @@ from problems import Batch, default_evaluator, make_batch
 from scipy.optimize import linprog
 from staging import GOAL, batch_of, staged_evaluator
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.config import HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
@@ -89,7 +90,9 @@ def test_the_pose_stage_agrees_with_the_whole_evaluation():
 @pytest.mark.parametrize("plan", [PlanConfig(goals="one"), PlanConfig(object_collision="pieces")])
 def test_other_ways_to_plan_agree_as_well(plan):
     objects = load_objects(["cup", "hammer", "pliers"])
-    evaluator = Evaluator(EvalConfig(plan=plan, execute=ExecConfig(sim="none")), objects=objects)
+    evaluator = Evaluator(
+        load_benchmark("r2h-v1").with_objects(objects), EvalConfig(plan=plan, execute=ExecConfig(sim="none"))
+    )
     compare(make_batch(evaluator.scene, 32, random_share=0.5), evaluator)
 
 

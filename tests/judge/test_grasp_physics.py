@@ -10,6 +10,7 @@ import trimesh
 from seven import with_jaws, with_table
 from staging import frame
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch import init_warp
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import EvalConfig, ExecConfig
@@ -19,7 +20,6 @@ from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.objects import build_object
 from r2h_batch.scene.robot import Robot, gap_from_drive, load_robot
-from r2h_batch.trials.protocol import trials_with_ids
 
 X, Y, Z = np.eye(3)
 JAWS, TABLE = with_jaws(load_robot()), with_table(load_robot())
@@ -101,11 +101,13 @@ def test_stability_by_physics_fails_what_drops_and_tells_the_slip_in_its_margin(
     objects = (replace(box, mass=0.1, inertia=box.inertia * (0.1 / box.mass)), heavy)
     T = torch.from_numpy(np.stack([frame(Z, Y, np.zeros(3))] * 3).astype(np.float32))
     T[2, 0, 0] = torch.nan
-    trials = trials_with_ids(torch.tensor([0, 2, 4]), objects=objects)
+    trials = load_benchmark("r2h-v1").with_objects(objects).trials_with_ids(torch.tensor([0, 2, 4]))
     trials = replace(trials, object_index=torch.tensor([0, 1, 0], dtype=torch.int32))
     config = EvalConfig(stability="physics", execute=ExecConfig(sim="none"))
-    plain = Evaluator(replace(config, stability="geometric"), objects=objects).score(T, T, trials)
-    shaken = Evaluator(config, objects=objects).score(T, T, trials)
+    plain = Evaluator(load_benchmark("r2h-v1").with_objects(objects), replace(config, stability="geometric")).score(
+        T, T, trials
+    )
+    shaken = Evaluator(load_benchmark("r2h-v1").with_objects(objects), config).score(T, T, trials)
     assert plain.passed[:, 0].tolist() == [True, True, False]
     assert shaken.passed[:, 0].tolist() == [True, False, False]
     assert shaken.evaluated[:, 0].tolist() == [True, True, False]

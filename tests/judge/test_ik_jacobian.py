@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig, IkConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import ik as fused
@@ -13,7 +14,6 @@ from r2h_batch.judge import ik_jacobian
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.methods.random import predict
 from r2h_batch.scene.robot import ee_pose, load_robot
-from r2h_batch.trials.protocol import make_trials
 
 
 @pytest.fixture(scope="module")
@@ -69,11 +69,11 @@ def test_rows_do_not_depend_on_their_batch(both, targets, monkeypatch):
 
 @pytest.mark.parametrize("n", [24, pytest.param(1000, marks=pytest.mark.slow)])
 def test_verdicts_are_those_of_the_fused_kernel(n):
-    trials = make_trials(("S0", "S1"), n)
+    trials = load_benchmark("r2h-v1").trials(n, splits=("S0", "S1"))
     still = ExecConfig(sim="none")
     scores = []
     for solver in ("fused", "pytorch-kinematics"):
-        evaluator = Evaluator(EvalConfig(ik=IkConfig(solver), execute=still))
+        evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(ik=IkConfig(solver), execute=still))
         predicted = predict(trials, evaluator.scene, seed=0)
         scores.append(evaluator.score(predicted.T_obj_ee, predicted.T_world_ee, trials))
     kernel, jacobian = scores

@@ -8,7 +8,7 @@ from motions import ARM, BRIEF, BRIEF_WARP, MUJOCO
 from problems import make_batch, solve
 from seven import with_jaws, with_table
 
-from r2h_batch import Evaluator
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.judge.grasp import close_gripper, gripper_poses
 from r2h_batch.judge.motion.execute import FINGER_GIVE_M, execute
 from r2h_batch.judge.motion.time_law import time_path
@@ -50,7 +50,7 @@ def test_jaws_close_to_the_extent_of_what_is_between_them():
 @pytest.mark.parametrize("robot", [JAWS, TABLE], ids=lambda r: r.name)
 def test_the_whole_scene_with_jaws_moves_as_the_arm_alone_and_the_engines_agree(robot):
     """Jaws that give way by micrometres are all that is new, as of the 2F-85."""
-    scene = Evaluator(robot=robot).scene
+    scene = Evaluator(load_benchmark("r2h-v1").on(robot)).scene
     p = solve(scene, make_batch(scene, 6, seed=3))
     length = torch.where(torch.cumsum(p.plan.length > 0, 0) <= 2, p.plan.length, 0)
     whole, alone, brief, warp = (
@@ -88,11 +88,13 @@ def test_fingers_of_a_table_close_where_the_linkage_does():
 def test_derivatives_of_a_table_are_those_of_the_linkage():
     """Chords for arcs: slopes differ by half a sample's turn, 0.008, and more where the linkage is near its dead centre."""
     lifts, fingers = [], []
-    grasps = candidates_in(Evaluator(robot=LINKAGE).scene)[:6]  # each gripper has its own; one set is compared
+    grasps = candidates_in(Evaluator(load_benchmark("r2h-v1").on(LINKAGE)).scene)[
+        :6
+    ]  # each gripper has its own; one set is compared
     T = torch.from_numpy(np.concatenate([c.T_obj_ee[::4] for c in grasps]))
     index = torch.arange(6, dtype=torch.int32).repeat_interleave(25)
     for robot in (TABLE, LINKAGE):
-        scene = Evaluator(robot=robot).scene
+        scene = Evaluator(load_benchmark("r2h-v1").on(robot)).scene
         grasp = close_gripper(scene.grasp_tables, T, index)
         lifts.append(witnesses.closing(scene, T, index, grasp.width_m, grasp.opening_m)["lift"])
         bound = torch.where(grasp.opening_m > 0, 0.01, -torch.inf)

@@ -1,7 +1,6 @@
 """The second judge (`judge_twin`) agrees with the first one, and notices what is put wrong into it."""
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +11,7 @@ import torch
 from judge_twin import Again
 from people_twin import episode_of, reception_of
 
-from r2h_batch import Evaluator, evaluate, make_trials
+from r2h_batch import Evaluator, evaluate, load_benchmark
 from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.closed_loop.episodes import play
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
@@ -21,13 +20,13 @@ from r2h_batch.judge import metrics, plan
 from r2h_batch.judge.motion import time_law
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import oracle
-from r2h_batch.report import compare
+from r2h_batch.report.compare.stored import ROWS
 from r2h_batch.runs.rows import TrialNames
 from r2h_batch.sweep.scoring import judged_tables
 from r2h_batch.types import Predictions, Trials
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
-POSES = next((Path(compare.__path__[0]) / "baselines" / "poses").glob("FC*/*.parquet"))
+POSES = next((ROWS / "v1" / "poses").glob("FC*/*.parquet"))
 
 
 def again(place: int) -> Again:
@@ -35,8 +34,10 @@ def again(place: int) -> Again:
     row = pq.read_table(POSES).slice(place, 1)
     trial_id = torch.tensor(row["trial_id"].to_numpy())
     T = [torch.tensor(np.array(row[k].to_pylist(), np.float32)).view(1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
-    every = make_trials(trials=int(trial_id) // 2 + 1, protocol="r2h-v1")
-    return scored(Evaluator(KINEMATIC), every[every.trial_id == trial_id], Predictions(trial_id, *T))
+    every = load_benchmark("r2h-v1").trials(int(trial_id) // 2 + 1)
+    return scored(
+        Evaluator(load_benchmark("r2h-v1"), KINEMATIC), every[every.trial_id == trial_id], Predictions(trial_id, *T)
+    )
 
 
 def scored(evaluator: Evaluator, trials: Trials, answer: Predictions) -> Again:
@@ -149,8 +150,8 @@ def test_a_row_that_lies_is_noticed(changes, noticed, first):
 @pytest.fixture(scope="module")
 def handed_over() -> tuple[Again, Any]:
     """A trial that the oracle solves, and its scores."""
-    evaluator = Evaluator(KINEMATIC)
-    trials = make_trials(trials=1, protocol="r2h-v1")[:1]
+    evaluator = Evaluator(load_benchmark("r2h-v1"), KINEMATIC)
+    trials = load_benchmark("r2h-v1").trials(1)[:1]
     answer = oracle.predict(trials, evaluator.scene, evaluator=evaluator)
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
     return scored(evaluator, trials, answer), scores

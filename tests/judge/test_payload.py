@@ -9,6 +9,7 @@ import trimesh
 from problems import default_evaluator, make_batch
 from staging import frame
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch import init_warp
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
@@ -16,7 +17,6 @@ from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.judge.payload import GRIP_N, payload
 from r2h_batch.scene.objects import build_object
 from r2h_batch.scene.robot import load_robot
-from r2h_batch.trials.protocol import trials_with_ids
 
 X, Y, Z = np.eye(3)
 MASSES = (0.5, 1.5, 3.0)
@@ -40,9 +40,9 @@ def scored(objects, R):
     n = len(objects)
     T_obj_ee = torch.eye(4).expand(n, 4, 4).clone()
     T_world_ee = torch.from_numpy(np.tile(frame(R[:, 2], R[:, 1], np.array([0.5, 0.0, 0.4])), (n, 1, 1))).float()
-    trials = trials_with_ids(2 * torch.arange(n), objects=objects)
+    trials = load_benchmark("r2h-v1").with_objects(objects).trials_with_ids(2 * torch.arange(n))
     trials = replace(trials, object_index=torch.arange(n, dtype=torch.int32))
-    judge = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), objects=objects)
+    judge = Evaluator(load_benchmark("r2h-v1").with_objects(objects), EvalConfig(execute=ExecConfig(sim="none")))
     return judge.score(T_obj_ee, T_world_ee, trials, "pose")
 
 

@@ -11,14 +11,13 @@ import torch
 from oracle import MujocoScene, Staged, deepest_along, geom_depth
 from seven import with_hulls
 
-from r2h_batch import evaluate
+from r2h_batch import evaluate, load_benchmark
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, nearer_of, person_distance
 from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.methods import fc
 from r2h_batch.scene.robot import load_robot
-from r2h_batch.trials.protocol import make_trials
 
 PLAN, SAFE = 1, 4
 FORCED = 40
@@ -27,13 +26,13 @@ FORCED = 40
 
 @cache
 def evaluator(receiver):
-    return Evaluator(EvalConfig(execute=ExecConfig(sim="none"), receiver=receiver))
+    return Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none"), receiver=receiver))
 
 
 @pytest.fixture(scope="module")
 def asked():
     """Answers for receivers of r2h-v1, the first of them 25 cm nearer to the robot than they stood (arm and torso alone)."""
-    trials = make_trials(trials=36, protocol="r2h-v1")
+    trials = load_benchmark("r2h-v1").trials(36)
     receiver = trials.receiver.clone()
     receiver[:FORCED, :4, 0] -= 0.25
     trials = replace(trials, receiver=receiver)
@@ -75,7 +74,7 @@ def test_distances_at_a_posture_are_those_of_mujoco(asked):
 
 def test_distances_of_an_arm_of_hulls_are_those_of_mujoco(asked):
     robot = with_hulls(load_robot())
-    judge = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), robot=robot)
+    judge = Evaluator(load_benchmark("r2h-v1").on(robot), EvalConfig(execute=ExecConfig(sim="none")))
     posed = judge.score(*asked, stages="pose")
     apart = torch.nonzero((posed.body_m > 0) & (posed.body_m < CLEARANCE_CAP_M)).flatten().tolist()
     assert len(apart) >= 3

@@ -7,11 +7,11 @@ import pytest
 import torch
 from problems import default_evaluator
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import EstimateConfig, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.judge.motion import execute as motion
 from r2h_batch.methods import fc
 from r2h_batch.methods.predictors import PredictorNoise, predict_target
-from r2h_batch.trials.protocol import make_trials
 
 PLAN, SAFE = 1, 4
 SEEN = EstimateConfig(errors="tails", factor=2.0, seed=5)
@@ -26,7 +26,7 @@ def evaluator(config=None):
 
 @pytest.fixture(scope="module")
 def asked():
-    trials = make_trials(trials=24)
+    trials = load_benchmark("r2h-v1").trials(24)
     answer = fc.predict(trials, default_evaluator().scene)
     return answer.T_obj_ee, answer.T_world_ee, trials
 

@@ -5,14 +5,14 @@ import pytest
 import trimesh
 from problems import default_evaluator
 
+from r2h_batch import load_benchmark
 from r2h_batch.methods import random as random_method
-from r2h_batch.trials.protocol import make_trials
 
 
 @pytest.mark.check
 def test_angle_and_distance_are_those_of_the_region_and_s0_has_none():
     evaluator = default_evaluator()
-    trials = make_trials(trials=20)
+    trials = load_benchmark("r2h-v1").trials(20)
     asked = random_method.predict(trials, evaluator.scene)
     scores = evaluator.score(asked.T_obj_ee, asked.T_world_ee, trials, stages="pose")
     palm, _, ball = (x.double().numpy() for x in evaluator.scene.palm(trials.hand_index, trials.T_world_hand))

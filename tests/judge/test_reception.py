@@ -12,6 +12,7 @@ from fcl_twin import distance, hull, primitive
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation, Slerp
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch import launch_trials, new_outputs
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
@@ -21,6 +22,7 @@ from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception, r
 from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.methods import oracle
+from r2h_batch.protocols.draw.receivers import arm_axes
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import ShapeKind, ee_pose, forward_kinematics
 from r2h_batch.trials.holding.capacity import usual_grips
@@ -34,20 +36,18 @@ from r2h_batch.trials.holding.held_out import (
     revolution_axis,
 )
 from r2h_batch.trials.holding.receiving import load_receiving
-from r2h_batch.trials.protocol import make_trials
-from r2h_batch.trials.receivers import arm_axes
 
 RANGES = {"elbow": (0, 150), "supination": (-80, 80), "wrist_flexion": (-70, 80), "ulnar_deviation": (-20, 30)}
 
 
 @cache
 def evaluator():
-    return Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+    return Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
 
 
 @pytest.fixture(scope="module")
 def scores():
-    trials = make_trials(trials=16, protocol="r2h-v1")
+    trials = load_benchmark("r2h-v1").trials(16)
     answer = oracle.predict(trials, evaluator().scene, evaluator=evaluator())
     return evaluator().score(answer.T_obj_ee, answer.T_world_ee, trials)
 
@@ -158,7 +158,7 @@ def effort_twin(trials, vectors, outwards, i):
 
 
 def test_the_arms_that_persons_were_drawn_with_are_found_and_have_the_twins_effort():
-    trials = make_trials(trials=150, protocol="r2h-v1")
+    trials = load_benchmark("r2h-v1").trials(150)
     inputs, vectors, outwards = waiting(trials)
     effort, angles = searched(inputs)
     assert (effort >= 0).all()
@@ -479,7 +479,7 @@ def test_every_second_grasp_of_an_object_of_revolution_is_turned_to_where_the_ha
 
 def test_no_forearm_goes_through_the_torso():
     """Torsos that stand where the forearms are: the twin's effort, or no posture, as the twin says."""
-    trials = make_trials(trials=60, protocol="r2h-v1")
+    trials = load_benchmark("r2h-v1").trials(60)
     inputs, vectors, outwards = waiting(trials)
     body = trials.receiver.clone()
     off = torch.from_numpy(np.random.default_rng(6).uniform(-0.25, 0.25, (len(trials), 3))).float()

@@ -8,12 +8,12 @@ import pytest
 import torch
 from problems import default_evaluator, make_batch
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.grasp import attach, close_gripper, squeezed
 from r2h_batch.judge.metrics import Criterion
 from r2h_batch.judge.scores import verdict
-from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Outcome
 
 N = 512
@@ -37,7 +37,7 @@ def poses(seed: int) -> torch.Tensor:
 @pytest.fixture(scope="module")
 def held():
     evaluator = default_evaluator()
-    trials = trials_with_ids(torch.arange(N), protocol="r2h-v0")
+    trials = load_benchmark("r2h-v0").trials_with_ids(torch.arange(N))
     given = poses(1), poses(2), poses(3)
     trials = replace(trials, T_world_hand=given[2])
     return given, trials, attach_object(evaluator.scene, given[0], given[1], trials, evaluator.config)

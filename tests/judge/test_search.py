@@ -1,17 +1,18 @@
 """Searches: narrow ways out, long detours, what plain RRT-Connect finds. Problems of `random`, whose goals are anywhere."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from problems import Batch, Problems, default_evaluator, make_batch, solve
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import PlanConfig
 from r2h_batch.judge import search
 from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.methods import random
-from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import PlanReason
 
 LONG_WAYS = [13, 80, 293, 592]
@@ -22,7 +23,9 @@ PLAIN = PlanConfig(rounds=(5000,))
 
 def random_batch(ids: torch.Tensor) -> Batch:
     scene = default_evaluator().scene
-    trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0")
+    trials = replace(load_benchmark("r2h-v0").with_objects(scene.objects), hand_set=scene.hands.set).trials_with_ids(
+        ids
+    )
     answer = random.predict(trials, scene, seed=0)
     return Batch(trials, answer.T_obj_ee, answer.T_world_ee)
 

@@ -6,7 +6,7 @@ import torch
 from planning_twins import checker_of, dense, recheck
 from problems import default_evaluator, make_batch, solve
 
-from r2h_batch import EvalConfig, Evaluator, make_trials
+from r2h_batch import EvalConfig, Evaluator, load_benchmark
 from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.methods import random
 from r2h_batch.types import Outcome, PlanReason, Scores
@@ -163,8 +163,8 @@ def test_what_fits_no_motion_is_refused_by_name(evaluator, planned, changes, lin
 
 
 def test_a_receivers_body_counts_along_a_given_motion(planned):
-    evaluator = Evaluator(EvalConfig(receiver="body")).kinematic
-    trials = make_trials(["S0"], 24, protocol="r2h-v1")
+    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(receiver="body")).kinematic
+    trials = load_benchmark("r2h-v1").trials(24, splits=["S0"])
     poses = random.predict(trials, evaluator.scene, seed=3)
     own = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     rows = own.path_len >= 2

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.methods.box_grasps import box_grasps, depth_steps, three_boxes
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP, roles_of
 from r2h_batch.scene.objects import load_objects
@@ -18,7 +19,7 @@ STEP, DEPTHS, VOXEL, CROP = 0.05 * math.pi, depth_steps(-0.005, 0.05, 0.0025), 0
 
 @cache
 def scene() -> Scene:
-    return Scene(objects=load_objects(NAMES))
+    return Scene(load_benchmark("r2h-v1").with_objects(load_objects(NAMES)))
 
 
 def roles(rows: list[int]) -> torch.Tensor:

@@ -10,6 +10,7 @@ import torch
 from convex_twin import bodies, point_to_segment
 from seven import seven_joints, with_hulls
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import EvalConfig, PlanConfig
 from r2h_batch.judge.plan import CLEARANCE_TOLERANCE_M
@@ -97,14 +98,16 @@ def test_verdicts_on_postures_agree_with_mujoco_c(scene, trials, per_trial, leas
     ids=lambda r: r.name,
 )
 def test_verdicts_on_postures_of_other_arms_agree_with_mujoco_c(robot):
-    wrong, alone, _ = compare_postures(Scene(robot=robot), 6, 150, seed=4)
+    wrong, alone, _ = compare_postures(Scene(load_benchmark("r2h-v1").on(robot)), 6, 150, seed=4)
     assert not wrong, wrong[:3]
     assert min(alone[c] for c in ("hand", "table", "self", "object_hand")) >= 2
 
 
 def test_verdicts_agree_with_convex_pieces_of_objects_too():
     config = replace(EvalConfig(), plan=PlanConfig(object_collision="pieces"))
-    wrong, _, _ = compare_postures(Scene(config=config, objects=load_objects(["cup", "hammer"])), 6, 100, seed=3)
+    wrong, _, _ = compare_postures(
+        Scene(load_benchmark("r2h-v1").with_objects(load_objects(["cup", "hammer"])), config=config), 6, 100, seed=3
+    )
     assert not wrong, wrong[:3]
 
 

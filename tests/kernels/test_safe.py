@@ -10,6 +10,7 @@ import torch
 import trimesh
 from seven import with_boxes, with_hulls
 
+from r2h_batch import load_benchmark
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M
 from r2h_batch.judge.frontier.safe import SafeFrontier
 from r2h_batch.judge.planner import Planner
@@ -24,7 +25,7 @@ HOME = np.array([-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483])
 @cache
 def with_hands_scaled(factor):
     """A scene whose hands are `factor` times as large."""
-    scene = Scene()
+    scene = Scene(load_benchmark("r2h-v1"))
     h = scene.hands
     scene.hands = replace(h, vertices=h.vertices * factor, joints=h.joints * factor, palm_point=h.palm_point * factor)
     return scene
@@ -90,7 +91,7 @@ def test_distances_at_postures_agree_with_the_exact_mesh_and_never_fall_below_th
 @FORMS
 def test_hulls_of_boxes_are_as_far_from_the_hand_along_paths_as_the_boxes(form):
     boxed = with_boxes(load_robot())
-    scenes = Scene(robot=boxed), Scene(robot=with_hulls(boxed))
+    scenes = Scene(load_benchmark("r2h-v1").on(boxed)), Scene(load_benchmark("r2h-v1").on(with_hulls(boxed)))
     rng = np.random.default_rng(8)
     stages, base = oracle.random_stages(scenes[0], rng, 300)
     paths = [np.stack([q, q + rng.normal(size=6) * 0.2]) for q in base]

@@ -6,6 +6,7 @@ import torch
 import trimesh
 import warp as wp
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch import launch
 from r2h_batch.judge.metrics import reach_distance
 from r2h_batch.kernels.geometry.mesh_distance import nearest_face
@@ -17,7 +18,7 @@ COUNT = 100
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return Scene()
+    return Scene(load_benchmark("r2h-v1"))
 
 
 def points_about(solid: trimesh.Trimesh, rng: np.random.Generator) -> np.ndarray:

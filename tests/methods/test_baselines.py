@@ -20,6 +20,7 @@ from baseline_twins import (
 )
 from needs import needs
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import solve_ik
@@ -27,7 +28,6 @@ from r2h_batch.methods import handover_va, intent
 from r2h_batch.methods.box_grasps import box_grasps, depth_steps
 from r2h_batch.methods.predictors import predict_parts, predict_receiving, predict_target, retrieve_receiving
 from r2h_batch.methods.utility_axis import align_templates
-from r2h_batch.trials.protocol import make_trials
 
 
 def test_fc_takes_the_grasp_most_opposed_to_the_hand_of_those_that_do_not_touch_it():
@@ -113,7 +113,7 @@ def test_ergonomic_delivery_follows_shoulders_and_arm():
         turn = np.arccos(np.clip((np.trace(T_world_obj[:3, :3]) - 1) / 2, -1, 1))
         assert turn == pytest.approx(np.arccos(np.clip(hand @ v, -1, 1)), abs=1e-4)  # the least turn
     with pytest.raises(ValueError, match="no bodies; take protocol r2h-v1"):
-        predict(intent, make_trials(trials=1, protocol="r2h-v0"), at="ergonomic")
+        predict(intent, load_benchmark("r2h-v0").trials(1), at="ergonomic")
 
 
 def fifteen_degrees_to_the_thumb(target, i: int):
@@ -241,7 +241,7 @@ def test_an_answer_depends_on_seed_and_trial_alone_and_without_noise_on_the_targ
 @pytest.mark.gpu
 @pytest.mark.parametrize("name", twins.METHODS)
 def test_a_gpu_chooses_the_same_grasps_and_poses(name):
-    scene = Evaluator(device="cuda").scene
+    scene = Evaluator(load_benchmark("r2h-v1"), device="cuda").scene
     options = {"predictor": twins.ends} if name == "contact" else {}
     found = twins.METHODS[name].predict(trials(), scene, **options)
     near = (found.T_obj_ee - answer(name).T_obj_ee).abs().amax((1, 2)) < 1e-4

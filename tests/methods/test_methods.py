@@ -8,12 +8,12 @@ import trimesh
 from problems import default_evaluator as evaluator
 from scipy import stats
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig, Thresholds
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle, random
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.scene.objects import build_object, load_objects
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Outcome, Predictions, Trials
 
 N = 30
@@ -40,7 +40,7 @@ def test_built_in_objects_have_100_stored_candidates_and_a_users_object_gets_its
 
 
 def test_random_draws_every_candidate_alike_and_the_tcp_uniformly_in_the_ball_and_in_orientation():
-    trials, scene = make_trials(["S0"], 12_000), evaluator().scene
+    trials, scene = load_benchmark("r2h-v1").trials(12_000, splits=["S0"]), evaluator().scene
     predictions = random.predict(trials, scene)
     counts = np.zeros((6, 100), int)
     for i, c in enumerate(candidates_of(scene.objects)[:6]):
@@ -60,7 +60,7 @@ def test_random_draws_every_candidate_alike_and_the_tcp_uniformly_in_the_ball_an
 
 @cache
 def bounds() -> tuple[Trials, Predictions, Predictions]:
-    trials, scene = make_trials(trials=N), evaluator().scene
+    trials, scene = load_benchmark("r2h-v1").trials(N), evaluator().scene
     return trials, random.predict(trials, scene), oracle.predict(trials, scene, evaluator=evaluator(), rounds=12)
 
 
@@ -91,7 +91,10 @@ def test_answers_depend_on_seed_and_trial_id_alone():
 
 def test_the_proposal_that_got_farthest_is_kept_over_the_rounds():
     """A ball of 1 mm is hardly ever met, so trials stay unsolved and differ in how far off they are."""
-    hard, trials = Evaluator(EvalConfig(thresholds=Thresholds(reach_radius_m=0.001))), make_trials(trials=6)
+    hard, trials = (
+        Evaluator(load_benchmark("r2h-v1"), EvalConfig(thresholds=Thresholds(reach_radius_m=0.001))),
+        load_benchmark("r2h-v1").trials(6),
+    )
     fan = oracle._Fan(trials, hard, 0)
     # no public way to the rank of a proposal: predict() returns the best
     rounds = torch.stack([oracle._how_far(hard.score(*fan.proposals(np.arange(12), r), trials)) for r in range(3)])

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from r2h_batch import load_benchmark
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import fc, intent
 from r2h_batch.methods.placing import center_of
+from r2h_batch.protocols.edit import frame_of
 from r2h_batch.scene.objects import BUILT_IN_NAMES, load_objects, turned
-from r2h_batch.trials.benchmark.build import frame_of
-from r2h_batch.trials.protocol import make_trials
 
 ANY_TURN = "20,40,60"
 INSTANCES = ["cup_02", "hammer_01", "eyeglasses_03", "power_drill_00", "bottle_04"]
@@ -19,8 +19,8 @@ def test_methods_give_the_same_poses_whatever_frame_an_objects_file_has():
     for method in (fc, intent):
         answers = []
         for objects in (own, other):
-            evaluator = Evaluator(objects=objects)
-            trials = make_trials(trials=15, objects=objects)
+            evaluator = Evaluator(load_benchmark("r2h-v1").with_objects(objects))
+            trials = load_benchmark("r2h-v1").with_objects(objects).trials(15)
             answers.append(method.predict(trials, evaluator.scene, seed=0).T_world_ee)
         same = (answers[0] - answers[1]).abs().amax((1, 2)) < 1e-4
         assert len(same) == 30 and same.float().mean() > 0.95, method.TITLE  # equal scores may fall the other way

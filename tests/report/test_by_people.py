@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from made_runs import make_header, make_scores, make_trials, store, write_run
+from made_runs import made_trials, make_header, make_scores, store, write_run
 
 from r2h_batch.report.people import people_lines, served
 from r2h_batch.report.transfers import MADE_OF
@@ -30,7 +30,7 @@ PEOPLE = [
 @pytest.fixture
 def run(tmp_path) -> Run:
     # one object: every method serves the three median adults; the seated child gets it from nobody
-    trials = make_trials(6, 0)
+    trials = made_trials(6, 0)
     trials = replace(
         trials, object_index=torch.zeros(6, dtype=torch.int32), person=torch.tensor(PEOPLE, dtype=torch.float32)
     )

@@ -7,7 +7,7 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.__main__ import main
-from r2h_batch.report.compare.command import stored_rows
+from r2h_batch.report.compare.stored import stored_rows
 from r2h_batch.report.next_commands import judged_alike, next_commands
 from r2h_batch.report.page import page
 from r2h_batch.report.statistics.common import common_trials

@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 import torch
-from made_runs import command, files_of, make_header, make_scores, make_trials, store, table_1, write_run
+from made_runs import command, files_of, made_trials, make_header, make_scores, store, table_1, write_run
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
@@ -94,7 +94,7 @@ def test_edges_print_na_and_never_nan(tmp_path, fmt, n_s0, n_s1, code):
 
 
 def test_motions_that_meet_a_receivers_body_are_a_rate_of_those_past_one(tmp_path):
-    trials, run = make_trials(8, 0), open_run(tmp_path / "run", make_header(8, 0))
+    trials, run = made_trials(8, 0), open_run(tmp_path / "run", make_header(8, 0))
     body_m = torch.tensor([0.05, -0.01, 0.0, torch.nan, -0.002, 0.03, torch.nan, -0.1])
     store(run, "m", trials, replace(make_scores(trials, np.zeros(8, int)), body_m=body_m))
     table = report.table_of(load_run(tmp_path / "run"))
@@ -117,7 +117,10 @@ def test_beside_a_run_of_other_choices_the_default_ones_are_named(tmp_path, caps
 @pytest.mark.parametrize("edge_check", ["moveit", "exact"])
 def test_successes_that_pass_through_something_have_a_column_where_paths_are_sampled(tmp_path, edge_check):
     configuration = {"name": "any", "plan": asdict(PlanConfig(edge_check=edge_check))}
-    trials, run = make_trials(6, 0), open_run(tmp_path / "run", make_header(6, 0, configuration=configuration))
+    trials, run = (
+        made_trials(6, 0),
+        open_run(tmp_path / "run", make_header(6, 0, configuration=configuration)),
+    )
     scores = make_scores(trials, np.array([0, 0, 0, 0, Outcome.REACH, 0]))
     margin = scores.margin.clone()
     margin[:, 1] = torch.tensor([0.02, -0.037, -5e-5, -2e-4, 0.02, 0.01])  # 1 and 3: more than float32's doubt

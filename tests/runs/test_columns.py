@@ -10,7 +10,7 @@ import pytest
 
 from r2h_batch.base.package import VERSION
 from r2h_batch.closed_loop.env import End
-from r2h_batch.report.compare.command import stored_rows
+from r2h_batch.report.compare.stored import stored_rows
 from r2h_batch.runs.columns import ENDS, TABLES, later, schema_of_kind
 from r2h_batch.runs.store import load_run
 

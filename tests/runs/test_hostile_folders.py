@@ -14,9 +14,9 @@ from made_runs import (
     NAMES,
     files_of,
     forge,
+    made_trials,
     make_header,
     make_scores,
-    make_trials,
     read_json,
     receipt_of,
     with_a_fatal_footer,
@@ -292,7 +292,7 @@ def test_an_outcome_that_its_criteria_do_not_give_is_refused_by_every_table(run,
 @pytest.mark.parametrize("ids", [[0, 2, 2, 1, 3, 5], [0, 2, 4, 1, 3, 7], [2, 0, 4, 1, 3, 5]])
 def test_rows_of_other_trials_with_a_right_sha256_are_found_and_scored_again(tmp_path, ids, capsys):
     n = np.zeros(6, int)
-    trials = make_trials(3, 3)
+    trials = made_trials(3, 3)
     trials.trial_id[:] = torch.tensor([0, 2, 4, 1, 3, 5])
     run = open_run(tmp_path / "run", make_header(3, 3, protocol="r2h-v1"))
     run.register("m", {"kind": "test"})

@@ -12,10 +12,10 @@ from made_runs import (
     OUTCOMES,
     files_of,
     forge,
+    made_trials,
     make_header,
     make_predictions,
     make_scores,
-    make_trials,
     store,
     write,
 )
@@ -69,7 +69,7 @@ def test_every_column_comes_back_as_it_was_scored(tmp_path):
 
 
 def test_poses_come_back_bit_for_bit_even_when_they_are_not_numbers(tmp_path):
-    trials = make_trials(4, 4)
+    trials = made_trials(4, 4)
     predictions = make_predictions(trials)
     predictions.T_world_ee[2, 0, 0] = float("nan")
     predictions.T_obj_ee[3, 1, 1] = float("inf")
@@ -85,7 +85,7 @@ def test_poses_come_back_bit_for_bit_even_when_they_are_not_numbers(tmp_path):
 
 
 def test_rows_can_come_in_chunks_and_shards_of_any_size_hold_the_same_rows(tmp_path):
-    trials = make_trials(5, 5)
+    trials = made_trials(5, 5)
     scores = make_scores(trials, np.arange(10) % 3)
     whole = score_rows(trials, scores, NAMES)
     digests = set()
@@ -113,7 +113,7 @@ def test_the_digest_is_of_the_rows_and_not_of_the_clock(tmp_path):
         ("other outcome", changed, 0.1, 8.5),
         ("other path", OUTCOMES, 0.1, 8.6),
     ):
-        trials = make_trials(6, 6)
+        trials = made_trials(6, 6)
         run = open_run(tmp_path / name, make_header(6, 6))
         store(run, "m", trials, make_scores(trials, outcome, t_plan_s=t_plan_s, t_exec_s=t_exec_s))
         digests[name] = load_run(tmp_path / name).digest("m")
@@ -133,7 +133,7 @@ def test_what_a_killed_sweep_left_of_a_shard_is_removed_by_the_next_one_and_is_n
 
 
 def test_totals_are_asserted_on_write(tmp_path):
-    trials = make_trials(6, 5)
+    trials = made_trials(6, 5)
     scores = make_scores(trials, OUTCOMES[:11])
     run = open_run(tmp_path / "run", make_header(6, 6))
     run.register("m", {})
@@ -190,7 +190,7 @@ def test_another_machine_of_the_same_kind_may_share_a_folder_and_another_shard_s
 
 
 def test_two_writers_of_one_shard_leave_the_rows_of_the_first_and_no_files_of_the_second(tmp_path):
-    trials = make_trials(6, 6)
+    trials = made_trials(6, 6)
     a, b = open_run(tmp_path / "run", make_header(6, 6)), open_run(tmp_path / "run", make_header(6, 6))
     for run in (a, b):
         run.register("m", {"kind": "test"})

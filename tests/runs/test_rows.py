@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from made_runs import NAMES, make_predictions, make_scores, make_trials
+from made_runs import NAMES, made_trials, make_predictions, make_scores
 
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
@@ -24,7 +24,7 @@ from r2h_batch.types import Outcome
 @pytest.mark.check
 @pytest.mark.parametrize("n", [0, 1, 2, 33])
 def test_rows_of_any_number_of_trials_have_the_schemas(n):
-    trials = make_trials(n, 0)
+    trials = made_trials(n, 0)
     scores = make_scores(trials, np.arange(n) % 3)
     tables = (
         (score_rows(trials, scores, NAMES, torch.zeros(n)), TRIAL_SCHEMA),
@@ -41,7 +41,7 @@ def test_rows_of_any_number_of_trials_have_the_schemas(n):
 
 
 def test_what_the_simulator_failed_on_can_be_run_again_from_its_row():
-    trials = make_trials(3, 2)
+    trials = made_trials(3, 2)
     outcome = np.array([Outcome.SUCCESS, Outcome.INVALID_SIM, Outcome.SUCCESS, Outcome.INVALID_SIM, Outcome.PLAN])
     scores, predictions = make_scores(trials, outcome), make_predictions(trials)
     scores.motion_len[1], scores.motion[1, 2:] = 4, torch.nan

@@ -8,7 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from made_runs import NAMES, OUTCOMES, files_of, make_header, make_scores, make_trials, receipt_of, store, write
+from made_runs import NAMES, OUTCOMES, files_of, made_trials, make_header, make_scores, receipt_of, store, write
 
 from r2h_batch.runs import shard as shards
 from r2h_batch.runs.files import RunError, link_once, sha256_of
@@ -53,7 +53,7 @@ def test_a_page_whose_bits_flip_after_the_digest_was_compared_is_refused_when_it
 
 def race(folder, number, start):
     """One of several writers of one shard, each with times of its own."""
-    trials = make_trials(6, 6)
+    trials = made_trials(6, 6)
     run = open_run(folder, make_header(6, 6))
     run.register("m", {"kind": "test"})
     (shard,) = shards_of(run.header)
@@ -77,7 +77,7 @@ def test_of_writers_at_the_same_moment_one_is_stored_and_nothing_of_the_others(t
 
 @pytest.mark.parametrize("killed", ["before its name", "after its name"])
 def test_a_writer_killed_between_the_two_names_of_its_file_has_stored_the_shard(tmp_path, monkeypatch, killed):
-    trials = make_trials(6, 6)
+    trials = made_trials(6, 6)
     folder = tmp_path / "run"
     if not (child := os.fork()):
         names = []
@@ -105,7 +105,7 @@ def test_a_writer_killed_between_the_two_names_of_its_file_has_stored_the_shard(
 
 
 def test_a_later_writer_ends_the_turn_of_one_that_was_killed_and_its_own_rows_are_not_stored(tmp_path):
-    trials = make_trials(6, 6)
+    trials = made_trials(6, 6)
     write(tmp_path / "first")
     (first,) = files_of(tmp_path / "first")
     run = open_run(tmp_path / "run", make_header(6, 6))
@@ -124,10 +124,10 @@ def test_a_later_writer_ends_the_turn_of_one_that_was_killed_and_its_own_rows_ar
 def test_rows_of_trials_that_a_shard_does_not_have_are_refused(tmp_path):
     run = open_run(tmp_path / "run", make_header(6, 6, stored=["details"]))
     run.register("m", {"kind": "test"})
-    trials = make_trials(6, 6)
+    trials = made_trials(6, 6)
     scores = make_scores(trials, OUTCOMES)
-    other = make_trials(6, 7)[1:]
-    other_scores = make_scores(make_trials(6, 7), np.append(OUTCOMES, 0))[1:]
+    other = made_trials(6, 7)[1:]
+    other_scores = make_scores(made_trials(6, 7), np.append(OUTCOMES, 0))[1:]
     with pytest.raises(RunError, match="nothing was stored"), run.write("m", *run.todo("m")) as writer:
         writer.append(trials=score_rows(trials, scores, NAMES), details=detail_rows(other, other_scores, NAMES))
     assert not files_of(tmp_path / "run")

@@ -6,7 +6,7 @@ import shutil
 
 import pyarrow.parquet as pq
 import pytest
-from made_runs import NAMES, OUTCOMES, files_of, make_header, make_scores, make_trials, put_shard, store, write
+from made_runs import NAMES, OUTCOMES, files_of, made_trials, make_header, make_scores, put_shard, store, write
 
 from r2h_batch.__main__ import main
 from r2h_batch.runs.files import RunError
@@ -66,7 +66,7 @@ def test_a_shard_of_another_run_or_method_is_foreign(tmp_path, capsys):
         load_run(tmp_path / "a")
     assert main(["results", "verify", str(tmp_path / "a")]) == 1
     assert "foreign" in capsys.readouterr().out
-    trials = make_trials(6, 6)
+    trials = made_trials(6, 6)
     run = open_run(tmp_path / "a", make_header(6, 6))
     assert [s.index for s in run.todo("m")] == [0]
     store(run, "m", trials, make_scores(trials, OUTCOMES))
@@ -107,7 +107,7 @@ def test_a_disk_that_fills_up_leaves_no_partial_shard_and_the_folder_goes_on_aft
     run = open_run(tmp_path / "run", make_header(6, 6))
     run.register("second", {"kind": "test"})
     monkeypatch.setattr(f"r2h_batch.runs.shard.{when}", full)
-    trials = make_trials(6, 6)
+    trials = made_trials(6, 6)
     run = open_run(tmp_path / "run", make_header(6, 6))
     with pytest.raises(OSError, match="No space"), run.write("second", shards_of(run.header)[0]) as writer:
         writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES), NAMES))

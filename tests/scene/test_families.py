@@ -12,9 +12,9 @@ from scipy.spatial import ConvexHull
 from r2h_batch.__main__ import main
 from r2h_batch.base.io.read import FileError
 from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.protocols.family_objects import family_objects, family_splits
 from r2h_batch.scene.families.draw import FAMILIES, SHIPPED, TRAINING, draw_instance
 from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, stored_key, turned
-from r2h_batch.trials.benchmark.family_objects import family_objects, family_splits
 from r2h_batch.trials.holding.receiving import load_receiving
 
 REPORT = json.loads((resources.files("r2h_batch.assets.families") / "report.json").read_text())

@@ -7,11 +7,11 @@ import pytest
 import trimesh
 
 from r2h_batch.base.io.read import FileError
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.scene import objects
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.mesh_import.cache import key_of
 from r2h_batch.scene.objects import ObjectMeshError, build_object, is_built, object_digest, object_from_argument
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 
 
 def block(x0, x1):
@@ -98,7 +98,7 @@ def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
     np.save(tmp_path / "saw_parts.npy", (saw.triangles_center[:, 0] > 0).astype(np.uint8))
     parts = "parts: saw_parts.npy\npart_names: [handle, blade]\n"
     (tmp_path / "saw.yaml").write_text(f"split: S1\n{parts}receiver: handle\nmass: 0.3\n")
-    cube, saw = BenchmarkOverrides(objects=str(tmp_path)).read().objects
+    cube, saw = BenchmarkChoice(objects=str(tmp_path)).read().objects
     assert (cube.name, cube.split, cube.part_names) == ("cube", "S0", ("body",))
     assert (saw.split, saw.mass, saw.part_names) == ("S1", 0.3, ("handle", "blade"))
     assert (saw.receiver_face == (saw.mesh.triangles_center[:, 0] < 0)).all()
@@ -110,7 +110,7 @@ def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
     }.items():
         (tmp_path / "saw.yaml").write_text(text)
         with pytest.raises(FileError, match=words):
-            BenchmarkOverrides(objects=str(tmp_path)).read()
+            BenchmarkChoice(objects=str(tmp_path)).read()
 
 
 def test_several_meshes_are_built_by_workers_and_asked_for_as_one(tmp_path, monkeypatch):

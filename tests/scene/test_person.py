@@ -7,9 +7,9 @@ import pytest
 import warp as wp
 from problems import default_evaluator, make_batch
 
+from r2h_batch import load_benchmark
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.scene.person import PIECES, with_person
-from r2h_batch.trials.protocol import make_trials
 
 N = 40
 
@@ -17,7 +17,7 @@ N = 40
 @pytest.fixture(scope="module")
 def held():
     scene = default_evaluator().scene
-    batch, trials = make_batch(scene, N), make_trials(trials=N, protocol="r2h-v1")[:N]
+    batch, trials = make_batch(scene, N), load_benchmark("r2h-v1").trials(N)[:N]
     return attach_object(scene, batch.T_obj_ee, batch.T_world_ee, trials, scene.config).body_poses, trials
 
 

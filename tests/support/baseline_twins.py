@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 from problems import default_evaluator as evaluator
 
+from r2h_batch import load_benchmark
 from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import contact, fc, handover_va, intent
@@ -15,7 +16,6 @@ from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.placing import roll_angles
 from r2h_batch.methods.predictors import PredictorNoise, TargetHand
 from r2h_batch.scene.robot import load_robot
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions, Trials
 
 N = 8
@@ -24,7 +24,7 @@ NOISE = PredictorNoise()
 
 @cache
 def trials() -> Trials:
-    return make_trials(trials=N)
+    return load_benchmark("r2h-v1").trials(N)
 
 
 def middle(found: Predictions, row: int, i: int | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -54,7 +54,7 @@ def _families(folder: Path) -> dict[str, dict[str, str]]:
     line = [
         "--method",
         *FAMILIES_METHODS,
-        "--protocol",
+        "--benchmark",
         FAMILIES,
         "--trials",
         str(FAMILIES_TRIALS // 2),
@@ -73,7 +73,7 @@ def sweep_digests(
         "--method",
         *methods,
         *more,
-        "--protocol",
+        "--benchmark",
         "r2h-v0",
         "--trials",
         str(trials // 2),
@@ -136,13 +136,15 @@ def _candidates() -> dict[str, dict[str, str]]:
     import torch
     from problems import default_evaluator
 
-    from r2h_batch.trials.protocol import trials_with_ids
+    from r2h_batch import load_benchmark
 
     with np.load(MIX) as mix:
         ids, T_obj_ee, T_world_ee = (
             torch.from_numpy(mix[k][:CANDIDATES]) for k in ("trial_id", "T_obj_ee", "T_world_ee")
         )
-    scores = default_evaluator().score(T_obj_ee, T_world_ee, trials_with_ids(ids, protocol="r2h-v0"), stages="pose")
+    scores = default_evaluator().score(
+        T_obj_ee, T_world_ee, load_benchmark("r2h-v0").trials_with_ids(ids), stages="pose"
+    )
     names = [n for n in scores.__dataclass_fields__ if n not in NOT_COMPARED]
     parts: list[Any] = []
     for name in sorted(names):

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.io.parquet import check_decoded_size
 from r2h_batch.runs import store as results
@@ -34,7 +35,7 @@ PLAN, REACH, AFFORDANCE, SAFE = (CRITERIA.index(name) for name in ("plan", "reac
 TABLE_1 = Path(__file__).resolve().parents[2] / "r2h_batch" / "sweep" / "study" / "paper" / "table1.csv"
 
 
-def make_trials(n_s0: int, n_s1: int) -> Trials:
+def made_trials(n_s0: int, n_s1: int) -> Trials:
     """Trials with ids 0.. in S0 and then S1, objects in turn."""
     objects = np.concatenate([np.arange(n_s0) % 3, 3 + np.arange(n_s1) % 3])
     n = n_s0 + n_s1
@@ -161,7 +162,7 @@ def store(run: RunFolder, method: str, trials: Trials, scores: Scores, t_method_
 
 def write_run(folder: Path, methods: dict[str, np.ndarray], n_s0: int, n_s1: int, **changes: object) -> results.Run:
     """A stored run in which method -> outcome codes of its n_s0 + n_s1 trials."""
-    trials = make_trials(n_s0, n_s1)
+    trials = load_benchmark("r2h-v1").trials(n_s1, splits=n_s0)
     run = open_run(folder, make_header(n_s0, n_s1, **changes))
     for name, outcome in methods.items():
         store(run, name, trials, make_scores(trials, outcome))
@@ -179,7 +180,7 @@ def paper_run(folder: Path) -> results.Run:
     cells = {(r["split"], r["method"]): r for r in table_1()}
     columns = {"f_stab": Outcome.STABILITY, "f_plan": Outcome.PLAN, "f_reach": Outcome.REACH}
     columns |= {"f_afford": Outcome.AFFORDANCE, "f_safe": Outcome.SAFE}
-    trials = make_trials(500, 500)
+    trials = made_trials(500, 500)
     run = open_run(folder, make_header(500, 500))
     for method in dict.fromkeys(m for _, m in cells):
         parts = []
@@ -208,7 +209,7 @@ OUTCOMES = np.array([
 
 def write(folder, outcome=OUTCOMES, method="m", **changes):
     n = len(outcome) // 2
-    trials = make_trials(n, len(outcome) - n)
+    trials = load_benchmark("r2h-v1").trials(len(outcome) - n, splits=n)
     scores = make_scores(trials, outcome)
     run = open_run(folder, make_header(n, len(outcome) - n, **changes))
     store(run, method, trials, scores)

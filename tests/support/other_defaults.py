@@ -10,18 +10,20 @@ from dataclasses import fields
 import numpy as np
 import torch
 
+from r2h_batch import load_benchmark
+
 
 def everything() -> dict[str, np.ndarray]:
     """Trials, scores of every kind, gradients, rewards, and every method's answers."""
     from importlib import import_module
 
-    from r2h_batch import Evaluator, make_trials, reward
+    from r2h_batch import Evaluator, reward
     from r2h_batch.base.registry import METHOD_NAMES
     from r2h_batch.base.twist import exp, log
     from r2h_batch.methods.predictors import PredictorNoise
 
-    trials = make_trials(("S0", "S1"), 1)
-    evaluator = Evaluator(device="cpu", threads=1)
+    trials = load_benchmark("r2h-v1").trials(1, splits=("S0", "S1"))
+    evaluator = Evaluator(load_benchmark("r2h-v1"), device="cpu", threads=1)
     out = dict(vars(trials))
     answers = {}
     for name in METHOD_NAMES:

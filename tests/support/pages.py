@@ -27,6 +27,8 @@ from typing import Any, NamedTuple
 
 from packaging.requirements import Requirement
 
+from r2h_batch import load_benchmark
+
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = ("r2h-batch", "make", "python", "pip", "git", "docker", "hf", "ray", "scp", ".")
 """A command begins with one of these; text in backquotes that begins with another word is none."""
@@ -271,10 +273,10 @@ def poses(reader: Reader) -> None:
     """The poses of a reader's own program, for 2 trials of each split, and a motion that stands still."""
     import torch
 
-    from r2h_batch import Evaluator, make_trials
+    from r2h_batch import Evaluator
     from r2h_batch.methods.random import predict
 
-    evaluator, trials = Evaluator(), make_trials(trials=2)
+    evaluator, trials = Evaluator(load_benchmark("r2h-v1")), load_benchmark("r2h-v1").trials(2)
     answer = predict(trials, evaluator.scene)
     q = torch.tensor(evaluator.scene.robot.home_q, dtype=torch.float32).expand(len(trials), 2, -1)
     reader.names |= {"T_obj_ee": answer.T_obj_ee, "T_world_ee": answer.T_world_ee, "k": 1}
@@ -346,7 +348,7 @@ def sweep_file(reader: Reader) -> None:
 
 def released(reader: Reader) -> None:
     """A run, and its trials as files of the release, with results."""
-    reader.ours(["sweep", "--method", "random", "--protocol", "r2h-release", "--out", "runs/demo"])
+    reader.ours(["sweep", "--method", "random", "--benchmark", "r2h-release", "--out", "runs/demo"])
     reader.ours(["export", "runs/demo", "--to", "r2handoversim", "--out", "files"])
 
 
@@ -372,14 +374,17 @@ PLACEHOLDERS = {"RUN": "runs/demo", "OTHER": "runs/mine", "FOLDER": "files", "FI
 
 def warm() -> None:
     """Imports and kernels that most pages need: once, and not in every page's process."""
-    from r2h_batch import EvalConfig, Evaluator, make_trials
+    from r2h_batch import EvalConfig, Evaluator
     from r2h_batch.__main__ import command_of
     from r2h_batch.config import ExecConfig
     from r2h_batch.methods.random import predict
 
     for name in ("sweep", "report", "compare"):
         command_of(name)
-    evaluator, trials = Evaluator(EvalConfig(execute=ExecConfig(sim="none"))), make_trials(trials=2)
+    evaluator, trials = (
+        Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none"))),
+        load_benchmark("r2h-v1").trials(2),
+    )
     answer = predict(trials, evaluator.scene)
     evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
 

@@ -4,23 +4,23 @@
 gripper coming from the robot's side. They are not chosen by looking at verdicts, so some fail.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.base.launch.threads import on_threads
-from r2h_batch.config import EvalConfig, PlanConfig
+from r2h_batch.config import PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
 from r2h_batch.judge.plan import Plan, plan_paths, random_key
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.scene.scene import BodyPoses, Scene
-from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Scores, Trials
 
 
@@ -54,7 +54,8 @@ class Problems:
 
 def make_batch(scene: Scene, n: int, *, seed: int = 0, random_share: float = 0.5) -> Batch:
     """Trials 0 to n - 1 (S0 and S1 by turns); predictions `random` (as the benchmark's bound) or sensible, by a coin."""
-    trials = trials_with_ids(torch.arange(n), protocol="r2h-v0", objects=scene.objects, hand_set=scene.hands.set)
+    benchmark = replace(load_benchmark("r2h-v0"), objects=scene.objects, hand_set=scene.hands.set)
+    trials = benchmark.trials_with_ids(torch.arange(n)).named(scene.objects)  # for any robot and limits
     rng = np.random.default_rng(seed)
     random = rng.random(n) < random_share
     T_obj_ee = np.zeros((n, 4, 4), np.float32)
@@ -98,9 +99,9 @@ def solve(scene: Scene, batch: Batch, config: PlanConfig | None = None, *, threa
 
 
 @cache
-def default_evaluator() -> Evaluator:
+def default_evaluator(name: str = "r2h-v0") -> Evaluator:
     """One Evaluator for all tests of a process."""
-    return Evaluator(EvalConfig())
+    return Evaluator(load_benchmark(name))
 
 
 def assert_same(a: Scores, b: Scores) -> None:

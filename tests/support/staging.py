@@ -7,6 +7,7 @@ import numpy as np
 import torch
 import trimesh
 
+from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.scene.hand import load_hand_set
@@ -36,7 +37,7 @@ def staged_objects() -> tuple[ObjectModel, ...]:
 
 @cache
 def staged_evaluator(config: EvalConfig | None = None) -> Evaluator:
-    return Evaluator(config, objects=staged_objects())
+    return Evaluator(load_benchmark("r2h-v1").with_objects(staged_objects()), config)
 
 
 @cache

@@ -11,8 +11,9 @@ import torch
 from fake_bench import best
 from fake_bench import set_up as set_up_fake
 from made_runs import NAMES, make_header, make_scores
-from made_runs import make_trials as planned
+from made_runs import made_trials as planned
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import detail_rows, score_rows
@@ -22,7 +23,6 @@ from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.answers import AnswerError, answer_of
 from r2h_batch.trials.predictions import write_predictions
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions
 
 # --- what a method answers ------------------------------------------------------------------------------------------
@@ -30,7 +30,7 @@ from r2h_batch.types import Predictions
 
 @pytest.fixture
 def trials():
-    return make_trials(("S0", "S1"), 2)
+    return load_benchmark("r2h-v1").trials(2, splits=("S0", "S1"))
 
 
 def poses(trials, dtype=torch.float32):
@@ -124,7 +124,7 @@ def cheats(trials, scene, *, seed):
 def test_poses_get_the_same_rows_from_a_method_that_edits_its_trials_and_from_a_file(tmp_path, monkeypatch, capsys):
     (tmp_path / "my_cheat.py").write_text(CHEAT)
     monkeypatch.syspath_prepend(tmp_path)
-    planned = make_trials(("S0", "S1"), 4)
+    planned = load_benchmark("r2h-v1").trials(4, splits=("S0", "S1"))
     import my_cheat
 
     write_predictions(tmp_path / "p.npz", Predictions(planned.trial_id, *my_cheat.honest(planned, None, seed=0)))
@@ -201,7 +201,7 @@ def test_rows_that_are_not_the_plans_are_not_written(tmp_path, kind, ids, words)
     run = open_run(tmp_path / "run", make_header(4, 4, protocol=DEFAULT_PROTOCOL, stored=["details"]))
     run.register("m", {"kind": "test"})
     (shard,) = run.todo("m")
-    trials = replace(planned(4, 4), trial_id=make_trials(("S0", "S1"), 4).trial_id)
+    trials = replace(planned(4, 4), trial_id=load_benchmark("r2h-v1").trials(4, splits=("S0", "S1")).trial_id)
     scores = make_scores(trials, np.zeros(8, int))
     rows = {"trials": score_rows(trials, scores, NAMES), "details": detail_rows(trials, scores, NAMES)}
     wrong = rows | {kind: rows[kind].set_column(0, rows[kind].schema.field(0), pa.array(ids, pa.int64()))}

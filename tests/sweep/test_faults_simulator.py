@@ -5,12 +5,12 @@ import json
 import numpy as np
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.judge.motion import sim_mujoco
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep.results.command import verify
 from r2h_batch.trials.predictions import write_predictions
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions
 
 
@@ -47,7 +47,7 @@ def test_what_the_simulator_failed_on_is_invalid_in_the_table_and_stored_with_it
 
 def test_a_gripper_closed_around_the_hand_is_a_collision_in_the_stored_rows(tmp_path):
     """Row 8: solids wholly inside each other have no surfaces that cross; they collide all the same."""
-    trials = make_trials(["S0"], 4)
+    trials = load_benchmark("r2h-v1").trials(4, splits=["S0"])
     T_world_ee = trials.T_world_hand.clone()  # the TCP at the wrist, the hand between and inside the fingers
     T_obj_ee = torch.eye(4).repeat(4, 1, 1)
     write_predictions(tmp_path / "in.npz", Predictions(trials.trial_id, T_obj_ee, T_world_ee, None, "inside"))

@@ -54,11 +54,11 @@ def test_readmes_table_is_exchanged_and_says_who_is_better_from_both_sides():
 def test_rows_of_the_draft_are_told_from_those_of_the_frozen_protocol():
     import families
 
-    from r2h_batch.trials.benchmark.benchmark import built_in
+    from r2h_batch import load_benchmark
 
-    own = f"--protocol r2h-v2, digest {built_in('r2h-v2').digest}"
+    own = f"--benchmark r2h-v2, digest {load_benchmark('r2h-v2').digest}"
     assert families.is_frozen({"table": {"origin": {"benchmark": own}}})
-    assert not families.is_frozen({"table": {"origin": {"benchmark": "--protocol r2h-v2, digest 6e3705382fcb"}}})
+    assert not families.is_frozen({"table": {"origin": {"benchmark": "--benchmark r2h-v2, digest 6e3705382fcb"}}})
 
 
 def test_the_page_of_families_is_of_the_frozen_protocol_and_the_shipped_network():

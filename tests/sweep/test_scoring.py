@@ -54,10 +54,10 @@ def predict(trials, _):
 
 @pytest.mark.parametrize("splits", [("S1",), ("S1", "S0")])
 def test_planned_ids_are_those_of_the_protocol_in_any_range(splits):
-    from r2h_batch.trials.protocol import make_trials
+    from r2h_batch import load_benchmark
 
     plan = jobs.set_up(requested(Options(method=("random",), trials=11, splits=splits)))
-    expected = make_trials([s for s in ("S0", "S1") if s in splits], 11)
+    expected = load_benchmark("r2h-v1").trials(11, splits=[s for s in ("S0", "S1") if s in splits])
     assert plan.planned == len(expected)
     assert plan.ids(0, plan.planned).tolist() == expected.trial_id.tolist()
     for first, last in ((0, 0), (3, 4), (5, plan.planned)):

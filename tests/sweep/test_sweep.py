@@ -8,7 +8,7 @@ import fake_bench
 import numpy as np
 import pytest
 import torch
-from made_runs import make_predictions, make_trials
+from made_runs import made_trials, make_predictions
 
 from r2h_batch.report.robustness import LEVELS
 from r2h_batch.runs.store import load_run
@@ -84,7 +84,7 @@ def test_robustness_is_a_run_folder_for_each_error_and_goes_on_where_it_stopped(
 
 
 def test_a_predictions_file_in_any_order_is_scored_as_what_it_is(fake, tmp_path, capsys):
-    made = make_predictions(make_trials(4, 4), "Mine (learned)")
+    made = make_predictions(made_trials(4, 4), "Mine (learned)")
     made.T_world_ee[5] = float("nan")
     order = torch.tensor([7, 3, 0, 5, 1, 2, 6, 4])
     write_predictions(tmp_path / "p.npz", made[order])
@@ -105,7 +105,7 @@ def test_a_predictions_file_in_any_order_is_scored_as_what_it_is(fake, tmp_path,
 
 
 def test_missing_predictions_are_refused_or_counted_as_failures(fake, tmp_path, capsys):
-    write_predictions(tmp_path / "p.npz", make_predictions(make_trials(4, 4), "m")[torch.tensor([0, 2, 3])])
+    write_predictions(tmp_path / "p.npz", make_predictions(made_trials(4, 4), "m")[torch.tensor([0, 2, 3])])
     line = [
         "--predictions",
         str(tmp_path / "p.npz"),
@@ -127,7 +127,10 @@ def test_missing_predictions_are_refused_or_counted_as_failures(fake, tmp_path, 
 
 
 def test_any_chunk_shard_and_part_gives_the_same_digest(fake, here, tmp_path, capsys):
-    write_predictions(tmp_path / "p.npz", make_predictions(make_trials(40, 40), "m")[torch.arange(0, 80, 3)])
+    write_predictions(
+        tmp_path / "p.npz",
+        make_predictions(made_trials(40, 40), "m")[torch.arange(0, 80, 3)],
+    )
     base = ["--method", f"{here}:best", "--predictions", str(tmp_path / "p.npz"), "--allow-missing", "--trials", "40"]
     digests = set()
     for name, more in (

@@ -7,12 +7,11 @@ import shutil
 import numpy as np
 import pytest
 
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
+from r2h_batch.protocols.edit import FRAMES, frame_of, in_frame
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.objects import load_objects, object_digest
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.benchmark.build import FRAMES, frame_of, in_frame
-from r2h_batch.trials.protocol import make_trials
 
 BY_X = """
 import torch
@@ -108,11 +107,11 @@ def test_a_turn_test_of_another_run_is_refused(run, capsys, tmp_path):
 
 @pytest.mark.parametrize("protocol", ["r2h-v1", "r2h-release"])
 def test_turned_objects_have_the_same_trials(protocol):
-    own = built_in(protocol)
-    few = make_trials(["S0", "S1"], 4, benchmark=own)
+    own = load_benchmark(protocol)
+    few = own.trials(4, splits=["S0", "S1"])
     for turn, R in FRAMES.items():
         other = in_frame(own, turn)
-        again = make_trials(["S0", "S1"], 4, benchmark=other)
+        again = other.trials(4, splits=["S0", "S1"])
         assert np.array_equal(few.T_world_hand.numpy(), again.T_world_hand.numpy())
         assert np.isclose(np.linalg.det(R), 1) and object_digest(other.objects[3]) != object_digest(own.objects[3])
 

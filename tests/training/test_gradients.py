@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation
 from seven import with_hulls
 from slopes import candidates, gradients, measured_slopes
 
-from r2h_batch import Evaluator
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.base import se3, twist
-from r2h_batch.config import EvalConfig
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.goal import judge_goals
 from r2h_batch.scene.robot import Robot, ee_pose, load_robot
@@ -42,7 +41,7 @@ def evaluator_of(robot: str) -> Evaluator:
         T[3, :3, :3] = Rotation.from_euler("x", 0.05).as_matrix() @ T[3, :3, :3]
         own = replace(with_hulls(own), T_parent_joint=T)
         assert own.family == "numerical"
-    return Evaluator(EvalConfig(), robot=own)
+    return Evaluator(load_benchmark("r2h-v1").on(own))
 
 
 @pytest.fixture(scope="module")
@@ -329,6 +328,6 @@ def test_gradients_on_cuda_are_those_on_the_cpu(batch):
     device = torch.device("cuda")
     _, expected = gradients(default_evaluator(), batch)
     moved = type(batch)(batch.trials.to(device), batch.T_obj_ee.to(device), batch.T_world_ee.to(device))
-    _, found = gradients(Evaluator(device=device), moved)
+    _, found = gradients(Evaluator(load_benchmark("r2h-v1"), device=device), moved)
     close = (found.cpu() - expected).abs().amax((1, 2)) < 1e-2
     assert close.float().mean() > 0.97

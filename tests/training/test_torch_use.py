@@ -6,7 +6,7 @@ import pytest
 import torch
 from problems import assert_same, default_evaluator, make_batch
 
-from r2h_batch import reward
+from r2h_batch import load_benchmark, reward
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.training import torch_op
 from r2h_batch.types import Outcome, Scores, Trials
@@ -102,7 +102,7 @@ def test_a_captured_call_repeats_the_plain_one_in_the_same_memory(batch):
 
 @pytest.fixture(scope="module")
 def cuda() -> Evaluator:
-    return Evaluator(device="cuda")
+    return Evaluator(load_benchmark("r2h-v1"), device="cuda")
 
 
 def on_cuda(batch) -> tuple[torch.Tensor, torch.Tensor, Trials]:

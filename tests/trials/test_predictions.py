@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from made_runs import make_predictions, make_trials
+from made_runs import made_trials, make_predictions
 from prediction_files import arrays, refused, store
 
 from r2h_batch.trials.predictions import PredictionsError, align, doubts, load_predictions, write_predictions
@@ -14,7 +14,7 @@ from r2h_batch.types import Predictions
 def test_written_predictions_are_read_back_equal(tmp_path, timed):
     n = 33
     seconds = torch.arange(n, dtype=torch.float32) if timed else None
-    made = make_predictions(make_trials(n, 0), method="Contact-Handover (é)")
+    made = make_predictions(made_trials(n, 0), method="Contact-Handover (é)")
     made = Predictions(made.trial_id, made.T_obj_ee, made.T_world_ee, seconds, made.method)
     write_predictions(tmp_path / "p.npz", made)
     read = load_predictions(tmp_path / "p.npz")

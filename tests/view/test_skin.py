@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.scene.tables import Hands
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import PERSON
 from r2h_batch.view.episode import EpisodeDrawing
 from r2h_batch.view.mjcf import spec_of
@@ -23,8 +22,8 @@ HELD = {"upper_arm": 0.80, "forearm": 0.87}
 @pytest.fixture(scope="module", params=["all", "wheelchair", ""])
 def drawn(request):
     """Trials with people, their hands' sides and skins (vertices in the world), and the skins that are drawn."""
-    benchmark = BenchmarkOverrides(people=request.param).read()
-    trials, hands = make_trials(trials=12, benchmark=benchmark), Hands.posed(benchmark.hand_set)
+    benchmark = BenchmarkChoice(people=request.param).read()
+    trials, hands = benchmark.trials(12), Hands.posed(benchmark.hand_set)
     k = trials.hand_index.long()
     T = trials.T_world_hand.double()
     palm = (T[:, :3, :3] @ hands.palm_normal[k].double()[:, :, None])[:, :, 0].numpy()

@@ -5,7 +5,7 @@ import pytest
 from needs import needs
 
 from r2h_batch.__main__ import main
-from r2h_batch.report.compare.command import baselines_for
+from r2h_batch.report.compare.stored import baselines_for
 
 VIEW = ["view", str(baselines_for()), "--method", "oracle", "--trial"]
 
@@ -53,9 +53,9 @@ def test_a_row_that_nobody_receives_has_no_transfer_to_show(tmp_path, capsys):
     import torch
 
     from r2h_batch.judge.reception import reception
+    from r2h_batch.protocols.choice import BUILT_IN
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results.reception import judge_of_bodies, judged_one
-    from r2h_batch.trials.benchmark.flags import BUILT_IN
 
     run = load_run(baselines_for()).only(["oracle"])
     judge, (name,) = judge_of_bodies(run, BUILT_IN, "cpu")

@@ -3,44 +3,21 @@ there is work."""
 
 import contextlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from r2h_batch.base.command_line import check_seed, nearest
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
+from r2h_batch.report.compare.stored import baselines_for, is_stored, stored_rows
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
 
 BASELINES = "baselines"
 """The word for the shipped rows of all built-in methods: `compare runs/mine baselines`."""
-
-FOLDERS = tuple(Path(__file__).parent / name for name in (BASELINES, "baselines_as_planned"))
-"""The shipped run folders, 500 trials of r2h-v1 of each split: moved by MuJoCo C (with poses), and
-with `--sim none`. `make tables` scores them again."""
-
-ROWS = Path(__file__).resolve().parents[3] / "bench" / "rows"
-"""Only in a checkout: rows of the other protocols and presets, PROTOCOL[-PRESET-preset]."""
-
-
-def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
-    """The stored run that the run of this run.json can be compared with: in a checkout that of its
-    protocol and preset; else the shipped one that the same engine moved, without a header the
-    simulated one."""
-    configuration = (header or {}).get("configuration", {})
-    preset, protocol = configuration.get("name", "default"), str((header or {}).get("protocol", ""))
-    name = protocol.removeprefix("r2h-") + (f"-{preset}-preset" if preset != "default" else "")
-    stored = {f.name: f for f in ROWS.iterdir()} if ROWS.is_dir() else {}
-    execute = configuration.get("execute") or {}
-    return stored.get(name, FOLDERS[execute.get("sim") == "none"])
-
-
-def stored_rows() -> tuple[Path, ...]:
-    """All folders of rows that the project's tests judge again."""
-    return (*FOLDERS, *(sorted(ROWS.iterdir()) if ROWS.is_dir() else ()))
 
 
 def compare(
@@ -60,8 +37,8 @@ def compare(
 
     Args:
         runs: run folders, as `r2h-batch sweep --out` writes them; one with several methods is
-            enough. The word baselines stands for the built-in methods' rows of r2h-v1, which ship
-            with the package. In a checkout it stands for rows of the run's protocol and preset.
+            enough. The word baselines stands for the built-in methods' stored rows of the run's
+            benchmark. Those of the default benchmark ship with the package.
         seed: seed of the bootstrap that gives the ranks.
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; by default all.
@@ -78,12 +55,12 @@ def compare(
     stored = load_runs(runs, method)
     common = common_trials(stored, proven=stored_rows(), across_robots=across_robots)
     paired = statistics.pair_up(stored, common)
-    shipped = [stored[k].folder in FOLDERS for k in paired.runs]
+    shipped = [is_stored(stored[k]) for k in paired.runs]
     not_shipped = [n for n, s in zip(paired.names, shipped, strict=True) if not s]
     some = any(shipped) and not all_pairs
     comparisons = statistics.compare(paired, mine=not_shipped if some else (), seed=seed)
     header = stored[0].header
-    folders = (BASELINES if r.folder in stored_rows() else r.folder.name for r in stored)
+    folders = (BASELINES if is_stored(r) else r.folder.name for r in stored)
     origin = {
         "runs": ", ".join(folders),
         "protocol": str(header["protocol"]),

@@ -60,8 +60,8 @@ def common_trials(
         if what := _differing(first, run, proven, across_robots):
             advice = "sweep both methods with the same version and options"
             if {first.folder, run.folder} & set(proven):
-                shipped = "the shipped baselines have the default options and protocol"
-                advice = f"{shipped}, with --sim mujoco and with --sim none: sweep like that"
+                shipped = "stored rows have default options, with --sim mujoco and with --sim none"
+                advice = f"{shipped}: sweep like that"
             if what.startswith("robot"):
                 advice = "to pair trials by number, add --across-robots to compare"
             found = f"{first.folder} and {run.folder} differ in {what}"

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Literal
 
 from r2h_batch.base.command_line import UsageError, check_seed
+from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.sweep.results.rethreshold import rethreshold
-from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
 
 LISTED = 200
 """Differences of one method that are printed; the count covers all of them."""
@@ -67,7 +67,7 @@ def reevaluate(
     rows: int = 200,
     method: tuple[str, ...] = (),
     seed: int | None = None,
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     device: str = "cpu",
 ) -> int:
     """Verify a run folder, then judge a random sample of its rows again from their stored poses.
@@ -97,7 +97,6 @@ def reevaluate(
     from r2h_batch.runs.files import RunError
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results import reevaluation as again
-    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 
     run = load_run(folder, verify=False).only(method)
     names = [e.name for e in run.entries if e.shards]
@@ -105,7 +104,7 @@ def reevaluate(
         raise RunError(f"{folder}: no shard of any method is stored")
     again.check_poses(run)
     draw = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    judge = again.Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
+    judge = again.Judge(run, given=benchmark, device=device)
     if judge.other:
         print(
             f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared exactly,"
@@ -133,7 +132,7 @@ def reception(
     /,
     *,
     method: tuple[str, ...] = (),
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     device: str = "cpu",
 ) -> int:
     """Print how many receivers could take the object, and how easily; write RUN/reception/METHOD.parquet.
@@ -168,7 +167,7 @@ def held(
     *,
     method: tuple[str, ...] = (),
     processes: int = 0,
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     device: str = "cpu",
 ) -> int:
     """Print how many objects the closed gripper holds under their weight for 1 s; write RUN/held/METHOD.parquet.
@@ -210,7 +209,7 @@ def transfer(
     seed: int = 0,
     processes: int = 0,
     sim: Literal["auto", "mujoco", "mjwarp"] = "auto",
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     device: str = "cpu",
 ) -> int:
     """Simulate the transfer after each handover: a person takes the object, and a policy lets go.

@@ -17,13 +17,13 @@ from r2h_batch.closed_loop.transfer.cases import Processes, Simulator, processes
 from r2h_batch.closed_loop.transfer.handed import gripped_of
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.judge.grasp_physics import DROPPED_M
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.held import FOLDER, MADE_OF
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reception import judge_of, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
 from r2h_batch.sweep.scoring import progress
-from r2h_batch.trials.benchmark.flags import BenchmarkFlags
 
 _FLOAT = pa.float32()
 SCHEMA = pa.schema(
@@ -51,7 +51,7 @@ NOTES = (
 
 
 def write_tables(
-    run: Run, benchmark: BenchmarkFlags, *, count: int, device: str
+    run: Run, benchmark: BenchmarkChoice, *, count: int, device: str
 ) -> dict[str, Path]:
     """Method -> its file RUN/held/METHOD.parquet. A file that was made of the same rows by the same code is kept.
 

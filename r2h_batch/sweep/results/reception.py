@@ -14,12 +14,11 @@ import torch
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.text import aligned, notes_list, plain, short_names
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reevaluation import Judge, check_poses
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
-from r2h_batch.trials.benchmark.flags import BenchmarkFlags
 from r2h_batch.types import Scores
 
 CURVE_K = (8, 32, 64, 128, 256)
@@ -59,7 +58,7 @@ Table = Callable[[Run, str, Judge], pa.Table]
 
 
 def tables_of_run(
-    run: Run, benchmark: BenchmarkFlags, device: str, of: Table | None = None
+    run: Run, benchmark: BenchmarkChoice, device: str, of: Table | None = None
 ) -> dict[str, pa.Table]:
     """Method -> its table, of all methods with rows.
 
@@ -80,7 +79,7 @@ def tables_of_run(
     return tables
 
 
-def judge_of(run: Run, benchmark: BenchmarkFlags, device: str) -> tuple[Judge, list[str]]:
+def judge_of(run: Run, benchmark: BenchmarkChoice, device: str) -> tuple[Judge, list[str]]:
     """The evaluator of a run, and its methods with rows.
 
     Args:
@@ -95,10 +94,10 @@ def judge_of(run: Run, benchmark: BenchmarkFlags, device: str) -> tuple[Judge, l
     names = [e.name for e in run.entries if e.shards]
     if not names:
         raise RunError(f"{run.folder}: no shard of any method is stored")
-    return Judge(run, given=BenchmarkOverrides.of(benchmark), device=device), names
+    return Judge(run, given=benchmark, device=device), names
 
 
-def judge_of_bodies(run: Run, benchmark: BenchmarkFlags, device: str) -> tuple[Judge, list[str]]:
+def judge_of_bodies(run: Run, benchmark: BenchmarkChoice, device: str) -> tuple[Judge, list[str]]:
     """The evaluator of a run whose receivers have bodies, and its methods with rows.
 
     Args:
@@ -112,7 +111,9 @@ def judge_of_bodies(run: Run, benchmark: BenchmarkFlags, device: str) -> tuple[J
     judge, names = judge_of(run, benchmark, device)
     one = run.trials(names[0], ["trial_id"])["trial_id"][:1].to_numpy()
     if judge.trials(one).receiver is None:
-        raise RunError(f"{run.folder}: its trials have no receiver's body; sweep --protocol r2h-v1")
+        raise RunError(
+            f"{run.folder}: its trials have no receiver's body; sweep a benchmark of people"
+        )
     return judge, names
 
 

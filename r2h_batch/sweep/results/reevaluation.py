@@ -18,11 +18,12 @@ import pyarrow.compute as pc
 import torch
 from pydantic import TypeAdapter
 
-from r2h_batch.base.registry import PROTOCOL_NAMES
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.form import Form, planning_form
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.runs import provenance
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING
@@ -32,10 +33,7 @@ from r2h_batch.runs.store import Run
 from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
 from r2h_batch.sweep.options import UsageError
 from r2h_batch.sweep.scoring import judged_tables
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides, benchmark_of_run
-from r2h_batch.trials.benchmark.trials_file import LISTED
 from r2h_batch.trials.predictions import Motions
-from r2h_batch.trials.protocol import trials_of
 from r2h_batch.types import Predictions, Trials
 
 if TYPE_CHECKING:
@@ -124,16 +122,13 @@ class Judge:
         device: cpu, cuda or cuda:N.
     """
 
-    def __init__(self, run: Run, *, given: BenchmarkOverrides | None = None, device: str = "cpu"):
+    def __init__(self, run: Run, *, given: BenchmarkChoice | None = None, device: str = "cpu"):
         instance_of(Run, "what load_run(FOLDER) gives")("run", run)
-        optional(instance_of(BenchmarkOverrides, "flags of the benchmark"))("given", given)
+        optional(instance_of(BenchmarkChoice, "flags of the benchmark"))("given", given)
         header, where = run.header, run.folder
-        if header["protocol"] not in (*PROTOCOL_NAMES, LISTED):
-            words = f"this version makes the trials of {', '.join(PROTOCOL_NAMES)}"
-            raise RunError(f"{where}: protocol {header['protocol']!r}; {words}")
         config = configuration(header["configuration"], str(where))
-        self.benchmark = benchmark_of_run(header, given or BenchmarkOverrides(), str(where))
-        self.evaluator = Evaluator.from_benchmark(self.benchmark, config, device=device)
+        self.benchmark = benchmark_of_run(header, given or BenchmarkChoice(), str(where))
+        self.evaluator = Evaluator(self.benchmark, config, device=device)
         self.other = _other(header, device)
         self.loop, self.played = _loop_of(header["digests"].get("closed_loop"), run)
         # the last bits of Safe's margins differ between the CPU and GPU forms (docs/gpu.md)
@@ -142,7 +137,7 @@ class Judge:
     def trials(self, trial_id: Any) -> Trials:
         """The trials with these ids, on the evaluator's device."""
         ids = torch.from_numpy(np.array(trial_id, np.int64))
-        return trials_of(self.benchmark, ids).to(self.evaluator.scene.device)
+        return self.benchmark.trials_with_ids(ids).to(self.evaluator.scene.device)
 
     def tables(
         self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any, motions: Motions | None = None,

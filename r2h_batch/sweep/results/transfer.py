@@ -28,6 +28,7 @@ from r2h_batch.closed_loop.transfer.outcome import Outcome
 from r2h_batch.closed_loop.transfer.person import SCENARIOS
 from r2h_batch.closed_loop.transfer.release import release_of
 from r2h_batch.judge.reception import reception
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.statistics.aggregate import clustered_rate
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.report.transfers import FOLDER, MADE_OF
@@ -36,7 +37,6 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
 from r2h_batch.sweep.scoring import progress
-from r2h_batch.trials.benchmark.flags import BenchmarkFlags
 
 _FLOAT, _YES = pa.float32(), pa.bool_()
 _PERSON = ("grip", "arm_n_m", "pull_n", "pause_s")
@@ -84,7 +84,7 @@ NOTES = (
 
 def write_tables(
     run: Run,
-    benchmark: BenchmarkFlags,
+    benchmark: BenchmarkChoice,
     *,
     release: Sequence[str],
     scenario: Sequence[str],

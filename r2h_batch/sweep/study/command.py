@@ -5,7 +5,7 @@ from pathlib import Path
 
 from r2h_batch.base.command_line import Command, check_range
 from r2h_batch.base.io.write import check_output_file, write_text
-from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
+from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 
 MOST_TRIALS = 10**9
 
@@ -46,7 +46,7 @@ def trials(
     out: Path,
     method: tuple[str, ...] = (),
     overwrite: bool = False,
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     device: str = "cpu",
 ) -> int:
     """Write the trials of a run with poses, receivers and measures as CSV, to show them to people.

@@ -9,8 +9,7 @@ import tyro
 from r2h_batch.base.command_line import UsageError, check_range, counted
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import check_output_file, check_output_folder
-from r2h_batch.base.registry import ProtocolWord
-from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
+from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 
 MOST_TRIALS = 10**6
 
@@ -21,7 +20,7 @@ def scene(
     trial: str,
     out: Path,
     method: str = "",
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     render: Path | None = None,
     overwrite: bool = False,
 ) -> int:
@@ -42,13 +41,12 @@ def scene(
         check_output_file(render, overwrite=overwrite, flag="--render", endings=(".png", ".jpg"))
     import numpy as np
 
-    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
     from r2h_batch.view.drawing import Drawing
     from r2h_batch.view.mjcf import export_trial
     from r2h_batch.view.pictures import images, save_picture
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    reader = Reader(run, benchmark)
     stored = reader.trial(reader.run.trial_id(trial), method or None)
     folder = export_trial(stored, out)
     if render:
@@ -61,36 +59,31 @@ def scene(
 def trials(
     *,
     out: Path,
-    protocol: ProtocolWord = "",
     trials: int = 500,
     splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1"),
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
     open_formats: bool = False,
 ) -> int:
-    """Write a protocol's trials and everything that a handover method may read to make predictions.
+    """Write a benchmark's trials and everything that a handover method may read to make predictions.
 
     Args:
         out: a new or empty folder.
-        protocol: r2h-v1 (with the receivers' bodies), r2h-v0 (hands alone) or r2h-release; by default the
-            benchmark's.
         trials: trials of each split, 1 or more.
         splits: S0 free handover, S1 functional.
-        benchmark: your own, as in r2h-batch sweep; by default the built-in one.
+        benchmark: as in r2h-batch sweep; by default the default one.
         open_formats: also write OBJ and JSON into OUT/open, for methods in any language.
     """
     check_range("--trials", trials, 1, MOST_TRIALS, ": all are held in memory")
     if not splits:
         raise UsageError("--splits names no split; allowed are S0, S1")
     check_output_folder(out, overwrite=None)
-    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
     from r2h_batch.verdicts import SPLITS
     from r2h_batch.view.export.trial_files import write_trials
 
     chosen = [s for s in SPLITS if s in splits]
-    overrides = BenchmarkOverrides.of(benchmark, protocol=protocol)
-    found = overrides.read()
+    found = benchmark.read()
     digest = write_trials(
-        out, chosen, trials, benchmark=found, open_formats=open_formats, flags=overrides.flags()
+        out, chosen, trials, benchmark=found, open_formats=open_formats, flags=benchmark.flags()
     )
     print(
         f"{found.protocol}: {counted(trials, 'trials')} each of {', '.join(chosen)} in {out}, digest {digest}"
@@ -105,7 +98,7 @@ def export(
     out: Path,
     method: str = "",
     trials: int = 100,
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
 ) -> int:
     """Write trials of a run, and its verdicts, as files of the authors' release.
 
@@ -123,7 +116,6 @@ def export(
     check_range("--trials", trials, 1, MOST_TRIALS, "")
     check_output_folder(out, overwrite=None)
     from r2h_batch.scene.robot import DEFAULT_ROBOT
-    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
     from r2h_batch.view.export.release import (
         release_name,
         write_release_results,
@@ -131,7 +123,7 @@ def export(
     )
     from r2h_batch.view.stored import UNJUDGED, ExportError, Reader
 
-    reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    reader = Reader(run, benchmark)
     if reader.run.robot != DEFAULT_ROBOT:
         words = f"holds motions of {reader.run.robot}; {to} has the {DEFAULT_ROBOT} alone"
         raise ExportError(f"{printable(run)}: {words}")

@@ -16,14 +16,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import Candidates
+from r2h_batch.protocols.benchmark import TRIALS, Benchmark, trials_digest
 from r2h_batch.scene.hand import HandSet, palm_frame
 from r2h_batch.scene.objects import ObjectModel, object_digest
 from r2h_batch.scene.robot import ee_pose
-from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
-from r2h_batch.trials.protocol import TRIALS, make_trials, trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
@@ -69,10 +69,10 @@ def write_trials(
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"{folder} is not an empty folder; give a new one")
-    benchmark = built_in() if benchmark is None else benchmark
+    benchmark = load_benchmark() if benchmark is None else benchmark
     objects, hand_set = benchmark.objects, benchmark.hand_set
-    planned = make_trials(
-        splits, trials if benchmark.listed is None else len(benchmark.listed), benchmark=benchmark
+    planned = benchmark.trials(
+        trials if benchmark.listed is None else len(benchmark.listed), splits=splits
     )
     chosen = [i for i, o in enumerate(objects) if o.split in splits]
     hands = _hand_arrays(hand_set)
@@ -80,7 +80,7 @@ def write_trials(
     candidates = candidates_of(objects, robot=benchmark.robot)
     for i in chosen:
         files[f"objects/{objects[i].name}.npz"] = _object_arrays(objects[i], candidates[i])
-    digest = trials_digest(planned, objects=objects)
+    digest = trials_digest(planned)
     header = _header(benchmark, planned, splits, chosen, digest)
     (folder / "objects").mkdir(parents=True)
     for name, arrays in files.items():
@@ -166,6 +166,7 @@ def _trial_arrays(trials: Trials, benchmark: Benchmark, hands: Arrays) -> Arrays
     index = "index of the object, as in manifest.json"
     found: Arrays = {
         "trial_id": (trials.trial_id.numpy(), ids),
+        "benchmark": (np.array(trials.benchmark), "whose trials they are; predictions name it too"),
         "split": text["split"],
         "object_index": (trials.object_index.numpy(), index),
         "object_name": text["object_name"],

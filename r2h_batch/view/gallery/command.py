@@ -8,7 +8,7 @@ from typing import Literal
 from r2h_batch.base.command_line import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import check_output_file, check_output_folder, write_text
-from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
+from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 
 MOST = 20
 """Pictures of one method and outcome in a gallery."""
@@ -31,7 +31,7 @@ def report(
     perceived: bool = False,
     out: Path | None = None,
     overwrite: bool = False,
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
 ) -> int:
     """Print the table of run folders, or write their page.
 
@@ -79,7 +79,8 @@ def report(
         check_output_file(out, overwrite=overwrite)
     if gallery and out is not None:
         check_output_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
-    from r2h_batch.report.compare.command import load_runs, stored_rows
+    from r2h_batch.report.compare.command import load_runs
+    from r2h_batch.report.compare.stored import stored_rows
     from r2h_batch.runs.store import join, load_run
 
     loaded = load_runs(runs, method)
@@ -95,7 +96,6 @@ def report(
         pictures, common = None, None
         if gallery and out:
             from r2h_batch.scene.offscreen import ready
-            from r2h_batch.trials.benchmark.build import BenchmarkOverrides
             from r2h_batch.view.gallery.pictures import gallery as draw
             from r2h_batch.view.stored import Reader
 
@@ -103,7 +103,7 @@ def report(
             if _pages(out).is_symlink():
                 what = f"{out.stem}_trials beside {out.name} is a link"
                 raise UsageError(f"{what}; its pages would be written elsewhere")
-            reader = Reader(runs[0], BenchmarkOverrides.of(benchmark))
+            reader = Reader(runs[0], benchmark)
             own = reader.run.only(method)
             pictures = draw(own, reader, gallery, _pages(out), out.parent)
         try:
@@ -159,7 +159,7 @@ def figures(
     method: tuple[str, ...] = (),
     trial: int | None = None,
     overwrite: bool = False,
-    benchmark: BenchmarkFlags = BUILT_IN,
+    benchmark: BenchmarkChoice = DEFAULT,
 ) -> int:
     """Draw the paper's figures of a run folder as PDF and PNG: protocol, methods over time, success
     and failures.
@@ -176,14 +176,13 @@ def figures(
     """
     from r2h_batch.report.figures import needs_matplotlib
     from r2h_batch.scene.offscreen import ready
-    from r2h_batch.trials.benchmark.build import BenchmarkOverrides
     from r2h_batch.view.stored import Reader
 
     for name in FIGURES:
         for ending in ENDINGS:
             check_output_file(out / f"{name}.{ending}", overwrite=overwrite)
     needs_matplotlib()
-    reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    reader = Reader(run, benchmark)
     stored = reader.run.only(method)
     if not stored.methods:
         raise ValueError(f"{run}: no method is complete; run its sweep again to go on")

@@ -9,7 +9,7 @@ from r2h_batch.closed_loop.transfer.cases import Case, Simulator
 from r2h_batch.closed_loop.transfer.handed import handed_of
 from r2h_batch.closed_loop.transfer.model import STEPS, Setting
 from r2h_batch.judge.reception import reception
-from r2h_batch.report.compare.command import baselines_for
+from r2h_batch.report.compare.stored import baselines_for
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.reevaluation import Judge
 

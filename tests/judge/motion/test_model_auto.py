@@ -12,6 +12,7 @@ from motions import ARM, BRIEF, MUJOCO, N, into_the_table, placed, problems, ref
 from problems import default_evaluator
 
 import r2h_batch.judge.motion.execute as module
+from r2h_batch import load_benchmark
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, PlanConfig
 from r2h_batch.judge.motion import sim_mujoco
 from r2h_batch.judge.motion.execute import FINGER_GIVE_M, NEAR_M, Executed, execute, nothing_pushes
@@ -19,7 +20,6 @@ from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.methods import oracle
 from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.model import TrialScene
-from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Outcome, PlanReason
 
 AUTO = replace(MUJOCO, model="auto")
@@ -136,7 +136,7 @@ def test_rows_do_not_depend_on_who_else_needs_the_scene():
 def test_an_object_metres_out_of_the_robot_is_not_settled_and_not_simulated(monkeypatch):
     judge, simulate, rows = default_evaluator(), sim_mujoco.simulate, []
     monkeypatch.setattr(sim_mujoco, "simulate", lambda job, **k: rows.extend(job.rows) or simulate(job, **k))
-    trials = make_trials(["S0"], 1)
+    trials = load_benchmark("r2h-v1").trials(1, splits=["S0"])
     answer = oracle.predict(trials, judge.scene, evaluator=judge)
     far = answer.T_obj_ee.clone()
     far[:, :3, 3] -= 6.0 * far[:, :3, 2]

@@ -27,6 +27,7 @@ from motions import (
 )  # fmt: skip
 from problems import default_evaluator
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.launch import init_warp, launch
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import EvalConfig, ExecConfig, Thresholds
@@ -315,8 +316,12 @@ def test_the_deviation_bounds_how_far_any_body_was_from_its_plan():
 @pytest.mark.gpu
 def test_a_gpu_moves_the_arm_as_mujoco_does_on_the_cpu():
     b = problems(64).batch
-    on_cpu = Evaluator(EvalConfig(execute=MUJOCO)).score(b.T_obj_ee, b.T_world_ee, b.trials)
-    on_gpu = Evaluator(device="cuda").score(b.T_obj_ee.cuda(), b.T_world_ee.cuda(), b.trials.to("cuda")).to("cpu")
+    on_cpu = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=MUJOCO)).score(b.T_obj_ee, b.T_world_ee, b.trials)
+    on_gpu = (
+        Evaluator(load_benchmark("r2h-v1"), device="cuda")
+        .score(b.T_obj_ee.cuda(), b.T_world_ee.cuda(), b.trials.to("cuda"))
+        .to("cpu")
+    )
     same_path = (on_cpu.path_len == on_gpu.path_len) & ((on_cpu.path - on_gpu.path).abs().amax((1, 2)) < 1e-5)
     assert same_path.sum() > 32
     a, g = on_cpu[same_path], on_gpu[same_path]

@@ -8,6 +8,7 @@ import torch
 from motions import ARM, BRIEF, BRIEF_WARP, MJWARP, N, into_the_table, placed, problems, reference_run, run
 from problems import default_evaluator
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
@@ -40,7 +41,7 @@ def test_a_world_with_nan_is_not_valid_and_its_neighbours_are_bitwise_unchanged(
 
 def test_what_the_simulator_failed_on_is_invalid_sim_and_not_scored(monkeypatch):
     batch, engine = problems().batch, sim_mujoco
-    evaluator = Evaluator(EvalConfig(execute=ARM))
+    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ARM))
     good = evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
     honest, hit = engine.simulate, []
 

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from r2h_batch import Evaluator
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge.motion.time_law import path_time, time_at, time_path
 from r2h_batch.methods.oracle import predict
 from r2h_batch.scene.robot import ROBOTS, Robot, load_robot
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.protocol import make_trials
 
 PANDA = load_robot("panda_hand")
 LAW = ExecConfig(sim="none", max_velocity_rad_s=float(PANDA.max_velocity.min()))
@@ -65,14 +63,14 @@ def panda_with_2f85() -> Robot:
 def test_mujoco_keeps_a_panda_on_its_planned_motion():
     """Masses, servos and torque limits of the file: the tracking error is a fraction of a milliradian."""
     robot = panda_with_2f85()
-    benchmark = built_in().on(robot)
+    benchmark = load_benchmark("r2h-v1").on(robot)
     config = EvalConfig(execute=ExecConfig(sim="mujoco", model="arm"))
-    evaluator = Evaluator.from_benchmark(benchmark, config)
-    trials = make_trials(trials=2, benchmark=benchmark)
+    evaluator = Evaluator(benchmark, config)
+    trials = benchmark.trials(2)
     answer = predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials, keep_motion=True)
     assert scores.success.all()
-    planned = Evaluator.from_benchmark(benchmark, replace(config, execute=ExecConfig(sim="none")))
+    planned = Evaluator(benchmark, replace(config, execute=ExecConfig(sim="none")))
     plan = planned.score(answer.T_obj_ee, answer.T_world_ee, trials)
     for k in range(len(trials)):
         n = int(plan.path_len[k])
@@ -87,12 +85,12 @@ def test_mujoco_keeps_a_panda_on_its_planned_motion():
 @pytest.mark.parametrize("name", ROBOTS[1:])
 def test_engines_agree_on_every_built_in_robot(name, model):
     """As the UR5e's (test_motion.py): MuJoCo C and MuJoCo-Warp step by step, and the plan in verdicts."""
-    benchmark, found = built_in().on(load_robot(name)), {}
-    trials = make_trials(trials=2, benchmark=benchmark)
+    benchmark, found = load_benchmark("r2h-v1").on(load_robot(name)), {}
+    trials = benchmark.trials(2)
     answer = None
     for sim in ("none", "mujoco", "mjwarp"):
         law = ExecConfig(sim=sim, model=model, scale=0.5, settle_s=0.1, dwell_s=0.1)
-        evaluator = Evaluator.from_benchmark(benchmark, EvalConfig(execute=law))
+        evaluator = Evaluator(benchmark, EvalConfig(execute=law))
         answer = answer or predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
         found[sim] = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials, keep_motion=True)
     plan, c, w = found.values()

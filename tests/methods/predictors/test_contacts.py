@@ -7,6 +7,7 @@ from importlib import resources
 import numpy as np
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.assets.receiving.contact_maps import contact_map, touched_points
 from r2h_batch.methods.predictors import predict_contacts
 from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD, shipped_answers
@@ -16,7 +17,6 @@ from r2h_batch.methods.predictors.voxnet import VoxNet, load_voxnet
 from r2h_batch.scene.objects import INSTANCE_NAMES, load_objects, turned
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.holding.receiving import CONTACT_M, load_receiving, receiving_digest
-from r2h_batch.trials.protocol import make_trials
 
 FOLDER = resources.files("r2h_batch.assets.receiving")
 
@@ -42,8 +42,8 @@ def test_a_contact_map_says_where_the_grasps_touch() -> None:
 
 
 def test_contacts_are_read_at_the_clouds_points_and_do_not_depend_on_the_batch() -> None:
-    scene = Scene(objects=load_objects(["bowl", "hammer"]))
-    trials = make_trials(trials=4, objects=scene.objects)
+    scene = Scene(load_benchmark("r2h-v1").with_objects(load_objects(["bowl", "hammer"])))
+    trials = load_benchmark("r2h-v1").with_objects(scene.objects).trials(4)
     found = predict_contacts(trials, scene)
     assert found.shape == (len(trials), 2048) and found.dtype == torch.float32
     for row in (0, 5):
@@ -76,8 +76,8 @@ def test_the_shipped_answers_are_those_of_the_shipped_network_for_every_instance
 def test_what_the_network_of_families_answers_is_kept_on_disk_by_object_and_weights(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path))
     own = [turned(o, np.diag([-1.0, -1.0, 1.0])) for o in load_objects(["cup_05", "bowl_05"])]  # no shipped answer
-    both, alone = (Scene(objects=tuple(objects)) for objects in (own, own[:1]))
-    first = predict_contacts(make_trials(trials=1, objects=both.objects, splits=["S0"]), both)[0]
+    both, alone = (Scene(load_benchmark("r2h-v1").with_objects(tuple(objects))) for objects in (own, own[:1]))
+    first = predict_contacts(load_benchmark("r2h-v1").with_objects(both.objects).trials(1, splits=["S0"]), both)[0]
     assert len(list((tmp_path / "contacts").glob("*.npz"))) == 2
 
     def asked(self, grid):
@@ -85,10 +85,14 @@ def test_what_the_network_of_families_answers_is_kept_on_disk_by_object_and_weig
 
     with monkeypatch.context() as patch:
         patch.setattr(InPrincipalAxes, "forward", asked)
-        again = predict_contacts(make_trials(trials=1, objects=alone.objects, splits=["S0"]), alone)[0]
+        again = predict_contacts(load_benchmark("r2h-v1").with_objects(alone.objects).trials(1, splits=["S0"]), alone)[
+            0
+        ]
     assert torch.equal(first, again)
     net = load_axes_network()
     other = InPrincipalAxes(VoxNet().eval())
     assert other.digest != net.digest == InPrincipalAxes(net.network).digest
-    predict_contacts(make_trials(trials=1, objects=alone.objects, splits=["S0"]), alone, predictor=other)
+    predict_contacts(
+        load_benchmark("r2h-v1").with_objects(alone.objects).trials(1, splits=["S0"]), alone, predictor=other
+    )
     assert len(list((tmp_path / "contacts").glob("*.npz"))) == 3

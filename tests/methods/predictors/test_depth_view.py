@@ -3,10 +3,10 @@
 import numpy as np
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.methods.predictors import DepthView, contacts, depth_view, predict_contacts
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.protocol import make_trials
 
 ROW = 5  # wineglass: a thin wall, a stem, a hollow
 
@@ -56,8 +56,8 @@ def test_cameras_carve_nothing_of_the_solid_more_of_them_leave_less_and_a_camera
 def test_a_trials_view_depends_on_seed_and_id_alone(monkeypatch):
     """A predictor that says how much it is shown, so that no network has to run."""
     monkeypatch.setattr(contacts, "DRAWS", 2)
-    scene, view = Scene(objects=load_objects(["wineglass"])), DepthView(cameras=1)
-    trials = make_trials(["S0"], 4, objects=scene.objects)
+    scene, view = Scene(load_benchmark("r2h-v1").with_objects(load_objects(["wineglass"]))), DepthView(cameras=1)
+    trials = load_benchmark("r2h-v1").with_objects(scene.objects).trials(4, splits=["S0"])
 
     def shown(grid):
         return grid[:, 0].mean().expand(grid[:, 0].shape)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from refusals import one_line
 
-from r2h_batch import make_trials
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.io.read import FileError
 from r2h_batch.methods import contact, fc, handover_va, intent
@@ -38,7 +38,7 @@ def openpose(joints, tips):
 
 @pytest.fixture(scope="module")
 def asked():
-    return make_trials(trials=COUNT)
+    return load_benchmark("r2h-v1").trials(COUNT)
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def test_contacts_by_object_by_trial_and_on_another_cloud_are_those_that_were_me
 
 
 def test_a_sweep_says_whose_predictions_its_methods_saw(scene, tmp_path, capsys):
-    trials = make_trials(trials=2)
+    trials = load_benchmark("r2h-v1").trials(2)
     arrays = truth(scene, trials, predict_receiving)
     np.savez(tmp_path / "text2hoi.npz", **{k: v for k, v in arrays.items() if "target" not in k})
     line = ["sweep", "--method", "fc", "--trials", "2", "--sim", "none", "--predicted-hands"]

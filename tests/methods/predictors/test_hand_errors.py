@@ -7,16 +7,16 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from r2h_batch import load_benchmark
 from r2h_batch.methods.predictors import PredictorNoise, predict_target
 from r2h_batch.scene.arrays import stored_arrays
-from r2h_batch.trials.protocol import make_trials
 
 FRAMES = PredictorNoise(target_errors="frames")
 
 
 @pytest.fixture(scope="module")
 def trials(scene):
-    return make_trials(trials=1500, objects=scene.objects)
+    return load_benchmark("r2h-v1").with_objects(scene.objects).trials(1500)
 
 
 def errors_of(scene, trials, noise):

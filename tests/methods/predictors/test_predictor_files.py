@@ -10,6 +10,7 @@ from needs import needs
 from onnx_files import contact_network, expanding_network, looping_network
 from safetensors.torch import save_file
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.io import onnx
 from r2h_batch.methods.predictors import PredictorError, load_predictor, predict_contacts
 from r2h_batch.methods.predictors.grid import contact_grids
@@ -20,7 +21,6 @@ from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep.jobs import resolve
 from r2h_batch.sweep.options import parse
 from r2h_batch.sweep.request import requested
-from r2h_batch.trials.protocol import make_trials
 
 GRID = contact_grids(load_objects(["cup"]))
 
@@ -105,8 +105,8 @@ def test_a_network_of_another_type_is_refused_by_its_file(tmp_path, monkeypatch)
 
 
 def test_safetensors_and_a_python_function_take_the_networks_place(tmp_path, monkeypatch):
-    scene = Scene(objects=load_objects(["hammer"]))
-    trials = make_trials(["S1"], 2, objects=scene.objects)
+    scene = Scene(load_benchmark("r2h-v1").with_objects(load_objects(["hammer"])))
+    trials = load_benchmark("r2h-v1").with_objects(scene.objects).trials(2, splits=["S1"])
     (tmp_path / "own_contacts.py").write_text("def half(grid):\n    return (grid[:, 1] > 0).float()\n")
     monkeypatch.syspath_prepend(tmp_path)
     found = predict_contacts(trials, scene, predictor=load_predictor("own_contacts:half"))

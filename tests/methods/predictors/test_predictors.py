@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.methods.predictors import (
     PredictorNoise,
     predict_parts,
@@ -14,14 +15,13 @@ from r2h_batch.methods.predictors import (
 from r2h_batch.scene.hand import palm_frame
 from r2h_batch.trials.holding.instructions import InstructionError, intents_of
 from r2h_batch.trials.holding.receiving import load_receiving
-from r2h_batch.trials.protocol import make_trials
 
 EXACT = PredictorNoise().scaled(0)
 
 
 @pytest.fixture(scope="module")
 def trials(scene):
-    return make_trials(trials=200, objects=scene.objects)
+    return load_benchmark("r2h-v1").with_objects(scene.objects).trials(200)
 
 
 def test_a_receiving_hand_without_noise_is_a_frozen_grasp_of_object_and_side(scene, trials) -> None:

@@ -7,12 +7,13 @@ import json
 import numpy as np
 import pytest
 import torch
-from made_runs import make_header, make_scores, make_trials
+from made_runs import made_trials, make_header, make_scores
 
 from r2h_batch.__main__ import main
+from r2h_batch.base.io.read import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 from r2h_batch.base.schedule import trial_ids
-from r2h_batch.report.compare.command import FOLDERS, baselines_for, stored_rows
+from r2h_batch.report.compare.stored import baselines_for, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import pair_up
 from r2h_batch.runs.rows import TrialNames, score_rows
@@ -21,7 +22,7 @@ from r2h_batch.runs.writing import open_run
 from r2h_batch.sweep.command import main as sweep
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
+@pytest.mark.parametrize("folder", stored_rows(), ids=lambda f: f.name)
 def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
     run = load_run(folder)
     assert run.header["trials"] == {"S0": 500, "S1": 500} and not run.unfinished
@@ -31,11 +32,15 @@ def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
     assert baselines_for(run.header) == folder
 
 
-def test_in_a_checkout_rows_of_the_runs_protocol_and_preset_are_the_baselines():
-    for protocol, preset, name in (("r2h-v0", "default", "v0"), ("r2h-v1", "paper", "v1-paper-preset")):
-        folder = baselines_for({"protocol": protocol, "configuration": {"name": preset}})
-        assert folder.name == name and load_run(folder).header["protocol"] == protocol
-        assert load_run(folder).header["configuration"]["name"] == preset and folder in stored_rows()
+def test_rows_of_the_runs_benchmark_preset_and_engine_are_its_baselines_whatever_their_folder_is_called(tmp_path):
+    for folder in stored_rows():
+        header = load_run(folder).header
+        assert baselines_for({k: header[k] for k in ("protocol", "digests", "configuration")}) == folder
+    unknown = {"protocol": "mine", "digests": {"benchmark": "0"}, "configuration": {"name": "paper"}}
+    with pytest.raises(
+        FileError, match=r"benchmark mine --preset paper; make them with `r2h-batch sweep --method random "
+    ):
+        baselines_for({**unknown, "benchmark": {"flags": ["--benchmark mine.yaml"]}})
 
 
 def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_path, capsys, monkeypatch):
@@ -62,21 +67,19 @@ def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_
         "the first 12 S0, 12 S1, which all of them hold" in text and "random is given twice, and counted once" in text
     )
     with pytest.raises(ValueError, match=r"differ in digests \(code\)|differ in configuration"):
-        mine, shipped = load_run(tmp_path / "mine"), load_run(FOLDERS[1])
+        mine, shipped = load_run(tmp_path / "mine"), load_run(baselines_for(load_run(tmp_path / "mine").header))
         mine.header["digests"]["code"] = "another"
         common_trials([mine, shipped])
     shipped.header["digests"]["objects"] = "others"
-    with pytest.raises(
-        ValueError, match=r"differ in digests \(objects\).*the shipped baselines have the default options"
-    ):
-        common_trials([mine, shipped], proven=FOLDERS)
+    with pytest.raises(ValueError, match=r"differ in digests \(objects\).*stored rows have default options"):
+        common_trials([mine, shipped], proven=stored_rows())
 
 
 def write_protocol_run(folder, n, method, header, s1=None):
     """A made run whose ids are the protocol's: 2 i in S0, 2 i + 1 in S1."""
     m = n if s1 is None else s1
     names = TrialNames(objects=("bowl", "knife"), object_splits=("S0", "S1"), hand_sides=("right", "left"))
-    trials = make_trials(n, m)
+    trials = made_trials(n, m)
     scores = make_scores(trials, np.random.default_rng(len(method) + n).choice([0, 2], n + m))
     ids = torch.from_numpy(trial_ids({"S0": n, "S1": m}, 0, n + m))
     trials.trial_id[:] = ids  # the scores' too

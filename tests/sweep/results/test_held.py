@@ -12,7 +12,7 @@ from r2h_batch.closed_loop.transfer.cases import Simulator
 from r2h_batch.closed_loop.transfer.handed import gripped_of
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.judge.grasp_physics import close_in_physics
-from r2h_batch.report.compare.command import baselines_for
+from r2h_batch.report.compare.stored import baselines_for
 from r2h_batch.report.held import held_rates
 from r2h_batch.report.table import render, table_of
 from r2h_batch.runs.store import load_run
@@ -54,7 +54,7 @@ def test_objects_that_stability_passes_slide_out_under_their_weight_alone():
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("held") / "run"
-    sweep = ["sweep", "--method", "random", "--trials", "3", "--protocol", "r2h-v0", "--out", str(folder), *QUICK]
+    sweep = ["sweep", "--method", "random", "--trials", "3", "--benchmark", "r2h-v0", "--out", str(folder), *QUICK]
     assert main(sweep) == 0  # receivers need no bodies
     return folder
 

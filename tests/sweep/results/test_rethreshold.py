@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from made_runs import NAMES, make_header, make_scores, make_trials
+from made_runs import NAMES, made_trials, make_header, make_scores
 from problems import default_evaluator
 
 from r2h_batch.__main__ import main
@@ -44,7 +44,7 @@ def stored(folder, trials, scores):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    trials = make_trials(3000, 3000)
+    trials = made_trials(3000, 3000)
     random = torch.Generator().manual_seed(0)
     distance = 0.2 * torch.rand(6000, generator=random)
     width = 0.12 * torch.rand(6000, generator=random)
@@ -80,7 +80,7 @@ def test_every_setting_counts_what_scoring_with_it_counts(made):
 
 
 def test_a_grasp_that_fails_for_another_reason_than_its_width_still_fails(tmp_path):
-    trials = make_trials(2, 0)
+    trials = made_trials(2, 0)
     scores = scored(trials, torch.zeros(2), torch.tensor([0.01, 0.02]), torch.full((2,), 0.05), BASE)
     scores.margin[0, 0] = -0.002  # the open fingers cut in
     scores.passed[0, 0], scores.outcome[0] = False, int(Outcome.STABILITY)
@@ -91,7 +91,7 @@ def test_a_grasp_that_fails_for_another_reason_than_its_width_still_fails(tmp_pa
 
 
 def test_a_trial_on_the_threshold_is_counted_as_undecided(tmp_path):
-    trials = make_trials(2, 0)
+    trials = made_trials(2, 0)
     scores = scored(trials, torch.tensor([0.03, 0.06]), torch.full((2,), 0.01), torch.full((2,), 0.05), BASE)
     (point,) = others.rethreshold(stored(tmp_path, trials, scores), reach_radius_m=[0.03])
     assert point.undecided["m"] == 1
@@ -119,10 +119,10 @@ def test_what_cannot_be_rescored_exactly_is_refused_with_what_can(made, capsys, 
 @pytest.mark.slow
 def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
     from r2h_batch import EvalConfig, Evaluator
+    from r2h_batch import load_benchmark as real_trials
     from r2h_batch.config import Thresholds
     from r2h_batch.methods import random as method
     from r2h_batch.runs.rows import TrialNames
-    from r2h_batch.trials.protocol import make_trials as real_trials
 
     n = 150
     trials = real_trials(trials=n)
@@ -138,7 +138,7 @@ def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
         writer.append(trials=score_rows(trials, scores, names))
     for radius, width, safe in zip(*changes.values()):
         thresholds = Thresholds(reach_radius_m=radius, w_max_m=width, safe_margin_m=safe)
-        again = Evaluator(EvalConfig(thresholds=thresholds))
+        again = Evaluator(load_benchmark("r2h-v1"), EvalConfig(thresholds=thresholds))
         outcome = again.score(predictions.T_obj_ee, predictions.T_world_ee, trials).outcome.numpy()
         grid = {"reach_radius_m": [radius], "w_max_m": [width], "safe_margin_m": [safe]}
         (point,) = others.rethreshold(load_run(tmp_path), **grid)

@@ -72,10 +72,10 @@ def test_batched_worlds_write_the_same_outcomes_and_do_not_mix_with_the_other_en
 def test_a_run_without_bodies_and_wrong_words_are_told_what_is_missing(run, tmp_path, capsys):
     bare = tmp_path / "bare"
     assert (
-        main(["sweep", "--method", "random", "--trials", "1", "--protocol", "r2h-v0", "--out", str(bare), *QUICK]) == 0
+        main(["sweep", "--method", "random", "--trials", "1", "--benchmark", "r2h-v0", "--out", str(bare), *QUICK]) == 0
     )
     assert main(["results", "transfer", str(bare)]) == 2
-    assert "no receiver's body; sweep --protocol r2h-v1" in capsys.readouterr().err
+    assert "no receiver's body; sweep --benchmark r2h-v1" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--scenario", "grab"]) == 2
     assert "take, touch, nobody, pull-early, weak" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--release", "soon"]) == 2

@@ -8,10 +8,10 @@ import pyarrow as pa
 import pytest
 import trimesh
 
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.scene import hand
 from r2h_batch.sweep import command as sweep
-from r2h_batch.trials.benchmark.benchmark import built_in
 from r2h_batch.view.stored import ExportError, Reader
 
 TIMES = ("t_plan_s", "t_method_s")
@@ -72,7 +72,9 @@ def test_a_stored_motion_that_cannot_be_is_one_line(run, monkeypatch, kind, colu
 
 
 def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):
-    other = dataclasses.replace(built_in(), hand_set=dataclasses.replace(hand.load_hand_set(), digest="0" * 64))
+    other = dataclasses.replace(
+        load_benchmark("r2h-v1"), hand_set=dataclasses.replace(hand.load_hand_set(), digest="0" * 64)
+    )
     monkeypatch.setattr("r2h_batch.trials.benchmark.build.built_in", lambda *_: other)
     assert "hand_set" in refused([run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
 

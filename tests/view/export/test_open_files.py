@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from r2h_batch import make_trials
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.objects import load_objects
@@ -36,7 +36,7 @@ def test_arrays_are_those_of_the_npz_files_and_meshes_the_librarys(folder):
     lines = (folder / "objects/hammer.obj").read_text().splitlines()
     parts = [n for k, n in enumerate(hammer.part_names) if (hammer.face_part == k).any()]
     assert [x[2:] for x in lines if x.startswith("g ")] == parts
-    for h in set(make_trials(trials=7).hand_index.tolist()):
+    for h in set(load_benchmark("r2h-v1").trials(7).hand_index.tolist()):
         hand = trimesh.load(folder / f"hands/{h}.obj", process=False)
         own = hands.model.pose(hands.pose[[h]], hands.shape[[h]], hands.side[[h]])
         assert np.array_equal(np.float32(hand.vertices), own.vertices[0].numpy()) and hand.volume > 0

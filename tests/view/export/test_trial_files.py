@@ -7,9 +7,10 @@ import pytest
 import torch
 from hand_twins import hand_vertices, palms
 
+from r2h_batch import load_benchmark
+from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.objects import S0_NAMES, S1_NAMES, load_objects
-from r2h_batch.trials.protocol import make_trials, trials_digest
 from r2h_batch.view.export.trial_files import write_trials
 
 
@@ -25,7 +26,7 @@ def test_written_files_hold_what_the_manifest_says(written):
     folder, digest = written
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["protocol"] == "r2h-v1" and manifest["digests"]["trials"] == digest
-    assert digest == trials_digest(make_trials(trials=12)) and digest in (folder / "README.md").read_text()
+    assert digest == trials_digest(load_benchmark("r2h-v1").trials(12)) and digest in (folder / "README.md").read_text()
     names = {f"objects/{n}.npz" for n in (*S0_NAMES, *S1_NAMES)}
     assert {str(p.relative_to(folder)) for p in folder.rglob("*.npz")} == names | {"trials.npz", "hands.npz"}
     for file in ("trials.npz", "hands.npz", *sorted(names)):
@@ -42,7 +43,7 @@ def test_written_files_hold_what_the_manifest_says(written):
 
 def test_written_trials_agree_with_the_library(written):
     folder, _ = written
-    trials = make_trials(trials=12)
+    trials = load_benchmark("r2h-v1").trials(12)
     made, hands = np.load(folder / "trials.npz"), np.load(folder / "hands.npz")
     for key in ("trial_id", "object_index", "hand_index", "T_world_hand"):
         assert np.array_equal(made[key], getattr(trials, key).numpy())

@@ -7,8 +7,8 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.__main__ import main
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs.store import load_run
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 from r2h_batch.view.gallery import pictures
 from r2h_batch.view.gallery.pictures import first_of_each_outcome
 
@@ -44,7 +44,7 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
 
     class Reader:
         def __init__(self, folder, given):
-            assert given == BenchmarkOverrides()
+            assert given == BenchmarkChoice()
             self.run = load_run(folder)
 
         def trial(self, trial, method):

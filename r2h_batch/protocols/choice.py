@@ -1,22 +1,25 @@
-"""The flags that choose a benchmark. Imports nothing heavy."""
+"""The words of a command line that choose a benchmark and edit it. Imports nothing heavy."""
 
 import shlex
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from r2h_batch.protocols.benchmark import Benchmark
 
 
 @dataclass(frozen=True)
-class BenchmarkFlags:
-    """Which benchmark, in the words of r2h-batch sweep; all empty: the built-in one."""
+class BenchmarkChoice:
+    """Which benchmark, in the words of r2h-batch sweep; all empty: the default one."""
 
     benchmark: str = ""
-    """Your own benchmark.yaml."""
+    """A name of ls benchmarks, your benchmark.yaml, or your function (package.module:function)."""
     hands: str = ""
     """A hand set: .npz of import hands."""
     hand_model: str = ""
     """A hand: MANO_RIGHT.pkl, or .npz of import hand."""
     objects: str = ""
-    """Objects in place of the built-in ones: a folder of meshes, a benchmark.yaml, or new ones of families
+    """Objects in place of the benchmark's: a folder of meshes, a benchmark.yaml, or new ones of families
     (`families:cup,hammer x 20 seed 7`)."""
     object_mesh: tuple[str, ...] = ()
     """More objects, FILE[:S0|S1[:REGION]]."""
@@ -30,6 +33,8 @@ class BenchmarkFlags:
     """Where persons stand: scaled by the robot's reach (default), or as for the UR5e."""
     people: str = ""
     """Receivers of every size: adults, children, elderly, all, wheelchair, or your own .csv (import people)."""
+    receiver: Literal["", "hand", "body"] = ""
+    """What planning and Safe see of the person: the hand, or arm and torso too."""
     turn: str = ""
     """Turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x), or degrees about x, y, z
     (`20,40,60`)."""
@@ -43,6 +48,16 @@ class BenchmarkFlags:
             if v
         ]
 
+    def read(self, *, pieces: bool = False) -> "Benchmark":
+        """The benchmark; `pieces` as `load_benchmark` takes it.
+
+        Raises:
+            ValueError: one line, mostly a `FileError`.
+        """
+        from r2h_batch.protocols.edit import edited
+
+        return edited(self, pieces=pieces)
+
 
 def words_of(text: str) -> list[str]:
     """The words of a stored flag; at its spaces where older versions wrote it without quotes."""
@@ -52,4 +67,4 @@ def words_of(text: str) -> list[str]:
         return text.split()
 
 
-BUILT_IN = BenchmarkFlags()
+DEFAULT = BenchmarkChoice()

@@ -9,13 +9,14 @@ import torch
 import trimesh
 from hand_twins import palms
 
+from r2h_batch import load_benchmark
 from r2h_batch.base import rng
 from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.objects import build_object, load_objects
 from r2h_batch.scene.robot import ee_pose, load_robot
-from r2h_batch.trials.protocol import make_trials, trials_digest, trials_with_ids
 from r2h_batch.types import PlanReason, Trials
 
 MANY = 5_000
@@ -24,11 +25,11 @@ MANY = 5_000
 @cache
 def many() -> Trials:
     """10,000 trials, generated once."""
-    return make_trials(trials=MANY)
+    return load_benchmark("r2h-v1").trials(MANY)
 
 
 def test_objects_alternate_and_every_object_meets_both_hands_alike():
-    trials = make_trials(trials=120)
+    trials = load_benchmark("r2h-v1").trials(120)
     assert trials.trial_id.tolist() == [2 * i for i in range(120)] + [2 * i + 1 for i in range(120)]
     assert trials.object_index[:120].tolist() == [i % 6 for i in range(120)]
     assert trials.object_index[120:].tolist() == [6 + i % 10 for i in range(120)]
@@ -41,7 +42,7 @@ def test_objects_alternate_and_every_object_meets_both_hands_alike():
 
 def test_a_users_object_takes_its_turn_and_an_odd_number_of_objects_still_meets_both_hands():
     mine = build_object(trimesh.creation.box((0.05, 0.04, 0.1)), "mine", "S0")
-    trials = make_trials(["S0"], 140, objects=(*load_objects(), mine))
+    trials = load_benchmark("r2h-v1").with_objects((*load_objects(), mine)).trials(140, splits=["S0"])
     assert trials.object_index[:8].tolist() == [0, 1, 2, 3, 4, 5, 16, 0]
     side = load_hand_set().side[trials.hand_index.long()]
     met = Counter(zip(trials.object_index.tolist(), side.tolist(), strict=True))
@@ -66,17 +67,17 @@ def test_poses_are_rigid_and_palms_lie_in_the_reachable_set():
 
 
 def test_a_trial_is_the_same_alone_in_another_order_and_in_a_longer_run():
-    trials = make_trials(trials=500)
+    trials = load_benchmark("r2h-v1").trials(500)
     row = trials.trial_id.tolist().index(37)
-    alone = trials_with_ids(torch.tensor([37]))
+    alone = load_benchmark("r2h-v1").trials_with_ids(torch.tensor([37]))
     assert torch.equal(alone.T_world_hand[0], trials.T_world_hand[row])
     assert (alone.object_index[0], alone.hand_index[0]) == (trials.object_index[row], trials.hand_index[row])
     order = torch.randperm(1000, generator=torch.Generator().manual_seed(1))
-    shuffled = trials_with_ids(trials.trial_id[order])
+    shuffled = load_benchmark("r2h-v1").trials_with_ids(trials.trial_id[order])
     assert trials_digest(shuffled) == trials_digest(trials[order])
     longer = many()
     assert trials_digest(longer[torch.cat([torch.arange(500), MANY + torch.arange(500)])]) == trials_digest(trials)
-    assert len(make_trials(trials=0)) == 0
+    assert len(load_benchmark("r2h-v1").trials(0)) == 0
 
 
 @pytest.mark.check
@@ -94,10 +95,12 @@ FROZEN_WORDS = [3602869735, 3313465624, 2751513646, 3665985258, 2951970252, 2807
 
 def test_no_trial_starts_in_collision():
     """The robot at home, a cup in the gripper: 2,000 trials."""
-    trials = make_trials(trials=1000)
+    trials = load_benchmark("r2h-v1").trials(1000)
     cup = load_objects(["cup"])
     trials = Trials(trials.trial_id, torch.zeros_like(trials.object_index), trials.hand_index, trials.T_world_hand)
-    evaluator = Evaluator(EvalConfig(plan=PlanConfig(rounds=(1,), shortcuts=0)), objects=cup)
+    evaluator = Evaluator(
+        load_benchmark("r2h-v1").with_objects(cup), EvalConfig(plan=PlanConfig(rounds=(1,), shortcuts=0))
+    )
     grasp = torch.eye(4).repeat(len(trials), 1, 1)
     grasp[:, 2, 3] = -0.12
     out_of_reach = torch.eye(4).repeat(len(trials), 1, 1)

@@ -5,14 +5,15 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from r2h_batch import load_benchmark
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.protocols.benchmark import trials_digest
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.draw import palms
+from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.scene.hand import load_hand, palm_frame
 from r2h_batch.scene.objects import load_objects, stored_objects
-from r2h_batch.trials import palms
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
-from r2h_batch.trials.protocol import make_trials, trials_digest, trials_with_ids
 
 FROZEN = "9505c8b1c1d2cc85c643825972cbbbc4b7ebc017f4635707ba40fe71c237d8bb"
 """Digest of 504 trials a split."""
@@ -36,16 +37,16 @@ def release_frames(trials):
 
 @pytest.mark.check
 def test_the_draw_is_frozen_and_a_trial_is_the_same_alone():
-    trials = make_trials(trials=504, protocol="r2h-release")
-    assert trials_digest(trials, objects=built_in("r2h-release").objects) == FROZEN and trials.receiver is None
+    trials = load_benchmark("r2h-release").trials(504)
+    assert trials_digest(trials) == FROZEN and trials.receiver is None
     rows = torch.tensor([777, 3])
-    again = trials_with_ids(trials.trial_id[rows], protocol="r2h-release")
+    again = load_benchmark("r2h-release").trials_with_ids(trials.trial_id[rows])
     assert torch.equal(again.T_world_hand, trials.T_world_hand[rows])
     assert torch.equal(again.hand_index, trials.hand_index[rows])
 
 
 def test_palms_lie_in_the_releases_box_of_places_and_turns():
-    T = release_frames(make_trials(trials=300, protocol="r2h-release"))
+    T = release_frames(load_benchmark("r2h-release").trials(300))
     place, turn = T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz", degrees=True)
     low, high = [-0.72, -0.45, 0.88, -25, -25, -150], [-0.60, -0.30, 0.98, 25, 25, -50]
     drawn = np.concatenate([place, turn], 1)
@@ -55,7 +56,7 @@ def test_palms_lie_in_the_releases_box_of_places_and_turns():
 
 
 def test_the_arm_reaches_the_reference_grasp_of_every_trial_with_the_object_15_cm_above_the_palm():
-    trials, objects = make_trials(trials=64, protocol="r2h-release"), built_in("r2h-release").objects
+    trials, objects = load_benchmark("r2h-release").trials(64), load_benchmark("r2h-release").objects
     T = np.linalg.inv(THEIRS) @ release_frames(trials)
     x, n = T[:, :3, 0], T[:, :3, 2]
     tool = np.stack([x, np.cross(-n, x), -n], 2)
@@ -80,8 +81,8 @@ def test_the_closed_form_knows_what_the_arm_reaches():
 
 def test_objects_hands_table_and_home_are_the_releases_by_flag_in_a_file_and_in_python(tmp_path):
     (tmp_path / "b.yaml").write_text("protocol: r2h-release\n")
-    own = built_in("r2h-release")
-    by_flag = BenchmarkOverrides(protocol="r2h-release").read()
+    own = load_benchmark("r2h-release")
+    by_flag = BenchmarkChoice(benchmark="r2h-release").read()
     assert own.digest == by_flag.digest == read_benchmark(tmp_path / "b.yaml").digest
     assert [sum(o.split == s for o in own.objects) for s in ("S0", "S1")] == [8, 8]
     bottle = next(o for o in own.objects if o.name == "bottle")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.trials.receivers import (
+from r2h_batch.protocols.draw.receivers import (
     POINTS,
     SHOES_M,
     TABLE_HEIGHT_M,

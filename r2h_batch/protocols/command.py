@@ -15,10 +15,10 @@ def show(*, builtin: bool = False) -> int:
     """
     import json
 
-    from r2h_batch.trials.benchmark.model import BenchmarkFile
+    from r2h_batch.protocols.file_fields import BenchmarkFile
 
     if builtin:
-        from r2h_batch.trials.benchmark.model import built_in_text
+        from r2h_batch.protocols.file_fields import built_in_text
 
         sys.stdout.write(built_in_text())
     else:
@@ -34,8 +34,8 @@ def check(file: Path, /) -> int:
     """
     import warnings
 
-    from r2h_batch.trials.benchmark.benchmark import built_in
-    from r2h_batch.trials.benchmark.build import read_benchmark
+    from r2h_batch.protocols.load import load_benchmark
+    from r2h_batch.protocols.yaml_file import read_benchmark
 
     try:
         if file.is_dir():
@@ -53,14 +53,14 @@ def check(file: Path, /) -> int:
             if w.category is UserWarning:
                 LOG.info(f"benchmark: {w.message}")
         own = found.digest
-        same = own == built_in().digest
+        same = own == load_benchmark().digest
     except ValueError as error:
         return refuse("benchmark", error)
     except OSError as error:
         return failed("benchmark", error, file)
     sides = found.hand_set.side.tolist()
     print(
-        f"{file}: protocol {found.protocol}, digest {own}{' (the built-in benchmark)' if same else ''}"
+        f"{file}: protocol {found.protocol}, digest {own}{' (the default benchmark)' if same else ''}"
     )
     for split in ("S0", "S1"):
         print(

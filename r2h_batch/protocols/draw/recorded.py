@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base import se3
-from r2h_batch.trials.receivers import (
+from r2h_batch.protocols.draw.receivers import (
     PRONATED_DEG,
     SUPINATED_DEG,
     WRIST_ASIDE_DEG,

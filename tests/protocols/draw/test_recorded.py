@@ -1,13 +1,15 @@
 """Hands that were recorded with a body keep their direction to it (r2h-v1); the others, and the frozen digest, do not notice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.io.read import FileError
 from r2h_batch.scene.hand import load_hand, load_hand_set, make_hand_set
 from r2h_batch.scene.hand_file import read_hand_set
-from r2h_batch.trials.protocol import make_trials, trials_with_ids
 
 COUNT = 24  # hands of each side
 
@@ -22,7 +24,7 @@ def some_hands(in_body):
 @pytest.fixture(scope="module")
 def plain():
     hands = some_hands(None)
-    return hands, make_trials(trials=60, hand_set=hands, protocol="r2h-v1")
+    return hands, replace(load_benchmark("r2h-v1"), hand_set=hands).trials(60)
 
 
 def turned(trials, i):
@@ -44,7 +46,7 @@ def recorded(plain):
     known = np.isfinite(in_body[:, 0, 0])
     in_body[0] = np.diag([-1.0, 1.0, -1.0]) @ in_body[0]
     hands = some_hands(in_body)
-    return in_body, known, hands, make_trials(trials=60, hand_set=hands, protocol="r2h-v1")
+    return in_body, known, hands, replace(load_benchmark("r2h-v1"), hand_set=hands).trials(60)
 
 
 def test_known_directions_are_kept_unknown_ones_drawn_as_before_and_what_no_arm_can_show_is_let_go(plain, recorded):
@@ -90,7 +92,7 @@ def test_a_recorded_arm_is_kept_with_its_lengths_and_without_one_nothing_changes
             body = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
             joint = before.receiver[i, :3, :3].double().numpy()
             arms[k, :, 3:] = 0.9 * body.T @ (joint[1:] - joint[0]).T
-    trials = make_trials(trials=60, hand_set=some_hands(arms), protocol="r2h-v1")
+    trials = replace(load_benchmark("r2h-v1"), hand_set=some_hands(arms)).trials(60)
     kept = []
     for i in range(len(trials)):
         k = int(trials.hand_index[i])
@@ -114,7 +116,7 @@ def test_a_recorded_arm_is_kept_with_its_lengths_and_without_one_nothing_changes
 def test_a_trial_alone_is_that_of_the_batch(recorded):
     _, _, hands, trials = recorded
     for i in (3, 64):
-        one = trials_with_ids(trials.trial_id[i : i + 1], hand_set=hands, protocol="r2h-v1")
+        one = replace(load_benchmark("r2h-v1"), hand_set=hands).trials_with_ids(trials.trial_id[i : i + 1])
         assert torch.equal(one.T_world_hand[0], trials.T_world_hand[i]) and torch.equal(
             one.receiver[0], trials.receiver[i]
         )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from r2h_batch import make_trials
+from r2h_batch import load_benchmark
 from r2h_batch.assets.hand.build_handset import angles_from_pose
 from r2h_batch.base.io.read import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
@@ -26,25 +26,25 @@ from r2h_batch.data.people import (
     people_hand_set,
     read_people,
 )
+from r2h_batch.protocols.benchmark import Benchmark, trials_digest
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.draw.people import Owners
+from r2h_batch.protocols.draw.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM, TABLE_HEIGHT_M, reach
+from r2h_batch.protocols.draw.wheelchair import KNEES, LAP_M, POPLITEAL_M, clear_of_lap
+from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays
 from r2h_batch.scene.hand import HandModel
-from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
-from r2h_batch.trials.people import Owners
-from r2h_batch.trials.protocol import trials_digest, trials_of
-from r2h_batch.trials.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM, TABLE_HEIGHT_M, reach
-from r2h_batch.trials.wheelchair import KNEES, LAP_M, POPLITEAL_M, clear_of_lap
 from r2h_batch.types import PERSON, Trials
 
 
 @pytest.fixture(scope="module")
 def children() -> Benchmark:
-    return BenchmarkOverrides(people="children").read()
+    return BenchmarkChoice(people="children").read()
 
 
 @pytest.fixture(scope="module")
 def trials(children: Benchmark) -> Trials:
-    return make_trials(trials=60, benchmark=children)
+    return children.trials(60)
 
 
 def column(trials: Trials, name: str) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_a_trial_is_the_same_alone_and_among_others(children: Benchmark, trials:
     redrawn = np.flatnonzero(column(trials, "redrawn") > 0)
     assert len(redrawn), "no trial of these draws a second person: take more trials"
     for row in (*redrawn[:2], 7):
-        alone = trials_of(children, trials.trial_id[row : row + 1])
+        alone = children.trials_with_ids(trials.trial_id[row : row + 1])
         for name in ("hand_index", "T_world_hand", "receiver", "person"):
             assert torch.equal(getattr(alone, name)[0], getattr(trials, name)[row]), name
 
@@ -93,8 +93,8 @@ def test_seated_children_whom_no_posture_fits_are_drawn_again_and_counted(trials
 
 
 def test_hands_keep_their_sides_when_a_trial_is_drawn_again(children: Benchmark, trials: Trials) -> None:
-    own = make_trials(trials=60)
-    usual = built_in(DEFAULT_PROTOCOL).hand_set.side[own.hand_index.long()]
+    own = load_benchmark("r2h-v1").trials(60)
+    usual = load_benchmark(DEFAULT_PROTOCOL).hand_set.side[own.hand_index.long()]
     assert torch.equal(children.hand_set.side[trials.hand_index.long()], usual)
 
 
@@ -108,8 +108,8 @@ def test_every_person_is_some_hands_and_hands_are_in_the_order_of_their_people()
 
 
 def test_people_in_wheelchairs_sit_as_high_as_these_and_keep_hand_and_forearm_off_their_lap() -> None:
-    benchmark = BenchmarkOverrides(people="wheelchair").read()
-    trials, people = make_trials(trials=60, benchmark=benchmark), built_in_people("adults")
+    benchmark = BenchmarkChoice(people="wheelchair").read()
+    trials, people = benchmark.trials(60), built_in_people("adults")
     assert column(trials, "seated").all() and trials.receiver is not None
     off = np.abs(people.age[None] - column(trials, "age_years")[:, None])
     who = (off + np.abs(people.lengths["stature"][None] - column(trials, "stature_m")[:, None])).argmin(1)
@@ -154,22 +154,22 @@ def test_an_arm_that_rests_in_the_lap_is_refused() -> None:
 
 
 def test_without_people_trials_are_the_protocols_own() -> None:
-    assert make_trials(trials=4).person is None
-    both = [make_trials(trials=20), make_trials(trials=20, benchmark=built_in())]
+    assert load_benchmark("r2h-v1").trials(4).person is None
+    both = [load_benchmark("r2h-v1").trials(20), load_benchmark("r2h-v1").trials(20)]
     assert trials_digest(both[0]) == trials_digest(both[1])
 
 
 def test_people_make_another_benchmark(children: Benchmark) -> None:
-    own = built_in()
+    own = load_benchmark("r2h-v1")
     digests = {own.digest, children.digest, replace(children, people=None).digest}
     assert len(digests) == 3
 
 
 def test_people_need_a_protocol_with_bodies() -> None:
-    with pytest.raises(FileError, match="trials of r2h-v0 have no body; take --protocol r2h-v1"):
-        BenchmarkOverrides(people="adults", protocol="r2h-v0").read()
+    with pytest.raises(FileError, match="trials of r2h-v0 have no body; take --benchmark r2h-v1"):
+        BenchmarkChoice(benchmark="r2h-v0", people="adults").read()
     with pytest.raises(FileError, match="people is adlts, did you mean adults"):
-        BenchmarkOverrides(people="adlts").read()
+        BenchmarkChoice(people="adlts").read()
 
 
 def test_the_hand_is_watertight_at_every_stature() -> None:
@@ -270,9 +270,9 @@ def some(count: int) -> People:
 def test_a_file_of_people_gives_their_trials(tmp_path: Path) -> None:
     file = written(tmp_path / "staff.csv", some(3))
     (tmp_path / "benchmark.yaml").write_text("people: staff.csv\n")
-    trials = make_trials(trials=10, benchmark=read_benchmark(tmp_path / "benchmark.yaml"))
+    trials = read_benchmark(tmp_path / "benchmark.yaml").trials(10)
     assert set(column(trials, "stature_m").round(4)) <= set(some(3).lengths["stature"].round(4).astype(np.float32))
-    same = make_trials(trials=10, benchmark=BenchmarkOverrides(people=str(file)).read())
+    same = BenchmarkChoice(people=str(file)).read().trials(10)
     assert torch.equal(same.T_world_hand, trials.T_world_hand)
 
 

@@ -15,23 +15,25 @@ import trimesh
 from odd_fields import outcome, with_odd
 from refusals import one_line
 
-from r2h_batch import Evaluator, make_trials
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.__main__ import main
+from r2h_batch.protocols.choice import BenchmarkChoice, words_of
+from r2h_batch.protocols.file_fields import built_in_text
+from r2h_batch.protocols.trials_file import read_trials_file
+from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.arrays import asset, read_arrays
 from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
-from r2h_batch.trials.benchmark.flags import BenchmarkFlags, words_of
-from r2h_batch.trials.benchmark.model import built_in_text
-from r2h_batch.trials.benchmark.trials_file import read_trials_file
-from r2h_batch.trials.protocol import trials_of
 
 
 def some_trials(count: int = 5) -> dict[str, np.ndarray]:
     """The protocol's first trials of both splits as a file has them, S1 before S0, with a posture for each."""
-    trials, hands, objects = make_trials(["S1", "S0"], count), load_hand_set(), load_objects()
+    trials, hands, objects = (
+        load_benchmark("r2h-v1").trials(count, splits=["S1", "S0"]),
+        load_hand_set(),
+        load_objects(),
+    )
     hand = trials.hand_index.long()
     return {
         "object": np.array([objects[i].name for i in trials.object_index.tolist()]),
@@ -83,13 +85,13 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
     right = {k: getattr(own, k).numpy()[:3] for k in ("pose", "shape", "side")}
     np.savez(tmp_path / "hands.npz", **right, posture=np.array(["a", "b", "c"]))
     score(tmp_path / "run", "--trials", 4, "--hands", tmp_path / "hands.npz")
-    digest = BenchmarkOverrides(hands=str(tmp_path / "hands.npz")).read().digest
+    digest = BenchmarkChoice(hands=str(tmp_path / "hands.npz")).read().digest
     assert f"benchmark: --hands {tmp_path / 'hands.npz'}, digest {digest}" in capsys.readouterr().out
     assert main(["results", "verify", str(tmp_path / "run")]) == 0
     run = load_run(tmp_path / "run")
     assert set(run.trials("random")["side"].to_pylist()) == {"right"}
     assert run.header["benchmark"]["flags"] == [f"--hands {tmp_path / 'hands.npz'}"]
-    assert run.header["digests"]["benchmark"] == digest != built_in().digest
+    assert run.header["digests"]["benchmark"] == digest != load_benchmark("r2h-v1").digest
 
 
 def test_a_split_without_objects_is_refused_before_any_mesh_is_built(tmp_path, capsys):
@@ -105,14 +107,14 @@ def test_a_split_without_objects_is_refused_before_any_mesh_is_built(tmp_path, c
 
 
 def test_npz_and_parquet_with_rows_of_the_hand_set_or_postures_say_the_same(tmp_path):
-    columns, base = some_trials(), built_in()
+    columns, base = some_trials(), load_benchmark("r2h-v1")
     np.savez(tmp_path / "p.npz", **columns)
     as_parquet(tmp_path / "p.parquet", columns)
     by_row = {k: columns[k] for k in ("object", "T_world_hand")}
-    by_row["hand"] = make_trials(["S1", "S0"], 5).hand_index.numpy()
+    by_row["hand"] = load_benchmark("r2h-v1").trials(5, splits=["S1", "S0"]).hand_index.numpy()
     np.savez(tmp_path / "h.npz", **by_row)
     as_parquet(tmp_path / "h.parquet", by_row)
-    wanted = make_trials(trials=5)
+    wanted = load_benchmark("r2h-v1").trials(5)
     for name in ("p.npz", "p.parquet", "h.npz", "h.parquet"):
         trials, hands, _ = read_trials_file(tmp_path / name, base.objects, base.hand_set)
         assert trials.trial_id.tolist() == wanted.trial_id.tolist()
@@ -120,11 +122,11 @@ def test_npz_and_parquet_with_rows_of_the_hand_set_or_postures_say_the_same(tmp_
         for key in ("pose", "shape", "side"):
             mine = getattr(hands, key)[trials.hand_index.long()]
             assert (mine == getattr(base.hand_set, key)[wanted.hand_index.long()]).all()
-    given = BenchmarkOverrides(trials_file=str(tmp_path / "h.npz")).read()
-    assert trials_of(given, wanted.trial_id[[7, 2]]).T_world_hand.equal(wanted.T_world_hand[[7, 2]])
-    assert len(make_trials("S1", 3, benchmark=given)) == 3
+    given = BenchmarkChoice(trials_file=str(tmp_path / "h.npz")).read()
+    assert given.trials_with_ids(wanted.trial_id[[7, 2]]).T_world_hand.equal(wanted.T_world_hand[[7, 2]])
+    assert len(given.trials(3, splits="S1")) == 3
     with pytest.raises(ValueError, match="trial id 99 is not in the list"):
-        trials_of(given, wanted.trial_id[:1] + 99)
+        given.trials_with_ids(wanted.trial_id[:1] + 99)
 
 
 def bent(at: tuple[int, ...], value: float) -> np.ndarray:
@@ -145,14 +147,14 @@ REFUSED = {
 
 @pytest.mark.parametrize("words", REFUSED)
 def test_a_trials_file_that_is_none_is_refused_in_one_line(words, tmp_path):
-    base, changed = built_in(), some_trials() | REFUSED[words]()
+    base, changed = load_benchmark("r2h-v1"), some_trials() | REFUSED[words]()
     np.savez(tmp_path / "t.npz", **{k: np.asarray(v) for k, v in changed.items() if v is not None})
     with one_line(words):
         read_trials_file(tmp_path / "t.npz", base.objects, base.hand_set)
 
 
 def test_a_long_trials_file_with_one_id_twice_at_its_end_is_refused_at_once(tmp_path):
-    base, rows = built_in(), 100_000
+    base, rows = load_benchmark("r2h-v1"), 100_000
     ids = np.arange(rows).astype(str)
     ids[-1] = ids[-2]
     columns = {k: np.repeat(x[:1], rows, 0) for k, x in some_trials(1).items() if k in ("object", "T_world_hand")}
@@ -191,14 +193,14 @@ def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
     own = load_hand_set()
     few = {k: getattr(own, k).numpy()[[0, 399]] for k in ("pose", "shape", "side")}
     np.savez(tmp_path / "two.npz", **few, posture=np.array(["a", "b"]))
-    given = BenchmarkOverrides(hand_model=str(tmp_path / "large.npz"), hands=str(tmp_path / "two.npz"))
+    given = BenchmarkChoice(hand_model=str(tmp_path / "large.npz"), hands=str(tmp_path / "two.npz"))
     found = given.read()
     assert given.read().hand_set is found.hand_set  # read once: what is made for a hand is made once
-    scene = Evaluator.from_benchmark(found).scene
+    scene = Evaluator(load_benchmark("r2h-v1"), found).scene
     assert scene.hands.model is found.hand_set.model and len(scene.hands.set) == 2
     rest = own.model.pose(torch.zeros(1, 48)).vertices
     assert torch.allclose(scene.hands.model.pose(torch.zeros(1, 48)).vertices, rest * 1.1, atol=1e-3)
-    assert found.digest != BenchmarkOverrides(hands=str(tmp_path / "two.npz")).read().digest
+    assert found.digest != BenchmarkChoice(hands=str(tmp_path / "two.npz")).read().digest
     np.savez(tmp_path / "large.npz", **arrays)  # another hand in the file: it is read again
     assert given.read().digest != found.digest
 
@@ -242,7 +244,7 @@ def test_hand_sets_are_joined_and_chosen_from(sets, said, postures):
 
 def test_stored_flags_are_read_back_whatever_is_in_a_name():
     """A shell's quotes since names may have spaces; runs of older versions have none."""
-    given = BenchmarkFlags(
+    given = BenchmarkChoice(
         objects="families:cup,hammer x 20 seed 7", object_mesh=("a b.obj:S0", "c's.obj"), robot="ur3e_2f85"
     )
     objects, meshes, robot = given.flags()

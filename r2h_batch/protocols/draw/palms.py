@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base import rng, se3
+from r2h_batch.protocols.draw.receivers import sine_cosine
+from r2h_batch.protocols.draw.rule import POSE, Batch, Placed
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.objects import ObjectModel, stored_key
 from r2h_batch.scene.robot import DEFAULT_ROBOT, load_robot
-from r2h_batch.trials.receivers import sine_cosine
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,19 @@ HEIGHT_M = 0.15
 SHOULDER_M, UPPER_M, FOREARM_M = 0.1625, 0.425, 0.3922
 D4_M, D5_M, D6_M = 0.1333, 0.0997, 0.0996
 """The UR5e's nominal lengths (Denavit and Hartenberg): d1, -a2, -a3, d4, d5, d6."""
-_POSE = 1  # purpose of the random counters
+
+
+def place_palms(batch: Batch) -> Placed:
+    """Hands whose palms lie in the release's box."""
+    objects, hands, hand = batch.benchmark.objects, batch.hands, batch.hand_index
+    offset = np.array([reference_offset(o) for o in objects])[batch.object_index]
+    world, palm = draw_palms(batch.key, batch.trial_id, offset)
+    n, a = hands.palm_normal[hand], hands.along[hand]
+    R = se3.from_frames(world, np.stack([a, np.cross(n, a), n], 2))
+    T = np.zeros((len(hand), 4, 4), np.float32)
+    T[:, :3, :3], T[:, 3, 3] = R, 1.0
+    T[:, :3, 3] = palm - se3.rotate(R, hands.palm_point[hand])
+    return Placed(T)
 
 
 def draw_palms(key: tuple[int, int], ids: NDArray[np.int64], offset: Array) -> tuple[Array, Array]:
@@ -50,7 +63,7 @@ def draw_palms(key: tuple[int, int], ids: NDArray[np.int64], offset: Array) -> t
     def propose(
         rows: NDArray[np.int64], attempt: int | NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], tuple[Array, Array]]:
-        u = rng.uniforms(key, ids[rows], 6, purpose=_POSE, attempt=attempt)
+        u = rng.uniforms(key, ids[rows], 6, purpose=POSE, attempt=attempt)
         low, high = np.array([*LOW_M, *LOW_DEG]), np.array([*HIGH_M, *HIGH_DEG])
         drawn = low + (high - low) * u.T
         turned, palm = _rotation(drawn[:, 3:]), drawn[:, :3]

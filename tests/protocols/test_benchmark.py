@@ -1,7 +1,6 @@
 """A benchmark as a file: the built-in one comes back bit for bit, another one is another one everywhere."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,17 +8,16 @@ import pytest
 import torch
 import trimesh
 
-from r2h_batch import EvalConfig, Evaluator, make_trials
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.io.read import FileError
 from r2h_batch.config import Thresholds
 from r2h_batch.methods.part_roles import GRASP, WRAP, roles_of
+from r2h_batch.protocols.file_fields import built_in_text, read_benchmark_file
+from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.scene.hand import palm_frame
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import ee_pose, load_robot
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.benchmark.build import read_benchmark
-from r2h_batch.trials.benchmark.model import built_in_text, read_benchmark_file
 from r2h_batch.trials.holding.instructions import intents_of, understand
 from r2h_batch.types import CollidingPair, PlanReason
 
@@ -63,7 +61,11 @@ def test_the_built_in_one_is_such_a_file(tmp_path, capsys):
     text = capsys.readouterr().out
     assert text == built_in_text()
     path = written(tmp_path, text)
-    assert read_benchmark(path).digest == built_in().digest == read_benchmark(written(tmp_path, "format: 1\n")).digest
+    assert (
+        read_benchmark(path).digest
+        == load_benchmark("r2h-v1").digest
+        == read_benchmark(written(tmp_path, "format: 1\n")).digest
+    )
     assert main(["benchmark", "check", str(path)]) == 0
     assert "the built-in benchmark" in capsys.readouterr().out
     assert main(["benchmark", "show"]) == 0
@@ -73,7 +75,7 @@ def test_the_built_in_one_is_such_a_file(tmp_path, capsys):
 
 
 def test_every_number_of_a_file_makes_another_benchmark(tmp_path):
-    digests = {built_in().digest}
+    digests = {load_benchmark("r2h-v1").digest}
     lines = [
         *(f"thresholds: {{{k}: 0.0092}}" for k in Thresholds.__dataclass_fields__),
         "table: {center: [-0.025, 0, -0.03]}",
@@ -93,7 +95,7 @@ def test_every_number_of_a_file_makes_another_benchmark(tmp_path):
 def test_hands_stand_where_the_benchmarks_ball_table_and_home_let_them(tmp_path):
     path = written(tmp_path, "thresholds: {reach_offset_m: 0.2}\ntable: {half: [0.475, 0.6, 0.3]}\n")
     benchmark = read_benchmark(path)
-    trials = make_trials(trials=40, benchmark=path)
+    trials = path.trials(40)
     hands = benchmark.hand_set
     geometry = hands.model.pose(hands.pose, hands.shape, hands.side)
     point, normal = palm_frame(geometry.joints.double(), hands.side)
@@ -104,18 +106,18 @@ def test_hands_stand_where_the_benchmarks_ball_table_and_home_let_them(tmp_path)
     skin = torch.einsum("nij,nvj->nvi", T[:, :3, :3], geometry.vertices.double()[i]) + T[:, None, :3, 3]
     low, high = torch.tensor([-0.5, -0.6, -0.325]), torch.tensor([0.45, 0.6, 0.275])
     assert not ((skin > low) & (skin < high)).all(2).any()
-    default = make_trials(trials=40)
+    default = load_benchmark("r2h-v1").trials(40)
     assert not torch.equal(default.T_world_hand, trials.T_world_hand)
-    assert torch.equal(make_trials(trials=40, benchmark=built_in()).T_world_hand, default.T_world_hand)
+    assert torch.equal(load_benchmark("r2h-v1").trials(40).T_world_hand, default.T_world_hand)
     with pytest.raises(ValueError, match="give it alone"):
-        make_trials(benchmark=path, objects=load_objects())
+        path.with_objects(load_objects()).trials()
 
 
 def test_the_arm_starts_at_the_benchmarks_home_beside_its_table(tmp_path):
     home = [0.5, -1.6, 1.4, -1.3, -1.6, 1.0]
     path = written(tmp_path, f"home: {home}\nobjects: [{{built_in: cup}}]\n")
-    evaluator = Evaluator.from_benchmark(path, replace(EvalConfig(), execute=replace(EvalConfig().execute, sim="none")))
-    trials = make_trials("S0", 6, benchmark=path)
+    evaluator = Evaluator(load_benchmark("r2h-v1"), path)
+    trials = path.trials(6, splits="S0")
     T_world_ee = torch.from_numpy(ee_pose(load_robot(), home)).float().repeat(6, 1, 1)
     T_world_ee[:, 2, 3] += 0.05
     T_obj_ee = torch.eye(4).repeat(6, 1, 1)
@@ -126,7 +128,7 @@ def test_the_arm_starts_at_the_benchmarks_home_beside_its_table(tmp_path):
     assert (scores.q_goal[moved] - torch.tensor(home)).abs().max() < 0.5
     table = "table: {center: [0.4, 0, 0.6], half: [0.4, 0.4, 0.2]}"
     high = read_benchmark(written(tmp_path, f"{table}\nobjects: [{{built_in: cup}}]"))
-    blocked = Evaluator.from_benchmark(high, evaluator.config.__class__(execute=evaluator.config.execute))
+    blocked = Evaluator(load_benchmark("r2h-v1"), high)
     scores = blocked.score(T_obj_ee, T_world_ee, trials)
     assert (scores.plan_reason == int(PlanReason.START_IN_COLLISION)).all()
     assert set(scores.plan_pair.tolist()) <= {int(p) for p in CollidingPair if "TABLE" in p.name}

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from r2h_batch.base import rng
 from r2h_batch.data.people import People, hand_lengths
+from r2h_batch.protocols.draw.receivers import SEATED, Person, PlaceHand, first_fitting, reach
+from r2h_batch.protocols.draw.wheelchair import POPLITEAL_M, off_the_lap
 from r2h_batch.scene.hand import HandSet
-from r2h_batch.trials.receivers import SEATED, Person, PlaceHand, first_fitting, reach
-from r2h_batch.trials.wheelchair import POPLITEAL_M, off_the_lap
 from r2h_batch.types import PERSON
 
 Array = NDArray[np.float64]

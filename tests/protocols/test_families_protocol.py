@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.data.people import ALL, GROUPS, built_in_people, people_hand, people_hand_set
+from r2h_batch.protocols.benchmark import Benchmark, trials_digest
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.objects import INSTANCE_NAMES, load_objects
-from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides, read_benchmark
 from r2h_batch.trials.holding import receiving
-from r2h_batch.trials.protocol import make_trials, trials_digest, trials_with_ids
 from r2h_batch.types import PERSON, Trials
 
 FROZEN = "80c92078421c5d8db715127884e815dfd16aa7b74fa539005a8deed4860fe8ea"
@@ -23,17 +24,17 @@ DEFINED = "88c4db2d8c06839e05a3198c42fc72c8b463bc378ab698838a8883c0812850f4"
 
 @pytest.fixture(scope="module")
 def v2() -> Benchmark:
-    return built_in("r2h-v2")
+    return load_benchmark("r2h-v2")
 
 
 @pytest.fixture(scope="module")
 def trials(v2: Benchmark) -> Trials:
-    return make_trials(trials=200, benchmark=v2)
+    return v2.trials(200)
 
 
 def test_the_protocol_is_frozen(v2: Benchmark, trials: Trials) -> None:
     assert v2.digest == DEFINED
-    assert trials_digest(trials, objects=v2.objects) == FROZEN
+    assert trials_digest(trials) == FROZEN
 
 
 def test_every_group_and_both_seats_receive_and_a_trial_is_the_same_by_its_name_alone(
@@ -46,23 +47,23 @@ def test_every_group_and_both_seats_receive_and_a_trial_is_the_same_by_its_name_
     assert min(shares) > 0.1 and np.isclose(sum(shares), 1) and len(GROUPS) == len(shares)
     assert 0.1 < seated.mean() < 0.9
     rows = torch.tensor([3, 211, 399])
-    alone = trials_with_ids(trials.trial_id[rows], protocol="r2h-v2")
+    alone = load_benchmark("r2h-v2").trials_with_ids(trials.trial_id[rows])
     for name in ("object_index", "hand_index", "T_world_hand", "receiver", "person"):
         assert torch.equal(getattr(alone, name), getattr(trials, name)[rows]), name
 
 
 def test_flags_and_files_narrow_or_exchange_the_receivers(tmp_path: Path, v2: Benchmark) -> None:
-    assert BenchmarkOverrides(protocol="r2h-v2").read() is v2
-    adults = BenchmarkOverrides(protocol="r2h-v2", people="adults").read()
+    assert BenchmarkChoice(benchmark="r2h-v2").read() is v2
+    adults = BenchmarkChoice(benchmark="r2h-v2", people="adults").read()
     assert adults.people is built_in_people("adults") and adults.hand_set is people_hand_set(adults.people)
     assert adults.objects == v2.objects and adults.digest != v2.digest
     file = tmp_path / "benchmark.yaml"
     file.write_text("format: 1\nprotocol: r2h-v2\n")
     assert read_benchmark(file).digest == v2.digest
-    back = BenchmarkOverrides(benchmark=str(file), protocol="r2h-v1").read()
-    assert back.people is None and back.hand_set is built_in("r2h-v1").hand_set and back.objects == v2.objects
+    back = BenchmarkChoice(benchmark="r2h-v1").read()
+    assert back.people is None and back.hand_set is load_benchmark("r2h-v1").hand_set and back.objects == v2.objects
     file.write_text("format: 1\nprotocol: r2h-v1\n")
-    there = BenchmarkOverrides(benchmark=str(file), protocol="r2h-v2").read()
+    there = BenchmarkChoice(benchmark="r2h-v2").read()
     assert there.people is v2.people and there.hand_set is v2.hand_set and len(there.objects) == 16
 
 

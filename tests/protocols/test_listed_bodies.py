@@ -10,13 +10,12 @@ import pytest
 import torch
 from refusals import one_line
 
-from r2h_batch import Evaluator, make_trials
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.base.io.read import FileError
 from r2h_batch.methods import random
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.scene.arrays import asset
-from r2h_batch.trials.benchmark.benchmark import built_in
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
-from r2h_batch.trials.benchmark.trials_file import read_trials_file
 from r2h_batch.types import Trials
 
 HAND = asset("people", "hand.npz")
@@ -24,8 +23,8 @@ HAND = asset("people", "hand.npz")
 
 def with_bodies(n: int = 5) -> tuple[dict[str, np.ndarray], Trials]:
     """Columns of trials whose receivers are people, and the trials."""
-    benchmark = BenchmarkOverrides(people="adults").read()
-    trials = make_trials(trials=n, benchmark=benchmark)
+    benchmark = BenchmarkChoice(people="adults").read()
+    trials = benchmark.trials(n)
     names, hands = [o.name for o in benchmark.objects], benchmark.hand_set
     rows = trials.hand_index.long()
     columns = {
@@ -47,13 +46,13 @@ def test_listed_trials_may_have_bodies_and_people_and_are_judged_as_the_protocol
     order = torch.argsort(wanted.trial_id % 2, stable=True)
     wanted = wanted[order]
     for name in ("b.npz", "b.parquet", "b.json"):
-        given = BenchmarkOverrides(trials_file=str(tmp_path / name), hand_model=str(HAND), receiver="body").read()
-        found = make_trials(trials=5, benchmark=given)
+        given = BenchmarkChoice(trials_file=str(tmp_path / name), hand_model=str(HAND), receiver="body").read()
+        found = given.trials(5)
         assert found.trial_id.tolist() == wanted.trial_id.tolist() and given.has_bodies
         torch.testing.assert_close(found.receiver, wanted.receiver, rtol=0, atol=0)
         torch.testing.assert_close(found.person[:, :5], wanted.person[:, :5], rtol=0, atol=0)
-    own = Evaluator.from_benchmark(BenchmarkOverrides(people="adults", receiver="body").read()).kinematic
-    listed = Evaluator.from_benchmark(given).kinematic
+    own = Evaluator(load_benchmark("r2h-v1"), BenchmarkChoice(people="adults", receiver="body").read()).kinematic
+    listed = Evaluator(load_benchmark("r2h-v1"), given).kinematic
     answer = random.predict(wanted, own.scene, seed=0)
     a, b = (e.score(answer.T_obj_ee, answer.T_world_ee, t) for e, t in ((own, wanted), (listed, found)))
     assert a.outcome.equal(b.outcome) and a.margin.nan_to_num().equal(b.margin.nan_to_num())
@@ -67,7 +66,7 @@ def test_a_csv_says_bodies_number_by_number(tmp_path):
         table |= {f"{name}_{k}": flat[:, k] for k in range(flat.shape[1])}
     lines = [",".join(table), *(",".join(str(v[i]) for v in table.values()) for i in range(4))]
     (tmp_path / "b.csv").write_text("\n".join(lines) + "\n")
-    base = built_in()
+    base = load_benchmark("r2h-v1")
     found, _, _ = read_trials_file(tmp_path / "b.csv", base.objects, base.hand_set)
     order = np.argsort(wanted.trial_id.numpy() % 2, kind="stable")
     assert found.receiver.numpy() == pytest.approx(columns["receiver"][order], abs=1e-6)
@@ -99,7 +98,7 @@ NO_BODY = {
 
 @pytest.mark.parametrize("words", NO_BODY)
 def test_a_body_that_nobody_has_is_refused_in_one_line(words, tmp_path):
-    base, columns = built_in(), with_bodies()[0] | NO_BODY[words]()
+    base, columns = load_benchmark("r2h-v1"), with_bodies()[0] | NO_BODY[words]()
     np.savez(tmp_path / "t.npz", **{k: v for k, v in columns.items() if v is not None})
     with one_line(re.escape(words)):
         read_trials_file(tmp_path / "t.npz", base.objects, base.hand_set)
@@ -109,4 +108,4 @@ def test_body_is_asked_of_listed_trials_that_have_none(tmp_path):
     columns, _ = with_bodies()
     np.savez(tmp_path / "t.npz", **{k: v for k, v in columns.items() if k not in ("receiver", "person")})
     with pytest.raises(FileError, match="listed trials without receiver have no body"):
-        BenchmarkOverrides(trials_file=str(tmp_path / "t.npz"), receiver="body").read()
+        BenchmarkChoice(trials_file=str(tmp_path / "t.npz"), receiver="body").read()

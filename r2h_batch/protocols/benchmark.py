@@ -1,0 +1,323 @@
+"""A benchmark: everything that decides what is asked of a method and how the answer is judged.
+
+Two benchmarks with one digest ask the same and judge alike. `load_benchmark` makes the named ones and those of files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+import numpy as np
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+from r2h_batch.base.schedule import trial_ids
+from r2h_batch.base.validate import instance_of, integer, one_of, optional, sequence_of
+from r2h_batch.base.validate_tensors import check_tensor
+from r2h_batch.config import EvalConfig, Thresholds, Workplace
+from r2h_batch.data.people import People, people_hand_set
+from r2h_batch.protocols.draw.rule import Rule
+from r2h_batch.protocols.trials_file import LISTED, Labels, listed_with_ids
+from r2h_batch.scene.hand import HandSet
+from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
+from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot
+from r2h_batch.types import Trials
+from r2h_batch.verdicts import SPLITS
+
+if TYPE_CHECKING:
+    from r2h_batch.evaluate import Evaluator
+    from r2h_batch.runs.store import Run
+
+TRIALS = 500
+"""Trials of a split in the published tables; more are the same rule run further."""
+MOST_TRIALS = 10**9
+
+DECIDES = (
+    *("name", "split", "instruction", "vertices", "faces", "face_part", "part_names"),
+    *("receiver_face", "mass", "com", "inertia"),
+)
+"""Fields of an object from which its other fields follow. The convex pieces are not here: a sweep
+makes them only where it needs them."""
+
+
+WITH_PEOPLE = "r2h-v1 or r2h-v2"
+"""Named benchmarks whose receivers have bodies, for messages."""
+
+
+@dataclass(frozen=True, eq=False)
+class Benchmark:
+    """A frozen value: objects, hands, people, robot, workplace, thresholds, and the rule that draws trials.
+
+    Attributes:
+        objects: what `Trials.object_index` counts; those of a split take turns.
+        hand_set: what `Trials.hand_index` counts.
+        rule: draws the trials where none are listed.
+        name: in messages and tables; the digest leaves it out.
+        people: whose bodies and hands the receivers have; None: the rule's own.
+        receiver: what planning and Safe see of the person: the hand, or arm and torso too.
+        robot: arm and gripper.
+        persons: where persons stand: as the rule places them for the robot's home and reach, or for the UR5e's.
+        thresholds: where a criterion turns from pass to fail.
+        workplace: home and table.
+        listed: trials of a file; None: the rule draws them.
+        labels: what the owner of listed trials calls them; judges nothing, so the digest leaves it out.
+    """
+
+    objects: tuple[ObjectModel, ...]
+    hand_set: HandSet
+    rule: Rule
+    name: str = "unnamed"
+    people: People | None = None
+    receiver: Literal["hand", "body"] = "hand"
+    robot: Robot = field(default_factory=load_robot)
+    persons: Literal["for-robot", "as-for-ur5e"] = "for-robot"
+    thresholds: Thresholds = field(default_factory=Thresholds)
+    workplace: Workplace = field(default_factory=Workplace)
+    listed: Trials | None = None
+    labels: Labels | None = None
+
+    def __post_init__(self) -> None:
+        instance_of(Rule, "a Rule of r2h_batch.protocols.draw.rule")("rule", self.rule)
+        instance_of(HandSet, "such as load_hand_set(FILE)")("hand_set", self.hand_set)
+        instance_of(Robot, "such as load_robot(NAME)")("robot", self.robot)
+        one_of("hand", "body")("receiver", self.receiver)
+        object.__setattr__(self, "objects", checked_objects(self.objects))
+        if not self.objects:
+            raise ValueError("objects is empty; a benchmark needs at least one object")
+        how = f"take a benchmark of people, such as {WITH_PEOPLE}"
+        if self.receiver == "body" and not self.has_bodies:
+            raise ValueError(f"receiver is body, trials of {self.protocol} have none; {how}")
+        if self.people is not None and (self.listed is not None or not self.rule.bodies):
+            raise ValueError(
+                f"people is {self.people.name}, trials of {self.protocol} have no body; {how}"
+            )
+
+    @property
+    def protocol(self) -> str:
+        """Source of the trials: the rule that draws them, or `listed`."""
+        return self.rule.name if self.listed is None else LISTED
+
+    @property
+    def has_bodies(self) -> bool:
+        """Whether its trials have receivers with arm and torso."""
+        return self.rule.bodies if self.listed is None else self.listed.receiver is not None
+
+    @property
+    def label(self) -> str:
+        """`NAME@DIGEST`: what trials and predictions files carry."""
+        return f"{self.name}@{self.digest}"
+
+    @cached_property
+    def digest(self) -> str:
+        """sha256 (hex) over everything that decides what is asked and how it is judged, whatever
+        file said it."""
+        digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
+        if self.receiver != "hand":  # benchmarks without this field keep their digest
+            digest.update(f"receiver {self.receiver}\n".encode())
+        if self.people is not None:
+            digest.update(f"people {self.people.digest}\n".encode())
+        if self.robot != load_robot():  # a folder may give another one its name
+            digest.update(f"robot {self.robot.digest} {self.persons}\n".encode())
+        # it says how hands stand in these trials
+        if self.listed is None and self.rule.bodies and self.hand_set.in_body is not None:
+            digest.update(self.hand_set.in_body.contiguous().numpy().tobytes())
+        for part in (self.thresholds, self.workplace):
+            digest.update(json.dumps(asdict(part), sort_keys=True).encode())
+        for o in self.objects:
+            for name in DECIDES:
+                value = np.ascontiguousarray(getattr(o, name))
+                digest.update(f"{name}:{value.dtype.str}:{value.shape}:".encode() + value.tobytes())
+            said = {
+                "grasps": None if o.grasps is None else o.grasps.digest,
+                "roles": None if o.roles is None else dict(o.roles),
+                "words": None if o.words is None else asdict(o.words),
+            }
+            if o.receiver_boxes is not None:  # what there was before keeps its digest
+                said["receiver_boxes"] = o.receiver_boxes.tolist()
+            digest.update(json.dumps(said, sort_keys=True).encode())
+        if self.listed is not None:
+            for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
+                digest.update(getattr(self.listed, name).contiguous().numpy().tobytes())
+        return digest.hexdigest()
+
+    def trials(self, trials: int = TRIALS, *, splits: Sequence[str] | str = SPLITS) -> Trials:
+        """The first trials of each split, split by split, on the CPU.
+
+        Args:
+            trials: number of trials of each split; of listed trials at most as many as there are.
+            splits: `S0` (free), `S1` (functional), or both.
+
+        Returns:
+            Trials that know the names of their objects and whose they are (`Trials.benchmark`).
+
+        Raises:
+            TypeError, ValueError: an argument is none of these, or no hand fits table and home.
+        """
+        splits = sequence_of(str, f"of {', '.join(SPLITS)}")(
+            "splits", [splits] if isinstance(splits, str) else splits
+        )
+        for split in splits:
+            one_of(*SPLITS)("splits", split)
+        if len(set(splits)) != len(splits):
+            raise ValueError(f"splits are {', '.join(splits)}; each may be given once")
+        trials = integer(0, MOST_TRIALS)("trials", trials)
+        if self.listed is not None:
+            of_split = (
+                torch.nonzero(self.listed.trial_id % 2 == SPLITS.index(s))[:trials, 0]
+                for s in splits
+            )
+            return self._own(self.listed[torch.cat([*of_split])])
+        plan = dict.fromkeys(splits, trials)
+        ids = trial_ids(plan, 0, sum(plan.values()))
+        return self.trials_with_ids(torch.from_numpy(ids))
+
+    def trials_with_ids(self, trial_id: Int64[Tensor, " n"]) -> Trials:
+        """The trials of these ids, in this order, on the CPU.
+
+        Args:
+            trial_id: (N,) int64: 2 i is trial i of S0, 2 i + 1 of S1.
+
+        Raises:
+            TypeError, ValueError: no such tensor, an id is negative, or (listed trials) not there.
+        """
+        trial_id = check_tensor("trial_id", trial_id, "a torch tensor (N,) of torch.int64")
+        if trial_id.ndim != 1 or trial_id.dtype != torch.int64:
+            raise TypeError(
+                f"trial_id is {trial_id.dtype} {tuple(trial_id.shape)}; it must be a torch tensor (N,) of torch.int64"
+            )
+        ids = trial_id.cpu().numpy().copy()
+        if len(ids) and ids.min() < 0:
+            raise ValueError(f"trial id {ids.min()} is negative; ids are 2 i (S0) and 2 i + 1 (S1)")
+        if self.listed is not None:
+            return self._own(listed_with_ids(self.listed, trial_id))
+        placing = self
+        if self.persons == "as-for-ur5e":
+            placing = self.on(load_robot(DEFAULT_ROBOT), self.persons)
+        return self._own(self.rule.draw(placing, ids))
+
+    def _own(self, trials: Trials) -> Trials:
+        return trials.named(self.objects, benchmark=self.label)
+
+    def evaluator(
+        self,
+        preset: str = "default",
+        *,
+        device: str | torch.device = "cpu",
+        threads: int | None = None,
+    ) -> Evaluator:
+        """The evaluator of this benchmark.
+
+        Args:
+            preset: how it judges: a name of `r2h-batch ls presets`. `Evaluator(benchmark, EvalConfig(...))`
+                takes any other configuration.
+            device: `cpu`, `cuda` or `cuda:N`.
+            threads: CPU threads of a call; None: all cores.
+        """
+        from r2h_batch.evaluate import Evaluator
+
+        return Evaluator(self, EvalConfig.preset(preset), device=device, threads=threads)
+
+    def baselines(self) -> Run:
+        """The stored rows of the built-in methods on this benchmark.
+
+        Raises:
+            FileError: none are stored; the line says the command that makes them.
+        """
+        from r2h_batch.report.compare.stored import baselines_of
+        from r2h_batch.runs.store import load_run
+
+        return load_run(baselines_of(self.digest, self.name), verify=False)
+
+    def on(self, robot: Robot, persons: Literal["for-robot", "as-for-ur5e"] = "for-robot") -> Self:
+        """The same benchmark for another robot, which starts at its own home.
+
+        With `persons` "for-robot" the table's sides are as long as that robot's reach asks for: it
+        is to the UR5e's as the reaches are.
+        """
+        place = self.workplace
+        if place.home_q == self.robot.home_q:
+            place = replace(place, home_q=robot.home_q)
+        if persons == "for-robot" and self.listed is None:
+            place = place.scaled(robot.reach_m / self.robot.reach_m)
+        return replace(self, robot=robot, persons=persons, workplace=place)
+
+    def with_objects(self, objects: Sequence[ObjectModel]) -> Self:
+        """The same benchmark with other objects.
+
+        Raises:
+            ValueError: none, or two of one name; or trials are listed, which index other objects.
+        """
+        if self.listed is not None:
+            raise ValueError(f"{self.name} lists trials of its own objects; list trials of others")
+        return replace(self, objects=checked_objects(objects))
+
+    def with_people(self, people: People) -> Self:
+        """The same benchmark with other receivers, and hands of theirs.
+
+        Raises:
+            ValueError: its receivers have no body.
+        """
+        return replace(self, people=people, hand_set=people_hand_set(people))
+
+    def config(self, base: EvalConfig | None = None) -> EvalConfig:
+        """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home, and what it
+        sees of the receiver.
+
+        Raises ValueError where `base` has other limits or another place of its own: nobody could
+        tell which were meant.
+        """
+        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", base)
+        base = self.robot.fitted(base or EvalConfig())
+        usual = self.robot.fitted(EvalConfig())
+        for name, own in (("thresholds", self.thresholds), ("workplace", self.workplace)):
+            given = getattr(base, name)
+            if given not in (getattr(usual, name), own):
+                how = f"dataclasses.replace(benchmark, {name}=...) is a benchmark with others"
+                raise ValueError(f"config.{name} is {given}, {self.name} has {own}; say one: {how}")
+        seen = base.receiver if self.receiver == "hand" else self.receiver
+        return replace(base, thresholds=self.thresholds, workplace=self.workplace, receiver=seen)
+
+    def __repr__(self) -> str:
+        counts = ", ".join(
+            f"{sum(o.split == s for o in self.objects)} objects of {s}" for s in SPLITS
+        )
+        who = "hands alone" if not self.has_bodies else f"receiver {self.receiver}"
+        return f"Benchmark({self.name}: {counts}, {len(self.hand_set)} hands, {who}, {self.robot.name})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Stored objects travel by name."""
+        stored = {id(o): o.name for o in self.objects if o is _stored(o.name)}
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values["objects"] = tuple(stored.get(id(o), o) for o in self.objects)
+        return _unpickled, (type(self), values)
+
+
+def _stored(name: str) -> ObjectModel | None:
+    try:
+        return load_objects([name])[0]
+    except ValueError:
+        return None
+
+
+def _unpickled(cls: type[Benchmark], values: dict[str, Any]) -> Benchmark:
+    objects = (load_objects([o])[0] if isinstance(o, str) else o for o in values["objects"])
+    return cls(**{**values, "objects": tuple(objects)})
+
+
+def trials_digest(trials: Trials) -> str:
+    """sha256 (hex) over ids, object names, hand indices, and the bytes of the hand poses and of the receivers."""
+    instance_of(Trials, "benchmark.trials(...)")("trials", trials)
+    digest = hashlib.sha256(b"r2h-v0\n" if trials.receiver is None else b"r2h-v1\n")
+    digest.update(trials.trial_id.cpu().numpy().astype("<i8").tobytes())
+    digest.update("\n".join(trials.object_names).encode())
+    digest.update(trials.hand_index.cpu().numpy().astype("<i4").tobytes())
+    digest.update(trials.T_world_hand.cpu().contiguous().numpy().astype("<f4").tobytes())
+    if trials.receiver is not None:
+        digest.update(trials.receiver.cpu().contiguous().numpy().astype("<f4").tobytes())
+    return digest.hexdigest()

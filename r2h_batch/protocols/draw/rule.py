@@ -1,0 +1,128 @@
+"""A rule that draws trials: which object is handed to which hand, and where that stands.
+
+Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. Objects of the split take turns, hands alternate right and left
+(`base.schedule`), and the rule places the hand with random counters (rule, trial id, attempt): a trial is the same
+alone or among a million, on any machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from r2h_batch.base import rng
+from r2h_batch.base.schedule import assign_hands, assign_objects
+from r2h_batch.protocols.draw.reachable_set import PosedHands, posed_hands
+from r2h_batch.types import PERSON, Trials
+
+if TYPE_CHECKING:
+    from r2h_batch.protocols.benchmark import Benchmark
+
+POSE = 1
+"""Purpose of the random counters of a hand's pose; `base.schedule` has 0, receivers and people 2 to 4."""
+ROWS = 16384
+"""Trials drawn at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Trials whose hands a rule is to place.
+
+    Attributes:
+        benchmark: whose objects, hands, robot, table and home they are.
+        key: of the random counters.
+        trial_id: (n,).
+        side: (n,) sides of the hands that the schedule wants: 0 right, 1 left.
+        hand_index: (n,) rows of the hand set.
+        object_index: (n,) places among the objects.
+    """
+
+    benchmark: Benchmark
+    key: tuple[int, int]
+    trial_id: NDArray[np.int64]
+    side: NDArray[np.int64]
+    hand_index: NDArray[np.int64]
+    object_index: NDArray[np.int64]
+
+    @property
+    def hands(self) -> PosedHands:
+        """The benchmark's hands as float64 arrays in their own frames."""
+        return posed_hands(self.benchmark.hand_set)
+
+
+class Placed(NamedTuple):
+    """Where the hands of a batch stand.
+
+    Attributes:
+        T_world_hand: (n, 4, 4), m.
+        receiver: (n, 5, 4), as `Trials.receiver`; None: hands alone.
+        hand_index: (n,) other hands than those of the batch; None: the same.
+        person: (n, 6), as `Trials.person`; None: nobody of a table.
+    """
+
+    T_world_hand: NDArray[np.float32]
+    receiver: NDArray[np.float32] | None = None
+    hand_index: NDArray[np.int64] | None = None
+    person: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Draws the trials of a benchmark.
+
+    Attributes:
+        name: seeds the random counters, and is the `protocol` of stored runs.
+        place: places the hands of a batch. A row may depend on nothing but its own trial. Raises `rng.NothingFits`
+            where there is no place.
+        bodies: whether receivers have arms and a torso.
+    """
+
+    name: str
+    place: Callable[[Batch], Placed]
+    bodies: bool = False
+
+    def draw(self, benchmark: Benchmark, trial_id: NDArray[np.int64]) -> Trials:
+        """The trials of these ids (N,), in this order, on the CPU.
+
+        Raises:
+            ValueError: a trial's split has no object, or no hand fits table and home.
+        """
+        n, people = len(trial_id), benchmark.people
+        object_index, side = assign_objects(trial_id, [o.split for o in benchmark.objects])
+        hand_index, sides = np.zeros(n, np.int64), posed_hands(benchmark.hand_set).side
+        T_world_hand = np.zeros((n, 4, 4), np.float32)
+        receiver = np.zeros((n if self.bodies else 0, 5, 4), np.float32)
+        person = np.zeros((0 if people is None else n, len(PERSON)), np.float32)
+        for first in range(0, n, ROWS):
+            rows = slice(first, first + ROWS)
+            hand_index[rows] = assign_hands(trial_id[rows], side[rows], sides, self.name)
+            batch = Batch(
+                benchmark, rng.key_of(self.name), trial_id[rows], side[rows], hand_index[rows], object_index[rows]
+            )  # fmt: skip
+            try:
+                placed = self.place(batch)
+            except rng.NothingFits as error:
+                place = benchmark.workplace
+                raise ValueError(
+                    f"no place for a hand where {self.name} draws them: {error}. Table (center {place.table_center}, half"
+                    f" {place.table_half} m), arm at home or reach_offset_m leave none; change these, or list trials"
+                ) from None
+            T_world_hand[rows] = placed.T_world_hand
+            for whole, part in (
+                (receiver, placed.receiver), (hand_index, placed.hand_index), (person, placed.person),
+            ):  # fmt: skip
+                if part is not None:
+                    whole[rows] = part
+        return Trials(
+            trial_id=torch.from_numpy(trial_id),
+            object_index=torch.from_numpy(object_index.astype(np.int32)),
+            hand_index=torch.from_numpy(hand_index.astype(np.int32)),
+            T_world_hand=torch.from_numpy(T_world_hand),
+            receiver=torch.from_numpy(receiver) if self.bodies else None,
+            person=None if people is None else torch.from_numpy(person),
+        )

@@ -1,0 +1,52 @@
+"""`load_benchmark`: a benchmark by its name, of a file, or of a function of yours."""
+
+from pathlib import Path
+
+from r2h_batch.base.command_line import nearest
+from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES
+from r2h_batch.base.user_code import HOW, load_function
+from r2h_batch.base.validate import instance_of
+from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.protocols.named import named_benchmark
+from r2h_batch.protocols.yaml_file import read_benchmark
+
+
+def load_benchmark(which: str | Path = DEFAULT_PROTOCOL, *, pieces: bool = False) -> Benchmark:
+    """A benchmark: one value that holds all that decides a verdict.
+
+    Args:
+        which: a name of `r2h-batch ls benchmarks`; a benchmark.yaml, or a folder with one; or a function without
+            arguments that returns a `Benchmark`: `package.module:function` or `FILE.py:function`.
+        pieces: whether meshes of a file get their convex decomposition (up to a minute each).
+
+    Raises:
+        FileError: there is none, or (one line) its file is wrong.
+    """
+    instance_of((str, Path), "a name, or a benchmark.yaml")("which", which)
+    if which in PROTOCOL_NAMES:
+        return named_benchmark(str(which))
+    text, path = str(which), Path(which)
+    if path.suffix.lower() in (".yaml", ".yml") or path.is_dir():
+        return read_benchmark(path / "benchmark.yaml" if path.is_dir() else path, pieces=pieces)
+    if ":" in text:
+        return _of_function(text)
+    raise FileError(
+        f"no benchmark is called {printable(text)[:200]!r}{nearest(text, PROTOCOL_NAMES)}; allowed are"
+        f" {', '.join(PROTOCOL_NAMES)}, a benchmark.yaml, or {HOW}"
+    )
+
+
+def _of_function(spec: str) -> Benchmark:
+    """What a user's function returns."""
+    try:
+        found = load_function(spec).function()
+    except (ImportError, TypeError) as error:
+        raise FileError(
+            f"benchmark {printable(spec)}: {printable(error)}; it must be {HOW}"
+        ) from None
+    if not isinstance(found, Benchmark):
+        raise FileError(
+            f"benchmark {printable(spec)}: returned {type(found).__name__}; it must return a Benchmark"
+        )
+    return found

@@ -1,0 +1,154 @@
+"""The benchmark of a stored run: that of its run.json, from the files that the user gives or that it names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.registry import PROTOCOL_NAMES
+from r2h_batch.data.people import WORDS
+from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.protocols.choice import BenchmarkChoice, words_of
+from r2h_batch.protocols.family_objects import PREFIX
+from r2h_batch.protocols.trials_file import LISTED
+from r2h_batch.scene.objects import object_digest
+from r2h_batch.scene.robot import ROBOTS
+
+
+def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: str) -> Benchmark:
+    """The benchmark of a stored run.
+
+    Its files are those that the user gives, or else those that run.json names, where they still are: in the
+    run folder, or as the sweep was given them. A run folder may come from anybody, so digests decide: other
+    files are refused, and no code is imported.
+
+    Args:
+        header: run.json.
+        given: the flags; none: those of the sweep.
+        where: the run folder.
+
+    Raises:
+        FileError: the flags give another benchmark; the message says what to give.
+    """
+    protocol, digests = header["protocol"], header["digests"]
+    said = _said(header)
+    if not _files(replace(given, receiver="", turn="")):
+        given = _found(said, Path(where)) or given
+    if said.robot in ROBOTS and not given.robot:  # a built-in robot is no file
+        given = replace(given, robot=said.robot)
+    if said.turn:  # nor is a turn
+        given = replace(given, turn=said.turn)
+    flags = _check_flags(header, given, where)
+    if not given.benchmark and protocol != LISTED:
+        if protocol not in PROTOCOL_NAMES:
+            known = f"this version has {', '.join(PROTOCOL_NAMES)}; give its --benchmark"
+            raise FileError(f"{where}: benchmark {printable(protocol)!r}; {known}")
+        given = replace(given, benchmark=protocol)
+    given = replace(given, receiver=header["configuration"].get("receiver", "hand"))
+    pieces = header["configuration"]["plan"]["object_collision"] == "pieces"
+    benchmark = given.read(pieces=pieces)
+    found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
+    if "benchmark" in digests:  # older runs lack it
+        found["benchmark"] = benchmark.digest
+    differing = [k for k, v in found.items() if digests.get(k) != v]
+    pairs = zip(header.get("objects", ()), benchmark.objects, strict=False)
+    if other := [o.name for entry, o in pairs if entry.get("digest", "") != object_digest(o)]:
+        differing = [
+            f"objects ({', '.join(other[:10])})" if k == "objects" else k for k in differing
+        ]
+    if differing:
+        files = f"; its sweep was given {flags}" if flags else ""
+        version = f"{header['versions'].get('r2h_batch')} at commit {header.get('git_commit')}"
+        how = f"take the same files, and r2h_batch {version}"
+        raise FileError(f"{where}: was made with other {', '.join(differing)}{files}; {how}")
+    return benchmark
+
+
+def _said(header: Mapping[str, Any]) -> BenchmarkChoice:
+    """The flags of the run's sweep as run.json has them, without receiver."""
+    pairs = [f[2:].partition(" ") for f in (header.get("benchmark") or {}).get("flags", ())]
+    known = {f.name: f for f in fields(BenchmarkChoice) if f.name != "receiver"}
+    lists = {name for name, field in known.items() if field.default == ()}
+    said: dict[str, Any] = {k.replace("-", "_"): v for k, _, v in pairs}
+    values: dict[str, Any] = {}
+    for name, text in said.items():
+        words = words_of(text)
+        if name in lists:
+            values[name] = tuple(words)
+        elif name in known:  # older versions wrote one with spaces without quotes
+            values[name] = words[0] if len(words) == 1 else text
+    return BenchmarkChoice(**values)
+
+
+def _found(said: BenchmarkChoice, run: Path) -> BenchmarkChoice | None:
+    """The same flags with each file where it is now; None where one is not found, or there are none."""
+    if not said.flags():
+        return None
+    bases = (Path(), *run.resolve().parents)
+
+    def place(name: str) -> str | None:
+        last = Path(name).parts[-2:]
+        if len(last) == 2 and ".." not in last and run.joinpath(*last).exists():
+            return str(run.joinpath(*last))  # what a sweep imported lies in its run folder
+        return next((str(base / name) for base in bases if (base / name).exists()), None)
+
+    def of(name: str, value: str) -> str | None:
+        if (
+            name in ("persons", "turn")
+            or (name == "benchmark" and value in PROTOCOL_NAMES)
+            or (name == "people" and value in WORDS)
+            or (name == "robot" and value in ROBOTS)
+            or value.startswith(PREFIX)
+        ):
+            return value
+        if name == "object_mesh":  # FILE[:SPLIT[:REGION]]
+            file, sign, rest = value.partition(":")
+        elif name == "grasps":  # NAME=FILE
+            rest, sign, file = value.rpartition("=")
+        else:
+            file, sign, rest = value, "", ""
+        if (at := place(file)) is None:
+            return None
+        return rest + sign + at if name == "grasps" else at + sign + rest
+
+    values = {name: value for name, value in asdict(said).items() if value}
+    placed: dict[str, Any] = {
+        name: tuple(of(name, v) for v in value) if isinstance(value, tuple) else of(name, value)
+        for name, value in values.items()
+    }
+    lost = any(v is None or (isinstance(v, tuple) and None in v) for v in placed.values())
+    return None if lost else BenchmarkChoice(**placed)
+
+
+def _files(choice: BenchmarkChoice) -> list[str]:
+    """The flags without the name of a benchmark, which names no file."""
+    return [f for f in choice.flags() if not _is_said(f)]
+
+
+def _is_said(flag: str) -> bool:
+    """Whether run.json says elsewhere what a flag says: the rule that drew the trials, what was seen of the person."""
+    name, _, value = flag.partition(" ")
+    named = name == "--benchmark" and value in PROTOCOL_NAMES
+    return named or name in ("--protocol", "--receiver")
+
+
+def _check_flags(header: Mapping[str, Any], given: BenchmarkChoice, where: str) -> str:
+    """The flags of the run's sweep that name files, robots, people and turns.
+
+    Raises:
+        FileError: others are given.
+    """
+    if "benchmark" not in header:  # an older run
+        own = [o["name"] for o in header.get("objects", []) if not o["built_in"]]
+        if len(given.object_mesh) != len(own):
+            how = f"{', '.join(own) or 'none'}; give their --object-mesh as in the sweep"
+            raise FileError(f"{where}: has the user's objects {how}")
+        return ""
+    flags = [f for f in header["benchmark"]["flags"] if not _is_said(f)]
+    if {f.split()[0] for f in flags} != {f.split()[0] for f in _files(given)}:
+        how = " ".join(flags) or "no flag for objects or hands"
+        raise FileError(f"{where}: give what its sweep was given: {how}")
+    return " ".join(flags)

@@ -1,0 +1,112 @@
+"""Stored rows of the built-in methods: which folder holds those of a benchmark."""
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from r2h_batch.base.io.read import FileError
+from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
+
+if TYPE_CHECKING:
+    from r2h_batch.runs.store import Run
+
+SHIPPED = Path(__file__).parent / "rows"
+"""Rows of the default benchmark, 500 trials of each split: moved by MuJoCo C (with poses), and with `--sim none`.
+`make tables` scores them again."""
+
+ROWS = Path(__file__).resolve().parents[3] / "bench" / "rows"
+"""Only in a checkout: rows of the other benchmarks and presets."""
+
+
+@cache
+def stored_rows() -> tuple[Path, ...]:
+    """All folders of rows that the project's tests judge again, those of the default benchmark first."""
+    return tuple(
+        folder
+        for place in (SHIPPED, ROWS)
+        if place.is_dir()
+        for folder in sorted(place.iterdir())
+        if folder.is_dir()
+    )
+
+
+def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
+    """The stored run that the run of this run.json can be compared with: of the same benchmark, by its digest, and preset,
+    moved by the same engine if there is one; else of the same rule, objects and hands.
+
+    Args:
+        header: run.json; None: simulated rows of the default benchmark.
+
+    Raises:
+        FileError: none is stored; the line says the command that makes it.
+    """
+    if header is None:
+        return baselines_of(None, DEFAULT_PROTOCOL)
+    ranked = sorted(
+        ((_likeness(header, own), folder) for folder, own in _headers().items()),
+        key=lambda pair: pair[0],
+        reverse=True,
+    )
+    if not ranked or ranked[0][0][:2] < (1, 1):
+        flags = " ".join((header.get("benchmark") or {}).get("flags", ()))
+        preset = header.get("configuration", {}).get("name", "default")
+        raise FileError(_none_stored(str(header.get("protocol", "")), flags, preset))
+    return ranked[0][1]
+
+
+def baselines_of(digest: str | None, name: str) -> Path:
+    """The stored run of a benchmark with the default preset, simulated if there is one.
+
+    Args:
+        digest: of the benchmark; None: of the rule `name`.
+        name: of the benchmark, for the message.
+
+    Raises:
+        FileError: none is stored; the line says the command that makes it.
+    """
+    found = [
+        folder
+        for folder, own in _headers().items()
+        if own["configuration"]["name"] == "default"
+        and (own["digests"]["benchmark"] == digest if digest else own["protocol"] == name)
+    ]
+    if not found:
+        raise FileError(_none_stored(name, f"--benchmark {name}", "default"))
+    simulated = [f for f in found if _headers()[f]["configuration"]["execute"]["sim"] != "none"]
+    return (simulated or found)[0]
+
+
+def is_stored(run: "Run") -> bool:
+    """Whether a run is one of the stored ones."""
+    return run.folder in stored_rows()
+
+
+@cache
+def _headers() -> dict[Path, dict[str, Any]]:
+    from r2h_batch.runs.header import read_header
+
+    return {folder: read_header(folder) for folder in stored_rows()}
+
+
+def _likeness(header: Mapping[str, Any], own: Mapping[str, Any]) -> tuple[int, int, int]:
+    """How well stored rows suit a run: its benchmark (2: the same digest, 1: the same rule, objects and hands), its preset,
+    its engine."""
+    digests, theirs = header.get("digests", {}), own["digests"]
+    same = digests.get("benchmark") == theirs["benchmark"]
+    alike = header.get("protocol") == own["protocol"] and all(
+        digests.get(k) == theirs[k] for k in ("objects", "hand_set")
+    )
+    configuration = header.get("configuration", {})
+    preset = configuration.get("name", "default") == own["configuration"]["name"]
+    engines = ((c.get("execute") or {}).get("sim") for c in (configuration, own["configuration"]))
+    return 2 if same else int(alike), int(preset), int(len({*engines}) == 1)
+
+
+def _none_stored(name: str, flags: str, preset: str) -> str:
+    out = f"runs/baselines-{name}"
+    more = "" if preset == "default" else f" --preset {preset}"
+    line = f"r2h-batch sweep --method {' '.join(METHOD_NAMES)} {flags}{more} --out {out}".replace(
+        "  ", " "
+    )
+    return f"no rows of the built-in methods are stored for benchmark {name}{more}; make them with `{line}`, then say {out}"
