@@ -24,7 +24,7 @@ from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
 from r2h_batch.protocols.draw.rule import Rule
 from r2h_batch.protocols.trials_file import LISTED, Labels, listed_with_ids
-from r2h_batch.scene.hand import HandSet
+from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.types import Trials
@@ -291,10 +291,12 @@ class Benchmark:
         return f"Benchmark({self.name}: {counts}, {len(self.hand_set)} hands, {who}, {self.robot.name})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Stored objects travel by name."""
+        """Stored objects and the built-in hands travel by name."""
         stored = {id(o): o.name for o in self.objects if o is _stored(o.name)}
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         values["objects"] = tuple(stored.get(id(o), o) for o in self.objects)
+        if self.hand_set is _hands_of(self.people):
+            values["hand_set"] = None
         return _unpickled, (type(self), values)
 
 
@@ -305,9 +307,15 @@ def _stored(name: str) -> ObjectModel | None:
         return None
 
 
+def _hands_of(people: People | None) -> HandSet:
+    """The built-in hands of people, or of nobody in particular."""
+    return load_hand_set() if people is None else people_hand_set(people)
+
+
 def _unpickled(cls: type[Benchmark], values: dict[str, Any]) -> Benchmark:
     objects = (load_objects([o])[0] if isinstance(o, str) else o for o in values["objects"])
-    return cls(**{**values, "objects": tuple(objects)})
+    hand_set = values["hand_set"] or _hands_of(values["people"])
+    return cls(**{**values, "objects": tuple(objects), "hand_set": hand_set})
 
 
 def trials_digest(trials: Trials) -> str:

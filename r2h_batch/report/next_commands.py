@@ -3,8 +3,8 @@
 import shlex
 from collections.abc import Sequence
 
-from r2h_batch.base.registry import TURNS
 from r2h_batch.base.io.read import FileError
+from r2h_batch.base.registry import TURNS
 from r2h_batch.report.compare.command import BASELINES
 from r2h_batch.report.compare.stored import baselines_for, is_stored, stored_rows
 from r2h_batch.report.statistics.common import common_trials

@@ -1,19 +1,24 @@
 """Handovers in closed loop as Gymnasium makes them: `gymnasium.make_vec("r2h_batch/Handover-v1", num_envs=64)`."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from r2h_batch.base.command_line import UsageError
-from r2h_batch.base.validate import integer, optional, text
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.validate import instance_of, integer, optional, text
 from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.moving import ReceiverMotion
-from r2h_batch.sweep.jobs import make_jobs, set_up
-from r2h_batch.sweep.options import parse
-from r2h_batch.sweep.request import requested
+from r2h_batch.config import EvalConfig
+from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.protocols.load import load_benchmark
+from r2h_batch.sweep.jobs import make_jobs, prepare
+from r2h_batch.sweep.request import Methods, Work
 from r2h_batch.types import CRITERIA, Predictions, Scores
+from r2h_batch.verdicts import SPLITS
 from r2h_batch.view.drawing import View, view_of
 from r2h_batch.view.episode import EpisodeDrawing
 from r2h_batch.view.pictures import painter
@@ -76,8 +81,13 @@ def make_vector(
     *,
     method: str = "oracle",
     motion: ReceiverMotion | str = "moves",
+    benchmark: Benchmark | str | Path | None = None,
+    splits: Sequence[str] | str = SPLITS,
     trials: int | None = None,
-    sweep: Sequence[str] = (),
+    preset: str = "default",
+    device: str = "cpu",
+    threads: int | None = None,
+    seed: int = 0,
     autoreset: bool = True,
     render_mode: str | None = None,
     config: LoopConfig | None = None,
@@ -89,28 +99,35 @@ def make_vector(
         num_envs: handovers at once.
         method: who says grasps and handover poses: a word of `r2h-batch ls methods`, or your package.module:function.
         motion: of the receivers, or its name.
+        benchmark: whose trials, or what `load_benchmark` takes; None: the default one.
+        splits: S0, S1 or both.
         trials: trials of each split; None: at least 30, and enough for `num_envs`. Those whose object the gripper
             cannot hold are left out. Episodes after the first take the next trial in turn.
-        sweep: more flags, as `r2h-batch sweep` takes them: ("--splits", "S0", "--robot", "panda_hand").
+        preset: how the benchmark plans.
+        device: `cpu`, `cuda` or `cuda:N`.
+        threads: CPU threads; None: all cores.
+        seed: of the method.
         autoreset: whether rows that have ended begin their next episode (`AutoresetMode.NEXT_STEP`).
         render_mode: None, or rgb_array.
         config: how the loop runs.
         more: other arguments of `HandoverEnv`: action, privileged, output.
 
     Raises:
-        ValueError: there are not as many handovers.
-        UsageError: no such method or flag.
+        ValueError: there are not as many handovers, no such benchmark or method.
+        TypeError: config is no LoopConfig.
     """
     integer(1)("num_envs", num_envs)
     optional(integer(1))("trials", trials)
     text("method", method)
-    each = trials or max(LEAST_TRIALS, num_envs)
-    line = ["--method", method, "--trials", str(each), "--sim", "none", *sweep]
-    request = requested(parse(line))
-    setting = set_up(request)
-    jobs = make_jobs(request.methods, [], setting)
-    if len(jobs) != 1:
-        raise UsageError(f"{len(jobs)} methods are given; an environment has one")
+    optional(instance_of(LoopConfig, "LoopConfig(rate_hz=..., latency_s=...)"))("config", config)
+    if not isinstance(benchmark, Benchmark):
+        benchmark = load_benchmark(DEFAULT_PROTOCOL if benchmark is None else benchmark)
+    chosen = (splits,) if isinstance(splits, str) else tuple(splits)
+    plan = dict.fromkeys(chosen, trials or max(LEAST_TRIALS, num_envs))
+    how = EvalConfig.preset(preset)
+    how = benchmark.config(replace(how, execute=replace(how.execute, sim="none")))
+    setting = prepare(benchmark, plan, how, Work(device, threads, 0, (1, 1), None), None)
+    jobs = make_jobs(Methods(names=(method,), seed=seed), [], setting)
     asked = setting.trials(setting.ids(0, setting.planned)).to(setting.evaluator.scene.device)
     answer = jobs[0].predict(asked, None)
     scores = setting.evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)

@@ -51,10 +51,13 @@ def test_listed_trials_may_have_bodies_and_people_and_are_judged_as_the_protocol
         assert found.trial_id.tolist() == wanted.trial_id.tolist() and given.has_bodies
         torch.testing.assert_close(found.receiver, wanted.receiver, rtol=0, atol=0)
         torch.testing.assert_close(found.person[:, :5], wanted.person[:, :5], rtol=0, atol=0)
-    own = Evaluator(load_benchmark("r2h-v1"), BenchmarkChoice(people="adults", receiver="body").read()).kinematic
-    listed = Evaluator(load_benchmark("r2h-v1"), given).kinematic
+    own = Evaluator(BenchmarkChoice(benchmark="r2h-v1", people="adults", receiver="body").read()).kinematic
+    listed = Evaluator(given).kinematic
     answer = random.predict(wanted, own.scene, seed=0)
-    a, b = (e.score(answer.T_obj_ee, answer.T_world_ee, t) for e, t in ((own, wanted), (listed, found)))
+    a, b = (
+        e.score(answer.T_obj_ee, answer.T_world_ee, t)
+        for e, t in ((own, wanted.named(own.scene.objects)), (listed, found))
+    )
     assert a.outcome.equal(b.outcome) and a.margin.nan_to_num().equal(b.margin.nan_to_num())
 
 

@@ -196,7 +196,7 @@ def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
     given = BenchmarkChoice(hand_model=str(tmp_path / "large.npz"), hands=str(tmp_path / "two.npz"))
     found = given.read()
     assert given.read().hand_set is found.hand_set  # read once: what is made for a hand is made once
-    scene = Evaluator(load_benchmark("r2h-v1"), found).scene
+    scene = Evaluator(found).scene
     assert scene.hands.model is found.hand_set.model and len(scene.hands.set) == 2
     rest = own.model.pose(torch.zeros(1, 48)).vertices
     assert torch.allclose(scene.hands.model.pose(torch.zeros(1, 48)).vertices, rest * 1.1, atol=1e-3)
