@@ -6,16 +6,11 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.user_code import load_function
 from r2h_batch.config import EstimateConfig, EvalConfig, IkConfig
 from r2h_batch.runs import provenance
-from r2h_batch.sweep.options import (
-    KINDS,
-    SEEN_BY,
-    Options,
-    UsageError,
-    execution_error,
-)
+from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, execution_error
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 from r2h_batch.verdicts import SPLITS
 

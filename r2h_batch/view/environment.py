@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.validate import integer, optional, text
 from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.moving import ReceiverMotion

@@ -10,7 +10,7 @@ from grasp_files import poses, write_acronym, write_isaac
 from needs import needs
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.data.grasp_files import PAD_HALF_M, T_gripper_ee, read_file_of
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import seat_grasps

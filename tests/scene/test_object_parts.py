@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.scene import objects
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.mesh_import.cache import key_of

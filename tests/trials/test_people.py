@@ -12,7 +12,7 @@ import torch
 
 from r2h_batch import make_trials
 from r2h_batch.assets.hand.build_handset import angles_from_pose
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.data.people import (
     GROUPS,

@@ -11,7 +11,7 @@ import trimesh
 
 from r2h_batch import EvalConfig, Evaluator, make_trials
 from r2h_batch.__main__ import main
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.config import Thresholds
 from r2h_batch.methods.part_roles import GRASP, WRAP, roles_of
 from r2h_batch.scene.hand import palm_frame

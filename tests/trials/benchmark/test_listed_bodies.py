@@ -11,7 +11,7 @@ import torch
 from refusals import one_line
 
 from r2h_batch import Evaluator, make_trials
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.methods import random
 from r2h_batch.scene.arrays import asset
 from r2h_batch.trials.benchmark.benchmark import built_in
