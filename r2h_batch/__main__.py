@@ -143,9 +143,10 @@ def _completed() -> dict[str, Command]:
 
 def _chooser(words: tuple[str, ...]) -> Command:
     """A command of one of the words and files."""
-    from tyro.conf import Positional
+    import tyro
 
-    chosen = [("command", Positional[Literal[words]]), ("files", Positional[tuple[Path, ...]])]
+    positional: Any = tyro.conf.Positional
+    chosen = [("command", positional[Literal[words]]), ("files", positional[tuple[Path, ...]])]
     return make_dataclass("Chosen", chosen)
 
 
