@@ -31,6 +31,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import contact, fc, handover_va, intent, oracle, random
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.edit import edited
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.scene.arrays import asset, read_arrays
 from r2h_batch.scene.hand import load_hand, load_hand_set
@@ -215,7 +216,7 @@ def hand_files(folder: Path) -> dict[str, list[str]]:
 
 def draw(path: Path) -> None:
     """24 receivers of `people: all` from the side of their arm, by stature, with the robot at home."""
-    benchmark = BenchmarkChoice(people="all").read()
+    benchmark = edited(BenchmarkChoice(people="all"))
     trials = benchmark.trials(120)
     assert trials.person is not None
     evaluator = Evaluator(benchmark).kinematic
@@ -235,7 +236,7 @@ def draw(path: Path) -> None:
 def cost(rounds: int = 7, trials: int = 64) -> dict[str, Any]:
     """Core milliseconds of a trial by turns, and adults' over r2h-v1's of each turn: drawing, and judging the oracle's answers
     without motions (all are successes in both, so that outcomes do not differ)."""
-    made = {V1: load_benchmark("r2h-v1"), "adults": BenchmarkChoice(people="adults").read()}
+    made = {V1: load_benchmark("r2h-v1"), "adults": edited(BenchmarkChoice(people="adults"))}
     judged: dict[str, Callable[[], object]] = {}
     for name, benchmark in made.items():
         evaluator = Evaluator(benchmark, threads=1).kinematic
@@ -269,7 +270,7 @@ def of_group(group: str, options: argparse.Namespace) -> dict[str, Any]:
 def of_reception(options: argparse.Namespace) -> dict[str, Any]:
     """Hand -> method -> trials of `RECEIVED`, those that are received, and those that are a success too."""
     found: dict[str, Any] = {}
-    for name, benchmark in ((V1, load_benchmark("r2h-v1")), ("adults", BenchmarkChoice(people="adults").read())):
+    for name, benchmark in ((V1, load_benchmark("r2h-v1")), ("adults", edited(BenchmarkChoice(people="adults")))):
         few = replace(benchmark, objects=load_objects(RECEIVED))
         evaluator = Evaluator(few, threads=1).kinematic
         drawn = few.trials(options.trials)

@@ -3,11 +3,13 @@ names the version."""
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import make_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from r2h_batch.base.command_line import Command, answer, call, failed, nearest, read, refuse
+from r2h_batch.base.command_line import Command, exit_code_of, failed, parse, refuse, run_command
+from r2h_batch.base.errors import nearest
 from r2h_batch.base.package import VERSION
 
 COMMANDS = {
@@ -88,14 +90,14 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> 
     given = list(sys.argv[1:] if arguments is None else arguments)
     name = given[0] if given else "--help"
     if name not in COMMANDS:
-        return answer(prog, lambda: _about(name, given, prog))
+        return exit_code_of(prog, lambda: _about(name, given, prog))
     try:
         command = command_of(name)
-    except KeyboardInterrupt:  # while it is imported; what it does itself, `answer` hears
+    except KeyboardInterrupt:  # while it is imported; what it does itself, `exit_code_of` hears
         return refuse(name, "interrupted", 130)
     if name == "sweep":
         return int(command(given[1:], prog=f"{prog} {name}"))
-    return call(command, given[1:], prog=f"{prog} {name}", name=name)
+    return run_command(command, given[1:], prog=f"{prog} {name}", name=name)
 
 
 def command_of(name: str) -> Any:
@@ -111,12 +113,12 @@ def _about(name: str, given: Sequence[str], prog: str) -> int:
         print(f"r2h_batch {VERSION}")
         return 0
     if name in ("-h", "--help"):
-        read(
+        parse(
             {name: _described(text) for name, (_, text) in COMMANDS.items()}, ["--help"], prog=prog
         )
     if name.startswith("--tyro-"):
         try:
-            read(_completed(), given, prog=prog)
+            parse(_completed(), given, prog=prog)
         except OSError as error:
             return failed(prog, error)
     kind, allowed = (
@@ -140,10 +142,12 @@ def _completed() -> dict[str, Command]:
 
 
 def _chooser(words: tuple[str, ...]) -> Command:
-    def choose(command: str, files: tuple[Path, ...], /) -> None: ...
+    """A command of one of the words and files."""
+    import tyro
 
-    choose.__annotations__["command"] = Literal[words]
-    return choose
+    positional: Any = tyro.conf.Positional
+    chosen = [("command", positional[Literal[words]]), ("files", positional[tuple[Path, ...]])]
+    return make_dataclass("Chosen", chosen)
 
 
 def _described(text: str) -> Callable[[], None]:

@@ -8,7 +8,7 @@ import pytest
 from made_runs import write
 
 from r2h_batch.__main__ import main
-from r2h_batch.base.command_line import answer
+from r2h_batch.base.command_line import exit_code_of
 from r2h_batch.trials.predictions import load_predictions
 
 
@@ -65,7 +65,7 @@ def test_ctrl_c_is_one_line_and_130(capsys):
     def work():
         raise KeyboardInterrupt
 
-    assert answer("figures", work) == 130
+    assert exit_code_of("figures", work) == 130
     assert capsys.readouterr().err == "figures: interrupted\n"
 
 

@@ -6,7 +6,8 @@ import socket
 import pytest
 
 from r2h_batch.__main__ import main
-from r2h_batch.base.io.read import FileError, open_file, path_within, read_file
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import open_file, path_within, read_file
 
 
 def special_files(folder):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from r2h_batch import load_benchmark
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.scene.hand_file import read_hand_set
 

@@ -72,10 +72,11 @@ def test_a_kernel_cache_that_takes_nothing_is_one_line_and_exit_code_1(tmp_path)
 
     Another kernel is there already, so the cache was not full when it was begun.
     """
-    code = f"{FILLS_UP}\nimport sys\nfrom r2h_batch.base.command_line import answer\nfrom r2h_batch.base.launch import load\n"
-    code += (
-        "from r2h_batch.kernels.plan.rrt import rrt_connect as k\nsys.exit(answer('sweep', lambda: load([k], 'cpu')))"
+    code = (
+        f"{FILLS_UP}\nimport sys\nfrom r2h_batch.base.command_line import exit_code_of\n"
+        "from r2h_batch.base.launch import load\n"
     )
+    code += "from r2h_batch.kernels.plan.rrt import rrt_connect as k\nsys.exit(exit_code_of('sweep', lambda: load([k], 'cpu')))"
     environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / "cache")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 1 and "Traceback" not in done.stderr

@@ -189,7 +189,7 @@ MUTATIONS = (
         "r2h_batch/base/schedule.py",
         "of_split = (ids & 1) == k",
         "of_split = (ids & 1) != k",
-        ("tests/trials/test_trials.py::test_objects_alternate_and_every_object_meets_both_hands_alike",),
+        ("tests/protocols/test_trials.py::test_objects_alternate_and_every_object_meets_both_hands_alike",),
     ),
     Mutation(
         "statistics: a criterion that was not evaluated fails",

@@ -7,7 +7,6 @@ every argument of every command.
 """
 
 import contextlib
-import difflib
 import errno
 import inspect
 import io
@@ -22,8 +21,9 @@ from dataclasses import fields, is_dataclass
 from functools import partial, wraps
 from typing import Annotated, Any, Literal, TextIO, get_args, get_origin, get_type_hints
 
+from r2h_batch.base.errors import FileError, MachineError, UsageError, UserError, nearest
 from r2h_batch.base.io.log import LOG, silence
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.validate import expand_home, parse_number, parse_whole_number
 
 Command = Callable[..., Any]
@@ -31,22 +31,7 @@ Command = Callable[..., Any]
 MOST_SEED = (1 << 63) - 1
 
 
-class UsageError(Exception):
-    """A command line that cannot be run: one line that says what was given and what is allowed."""
-
-
-class MachineError(RuntimeError):
-    """Work that this machine cannot do, in one line; a command ends with exit code 1."""
-
-
-def nearest(name: str, allowed: Sequence[str]) -> str:
-    """`, did you mean X?` for the allowed word nearest to a misspelt one; empty where none is
-    near."""
-    near = difflib.get_close_matches(name, allowed, n=1)
-    return f", did you mean {near[0]}?" if near else ""
-
-
-def read(
+def parse(
     command: Command | Mapping[str, Command],
     arguments: Sequence[str],
     *,
@@ -76,16 +61,16 @@ def read(
             raise UsageError(f"{what}; allowed are {', '.join(command)}")
         chosen = command.get(words[0]) if words else None
         deferred = {name: _deferred(f) for name, f in command.items()}
-        parse = partial(tyro.extras.subcommand_cli_from_dict, deferred)
+        cli = partial(tyro.extras.subcommand_cli_from_dict, deferred)
     else:
         chosen = command
-        parse = partial(tyro.cli, command if is_dataclass(command) else _deferred(command))
+        cli = partial(tyro.cli, command if is_dataclass(command) else _deferred(command))
         if default is not None:
-            parse = partial(parse, default=default)
+            cli = partial(cli, default=default)
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):
-            found = parse(
+            found = cli(
                 prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
                 registry=_plain_numbers(),
             )  # fmt: skip
@@ -151,7 +136,7 @@ def check_seed(seed: int) -> None:
         raise UsageError(f"--seed is {str(seed)[:40]}; it must be 0 or more and fit 64 bits")
 
 
-def call(
+def run_command(
     command: Command | Mapping[str, Command], arguments: Sequence[str], *, prog: str, name: str
 ) -> int:
     """Exit code of a function or of one of several; 2 with one line on stderr where it refuses its
@@ -159,16 +144,16 @@ def call(
 
     def work() -> int:
         try:
-            return int(read(command, arguments, prog=prog)())
+            return int(parse(command, arguments, prog=prog)())
         except ValueError as error:
             return refuse(name, error)
 
-    return answer(name, work)
+    return exit_code_of(name, work)
 
 
-def answer(name: str, work: Callable[[], int]) -> int:
-    """Exit code of a command's work; 2 with one line where it raises `UsageError`, 1 where stdout
-    does not take the answer.
+def exit_code_of(name: str, work: Callable[[], int]) -> int:
+    """Exit code of a command's work; 2 with one line where it raises a `UserError`, 1 for a
+    `MachineError` or where stdout does not take the answer.
 
     What the work prints is kept until it ends: so a closed or full stdout, or one that only takes
     ASCII, is told from an error of the work itself, and no control character of a name in a file
@@ -182,7 +167,7 @@ def answer(name: str, work: Callable[[], int]) -> int:
     try:
         with contextlib.redirect_stdout(kept), _warnings_in_a_line(name):
             code = work()
-    except (UsageError, FileError) as error:
+    except UserError as error:
         code = refuse(name, error)
     except MachineError as error:
         code = refuse(name, error, 1)

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 
 HOW = "package.module:function or FILE.py:function"
 

@@ -22,7 +22,8 @@ from functools import cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, SupportsIndex, TypeVar, get_type_hints
 
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable
 
 Rule = Callable[[str, Any], Any]
 P = ParamSpec("P")

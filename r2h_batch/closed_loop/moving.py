@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
-from r2h_batch.base.io.read import FileError, read_npz
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import read_npz
 from r2h_batch.closed_loop.arm_ranges import lower_arm_angles, within_ranges
 from r2h_batch.scene.hand import palm_frame, rotation_from_axis_angle
 from r2h_batch.scene.scene import Scene

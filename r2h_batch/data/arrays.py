@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.io.read import printable
 
 F64 = NDArray[np.float64]
 MAX_FRAMES = MAX_FILES = 200_000

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from r2h_batch.base.command_line import Command, UsageError, counted
+from r2h_batch.base.command_line import Command, counted
+from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import check_output_file, check_output_folder
 
 if TYPE_CHECKING:

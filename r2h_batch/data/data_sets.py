@@ -19,16 +19,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.read import (
-    FileError,
-    path_within,
-    printable,
-    read_file,
-    read_json,
-    read_npz,
-    read_yaml,
-)
+from r2h_batch.base.io.read import path_within, printable, read_file, read_json, read_npz, read_yaml
 from r2h_batch.data.arrays import files_below, numbers, rigid
 from r2h_batch.data.mano import ManoHand
 from r2h_batch.data.safe_pickle import read_npy, read_pickle, read_pickle_file

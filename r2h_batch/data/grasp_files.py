@@ -35,9 +35,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.command_line import nearest
+from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.read import FileError, printable, read_json, read_npy, read_npz, read_yaml
+from r2h_batch.base.io.read import printable, read_json, read_npy, read_npz, read_yaml
 from r2h_batch.data.arrays import numbers, rigid
 from r2h_batch.data.hdf5 import read_datasets
 from r2h_batch.scene.grasp_set import MAX_GRASPS, GraspSet, checked_grasps, read_grasps

@@ -33,8 +33,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import write_npz
 from r2h_batch.data.data_sets import DATA_SETS, HandMotion, oakink_receivers
 from r2h_batch.data.mano import ManoHand

@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.child import answer_parent, read_in_child
-from r2h_batch.base.io.read import FileError, open_file, printable
+from r2h_batch.base.io.read import open_file, printable
 
 MOST = 64 << 20
 MOST_CHUNK = 1 << 20

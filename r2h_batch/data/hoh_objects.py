@@ -29,7 +29,8 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from r2h_batch.base.io.read import FileError, printable, read_json
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable, read_json
 from r2h_batch.base.io.write import csv_cell
 from r2h_batch.data.arrays import files_below, numbers
 from r2h_batch.data.oakink_objects import OakObject

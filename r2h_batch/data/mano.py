@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.io.read import FileError, read_npz
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import read_npz
 from r2h_batch.data.arrays import numbers
 from r2h_batch.data.safe_pickle import read_pickle_file
 from r2h_batch.scene import hand_pieces

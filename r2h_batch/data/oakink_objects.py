@@ -22,8 +22,8 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from r2h_batch.base.command_line import nearest
-from r2h_batch.base.io.read import FileError, printable, read_json
+from r2h_batch.base.errors import FileError, nearest
+from r2h_batch.base.io.read import printable, read_json
 from r2h_batch.base.io.write import write_npz
 from r2h_batch.data.arrays import files_below, numbers
 from r2h_batch.data.data_sets import name_of, oakink_objects

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.io.read import FileError, printable, read_file
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable, read_file
 from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays, stored_arrays
 from r2h_batch.scene.hand import HandModel, HandSet, make_hand_set
 from r2h_batch.verdicts import SEXES

@@ -39,7 +39,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from r2h_batch.base import se3
-from r2h_batch.base.io.read import FileError, path_within, printable, read_file, read_json
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import path_within, printable, read_file, read_json
 from r2h_batch.base.io.write import csv_cell, write_npz, write_text
 from r2h_batch.data.release_files import (
     MAX_BYTES,

@@ -18,7 +18,8 @@ import trimesh
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
-from r2h_batch.base.io.read import FileError, path_within, printable, read_json
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import path_within, printable, read_json
 from r2h_batch.base.validate import rule_of
 
 Array = NDArray[np.float64]

@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal
 import pyarrow as pa
 from pydantic import AfterValidator, Field
 
-from r2h_batch.base.io.read import FileError, printable, read_json
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable, read_json
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.data.release_files import Entry, Name, Receiver, validated
 from r2h_batch.runs import provenance

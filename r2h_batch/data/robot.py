@@ -17,8 +17,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.io.read import printable
 from r2h_batch.config import Workplace
 from r2h_batch.data.robot_chain import (
     HELD_KG,

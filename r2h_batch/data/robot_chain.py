@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable
 from r2h_batch.data.robot_model import Body, Geom, Joint, Loop, Model, moved
 
 Array = NDArray[np.float64]

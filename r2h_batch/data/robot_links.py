@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.io.read import FileError, path_within, printable
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import path_within, printable
 from r2h_batch.data.robot_chain import Part, Rigid
 from r2h_batch.data.robot_model import Geom, Model, frame
 from r2h_batch.data.robot_shapes import BOX, CAPSULE, CYLINDER, Shape

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.io.read import FileError, path_within, printable, read_file
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import path_within, printable, read_file
 
 Array = NDArray[np.float64]
 

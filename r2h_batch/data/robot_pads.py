@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 
 Array = NDArray[np.float64]
 

@@ -27,8 +27,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io import read as files
-from r2h_batch.base.io.read import FileError, printable, read_file
+from r2h_batch.base.io.read import printable, read_file
 
 MAX_BYTES = 256 << 20
 """MANO's own files have 3.8 MB, a sequence of ARCTIC 1 MB."""

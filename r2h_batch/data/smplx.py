@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.read import FileError, path_within, printable, read_npz
+from r2h_batch.base.io.read import path_within, printable, read_npz
 from r2h_batch.data.arrays import numbers
 from r2h_batch.scene.mesh_import.file import load_mesh_file
 

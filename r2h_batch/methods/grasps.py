@@ -21,6 +21,7 @@ import warp as wp
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from r2h_batch.base.errors import UserError
 from r2h_batch.base.launch import init_warp, launch_trials
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.config import Thresholds
@@ -56,7 +57,7 @@ def widest_m(robot: Robot) -> float:
 F32 = NDArray[np.float32]
 
 
-class NoGraspError(ValueError):
+class NoGraspError(UserError):
     """An object that the gripper cannot hold anywhere, as far as was found."""
 
 

@@ -2,10 +2,7 @@
 
 import shlex
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from r2h_batch.protocols.benchmark import Benchmark
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -47,16 +44,6 @@ class BenchmarkChoice:
             for k, v in given
             if v
         ]
-
-    def read(self, *, pieces: bool = False) -> "Benchmark":
-        """The benchmark; `pieces` as `load_benchmark` takes it.
-
-        Raises:
-            ValueError: one line, mostly a `FileError`.
-        """
-        from r2h_batch.protocols.edit import edited
-
-        return edited(self, pieces=pieces)
 
 
 def words_of(text: str) -> list[str]:

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.command_line import nearest
-from r2h_batch.base.io.read import FileError, path_within, printable
+from r2h_batch.base.errors import FileError, nearest
+from r2h_batch.base.io.read import path_within, printable
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.people import people_hand, people_hand_set

@@ -4,8 +4,8 @@ import re
 from collections.abc import Sequence
 from functools import lru_cache
 
-from r2h_batch.base.command_line import nearest
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.errors import FileError, nearest
+from r2h_batch.base.io.read import printable
 from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel
 from r2h_batch.scene.vocabulary import THINGS
 

@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from r2h_batch.base.command_line import nearest
-from r2h_batch.base.io.read import FileError, printable, read_yaml
+from r2h_batch.base.errors import FileError, nearest
+from r2h_batch.base.io.read import printable, read_yaml
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, ProtocolName
 from r2h_batch.base.validate import rule_of
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from r2h_batch.base.command_line import nearest
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.errors import FileError, nearest
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES
 from r2h_batch.base.user_code import HOW, load_function
 from r2h_batch.base.validate import instance_of

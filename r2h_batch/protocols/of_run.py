@@ -7,11 +7,13 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import PROTOCOL_NAMES
 from r2h_batch.data.people import WORDS
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.choice import BenchmarkChoice, words_of
+from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.family_objects import PREFIX
 from r2h_batch.protocols.trials_file import LISTED
 from r2h_batch.scene.objects import object_digest
@@ -49,7 +51,7 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: s
         given = replace(given, benchmark=protocol)
     given = replace(given, receiver=header["configuration"].get("receiver", "hand"))
     pieces = header["configuration"]["plan"]["object_collision"] == "pieces"
-    benchmark = given.read(pieces=pieces)
+    benchmark = edited(given, pieces=pieces)
     found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
     if "benchmark" in digests:  # older runs lack it
         found["benchmark"] = benchmark.digest

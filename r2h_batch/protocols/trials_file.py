@@ -33,8 +33,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.arrays import RIGID, Spec, check_arrays, check_poses
-from r2h_batch.base.io.read import FileError, printable, read_npz
+from r2h_batch.base.io.read import printable, read_npz
 from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.scene.hand import MAX_SKIN_PIECES, HandSet, make_hand_set, make_skin_set
 from r2h_batch.scene.hand_file import check_postures

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.command_line import nearest
-from r2h_batch.base.io.read import FileError, path_within, printable, read_file, read_npy
+from r2h_batch.base.errors import FileError, nearest
+from r2h_batch.base.io.read import path_within, printable, read_file, read_npy
 from r2h_batch.base.registry import (
     RELEASE,
 )

@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Sequence
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import TURNS
 from r2h_batch.report.compare.command import BASELINES
 from r2h_batch.report.compare.stored import baselines_for, is_stored, stored_rows

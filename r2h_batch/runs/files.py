@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from uuid import uuid4
 
-from r2h_batch.base.io.read import FileError, kind_of, printable, read_file
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import kind_of, printable, read_file
 from r2h_batch.base.io.write import packed_json
 
 MOST_CLAIM_BYTES = 1000
@@ -26,7 +27,7 @@ MOST_CLAIM_BYTES = 1000
 GO_ON = "shards that were complete are stored, run the same command to go on"
 
 
-class RunError(ValueError):
+class RunError(FileError):
     """A run folder cannot be written or read: the message names the file and what to do."""
 
 

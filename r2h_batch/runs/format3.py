@@ -20,8 +20,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import Field
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import check_decoded_size
-from r2h_batch.base.io.read import FileError
 from r2h_batch.runs.columns import TABLES
 from r2h_batch.runs.files import RunError, sha256_of
 from r2h_batch.runs.header import (

@@ -18,7 +18,8 @@ from typing import Annotated, Any, Literal
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, create_model
 
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.read import read_json as read_any_json
 from r2h_batch.base.validate import rule_of
 from r2h_batch.runs.columns import TABLES, schema_of_kind

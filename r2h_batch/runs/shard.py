@@ -25,8 +25,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import Field
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import check_decoded_size
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.io.read import printable
 from r2h_batch.runs.columns import TABLES, later
 from r2h_batch.runs.files import (
     RunError,

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.base.command_line import nearest
+from r2h_batch.base.errors import nearest
 from r2h_batch.base.io.read import open_file, printable
 from r2h_batch.base.io.write import atomic_path, csv_cell
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of, text

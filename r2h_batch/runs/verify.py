@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import refused_parquet
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import PROTOCOL_NAMES
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.runs.files import RunError, claim

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.arrays import Spec, check_arrays, check_poses
-from r2h_batch.base.io.read import FileError, printable, read_npz
+from r2h_batch.base.io.read import printable, read_npz
 from r2h_batch.scene.arrays import arrays_digest
 
 ANY_PART = -1

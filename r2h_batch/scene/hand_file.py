@@ -11,8 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.arrays import Spec, check_arrays, not_rigid
-from r2h_batch.base.io.read import FileError, printable, read_npz
+from r2h_batch.base.io.read import printable, read_npz
 
 HAND: dict[str, Spec] = {
     "vertices": ("f", ("V", 3)), "faces": ("iu", ("F", 3)), "weights": ("f", ("V", 16)),

@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.command_line import MachineError
+from r2h_batch.base.errors import MachineError
 
 BACKENDS = ("egl", "osmesa", "glfw")
 INSTALL = "no OpenGL draws here; install one: Debian, Ubuntu: apt-get install libosmesa6 libegl1; conda: mesalib"

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.arrays import Spec, check_arrays, check_poses
-from r2h_batch.base.io.read import FileError, printable, read_npz, read_yaml
+from r2h_batch.base.io.read import printable, read_npz, read_yaml
 from r2h_batch.base.io.write import write_npz
 from r2h_batch.config import HOME_Q, OPEN_GAP_M, EvalConfig
 

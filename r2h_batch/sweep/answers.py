@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from r2h_batch.base.errors import UsageError, UserError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.validate_tensors import as_numbers, check_tensor
-from r2h_batch.sweep.options import UsageError
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import MOST_SECONDS, SIDES
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # a sweep of a user's method needs no kernels of grasps and h
     from r2h_batch.scene.scene import Scene
 
 
-class AnswerError(ValueError):
+class AnswerError(UserError):
     """A method's answer that cannot be scored: names the method, the argument, what was found and
     what is allowed."""
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from r2h_batch.base.command_line import refuse
+from r2h_batch.base.errors import MachineError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.runs.header import Shard, differing
@@ -39,7 +40,7 @@ HEAD_EVERY_S, GRACE_S = 2.0, 5.0
 Task = tuple[str, Shard]
 
 
-class ClusterError(Exception):
+class ClusterError(MachineError):
     """A cluster that cannot be used: one line that says what was asked for and what to do."""
 
 

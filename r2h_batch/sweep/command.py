@@ -11,9 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.base.command_line import answer, counted, failed, refuse
+from r2h_batch.base.command_line import counted, exit_code_of, failed, refuse
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG, telling
-from r2h_batch.sweep.options import Options, UsageError, parse
+from r2h_batch.sweep.options import Options, parse
 
 # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_b
     """Exit code of the command: 0 done, 1 failed on the way, 2 refused before any work, 130
     interrupted."""
     words = sys.argv[1:] if arguments is None else arguments
-    return answer("sweep", lambda: _main(words, prog))
+    return exit_code_of("sweep", lambda: _main(words, prog))
 
 
 def _main(arguments: Sequence[str], prog: str) -> int:
@@ -161,7 +162,7 @@ def _run(
             LOG.info(line)
         for line in motions_left_out(request.left_out):
             LOG.info(line)
-    except (UsageError, ClusterError, ValueError, ImportError) as error:
+    except (ClusterError, ValueError, ImportError) as error:
         return refuse("sweep", error, 2)
     except OSError as error:
         return _failed(error, Path(options.out))

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import torch
 
 from r2h_batch.base.command_line import counted
+from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.base.registry import METHOD_NAMES, METHODS
@@ -25,19 +26,11 @@ from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.trials_file import Labels
 from r2h_batch.runs import provenance
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
-from r2h_batch.sweep.options import (
-    SEEN_BY,
-    UsageError,
-    base_of,
-    options_of,
-    own_name,
-    text_of_options,
-)
+from r2h_batch.sweep.options import SEEN_BY, base_of, options_of, own_name, text_of_options
 from r2h_batch.sweep.request import Methods, Request, Work
 from r2h_batch.trials.predictions import (
     Answers,
     Motions,
-    PredictionsError,
     align,
     check_benchmark,
     doubts,
@@ -235,7 +228,7 @@ def load_files(methods: Methods) -> Files:
             flags = ("--predictions", "--motions")
             flag, other = flags if path in methods.predictions else flags[::-1]
             words = f"{path}: {flag} needs {flag[2:]}, the file holds {other[2:]}; say {other}"
-            raise PredictionsError(words)
+            raise FileError(words)
         for words in doubts(answers.predictions, answers.motions):
             LOG.info(f"{path}: {words}")
     return [(path, provenance.file_digest([Path(path)]), answers) for path, answers in loaded]
@@ -254,7 +247,7 @@ def make_jobs(methods: Methods, files: Files, setting: Setting) -> list[Job]:
         robot = setting.evaluator.scene.robot
         if motions is not None and motions.q.shape[1] != len(robot.joints) and len(motions.q):
             words = f"motions of {motions.q.shape[1]} joints; {robot.name} has {len(robot.joints)}"
-            raise PredictionsError(f"{path}: {words}; name their robot with --robot")
+            raise FileError(f"{path}: {words}; name their robot with --robot")
         check_benchmark(answers, setting.evaluator.benchmark.label, path)
         if not answers.benchmark:
             ours = setting.evaluator.benchmark.name

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
-from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.errors import UsageError
 
 Line = tuple[str, ...]
 

@@ -15,8 +15,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
-from r2h_batch.base.command_line import UsageError, check_range, nearest, read
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base import command_line
+from r2h_batch.base.errors import FileError, UsageError, nearest
 from r2h_batch.base.registry import (
     DEFAULT_PROTOCOL,
     METHOD_NAMES,
@@ -468,7 +468,7 @@ def check(options: Options) -> Options:
         raise UsageError(f"--policy moves the arm in closed loop; {words}")
     if options.horizon != Options.horizon and not options.receiver_motion:
         raise UsageError("--horizon is of a closed loop; add --receiver-motion, such as moves")
-    check_range("--horizon", options.horizon, 1, 600)
+    command_line.check_range("--horizon", options.horizon, 1, 600)
     if options.predictor and "contact" not in bases:
         words = "add that method, or leave it out"
         raise UsageError(f"--predictor is the contact network of --method contact; {words}")
@@ -534,7 +534,9 @@ def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") 
     arguments, path, chosen = _without_config(arguments)
     default = replace(Options() if path is None else load_config(Path(path)), **chosen)
     more = ["--config", "--set"]
-    options: Options = read(Options, arguments, prog=prog, default=default, more_flags=more)
+    options: Options = command_line.parse(
+        Options, arguments, prog=prog, default=default, more_flags=more
+    )
     return check(options)
 
 

@@ -6,17 +6,12 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.user_code import load_function
 from r2h_batch.config import EstimateConfig, EvalConfig, IkConfig
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs import provenance
-from r2h_batch.sweep.options import (
-    KINDS,
-    SEEN_BY,
-    Options,
-    UsageError,
-    execution_error,
-)
+from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, execution_error
 from r2h_batch.verdicts import SPLITS
 
 if TYPE_CHECKING:
@@ -42,11 +37,11 @@ class TrialPlan:
         Raises:
             ValueError: one line; a `UsageError` where a split has no object.
         """
-        from r2h_batch.protocols.edit import said_splits
+        from r2h_batch.protocols.edit import edited, said_splits
 
         if splits := said_splits(self.benchmark):  # before any mesh is built
             self._check_splits(splits)
-        return self.benchmark.read(pieces=pieces)
+        return edited(self.benchmark, pieces=pieces)
 
     def plan(self, benchmark: "Benchmark") -> dict[str, int]:
         """Split -> trials of it."""

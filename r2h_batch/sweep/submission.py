@@ -8,7 +8,8 @@ from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.base.command_line import UsageError, check_range, counted, refuse
+from r2h_batch.base.command_line import check_range, counted, refuse
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import atomic_path, check_output_file, write_text
@@ -104,7 +105,7 @@ def leaderboard(
         benchmark: where its files are now, if they are not where the sweep found them.
         overwrite: replace a page of this name.
     """
-    from r2h_batch.base.io.read import FileError
+    from r2h_batch.base.errors import FileError
     from r2h_batch.report.board import page, section_of
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.submission_judge import judge_alone

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.child import answer_parent, read_in_child
-from r2h_batch.base.io.read import FileError, archive_members, open_archive, printable
+from r2h_batch.base.io.read import archive_members, open_archive, printable
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.board import Judged, Standing, standing_of
 from r2h_batch.report.compare.stored import baselines_for, stored_rows

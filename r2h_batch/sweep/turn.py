@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.registry import TURNS
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice

@@ -14,8 +14,9 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.arrays import Spec, check_array, check_arrays, not_rigid
-from r2h_batch.base.io.read import FileError, open_file, printable, read_npz
+from r2h_batch.base.io.read import open_file, printable, read_npz
 from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.base.io.write import write_npz
 from r2h_batch.base.validate import instance_of, text
@@ -50,11 +51,6 @@ _HOW = {
     ".csv": "write the columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), a line for each trial",
     ".json": 'write {"trial_id": [...], "T_obj_ee": [4 x 4, ...], "T_world_ee": [4 x 4, ...]}',
 }
-
-
-class PredictionsError(ValueError):
-    """A predictions file that cannot be scored. The message says what was found and what is
-    allowed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +97,14 @@ class Answers:
         """The same with the numbers of the trials that are named by text.
 
         Raises:
-            PredictionsError: the trials have no texts, or a text names none of them.
+            FileError: the trials have no texts, or a text names none of them.
         """
         if self.ids is None:
             return self
         if trial_ids is None:
-            raise PredictionsError(f"{source}: names trials by id; these trials have numbers only")
+            raise FileError(f"{source}: names trials by id; these trials have numbers only")
         if unknown := [i for i in self.ids if i not in trial_ids]:
-            raise PredictionsError(f"{source}: no trial has the id {printable(unknown[0])[:80]!r}")
+            raise FileError(f"{source}: no trial has the id {printable(unknown[0])[:80]!r}")
         numbers = torch.tensor([trial_ids[i] for i in self.ids], dtype=torch.int64, device="cpu")
         return replace(self, predictions=replace(self.predictions, trial_id=numbers), ids=None)
 
@@ -125,13 +121,13 @@ def load_predictions(path: str | Path) -> Predictions:
         that are not finite or not rigid stay: the evaluator counts them as INVALID_INPUT.
 
     Raises:
-        PredictionsError: the file cannot be scored.
+        FileError: the file cannot be scored.
     """
     answers = load_answers(path)
     if answers.motions is not None:
-        raise PredictionsError(f"{printable(path)}: holds motions; judge them with --motions")
+        raise FileError(f"{printable(path)}: holds motions; judge them with --motions")
     if answers.ids is not None:
-        raise PredictionsError(f"{printable(path)}: names trials by id; give trial_id")
+        raise FileError(f"{printable(path)}: names trials by id; give trial_id")
     return answers.predictions
 
 
@@ -140,7 +136,7 @@ def load_answers(path: str | Path) -> Answers:
     file (docs/run_folder.md, Motions file).
 
     Raises:
-        PredictionsError: the file cannot be scored.
+        FileError: the file cannot be scored.
     """
     path = path_rule("path", path)
     suffix = path.suffix.lower()
@@ -166,7 +162,7 @@ def load_answers(path: str | Path) -> Answers:
             arrays["T_world_ee"] = np.full((len(motions.length), 4, 4), np.nan, np.float32)
         return Answers(_checked(path, arrays, method), motions, ids, benchmark)
     except FileError as error:
-        raise PredictionsError(f"{error}; {how}") from error
+        raise FileError(f"{error}; {how}") from error
 
 
 def _motions(arrays: dict[str, Any], shown: str) -> Motions:
@@ -319,14 +315,14 @@ def check_benchmark(answers: Answers, benchmark: str, source: str) -> None:
         source: where the answers come from, for messages.
 
     Raises:
-        PredictionsError: they say that they answer another one.
+        FileError: they say that they answer another one.
     """
     (name, _, digest), (ours, _, own) = (
         text.rpartition("@") for text in (answers.benchmark, benchmark)
     )
     if answers.benchmark and digest != own:
         found = f"answers trials of benchmark {printable(name)[:80]} ({printable(digest)[:8]})"
-        raise PredictionsError(
+        raise FileError(
             f"{source}: {found}, and {ours} ({own[:8]}) is judged here; name its benchmark with --benchmark, or answer"
             f" load_benchmark({ours!r}).trials(...)"
         )
@@ -342,7 +338,7 @@ def write_predictions(path: str | Path, predictions: Predictions, *, benchmark: 
             refuses the file.
 
     Raises:
-        PredictionsError: the file has another ending.
+        FileError: the file has another ending.
     """
     path = path_rule("path", path)
     instance_of(Predictions, "r2h_batch.Predictions(trial_id, T_obj_ee, T_world_ee)")(
@@ -356,7 +352,7 @@ def write_predictions(path: str | Path, predictions: Predictions, *, benchmark: 
             data[name] = np.ascontiguousarray(value.detach().cpu().numpy())
     if path.suffix != ".npz":
         shown = printable(path)
-        raise PredictionsError(f"{shown}: predictions are written as .npz, not {path.suffix!r}")
+        raise FileError(f"{shown}: predictions are written as .npz, not {path.suffix!r}")
     told = {"benchmark": np.array(text("benchmark", benchmark))} if benchmark else {}
     write_npz(path, {"method": np.array(method), **told, **data})
 
@@ -376,7 +372,7 @@ def align(
         (N,) int64 row numbers, -1 where there is no answer.
 
     Raises:
-        PredictionsError: ids are given twice, are not planned, or are missing.
+        FileError: ids are given twice, are not planned, or are missing.
     """
     answered, planned = predictions.trial_id.cpu().numpy(), trial_id.cpu().numpy()
     ids, first, copies = np.unique(answered, return_index=True, return_counts=True)
@@ -442,4 +438,4 @@ def _refuse(source: str, what: str, ids: np.ndarray, how: str) -> None:
     if len(ids):
         listed = ", ".join(map(str, ids[:10].tolist())) + (", ..." if len(ids) > 10 else "")
         count = "1 trial id is" if len(ids) == 1 else f"{len(ids)} trial ids are"
-        raise PredictionsError(f"{source}: {count} {what}: {listed}; {how}")
+        raise FileError(f"{source}: {count} {what}: {listed}; {how}")

@@ -5,7 +5,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.command_line import UsageError, check_range
+from r2h_batch.base.command_line import check_range
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_file
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 

@@ -4,7 +4,8 @@ robot and draws it."""
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from r2h_batch.base.command_line import Command, UsageError, check_range
+from r2h_batch.base.command_line import Command, check_range
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_folder
 from r2h_batch.data.command import COMMANDS as FILES
 

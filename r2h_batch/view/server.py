@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.report.text import plain
 from r2h_batch.runs.files import RunError
@@ -17,7 +17,7 @@ from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.captions import as_markdown, summary
 from r2h_batch.view.drawing import MARKS, Drawing
 from r2h_batch.view.page import APART_M, Drawn, aim, light, new_server, stop_server
-from r2h_batch.view.stored import ExportError, Reader
+from r2h_batch.view.stored import Reader
 
 ANY = "any"
 NO_METHOD = "none"
@@ -170,7 +170,7 @@ class Viewer:
                 own = [row for row in kept if row["trial_id"] == trial]
                 if not own:
                     why = f"no trial {trial}; it has {len(kept)} of them"
-                    raise ExportError(f"{self.reader.where}: {why}")
+                    raise RunError(f"{self.reader.where}: {why}")
                 some += [row for row in own if row not in some]
             self.listed = {summary(row): row["trial_id"] for row in some}
             self.count.content = f"{len(kept)} of {len(rows)} trials{part}"
@@ -197,7 +197,7 @@ class Viewer:
                 try:
                     drawings.append(Drawing(self.reader.trial(trial, name)))
                     words.append(as_markdown(drawings[-1]))
-                except (ExportError, RunError) as error:
+                except RunError as error:
                     words.append(plain(f"{name}: {error}"))
             view = aim(self.server, drawings) if drawings else None
             for k, drawing in enumerate(drawings):

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from r2h_batch.base import se3
-from r2h_batch.base.command_line import UsageError
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.config import EvalConfig, ExecutionError, Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.protocols.benchmark import Benchmark, trials_digest
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.of_run import benchmark_of_run
+from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.scene.robot import Robot, load_robot
@@ -43,10 +43,6 @@ SAME_M = 1e-6
 """Margins that differ by no more than this are the same: float32 of numbers below 10 m."""
 UNJUDGED = ("invalid_input", "missing")
 POSES = ("T_obj_ee", "T_world_ee")
-
-
-class ExportError(ValueError):
-    """A trial that cannot be shown: the message says what is there and what to do."""
 
 
 @dataclass(frozen=True)
@@ -103,22 +99,19 @@ class Reader:
         """The full name of a method; the only one where none is named.
 
         Raises:
-            ExportError: no such method, several, or not all its rows are there.
+            RunError: no such method, several, or not all its rows are there.
         """
         names, folder = self.run.methods, self.run.folder
         if word is None and len(names) == 1:
             return str(names[0])
         if word is None:
             if not names:
-                raise ExportError(f"{folder}: no method is complete; run its sweep again to go on")
+                raise RunError(f"{folder}: no method is complete; run its sweep again to go on")
             listed = ", ".join(names)
-            raise ExportError(f"{folder}: has several methods; choose one with --method: {listed}")
-        try:
-            name = str(self.run.named(word))
-        except ValueError as error:
-            raise ExportError(str(error)) from None
+            raise RunError(f"{folder}: has several methods; choose one with --method: {listed}")
+        name = self.run.named(word)
         if name not in names:
-            raise ExportError(f"{folder}: {name!r} is not complete; run its sweep again to go on")
+            raise RunError(f"{folder}: {name!r} is not complete; run its sweep again to go on")
         return name
 
     def rows(self, method: str) -> Any:
@@ -131,8 +124,8 @@ class Reader:
         """The trial as it was scored.
 
         Raises:
-            ExportError: no such trial or method, it was not judged, or it cannot be computed again.
-            RunError: the run folder is damaged.
+            RunError: no such trial or method, it was not judged, it cannot be computed again, or the
+                run folder is damaged.
         """
         name, stored = self.method(method), self.run.header["stored"]
         found = _rows(self.rows(name), trial_id)
@@ -140,13 +133,11 @@ class Reader:
             ids = self.rows(name)["trial_id"].to_pylist()
             more = f", ... up to {max(ids)}" if len(ids) > 10 else ""
             some = f"{len(ids)}: {', '.join(map(str, ids[:10])) or 'none'}{more}"
-            raise ExportError(
-                f"{self.where}: method {name!r} has no trial {trial_id}; it has {some}"
-            )
+            raise RunError(f"{self.where}: method {name!r} has no trial {trial_id}; it has {some}")
         row = found[0]
         if row["outcome"] in UNJUDGED:
             words = f"was not judged ({row['outcome']}): there is nothing to show"
-            raise ExportError(f"trial {trial_id} of {name!r} {words}")
+            raise RunError(f"trial {trial_id} of {name!r} {words}")
         for details in _rows(self.run.details(name), trial_id) if "details" in stored else ():
             row |= details
         trial = self._trial(row)
@@ -154,7 +145,7 @@ class Reader:
         path = _rows(self.run.paths(name), trial_id) if "paths" in stored else []
         if not _possible(poses, path):
             words = "no motion can be: numbers are missing, not finite or out of order"
-            raise ExportError(f"{self.where}: trial {trial_id} of {name!r} is stored as {words}")
+            raise RunError(f"{self.where}: trial {trial_id} of {name!r} is stored as {words}")
         answer = None
         if poses:
             T = {k: _tensor(poses[0][k], torch.float32).reshape(1, 4, 4) for k in POSES}
@@ -171,7 +162,7 @@ class Reader:
             words = (
                 f"are not stored, and it cannot answer again ({error}); sweep without --no-poses"
             )
-            raise ExportError(f"{self.where}: the poses of {name!r} {words}") from error
+            raise RunError(f"{self.where}: the poses of {name!r} {words}") from error
         return judged_again(evaluator, trial, answer, name, row=row, header=header)
 
     @cached_property
@@ -181,11 +172,11 @@ class Reader:
         parts = {"plan", "execute"} <= header["configuration"].keys()
         if not {"objects", "motion", "seed"} <= header.keys() or not parts:
             words = "run.json lacks objects or configuration; it was not made by a sweep"
-            raise ExportError(f"{self.where}: {words}")
+            raise RunError(f"{self.where}: {words}")
         try:
             benchmark = benchmark_of_run(header, self.given, self.where)
         except FileError as error:
-            raise ExportError(str(error)) from None
+            raise RunError(str(error)) from None
         # the run's trials once more, as far as that is cheap
         counts = header["trials"]
         listed = benchmark.listed is not None or len(set(counts.values())) == 1
@@ -194,7 +185,7 @@ class Reader:
             if trials_digest(trials) != header["digests"]["trials"]:
                 version, commit = header["versions"].get("r2h_batch"), header.get("git_commit")
                 words = f"was made with other trials: use r2h_batch {version} at commit {commit}"
-                raise ExportError(f"{self.where}: {words}")
+                raise RunError(f"{self.where}: {words}")
         return benchmark
 
     @cached_property
@@ -210,7 +201,7 @@ class Reader:
         except ValueError as error:  # pydantic's ValidationError is one
             what = " ".join(str(error).split())[:200]
             words = f"its configuration cannot be judged by this version ({what})"
-            raise ExportError(f"{self.where}: {words}") from None
+            raise RunError(f"{self.where}: {words}") from None
 
     def _trial(self, row: dict[str, Any]) -> Trials:
         """This row's trial, made from the protocol."""
@@ -219,7 +210,7 @@ class Reader:
         hand, name = int(trial.hand_index[0]), objects[int(trial.object_index[0])].name
         if name != row["object"] or hand != row.get("hand_index", hand):
             words = f"trial {row['trial_id']} is not the one of {self.run.header['protocol']!r}"
-            raise ExportError(f"{self.where}: {words}")
+            raise RunError(f"{self.where}: {words}")
         return trial.named(objects)
 
 

@@ -16,6 +16,7 @@ from r2h_batch.closed_loop.transfer.worlds_mujoco import MujocoWorlds
 from r2h_batch.judge.grasp_physics import FINGERS
 from r2h_batch.judge.reception import Reception, reception
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.runs.files import RunError
 from r2h_batch.scene.model_parts import COLORS, add_mesh
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.offscreen import renderer
@@ -24,7 +25,7 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_one
 from r2h_batch.trials.holding.held_out import load_held_out
 from r2h_batch.view.pictures import Image, film_writer
-from r2h_batch.view.stored import ExportError, Reader
+from r2h_batch.view.stored import Reader
 
 Array = NDArray[np.float64]
 
@@ -84,7 +85,7 @@ def write_transfer_film(
         benchmark: where its files are now, if they are not where the sweep found them.
 
     Raises:
-        ExportError: nobody receives the object of this row.
+        RunError: nobody receives the object of this row.
         RenderError: nothing draws here, or imageio or its ffmpeg is missing.
     """
     name = reader.method(method)
@@ -97,7 +98,7 @@ def write_transfer_film(
     assert inputs is not None
     handed = handed_of(found, trial_id, inputs.trials.object_index.cpu().numpy(), scene)
     if not len(handed):
-        raise ExportError(
+        raise RunError(
             f"trial {trial} of {name!r}: nobody receives the object, so there is no transfer"
         )
     objects = tuple(scene.objects)

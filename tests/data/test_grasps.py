@@ -10,11 +10,12 @@ from grasp_files import poses, write_acronym, write_isaac
 from needs import needs
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.data.grasp_files import PAD_HALF_M, T_gripper_ee, read_file_of
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import seat_grasps
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.edit import edited
 from r2h_batch.scene.grasp_set import GraspSet, read_grasps
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import load_robot
@@ -113,7 +114,7 @@ def test_labels_of_graspnet_are_the_grasps_that_graspnetAPI_makes_of_them(tmp_pa
         end = points[point] + 0.01 * (depth + 1) * axis
         assert np.abs(approach[row] - axis).max() < 1e-6
         assert np.abs(tips[row] - [end + 0.02 * closing, end - 0.02 * closing]).max() < 1e-6
-    assert BenchmarkChoice(grasps=(f"cup={path}",)).read().objects
+    assert edited(BenchmarkChoice(grasps=(f"cup={path}",))).objects
 
 
 def test_our_own_gripper_and_our_own_format_need_no_new_place(tmp_path):

@@ -11,6 +11,7 @@ from refusals import one_line
 from r2h_batch.data import hdf5
 from r2h_batch.data.grasp_files import read_file_of
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.edit import edited
 from r2h_batch.scene.grasp_set import read_grasps
 
 
@@ -92,4 +93,4 @@ def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
         ("cup.yaml:EE", "'EE' is not a gripper, did you mean ee\\?; allowed are acronym-panda"),
     ):
         with one_line(why):
-            BenchmarkChoice(grasps=(str(tmp_path / said),)).read()
+            edited(BenchmarkChoice(grasps=(str(tmp_path / said),)))

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.__main__ import main
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.edit import edited
 
 CAPTURE = "01638-46157-S1"
 SESSION = f"{CAPTURE}/reference/{CAPTURE}.json"
@@ -72,7 +73,7 @@ def imported(folder, out, *more):
 def test_the_region_is_where_most_receivers_took_hold(hoh, tmp_path, capsys):
     assert imported(hoh, tmp_path / "mine") == 0
     assert "2 objects of hoh (1 with a receiver's region)" in capsys.readouterr().out
-    found = {o.name: o for o in BenchmarkChoice(objects=str(tmp_path / "mine")).read().objects}
+    found = {o.name: o for o in edited(BenchmarkChoice(objects=str(tmp_path / "mine"))).objects}
     bar = found["hoh_318"]
     assert bar.mesh.extents == pytest.approx([0.2, 0.024, 0.024], abs=1e-6) and bar.split == "S1"
     x = bar.mesh.triangles_center[:, 0]

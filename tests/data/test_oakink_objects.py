@@ -8,6 +8,7 @@ import trimesh
 
 from r2h_batch.__main__ import main
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.edit import edited
 
 
 def block(x0, x1):
@@ -49,7 +50,7 @@ def test_objects_come_in_the_frame_of_the_hands_with_parts_and_region(oakink, tm
     said = capsys.readouterr()
     assert "3 objects of oakink (1 with a receiver's region)" in said.out
     assert "C9 has no name; left out" in said.err and "points outside" in said.err
-    found = {o.name: o for o in BenchmarkChoice(objects=str(out)).read().objects}
+    found = {o.name: o for o in edited(BenchmarkChoice(objects=str(out))).objects}
     assert set(found) == {"knife_1", "mug", "knife_v"}
     knife = found["knife_1"]
     assert knife.mesh.bounds.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-7), "its loader's frame"

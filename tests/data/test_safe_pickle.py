@@ -12,7 +12,7 @@ import pytest
 import scipy.sparse
 from mano_files import first_ten, with_fake_chumpy
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.data.safe_pickle import MADE_BYTES, MAX_DEPTH, MAX_NUMBER_KEYS, MAX_STEPS, read_pickle
 
 ARRAYS = {

@@ -10,7 +10,7 @@ import trimesh
 
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.config import Thresholds
 from r2h_batch.methods.part_roles import GRASP, WRAP, roles_of
 from r2h_batch.protocols.file_fields import built_in_text, read_benchmark_file

@@ -10,6 +10,7 @@ from r2h_batch import load_benchmark
 from r2h_batch.data.people import ALL, GROUPS, built_in_people, people_hand, people_hand_set
 from r2h_batch.protocols.benchmark import Benchmark, trials_digest
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.objects import INSTANCE_NAMES, load_objects
@@ -53,15 +54,15 @@ def test_every_group_and_both_seats_receive_and_a_trial_is_the_same_by_its_name_
 
 
 def test_flags_and_files_narrow_or_exchange_the_receivers(tmp_path: Path, v2: Benchmark) -> None:
-    assert BenchmarkChoice(benchmark="r2h-v2").read() is v2
-    adults = BenchmarkChoice(benchmark="r2h-v2", people="adults").read()
+    assert edited(BenchmarkChoice(benchmark="r2h-v2")) is v2
+    adults = edited(BenchmarkChoice(benchmark="r2h-v2", people="adults"))
     assert adults.people is built_in_people("adults") and adults.hand_set is people_hand_set(adults.people)
     assert adults.objects == v2.objects and adults.digest != v2.digest
     file = tmp_path / "benchmark.yaml"
     file.write_text("format: 1\nprotocol: r2h-v2\n")
     assert read_benchmark(file).digest == v2.digest
     file.write_text("format: 1\nprotocol: r2h-v1\npeople: children\n")
-    children = BenchmarkChoice(benchmark=str(file)).read()
+    children = edited(BenchmarkChoice(benchmark=str(file)))
     assert children.people is built_in_people("children") and len(children.objects) == 16
 
 

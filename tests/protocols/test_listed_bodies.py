@@ -11,9 +11,10 @@ import torch
 from refusals import one_line
 
 from r2h_batch import Evaluator, load_benchmark
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.methods import random
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.scene.arrays import asset
 from r2h_batch.types import Trials
@@ -23,7 +24,7 @@ HAND = asset("people", "hand.npz")
 
 def with_bodies(n: int = 5) -> tuple[dict[str, np.ndarray], Trials]:
     """Columns of trials whose receivers are people, and the trials."""
-    benchmark = BenchmarkChoice(people="adults").read()
+    benchmark = edited(BenchmarkChoice(people="adults"))
     trials = benchmark.trials(n)
     names, hands = [o.name for o in benchmark.objects], benchmark.hand_set
     rows = trials.hand_index.long()
@@ -46,12 +47,12 @@ def test_listed_trials_may_have_bodies_and_people_and_are_judged_as_the_protocol
     order = torch.argsort(wanted.trial_id % 2, stable=True)
     wanted = wanted[order]
     for name in ("b.npz", "b.parquet", "b.json"):
-        given = BenchmarkChoice(trials_file=str(tmp_path / name), hand_model=str(HAND), receiver="body").read()
+        given = edited(BenchmarkChoice(trials_file=str(tmp_path / name), hand_model=str(HAND), receiver="body"))
         found = given.trials(5)
         assert found.trial_id.tolist() == wanted.trial_id.tolist() and given.has_bodies
         torch.testing.assert_close(found.receiver, wanted.receiver, rtol=0, atol=0)
         torch.testing.assert_close(found.person[:, :5], wanted.person[:, :5], rtol=0, atol=0)
-    own = Evaluator(BenchmarkChoice(benchmark="r2h-v1", people="adults", receiver="body").read()).kinematic
+    own = Evaluator(edited(BenchmarkChoice(benchmark="r2h-v1", people="adults", receiver="body"))).kinematic
     listed = Evaluator(given).kinematic
     answer = random.predict(wanted, own.scene, seed=0)
     a, b = (
@@ -111,4 +112,4 @@ def test_body_is_asked_of_listed_trials_that_have_none(tmp_path):
     columns, _ = with_bodies()
     np.savez(tmp_path / "t.npz", **{k: v for k, v in columns.items() if k not in ("receiver", "person")})
     with pytest.raises(FileError, match="listed trials without receiver have no body"):
-        BenchmarkChoice(trials_file=str(tmp_path / "t.npz"), receiver="body").read()
+        edited(BenchmarkChoice(trials_file=str(tmp_path / "t.npz"), receiver="body"))

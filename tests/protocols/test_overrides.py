@@ -85,7 +85,7 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
     right = {k: getattr(own, k).numpy()[:3] for k in ("pose", "shape", "side")}
     np.savez(tmp_path / "hands.npz", **right, posture=np.array(["a", "b", "c"]))
     score(tmp_path / "run", "--trials", 4, "--hands", tmp_path / "hands.npz")
-    digest = BenchmarkChoice(hands=str(tmp_path / "hands.npz")).read().digest
+    digest = edited(BenchmarkChoice(hands=str(tmp_path / "hands.npz"))).digest
     assert f"benchmark: --hands {tmp_path / 'hands.npz'}, digest {digest}" in capsys.readouterr().out
     assert main(["results", "verify", str(tmp_path / "run")]) == 0
     run = load_run(tmp_path / "run")
@@ -122,7 +122,7 @@ def test_npz_and_parquet_with_rows_of_the_hand_set_or_postures_say_the_same(tmp_
         for key in ("pose", "shape", "side"):
             mine = getattr(hands, key)[trials.hand_index.long()]
             assert (mine == getattr(base.hand_set, key)[wanted.hand_index.long()]).all()
-    given = BenchmarkChoice(trials_file=str(tmp_path / "h.npz")).read()
+    given = edited(BenchmarkChoice(trials_file=str(tmp_path / "h.npz")))
     assert given.trials_with_ids(wanted.trial_id[[7, 2]]).T_world_hand.equal(wanted.T_world_hand[[7, 2]])
     assert len(given.trials(3, splits="S1")) == 3
     with pytest.raises(ValueError, match="trial id 99 is not in the list"):
@@ -194,15 +194,15 @@ def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
     few = {k: getattr(own, k).numpy()[[0, 399]] for k in ("pose", "shape", "side")}
     np.savez(tmp_path / "two.npz", **few, posture=np.array(["a", "b"]))
     given = BenchmarkChoice(hand_model=str(tmp_path / "large.npz"), hands=str(tmp_path / "two.npz"))
-    found = given.read()
-    assert given.read().hand_set is found.hand_set  # read once: what is made for a hand is made once
+    found = edited(given)
+    assert edited(given).hand_set is found.hand_set  # read once: what is made for a hand is made once
     scene = Evaluator(found).scene
     assert scene.hands.model is found.hand_set.model and len(scene.hands.set) == 2
     rest = own.model.pose(torch.zeros(1, 48)).vertices
     assert torch.allclose(scene.hands.model.pose(torch.zeros(1, 48)).vertices, rest * 1.1, atol=1e-3)
-    assert found.digest != BenchmarkChoice(hands=str(tmp_path / "two.npz")).read().digest
+    assert found.digest != edited(BenchmarkChoice(hands=str(tmp_path / "two.npz"))).digest
     np.savez(tmp_path / "large.npz", **arrays)  # another hand in the file: it is read again
-    assert given.read().digest != found.digest
+    assert edited(given).digest != found.digest
 
 
 ROWS = {"a": [0, 1, 2, 200, 201, 202], "b": [7, 8, 207, 208]}

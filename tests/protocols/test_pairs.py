@@ -10,7 +10,7 @@ import torch
 from problems import default_evaluator
 
 from r2h_batch import Benchmark, Evaluator, Predictions, load_benchmark
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.config import EvalConfig, Thresholds
 from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.protocols.of_run import benchmark_of_run

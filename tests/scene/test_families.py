@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from r2h_batch.__main__ import main
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.protocols.family_objects import family_objects, family_splits
 from r2h_batch.scene.families.draw import FAMILIES, SHIPPED, TRAINING, draw_instance

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.edit import edited
 from r2h_batch.scene import objects
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.mesh_import.cache import key_of
@@ -98,7 +99,7 @@ def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
     np.save(tmp_path / "saw_parts.npy", (saw.triangles_center[:, 0] > 0).astype(np.uint8))
     parts = "parts: saw_parts.npy\npart_names: [handle, blade]\n"
     (tmp_path / "saw.yaml").write_text(f"split: S1\n{parts}receiver: handle\nmass: 0.3\n")
-    cube, saw = BenchmarkChoice(objects=str(tmp_path)).read().objects
+    cube, saw = edited(BenchmarkChoice(objects=str(tmp_path))).objects
     assert (cube.name, cube.split, cube.part_names) == ("cube", "S0", ("body",))
     assert (saw.split, saw.mass, saw.part_names) == ("S1", 0.3, ("handle", "blade"))
     assert (saw.receiver_face == (saw.mesh.triangles_center[:, 0] < 0)).all()
@@ -110,7 +111,7 @@ def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
     }.items():
         (tmp_path / "saw.yaml").write_text(text)
         with pytest.raises(FileError, match=words):
-            BenchmarkChoice(objects=str(tmp_path)).read()
+            edited(BenchmarkChoice(objects=str(tmp_path)))
 
 
 def test_several_meshes_are_built_by_workers_and_asked_for_as_one(tmp_path, monkeypatch):

@@ -2,7 +2,7 @@
 
 import copy
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 
 ODD = [
     None, "", [], {}, -1, True, 1e308, -1e308, float("nan"), float("inf"), 10**400, 2**63, -(2**63), 1e-320,

@@ -7,7 +7,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from r2h_batch.trials.predictions import PredictionsError, load_predictions
+from r2h_batch.base.errors import FileError
+from r2h_batch.trials.predictions import load_predictions
 
 
 def arrays(n: int = 5, **changes) -> dict[str, np.ndarray]:
@@ -45,7 +46,7 @@ def members(**changes):
 
 def refused(path, *parts) -> str:
     """The message; it is one line, names the file and has every part."""
-    with pytest.raises(PredictionsError) as error:
+    with pytest.raises(FileError) as error:
         load_predictions(path)
     message = str(error.value)
     assert message.startswith(f"{path}: ") and "\n" not in message

@@ -10,8 +10,8 @@ from typing import Any, BinaryIO
 
 import pytest
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io import child
-from r2h_batch.base.io.read import FileError
 
 READERS = {
     "r2h_batch.scene.mesh_import.file": "_child",

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 
 
 @contextmanager

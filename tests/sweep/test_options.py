@@ -7,7 +7,8 @@ from typing import Literal, get_args, get_origin, get_type_hints
 
 import pytest
 
-from r2h_batch.sweep.options import Options, UsageError, check, load_config, parse
+from r2h_batch.base.errors import UsageError
+from r2h_batch.sweep.options import Options, check, load_config, parse
 
 
 def write(tmp_path, text):

@@ -6,7 +6,8 @@ import torch
 from made_runs import made_trials, make_predictions
 from prediction_files import arrays, refused, store
 
-from r2h_batch.trials.predictions import PredictionsError, align, doubts, load_predictions, write_predictions
+from r2h_batch.base.errors import FileError
+from r2h_batch.trials.predictions import align, doubts, load_predictions, write_predictions
 from r2h_batch.types import Predictions
 
 
@@ -70,14 +71,14 @@ def test_rows_in_any_order_are_aligned_by_trial_id():
     ],
 )
 def test_duplicate_and_unknown_ids_are_refused_with_the_first_ten(given, count, what, listed):
-    with pytest.raises(PredictionsError) as error:
+    with pytest.raises(FileError) as error:
         align(predictions_for(given), torch.arange(40), source="my.npz", allow_missing=True)
     ids = "1 trial id is" if count == 1 else f"{count} trial ids are"
     assert str(error.value).startswith(f"my.npz: {ids} {what}: {listed}")
 
 
 def test_missing_ids_are_refused_with_the_first_ten_and_the_flag_that_allows_them():
-    with pytest.raises(PredictionsError) as error:
+    with pytest.raises(FileError) as error:
         align(predictions_for(range(20, 40)), torch.arange(40), source="my.npz")
     assert str(error.value).startswith(
         "my.npz: 20 trial ids are planned but missing: 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, ...;"

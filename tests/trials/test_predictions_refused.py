@@ -15,7 +15,8 @@ import torch
 from made_runs import with_a_fatal_footer
 from prediction_files import arrays, members, npy, refused, store, zipped
 
-from r2h_batch.trials.predictions import PredictionsError, load_predictions
+from r2h_batch.base.errors import FileError
+from r2h_batch.trials.predictions import load_predictions
 
 
 @contextmanager
@@ -156,7 +157,7 @@ def test_any_flipped_bit_is_refused_or_harmless_and_never_another_error(tmp_path
         path.write_bytes(damaged)
         try:
             read = load_predictions(path)
-        except PredictionsError:
+        except FileError:
             continue
         accepted += 1
         for key, value in arrays(2).items():
@@ -175,7 +176,7 @@ def answers(path, counts=(16, 16), **how):
 
 def test_rows_of_15_and_17_numbers_in_a_parquet_file_are_refused_by_their_row(tmp_path):
     assert load_predictions(answers(tmp_path / "good.parquet")).T_obj_ee.shape == (2, 4, 4)
-    with pytest.raises(PredictionsError, match="'T_obj_ee' has 15 numbers in row 1; it needs 16 numbers a row"):
+    with pytest.raises(FileError, match="'T_obj_ee' has 15 numbers in row 1; it needs 16 numbers a row"):
         load_predictions(answers(tmp_path / "shifted.parquet", (16, 15, 17)))
 
 
@@ -188,7 +189,7 @@ def test_a_flipped_bit_in_a_parquet_file_with_page_checksums_is_never_read_as_an
             break  # the footer, which can end the process that reads it
         try:
             found = load_predictions(path)
-        except PredictionsError as error:
+        except FileError as error:
             assert str(path) in str(error)
         else:
             assert torch.equal(found.T_obj_ee, good.T_obj_ee) and torch.equal(found.T_world_ee, good.T_world_ee)
@@ -199,6 +200,6 @@ def test_a_parquet_file_that_aborts_its_reader_is_one_line(tmp_path):
     """pyarrow aborts when it is asked for the size of a column whose type no version has."""
     path = tmp_path / "m.parquet"
     path.write_bytes(with_a_fatal_footer(answers(path).read_bytes()))
-    with pytest.raises(PredictionsError, match=rf"^{path}: .*ends its reader") as caught:
+    with pytest.raises(FileError, match=rf"^{path}: .*ends its reader") as caught:
         load_predictions(path)
     assert "\n" not in str(caught.value)

@@ -9,7 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from needs import needs
 
-from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.errors import UsageError
 from r2h_batch.closed_loop.env import LoopConfig
 from r2h_batch.closed_loop.registered import ID, register
 

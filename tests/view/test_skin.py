@@ -6,6 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.edit import edited
 from r2h_batch.scene.tables import Hands
 from r2h_batch.types import PERSON
 from r2h_batch.view.episode import EpisodeDrawing
@@ -22,7 +23,7 @@ HELD = {"upper_arm": 0.80, "forearm": 0.87}
 @pytest.fixture(scope="module", params=["all", "wheelchair", ""])
 def drawn(request):
     """Trials with people, their hands' sides and skins (vertices in the world), and the skins that are drawn."""
-    benchmark = BenchmarkChoice(people=request.param).read()
+    benchmark = edited(BenchmarkChoice(people=request.param))
     trials, hands = benchmark.trials(12), Hands.posed(benchmark.hand_set)
     k = trials.hand_index.long()
     T = trials.T_world_hand.double()

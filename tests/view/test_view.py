@@ -12,11 +12,12 @@ import pytest
 from needs import CHROMIUM, needs
 
 from r2h_batch.__main__ import main
+from r2h_batch.runs.files import RunError
 from r2h_batch.view.captions import as_markdown
 from r2h_batch.view.drawing import Drawing, view_of
 from r2h_batch.view.page import Drawn, aim, write_page
 from r2h_batch.view.pictures import image_at_end, images, ringed, write_film
-from r2h_batch.view.stored import ExportError, Reader, one_failure_of_each
+from r2h_batch.view.stored import Reader, one_failure_of_each
 
 pytestmark = needs("viser")
 
@@ -115,7 +116,7 @@ def test_the_viewer_lists_what_is_filtered_and_a_folders_words_are_text_and_no_m
     from r2h_batch.view.server import Viewer
 
     def refused(*_):
-        raise ExportError("<img src=x onerror=alert(1)>")
+        raise RunError("<img src=x onerror=alert(1)>")
 
     viewer = Viewer(reader, ["random", "oracle"], trial=4)
     try:

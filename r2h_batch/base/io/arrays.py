@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable
 
 Spec = tuple[str, tuple[int | str, ...]]
 """The allowed `dtype.kind`, and the shape. A word stands for any length, the same one everywhere."""

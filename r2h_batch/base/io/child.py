@@ -19,8 +19,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.io.read import printable
 
 MOST_WAITS = 10
 """The child may wait this many times longer than it may work: for a busy machine, not for ever."""

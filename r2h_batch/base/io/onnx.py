@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.child import answer_parent, read_in_child
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.io.read import printable
 
 if TYPE_CHECKING:
     from torch import Tensor

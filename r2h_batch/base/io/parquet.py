@@ -21,8 +21,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pyarrow.types as types
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.child import answer_parent, read_in_child
-from r2h_batch.base.io.read import FileError, open_file, printable
+from r2h_batch.base.io.read import open_file, printable
 from r2h_batch.base.io.tables import MAX_WORD
 
 SECONDS, BYTES_A_SECOND = 60, 10_000_000

@@ -25,6 +25,8 @@ from io import BufferedReader, BytesIO
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO
 
+from r2h_batch.base.errors import FileError
+
 MAX_ARRAY_BYTES = 256 << 20
 MAX_ARRAYS = 64
 MAX_HEADER_BYTES = 1 << 20
@@ -48,10 +50,6 @@ _KINDS = {
 def kind_of(mode: int) -> str:
     """The kind of file that `os.lstat(...).st_mode` names: a file, a folder, a pipe, ..."""
     return _KINDS.get(stat.S_IFMT(mode), "of an unknown kind").partition(",")[0]
-
-
-class FileError(ValueError):
-    """A refused file: one line that names it, what was found and what is allowed."""
 
 
 # Unicode's control and format characters, line separators and lone surrogates

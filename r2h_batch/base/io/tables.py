@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.io.read import FileError, open_file, printable, read_json
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import open_file, printable, read_json
 
 MAX_WORD = 200
 MAX_CSV_BYTES = 512 << 20

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from r2h_batch.base.io.read import FileError, printable
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable
 
 RUN_FOLDERS = ("shards", "methods", "quarantine", "trials", "details", "poses", "paths", "failures", "manifest")  # fmt: skip
 """Folders that a run folder may contain; those from `trials` on only in format 3."""

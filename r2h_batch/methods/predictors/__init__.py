@@ -5,7 +5,7 @@ from r2h_batch.methods.predictors.contacts import predict_contacts
 from r2h_batch.methods.predictors.depth_view import DepthView
 from r2h_batch.methods.predictors.external_predictions import Observations, read_observations
 from r2h_batch.methods.predictors.files import load_predictor
-from r2h_batch.methods.predictors.grid import ContactPredictor, PredictorError
+from r2h_batch.methods.predictors.grid import ContactPredictor
 from r2h_batch.methods.predictors.hands import (
     ReceivingHand,
     TargetHand,
@@ -20,7 +20,6 @@ __all__ = [
     "ContactPredictor",
     "DepthView",
     "Observations",
-    "PredictorError",
     "PredictorNoise",
     "ReceivingHand",
     "SeenParts",

@@ -38,8 +38,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.arrays import Spec, check_arrays, check_poses
-from r2h_batch.base.io.read import FileError, printable, read_npz
+from r2h_batch.base.io.read import printable, read_npz
 from r2h_batch.scene.hand import HandGeometry, HandModel
 from r2h_batch.scene.hand_file import check_postures
 from r2h_batch.scene.objects import ObjectModel

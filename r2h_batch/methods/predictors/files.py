@@ -5,16 +5,20 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.onnx import OnnxNetwork
-from r2h_batch.base.io.read import FileError, archive_members, open_archive, printable, read_file
+from r2h_batch.base.io.read import archive_members, open_archive, printable, read_file
 from r2h_batch.base.user_code import HOW, load_function
-from r2h_batch.methods.predictors.grid import ContactPredictor, PredictorError
-from r2h_batch.methods.predictors.voxnet import read_voxnet
+from r2h_batch.methods.predictors.grid import ContactPredictor
+from r2h_batch.methods.predictors.voxnet import MAX_BYTES as MAX_VOXNET_BYTES
+from r2h_batch.methods.predictors.voxnet import voxnet_of
 
 MAX_BYTES = 4 << 30
 MAX_MEMBERS = 20_000
@@ -41,20 +45,26 @@ def load_predictor(spec: str, *, trust_code: bool = False) -> ContactPredictor:
         trust_code: whether a TorchScript file may be loaded.
 
     Raises:
-        PredictorError: the file or the function cannot be used.
+        FileError: the file or the function cannot be used.
     """
     path = Path(spec)
     if ":" in spec and not path.exists():
         return _function(spec)
+    of_voxnet = path.suffix == ".safetensors"
+    with _of_predictor():
+        data = read_file(path, MAX_VOXNET_BYTES if of_voxnet else MAX_BYTES)
+        if path.suffix == ".onnx":
+            return _OnnxNetwork(path, data)
+    return voxnet_of(path, data) if of_voxnet else _script(path, data, trust_code)
+
+
+@contextmanager
+def _of_predictor() -> Iterator[None]:
+    """A refused file is said to be the predictor's, with what may be given."""
     try:
-        if path.suffix == ".safetensors":
-            return read_voxnet(path)
-        data = read_file(path, MAX_BYTES)
-        return (
-            _OnnxNetwork(path, data) if path.suffix == ".onnx" else _script(path, data, trust_code)
-        )
+        yield
     except FileError as error:
-        raise PredictorError(f"predictor {error}; {_HOW}") from None
+        raise FileError(f"predictor {error}; {_HOW}") from None
 
 
 class _OnnxNetwork:
@@ -64,10 +74,8 @@ class _OnnxNetwork:
         self.network = OnnxNetwork(path, data)
 
     def __call__(self, grid: Tensor) -> Tensor:
-        try:
+        with _of_predictor():
             return self.network(grid)
-        except FileError as error:
-            raise PredictorError(f"predictor {error}; {_HOW}") from None
 
 
 def _script(path: Path, data: bytes, trust_code: bool) -> ContactPredictor:
@@ -76,20 +84,20 @@ def _script(path: Path, data: bytes, trust_code: bool) -> ContactPredictor:
     if not zipfile.is_zipfile(io.BytesIO(data)):
         pickled = data[:1] == b"\x80"
         kind = "a pickle, which runs code when read" if pickled else "no network that is known here"
-        raise PredictorError(f"{where}: {kind}; {_HOW}")
-    with open_archive(path, MAX_BYTES) as archive:
+        raise FileError(f"{where}: {kind}; {_HOW}")
+    with _of_predictor(), open_archive(path, MAX_BYTES) as archive:
         members = archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)
     names = [m.filename for m in members]
     if not any(n.endswith("constants.pkl") for n in names) or not any("/code/" in n for n in names):
         kind = "a torch.save file (a pickle, which runs code when read)"
-        raise PredictorError(f"{where}: {kind}; {_HOW}")
+        raise FileError(f"{where}: {kind}; {_HOW}")
     if not trust_code:
-        raise PredictorError(f"{where}: {_TRUST}")
+        raise FileError(f"{where}: {_TRUST}")
     try:
         return torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
     except (RuntimeError, ValueError) as error:
         why = printable(str(error).strip().partition("\n")[0])[:200]
-        raise PredictorError(f"{where}: not a readable TorchScript file ({why}); {_HOW}") from error
+        raise FileError(f"{where}: not a readable TorchScript file ({why}); {_HOW}") from error
 
 
 def _function(spec: str) -> ContactPredictor:
@@ -99,7 +107,7 @@ def _function(spec: str) -> ContactPredictor:
     except (Exception, SystemExit) as error:  # a user's module runs when it is imported
         kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
         why = " ".join(f"{kind}{printable(error)}".split())[:200]
-        raise PredictorError(f"{where}: {why}; {_HOW}") from error
+        raise FileError(f"{where}: {why}; {_HOW}") from error
     if not callable(found):
-        raise PredictorError(f"{where}: is a {type(found).__name__}, no function; {_HOW}")
+        raise FileError(f"{where}: is a {type(found).__name__}, no function; {_HOW}")
     return found

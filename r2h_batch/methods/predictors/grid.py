@@ -22,10 +22,6 @@ ContactPredictor = Callable[[Tensor], Tensor]
 CHANNELS = 5
 
 
-class PredictorError(ValueError):
-    """A predictor that cannot be used; the message names it, what was found and what is allowed."""
-
-
 def contact_grids(objects: Sequence[ObjectModel]) -> Float32[Tensor, "o 5 64 64 64"]:
     """The network's input for each object."""
     axis = (torch.arange(VOXELS, dtype=torch.float32, device="cpu") + 0.5) * (2.0 / VOXELS) - 1.0

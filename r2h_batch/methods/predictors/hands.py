@@ -12,10 +12,11 @@ from jaxtyping import Float32, Int8, Int32, Int64
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
+from r2h_batch.base.errors import UsageError
 from r2h_batch.methods.predictors.external_predictions import ExternalHands, Observations
 from r2h_batch.scene.hand import HandGeometry, HandModel, palm_frame
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.holding.instructions import InstructionError, intents_of, understand
+from r2h_batch.trials.holding.instructions import intents_of, understand
 from r2h_batch.trials.holding.receiving import ReceivingGrasps, load_receiving
 from r2h_batch.trials.holding.sampler import NoHoldError
 from r2h_batch.trials.noise import PredictorNoise, estimated_hand, perturbed, trial_ids
@@ -168,7 +169,7 @@ def retrieve_receiving(
         N hands in the object's frame.
 
     Raises:
-        InstructionError: a sentence names another object, or a part that the receiver does not
+        UsageError: a sentence names another object, or a part that the receiver does not
             take; or there are not N of them.
     """
     if seen is not None and seen.receiving is not None:
@@ -180,7 +181,7 @@ def retrieve_receiving(
         else list(instructions)
     )
     if len(texts) != len(trials):
-        raise InstructionError(
+        raise UsageError(
             f"{len(texts)} instructions for {len(trials)} trials; give one for each, or None"
         )
     grasps = load_receiving(scene.objects, scene.hands.model)

@@ -16,8 +16,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load
 from torch import Tensor, nn
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable, read_file
-from r2h_batch.methods.predictors.grid import CHANNELS, PredictorError
+from r2h_batch.methods.predictors.grid import CHANNELS
 
 WIDTHS = (8, 20, 40)
 MIDDLE_M, SPREAD_M = 0.1, 0.05
@@ -143,11 +144,16 @@ def _left_out() -> dict[str, dict[str, Tensor]]:
 
 def read_voxnet(path: str | Path) -> VoxNet:
     """A VoxNet with the weights of a .safetensors file."""
+    return voxnet_of(path, read_file(path, MAX_BYTES))
+
+
+def voxnet_of(path: str | Path, data: bytes) -> VoxNet:
+    """A VoxNet with the weights that a .safetensors file of this name holds."""
     net = VoxNet()
     try:
-        found = load(read_file(path, MAX_BYTES))
+        found = load(data)
     except SafetensorError as error:
-        raise PredictorError(
+        raise FileError(
             f"predictor {path}: not a readable .safetensors file ({printable(error)})"
         ) from error
     wanted = net.state_dict()
@@ -157,7 +163,7 @@ def read_voxnet(path: str | Path) -> VoxNet:
         name = (wrong or extra)[0]
         shape = tuple(found[name].shape) if name in found else "nothing"
         need = tuple(wanted[name].shape) if name in wanted else "no such weight"
-        raise PredictorError(
+        raise FileError(
             f"predictor {path}: weight {name!r} is {shape}, VoxNet needs {need}; another network"
             " must come as ONNX (.onnx) or as package.module:function"
         )
@@ -168,6 +174,6 @@ def read_voxnet(path: str | Path) -> VoxNet:
         elif not bool(weight.isfinite().all()):
             what = "holds NaN or infinite numbers; train it again, or copy it again"
         if what:
-            raise PredictorError(f"predictor {path}: weight {name!r} {what}")
+            raise FileError(f"predictor {path}: weight {name!r} {what}")
     net.load_state_dict(found)
     return net.eval()

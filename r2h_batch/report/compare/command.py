@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from r2h_batch.base.command_line import check_seed, nearest
+from r2h_batch.base.command_line import check_seed
+from r2h_batch.base.errors import nearest
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.report.compare.stored import baselines_for, is_stored, stored_rows

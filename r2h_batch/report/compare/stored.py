@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
-from r2h_batch.base.io.read import FileError, read_file
+from r2h_batch.base.io.read import read_file
 from r2h_batch.scene.mesh_import.limits import MOST_BYTES
 
 CODE = (

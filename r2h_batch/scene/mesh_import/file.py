@@ -23,8 +23,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.child import answer_parent, read_in_child
-from r2h_batch.base.io.read import FileError, open_file, path_within, printable, read_file
+from r2h_batch.base.io.read import open_file, path_within, printable, read_file
 from r2h_batch.scene.mesh_import.limits import MOST_BYTES, MOST_SECONDS, ObjectMeshError
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 
+from r2h_batch.base.errors import UserError
 from r2h_batch.base.io.log import LOG
 
 MOST_BYTES = 1 << 30
@@ -20,7 +21,7 @@ THINNEST_M = 1e-4
 trusted (`config.BORDERLINE_M`)."""
 
 
-class ObjectMeshError(ValueError):
+class ObjectMeshError(UserError):
     """A mesh that cannot become an object: what was given, what is allowed, what to do."""
 
 

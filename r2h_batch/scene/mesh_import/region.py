@@ -12,7 +12,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.base.io.read import FileError, printable, read_file
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable, read_file
 from r2h_batch.scene.mesh_import.closed import Closed
 from r2h_batch.scene.mesh_import.limits import ObjectMeshError
 from r2h_batch.scene.solid import Surface

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from r2h_batch.base.command_line import UsageError, check_seed
+from r2h_batch.base.command_line import check_seed
+from r2h_batch.base.errors import UsageError
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.sweep.results.rethreshold import rethreshold
 

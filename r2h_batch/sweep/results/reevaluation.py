@@ -18,6 +18,7 @@ import pyarrow.compute as pc
 import torch
 from pydantic import TypeAdapter
 
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
@@ -31,7 +32,6 @@ from r2h_batch.runs.methods import Entry
 from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
-from r2h_batch.sweep.options import UsageError
 from r2h_batch.sweep.scoring import judged_tables
 from r2h_batch.trials.predictions import Motions
 from r2h_batch.types import Predictions, Trials

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.report.statistics.tally import tally
 from r2h_batch.report.text import NA, aligned, legend, notes_list, plain, short_names
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.study.table_file import NAME, StudyError, number, read_table
+from r2h_batch.sweep.study.table_file import NAME, number, read_table
 
 COLUMNS = {
     **dict.fromkeys(("object", "capture"), NAME),
@@ -37,7 +38,7 @@ def comfort_report(folder: Path, file: Path) -> str:
         file: CSV with the columns of `COLUMNS`.
 
     Raises:
-        StudyError: the run has fewer than two of the rated objects.
+        FileError: the run has fewer than two of the rated objects.
     """
     ratings: dict[str, list[float]] = {}
     for row in read_table(file, COLUMNS):
@@ -49,7 +50,7 @@ def comfort_report(folder: Path, file: Path) -> str:
         cells = [c for c in tally(run, method).by("object") if c["object"] in ratings]
         if len(cells) < 2:
             there = ", ".join(list(ratings)[:10])
-            raise StudyError(
+            raise FileError(
                 f"{folder}: has {len(cells)} of the rated objects ({there}); sweep with --objects"
             )
         rated = np.array([np.mean(ratings[c["object"]]) for c in cells])

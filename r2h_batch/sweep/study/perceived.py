@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from r2h_batch.base import se3
+from r2h_batch.base.errors import FileError
 from r2h_batch.judge.distance import hand_distance_at
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.motion.time_law import time_at, time_path
@@ -25,7 +26,7 @@ from r2h_batch.scene.hand import palm_frame
 from r2h_batch.sweep.results.reception import table_of as reception_table
 from r2h_batch.sweep.results.reevaluation import Judge
 from r2h_batch.sweep.study.report import DRAWS, RATING_COLUMNS, SCALE, read_counts
-from r2h_batch.sweep.study.table_file import LINE, NAME, StudyError, number, read_table
+from r2h_batch.sweep.study.table_file import LINE, NAME, number, read_table
 from r2h_batch.types import Trials
 
 PAPER = Path(__file__).parent / "paper" / "ratings.csv"
@@ -219,12 +220,12 @@ def of_the_paper(run: Run) -> Run:
     """The run with the methods that the paper's people rated; what a name says in brackets is not read.
 
     Raises:
-        StudyError: fewer than three of them are complete.
+        FileError: fewer than three of them are complete.
     """
     theirs = next(iter(paper_means().values()))
     names = [name for name in run.methods if name.partition(" (")[0] in theirs]
     if len(names) < 3:
-        raise StudyError(
+        raise FileError(
             f"{len(names)} of the methods that people rated are in the run ({', '.join(names) or 'none'}); an order"
             f" needs three of {', '.join(theirs)}"
         )
@@ -285,7 +286,7 @@ def rated(ratings: Path, trials: Path) -> tuple[str, str]:
         for each rating, as CSV for a mixed model.
 
     Raises:
-        StudyError: a file that cannot be used, or a rating of a trial that is not in the other file.
+        FileError: a file that cannot be used, or a rating of a trial that is not in the other file.
     """
     trial_id = number(0, 2**62, whole=True)
     columns = {"trial_id": trial_id, **RATING_COLUMNS}
@@ -300,10 +301,10 @@ def rated(ratings: Path, trials: Path) -> tuple[str, str]:
         key = (r["method"], r["trial_id"])
         where, what = f"{ratings}: line {r[LINE]}", f"trial {r['trial_id']} of {r['method']}"
         if key not in measured:
-            raise StudyError(f"{where}: {trials.name} has no {what}")
+            raise FileError(f"{where}: {trials.name} has no {what}")
         if (once := (r["participant"], r["dimension"], *key)) in seen:
             words = f"{r['participant']} rates {what} twice for {r['dimension']}"
-            raise StudyError(f"{where}: participant {words}")
+            raise FileError(f"{where}: participant {words}")
         seen.add(once)
         known = measured[key]
         joined = {k: r[k] for k in columns} | {k: known[k] for k in ("object", *MEASURES)}

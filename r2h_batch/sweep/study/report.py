@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.report.text import aligned
-from r2h_batch.sweep.study.table_file import LINE, NAME, PERCENT, StudyError, number, read_table
+from r2h_batch.sweep.study.table_file import LINE, NAME, PERCENT, number, read_table
 
 SCALE = np.arange(1, 6)
 DRAWS = 10_000
@@ -55,9 +56,9 @@ def real_report(run: Path, file: Path, trials: int) -> str:
     for line in read_table(file, REAL_COLUMNS):
         name = stored.named(line["method"])
         if name in lines:
-            raise StudyError(f"{file}: line {line[LINE]}: {name} is there twice; once is enough")
+            raise FileError(f"{file}: line {line[LINE]}: {name} is there twice; once is enough")
         if name not in rows:
-            raise StudyError(f"{file}: line {line[LINE]}: {name} is not complete in {run}")
+            raise FileError(f"{file}: line {line[LINE]}: {name} is not complete in {run}")
         rate, total = rows[name].rates["sr"], rows[name].times["t_tot_s"].value
         sr = rate.percent if rate else 0.0
         t = float("nan") if total is None else total
@@ -83,13 +84,13 @@ def read_ratings(path: Path) -> dict[str, Ratings]:
     rows = read_table(path, RATING_COLUMNS)
     methods = list(dict.fromkeys(r["method"] for r in rows))
     if len(methods) < 2:
-        raise StudyError(f"{path}: all ratings are of {methods[0]}; two or more methods are needed")
+        raise FileError(f"{path}: all ratings are of {methods[0]}; two or more methods are needed")
     found: dict[str, dict[str, dict[str, int]]] = {}
     for r in rows:
         person = found.setdefault(r["dimension"], {}).setdefault(r["participant"], {})
         if r["method"] in person:
             words = f"{r['participant']} rates {r['method']} twice for {r['dimension']}"
-            raise StudyError(f"{path}: line {r[LINE]}: participant {words}")
+            raise FileError(f"{path}: line {r[LINE]}: participant {words}")
         person[r["method"]] = r["rating"]
     result = {}
     for dimension, people in found.items():
@@ -97,7 +98,7 @@ def read_ratings(path: Path) -> dict[str, Ratings]:
         if len(complete) < 2:
             counts = {m: sum(m in p for p in people.values()) for m in methods}
             rated = ", ".join(f"{m} {n}" for m, n in counts.items())
-            raise StudyError(
+            raise FileError(
                 f"{path}: {dimension}: {len(complete)} participants rated every method; two are needed."
                 f" Ratings by method: {rated}; mend a misspelt name, or leave it out"
             )
@@ -187,7 +188,7 @@ def rating_tests(rows: np.ndarray, methods: Sequence[str]) -> Test:
     """
     if rows.ndim != 2 or rows.shape[0] < 2 or rows.shape[1] < 2:
         words = "tests of ratings need 2 participants and 2 methods or more"
-        raise StudyError(f"{words}, given are {rows.shape}")
+        raise UsageError(f"{words}, given are {rows.shape}")
     if rows.shape[1] == 2:
         chi2, p = float("nan"), float("nan")
     elif (rows == rows[:, :1]).all():

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable, read_file
 from r2h_batch.base.validate import parse_number, parse_whole_number
 
@@ -13,10 +14,6 @@ MAX_CELL = 200
 """Characters of a cell; no name of a person or a method is longer."""
 LINE = "line"
 """Key of a row's line in the file, for errors that come later."""
-
-
-class StudyError(ValueError):
-    """A file that cannot be used: the message names it, the line and what is allowed."""
 
 
 class Column(NamedTuple):
@@ -72,7 +69,7 @@ def read_table(path: Path, columns: Mapping[str, Column]) -> list[dict[str, Any]
         Rows with these columns and their `LINE`.
 
     Raises:
-        StudyError: in one line, with the file, the line, the column and what is allowed.
+        FileError: in one line, with the file, the line, the column and what is allowed.
     """
     try:
         text = read_file(path, MAX_BYTES).decode("utf-8-sig")
@@ -82,18 +79,18 @@ def read_table(path: Path, columns: Mapping[str, Column]) -> list[dict[str, Any]
         records = [(reader.line_num, cells) for cells in reader if any(map(str.strip, cells))]
     except (UnicodeDecodeError, csv.Error) as error:
         why = printable(error)[:200]
-        raise StudyError(f"{path}: no readable CSV ({why}); save it as 'CSV UTF-8'") from None
+        raise FileError(f"{path}: no readable CSV ({why}); save it as 'CSV UTF-8'") from None
     names = [name.strip() for name in records[0][1]] if records else []
     for c in columns:
         if names.count(c) != 1:
             what = f"column {c!r} is there twice" if c in names else f"no column {c!r}"
-            raise StudyError(f"{path}: {what}; needed are {', '.join(columns)}, each once")
+            raise FileError(f"{path}: {what}; needed are {', '.join(columns)}, each once")
     if not records[1:]:
-        raise StudyError(f"{path}: no rows under the column names")
+        raise FileError(f"{path}: no rows under the column names")
     rows = []
     for line, cells in records[1:]:
         if len(cells) > len(names):
-            raise StudyError(f"{path}: line {line}: {len(cells)} cells under {len(names)} columns")
+            raise FileError(f"{path}: line {line}: {len(cells)} cells under {len(names)} columns")
         row: dict[str, Any] = {LINE: line}
         for name, kind in columns.items():
             place = names.index(name)
@@ -104,7 +101,7 @@ def read_table(path: Path, columns: Mapping[str, Column]) -> list[dict[str, Any]
                 row[name] = kind.read(cell)
             except ValueError:
                 shown = printable(cell[:40]) + ("..." if len(cell) > 40 else "") or "(empty)"
-                raise StudyError(
+                raise FileError(
                     f"{path}: line {line}, column {place + 1}: {name} {shown}; allowed are {kind.allowed}"
                 ) from None
         rows.append(row)

@@ -68,6 +68,10 @@ class HeldOut:
     """a point of the axis, frame obj, m"""
 
 
+_NO_AXIS = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+"""Axis and point of an object that has none, as `HeldOut` holds them."""
+
+
 @lru_cache(maxsize=8)
 def _load(objects: tuple[ObjectModel, ...], hand: HandModel) -> HeldOut:
     every = [_of_object(o, hand) for o in objects]
@@ -82,7 +86,7 @@ def _load(objects: tuple[ObjectModel, ...], hand: HandModel) -> HeldOut:
         instruction=torch.zeros(len(index), dtype=torch.int32, device="cpu"),
         hand=hand,
     )
-    lines = np.array([revolution_axis(o) for o in objects], np.float32)
+    lines = np.array([revolution_axis(o) or _NO_AXIS for o in objects], np.float32)
     return HeldOut(grasps, grip, *(torch.from_numpy(lines[:, k].copy()) for k in (0, 1)))
 
 
@@ -208,9 +212,9 @@ def friction_edges(
 
 
 @lru_cache(maxsize=256)
-def revolution_axis(model: ObjectModel) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def revolution_axis(model: ObjectModel) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
     """Unit axis and a point of it (frame obj, m), if the object and the receiver's region are the same
-    when turned about it; (0, 0, 0) twice if not.
+    when turned about it; None if not.
 
     Only axes through the centre of mass along a principal direction of the surface can be one.
     """
@@ -236,7 +240,7 @@ def revolution_axis(model: ObjectModel) -> tuple[tuple[float, ...], tuple[float,
         ) + center
         distance, _, nearest = surface.distance(turned.astype(np.float32), 0.05)
         if np.abs(distance).max() > SAME_M:
-            return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+            return None
         if (model.receiver_face[nearest] == model.receiver_face[face]).mean() < SAME_SHARE:
-            return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+            return None
     return tuple(axis.tolist()), tuple(center.tolist())

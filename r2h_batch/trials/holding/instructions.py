@@ -13,15 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+from r2h_batch.base.errors import UsageError
 from r2h_batch.scene.objects import ObjectModel, load_objects
 from r2h_batch.scene.vocabulary import PART_WORDS, THINGS, VERB_WORDS, Thing
 
 TAKE = "take"
 ANYWHERE = "object"
-
-
-class InstructionError(ValueError):
-    """A sentence that names no known object, part or purpose; the message lists what is known."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,7 @@ def understand(
         object_index: what it is about where it names no object ("the handle, please").
 
     Raises:
-        InstructionError: it names no object, two, another than `object_index`, or a part that the
+        UsageError: it names no object, two, another than `object_index`, or a part that the
             receiver does not take.
     """
     return _understand(text, tuple(load_objects() if objects is None else objects), object_index)
@@ -148,26 +145,24 @@ def _object(
     if expected is not None:
         called = _thing(objects[expected]).names  # instances of a family share theirs
         if kept and not any(_thing(objects[index[n]]).names == called for n in kept):
-            raise InstructionError(
+            raise UsageError(
                 f"{text!r} is about {_listed(kept)}, but this trial's object is {objects[expected].name}"
             )
         return expected
     if len(kept) == 1:
         return index[kept[0]]
     if len(kept) > 1:
-        raise InstructionError(f"{text!r} names {_listed(kept)}; name one object")
+        raise UsageError(f"{text!r} names {_listed(kept)}; name one object")
     verbs = _find(words, VERB_WORDS, inflected=True)
     fitting = [o.name for o in objects if any(v in _thing(o).verbs for v in verbs)]
     if len(fitting) == 1:
         return index[fitting[0]]
     if fitting:
-        raise InstructionError(
-            f"{text!r} names no object; {_listed(fitting)} would do: name one of them"
-        )
+        raise UsageError(f"{text!r} names no object; {_listed(fitting)} would do: name one of them")
     names = [n for o in objects for n in _thing(o).names]
     near = [n for w in words if len(w) > 3 for n in difflib.get_close_matches(w, names, 1, 0.75)]
     hint = f"did you mean {near[0]!r}? " if near else ""
-    raise InstructionError(
+    raise UsageError(
         f"{text!r} names no object; {hint}known are {', '.join(o.name.replace('_', ' ') for o in objects)}"
     )
 
@@ -181,7 +176,7 @@ def _only_of(text: str, model: ObjectModel, parts: list[str]) -> str | None:
             return part
     if parts:
         allowed = _listed([p for p in dict.fromkeys(takeable) if p != ANYWHERE])
-        raise InstructionError(
+        raise UsageError(
             f"{text!r}: the receiver of the {model.name.replace('_', ' ')} takes {allowed}, "
             f"not {parts[0]}; name one of these, or only the object"
         )

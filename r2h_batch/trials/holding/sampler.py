@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from r2h_batch.base.errors import UserError
 from r2h_batch.base.launch import init_warp
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.scene.hand import HandModel, load_hand
@@ -68,7 +69,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
-class NoHoldError(ValueError):
+class NoHoldError(UserError):
     """An object that neither hand can hold, as far as was found."""
 
 

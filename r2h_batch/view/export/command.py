@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from r2h_batch.base.command_line import UsageError, check_range, counted
+from r2h_batch.base.command_line import check_range, counted
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import check_output_file, check_output_folder
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
@@ -77,11 +78,12 @@ def trials(
     if not splits:
         raise UsageError("--splits names no split; allowed are S0, S1")
     check_output_folder(out, overwrite=None)
+    from r2h_batch.protocols.edit import edited
     from r2h_batch.verdicts import SPLITS
     from r2h_batch.view.export.trial_files import write_trials
 
     chosen = [s for s in SPLITS if s in splits]
-    found = benchmark.read()
+    found = edited(benchmark)
     digest = write_trials(
         out, chosen, trials, benchmark=found, open_formats=open_formats, flags=benchmark.flags()
     )
@@ -115,18 +117,19 @@ def export(
     """
     check_range("--trials", trials, 1, MOST_TRIALS, "")
     check_output_folder(out, overwrite=None)
+    from r2h_batch.runs.files import RunError
     from r2h_batch.scene.robot import DEFAULT_ROBOT
     from r2h_batch.view.export.release import (
         release_name,
         write_release_results,
         write_release_trial,
     )
-    from r2h_batch.view.stored import UNJUDGED, ExportError, Reader
+    from r2h_batch.view.stored import UNJUDGED, Reader
 
     reader = Reader(run, benchmark)
     if reader.run.robot != DEFAULT_ROBOT:
         words = f"holds motions of {reader.run.robot}; {to} has the {DEFAULT_ROBOT} alone"
-        raise ExportError(f"{printable(run)}: {words}")
+        raise RunError(f"{printable(run)}: {words}")
     name = reader.method(method or None)
     rows = reader.rows(name).to_pylist()
     judged = sorted((r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"])

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Literal
 
-from r2h_batch.base.command_line import UsageError
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import check_output_file, check_output_folder, write_text
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice

@@ -9,7 +9,7 @@ from refusals import one_line
 
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.methods import contact, fc, handover_va, intent
 from r2h_batch.methods.part_roles import roles_of
 from r2h_batch.methods.predictors import (

@@ -11,8 +11,9 @@ from onnx_files import contact_network, expanding_network, looping_network
 from safetensors.torch import save_file
 
 from r2h_batch import load_benchmark
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.io import onnx
-from r2h_batch.methods.predictors import PredictorError, load_predictor, predict_contacts
+from r2h_batch.methods.predictors import load_predictor, predict_contacts
 from r2h_batch.methods.predictors.grid import contact_grids
 from r2h_batch.methods.predictors.voxnet import load_voxnet
 from r2h_batch.scene.objects import load_objects
@@ -26,7 +27,7 @@ GRID = contact_grids(load_objects(["cup"]))
 
 
 def refused(path, *parts, **given):
-    with pytest.raises(PredictorError) as error:
+    with pytest.raises(FileError) as error:
         load_predictor(str(path), **given)
     message = str(error.value)
     assert "\n" not in message and all(part in message for part in parts), message
@@ -86,12 +87,12 @@ def test_a_network_that_never_answers_or_takes_all_memory_is_ended(tmp_path, mon
     assert torch.equal(load_predictor("net.onnx")(GRID), GRID)
     # 16 GB: more than the process may take, found when the file is read or when it answers
     (tmp_path / "net.onnx").write_bytes(expanding_network(4 << 30))
-    with pytest.raises(PredictorError, match=r"net.onnx: .*memory"):
+    with pytest.raises(FileError, match=r"net.onnx: .*memory"):
         load_predictor("net.onnx")(GRID)
     (tmp_path / "net.onnx").write_bytes(looping_network(1 << 62))
     network = load_predictor("net.onnx")
     monkeypatch.setattr(onnx, "MOST_SECONDS", 2)
-    with pytest.raises(PredictorError, match=r"net.onnx: takes more than 2 s of CPU time"):
+    with pytest.raises(FileError, match=r"net.onnx: takes more than 2 s of CPU time"):
         network(GRID)
 
 

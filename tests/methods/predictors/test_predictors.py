@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from r2h_batch import load_benchmark
+from r2h_batch.base.errors import UsageError
 from r2h_batch.methods.predictors import (
     PredictorNoise,
     predict_parts,
@@ -13,7 +14,7 @@ from r2h_batch.methods.predictors import (
     retrieve_receiving,
 )
 from r2h_batch.scene.hand import palm_frame
-from r2h_batch.trials.holding.instructions import InstructionError, intents_of
+from r2h_batch.trials.holding.instructions import intents_of
 from r2h_batch.trials.holding.receiving import load_receiving
 
 EXACT = PredictorNoise().scaled(0)
@@ -94,7 +95,7 @@ def test_retrieval_answers_the_instruction(scene, trials) -> None:
         seen = retrieve_receiving(bowls, scene, [text] * len(bowls))
         intent = next(i for i in intents_of(scene.objects[1]) if i.part == part)
         assert set(grasps.part[seen.grasp].tolist()) <= set(intent.labels)
-    with pytest.raises(InstructionError, match="is about cup, but this trial's object is bowl"):
+    with pytest.raises(UsageError, match="is about cup, but this trial's object is bowl"):
         retrieve_receiving(bowls, scene, ["the cup please"] * len(bowls))
 
 

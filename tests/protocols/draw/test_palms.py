@@ -11,6 +11,7 @@ from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.draw import palms
+from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.scene.hand import load_hand, palm_frame
 from r2h_batch.scene.objects import load_objects, stored_objects
@@ -82,7 +83,7 @@ def test_the_closed_form_knows_what_the_arm_reaches():
 def test_objects_hands_table_and_home_are_the_releases_by_flag_in_a_file_and_in_python(tmp_path):
     (tmp_path / "b.yaml").write_text("protocol: r2h-release\n")
     own = load_benchmark("r2h-release")
-    by_flag = BenchmarkChoice(benchmark="r2h-release").read()
+    by_flag = edited(BenchmarkChoice(benchmark="r2h-release"))
     assert own.digest == by_flag.digest == read_benchmark(tmp_path / "b.yaml").digest
     assert [sum(o.split == s for o in own.objects) for s in ("S0", "S1")] == [8, 8]
     bottle = next(o for o in own.objects if o.name == "bottle")

@@ -12,7 +12,7 @@ import torch
 
 from r2h_batch import load_benchmark
 from r2h_batch.assets.hand.build_handset import angles_from_pose
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.data.people import (
     GROUPS,
@@ -31,6 +31,7 @@ from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.draw.people import Owners
 from r2h_batch.protocols.draw.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM, TABLE_HEIGHT_M, reach
 from r2h_batch.protocols.draw.wheelchair import KNEES, LAP_M, POPLITEAL_M, clear_of_lap
+from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays
 from r2h_batch.scene.hand import HandModel
@@ -39,7 +40,7 @@ from r2h_batch.types import PERSON, Trials
 
 @pytest.fixture(scope="module")
 def children() -> Benchmark:
-    return BenchmarkChoice(people="children").read()
+    return edited(BenchmarkChoice(people="children"))
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +109,7 @@ def test_every_person_is_some_hands_and_hands_are_in_the_order_of_their_people()
 
 
 def test_people_in_wheelchairs_sit_as_high_as_these_and_keep_hand_and_forearm_off_their_lap() -> None:
-    benchmark = BenchmarkChoice(people="wheelchair").read()
+    benchmark = edited(BenchmarkChoice(people="wheelchair"))
     trials, people = benchmark.trials(60), built_in_people("adults")
     assert column(trials, "seated").all() and trials.receiver is not None
     off = np.abs(people.age[None] - column(trials, "age_years")[:, None])
@@ -167,9 +168,9 @@ def test_people_make_another_benchmark(children: Benchmark) -> None:
 
 def test_people_need_a_protocol_with_bodies() -> None:
     with pytest.raises(FileError, match="trials of r2h-v0 have no body; take --benchmark r2h-v1"):
-        BenchmarkChoice(benchmark="r2h-v0", people="adults").read()
+        edited(BenchmarkChoice(benchmark="r2h-v0", people="adults"))
     with pytest.raises(FileError, match="people is adlts, did you mean adults"):
-        BenchmarkChoice(people="adlts").read()
+        edited(BenchmarkChoice(people="adlts"))
 
 
 def test_the_hand_is_watertight_at_every_stature() -> None:
@@ -272,7 +273,7 @@ def test_a_file_of_people_gives_their_trials(tmp_path: Path) -> None:
     (tmp_path / "benchmark.yaml").write_text("people: staff.csv\n")
     trials = read_benchmark(tmp_path / "benchmark.yaml").trials(10)
     assert set(column(trials, "stature_m").round(4)) <= set(some(3).lengths["stature"].round(4).astype(np.float32))
-    same = BenchmarkChoice(people=str(file)).read().trials(10)
+    same = edited(BenchmarkChoice(people=str(file))).trials(10)
     assert torch.equal(same.T_world_hand, trials.T_world_hand)
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from r2h_batch import load_benchmark
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.scene.hand import load_hand, load_hand_set, make_hand_set
 from r2h_batch.scene.hand_file import read_hand_set
 

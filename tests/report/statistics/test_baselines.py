@@ -10,7 +10,7 @@ import torch
 from made_runs import made_trials, make_header, make_scores
 
 from r2h_batch.__main__ import main
-from r2h_batch.base.io.read import FileError
+from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.report.compare.stored import baselines_for, stored_rows

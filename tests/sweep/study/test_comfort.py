@@ -6,8 +6,8 @@ from made_runs import OBJECTS, write_run
 from scipy import stats
 
 from r2h_batch.__main__ import main
+from r2h_batch.base.errors import FileError
 from r2h_batch.sweep.study.comfort import comfort_report
-from r2h_batch.sweep.study.table_file import StudyError
 
 
 def rated(path, ratings):
@@ -34,5 +34,5 @@ def test_comfort_goes_with_success_as_the_ranks_of_the_objects_say(tmp_path, cap
 
 def test_a_run_without_the_rated_objects_is_refused(tmp_path):
     run = write_run(tmp_path / "run", {"m": np.zeros(12, int)}, 6, 6)
-    with pytest.raises(StudyError, match="has 1 of the rated objects"):
+    with pytest.raises(FileError, match="has 1 of the rated objects"):
         comfort_report(run.folder, rated(tmp_path / "comfort.csv", {"cup": [4], "elsewhere": [1]}))

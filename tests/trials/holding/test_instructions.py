@@ -5,15 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from r2h_batch.base.errors import UsageError
 from r2h_batch.scene.objects import BUILT_IN_NAMES, INSTANCE_NAMES, load_objects
 from r2h_batch.scene.vocabulary import THINGS
-from r2h_batch.trials.holding.instructions import (
-    ANYWHERE,
-    InstructionError,
-    instructions_of,
-    intents_of,
-    understand,
-)
+from r2h_batch.trials.holding.instructions import ANYWHERE, instructions_of, intents_of, understand
 
 OBJECTS = load_objects()
 
@@ -67,7 +62,7 @@ def test_an_objects_own_instruction_asks_for_the_receivers_region() -> None:
     ],
 )
 def test_what_cannot_be_answered_is_refused_with_what_is_allowed(text: str, index: int | None, message: str) -> None:
-    with pytest.raises(InstructionError, match=message):
+    with pytest.raises(UsageError, match=message):
         understand(text, object_index=index)
 
 
@@ -91,7 +86,7 @@ def test_a_region_that_somebody_else_declared_is_asked_for_by_the_names_of_its_p
     for intent in intents_of(model):
         for phrase in intent.phrases:
             assert set(intents_of(model)[understand(phrase, [model]).intent].labels) == set(intent.labels), phrase
-    with pytest.raises(InstructionError, match=r"the receiver of the .* takes "):
+    with pytest.raises(UsageError, match=r"the receiver of the .* takes "):
         understand(f"hand me the {name.replace('_', ' ')} by its {refused}", [model])
 
 

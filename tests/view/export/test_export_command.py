@@ -10,9 +10,10 @@ import trimesh
 
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
+from r2h_batch.runs.files import RunError
 from r2h_batch.scene import hand
 from r2h_batch.sweep import command as sweep
-from r2h_batch.view.stored import ExportError, Reader
+from r2h_batch.view.stored import Reader
 
 TIMES = ("t_plan_s", "t_method_s")
 
@@ -49,7 +50,7 @@ def test_what_a_folder_names_is_neither_imported_nor_opened(run, tmp_path, monke
     reader.run = dataclasses.replace(reader.run, header={**reader.run.header, "stored": []})
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "evil_module.py").write_text("raise SystemExit('imported')")
-    with pytest.raises(ExportError, match="sweep without --no-poses"):
+    with pytest.raises(RunError, match="sweep without --no-poses"):
         reader.trial(0, "oracle")
 
 
@@ -67,7 +68,7 @@ def test_a_stored_motion_that_cannot_be_is_one_line(run, monkeypatch, kind, colu
     table = getattr(reader.run, kind)("oracle")
     forged = [{**row, column: change(row[column])} for row in table.to_pylist()]
     monkeypatch.setattr(type(reader.run), kind, lambda *_: pa.Table.from_pylist(forged, schema=table.schema))
-    with pytest.raises(ExportError, match="trial 0 of 'oracle' is stored as no motion can be"):
+    with pytest.raises(RunError, match="trial 0 of 'oracle' is stored as no motion can be"):
         reader.trial(0, "oracle")
 
 

@@ -1,0 +1,34 @@
+"""Errors that a user can mend: one family, raised anywhere, one line each. Imports nothing heavy.
+
+The message says what was given, what is allowed and what to do. The command line alone turns an
+error into a line on stderr and an exit code (`command_line.exit_code_of`); whoever calls the
+package from Python catches a `ValueError`.
+"""
+
+import difflib
+from collections.abc import Sequence
+
+
+class UserError(ValueError):
+    """What was given cannot be used: one line. A command ends with exit code 2."""
+
+
+class FileError(UserError):
+    """A refused file: one line that names it, what was found and what is allowed."""
+
+
+class UsageError(UserError):
+    """A refused argument, flag or sentence: one line that says what was given and what is
+    allowed."""
+
+
+class MachineError(RuntimeError):
+    """Work that this machine cannot do, whatever is given: one line. A command ends with exit
+    code 1."""
+
+
+def nearest(name: str, allowed: Sequence[str]) -> str:
+    """`, did you mean X?` for the allowed word nearest to a misspelt one; empty where none is
+    near."""
+    near = difflib.get_close_matches(name, allowed, n=1)
+    return f", did you mean {near[0]}?" if near else ""
