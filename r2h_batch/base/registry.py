@@ -37,6 +37,13 @@ PROTOCOLS = (
 )
 DEFAULT_PROTOCOL = "r2h-v1"
 PROTOCOL_NAMES = tuple(entry.name for entry in PROTOCOLS)
+LISTED, FOREIGN = "listed", "r2handoversim"
+"""In place of a rule: trials of a file; the verdicts of the authors' release, by its own definitions."""
+
+
+def is_drawn(protocol: str) -> bool:
+    """Whether a rule drew a run's trials: of any number of them, the first ones are the same."""
+    return protocol not in (LISTED, FOREIGN)
 
 
 class Preset(NamedTuple):
@@ -91,12 +98,10 @@ TURNS = ("half", "cycled")
 `protocols/edit.py` has them."""
 
 if TYPE_CHECKING:
-    ProtocolName: TypeAlias = str
     PresetName: TypeAlias = str
     EngineName: TypeAlias = str
     EngineWord: TypeAlias = str
 else:  # in a checked field: one of the names; a word may also be empty, or leave the choice open
-    ProtocolName = Literal[PROTOCOL_NAMES]
     PresetName = Literal[PRESET_NAMES]
     EngineName = Literal[("none", *ENGINE_NAMES)]
     EngineWord = Literal[("auto", "none", *ENGINE_NAMES)]

@@ -17,13 +17,14 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
+from r2h_batch.base.registry import LISTED
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.validate import instance_of, integer, one_of, optional, sequence_of
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
 from r2h_batch.protocols.draw.rule import Rule
-from r2h_batch.protocols.trials_file import LISTED, Labels, listed_with_ids
+from r2h_batch.protocols.trials_file import Labels, listed_with_ids
 from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot

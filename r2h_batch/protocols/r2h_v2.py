@@ -4,9 +4,11 @@ from r2h_batch.data.people import ALL, built_in_people, people_hand_set
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.draw.reaching import place_reaching
 from r2h_batch.protocols.draw.rule import Rule
+from r2h_batch.protocols.registry import BENCHMARK
 from r2h_batch.scene.objects import INSTANCE_NAMES, load_objects
 
 
+@BENCHMARK("r2h-v2")
 def r2h_v2() -> Benchmark:
     """96 objects, 2,000 people with 400 hands of theirs."""
     # objects take turns in their order: categories first, then instances

@@ -35,7 +35,7 @@ from r2h_batch.protocols.file_fields import (
     ObjectEntry,
     read_benchmark_file,
 )
-from r2h_batch.protocols.named import named_benchmark
+from r2h_batch.protocols.registry import named_benchmark
 from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.grasp_set import GraspSet
