@@ -39,6 +39,7 @@ from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
 from r2h_batch.trials.benchmark.build import read_benchmark
 from r2h_batch.trials.benchmark.trials_file import listed_with_ids
 from r2h_batch.trials.distance import from_box, from_segment, from_segments
+from r2h_batch.trials.own_torso import off_the_torso
 from r2h_batch.trials.people import draw_people, owners
 from r2h_batch.types import PERSON, Trials
 from r2h_batch.verdicts import SPLITS
@@ -220,7 +221,7 @@ def trials_with_ids(
             if people is not None:
                 T_world_hand[rows], receiver[rows], hand_index[rows], person[rows] = draw_people(
                     key, ids[rows], side[rows], hand_index[rows], owners(people, given),
-                    partial(_placing, place=place), _table_edge_m(config),
+                    partial(_placing_people, place=place), _table_edge_m(config),
                 )  # fmt: skip
                 continue
             T_world_hand[rows], bodies = _DRAWS[protocol](
@@ -474,6 +475,13 @@ def _placing(hand_index: NDArray[np.int64], place: Place) -> receivers.PlaceHand
         return fits, T[clear], people
 
     return place_hand
+
+
+def _placing_people(hand_index: NDArray[np.int64], place: Place) -> receivers.PlaceHand:
+    """`_placing` of people who do not overlap themselves: the receivers of r2h-v2, not those of r2h-v1, which is frozen."""
+    hands = place.hands
+    place_hand = _placing(hand_index, place)
+    return off_the_torso(place_hand, hand_index, hands.vertices, hands.center, hands.radius)
 
 
 def _in_set(center: Array, room: "Room") -> NDArray[np.bool_]:
