@@ -49,7 +49,7 @@ def overlaps(benchmark: Benchmark, trials: Trials) -> dict[str, F64]:
 
 
 def lines(trials: int = 1000) -> Iterator[str]:
-    """What the page says, a line each."""
+    """The figures of docs/people.md, a line each."""
     benchmark = built_in("r2h-v2")
     drawn = make_trials(trials=trials, benchmark=benchmark)
     for part, deep in overlaps(benchmark, drawn).items():

@@ -1,4 +1,4 @@
-"""What Anny's adults get from surveys: arms as long as in ANSUR II, and the height that people lose with age.
+"""Surveys that Anny's adults follow: arms as long as in ANSUR II, and the height that people lose with age.
 
 Bones are lengthened and the trunk is shortened with the skin on them; hands, legs and heads keep their shape. Anny itself
 makes no difference between a person of 25 and one of 85 years, and gives women forearms 14 % shorter than ANSUR II's.

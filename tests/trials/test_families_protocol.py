@@ -17,7 +17,7 @@ from r2h_batch.types import PERSON, Trials
 
 FROZEN = "4bee35bc09e816e0fefa0d6c8214bb08dc8aebf7da1452444650ed641f3f757b"
 """Digest of 200 trials a split: r2h-v2 never changes; docs/choices.md names it too."""
-DEFINED = "c67d30e6bd813230da1693e54dcfc4d16213d9a9a96e2356bdc1eab35ada0b63"
+DEFINED = "c2d75d4d655d8f630bc484a651836bb33d02a3c7364cbb670152ccf8d9c680bd"
 """Digest of the benchmark: objects, hands, people, limits and place."""
 
 
