@@ -44,7 +44,9 @@ LISTED, FOREIGN = "listed", "r2handoversim"
 
 def is_drawn(header: Mapping[str, Any]) -> bool:
     """Whether a rule drew the trials of a run, by its run.json: of any number of them, the first ones are the same."""
-    told = {"objects", "hand_set"} <= header["digests"].keys() or header["protocol"] in PROTOCOL_NAMES
+    told = {"objects", "hand_set"} <= header["digests"].keys() or header[
+        "protocol"
+    ] in PROTOCOL_NAMES
     return told and header["protocol"] not in (LISTED, FOREIGN)
 
 
