@@ -8,7 +8,7 @@ A room makes one `Registry` for each kind, beside the things or below them:
     class Servo: ...
 
     POLICY["servo"]                      # imports the modules, once, when a name is first asked for
-    list(POLICY); "servo" in POLICY      # as well; names that are given as `names` are there before
+    list(POLICY); "slow" in POLICY       # as well; with `names` and `light` they do not
 
 A package of ours in `modules` stands for all of its modules, so that a new file needs no line
 elsewhere. A stranger's package names what it adds in its own pyproject.toml, and nothing of ours
@@ -48,7 +48,8 @@ class Registry(Generic[T]):
         things: those that are light enough to be here from the start.
         modules: modules and packages of ours that register more when they are imported: when a name
             is asked for that is not here yet.
-        names: names that those modules give, for lists that must not import them.
+        names: names that those modules give, in the order in which lists show them.
+        light: these names are all that those modules give, so lists need not import them.
     """
 
     def __init__(
@@ -58,10 +59,11 @@ class Registry(Generic[T]):
         *,
         modules: Sequence[str] = (),
         names: Sequence[str] = (),
+        light: bool = False,
     ) -> None:
         self.kind = kind
         self._things: dict[str, T] = dict(things or {})
-        self._modules, self._names = list(modules), tuple(names)
+        self._modules, self._names, self._light = list(modules), tuple(names), light
         self._declared: dict[str, EntryPoint] | None = None
         self._strangers = False  # whether modules of other packages were imported
 
@@ -110,9 +112,9 @@ class Registry(Generic[T]):
         return name in self._things or name in self._names or name in set(self)
 
     def __iter__(self) -> Iterator[str]:
-        """The names. Without `names` this imports our modules; it imports a stranger's module only where its
+        """The names. This imports our modules, unless `light`; it imports a stranger's module only where its
         entry point does not say KIND.NAME."""
-        if not self._names:
+        if not self._light:
             self._import_ours()
         self._import_strangers()
         return iter(dict.fromkeys((*self._names, *self._things, *self._declared_names())))
@@ -139,7 +141,7 @@ class Registry(Generic[T]):
                 of, dot, name = entry.name.partition(".")
                 if of != self.kind or not dot:
                     continue
-                if not self._names:
+                if not self._light:
                     self._import_ours()
                 if name in found or name in self._names or name in self._things:
                     other = _owner(found[name]) if name in found else "r2h_batch"

@@ -107,7 +107,7 @@ def test_modules_of_ours_are_imported_once_a_name_is_asked_for_and_a_package_sta
     (tmp_path / "drawer" / "__init__.py").write_text("")
     (tmp_path / "drawer" / "top.py").write_text("import builtins\nbuiltins.KNIVES.add('fish', 3)\n")
     monkeypatch.syspath_prepend(tmp_path)
-    knives = Registry[int]("knife", {"bread": 1}, modules=("drawer",), names=("fish",))
+    knives = Registry[int]("knife", {"bread": 1}, modules=("drawer",), names=("fish",), light=True)
     monkeypatch.setattr("builtins.KNIVES", knives, raising=False)
     assert list(knives) == ["fish", "bread"] and "drawer" not in sys.modules
     assert knives["bread"] == 1 and "drawer" not in sys.modules

@@ -56,7 +56,12 @@ from r2h_batch.scene.objects import (
 from r2h_batch.scene.robot import ROBOTS, Robot, load_robot, read_robot
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
 from r2h_batch.trials.benchmark.benchmark import Benchmark, built_in
-from r2h_batch.trials.benchmark.family_objects import PREFIX, family_objects, family_splits
+from r2h_batch.trials.benchmark.family_objects import (
+    PREFIX,
+    family_objects,
+    family_splits,
+    names_code,
+)
 from r2h_batch.trials.benchmark.flags import BenchmarkFlags, words_of
 from r2h_batch.trials.benchmark.model import (
     BUILT_IN,
@@ -714,9 +719,11 @@ def _found(said: BenchmarkOverrides, run: Path) -> BenchmarkOverrides | None:
             name in ("persons", "turn")
             or (name == "people" and value in WORDS)
             or (name == "robot" and value in ROBOTS)
-            or value.startswith(PREFIX)
+            or (value.startswith(PREFIX) and not names_code(value))
         ):
             return value
+        if names_code(value):  # the user says again that it may run
+            return None
         if name == "object_mesh":  # FILE[:SPLIT[:REGION]]
             file, sign, rest = value.partition(":")
         elif name == "grasps":  # NAME=FILE
