@@ -2,13 +2,13 @@
 
 A room makes one `Registry` for each kind, beside the things or below them:
 
-    POLICY: Registry[type] = Registry("policy", modules=("r2h_batch.closed_loop.policies",))
+    POLICIES: Registry[type] = Registry("policy", modules=("r2h_batch.closed_loop.policies",))
 
-    @POLICY("servo")                     # in closed_loop/policies.py, or in any module of `modules`
+    @POLICIES("servo")                     # in closed_loop/policies.py, or in any module of `modules`
     class Servo: ...
 
-    POLICY["servo"]                      # imports the modules, once, when a name is first asked for
-    list(POLICY); "slow" in POLICY       # as well; with `names` and `light` they do not
+    POLICIES["servo"]                      # imports the modules, once, when a name is first asked for
+    list(POLICIES); "slow" in POLICIES       # as well; with `names` and `light` they do not
 
 A package of ours in `modules` stands for all of its modules, so that a new file needs no line
 elsewhere. A stranger's package names what it adds in its own pyproject.toml, and nothing of ours
@@ -18,7 +18,7 @@ changes:
     "policy.slow" = "their_package.arms:Slow"       # KIND.NAME: one thing, imported when it is used
     anything = "their_package.r2h"                  # a module that registers when it is imported
 
-What is in no package is `module:function` on a command line (`base.user_code.find`).
+What is in no package is `module:function` on a command line (`base.user_code.chosen`).
 """
 
 import difflib
@@ -44,7 +44,7 @@ class Registry(Generic[T]):
     """The things of one kind by name, in the order in which they came: ours first.
 
     Args:
-        kind: one word for messages and for entry points (`KIND.NAME`).
+        kind: in messages, and with _ for spaces in entry points (`KIND.NAME`).
         things: those that are light enough to be here from the start.
         modules: modules and packages of ours that register more when they are imported: when a name
             is asked for that is not here yet.
@@ -119,6 +119,17 @@ class Registry(Generic[T]):
         self._import_strangers()
         return iter(dict.fromkeys((*self._names, *self._things, *self._declared_names())))
 
+    def outside(self, name: str) -> str:
+        """`module:name` of a function or class of somebody else's; empty for ours.
+
+        Raises:
+            PluginError: as for the thing itself.
+        """
+        if entry := self._declared_names().get(name):
+            return entry.value
+        thing = self[name]
+        return "" if thing.__module__.startswith("r2h_batch.") else _place(thing)
+
     def unknown(self, name: str) -> str:
         """The line about a name that is not here: the nearest one, and all."""
         names = list(self)
@@ -139,7 +150,7 @@ class Registry(Generic[T]):
             found: dict[str, EntryPoint] = {}
             for entry in _entries():
                 of, dot, name = entry.name.partition(".")
-                if of != self.kind or not dot:
+                if of != self.kind.replace(" ", "_") or not dot:
                     continue
                 if not self._light:
                     self._import_ours()

@@ -372,7 +372,7 @@ def _method_job(
     method, method_options = _method(name), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
     extra = dict(method.options)
-    sees = next((m.sees for m in METHODS if m.name == base_of(name)), ())
+    sees = METHODS[base_of(name)].sees if built_in else ()
     if "evaluator" in takes:
         extra["evaluator"] = evaluator
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)

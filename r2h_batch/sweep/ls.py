@@ -41,11 +41,14 @@ def ls(
 def _methods() -> Iterator[Line]:
     from importlib import import_module
 
-    from r2h_batch.base.registry import METHOD_NAMES
+    from r2h_batch.base.registry import METHOD_NAMES, METHODS
 
     for name in METHOD_NAMES:
         words = import_module(f"r2h_batch.methods.{name.replace('-', '_')}").__doc__ or ""
         yield name, " ".join(words.partition(".\n")[0].partition(";")[0].split()).rstrip(".")
+    for name in METHODS:
+        if name not in METHOD_NAMES:
+            yield name, METHODS.outside(name)
 
 
 def _objects() -> Iterator[Line]:
@@ -79,11 +82,11 @@ def _families() -> Iterator[Line]:
 
 def _not_shipped() -> "list[Family]":
     """Families that are drawn alone; none where what draws them is not installed."""
-    from r2h_batch.scene.families.family import FAMILY
+    from r2h_batch.scene.families.family import FAMILIES
     from r2h_batch.scene.objects import OBJECT_NAMES
 
     try:
-        return [FAMILY[name] for name in FAMILY if name not in OBJECT_NAMES]
+        return [FAMILIES[name] for name in FAMILIES if name not in OBJECT_NAMES]
     except ModuleNotFoundError:
         return []
 

@@ -15,6 +15,7 @@ from r2h_batch.sweep.options import (
     Options,
     UsageError,
     execution_error,
+    spelled_out,
 )
 from r2h_batch.trials.benchmark.build import BenchmarkOverrides
 from r2h_batch.verdicts import SPLITS
@@ -212,7 +213,7 @@ def requested(options: Options) -> Request:
             options.address, options.ray_timeout, options.workers, options.gpus_per_worker
         )
     methods = Methods(
-        names=options.method, predictions=options.predictions, motions=options.motions,
+        names=tuple(map(spelled_out, options.method)), predictions=options.predictions, motions=options.motions,
         seed=options.seed, noise_factor=options.predictor_noise, errors=errors,
         predictor=options.predictor, trust_code=options.trust_code,
         seen={name: file for name in SEEN_BY if (file := getattr(options, name))},

@@ -13,7 +13,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.io.read import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance
-from r2h_batch.scene.families.family import FAMILY
+from r2h_batch.scene.families.family import FAMILIES
 from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, stored_key, turned
 from r2h_batch.trials.benchmark.family_objects import family_objects, family_splits
 from r2h_batch.trials.holding.receiving import load_receiving
@@ -25,13 +25,13 @@ HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 def test_ninety_six_instances_are_shipped_category_first():
     assert len(INSTANCE_NAMES) == 96 == len(REPORT) and list(REPORT) == list(INSTANCE_NAMES)
-    assert list(FAMILY) == list(OBJECT_NAMES)
+    assert list(FAMILIES) == list(OBJECT_NAMES)
 
 
 @each_category
 def test_a_shipped_instance_is_one_closed_solid_with_named_parts_and_its_region(category):
     for model in load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == category]):
-        family, line = FAMILY[category], REPORT[model.name]
+        family, line = FAMILIES[category], REPORT[model.name]
         assert object_digest(model) == line["digest"] and stored_key(model) == model.name
         mesh = model.mesh
         assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1

@@ -9,7 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.scene.families.family import FAMILY, Draw, Family, Shape
+from r2h_batch.scene.families.family import FAMILIES, Draw, Family, Shape
 from r2h_batch.scene.families.remesh import Surface, imprint
 from r2h_batch.scene.families.shapes import Parts
 from r2h_batch.scene.objects import ObjectModel, build_object
@@ -50,11 +50,11 @@ def draw_instance(category: str, series: int, index: int) -> Instance:
     """Instance `index` of a series of a category.
 
     Args:
-        category: a name of `FAMILY`.
+        category: a name of `FAMILIES`.
         series: 0 for the shipped test instances, 1 for training, others for users (`--seed`).
         index: 0, 1, 2, ...
     """
-    family, draw, parts = FAMILY[category], Draw(category, series, index), Parts()
+    family, draw, parts = FAMILIES[category], Draw(category, series, index), Parts()
     shape = family.make(draw, parts)
     solid = shape.solid.simplify(SMOOTH_MM).refine_to_length(EDGE_MM)
     found = solid.to_mesh64()

@@ -105,7 +105,7 @@ class Family:
         )
 
 
-FAMILY: Registry[Family] = Registry(
+FAMILIES: Registry[Family] = Registry(
     "family", modules=("r2h_batch.scene.families",), names=OBJECT_NAMES
 )
 """Category -> family, those of the objects of r2h-v1 first, in their order."""
@@ -154,7 +154,7 @@ def family(
     def registered(make: Make) -> Family:
         own = S0_ROLES.get(category) if roles is None else roles
         made = Family(category, split, parts, make, rests, receiver, take, words, own)
-        FAMILY.add(category, made)
+        FAMILIES.add(category, made)
         return made
 
     return registered

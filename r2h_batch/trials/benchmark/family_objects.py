@@ -8,7 +8,7 @@ from r2h_batch.base.command_line import nearest
 from r2h_batch.base.io.read import FileError, printable
 from r2h_batch.base.user_code import load_function
 from r2h_batch.plugins import PluginError
-from r2h_batch.scene.families.family import FAMILY, Family
+from r2h_batch.scene.families.family import FAMILIES, Family
 from r2h_batch.scene.objects import ObjectModel
 
 PREFIX = "families:"
@@ -47,7 +47,7 @@ def names_code(text: str) -> bool:
 
 def _asked(text: str) -> tuple[tuple[Family, ...], int, int]:
     try:
-        known = tuple(FAMILY)
+        known = tuple(FAMILIES)
         found = FORM.fullmatch(text)
         if found is None:
             raise FileError(
@@ -76,8 +76,8 @@ def _asked(text: str) -> tuple[tuple[Family, ...], int, int]:
 
 def _named(name: str, known: Sequence[str]) -> Family:
     if name in known:
-        return _checked(FAMILY[name], name)
-    called = {c: FAMILY[c].words for c in known}
+        return _checked(FAMILIES[name], name)
+    called = {c: FAMILIES[c].words for c in known}
     same = [c for c, words in called.items() if words and name.replace("_", " ") in words.names]
     hint = f", did you mean {same[0]}?" if same else nearest(name, known)
     raise FileError(
