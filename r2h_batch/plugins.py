@@ -119,6 +119,11 @@ class Registry(Generic[T]):
         self._import_strangers()
         return iter(dict.fromkeys((*self._names, *self._things, *self._declared_names())))
 
+    @property
+    def declared(self) -> tuple[str, ...]:
+        """Names that other packages' entry points give as KIND.NAME; nothing is imported."""
+        return tuple(self._declared_names())
+
     def outside(self, name: str) -> str:
         """`module:name` of a function or class of somebody else's; empty for ours.
 

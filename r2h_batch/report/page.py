@@ -31,7 +31,7 @@ from r2h_batch.report.transfers import HEADINGS as FUNNEL
 from r2h_batch.report.transfers import NOTE as TRANSFERS
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS
 
 TRIALS_SHOWN = 20_000
 """Trials of all methods together that a page holds. Of a larger run it holds the first trials of
@@ -71,9 +71,13 @@ def page(
     found = {short[m]: breakdown.margin_histograms(run, m) for m in run.methods}
     margins = [
         figures.ridges(
-            c.capitalize(), {m: h[c] for m, h in found.items()}, scale=1000, unit="mm", zero=True
+            entry.name.capitalize(),
+            {m: h[entry.name] for m, h in found.items()},
+            scale=UNITS[entry.unit].scale,
+            unit=UNITS[entry.unit].shown,
+            zero=True,
         )
-        for c in CRITERIA
+        for entry in REGISTRY
     ]
     times = breakdown.time_histograms(run, "t_exec_s")
     comparable = len(run.methods) > 1 and not (len(runs) > 1 and common is None)
@@ -102,6 +106,7 @@ def page(
         funnel=["Method", "release", *FUNNEL],
         funnel_note=TRANSFERS,
         headings=list(HEADINGS.values()),
+        failing=[entry.heading for entry in FAILURES.values()],
         notes=[*table.notes, *([BEST_NOTE] if best_cells(table) else [])],
         facts=_all_facts(runs),
         trials=_trials(run, gallery or {}),
@@ -235,6 +240,9 @@ def _trials(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]]) -> dic
     trial and the command that shows one; the notes name the methods of which it holds a part."""
     each = max(1, TRIALS_SHOWN // len(run.methods))
     data: dict[str, Any] = {"columns": list(breakdown.SHOWN)}
+    data["margins"] = {
+        e.margin_column: [e.name, UNITS[e.unit].shown, UNITS[e.unit].scale] for e in REGISTRY
+    }
     data |= {name: {} for name in ("methods", "view", "pages")}
     notes = []
     for method in run.methods:

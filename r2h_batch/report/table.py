@@ -9,7 +9,15 @@ from typing import Any
 from r2h_batch.config import ExecutionError
 from r2h_batch.report.held import held_rates
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import FAILURES, RATES, TIMES, Rate, Row, summarise
+from r2h_batch.report.statistics.aggregate import (
+    FAILURES,
+    PARTIAL,
+    RATES,
+    TIMES,
+    Rate,
+    Row,
+    summarise,
+)
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import (
     NA,
@@ -33,7 +41,7 @@ from r2h_batch.report.transfers import about as about_funnels
 from r2h_batch.report.turn import MARK, Turned, about, turned
 from r2h_batch.runs.header import motions_left_out
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, SPLITS
+from r2h_batch.verdicts import CRITERIA, SPLITS, UNITS
 
 FORMATS = ("md", "latex", "csv", "json")
 
@@ -112,7 +120,25 @@ class Table:
         ]
         scans = [f"SR scans, and its 95 % interval for new objects like these: {'; '.join(own)}."]
         families = [CATEGORY_NOTE] if self.families else []
-        return (*FOOTNOTES, *families, *(scans if own else []), *self.misses, *marks)
+        return (
+            *FOOTNOTES,
+            *map(self._partial, PARTIAL),
+            *families,
+            *(scans if own else []),
+            *self.misses,
+            *marks,
+        )
+
+    def _partial(self, rate: str) -> str:
+        """Which trials the rate of a criterion for some objects is of."""
+        known = [(row, own) for row in self.rows if (own := row.rates[rate]) and own.total]
+        n = "; ".join(f"{row.split} {row.method} {own.total}" for row, own in known) or "none"
+        entry = PARTIAL[rate]
+        unit = UNITS[entry.unit].shown
+        return (
+            f"{entry.heading}: percent of the trials whose object the criterion concerns ({n}), so no part of that sum;"
+            f" Avg: mean of the splits that have such objects. Its margins are in {unit}."
+        )
 
     def turn_of(self, row: Row) -> Turned | None:
         """The turn test of a line, where its method has one."""
@@ -451,6 +477,8 @@ def record(row: Row) -> dict[str, Any]:
     fields |= {"n": row.n, "n_objects": row.n_objects, "n_categories": row.n_categories}
     for name in RATES:
         fields |= with_ends(name, row.rates[name])
+        if name in PARTIAL:
+            fields[f"{name}_of"] = row.rates[name].total if row.rates[name] else None
     for what, clustered in (("objects", row.sr_new_objects), ("categories", row.sr_new_categories)):
         fields |= with_ends(f"sr_new_{what}", clustered)
         del fields[f"sr_new_{what}"]  # it is "sr"

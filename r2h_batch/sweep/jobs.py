@@ -43,7 +43,7 @@ from r2h_batch.trials.predictions import (
     load_answers,
 )
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import SIDES
+from r2h_batch.verdicts import REGISTRY, SIDES
 
 if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
@@ -222,6 +222,8 @@ def _about_object(model: "ObjectModel") -> dict[str, Any]:
     }
     if (category := category_of(model)) is not None:
         fields["category"] = category
+    if any(entry.applies for entry in REGISTRY):
+        fields["concerned"] = [e.name for e in REGISTRY if e.applies is None or e.applies(model)]
     return fields if model.repair is None else {**fields, "repair": asdict(model.repair)}
 
 

@@ -25,6 +25,9 @@ from r2h_batch.verdicts import REGISTRY, SPLITS
 FAILURES = {entry.rate: entry for entry in sorted(REGISTRY, key=lambda entry: entry.column)}
 """Rate of first failures -> its criterion, in the order of Table I's columns."""
 
+PARTIAL = {rate: entry for rate, entry in FAILURES.items() if entry.applies is not None}
+"""Those of criteria for some objects: rates of the trials that they concern."""
+
 RATES = {
     "sr": ("success",),
     **{rate: (entry.name,) for rate, entry in FAILURES.items()},
@@ -207,8 +210,8 @@ _TALLY = instance_of(Tally, "what tally(RUN, METHOD) gives")
 
 @check_arguments(counted=_TALLY, split=one_of(*SPLITS))
 def split_row(counted: Tally, split: str) -> Row:
-    """The table line of a split. The rate of a criterion that the split does not require, or that came after
-    these rows, is None.
+    """The table line of a split. The rate of a criterion that the split does not require, that concerns none of its
+    objects, or that came after these rows, is None.
 
     Args:
         counted: a method's trials.
@@ -245,6 +248,13 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
             raise ValueError(f"{counted.method}: {failed} {split} {what}")
         if split not in entry.splits or entry.name not in counted.judged:
             rates[rate] = None
+        elif entry.applies is not None:
+            own = counted.concerned.get(entry.name, frozenset())
+            others = (c for c in cells if c["object"] not in own and c["outcome"] == entry.name)
+            if other := next(others, None):
+                what = f"failed {entry.name.capitalize()}, which does not concern {other['object']}"
+                raise ValueError(f"{counted.method}: {other['n']} {split} trials {what}")
+            rates[rate] = _rate(counts[entry.name], sum(k for o, k in trials.items() if o in own))
 
     def added(name: str) -> tuple[float, int]:
         return sum(c[f"{name}_sum"] for c in cells), sum(c[f"{name}_count"] for c in cells)
@@ -321,7 +331,8 @@ def rate_of(count: int, total: int) -> Rate:
 def average_row(rows: Sequence[Row]) -> Row:
     """The paper's Avg: the mean of a method's splits.
 
-    A criterion that a split skips counts as 0 there. A rate is None if a split has no trials.
+    A criterion that a split skips counts as 0 there. A rate is None if a split has no trials; that of a criterion
+    for some objects is the mean of the splits that have such objects.
     """
 
     def rate(name: str) -> Rate | None:
@@ -329,6 +340,8 @@ def average_row(rows: Sequence[Row]) -> Row:
         judged_in = FAILURES[name].splits if name in FAILURES else SPLITS
         parts = [r.rates[name] if r.split in judged_in or not r.n else zero for r in rows]
         known = [p for p in parts if p is not None]
+        if name in PARTIAL and known:  # a split may have none of its objects
+            return mean_rate(known)
         return mean_rate(known) if len(known) == len(parts) else None
 
     def mean(name: str) -> Mean:

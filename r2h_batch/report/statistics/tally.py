@@ -47,6 +47,7 @@ class Tally:
             one.
         judged: criteria that the rows were judged by.
         category: object -> its family; an object that is not here is its own category.
+        concerned: criterion that is not for all objects -> those that it concerns.
     """
 
     method: str
@@ -55,6 +56,7 @@ class Tally:
     groups: pa.Table
     judged: tuple[str, ...] = CRITERIA
     category: Mapping[str, str] = field(default_factory=dict)
+    concerned: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @staticmethod
     def of(method: str, splits: Sequence[str], tables: Iterable[pa.Table]) -> "Tally":
@@ -101,7 +103,9 @@ def tally(run: Run, method: str) -> Tally:
     """
     trials = run.planned(method)
     counted = Tally.of(method, tuple(trials), run.shards("trials", method, _STORED))
-    counted = replace(counted, judged=judged_by(run, method), category=run.categories)
+    counted = replace(
+        counted, judged=judged_by(run, method), category=run.categories, concerned=run.concerned
+    )
     n = {found["split"]: found["n"] for found in counted.by("split")}
     check_planned(method, trials, n)
     groups = counted.groups
@@ -109,7 +113,11 @@ def tally(run: Run, method: str) -> Tally:
         np.array([order.index(word) for word in groups[name].to_pylist()], np.int64)
         for name, order in (("split", SPLITS), ("outcome", OUTCOME_NAMES))
     )
-    says = first_failures(states(groups), split, counted.judged)
+    objects = groups["object"].to_pylist()
+    concerned = {
+        c: np.array([o in own for o in objects], bool) for c, own in counted.concerned.items()
+    }
+    says = first_failures(states(groups), split, counted.judged, concerned)
     other = (outcome < Outcome.INVALID_INPUT) & (outcome != says)
     if odd := int(groups["n"].to_numpy()[other].sum()):
         words = "rows have another outcome than their criteria say"
