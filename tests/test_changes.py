@@ -101,8 +101,8 @@ def test_a_criterion_has_rates_tables_a_gradient_and_older_rows_without_it(tmp_p
         tmp_path / "tree",
         {
             "r2h_batch/verdicts.py": {
-                '"#d55e00", SPLITS, False),\n)\n': '"#d55e00", SPLITS, False),\n    CriterionEntry("centred", "f_centre", "F_centre",'
-                ' 5, "#666666", SPLITS, True, since="0.3.0"),\n)\n',
+                '"#d55e00", SPLITS, False),\n)\n': '"#d55e00", SPLITS, False),\n'
+                '    CriterionEntry("centred", "f_centre", "F_centre", 5, "#666666", SPLITS, True, since="0.3.0"),\n)\n',
             },
             "r2h_batch/judge/metrics.py": {"def reach(e: Evidence) -> Criterion:\n": CENTRED},
         },
@@ -213,7 +213,11 @@ for form, words in (("md", "F_upright"), ("latex", "{upright}"), ("html", "F_upr
         assert "whose object the criterion concerns" in " ".join(text.split()) and "margins are in deg" in " ".join(text.split())
 page = said("report run --format html")
 assert '"margin_upright_deg":["upright","deg",1.0]' in page and ">deg<" in page and ">mm<" in page
-assert "n/a" in said("results rethreshold run --reach-radius .08,.1")
+again = said("results rethreshold run --reach-radius .08,.1")
+lines = [[x.strip() for x in line.strip("|").split("|")] for line in again.splitlines() if "|" in line]
+at = lines[0].index("F_upright")
+cells = {(x[0], x[1]): x[at] for x in lines[2:] if len(x) > at and x[2] == "0.1"}
+assert cells["oracle", "S0"] == f"{found['S0', 'oracle']['f_upright']:.1f}" and cells["oracle", "S1"] == "n/a"
 said("results reevaluate run")
 said("report run --by-object")
 
@@ -235,7 +239,8 @@ assert "deg" in scores.summary() and "margin_deg/upright" in scores.scalars()
 assert "margin_upright_deg" in scores.to_pandas() if __import__("importlib.util").util.find_spec("pandas") else True
 row = scores.evaluated[:, 5]
 vector = reward.margin_vector(scores)[row, 5]
-assert torch.allclose(vector, (0.002 * scores.margin[row, 5]).clamp(-0.05, 0.05)) and scores.soft(temperature_m=0.01).isfinite().all()
+assert torch.allclose(vector, (0.002 * scores.margin[row, 5]).clamp(-0.05, 0.05))
+assert scores.soft(temperature_m=0.01).isfinite().all()
 (slope,) = torch.autograd.grad(scores.margin[row, 5].sum(), hand)
 turn = torch.tensor([[0.0, 0.0, 1e-3], [0.0, 0.0, 0.0], [-1e-3, 0.0, 0.0]])  # about y
 moved = []

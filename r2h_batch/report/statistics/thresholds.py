@@ -4,7 +4,7 @@ r2h_batch.sweep.results.rethreshold says which thresholds can change, and how fa
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
@@ -49,6 +49,7 @@ class Point:
         safe_margin_m: distance that the robot must keep from the hand.
         counts: method -> (2, 9) trials by split and outcome.
         undecided: method -> trials too near to a threshold.
+        concerned: method -> criterion that is not for all objects -> (2,) trials that it concerns.
     """
 
     reach_radius_m: float
@@ -56,6 +57,7 @@ class Point:
     safe_margin_m: float
     counts: dict[str, np.ndarray]
     undecided: dict[str, int]
+    concerned: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
 
     def rate(self, method: str) -> float:
         """Success rate in percent, the mean over the planned splits as in the paper's Avg."""
@@ -116,8 +118,13 @@ def rethreshold(
             point.counts[method] = np.zeros((len(SPLITS), MISSING + 1), np.int64)
             point.undecided[method] = 0
         judged = judged_by(run, method)
+        of = {c: np.zeros(len(SPLITS), np.int64) for c in run.concerned}
+        for point in points:
+            point.concerned[method] = of
         for table in run.shards("trials", method):
             shard = _Margins(table, base, judged, run.concerned)
+            for c, mask in shard.concerned.items():
+                of[c] += np.bincount(shard.split[mask], minlength=len(SPLITS))
             for point in points:
                 counts, undecided = shard.outcomes(point)
                 point.counts[method] += counts
