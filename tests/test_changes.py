@@ -270,6 +270,100 @@ def test_a_strangers_criterion_in_degrees_for_objects_with_an_opening_needs_no_f
     tree.run(READ + USE_UPRIGHT)
 
 
+SLOW = '''"""How often an arm takes its time."""
+
+import pyarrow.compute as pc
+
+from r2h_batch.report.statistics.shares import Share
+
+
+def over_8_s(rows):
+    return pc.greater(rows["t_exec_s"], 8.0)
+
+
+SLOW = Share("Slow", "Motions that take more than 8 s, of those that came to rest.", ("t_exec_s",), over_8_s)
+'''
+USE_SLOW = """
+import csv, json
+
+said("sweep --method oracle random --trials 12 --sim none --out run")
+run = load_run("run")
+expected = {}
+for method in run.methods:
+    for split in ("S0", "S1"):
+        rows = [r for r in run.trials(method).to_pylist() if r["split"] == split and r["t_exec_s"] is not None]
+        if rows:
+            expected[split, method] = (sum(r["t_exec_s"] > 8 for r in rows), len(rows))
+assert len(expected) > 2 and any(0 < k < n for k, n in expected.values()), expected
+found = {(r["split"], r["method"]): r for r in json.loads(said("report run --format json"))["rows"]}
+records = {(r["split"], r["method"]): r for r in csv.DictReader(io.StringIO(said("report run --format csv")))}
+for key, (k, n) in expected.items():
+    assert abs(found[key]["slow"] - 100 * k / n) < 1e-9 and found[key]["slow_low"] < found[key]["slow_high"]
+    assert abs(float(records[key]["slow"]) - 100 * k / n) < 1e-6
+text = {form: said(f"report run --format {form}") for form in ("md", "latex", "html")}
+(section,) = [part for part in text["md"].split("\\n\\n") if "Slow" in part]
+assert "Motions that take more than 8 s" in text["md"] and all(f"{100 * k / n:.1f}" in section for k, n in expected.values())
+assert "{Slow}" in text["latex"] and "Motions that take more than 8 s" in " ".join(text["latex"].replace("% ", "").split())
+assert ">Slow</th>" in text["html"]
+k, n = expected["S0", "oracle"]
+line = next(x for x in text["latex"].splitlines() if x.startswith("oracle &"))
+assert f"{100 * k / n:.1f}" in line.split(" & ")[-1] or f"& {100 * k / n:.1f} " in line
+groups = {g["group"]: g for g in json.loads(said("compare run --format json"))}
+assert groups["S0"]["shares"]["oracle"]["slow"]["total"] == n and groups["S0"]["shares"]["oracle"]["slow"]["count"] == k
+assert "Slow" in said("compare run") and "Slow" in said("compare run --format latex")
+assert "slow_a" in said("compare run --format csv").splitlines()[0]
+said("sweep --method random --trials 12 --sim mujoco --out mine")
+both = json.loads(said("compare mine baselines --format json"))[0]["shares"]
+assert all("slow" in own for own in both.values()) and len(both) == 6 or len(both) == 7, both.keys()
+assert all(own["slow"]["total"] <= 12 for own in both.values())  # on the shared trials alone
+"""
+
+
+def test_a_strangers_share_of_rows_is_in_tables_pages_latex_and_comparisons(tmp_path: Path, shipped: str) -> None:
+    tree = changed_tree(
+        tmp_path / "tree", {}, package={"slow.py": SLOW}, points={"share.slow": "slow:SLOW"}
+    )
+    report(tree)
+    assert tree.run(READ) == shipped
+    tree.run(READ + USE_SLOW)
+
+
+VASE = '''"""Vases: nothing of ours has one."""
+
+from r2h_batch.scene.families.family import GLASS, Shape, family
+from r2h_batch.scene.families.shapes import revolve
+from r2h_batch.scene.vocabulary import Thing
+
+WORDS = Thing(("vase", "flower vase"), {"foot": ("foot",), "body": ("body",)}, {"use": "foot", "pour": "body"})
+
+
+@family("vase", "S1", parts=("body", "foot"), rests=("upright", "side"), receiver=("foot",), take="foot", words=WORDS,
+        roles={"body": "function"})
+def VASE(draw, part):
+    """A full glass vase with a wide foot."""
+    r, h = draw("radius", 20, 28), draw("height", 110, 170)
+    profile = [(0, 0), (1.1 * r, 0), (1.1 * r, 8), (0.7 * r, 16), (r, 0.6 * h), (0.8 * r, h), (0, h)]
+    solid = part.divided("body", revolve(profile, 40), ("foot", (0, 0, -1), -0.25 * h))
+    return Shape(solid, dict.fromkeys(("body", "foot"), float(GLASS)))
+'''
+USE_VASE = """
+import numpy as np
+from r2h_batch.trials.benchmark.build import BenchmarkOverrides
+from r2h_batch.trials.benchmark.family_objects import family_objects
+from r2h_batch.trials.protocol import trials_of
+
+SPEC
+models = family_objects(f"families:{spec} x 2 seed 3")
+assert [o.name for o in models] == ["vase_s1003_00", "vase_s1003_01"] and {o.split for o in models} == {"S1"}
+for o in models:
+    assert o.mesh.is_watertight and o.words.names == ("vase", "flower vase") and o.roles == {"body": "function"}
+    assert {o.part_names[k] for k in np.unique(o.face_part[o.receiver_face])} == {"foot"}
+    assert o.instruction == "hand over the vase foot to human" and o.category == "vase"
+assert models[0].mass != models[1].mass
+from r2h_batch.trials.holding.instructions import part_of
+"""
+
+
 DRAWN = '''@draws("r2h-near")
 def _draw_near(
     key: tuple[int, int],

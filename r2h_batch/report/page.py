@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from r2h_batch.report import figures
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Row
+from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Rate, Row
 from r2h_batch.report.statistics.common import Common
 from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
@@ -106,6 +106,7 @@ def page(
         funnel=["Method", "release", *FUNNEL],
         funnel_note=TRANSFERS,
         headings=list(HEADINGS.values()),
+        shares=list(table.shares.values()),
         failing=[entry.heading for entry in FAILURES.values()],
         notes=[*table.notes, *([BEST_NOTE] if best_cells(table) else [])],
         facts=_all_facts(runs),
@@ -120,7 +121,10 @@ def _cell(text: str, value: float | None, low: str = "", high: str = "", best: b
 
 
 def _rate(row: Row | None, column: str, best: bool = False) -> Any:
-    rate = row.rates[column] if row else None
+    return _percent(row.rates[column] if row else None, best)
+
+
+def _percent(rate: Rate | None, best: bool = False) -> Any:
     if rate is None:
         return _cell(NA, None)
     low, high = f"{rate.low:.1f}", f"{rate.high:.1f}"
@@ -226,7 +230,7 @@ def _table(table: Table) -> list[dict[str, Any]]:
         more = {
             "moved": test.sentence if test and test.marked else "",
             "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
-            "presented": f"{row.presented.percent:.1f}" if row.presented else NA,
+            "shares": [_percent(row.shares.get(name)) for name in table.shares],
             "n": row.n,
             "invalid": invalid(row),
             "missing": row.counts["missing"],

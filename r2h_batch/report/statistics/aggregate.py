@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,8 @@ from r2h_batch.base.validate import (
     one_of,
     sequence_of,
 )
-from r2h_batch.report.statistics.tally import SECONDS, SHARES, Tally
+from r2h_batch.report.statistics.shares import counted_shares
+from r2h_batch.report.statistics.tally import SECONDS, Tally
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.verdicts import REGISTRY, SPLITS
 
@@ -76,13 +77,7 @@ class Row:
         sr_new_categories: the success rate with its interval for new categories of objects.
         n_categories: different categories; as many as objects where each is one of its own.
         times: key of `TIMES` -> mean in seconds.
-        presented: rate of trials whose region faced the palm within reach, of S1's trials.
-        body_met: rate of motions that met the receiver's arm or torso, of the motions past a
-            receiver who has them.
-        through: rate of successes whose path passes through something by more than 0.1 mm, which
-            only paths can that are checked at samples.
-        held: rate of objects that the closed gripper holds under their weight for 1 s, of those past
-            Stability, where a run has it (`report.held`).
+        shares: key of `SHARES` -> rate of the rows that it is of; those that no row is of are left out.
     """
 
     split: str
@@ -93,10 +88,7 @@ class Row:
     sr_new_objects: Rate | None
     n_objects: int
     times: Mapping[str, Mean]
-    presented: Rate | None = None
-    body_met: Rate | None = None
-    through: Rate | None = None
-    held: Rate | None = None
+    shares: Mapping[str, Rate] = field(default_factory=dict)
     sr_new_categories: Rate | None = None
     n_categories: int = 0
 
@@ -270,7 +262,7 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
     categories = [counted.category.get(o, o) for o in trials]
     by_category = np.zeros((len(set(categories)), 2), np.int64)
     np.add.at(by_category, np.unique(categories, return_inverse=True)[1], by_object)
-    shares = {name: added(name) for name in SHARES}
+    shares = {name: added(name) for name in counted_shares()}
     return Row(
         split=split,
         method=counted.method,
@@ -282,7 +274,7 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
         sr_new_categories=clustered_rate(*by_category.T),
         n_categories=len(by_category),
         times={k: means[k] for k in TIMES},
-        **{name: _rate(round(hits), known) for name, (hits, known) in shares.items()},
+        shares={k: rate_of(round(hits), known) for k, (hits, known) in shares.items() if known},
     )
 
 
@@ -306,9 +298,11 @@ def over_objects(counted: Tally, split: str) -> Row:
         whole,
         rates={name: rate(lambda r, k=name: r.rates[k]) for name in RATES},  # type: ignore[misc]
         times={name: mean(name) for name in TIMES},
-        presented=rate(lambda r: r.presented),
-        body_met=rate(lambda r: r.body_met),
-        through=rate(lambda r: r.through),
+        shares={
+            name: found
+            for name in whole.shares
+            if (found := rate(lambda r, k=name: r.shares.get(k)))  # type: ignore[misc]
+        },
     )
 
 
