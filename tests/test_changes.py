@@ -320,9 +320,7 @@ assert all(own["slow"]["total"] <= 12 for own in both.values())  # on the shared
 
 
 def test_a_strangers_share_of_rows_is_in_tables_pages_latex_and_comparisons(tmp_path: Path, shipped: str) -> None:
-    tree = changed_tree(
-        tmp_path / "tree", {}, package={"slow.py": SLOW}, points={"share.slow": "slow:SLOW"}
-    )
+    tree = changed_tree(tmp_path / "tree", {}, package={"slow.py": SLOW}, points={"share.slow": "slow:SLOW"})
     report(tree)
     assert tree.run(READ) == shipped
     tree.run(READ + USE_SLOW)
@@ -348,20 +346,71 @@ def VASE(draw, part):
 '''
 USE_VASE = """
 import numpy as np
-from r2h_batch.trials.benchmark.build import BenchmarkOverrides
-from r2h_batch.trials.benchmark.family_objects import family_objects
-from r2h_batch.trials.protocol import trials_of
+from r2h_batch.trials.benchmark.family_objects import family_objects, family_splits
+from r2h_batch.trials.holding.instructions import instructions_of, understand
 
-SPEC
-models = family_objects(f"families:{spec} x 2 seed 3")
+def swept(objects, out):
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as err:
+        line = "--method oracle random --trials 4 --splits S1 --sim none --out"
+        code = main(["sweep", "--objects", objects, *line.split(), out])
+    return code, err.getvalue()
+
+models = family_objects(f"families:{FAMILY} x 2 seed 3")
 assert [o.name for o in models] == ["vase_s1003_00", "vase_s1003_01"] and {o.split for o in models} == {"S1"}
+assert family_splits(f"families:{FAMILY},cup") == {"S0", "S1"} and models[0].mass != models[1].mass
 for o in models:
     assert o.mesh.is_watertight and o.words.names == ("vase", "flower vase") and o.roles == {"body": "function"}
     assert {o.part_names[k] for k in np.unique(o.face_part[o.receiver_face])} == {"foot"}
     assert o.instruction == "hand over the vase foot to human" and o.category == "vase"
-assert models[0].mass != models[1].mass
-from r2h_batch.trials.holding.instructions import part_of
+    understood = understand("I need the flower vase, I want to use it", [o])
+    assert understood.part == "foot" and understood.verb == "use" and o.instruction in instructions_of(o)
+code, said_there = swept(f"families:{FAMILY} x 2 seed 3", "run")
+assert code == 0, said_there
+objects = load_run("run").header["objects"]
+assert [o["category"] for o in objects] == ["vase"] * 2 and not any(o["built_in"] for o in objects)
+assert any(r["outcome"] == "success" for r in load_run("run").trials("oracle").to_pylist())
+assert "of 1 families" in " ".join(said("report run").split())
 """
+LISTED_VASE = """
+assert "vase" in said("ls families").splitlines()[-1]
+assert len(said("ls families").splitlines()) == 97
+code, line = swept("families:vaze x 2", "none")
+assert code == 2 and "did you mean vase?" in line and "trigger_sprayer, vase, or * for all" in line
+code, line = swept("families:flower_vase x 2", "none")
+assert code == 2 and "did you mean vase?" in line
+said("results reevaluate run")  # an installed package is the reader's own
+"""
+NAMED_VASE = """
+from r2h_batch.trials.benchmark.build import BenchmarkOverrides, benchmark_of_run
+from r2h_batch.base.io.read import FileError
+
+try:  # run.json may come from anybody: the module that it names is not imported
+    benchmark_of_run(load_run("run").header, BenchmarkOverrides(), "run")
+except FileError as error:
+    assert "give what its sweep was given: --objects 'families:vases:VASE x 2 seed 3'" in str(error), error
+else:
+    raise AssertionError("a module that run.json names was imported")
+"""
+
+
+def test_a_strangers_family_is_drawn_listed_swept_and_judged_again_without_a_file_of_ours(
+    tmp_path: Path, shipped: str
+) -> None:
+    pytest.importorskip("manifold3d")
+    tree = changed_tree(tmp_path / "tree", {}, package={"vases.py": VASE}, points={"family.vase": "vases:VASE"})
+    report(tree)
+    assert tree.run(READ) == shipped
+    tree.run(f"{READ}\nFAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}")
+
+
+def test_a_family_may_also_stand_in_a_module_of_the_user_or_in_one_file_of_ours(tmp_path: Path) -> None:
+    pytest.importorskip("manifold3d")
+    own = changed_tree(tmp_path / "own", {}, package={"vases.py": VASE})
+    own.run(f"{READ}\nFAMILY = 'vases:VASE'\n{USE_VASE}{NAMED_VASE}")
+    ours = changed_tree(tmp_path / "ours", {"r2h_batch/scene/families/vases.py": VASE})
+    report(ours)
+    assert len(ours.changed) == 1
+    ours.run(f"{READ}\nFAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}")
 
 
 DRAWN = '''@draws("r2h-near")
