@@ -493,10 +493,11 @@ def test_a_policy_is_one_class_under_its_name(tmp_path: Path, shipped: str) -> N
         tmp_path / "tree",
         {
             "r2h_batch/closed_loop/policies.py": {
-                "POLICIES: dict[str, Any] = {\n": 'class HalfSpeed(Planned):\n    """The planned motion at half its speed."""\n\n'
+                "def kind_of_action(": '@POLICIES("half")\nclass HalfSpeed(Planned):\n'
+                '    """The planned motion at half its speed."""\n\n'
                 '    def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:\n'
                 "        self.clock = self.clock + 0.5 * self.step_s\n        return self.posture(self.clock)\n\n\n"
-                'POLICIES: dict[str, Any] = {\n    "half": HalfSpeed,\n',
+                "def kind_of_action("
             }
         },
     )
