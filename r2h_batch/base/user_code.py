@@ -73,7 +73,7 @@ def load_function(spec: str) -> UserFunction:
 
 
 def chosen(registry: Registry[Any], spec: str) -> tuple[Any, UserFunction | None]:
-    """What a command line names: a thing of ours by its name, and None; or somebody else's, and where it is from.
+    """A thing that a command line names: ours, and None; or somebody else's, and where it is from.
 
     Args:
         registry: of its kind.
