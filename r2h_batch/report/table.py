@@ -481,7 +481,8 @@ def record(row: Row) -> dict[str, Any]:
     for name in RATES:
         fields |= with_ends(name, row.rates[name])
         if name in PARTIAL:
-            fields[f"{name}_of"] = row.rates[name].total if row.rates[name] else None
+            own = row.rates[name]
+            fields[f"{name}_of"] = own.total if own else None
     for what, clustered in (("objects", row.sr_new_objects), ("categories", row.sr_new_categories)):
         fields |= with_ends(f"sr_new_{what}", clustered)
         del fields[f"sr_new_{what}"]  # it is "sr"
