@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from r2h_batch.report import figures
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Row
+from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Rate, Row
 from r2h_batch.report.statistics.common import Common
 from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
@@ -31,7 +31,7 @@ from r2h_batch.report.transfers import HEADINGS as FUNNEL
 from r2h_batch.report.transfers import NOTE as TRANSFERS
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS
 
 TRIALS_SHOWN = 20_000
 """Trials of all methods together that a page holds. Of a larger run it holds the first trials of
@@ -71,9 +71,13 @@ def page(
     found = {short[m]: breakdown.margin_histograms(run, m) for m in run.methods}
     margins = [
         figures.ridges(
-            c.capitalize(), {m: h[c] for m, h in found.items()}, scale=1000, unit="mm", zero=True
+            entry.name.capitalize(),
+            {m: h[entry.name] for m, h in found.items()},
+            scale=UNITS[entry.unit].scale,
+            unit=UNITS[entry.unit].shown,
+            zero=True,
         )
-        for c in CRITERIA
+        for entry in REGISTRY
     ]
     times = breakdown.time_histograms(run, "t_exec_s")
     comparable = len(run.methods) > 1 and not (len(runs) > 1 and common is None)
@@ -102,6 +106,8 @@ def page(
         funnel=["Method", "release", *FUNNEL],
         funnel_note=TRANSFERS,
         headings=list(HEADINGS.values()),
+        shares=list(table.shares.values()),
+        failing=[entry.heading for entry in FAILURES.values()],
         notes=[*table.notes, *([BEST_NOTE] if best_cells(table) else [])],
         facts=_all_facts(runs),
         trials=_trials(run, gallery or {}),
@@ -115,7 +121,10 @@ def _cell(text: str, value: float | None, low: str = "", high: str = "", best: b
 
 
 def _rate(row: Row | None, column: str, best: bool = False) -> Any:
-    rate = row.rates[column] if row else None
+    return _percent(row.rates[column] if row else None, best)
+
+
+def _percent(rate: Rate | None, best: bool = False) -> Any:
     if rate is None:
         return _cell(NA, None)
     low, high = f"{rate.low:.1f}", f"{rate.high:.1f}"
@@ -221,7 +230,7 @@ def _table(table: Table) -> list[dict[str, Any]]:
         more = {
             "moved": test.sentence if test and test.marked else "",
             "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
-            "presented": f"{row.presented.percent:.1f}" if row.presented else NA,
+            "shares": [_percent(row.shares.get(name)) for name in table.shares],
             "n": row.n,
             "invalid": invalid(row),
             "missing": row.counts["missing"],
@@ -235,6 +244,9 @@ def _trials(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]]) -> dic
     trial and the command that shows one; the notes name the methods of which it holds a part."""
     each = max(1, TRIALS_SHOWN // len(run.methods))
     data: dict[str, Any] = {"columns": list(breakdown.SHOWN)}
+    data["margins"] = {
+        e.margin_column: [e.name, UNITS[e.unit].shown, UNITS[e.unit].scale] for e in REGISTRY
+    }
     data |= {name: {} for name in ("methods", "view", "pages")}
     notes = []
     for method in run.methods:

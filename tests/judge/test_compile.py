@@ -64,7 +64,7 @@ from r2h_batch import load_benchmark
 benchmark = load_benchmark("r2h-v0")
 trials = benchmark.trials(1)[:1]
 pose = torch.eye(4)[None]
-Evaluator().score(pose, trials.T_world_hand, trials, stages="pose")
+benchmark.evaluator().score(pose, trials.T_world_hand, trials, stages="pose")
 print(*sorted(sys.modules))
 """
 

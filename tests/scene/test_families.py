@@ -13,7 +13,8 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.protocols.family_objects import family_objects, family_splits
-from r2h_batch.scene.families.draw import FAMILIES, SHIPPED, TRAINING, draw_instance
+from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance
+from r2h_batch.scene.families.family import FAMILIES
 from r2h_batch.scene.families.remesh import Surface, heights, without_slivers
 from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, stored_key, turned
 from r2h_batch.trials.holding.receiving import load_receiving

@@ -49,7 +49,9 @@ def compare(
     from r2h_batch.report.compare.text import render
     from r2h_batch.report.held import held_rates
     from r2h_batch.report.statistics import paired as statistics
+    from r2h_batch.report.statistics.aggregate import rate_of
     from r2h_batch.report.statistics.common import common_trials
+    from r2h_batch.report.statistics.shares import hits_on
     from r2h_batch.report.turn import turned
 
     check_seed(seed)
@@ -83,7 +85,16 @@ def compare(
     known = [f"held under their weight for 1 s, percent of those past Stability: {'; '.join(held)}"]
     marked = (test.sentence for test in turns if test.marked)
     notes = (*common.notes, *paired.notes, *marked, *(known if held else ()))
-    sys.stdout.write(render(comparisons, format, origin=origin, notes=notes, turns=turns))
+    shares = {
+        n: {
+            key: rate_of(*hits)
+            for key, hits in hits_on(stored[k], own, common.trials).items()
+            if hits[1]
+        }
+        for n, k, own in called
+    }
+    text = render(comparisons, format, origin=origin, notes=notes, turns=turns, shares=shares)
+    sys.stdout.write(text)
     return 0
 
 

@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from r2h_batch.report.statistics.aggregate import Rate
 from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison
+from r2h_batch.report.statistics.shares import SHARES
 from r2h_batch.report.text import (
     NA,
     aligned,
@@ -20,8 +22,14 @@ from r2h_batch.report.text import (
     tex_table,
 )
 from r2h_batch.report.turn import MARK, Turned, about
+from r2h_batch.verdicts import SPLITS
 
 FORMATS = ("md", "latex", "csv", "json")
+
+Shares = Mapping[str, Mapping[tuple[str, str], Rate]]
+"""Method -> (split, key of `SHARES`) -> rate."""
+
+SHARES_NOTE = "Shares of rows on these trials, percent [95 %, Wilson] and rows; no part of SR."
 
 NOTES = (
     "Holm p: McNemar's exact test, corrected over the pairs of its table. It decides for these objects.",
@@ -53,6 +61,7 @@ def render(
     origin: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
     turns: Sequence[Turned] = (),
+    shares: Shares | None = None,
 ) -> str:
     """The comparisons as text that ends in a newline.
 
@@ -62,22 +71,44 @@ def render(
         origin: where the rows come from; LaTeX writes it as comments.
         notes: what a reader should know about the runs; Markdown and LaTeX write them.
         turns: turn tests of the methods, under their names in the comparisons.
+        shares: shares of their rows on these trials.
     """
+    shares = shares or {}
     if fmt == "md":
-        return _md(comparisons, notes, turns)
+        return _md(comparisons, notes, turns, shares)
     if fmt == "latex":
-        return _latex(comparisons, origin or {}, notes, turns)
+        return _latex(comparisons, origin or {}, notes, turns, shares)
     if fmt == "csv":
-        return _csv(comparisons, turns)
+        return _csv(comparisons, turns, shares)
     if fmt == "json":
-        return json_text([_record(c, turns) for c in comparisons])
+        return json_text([_record(c, turns, shares) for c in comparisons])
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
 
-def _record(c: Comparison, turns: Sequence[Turned]) -> dict[str, Any]:
+def _record(c: Comparison, turns: Sequence[Turned], shares: Shares) -> dict[str, Any]:
     own = [test for test in turns if test.group == c.group]
     found = {**asdict(c), "rank": None if c.rank is None else c.rank.tolist()}
+    known = {
+        method: {name: asdict(rate) for (split, name), rate in rates.items() if split == c.group}
+        for method, rates in shares.items()
+    }
+    found |= {"shares": known} if any(known.values()) else {}
     return found | ({"turns": about(own)} if own else {})
+
+
+def _share_lines(shares: Shares) -> tuple[list[str], list[list[str]]]:
+    """Headings and lines of a table: split, method, and each share with its interval and rows."""
+    names = [n for n in SHARES if any(n == k for rates in shares.values() for _, k in rates)]
+    short, lines = short_names(list(shares)), []
+    for split in SPLITS:
+        for method, rates in shares.items():
+            own = [rates.get((split, name)) for name in names]
+            cells = [
+                f"{r.percent:.1f} [{r.low:.0f}, {r.high:.0f}] {r.total}" if r else NA for r in own
+            ]
+            if any(own):
+                lines.append([split, short[method], *cells])
+    return ["Split", "Method", *(SHARES[name].heading for name in names)], lines
 
 
 def _marked(c: Comparison, short: Mapping[str, str], turns: Sequence[Turned]) -> dict[str, str]:
@@ -86,7 +117,12 @@ def _marked(c: Comparison, short: Mapping[str, str], turns: Sequence[Turned]) ->
     return {name: short[name] + (f" {MARK}" if name in moved else "") for name in c.names}
 
 
-def _md(comparisons: Sequence[Comparison], notes: Sequence[str], turns: Sequence[Turned]) -> str:
+def _md(
+    comparisons: Sequence[Comparison],
+    notes: Sequence[str],
+    turns: Sequence[Turned],
+    shares: Shares,
+) -> str:
     short = short_names([name for c in comparisons for name in c.names])
     parts = []
     for c in comparisons:
@@ -102,8 +138,8 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str], turns: Sequence
             lines.append([*names, *cells, f"{pair.p_holm:.2g}", pair.verdict])
         parts.append(aligned(head, lines, 2))
         if c.rank is not None:
-            shares = [[f"{100 * p:.0f} %" for p in row] for row in c.rank]
-            ranks = dict(zip(c.ranked, shares, strict=True))
+            chances = [[f"{100 * p:.0f} %" for p in row] for row in c.rank]
+            ranks = dict(zip(c.ranked, chances, strict=True))
             for name, worst in zip(c.ranked, c.worst or (), strict=True):
                 without = f" without {worst.without.replace('_', ' ')}" if worst.without else ""
                 ranks[name] = [*ranks[name], f"#{worst.rank}{without}"]
@@ -114,6 +150,10 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str], turns: Sequence
             ]
             places = [f"#{i + 1}" for i in range(len(c.ranked))]
             parts.append(aligned(["Method", "SR", *places, "worst"], table, 1))
+    head, rows = _share_lines(shares)
+    if rows:
+        rows = [[split, plain(method), *cells] for split, method, *cells in rows]
+        parts += [SHARES_NOTE, aligned(head, rows, 2)]
     columns = "A-B: difference of SR in points. #1: how often a method has that rank."
     parts.append(notes_list([*map(plain, legend(short)), *notes, columns, *_notes(comparisons)]))
     return "\n\n".join(parts) + "\n"
@@ -124,6 +164,7 @@ def _latex(
     origin: Mapping[str, str],
     notes: Sequence[str],
     turns: Sequence[Turned],
+    shares: Shares,
 ) -> str:
     """All pairs over both columns of a page; what is decided for new objects or categories too is bold."""
     short = short_names([name for c in comparisons for name in c.names])
@@ -148,13 +189,23 @@ def _latex(
     head += ["{$p$ (Holm)}", "$A$ is"]
     decided = f"bold: decided for new ones too, alpha {ALPHA}"
     comments = tex_comments(origin, [*legend(short), *notes, *_notes(comparisons), decided])
-    return "\n".join([*comments, *tex_table(spec, head, groups)]) + "\n"
+    tables = tex_table(spec, head, groups)
+    columns, lines = _share_lines(shares)
+    if lines:
+        cells = [" & ".join(map(tex, line)) + r" \\" for line in lines]
+        tables += [
+            f"% {SHARES_NOTE}",
+            *tex_table(["l"] * len(columns), [*map(tex, columns)], [cells]),
+        ]
+    return "\n".join([*comments, *tables]) + "\n"
 
 
-def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned]) -> str:
+def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned], shares: Shares) -> str:
     """One row for each group and pair, with both rates and the share of draws in which each method
-    is first; where there are turn tests, with the largest move of each method's rate."""
+    is first; shares of rows where there are any; where there are turn tests, with the largest move of each
+    method's rate."""
     records = []
+    shown = [n for n in SHARES if any(n == k for rates in shares.values() for _, k in rates)]
     for c in comparisons:
         rate = dict(zip(c.names, c.rates))
         ranks = [] if c.rank is None else c.rank.tolist()
@@ -164,5 +215,12 @@ def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned]) -> str:
             rates = {"sr_a": rate[pair.a], "sr_b": rate[pair.b]}
             firsts = {"first_a": first.get(pair.a), "first_b": first.get(pair.b)}
             moves = {"turn_a": most.get(pair.a), "turn_b": most.get(pair.b)} if turns else {}
-            records.append({"group": c.group, "n": c.n, **asdict(pair), **rates, **firsts, **moves})
+            of_rows = {
+                f"{name}_{side}": rate and rate.percent
+                for name in shown
+                for side, method in (("a", pair.a), ("b", pair.b))
+                for rate in [shares.get(method, {}).get((c.group, name))]
+            }
+            pair_fields = {"group": c.group, "n": c.n, **asdict(pair)}
+            records.append(pair_fields | rates | firsts | of_rows | moves)
     return csv_text(records)

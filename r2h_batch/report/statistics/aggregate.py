@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,12 +18,16 @@ from r2h_batch.base.validate import (
     one_of,
     sequence_of,
 )
-from r2h_batch.report.statistics.tally import SECONDS, SHARES, Tally
+from r2h_batch.report.statistics.shares import counted_shares
+from r2h_batch.report.statistics.tally import SECONDS, Tally
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.verdicts import REGISTRY, SPLITS
 
 FAILURES = {entry.rate: entry for entry in sorted(REGISTRY, key=lambda entry: entry.column)}
 """Rate of first failures -> its criterion, in the order of Table I's columns."""
+
+PARTIAL = {rate: entry for rate, entry in FAILURES.items() if entry.applies is not None}
+"""Those of criteria for some objects: rates of the trials that they concern."""
 
 RATES = {
     "sr": ("success",),
@@ -73,13 +77,7 @@ class Row:
         sr_new_categories: the success rate with its interval for new categories of objects.
         n_categories: different categories; as many as objects where each is one of its own.
         times: key of `TIMES` -> mean in seconds.
-        presented: rate of trials whose region faced the palm within reach, of S1's trials.
-        body_met: rate of motions that met the receiver's arm or torso, of the motions past a
-            receiver who has them.
-        through: rate of successes whose path passes through something by more than 0.1 mm, which
-            only paths can that are checked at samples.
-        held: rate of objects that the closed gripper holds under their weight for 1 s, of those past
-            Stability, where a run has it (`report.held`).
+        shares: key of `SHARES` -> rate of the rows that it is of; those that no row is of are left out.
     """
 
     split: str
@@ -90,10 +88,7 @@ class Row:
     sr_new_objects: Rate | None
     n_objects: int
     times: Mapping[str, Mean]
-    presented: Rate | None = None
-    body_met: Rate | None = None
-    through: Rate | None = None
-    held: Rate | None = None
+    shares: Mapping[str, Rate] = field(default_factory=dict)
     sr_new_categories: Rate | None = None
     n_categories: int = 0
 
@@ -207,8 +202,8 @@ _TALLY = instance_of(Tally, "what tally(RUN, METHOD) gives")
 
 @check_arguments(counted=_TALLY, split=one_of(*SPLITS))
 def split_row(counted: Tally, split: str) -> Row:
-    """The table line of a split. The rate of a criterion that the split does not require, or that came after
-    these rows, is None.
+    """The table line of a split. The rate of a criterion that the split does not require, that concerns none of its
+    objects, or that came after these rows, is None.
 
     Args:
         counted: a method's trials.
@@ -245,6 +240,13 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
             raise ValueError(f"{counted.method}: {failed} {split} {what}")
         if split not in entry.splits or entry.name not in counted.judged:
             rates[rate] = None
+        elif entry.applies is not None:
+            own = counted.concerned.get(entry.name, frozenset())
+            others = (c for c in cells if c["object"] not in own and c["outcome"] == entry.name)
+            if other := next(others, None):
+                what = f"failed {entry.name.capitalize()}, which does not concern {other['object']}"
+                raise ValueError(f"{counted.method}: {other['n']} {split} trials {what}")
+            rates[rate] = _rate(counts[entry.name], sum(k for o, k in trials.items() if o in own))
 
     def added(name: str) -> tuple[float, int]:
         return sum(c[f"{name}_sum"] for c in cells), sum(c[f"{name}_count"] for c in cells)
@@ -260,7 +262,7 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
     categories = [counted.category.get(o, o) for o in trials]
     by_category = np.zeros((len(set(categories)), 2), np.int64)
     np.add.at(by_category, np.unique(categories, return_inverse=True)[1], by_object)
-    shares = {name: added(name) for name in SHARES}
+    shares = {name: added(name) for name in counted_shares()}
     return Row(
         split=split,
         method=counted.method,
@@ -272,7 +274,7 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
         sr_new_categories=clustered_rate(*by_category.T),
         n_categories=len(by_category),
         times={k: means[k] for k in TIMES},
-        **{name: _rate(round(hits), known) for name, (hits, known) in shares.items()},
+        shares={k: rate_of(round(hits), known) for k, (hits, known) in shares.items() if known},
     )
 
 
@@ -296,9 +298,11 @@ def over_objects(counted: Tally, split: str) -> Row:
         whole,
         rates={name: rate(lambda r, k=name: r.rates[k]) for name in RATES},  # type: ignore[misc]
         times={name: mean(name) for name in TIMES},
-        presented=rate(lambda r: r.presented),
-        body_met=rate(lambda r: r.body_met),
-        through=rate(lambda r: r.through),
+        shares={
+            name: found
+            for name in whole.shares
+            if (found := rate(lambda r, k=name: r.shares.get(k)))  # type: ignore[misc]
+        },
     )
 
 
@@ -321,7 +325,8 @@ def rate_of(count: int, total: int) -> Rate:
 def average_row(rows: Sequence[Row]) -> Row:
     """The paper's Avg: the mean of a method's splits.
 
-    A criterion that a split skips counts as 0 there. A rate is None if a split has no trials.
+    A criterion that a split skips counts as 0 there. A rate is None if a split has no trials; that of a criterion
+    for some objects is the mean of the splits that have such objects.
     """
 
     def rate(name: str) -> Rate | None:
@@ -329,6 +334,8 @@ def average_row(rows: Sequence[Row]) -> Row:
         judged_in = FAILURES[name].splits if name in FAILURES else SPLITS
         parts = [r.rates[name] if r.split in judged_in or not r.n else zero for r in rows]
         known = [p for p in parts if p is not None]
+        if name in PARTIAL and known:  # a split may have none of its objects
+            return mean_rate(known)
         return mean_rate(known) if len(known) == len(parts) else None
 
     def mean(name: str) -> Mean:

@@ -9,20 +9,10 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.scene.families import goods, tools, vessels, worn
-from r2h_batch.scene.families.family import Draw, Family, Shape
+from r2h_batch.scene.families.family import FAMILIES, Draw, Family, Shape
 from r2h_batch.scene.families.remesh import Surface, heights, imprint, without_slivers
 from r2h_batch.scene.families.shapes import Parts
-from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel, build_object, with_words
-
-FAMILIES: dict[str, Family] = {
-    name: f
-    for name in OBJECT_NAMES
-    for f in (*vessels.FAMILIES, *worn.FAMILIES, *tools.FAMILIES, *goods.FAMILIES)
-    if f.category == name
-}
-"""Category -> family, in the order of the objects of r2h-v1."""
-
+from r2h_batch.scene.objects import ObjectModel, build_object
 
 SHIPPED, TRAINING = 0, 1
 """Series of the test instances in assets/families, and of those that predictors learn from."""
@@ -64,7 +54,7 @@ def draw_instance(category: str, series: int, index: int) -> Instance:
     """Instance `index` of a series of a category.
 
     Args:
-        category: a key of `FAMILIES`.
+        category: a name of `FAMILIES`.
         series: 0 for the shipped test instances, 1 for training, others for users (`--seed`).
         index: 0, 1, 2, ...
     """
@@ -183,4 +173,11 @@ def model_of(instance: Instance) -> ObjectModel:
         instance.mesh, instance.name, family.split, receiver=region if family.split == "S1" else None,
         mass=instance.mass, instruction=family.instruction, face_part=instance.face_part, part_names=family.parts,
     )  # fmt: skip
-    return with_words(replace(built, com=instance.com, inertia=instance.inertia), family.category)
+    return replace(
+        built,
+        com=instance.com,
+        inertia=instance.inertia,
+        words=family.words,
+        roles=family.roles,
+        category=family.category,
+    )
