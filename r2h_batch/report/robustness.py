@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from r2h_batch.report.figures import make_figure, style
-from r2h_batch.report.statistics.aggregate import FAILURES, Rate, ratio
+from r2h_batch.report.statistics.aggregate import FAILURES, Rate
+from r2h_batch.report.statistics.intervals import over_clusters
 from r2h_batch.report.statistics.paired import Pair, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import HEADINGS, table_of
@@ -37,8 +38,8 @@ NOTES = (
     " the line through the SRs over 0 to the largest error in mm. +-: 95 % t interval over objects (families:"
     " over categories), which speaks about new ones.",
     "First failures: percent of all trials, as in Table I.",
-    "A-B: difference of SR in points. ** decided for these objects and for new ones, * for these objects, without a mark:"
-    " not decided (McNemar, Holm over the pairs of a level).",
+    "A-B: difference of SR in points. ** decided for new objects (families: categories; t test over them), * for these objects"
+    " alone (McNemar), without a mark: not decided. Both tests: Holm over the pairs of a level.",
 )
 
 
@@ -136,8 +137,8 @@ def _by_category(counted: Tally) -> list[tuple[np.ndarray, np.ndarray]]:
 def _estimate(splits: Sequence[tuple[np.ndarray, np.ndarray]]) -> Estimate:
     """The mean of the splits' ratios, in points."""
     value = float(np.mean([x.sum() / n.sum() for x, n in splits]))
-    parts = [ratio([part]) for part in splits]
-    halves = [part[1] for part in parts if part is not None]
+    parts = [over_clusters([part]) for part in splits]
+    halves = [part.half() for part in parts if part is not None]
     half = float(np.linalg.norm(halves)) / len(splits) if len(halves) == len(splits) else None
     return Estimate(100 * value, None if half is None else 100 * half)
 
