@@ -202,8 +202,8 @@ def _of_method(run: Run, runs: Mapping[str, Run], method: str, shown: str) -> li
 
 def _move(pair: Pair) -> Move:
     """The move by a turn, of its frame's comparison with the objects as they lie."""
-    low, high = (None if end is None else -end for end in (pair.high, pair.low))
-    return Move(pair.b, -pair.difference, low, high, pair.p_holm)
+    low, high = (None if end is None else 0.0 - end for end in (pair.high, pair.low))
+    return Move(pair.b, 0.0 - pair.difference, low, high, pair.p_holm)  # never -0.0
 
 
 def _solved(run: Run, method: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
