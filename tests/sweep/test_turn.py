@@ -29,7 +29,7 @@ def by_x(trials, scene, *, seed, evaluator):
 
 
 TURNED = (*FRAMES, "20,40,-60")
-FEW = ("--trials", "10", "--splits", "S1", "--sim", "none", "--quiet")
+FEW = ("--trials", "40", "--splits", "S1", "--sim", "none", "--quiet")
 
 
 def command(*words):
