@@ -249,7 +249,7 @@ def markdown(data: Mapping[str, Any]) -> str:
     parts = [
         "# Do the intervals cover?",
         "See how often the 95 % intervals over categories hold the truth, and how often equal methods are called different."
-        f" `python bench/coverage.py` simulated this ({data['draws']:,} samples of C categories with {data['trials']} trials each;"
+        f" `python bench/coverage.py` simulated this ({data['draws']:,} samples of C categories, {data['trials']} trials of each;"
         " `bench/results/coverage.json`). [Statistical terms](../statistics.md).",
         "## The mean of all categories",
         "Percent of the intervals that hold the mean; in brackets those that lie below it and above it. A method's line draws C"

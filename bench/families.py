@@ -695,10 +695,10 @@ def markdown(data: Mapping[str, Any]) -> str:
         " the t test over categories (Holm over the six pairs): " + "; ".join(pair_words(data)) + ".",
         "## Turn test",
         "The same trials with turned objects ([turn test](../statistics.md#turn-test)): points of SR gained, with the 95 %"
-        " interval over categories. `^`: success depends on the frame (Cochran's Q over all frames by category, Holm over the"
-        " methods). Handover-VA grasps from above along the frame's z, as published, and aligns its template"
-        " from the frame's axes, so its answer depends on them. Half turn and cycled axes map an object's voxel grid and its box"
-        f" onto themselves. A turn by other angles (`r2h-batch turn RUN --by {ANY_TURN}`, degrees about x, y and z) maps neither."
+        " interval over categories. `^`: success depends on the frame (Cochran's Q over all frames, by category and of all"
+        " trials; Holm over the methods). Handover-VA grasps from above along the frame's z, as published, and aligns its"
+        " template from the frame's axes, so its answer depends on them. Half turn and cycled axes map an object's voxel grid and"
+        f" its box onto themselves. A turn by other angles (`r2h-batch turn RUN --by {ANY_TURN}`, degrees about x, y and z) maps neither."
         " FC, Contact and Intent place the centre"
         " of the object above the palm: of r2h-v2's objects that of the smallest ball around them, which turns with them; of"
         " r2h-v1's objects that of the box along the frame's axes, as these rows are frozen. Contact-Handover's network reads a"

@@ -130,7 +130,7 @@ def test_avgs_intervals_for_new_ones_are_those_of_the_splits_own():
         assert avg.percent - avg.low == pytest.approx(np.hypot(s0.percent - s0.low, s1.percent - s1.low) / 2)
         assert avg.high - avg.percent == pytest.approx(np.hypot(s0.high - s0.percent, s1.high - s1.percent) / 2)
         ends.append((avg.low, avg.high))
-    assert ends[0][0] > ends[1][0] > ends[2][0]  # objects, categories, a few of these
+    assert len(set(ends)) == 3 and ends[1][0] > ends[2][0]  # a few categories say less than all
 
 
 def test_the_table_is_the_same_for_any_shards(tmp_path):
