@@ -34,7 +34,7 @@ class Clustered:
 
     @property
     def quantile(self) -> float:
-        """Of Student's t."""
+        """How many standard errors half of an interval is, by Student's t."""
         return float(stdtrit(self.freedom, 0.5 + CONFIDENCE / 2))
 
     def half(self, few: int | None = None, *, own: bool = False) -> float:
