@@ -105,6 +105,7 @@ def coverage(
     width = 0.0
     for _ in range(draws):
         rate = clustered_rate(random.binomial(TRIALS, draw(random, categories)), total, few)
+        assert rate  # there are two categories or more
         own = 100 * (truth if few is None else random.binomial(TRIALS, draw(random, few)).mean() / TRIALS)
         below += rate.high < own - 1e-9
         above += rate.low > own + 1e-9
@@ -151,6 +152,7 @@ def differences(rows: Sequence[Mapping[str, Any]], pair: tuple[int, int], catego
         only = np.zeros((2, 2, 2), np.int64)
         only[0, 0, 1], only[0, 1, 0] = first.sum(), second.sum()
         (found,) = compare(Paired(("a", "b"), trials, solved, only), draws=1)[0].pairs
+        assert found.low is not None and found.high is not None  # there are two categories or more
         hits += found.low - 1e-9 <= truth <= found.high + 1e-9
     return 100 * hits / draws
 
@@ -183,7 +185,7 @@ def called(tables: Sequence[Any]) -> dict[str, dict[str, float]]:
             with_holm = any(p.verdict in ("better", "worse") for p in c.pairs)
             without = any(p.p_holm < ALPHA and p.p_new is not None and p.p_new < ALPHA for p in c.pairs)
             own[c.group] = with_holm, without
-        own["any"] = tuple(any(v[k] for v in own.values()) for k in (0, 1))
+        own["any"] = any(v[0] for v in own.values()), any(v[1] for v in own.values())
         for group, value in own.items():
             found.setdefault(group, []).append(value)
     return {

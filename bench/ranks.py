@@ -7,7 +7,6 @@ import json
 from itertools import combinations
 from typing import Any
 
-import numpy as np
 from _report import ROOT, lines_of, markdown_table
 
 STORED = ROOT / "bench" / "results"
@@ -72,7 +71,7 @@ def corrected(case: str) -> dict[frozenset[str], float]:
     for a, b in combinations(won, 2):
         pairs = list(zip(won[a], won[b], strict=True))
         counts[frozenset((a, b))] = pairs.count(("1", "0")), pairs.count(("0", "1"))
-    p = holm(np.array([mcnemar(*own) for own in counts.values()]))
+    p = holm([mcnemar(*own) for own in counts.values()])
     return dict(zip(counts, p.tolist(), strict=True))
 
 

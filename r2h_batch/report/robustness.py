@@ -159,24 +159,26 @@ def _lost(
     splits: Sequence[tuple[np.ndarray, np.ndarray]], only: Sequence[tuple[int, int]]
 ) -> Estimate:
     """The mean of the splits' differences, in points; no interval is narrower than the one for more trials."""
-    parts = []
+    parts: list[tuple[float, float | None]] = []
     for (x, n), (a, b) in zip(splits, only, strict=True):
         total = n.sum()
         low, high = paired_score_interval(a, b, total)
         value = (a - b) / total
         over = over_clusters([(x, n)], (a + b) / total - value**2)
-        parts.append((value, over and max(over.half(), high - value, value - low)))
+        widest = max(high - value, value - low)
+        parts.append((value, None if over is None else max(over.half(), widest)))
     return _mean(parts)
 
 
 def _area(splits: Sequence[tuple[np.ndarray, np.ndarray]]) -> Estimate:
     """The mean of the splits' mean rates, in points; no interval is narrower than the one for more trials."""
-    parts = []
+    parts: list[tuple[float, float | None]] = []
     for x, n in splits:
         p = float(x.sum() / n.sum())
         low, high = (float(end) for end in wilson_interval(x.sum(), n.sum()))
         over = over_clusters([(x, n)], p * (1 - p))
-        parts.append((p, over and max(over.half(), high - p, p - low)))
+        widest = max(high - p, p - low)
+        parts.append((p, None if over is None else max(over.half(), widest)))
     return _mean(parts)
 
 

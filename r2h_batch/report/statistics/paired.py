@@ -439,9 +439,17 @@ def _compare(
         elif adjusted_new >= ALPHA:
             word += " here"
         own = over[k]
-        ends = [*_ends(own, only[k], n, None), *_ends(own, only[k], n, few)]
-        tests = (p[k], adjusted, known[k], None if own is None else adjusted_new)
-        lines.append(Pair(names[i], names[j], difference, *ends, *only[k], *tests, word))
+        low, high = _ends(own, only[k], n, None)
+        few_low, few_high = _ends(own, only[k], n, few)
+        lines.append(
+            Pair(
+                a=names[i], b=names[j], difference=difference,
+                low=low, high=high, few_low=few_low, few_high=few_high,
+                only_a=only[k][0], only_b=only[k][1],
+                p=p[k], p_holm=adjusted, p_new=known[k],
+                p_new_holm=None if own is None else adjusted_new, verdict=word,
+            )
+        )  # fmt: skip
     rates = tuple(float(100 * (hits / n)) for hits in paired.hits[splits].sum((0, 2)))
     places = [i for i, name in enumerate(names) if name not in paired.bounds]
     ranked = tuple(names[i] for i in places)
