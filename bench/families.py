@@ -734,7 +734,8 @@ def markdown(data: Mapping[str, Any]) -> str:
         " s_t: of single trials, in points, from r2h-v2's rows. Columns C x m: half widths.",
         spread,
         "For the difference of two methods: the points measured, their spreads, the half width at 16 x 6, and the fewest"
-        " categories at which such a difference would be decided, with m instances of each.",
+        " categories at which its 95 % interval would leave out 0, with m instances of each. Among several pairs Holm's"
+        " correction asks for more.",
         needs,
         *cost_lines(data),
     ]
