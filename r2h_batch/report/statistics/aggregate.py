@@ -256,7 +256,7 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]], few: in
         n_objects=len(trials),
         sr_new_categories=clustered_rate(*by_category.T),
         n_categories=len(by_category),
-        sr_few=clustered_rate(*by_category.T, few=few),
+        sr_few=clustered_rate(by_category[:, 0], by_category[:, 1], few),
         few=few,
         times={k: means[k] for k in TIMES},
         **{name: _rate(round(hits), known) for name, (hits, known) in shares.items()},

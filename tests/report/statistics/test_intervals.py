@@ -197,7 +197,8 @@ def test_equal_methods_are_called_different_in_at_most_5_percent_of_tables(bench
     ]
     found = bench.called(tables)
     assert all(found[group]["corrected"] <= 5 for group in ("S0", "S1", "all"))
-    assert found["any"]["corrected"] <= 6 < found["any"]["not corrected"]
+    # Holm's correction is that of one table; the three tables of a run together are no family of their own
+    assert found["any"]["corrected"] <= 8 < 25 < found["any"]["not corrected"]
 
 
 def test_a_reader_chooses_how_many_new_categories(tmp_path, capsys):
