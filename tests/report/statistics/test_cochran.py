@@ -46,3 +46,12 @@ def test_frames_that_change_nothing_but_chance_are_seldom_found():
         rate = np.where(random.random(240) < 0.6, 1.0, random.random(240))
         hits += stratified_cochran(random.random((4, 240)) < rate, stratum).p < 0.05
     assert hits / 400 < 0.07
+
+
+def test_of_few_trials_the_p_value_is_that_of_permutations():
+    """Three trials in which the same one of four treatments fails: 4 of 4^3 ways, which chi-squared takes for half as many."""
+    success = np.ones((4, 12), bool)
+    success[2, :3] = False
+    found = stratified_cochran(success, np.zeros(12, int))
+    assert found.q == pytest.approx(9) and stats.chi2.sf(9, 3) < 0.03
+    assert found.p == pytest.approx(4 / 64, abs=0.01)
