@@ -57,10 +57,10 @@ def test_a_mark_follows_from_the_corrected_test(tmp_path):
         pooled = cochrans_q(own.T.astype(int), return_object=True).pvalue if found else 1.0
         expected.append(min(1, 2 * min(strata, pooled)))
     names = ("falls", "opposite", "chance", "still")
-    found = [tests[m, "S0"].p_frames for m in methods]
+    found = [tests[m, "S0"].p_frames for m in names]
     assert found == pytest.approx(expected, abs=0.03)  # of few trials that differ, by permutations
     corrected = multipletests(found, method="holm")[1]
-    assert [tests[m, "S0"].p_frames_holm for m in methods] == pytest.approx(corrected)
+    assert [tests[m, "S0"].p_frames_holm for m in names] == pytest.approx(corrected)
     assert {(t["method"], t["group"]) for t in about(list(tests.values())) if t["marked"]} == marked
 
 
