@@ -12,9 +12,11 @@ import numpy as np
 import pyarrow as pa
 
 from r2h_batch.report import figures
+from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Rate, Row
 from r2h_batch.report.statistics.common import Common
+from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import (
@@ -47,6 +49,7 @@ def page(
     gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = None,
     *,
     common: Common | None = None,
+    few: int = FEW,
 ) -> str:
     """The page as text.
 
@@ -54,6 +57,7 @@ def page(
         run: what `load_run` or `join` gives.
         gallery: method -> pictures with `trial`, `src`, `alt`, `caption`, `command` and `href`.
         common: the trials on which several runs are compared; None: they are not compared.
+        few: new categories whose mean the prediction intervals speak about.
 
     Raises:
         ValueError: if matplotlib is missing.
@@ -62,7 +66,7 @@ def page(
 
     figures.needs_matplotlib()
     counted = [tally(run, m) for m in run.methods]
-    table = table_of(run, counted=counted, alike=len(run.runs) == 1 or common is not None)
+    table = table_of(run, counted=counted, alike=len(run.runs) == 1 or common is not None, few=few)
     short = short_names(run.methods)
     runs = run.runs
     used = [o for o in OUTCOME_NAMES if any(row.counts[o] for row in table.rows)]
@@ -81,7 +85,7 @@ def page(
     ]
     times = breakdown.time_histograms(run, "t_exec_s")
     comparable = len(run.methods) > 1 and not (len(runs) > 1 and common is None)
-    compared = compare(pair_up([run], common)) if comparable else ()
+    compared = compare(pair_up([run], common), few=few) if comparable else ()
     loader = jinja2.PackageLoader("r2h_batch.report", ".")
     strict = jinja2.StrictUndefined
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=strict)
@@ -92,6 +96,7 @@ def page(
         overview=_overview(table, compared),
         bold=bool(best_cells(table)),
         kind="categories" if table.families else "objects",
+        few=few,
         splits=list(dict.fromkeys(row.split for row in table.rows)),
         matrices=[_matrix(c) for c in compared],
         heat=_heat(counted, run.methods),
@@ -167,10 +172,12 @@ def _matrix(c: Comparison) -> dict[str, Any]:
     words = {}
     for p in c.pairs:
         known = p.low is not None and p.high is not None
-        ends = f", 95 % for new {c.new} {p.low:+.1f} to {p.high:+.1f}" if known else ""
+        ends = f", 95 % for all {c.new} {p.low:+.1f} to {p.high:+.1f}" if known else ""
+        if p.few_low is not None and p.few_high is not None:
+            ends += f", for {c.few} new ones {p.few_low:+.1f} to {p.few_high:+.1f}"
         sentence = (
             f"{p.a} is {p.verdict}: {p.difference:+.1f} points{ends}; "
-            f"only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p.p_holm:.2g}"
+            f"only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p_words(p)}"
         )
         words[p.a, p.b] = (MARKS[p.verdict], sentence)
         words[p.b, p.a] = (MARKS[opposite[p.verdict]], sentence)
@@ -230,6 +237,7 @@ def _table(table: Table) -> list[dict[str, Any]]:
         more = {
             "moved": test.sentence if test and test.marked else "",
             "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
+            "few": f"{row.sr_few.low:.1f}\u2013{row.sr_few.high:.1f}" if row.sr_few else NA,
             "shares": [_percent(row.shares.get(name)) for name in table.shares],
             "n": row.n,
             "invalid": invalid(row),

@@ -19,6 +19,7 @@ from r2h_batch.report.statistics.aggregate import (
     Row,
     summarise,
 )
+from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.shares import HELD, SHARES, THROUGH, Share
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import (
@@ -72,13 +73,17 @@ FOOTNOTES = (
     f"Avg: mean of the two splits, {_SKIPPED} (not evaluated) taken as 0.",
     "Presented: percent of S1's trials, failed ones too, whose receiver's region faces the palm (seen from the TCP, 90 degrees"
     " at most) and lies within the ball's radius of c_h; no part of SR.",
-    "Intervals: 95 %. Wilson (MOVER in Avg) speaks about more trials with these objects; the object-clustered t interval"
-    " about new objects of the same kind.",
+    "Intervals: 95 %. Wilson (MOVER in Avg) speaks about more trials with these objects; the object-clustered interval (t, of"
+    " log odds) about the mean of all objects of the same kind.",
 )
 
 CATEGORY_NOTE = (
-    "SR new cat.: the category-clustered t interval, about new categories of objects. SR new obj. takes the objects"
+    "SR new cat.: the category-clustered interval, about the mean of all categories of objects. SR new obj. takes the objects"
     " for independent, and those of one category are not."
+)
+FEW_NOTE = (
+    "SR of {0} new: the prediction interval: where the mean of {0} {1} lies that you bring (of each split; Avg: of both). Read"
+    " it for your own things, and the interval for all to say what a method is worth."
 )
 
 
@@ -121,7 +126,9 @@ class Table:
             for row in self.scans.values()
         ]
         scans = [f"SR scans, and its 95 % interval for new objects like these: {'; '.join(own)}."]
+        new = "new categories" if self.families else "new objects"
         families = [CATEGORY_NOTE] if self.families else []
+        families += [FEW_NOTE.format(self.few, new)]
         return (
             *FOOTNOTES,
             *map(self._partial, PARTIAL),
@@ -149,6 +156,11 @@ class Table:
             f" Avg: mean of the splits that have such objects. Its margins are in {unit}."
         )
 
+    @property
+    def few(self) -> int:
+        """New categories whose mean the prediction intervals speak about."""
+        return self.rows[0].few if self.rows else FEW
+
     def turn_of(self, row: Row) -> Turned | None:
         """The turn test of a line, where its method has one."""
         key = (row.method, "all" if row.split == "Avg" else row.split)
@@ -171,6 +183,7 @@ def table_of(
     *,
     alike: bool = True,
     scans: Run | None = None,
+    few: int = FEW,
 ) -> Table:
     """The table of every complete method of a run folder.
 
@@ -179,6 +192,7 @@ def table_of(
         counted: these methods' trials, if they were counted before.
         alike: of joined runs, whether they were judged the same (`next_commands.judged_alike`).
         scans: a run of the same methods on the reader's own objects, for a column beside SR.
+        few: new categories whose mean the prediction intervals speak about.
 
     Raises:
         ValueError: the run of the scans was judged by another configuration, or has none of the methods.
@@ -190,7 +204,7 @@ def table_of(
     origin = _joined([(r.folder.absolute().name, robot | _origin(r.header)) for r, robot in named])
     configurations = [r.header["configuration"] for r in runs]
     averages = {str(c.get("averages", "trials")) for c in configurations}
-    rows = summarise(tallies, "objects" if averages == {"objects"} else "trials")
+    rows = summarise(tallies, "objects" if averages == {"objects"} else "trials", few)
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(_without(row, THROUGH) for row in rows)  # certified paths meet nothing
     held = held_rates(run)
@@ -407,11 +421,15 @@ def _share(row: Row, name: str) -> list[str]:
     return [f"{rate.percent:.1f}", interval(rate), str(rate.total)] if rate else []
 
 
-def _counts(row: Row, families: bool) -> list[str]:
-    n_plan, n_exec = row.times["t_plan_s"].count, row.times["t_exec_s"].count
+def _new_ones(row: Row, families: bool) -> list[str]:
     new = [interval(row.sr_new_objects), *([interval(row.sr_new_categories)] if families else [])]
-    cells = [row.n, *new, n_plan, n_exec, cell(row, "t_method_s")]
-    return [*map(str, cells), str(invalid(row)), str(row.counts["missing"])]
+    return [cell(row, "sr"), *new, interval(row.sr_few)]
+
+
+def _counts(row: Row) -> list[str]:
+    n_plan, n_exec = row.times["t_plan_s"].count, row.times["t_exec_s"].count
+    cells = [row.n, n_plan, n_exec, cell(row, "t_method_s"), invalid(row), row.counts["missing"]]
+    return [*map(str, cells)]
 
 
 def _md(table: Table) -> str:
@@ -433,14 +451,17 @@ def _md(table: Table) -> str:
             lambda row: [interval(row.rates[c]) for c in rates],
         ),
         (
-            "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial."
-            if not table.families
-            else "Counts, the object- and category-clustered 95 % intervals of SR, and T_method, the method's own time.",
+            "95 % intervals of SR for new things.",
             [
-                *("N", "SR new obj.", *(["SR new cat."] if table.families else [])),
-                *("n T_plan", "n T_exec", "T_method", "invalid", "missing"),
+                *("SR", "SR new obj.", *(["SR new cat."] if table.families else [])),
+                f"SR of {table.few} new",
             ],
-            lambda row: _counts(row, table.families),
+            lambda row: _new_ones(row, table.families),
+        ),
+        (
+            "Counts, and T_method, the method's own time per trial.",
+            ["N", "n T_plan", "n T_exec", "T_method", "invalid", "missing"],
+            _counts,
         ),
         *(
             (share.caption, [share.heading, "95 %", "of"], partial(_share, name=name))
@@ -486,6 +507,9 @@ def record(row: Row) -> dict[str, Any]:
     for what, clustered in (("objects", row.sr_new_objects), ("categories", row.sr_new_categories)):
         fields |= with_ends(f"sr_new_{what}", clustered)
         del fields[f"sr_new_{what}"]  # it is "sr"
+    few = with_ends("sr_few", row.sr_few)
+    del few["sr_few"]
+    fields |= {"few": row.few} | few
     for name in SHARES:
         fields |= with_ends(name, row.shares.get(name))
     for name in TIMES:
@@ -502,6 +526,7 @@ def _latex(table: Table, columns: int, intervals: bool) -> str:
         f" {row.times['t_exec_s'].count}, invalid {invalid(row)}, missing {row.counts['missing']}, SR of new objects"
         f" {interval(row.sr_new_objects)}"
         f"{f', of new categories {interval(row.sr_new_categories)}' if table.families else ''}"
+        f", of the mean of {row.few} new ones {interval(row.sr_few)}"
         for row in table.rows
     ]
     of = [

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from r2h_batch.report.statistics.aggregate import Rate
-from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison
+from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison, Pair
 from r2h_batch.report.statistics.shares import SHARES
 from r2h_batch.report.text import (
     NA,
@@ -32,12 +32,14 @@ Shares = Mapping[str, Mapping[tuple[str, str], Rate]]
 SHARES_NOTE = "Shares of rows on these trials, percent [95 %, Wilson] and rows; no part of SR."
 
 NOTES = (
-    "Holm p: McNemar's exact test, corrected over the pairs of its table. It decides for these objects.",
-    f"95 % new {{0}}: a t interval over {{1}}. #1: a bootstrap over {{2}} ({DRAWS} draws). Both speak about new"
-    " {1}.",
+    "p here: McNemar's exact test, for these objects. p new: a t test over {1}, for new ones. Holm corrected both over the"
+    " pairs of their table.",
+    "95 % all {0}: a t interval over {1}, of the mean of all {1}. {4} new: where the mean of {4} new {1} lies (95 %). Neither is"
+    " corrected for the other pairs.",
+    f"#1: a bootstrap over {{2}} ({DRAWS} draws), for new {{1}}.",
     "worst: a method's worst rank with one {3} left out, and which.",
-    "better, worse: decided for these objects and for new {1}. better here, worse here: decided for these objects"
-    " only. tied: not decided.",
+    f"better, worse: decided for new {{1}} (p new below {ALPHA}). better here, worse here: decided for these objects only. tied:"
+    " not decided.",
 )
 
 
@@ -47,11 +49,26 @@ def _notes(comparisons: Sequence[Comparison]) -> list[str]:
         words = ("cat.", "categories", "categories and their objects", "category")
     else:
         words = ("obj.", "objects", "objects", "object")
-    return [note.format(*words) for note in NOTES]
+    few = next((c.few for c in comparisons), "")
+    return [note.format(*words, few) for note in NOTES]
 
 
 def _new(comparison: Comparison) -> str:
     return "cat." if comparison.new == "categories" else "obj."
+
+
+def p_words(pair: Pair) -> str:
+    """The corrected p values of a pair: for these objects, and for new ones."""
+    return f"{_p(pair.p_holm)} here, {_p(pair.p_new_holm)} new"
+
+
+def _p(p: float | None) -> str:
+    return NA if p is None else f"{p:.2g}" if p >= 0.001 else f"{p:.0e}"
+
+
+def _ends(low: float | None, high: float | None, digits: int = 1) -> str:
+    known = low is not None and high is not None
+    return f"{low:+.{digits}f} to {high:+.{digits}f}" if known else NA
 
 
 def render(
@@ -127,15 +144,16 @@ def _md(
     parts = []
     for c in comparisons:
         shown = _marked(c, short, turns)
-        head = ["A", "B", "A-B", f"95 % new {_new(c)}", "only A/B", "Holm p", "A is"]
+        head = ["A", "B", "A-B", f"95 % all {_new(c)}", f"{c.few} new", "only A/B"]
+        head += ["p here", "p new", "A is"]
         parts.append(f"{c.group}: {c.n} trials, paired on the trial id")
         lines = []
         for pair in c.pairs:
-            known = pair.low is not None and pair.high is not None
-            ends = f"{pair.low:+.1f} to {pair.high:+.1f}" if known else NA
-            cells = [f"{pair.difference:+.1f}", ends, f"{pair.only_a}/{pair.only_b}"]
+            ends = [_ends(pair.low, pair.high), _ends(pair.few_low, pair.few_high, 0)]
             names = [plain(shown[pair.a]), plain(shown[pair.b])]
-            lines.append([*names, *cells, f"{pair.p_holm:.2g}", pair.verdict])
+            cells = [f"{pair.difference:+.1f}", *ends, f"{pair.only_a}/{pair.only_b}"]
+            p = [_p(pair.p_holm), _p(pair.p_new_holm)]
+            lines.append([*names, *cells, *p, pair.verdict])
         parts.append(aligned(head, lines, 2))
         if c.rank is not None:
             chances = [[f"{100 * p:.0f} %" for p in row] for row in c.rank]
@@ -177,16 +195,16 @@ def _latex(
             ends = f"[{pair.low:+.1f}, {pair.high:+.1f}]" if known else NA
             bold = pair.verdict in ("better", "worse")
             word = rf"\textbf{{{pair.verdict}}}" if bold else pair.verdict
-            p = r"{$<$0.001}" if pair.p_holm < 0.001 else f"{pair.p_holm:.3f}"
+            p = [_tex_p(pair.p_holm), _tex_p(pair.p_new_holm)]
             names = ["" if rows else c.group, tex(shown[pair.a]), tex(shown[pair.b])]
             counts = [str(pair.only_a), str(pair.only_b)]
-            cells = [*names, f"{pair.difference:+.1f}", ends, *counts, p, word]
+            cells = [*names, f"{pair.difference:+.1f}", ends, *counts, *p, word]
             rows.append(" & ".join(cells) + r" \\")
         groups.append(rows)
     signed = tex_number(3, 1).replace("3.1", "+3.1")
-    spec = ["l", "l", "l", signed, "c", "r", "r", tex_number(1, 3), "l"]
+    spec = ["l", "l", "l", signed, "c", "r", "r", *[tex_number(1, 3)] * 2, "l"]
     head = ["", "$A$", "$B$", "{$A-B$}", r"95\,\%", "only $A$", "only $B$"]
-    head += ["{$p$ (Holm)}", "$A$ is"]
+    head += ["{$p$ here}", "{$p$ new}", "$A$ is"]
     decided = f"bold: decided for new ones too, alpha {ALPHA}"
     comments = tex_comments(origin, [*legend(short), *notes, *_notes(comparisons), decided])
     tables = tex_table(spec, head, groups)
@@ -198,6 +216,10 @@ def _latex(
             *tex_table(["l"] * len(columns), [*map(tex, columns)], [cells]),
         ]
     return "\n".join([*comments, *tables]) + "\n"
+
+
+def _tex_p(p: float | None) -> str:
+    return "{" + NA + "}" if p is None else r"{$<$0.001}" if p < 0.001 else f"{p:.3f}"
 
 
 def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned], shares: Shares) -> str:
@@ -221,6 +243,6 @@ def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned], shares: Sha
                 for side, method in (("a", pair.a), ("b", pair.b))
                 for rate in [shares.get(method, {}).get((c.group, name))]
             }
-            pair_fields = {"group": c.group, "n": c.n, **asdict(pair)}
+            pair_fields = {"group": c.group, "n": c.n, **asdict(pair), "few": c.few}
             records.append(pair_fields | rates | firsts | of_rows | moves)
     return csv_text(records)
