@@ -7,7 +7,7 @@ from math import floor, log10
 from typing import Any
 
 from r2h_batch.config import ExecutionError
-from r2h_batch.report.held import held_rates
+from r2h_batch.report.held import stable_rates
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import FAILURES, RATES, TIMES, Rate, Row, summarise
 from r2h_batch.report.statistics.tally import Tally, tally
@@ -158,8 +158,13 @@ def table_of(
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials")
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
-    held = held_rates(run)
-    rows = tuple(replace(row, held=held.get((row.split, row.method))) for row in rows)
+    stable = stable_rates(run)
+    rows = tuple(
+        replace(row, held=found.rate, undecided=found.undecided)
+        if (found := stable.get((row.split, row.method)))
+        else row
+        for row in rows
+    )
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
     planned = (
         line for r in runs for line in motions_left_out(r.header.get("motions_left_out", {}))
@@ -362,6 +367,13 @@ def _share(rate: Rate | None) -> list[str]:
     return [f"{rate.percent:.1f}", interval(rate), str(rate.total)] if rate else []
 
 
+def _stable(row: Row) -> list[str]:
+    if row.held is None:
+        return []
+    past = f"{100 * row.held.total / row.n:.1f}"
+    return [past, *_share(row.held), *_share(row.undecided)[:1]]
+
+
 def _counts(row: Row, families: bool) -> list[str]:
     n_plan, n_exec = row.times["t_plan_s"].count, row.times["t_exec_s"].count
     new = [interval(row.sr_new_objects), *([interval(row.sr_new_categories)] if families else [])]
@@ -413,9 +425,9 @@ def _md(table: Table) -> str:
             lambda row: _share(row.through),
         ),
         (
-            "Objects that the closed gripper holds under their weight for 1 s, of those past Stability (not in SR).",
-            ["Held 1 s", "95 %", "of"],
-            lambda row: _share(row.held),
+            "Trials past Stability, and percent of these that hold in physics: after closing, and under the weight for 1 s (not in SR).",
+            ["Past Stability", "Physically stable", "95 %", "of", "undecided"],
+            _stable,
         ),
     ]
     parts = ["  \n".join(f"{key}: {value}" for key, value in table.origin.items())]
@@ -455,7 +467,8 @@ def record(row: Row) -> dict[str, Any]:
         fields |= with_ends(f"sr_new_{what}", clustered)
         del fields[f"sr_new_{what}"]  # it is "sr"
     fields |= with_ends("presented", row.presented) | with_ends("body_met", row.body_met)
-    fields |= with_ends("through", row.through) | with_ends("held_1s", row.held)
+    fields |= with_ends("through", row.through) | with_ends("physically_stable", row.held)
+    fields["physically_undecided"] = row.undecided.percent if row.undecided else None
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}

@@ -13,7 +13,7 @@ from typing import TypeVar
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32
 from numpy.typing import NDArray
 
 from r2h_batch.closed_loop.transfer.cases import (
@@ -24,6 +24,7 @@ from r2h_batch.closed_loop.transfer.cases import (
     transferred,
 )
 from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
+from r2h_batch.closed_loop.transfer.held import Holds
 from r2h_batch.closed_loop.transfer.model import TICK_S, Setting
 from r2h_batch.closed_loop.transfer.outcome import (
     DROPPED_M,
@@ -92,7 +93,7 @@ class BatchedSimulator:
             standing = batch.close(full)
             return [self._one(batch, standing, case, n) for case in cases]
 
-    def hold(self, gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
+    def hold(self, gripped: Gripped) -> Holds:
         """As `Simulator.hold`, in MuJoCo C."""
         return self.exact.hold(gripped)
 

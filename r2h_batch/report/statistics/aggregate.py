@@ -78,8 +78,8 @@ class Row:
             receiver who has them.
         through: rate of successes whose path passes through something by more than 0.1 mm, which
             only paths can that are checked at samples.
-        held: rate of objects that the closed gripper holds under their weight for 1 s, of those past
-            Stability, where a run has it (`report.held`).
+        held, undecided: rates of physically stable grasps, and of those that are too near a limit to say, of
+            those past Stability, where a run has them (`report.held`).
     """
 
     split: str
@@ -94,6 +94,7 @@ class Row:
     body_met: Rate | None = None
     through: Rate | None = None
     held: Rate | None = None
+    undecided: Rate | None = None
     sr_new_categories: Rate | None = None
     n_categories: int = 0
 
