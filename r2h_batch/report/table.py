@@ -425,7 +425,7 @@ def _md(table: Table) -> str:
             lambda row: _share(row.through),
         ),
         (
-            "Trials past Stability, and percent of these that hold in physics: after closing, and under the weight for 1 s (not in SR).",
+            "Trials past Stability, and those of them that hold in physics, closed and under the weight for 1 s (not in SR).",
             ["Past Stability", "Physically stable", "95 %", "of", "undecided"],
             _stable,
         ),

@@ -21,7 +21,6 @@ from r2h_batch.closed_loop.transfer.model import (
     DAMPING,
     FREE_DAMPING,
     GRIPPER_KG,
-    TICK_S,
     Places,
     Setting,
     place,

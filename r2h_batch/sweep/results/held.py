@@ -46,8 +46,8 @@ stable; null: the simulation failed. lost: `closing`, `weight`, or null. Numbers
 CODE = ("r2h_batch.closed_loop.transfer", "r2h_batch.judge.grasp_physics")
 VERSIONS = ("mujoco", "numpy", "scipy")
 NOTES = (
-    "Physically stable: after the gripper has closed with 30 N (pad friction 0.8) both pads touch the object, it slips by less"
-    f" than {100 * DROPPED_M:g} cm until it stands, and by less than {100 * DROPPED_M:g} cm more while its weight acts for 1 s at the"
+    "Physically stable: the gripper closes with 30 N (pad friction 0.8), both pads touch the object, it slips by less than"
+    f" {100 * DROPPED_M:g} cm until it stands, and by less than {100 * DROPPED_M:g} cm more while its weight acts for 1 s at the"
     " handover pose. Lost in closing, or under the weight: which of these fails first.",
     "n counts the rows that pass Stability. Brackets: 95 %, Wilson. No part of SR. undecided: within"
     f" {1e3 * NEAR_M:g} mm of a limit, or half the time step says otherwise. statics: friction balances the weight on the settled"
