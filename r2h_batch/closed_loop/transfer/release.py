@@ -276,6 +276,8 @@ POLICIES: dict[str, Any] = {
     "probe": Probe,
 }
 """By their names in commands."""
+BY_SHARE = ("load-share", "probe")
+"""Policies that count in shares of the weight."""
 
 
 def release_of(spec: str) -> tuple[Any, str]:

@@ -40,7 +40,7 @@ class Transfers:
         release_share: share of the weight that the person carried when the policy let go.
         transfer_s: from the beginning of the person's grip until the gripper was free.
         share_s: (N, 3) when the share first passed 10, 50 and 90 %, from the beginning of the grip.
-        pull_n: largest force of the person's arm beyond the weight until the gripper was free.
+        pull_n: largest force of the person's arm along the pull, less what carries the weight, until the gripper was free.
         grip_n: largest grip of the person, one side.
         hand_n: largest force of the arm on the hand.
         slip_m: how far the object slipped in the hand, from the grip to the end.
