@@ -15,11 +15,11 @@ MOST = 1000
 FIRST_SERIES = 1000
 """Series of seed 0; smaller ones are shipped or learned from."""
 FORM = re.compile(
-    r"families:(?P<names>[a-z_,* ]*?)\s*(?:x\s*(?P<count>\d+))?\s*(?:seed\s*(?P<seed>\d+))?\s*"
+    r"families:(?P<names>[a-z_,* ]*?)\s*(?:x\s*(?P<count>\d+))?\s*(?:seed\s*(?P<seed>\d+))?\s*(?P<fillings>standing)?\s*"
 )
 HOW = (
     'write families:CATEGORY,... x COUNT seed SEED, as in --objects "families:cup,hammer x 20 seed 7"; '
-    f"CATEGORY is * or of {', '.join(OBJECT_NAMES)}"
+    f"CATEGORY is * or of {', '.join(OBJECT_NAMES)}; with the word standing behind it fillings stand at the bottom of bottles"
 )
 
 
@@ -28,13 +28,12 @@ def family_objects(text: str) -> tuple[ObjectModel, ...]:
 
     Args:
         text: `families:cup,hammer x 20 seed 7`; `families:*` means all categories; without a count 6 of
-            each, without a seed 0.
+            each, without a seed 0. With the word `standing` at its end fillings stand at the bottom of vessels.
 
     Raises:
         FileError: not of this form, an unknown category, more than `MOST` instances, or no manifold3d.
     """
-    categories, count, seed = _asked(text)
-    return _drawn(categories, count, seed)
+    return _drawn(*_asked(text))
 
 
 def family_splits(text: str) -> set[str]:
@@ -44,7 +43,7 @@ def family_splits(text: str) -> set[str]:
     return {"S0" if c in S0_NAMES else "S1" for c in _asked(text)[0]}
 
 
-def _asked(text: str) -> tuple[tuple[str, ...], int, int]:
+def _asked(text: str) -> tuple[tuple[str, ...], int, int, bool]:
     found = FORM.fullmatch(text)
     if found is None:
         raise FileError(f"--objects {printable(text)[:200]!r}: {HOW}")
@@ -64,11 +63,13 @@ def _asked(text: str) -> tuple[tuple[str, ...], int, int]:
             f"--objects: {count} instances of {len(names)} families, seed {seed}; 1 to {MOST} in all, and a seed below 2^31, are"
             " allowed"
         )
-    return tuple(names), count, seed
+    return tuple(names), count, seed, found["fillings"] is not None
 
 
 @lru_cache(maxsize=4)
-def _drawn(categories: tuple[str, ...], count: int, seed: int) -> tuple[ObjectModel, ...]:
+def _drawn(
+    categories: tuple[str, ...], count: int, seed: int, standing: bool
+) -> tuple[ObjectModel, ...]:
     try:
         from r2h_batch.scene.families.draw import draw_instance, model_of
     except ModuleNotFoundError as error:
@@ -76,4 +77,5 @@ def _drawn(categories: tuple[str, ...], count: int, seed: int) -> tuple[ObjectMo
             f"--objects families: needs {error.name}; pip install 'r2h_batch[build]'"
         ) from None
     jobs = [(c, i) for c in categories for i in range(count)]
-    return tuple(model_of(draw_instance(c, FIRST_SERIES + seed, i)) for c, i in jobs)
+    series = FIRST_SERIES + seed
+    return tuple(model_of(draw_instance(c, series, i, standing=standing)) for c, i in jobs)
