@@ -40,6 +40,10 @@ FRICTION = 0.8
 TORSION_M = 0.005
 """Radius of the patch whose friction withstands turning about the normal: by Hertz a pad of 3 MPa that presses a
 radius of 35 mm with 25 N has 2.6 mm [choice]."""
+ROLL_M, CONDIM = 0.0001, 4
+"""Rolling friction, and the dimensions of a contact: normal, two tangents, torsion."""
+LINK, ARMATURES = (0.05, 1e-5), (1e-3, 1e-4)
+"""Mass (kg) and inertia about each axis (kg m^2) of a driver and of a pad; armatures of their joints, kg m^2 [choice]."""
 IMPRATIO = 100.0
 """How much harder friction is regularised than normal forces: with 10 light objects creep by centimetres."""
 SHAKE_M_S2, SHAKE_HZ, SHAKE_S = 5.0, 4.0, 0.5
@@ -81,8 +85,8 @@ class Material:
             friction: Coulomb's.
         """
         return {
-            "friction": [friction, self.torsion_m, 0.0001],
-            "condim": 4,
+            "friction": [friction, self.torsion_m, ROLL_M],
+            "condim": CONDIM,
             "solref": self.solref,
             "solimp": self.solimp,
         }
@@ -221,13 +225,13 @@ def add_closing_fingers(
         friction: of the pads.
     """
     link, jaws = robot.linkage, robot.linkage.table is not None
-    most, armature = (FORCE_N, JAW_ARMATURE_KG) if jaws else (TORQUE_NM, 1e-3)
+    most, armature = (FORCE_N, JAW_ARMATURE_KG) if jaws else (TORQUE_NM, ARMATURES[0])
     low, high = (link.drive_lower, link.drive_upper) if jaws else (0.0, link.drive_upper)
     room = 0.002 if jaws else 0.05
     for name, side in zip(FINGERS, (-1, 1), strict=True):
         frames = FingerFrames.of(robot, side)
         body = wrist.add_body(
-            name=name, pos=frames.driver, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
+            name=name, pos=frames.driver, explicitinertial=True, mass=LINK[0], inertia=[LINK[1]] * 3
         )
         body.add_joint(
             name=name, type=SLIDE if jaws else HINGE, axis=frames.axis, armature=armature,
@@ -236,9 +240,11 @@ def add_closing_fingers(
         finger = body
         if not jaws:
             finger = body.add_body(
-                name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
+                name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=LINK[0], inertia=[LINK[1]] * 3
             )  # fmt: skip
-            finger.add_joint(name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=1e-4)
+            finger.add_joint(
+                name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=ARMATURES[1]
+            )
             # the four-bar is a parallelogram: the pad keeps upright
             tie(spec, f"{name}_pad", name, (0, -1), solref=stiff)
         elif (rise := pad_rise(robot)) is not None:

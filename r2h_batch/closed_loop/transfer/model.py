@@ -37,9 +37,9 @@ TICK_S = 1 / 120
 STEPS = 6
 """Steps of the simulation in a tick: 1.39 ms each. docs/transfer.md says what half of it changes."""
 
-GRIPPER_KG, WRIST_N_M = 4.0, 60_000.0
-"""The moving base of the gripper, and how stiffly the robot's arm holds it [choice]. The force of that spring is
-what the wrist's sensor reads."""
+BASE, WRIST_N_M = (4.0, 0.02), 60_000.0
+"""The moving base of the gripper, its mass (kg) and inertia about each axis (kg m^2), and how stiffly the robot's arm
+holds it [choice]. The force of that spring is what the wrist's sensor reads."""
 ARM_KG, ARM_KG_M2, ARM_NM_RAD, DAMPING = 1.2, 0.005, 6.0, 0.9
 """Hand and what of the forearm moves with it, its stiffness against turning, and the share of critical damping
 [choice]. The stiffness along the axes is the person's."""
@@ -90,11 +90,11 @@ def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     material = Material(torsion_m=setting.torsion_m)
     base = spec.worldbody.add_body(
-        name="gripper", explicitinertial=True, mass=GRIPPER_KG, inertia=[0.02] * 3
+        name="gripper", explicitinertial=True, mass=BASE[0], inertia=[BASE[1]] * 3
     )
     for name, axis in zip(WRIST, np.eye(3), strict=True):
         base.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        add_servo(spec, name, WRIST_N_M, 2 * np.sqrt(WRIST_N_M * GRIPPER_KG))
+        add_servo(spec, name, WRIST_N_M, 2 * np.sqrt(WRIST_N_M * BASE[0]))
     add_closing_fingers(
         spec, base, robot, stiff=TIES, material=material, friction=setting.pad_friction
     )

@@ -22,8 +22,9 @@ SENSOR_TICKS = 1
 """The policy sees the force this late."""
 GRIPPER_S = 0.06
 """From the decision to the fingers' first move [choice]."""
-BACK_AFTER_S, BACK_M_S, BACK_M = 0.2, 0.15, 0.10
-"""The robot backs off once the fingers have opened for so long: they stay hooked in headphones otherwise."""
+BACK = (0.2, 0.15, 0.10)
+"""The robot backs off once the fingers have opened for so long (s), at this speed (m/s) and by so far (m): they stay
+hooked in headphones otherwise."""
 MOST_TICKS = 720
 """No transfer lasts longer: 6 s."""
 POLL_TICKS = 32
@@ -174,7 +175,7 @@ class _Robot:
         squeeze = torch.ones_like(since) if action.squeeze is None else action.squeeze
         opens = since >= 0.0
         effort = torch.where(opens, -1.0, squeeze.clamp(0.0, 1.0))
-        back = ((since - BACK_AFTER_S) * BACK_M_S).clamp(0.0, BACK_M)
+        back = ((since - BACK[0]) * BACK[1]).clamp(0.0, BACK[2])
         shift = torch.zeros_like(self.R[:, 0])
         if action.shift is not None:
             shift = torch.where(opens[:, None], 0.0, _rotate(self.R.transpose(1, 2), action.shift))

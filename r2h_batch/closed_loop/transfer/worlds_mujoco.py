@@ -17,10 +17,10 @@ from torch import Tensor
 from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
 from r2h_batch.closed_loop.transfer.model import (
     ARM_KG,
+    BASE,
     CARRIED_DAMPING,
     DAMPING,
     FREE_DAMPING,
-    GRIPPER_KG,
     Places,
     Setting,
     place,
@@ -162,7 +162,7 @@ class MujocoWorlds:
     def seen(self) -> Seen:
         """The state now. The tensors are the worlds' own: valid until the next step."""
         acc, force = self._wrist
-        self._out["load"][:] = GRIPPER_KG * acc - force
+        self._out["load"][:] = BASE[0] * acc - force
         out = {k: torch.from_numpy(v) for k, v in self._out.items()}
         out["R_obj"] = out["R_obj"].view(-1, 3, 3)
         fine = np.abs(self._speed).max(1) < TOO_FAST  # not where one is NaN
