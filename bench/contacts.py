@@ -35,8 +35,8 @@ MEASURES = (
     "r2h_batch/closed_loop/transfer",
     "r2h_batch/judge/grasp_physics.py",
 )
-DEFAULTS: dict[str, Any] = {"impratio": 10.0, "solimp": (0.9, 0.95, 0.001, 0.5, 2.0), "steps": 4}
-"""Contacts before: MuJoCo's impedance, and a time constant of four steps."""
+DEFAULTS: dict[str, Any] = {"impratio": 10.0, "solimp": (0.9, 0.95, 0.001, 0.5, 2.0), "steps": 4, "tolerance": 1e-8}
+"""Contacts before: MuJoCo's impedance and tolerance, and a time constant of four steps."""
 
 HEAD = """# Contacts: what a closed gripper holds at any step
 
@@ -76,8 +76,9 @@ MuJoCo C by {median:.3f} mm (median) and {largest:.2f} mm (largest). On both eng
 
 ## Cost
 
-By turns on the same rows, against the contacts before (MuJoCo's impedance, impratio 10, four steps). Process time of one
-core; load of the machine at the start {load}.
+By turns on the same rows, against the contacts before (MuJoCo's impedance and tolerance, impratio 10, four steps). Process time
+of one core; load of the machine at the start {load}. A grasp of `results held` is closed, settled and weighed, has its friction
+program, and is simulated with half the step too where it moves.
 
 {cost}
 """
@@ -190,10 +191,10 @@ def engines(robot: Any, objects: Any, handed: Any) -> dict[str, Any]:
     return found
 
 
-def cost(robot: Any, objects: Any, rows: dict[str, Any], handed: Any) -> dict[str, list[float]]:
+def cost(robot: Any, objects: Any, rows: dict[str, Any], handed: Any) -> dict[str, Any]:
     """Core milliseconds of a grasp and of a transfer with both contacts, and the median ratio, by turns."""
     from r2h_batch.closed_loop.transfer.cases import Case, Simulator
-    from r2h_batch.closed_loop.transfer.held import hold
+    from r2h_batch.closed_loop.transfer.held import Holding
     from r2h_batch.closed_loop.transfer.model import Setting
 
     both = [Simulator(robot, objects, Setting(), 0) for _ in range(2)]
@@ -202,23 +203,37 @@ def cost(robot: Any, objects: Any, rows: dict[str, Any], handed: Any) -> dict[st
             one.models.of(index)
         as_before(both[0].models.of(index))
     cases = [Case(r, s, 0) for r, s in COMPARED]
-    grasps, transfers = [], []
-    own = rows["oracle"]
-    for i in range(0, len(own), 2):
-        grasps.append([timed(hold, one.models, own[i : i + 1]) for one in both])
+    grasps, transfers, whole = [], [], []
+    for own in rows.values():
+        for i in range(0, len(own), 2):
+            grasps.append([timed(closed_for_1_s, one.models, own[i : i + 1]) for one in both])
+            holding = Holding(both[1].models)
+            holding(own[i : i + 1])  # compiles
+            whole.append(timed(holding, own[i : i + 1]))
     for i in range(0, len(handed), 2):
         transfers.append([timed(one, handed[i : i + 1], cases) / len(cases) for one in both])
-    found = {}
-    for what, pairs in (("grasp of results held", np.array(grasps)), ("transfer", np.array(transfers))):
+    found: dict[str, list[float | None]] = {"grasp of `results held`": [None, float(np.mean(whole)), None, None]}
+    for what, pairs in (("closing, then 1 s of weight", np.array(grasps)), ("transfer", np.array(transfers))):
         mean = pairs.mean(0).tolist()
         found[what] = [*mean, float(mean[1] / mean[0]), float(np.median(pairs[:, 1] / pairs[:, 0]))]
         print(what, found[what], flush=True)
     return found
 
 
+def closed_for_1_s(models: Any, row: Any) -> None:
+    """Closes a gripper and lets the weight act for 1 s, whatever happens: as many steps with any contacts."""
+    import mujoco
+
+    from r2h_batch.closed_loop.transfer.model import TICK_S
+    from r2h_batch.closed_loop.transfer.worlds_mujoco import SETTLE_TICKS
+
+    closed = models.close(row)
+    mujoco.mj_step(closed.model, closed.data, (round(1.0 / TICK_S) - SETTLE_TICKS) * models.setting.steps)
+
+
 def as_before(m: Any) -> None:
     """Gives a compiled model the contacts of MuJoCo's defaults."""
-    m.opt.impratio = DEFAULTS["impratio"]
+    m.opt.impratio, m.opt.tolerance = DEFAULTS["impratio"], DEFAULTS["tolerance"]
     m.geom_solimp[:] = DEFAULTS["solimp"]
     m.geom_solref[:, 0] = DEFAULTS["steps"] * m.opt.timestep
 
@@ -272,7 +287,14 @@ def markdown(data: dict[str, Any]) -> str:
         )
         doubtful = sum(sum(c["undecided"]) for c in data["transfers"][str(n)])
         transfers.append([at(n), len(changed), sum(not c[-1] for c in changed), doubtful, which or "-"])
-    cost = [[what, *(f"{x:.0f} ms" for x in v[:2]), *(f"{x:.2f}" for x in v[2:])] for what, v in data["cost"].items()]
+    cost = [
+        [
+            what,
+            *("-" if x is None else f"{x:.0f} ms" for x in v[:2]),
+            *("-" if x is None else f"{x:.2f}" for x in v[2:]),
+        ]
+        for what, v in data["cost"].items()
+    ]
     head = ["Method", "step", "n", "held", "lost in closing", "under the weight", "differ", "drift", "undecided"]
     return HEAD.format(
         rows=ROWS,

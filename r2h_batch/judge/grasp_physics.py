@@ -44,8 +44,9 @@ ROLL_M, CONDIM = 0.0001, 4
 """Rolling friction, and the dimensions of a contact: normal, two tangents, torsion."""
 LINK, ARMATURES = (0.05, 1e-5), (1e-3, 1e-4)
 """Mass (kg) and inertia about each axis (kg m^2) of a driver and of a pad; armatures of their joints, kg m^2 [choice]."""
-IMPRATIO = 100.0
-"""How much harder friction is regularised than normal forces: with 10 light objects creep by centimetres."""
+IMPRATIO, TOLERANCE = 100.0, 1e-12
+"""How much harder friction is regularised than normal forces: with 10 light objects creep by centimetres. MuJoCo's solver has
+to converge for that: with its own 1e-8 postures are off by 0.6 mm after a second, and steps take longer."""
 SHAKE_M_S2, SHAKE_HZ, SHAKE_S = 5.0, 4.0, 0.5
 """Per axis: a sine of half the weight's size, two periods [choice]."""
 G = 9.81
@@ -166,7 +167,7 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    spec.option.impratio = IMPRATIO
+    spec.option.impratio, spec.option.tolerance = IMPRATIO, TOLERANCE
     add_closing_fingers(
         spec, spec.worldbody, robot, stiff=[4 * STEP_S, 1.0], material=Material(), friction=FRICTION
     )

@@ -17,6 +17,7 @@ from r2h_batch.judge.grasp_physics import (
     FINGERS,
     FRICTION,
     IMPRATIO,
+    TOLERANCE,
     TORSION_M,
     Material,
     add_closing_fingers,
@@ -86,7 +87,8 @@ def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.
     option = spec.option
     option.timestep, option.gravity = step, [0, 0, 0]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, IMPRATIO
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio, option.tolerance = IMPRATIO, TOLERANCE
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     material = Material(torsion_m=setting.torsion_m)
     base = spec.worldbody.add_body(
