@@ -107,7 +107,7 @@ def gripped_rows(run: Any, judge: Any) -> tuple[dict[str, Any], Any]:
 
 
 def held_at(models: Any, rows: Any) -> dict[str, Any]:
-    """What becomes of rows, and how far held ones drift without weight."""
+    """Whether rows are held, and how far held ones drift without weight."""
     from r2h_batch.closed_loop.transfer.held import hold
 
     found = [hold(models, rows[i : i + 1]) for i in range(len(rows))]

@@ -111,8 +111,7 @@ def test_ls_refuses_a_second_word_that_it_would_not_read(capsys):
 
 @pytest.mark.parametrize("category", ["bottle", "trigger_sprayer"])
 def test_standing_fillings_lie_at_the_bottom_and_weigh_as_much(category):
-    """Of a round vessel whose sides are nearly straight the water's middle is at half its height; the cap and the head are
-    not water."""
+    """The mass is nearly the same: parts overlap a little."""
     for index in range(3):
         smeared, standing = (draw_instance(category, 1000, index, standing=s) for s in (False, True))
         share = smeared.parameters["filled"]

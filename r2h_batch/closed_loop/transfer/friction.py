@@ -1,4 +1,4 @@
-"""What friction carries: a linear program over the contacts of an object in a closed gripper.
+"""The weight that friction carries: a linear program over the contacts of an object in a closed gripper.
 
 Statics alone, beside the simulation: no solver's friction, no step. Coulomb's cone, and a patch that withstands turning
 about the normal.

@@ -39,7 +39,7 @@ class Lost(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Holds:
-    """What came of N closed grippers, float64; NaN where it did not happen.
+    """Results of N closed grippers, float64; NaN where it did not happen.
 
     Attributes:
         lost: of each `Lost`, None: it is held.

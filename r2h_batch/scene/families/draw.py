@@ -35,7 +35,7 @@ SMOOTH_MM, EDGE_MM, SNAP_MM = 0.05, 18.0, 0.4
 the second. Corners nearer to a cut than the third lie on it."""
 
 HALVINGS = 40
-"""Of a height, until it is known to the last bits."""
+"""A water level is searched in so many halves: to its last bits."""
 
 Vec = NDArray[np.float64]
 

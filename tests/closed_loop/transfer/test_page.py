@@ -41,7 +41,7 @@ NO_MODEL = {
 
 
 def rows() -> list[tuple[str, str, list[str]]]:
-    """What, value and names of each row whose last cell names code."""
+    """Words, value and names of each row whose last cell names code."""
     section = PAGE.read_text("utf-8").split("## Numbers of the model")[1].split("\n## ")[0]
     cells = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| ")]
     found = [(c[0].strip(), c[1].strip(), re.findall(r"`([\w.]+)`", c[2])) for c in cells]
