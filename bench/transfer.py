@@ -472,8 +472,8 @@ def markdown(data: dict[str, Any]) -> str:
         more.append([name, m["received"], *(rate(by[k]["outcomes"].get("taken", 0), m["received"]) for k in MORE)])
         if h := m.get("held"):
             lost = ", ".join(f"{w.replace('_', ' ')} {k} of {h['of'][w]}" for w, k in h["lost"].items())
-            shares = (f"{100 * h[k] / h['n']:.1f}" for k in ("closing", "weight", "undecided", "statics"))
-            held.append([name, h["n"], rate(h["held"], h["n"]), *shares, lost or "-"])
+            percents = (f"{100 * h[k] / h['n']:.1f}" for k in ("closing", "weight", "undecided", "statics"))
+            held.append([name, h["n"], rate(h["held"], h["n"]), *percents, lost or "-"])
             held_ms = h["ms"]
     force = [[r, int(n), *(f"{x:.1f}" for x in numbers)] for r, (n, *numbers) in data["force"].items()]
     oracle = {(c["release"], c["scenario"]): c for c in data["methods"]["oracle"]["cases"]}["load-share", "take"]
