@@ -368,7 +368,7 @@ def _share(rate: Rate | None) -> list[str]:
 
 
 def _stable(row: Row) -> list[str]:
-    if row.held is None or row.n is None:
+    if row.held is None or row.held.total is None or not row.n:
         return []
     past = f"{100 * row.held.total / row.n:.1f}"
     return [past, *_share(row.held), *_share(row.undecided)[:1]]
