@@ -123,7 +123,21 @@ def test_persons_stand_for_the_robot_or_as_for_the_ur5e() -> None:
 
 def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(tmp_path: Path) -> None:
     run = str(tmp_path / "run")
-    line = ["sweep", "--robot", "ur3e_2f85", "--method", "random", "--trials", "2", "--sim", "none", "--out", run]
+    line = [
+        "sweep",
+        "--robot",
+        "ur3e_2f85",
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--trials",
+        "2",
+        "--sim",
+        "none",
+        "--out",
+        run,
+    ]
     assert main(line) == 0
     assert main(["results", "reevaluate", run]) == 0
     assert main(["results", "reevaluate", run, "--robot", "ur5e_2f85"]) == 2

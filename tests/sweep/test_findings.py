@@ -28,7 +28,7 @@ def test_a_variants_flags_and_options_are_a_sweeps():
     from r2h_batch.sweep.request import requested
 
     for v in sensitivity.variants():
-        request = requested(parse(["--method", *v.methods, *(v.flags or sensitivity.BASE)]))
+        request = requested(parse(["--benchmark", "r2h-v1", "--method", *v.methods, *(v.flags or sensitivity.BASE)]))
         jobs.resolve(request.methods, request.loop)
 
 
