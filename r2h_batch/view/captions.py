@@ -9,6 +9,8 @@ import numpy as np
 from r2h_batch.report.text import plain
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.drawing import MARKS, Drawing, body_name
+from r2h_batch.view.postures import Postures
+from r2h_batch.view.stored import StoredTrial
 
 MEANING = {
     "stability": "room left between the pads and at the ends of their stroke",
@@ -39,8 +41,11 @@ FAILS = {
     "safe": "the robot meets the hand",
 }
 """Meaning of a failed criterion; `headline` adds by how much."""
-PAIRS = {"hand": "robot and hand", "table": "robot and table", "self": "robot and robot"}
-"""Pairs whose stored name (`CollidingPair`) leaves out the robot."""
+PAIRS = {
+    "hand": "robot and hand", "table": "robot and table", "self": "robot and robot",
+    "object_hand": "object and hand", "object_table": "object and table", "object_robot": "object and robot",
+}  # fmt: skip
+"""Pairs of bodies (`CollidingPair`) in words."""
 
 
 LEGEND = {
@@ -64,8 +69,18 @@ def legend(drawings: Sequence[Drawing], groups: Collection[str] = MARKS) -> list
     ]
 
 
-def headline(row: dict[str, Any]) -> str:
-    """The verdict in one line: success, or the criterion that fails first, why, and by how much."""
+def verdict_of(stored: StoredTrial) -> str:
+    """The verdict of a trial in one line; of a failed plan with the pair that its margin is about."""
+    return headline(stored.row, stored.asked)
+
+
+def headline(row: dict[str, Any], asked: Postures | None = None) -> str:
+    """The verdict in one line: success, or the criterion that fails first, why, and by how much.
+
+    Args:
+        row: of trials.
+        asked: what planning met at the target; None: a row alone does not say which pair Plan's margin is about.
+    """
     outcome = str(row["outcome"])
     if outcome == "success":
         return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
@@ -77,8 +92,10 @@ def headline(row: dict[str, Any]) -> str:
     by = "" if size is None else f"{least}{size:.1f} mm"
     words = f"{outcome} fails: "
     if outcome == "plan":
-        reason, pair = str(row["plan_reason"]), row.get("plan_pair")
-        met = f" ({PAIRS.get(pair, pair.replace('_', ' and '))})" if pair else ""
+        reason = str(row["plan_reason"])
+        pair = asked.nearest.kind if asked is not None and asked.nearest is not None else None
+        meets = pair in PAIRS and row.get("plan_pair")  # else nothing is met
+        met = f" ({PAIRS[str(pair)]})" if meets else ""
         short = f": {by} short" if by and reason in ("ik_unreachable", "ik_not_found") else ""
         return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
@@ -91,6 +108,15 @@ def headline(row: dict[str, Any]) -> str:
     if text is None or not by:
         return f"{words}{text or ''}".rstrip(" :,")
     return f"{words}{text}, by {by}"
+
+
+def postures(asked: Postures) -> str:
+    """What the postures at a target meet, in one line; which of them the picture shows."""
+    n = sum(asked.met.values())
+    if n == 1:
+        return "one posture reaches the target"
+    listed = ", ".join(f"{PAIRS[kind]} {k}" for kind, k in asked.met.items())
+    return f"of {n} postures that reach the target: {listed}; shown is the one that overlaps least"
 
 
 def summary(row: dict[str, Any]) -> str:
@@ -107,7 +133,7 @@ def title(drawing: Drawing) -> str:
 
 def as_markdown(drawing: Drawing) -> str:
     """The panel of the viewer."""
-    verdict = f"{plain(drawing.stored.method)}: **{plain(headline(drawing.stored.row))}**"
+    verdict = f"{plain(drawing.stored.method)}: **{plain(verdict_of(drawing.stored))}**"
     lines = [f"**{plain(title(drawing))}**", "", verdict, "", "| | | margin |", "|---|---|---|"]
     lines += [f"| {name} | {verdict} | {margin} |" for name, verdict, margin in _criteria(drawing)]
     return "\n".join([*lines, "", *(f"- {plain(line)}" for line in _facts(drawing))])
@@ -121,7 +147,7 @@ def as_html(drawing: Drawing) -> str:
         for name, verdict, margin in _criteria(drawing)
     )
     facts = "".join(f"<li>{escape(line)}</li>" for line in _facts(drawing))
-    verdict = f"{escape(drawing.stored.method)}: <b>{escape(headline(drawing.stored.row))}</b>"
+    verdict = f"{escape(drawing.stored.method)}: <b>{escape(verdict_of(drawing.stored))}</b>"
     heading = escape(title(drawing))
     groups = [g for g in MARKS if g != "target" or not drawing.stored.moves]
     marks = "".join(
@@ -162,4 +188,7 @@ def _facts(drawing: Drawing) -> list[str]:
         lines.append(f"the arm reaches its goal after {row['t_exec_s']:.1f} s")
     if drawing.witness is not None:
         lines.append(drawing.witness.caption)
+    asked = drawing.stored.asked
+    if asked is not None and asked.met:
+        lines.append(postures(asked))
     return [*lines, *([drawing.stored.note] if drawing.stored.note else [])]

@@ -6,7 +6,7 @@ and films; `view/page.py` draws it with viser into a browser.
 
 import re
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.scene.model_parts import VISUAL
 from r2h_batch.view.mjcf import MARK, checked_pairs, spec_of, trajectory
+from r2h_batch.view.postures import Nearest
 from r2h_batch.view.stored import StoredTrial
 
 Array = NDArray[np.float64]
@@ -28,6 +29,7 @@ RED: Color = (0.86, 0.10, 0.10, 0.85)
 SPOT_M = 0.03  # radius of the red ball where the table is met
 YELLOW: Color = (0.95, 0.80, 0.10, 0.6)
 REGION = "object/region_visual"
+TOUCH_MM = 0.05  # smaller overlaps are called a touch
 FIXED = ("world", "table", "hand", "target", "target_gripper", "receiver")
 """Bodies that stand still while the arm moves."""
 UNSEEN = ("world", "table", "receiver", "target", "target_gripper")
@@ -104,6 +106,10 @@ class Witness:
     kind: str  # of pair, as `CollidingPair` names it, `unreachable`, `reach` or `affordance`
     distance_m: float  # negative: they overlap by that, or the target is that far away
     line: Array  # (2, 3) the nearest points, world, m
+    least_m: float | None = None  # the stored margin, where it is about these two bodies
+    estimated: bool = (
+        False  # the margin is to the hand as the planner sees it, the picture shows the true one
+    )
 
     @property
     def caption(self) -> str:
@@ -116,8 +122,12 @@ class Witness:
             return f"{_geom_name(self.geoms[0])} on the receiver's part"
         a, b = map(_geom_name, self.geoms)
         if (
-            self.distance_m < 0
-        ):  # by how much the margin says: a picture's posture may have another overlap
+            self.least_m is not None and self.least_m < 0
+        ):  # the margin is a lower bound of an overlap
+            deep_mm = -1e3 * self.least_m
+            met = f"overlap by {deep_mm:.1f} mm or more" if deep_mm >= TOUCH_MM else "touch"
+            return f"{a} and {b} {met}{' for the planner, which sees the hand with an error' * self.estimated}"
+        if self.distance_m < 0:
             return f"{a} and {b} overlap"
         return f"{a} and {b} are {1e3 * self.distance_m:.1f} mm apart"
 
@@ -192,9 +202,14 @@ class Drawing:
     def _met(self) -> tuple[float, Witness] | None:
         """Where a motion that collides is deepest in what it meets: its time, and the two bodies."""
         stored = self.stored
-        if not stored.moves or stored.row["outcome"] != "plan" or not stored.row.get("plan_pair"):
+        kind, part = (stored.row.get(k) for k in ("nearest_pair", "witness_plan_part"))
+        if not stored.moves or stored.row["outcome"] != "plan" or not kind:
             return None
-        pairs = [p for p in self._checked() if p[2] == stored.row["plan_pair"]]
+        pairs = [
+            (a, b, k)
+            for a, b, k in self._checked()
+            if k == kind and (not part or self._is_of(a, part) or self._is_of(b, part))
+        ]
         times, q = self.motion()
         some = np.linspace(0, len(q) - 1, min(len(q), MET_POSTURES)).round().astype(int)
         found = [
@@ -209,7 +224,7 @@ class Drawing:
         stored = self.stored
         if stored.row["outcome"] == "stability":
             return None
-        reason, pair = (stored.row.get(k) for k in ("plan_reason", "plan_pair"))
+        reason = stored.row.get("plan_reason")
         if stored.moves and stored.row["outcome"] == "affordance":
             # the part of the gripper that is nearest to the receiver's part, or deepest in its hull
             region = int(self.model.geom(REGION).id)
@@ -226,10 +241,28 @@ class Drawing:
             return Witness((), "unreachable", away, line)
         home = reason == "start_in_collision"
         q = np.array(stored.workplace.home_q) if home else stored.target_q
-        pairs = self._checked()
-        found = self._nearest(q, [p for p in pairs if p[2] == pair])
-        # the stored pair is the last branch's; in the drawn posture another one may overlap
-        return found if found and found.distance_m < 0 else self._nearest(q, pairs)
+        asked = stored.asked and stored.asked.nearest
+        found = None if asked is None else self._nearest(q, self._pairs_of(asked))
+        if found is None:
+            return self._nearest(q, self._checked())
+        sees = stored.header["configuration"]["plan"]["hand"] == "estimated"
+        estimated = sees and asked is not None and asked.kind in ("hand", "object_hand")
+        return replace(found, least_m=self._stored_m("plan"), estimated=estimated)
+
+    def _pairs_of(self, asked: Nearest) -> list[tuple[int, int, str]]:
+        """The checked pairs of geoms between two bodies that planning names."""
+        sides = ((asked.part, asked.other), (asked.other, asked.part))
+        return [
+            (g, h, kind)
+            for g, h, kind in self._checked()
+            if kind == asked.kind and any(self._is_of(g, a) and self._is_of(h, b) for a, b in sides)
+        ]
+
+    def _is_of(self, geom: int, body: str) -> bool:
+        """Whether a geom is a body that planning names: a part of the robot, `object`, `table`, a piece of hand or
+        person."""
+        owner, _, part = str(self.model.geom(geom).name).partition("/")
+        return body == owner if owner in ("object", "table") else body == part
 
     @cached_property
     def event(self) -> tuple[Array, Array, frozenset[str]]:
@@ -589,4 +622,6 @@ def _geom_name(geom: str) -> str:
         return owner
     if owner == "robot":
         return body_name(part)
+    if owner == "gripper":
+        return f"gripper {body_name(part)}"
     return f"{owner} {re.sub(r'(?<=[a-z])(?=[0-9])', ' ', part).replace('_', ' ')}"

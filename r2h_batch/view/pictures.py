@@ -13,7 +13,7 @@ from r2h_batch.base.io.write import atomic_path
 from r2h_batch.report.figures import style
 from r2h_batch.scene.model_parts import SHADOW_PIXELS
 from r2h_batch.scene.offscreen import RenderError, renderer
-from r2h_batch.view.captions import headline, legend, title
+from r2h_batch.view.captions import legend, title, verdict_of
 from r2h_batch.view.drawing import FOV_DEG, RED, Drawing, Mark, View, view_of
 from r2h_batch.view.mjcf import MARK
 
@@ -188,7 +188,7 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
         heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
         for part, drawing in zip(rows, drawings, strict=True):
             stored = drawing.stored
-            verdict = (headline(stored.row), stored.row["outcome"] == "success")
+            verdict = (verdict_of(stored), stored.row["outcome"] == "success")
             words, good = drawing.ended or verdict
             color = PASSES if good else FAILS
             method = stored.method

@@ -18,7 +18,7 @@ from r2h_batch.report.figures import WORDS, style
 from r2h_batch.report.text import short_names
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.view.captions import headline
+from r2h_batch.view.captions import verdict_of
 from r2h_batch.view.drawing import Drawing, view_of
 from r2h_batch.view.page import write_page
 from r2h_batch.view.pictures import Image, image_at_end, images, painter
@@ -98,7 +98,7 @@ def gallery(
             for trial in trials:
                 stored = reader.trial(trial, method)
                 page = write_page(stored, pages / f"{slug}-{trial}.html")
-                words = headline(stored.row)
+                words = verdict_of(stored)
                 image = image_at_end(Drawing(stored), THUMBNAIL, close=outcome in CLOSE)
                 box, name = io.BytesIO(), stored.row["object"].replace("_", " ")
                 Pillow.fromarray(image).save(box, "JPEG", quality=QUALITY, optimize=True)
@@ -127,7 +127,7 @@ def protocol(run: Run, reader: Reader, method: str, trial: int | None) -> tuple[
     drawing = Drawing(reader.trial(trial, method))
     stored, aspect = drawing.stored, SIZE[0] / SIZE[1]
     if not stored.moves:
-        words = f"does not move ({headline(stored.row)}); choose another --trial"
+        words = f"does not move ({verdict_of(stored)}); choose another --trial"
         raise ValueError(f"trial {trial} of {method!r} {words}")
     home = np.array(stored.workplace.home_q)
     moments = drawing.moments(4)[1:]
@@ -153,7 +153,7 @@ def methods_over_time(
     for method, drawing in zip(methods, drawings, strict=True):
         rows.append([*images(drawing, SIZE, MOMENTS, view)])
         rows[-1] += [(None, "")] * (MOMENTS - len(rows[-1]))
-        names.append(f"{short[method]}\n{headline(drawing.stored.row)}")
+        names.append(f"{short[method]}\n{verdict_of(drawing.stored)}")
     return _grid(rows, names), f"trial {trial}"
 
 
@@ -169,7 +169,7 @@ def failures(run: Run, reader: Reader, methods: Sequence[str]) -> tuple[Any, str
         trial = found[method][outcome][0]
         drawing = Drawing(reader.trial(trial, method))
         image = image_at_end(drawing, SIZE, close=outcome in CLOSE)
-        panels.append((image, headline(drawing.stored.row)))
+        panels.append((image, verdict_of(drawing.stored)))
         named.append(f"{outcome}: trial {trial} of {short[method]}")
     columns = min(3, len(panels))
     panels += [(None, "")] * (-len(panels) % columns)
