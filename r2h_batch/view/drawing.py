@@ -41,6 +41,14 @@ FOV_DEG = 45.0  # vertical, of every camera
 ELEVATION_DEG = -14.0
 BOUNDS_POSTURES = 60  # of a motion that the camera's bounds are made of
 AZIMUTHS_DEG = np.arange(0, 360, 5)  # directions in which the first camera may look
+ELEVATIONS_DEG = (ELEVATION_DEG, -35.0)  # the second where it shows more
+STEEP = 1.0  # what the second is worse by
+DIRECTIONS_DEG = np.array([(a, e) for e in ELEVATIONS_DEG for a in AZIMUTHS_DEG])
+CLEAR_COUNTS = (
+    10.0  # what it counts that gripper and object are seen, beside the other reasons for a camera
+)
+LAST_S = (1.0, 0.0)  # before the end, when they must be seen
+POINTS, FAR_M = 5, 2.0  # of each of their surfaces; where rays to them begin
 BACK = 0.5  # cosine: from within 60 degrees of the receiver's back nothing is looked at
 MET_POSTURES = 200  # of a motion that collides, in which the deepest is looked for
 CLOSE_M = 0.15  # around what a failure is seen by, in near views
@@ -49,10 +57,10 @@ AROUND_M, MOST_BEFORE = (
     24,
 )  # rays past the event, and bodies that may be made clear before it
 SEEN_M = 0.04  # an event is seen where nothing but what takes part stands this far before it
+LIFT_M = 8e-4  # the region is drawn this far outside of the object's surface: neither shows through the other
 NEAR_M = 0.5  # farther pairs of bodies are not called near
 COARSE_M = 0.002  # grid on which vertices of large robot meshes are joined
 COARSE_FACES = 4000  # larger meshes of the robot are coarsened
-LIFT_M = 4e-4  # the region is drawn this far outside of the object's surface
 
 
 @dataclass(frozen=True)
@@ -142,14 +150,23 @@ class Drawing:
         self.stored = stored
         self.model = spec_of(stored).compile()
         self._data = mujoco.MjData(self.model)
-        region = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, REGION)
-        self.region = (
-            region,
-            _color(self.model.geom_rgba[region]),
-        )  # -1: S0; its colour unless it fails
+        region = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, REGION)  # -1: S0
+        self.reshaped: set[int] = (
+            set()
+        )  # meshes that `at` has changed: a renderer must load them anew
+        if region >= 0:
+            self._lift(int(self.model.geom_dataid[region]))
         for mark in self.marks:
             if mark.geom >= 0 and mark.group == "witness":  # MuJoCo draws marks by their group
                 self.model.geom_rgba[mark.geom], self.model.geom_group[mark.geom] = mark.rgba, MARK
+
+    def _lift(self, mesh: int) -> None:
+        """Grows a mesh by LIFT_M."""
+        model = self.model
+        v, f = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
+        vertices = model.mesh_vert[v : v + model.mesh_vertnum[mesh]]
+        faces = model.mesh_face[f : f + model.mesh_facenum[mesh]]
+        vertices += LIFT_M * trimesh.Trimesh(vertices, faces, process=False).vertex_normals
 
     def at(self, q: Array) -> mujoco.MjData:
         """The bodies with the arm at posture q (joints,) rad; the next call overwrites them."""
@@ -170,6 +187,19 @@ class Drawing:
             sample_s = float(stored.header["motion"]["sample_s"])
             return np.arange(len(stored.executed_q)) * np.float64(sample_s), stored.executed_q
         return trajectory(stored)
+
+    def groups(self, *, fails: bool) -> tuple[str, ...]:
+        """Marks of one moment of a motion: the receiver's part and the ball; where it fails what speaks against it,
+        without a ball that would cover it."""
+        if not fails:
+            return ("region", "ball")
+        reach = self.stored.row["outcome"] == "reach"
+        return ("region", "ball", "witness") if reach else ("region", "witness")
+
+    @property
+    def last(self) -> Array:
+        """The posture at rest; without a motion the one at the target."""
+        return self.motion()[1][-1]
 
     def moments(self, n: int) -> list[tuple[float, Array, bool]]:
         """`n` even times (s) from the start to rest, their postures (joints,), and whether the failure
@@ -345,9 +375,6 @@ class Drawing:
             faces = model.mesh_face[f : f + model.mesh_facenum[k]]
             if name.startswith("robot_") and len(faces) > COARSE_FACES:
                 vertices, faces = _coarse_robot(vertices.tobytes(), faces.tobytes())
-            elif name == "object_region":
-                mesh = trimesh.Trimesh(vertices, faces, process=False)
-                vertices = mesh.vertices + LIFT_M * mesh.vertex_normals
         else:
             made = _primitive(kind, tuple(map(float, size)))
             vertices, faces = made.vertices, made.faces
@@ -385,7 +412,7 @@ class Drawing:
         fails, pads and width. Only one red mark has words: so no two labels overlap.
         """
         model, row, witness = self.model, self.stored.row, self.witness
-        data, found = self.at(self.stored.target_q), []
+        found: list[Mark] = []
 
         def surface(group: str, geom: str, rgba: Color | None = None) -> None:
             g = int(model.geom(geom).id)
@@ -395,15 +422,26 @@ class Drawing:
             name = model.geom(g).name
             if name.startswith("target/"):
                 surface("target", name)
-            elif name == REGION and (witness is None or name not in witness.geoms):
+            elif name == REGION:  # where fingers are on it, they are red and it keeps its colour
                 surface("region", name)
         green = _color(model.site("ball").rgba)[:3]
-        ball, palm = data.site("ball").xpos.copy(), data.site("palm")
-        radius = float(model.site("ball").size[0])
-        found.append(Mark("ball", (*green, 0.18), points=ball[None], radius_m=radius))
-        tip = palm.xpos + 0.08 * palm.xmat.reshape(3, 3)[:, 2]
-        line = np.stack([palm.xpos, tip])
-        found.append(Mark("palm", (*green, 1.0), points=line, radius_m=0.003, arrow=True))
+        ball, palm = (
+            model.site("ball"),
+            model.site("palm"),
+        )  # in the hand's frame: they move with it
+        found.append(
+            Mark(
+                "ball",
+                (*green, 0.18),
+                "hand",
+                points=ball.pos[None].copy(),
+                radius_m=float(ball.size[0]),
+            )
+        )
+        facing = np.zeros(9)
+        mujoco.mju_quat2Mat(facing, palm.quat)
+        line = np.stack([palm.pos, palm.pos + 0.08 * facing.reshape(3, 3)[:, 2]])
+        found.append(Mark("palm", (*green, 1.0), "hand", points=line, radius_m=0.003, arrow=True))
         pads = [f"gripper/{side}_pad" for side in ("left", "right")]
         fails = row["outcome"] == "stability"
         group, color = ("witness", RED) if fails else ("width", YELLOW)
@@ -419,6 +457,8 @@ class Drawing:
             found.append(Mark(group, color, body, points=line, radius_m=0.0015, text=text))
         if witness is not None:
             for name, point in zip(witness.geoms, witness.line, strict=False):
+                if name == REGION:
+                    continue
                 if name.startswith("table"):  # where it is met, not all of it
                     found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
                 else:
@@ -463,29 +503,75 @@ class Drawing:
 
     @cached_property
     def sides(self) -> Array:
-        """How well the trial is seen from each of `AZIMUTHS_DEG`.
+        """How well the trial is seen from each of `DIRECTIONS_DEG` (azimuth, elevation in degrees).
 
-        The camera never stands behind the receiver. Then the event must be seen, the camera stands on the
-        receiver's side, the torso hides neither hand nor object nor robot, and hand and gripper stand beside
-        each other.
+        The camera never stands behind the receiver. Then the event must be seen, then as much as possible of gripper and
+        object in the last second; the camera stands on the receiver's side, the torso hides neither hand nor object nor
+        robot, and hand and gripper stand beside each other.
         """
-        data = self.at(self.stored.target_q)
-        hand, target = data.geom("hand/mesh_visual").xpos.copy(), data.site("target").xpos.copy()
+        data = self.at(self.last)
+        hand, target = data.geom("hand/mesh_visual").xpos.copy(), data.site("ee").xpos.copy()
         apart = (hand - target)[:2]
         flat = apart / max(float(np.linalg.norm(apart)), 1e-6)
         angles = np.radians(AZIMUTHS_DEG)
         side = np.abs(np.cos(angles) * flat[1] - np.sin(angles) * flat[0])
         hidden = [self._hidden(np.stack([hand, target, ROBOT]), float(a)) for a in AZIMUTHS_DEG]
         behind = np.cos(angles) > 1e-9
-        seen = self._seen()
-        around = sum(np.roll(seen, k) for k in (-2, -1, 0, 1, 2)) / 5
         best = side - 0.35 * np.cos(angles - np.pi) ** 2 - np.array(hidden)
         facing = -flat if self.stored.receiver is None else self.stored.receiver[3:5, 3]
         towards = np.cos(angles) * facing[0] + np.sin(angles) * facing[1]
         best = np.where(
             towards > BACK, -np.inf, best
         )  # it looks where the receiver looks, from behind
-        return best + 16.0 * seen + around - 8.0 * behind
+        best = best - 8.0 * behind
+        found = []
+        for elevation in ELEVATIONS_DEG:
+            seen = self._seen(elevation)
+            around = sum(np.roll(seen, k) for k in (-2, -1, 0, 1, 2)) / 5
+            steep = STEEP * (elevation != ELEVATION_DEG)
+            clear = self._clear(elevation, np.isfinite(best) & ~behind)
+            found.append(best + 16.0 * seen + around + CLEAR_COUNTS * clear - steep)
+        return np.concatenate(found)
+
+    def _clear(self, elevation_deg: float, asked: NDArray[np.bool_]) -> Array:
+        """The share of gripper and object that is seen in the last second from each of `AZIMUTHS_DEG`, 0 where not `asked`: a
+        ray from there to a point of them meets nothing else before."""
+        times, q = self.motion()
+        postures = [q[np.abs(times - max(times[-1] - ago, 0.0)).argmin()] for ago in LAST_S]
+        model, shown = self.model, np.array([0, 0, 0, 0, 0, 0], np.uint8)
+        shown[VISUAL] = 1
+        geoms = self.visual_geoms(("gripper", "object"))
+        every = np.concatenate(
+            [np.stack([np.full(POINTS, g), np.arange(POINTS)], 1) for g in geoms]
+        )
+        found, geom = np.zeros(len(AZIMUTHS_DEG)), np.zeros(1, np.int32)
+        some = self.corners(geoms)
+        for posture in postures if self.stored.moves else postures[:1]:
+            data = self.at(posture)
+            turn = data.geom_xmat[every[:, 0]].reshape(-1, 3, 3)
+            points = np.einsum("nij,nj->ni", turn, some) + data.geom_xpos[every[:, 0]]
+            for k in np.flatnonzero(asked):
+                forward = _axes(float(AZIMUTHS_DEG[k]), elevation_deg)[2]
+                for point in points:
+                    start = point - FAR_M * forward
+                    far = mujoco.mj_ray(model, data, start, forward, shown, 1, -1, geom)
+                    free = far < 0 or far > FAR_M - SEEN_M
+                    found[k] += free or self.body_of(int(geom[0])) in ("gripper", "object")
+        return found / (len(some) * (len(postures) if self.stored.moves else 1))
+
+    def corners(self, geoms: Sequence[int]) -> Array:
+        """`POINTS` points of each geom's surface (N, 3), in its frame, m."""
+        model, found = self.model, []
+        for g in geoms:
+            if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
+                k = int(model.geom_dataid[g])
+                v, n = int(model.mesh_vertadr[k]), int(model.mesh_vertnum[k])
+                found.append(model.mesh_vert[v + np.linspace(0, n - 1, POINTS).astype(int)])
+            else:
+                middle, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]
+                ways = np.linspace(-1, 1, POINTS)[:, None] * half
+                found.append(middle + ways)
+        return np.concatenate(found)
 
     def before(self, view: View) -> frozenset[int]:
         """Geoms that stand between a camera and the point where the verdict is decided."""
@@ -510,7 +596,7 @@ class Drawing:
                 start, left = start + (far + 1e-4) * way, left - far - 1e-4
         return frozenset(found)
 
-    def _seen(self) -> Array:
+    def _seen(self, elevation_deg: float) -> Array:
         """1 for each of `AZIMUTHS_DEG` from which the event is seen, else 0: a ray from there meets
         nothing before it but what takes part."""
         q, point, bodies = self.event
@@ -518,7 +604,7 @@ class Drawing:
         shown[VISUAL] = 1
         found, geom = np.zeros(len(AZIMUTHS_DEG)), np.zeros(1, np.int32)
         for k, azimuth in enumerate(AZIMUTHS_DEG):
-            forward = _axes(float(azimuth), ELEVATION_DEG)[2]
+            forward = _axes(float(azimuth), elevation_deg)[2]
             far = mujoco.mj_ray(model, data, point - 2.0 * forward, forward, shown, 1, -1, geom)
             free = far < 0 or far > 2.0 - SEEN_M
             found[k] = free or self.body_of(int(geom[0])) in bodies
@@ -550,17 +636,25 @@ def view_of(
         close: see `Drawing.bounds`.
         apart_m: how far the trials stand from each other along y.
     """
-    points = np.concatenate([d.bounds(close) + [0, k * apart_m, 0] for k, d in enumerate(drawings)])
     best = np.sum([d.sides for d in drawings], 0)
     if apart_m and len(drawings) > 1:  # none stands before another
-        best = np.where(np.abs(AZIMUTHS_DEG - 180) <= 30, best, -np.inf)
-    azimuth = float(AZIMUTHS_DEG[best.argmax()])
-    axes, half = _axes(azimuth, ELEVATION_DEG), np.tan(np.radians(FOV_DEG / 2))
+        best = np.where(np.abs(DIRECTIONS_DEG[:, 0] - 180) <= 30, best, -np.inf)
+    azimuth, elevation = map(float, DIRECTIONS_DEG[best.argmax()])
+    return framed(drawings, aspect, azimuth, elevation, close=close, apart_m=apart_m)
+
+
+def framed(
+    drawings: Sequence[Drawing], aspect: float, azimuth_deg: float, elevation_deg: float, *, close: bool = False,
+    apart_m: float = 0.0,
+) -> View:  # fmt: skip
+    """The nearest camera of a direction that has all of these trials in the picture; arguments as of `view_of`."""
+    points = np.concatenate([d.bounds(close) + [0, k * apart_m, 0] for k, d in enumerate(drawings)])
+    axes, half = _axes(azimuth_deg, elevation_deg), np.tan(np.radians(FOV_DEG / 2))
     at = points @ axes.T
     middle = (at.min(0) + at.max(0)) / 2
     right, up, forward = (at - middle).T
     needed = np.maximum(np.abs(right) / (half * aspect), np.abs(up) / half) - forward
-    return View(middle @ axes, azimuth, ELEVATION_DEG, float(needed.max()))
+    return View(middle @ axes, azimuth_deg, elevation_deg, float(needed.max()))
 
 
 def _axes(azimuth_deg: float, elevation_deg: float) -> Array:

@@ -104,7 +104,7 @@ def test_a_page_holds_the_trial_its_motion_and_its_margins(run, reader, tmp_path
     assert abs(scene["durationSeconds"] - reader.trial(1, "oracle").time_s[-1]) < 3.0
     names = {m.get("name") for _, m in scene["messages"]}
     assert {"/trial_0/hand/hand_mesh_visual", "/trial_0/object/object_mesh_visual"} <= names
-    assert not marks(names, "/trial_0", "witness") and marks(names, "/trial_0", "ball")
+    assert not marks(names, "/trial_0", "witness") and marks(names, "/trial_0/hand", "ball")
     assert marks(names, "/trial_0/object", "region")
 
 

@@ -49,7 +49,7 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
 
         def trial(self, trial, method):
             rows = self.run.trials(method).to_pylist()
-            return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial))
+            return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial), asked=None)
 
     monkeypatch.setattr("r2h_batch.view.stored.Reader", Reader)
     monkeypatch.setattr("r2h_batch.scene.offscreen.ready", lambda: "none")
