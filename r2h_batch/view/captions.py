@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.report.text import plain
+from r2h_batch.runs.explain import LEAST_MM, PAIRS, headline
 from r2h_batch.verdicts import CRITERIA
-from r2h_batch.view.drawing import MARKS, Drawing, body_name
+from r2h_batch.view.drawing import MARKS, Drawing
 from r2h_batch.view.postures import Postures
 from r2h_batch.view.stored import StoredTrial
 
@@ -20,34 +21,6 @@ MEANING = {
     "safe": "smallest distance from the robot to the hand",
 }
 """Meaning of each margin; a criterion that is not named here has no tooltip."""
-REASONS = {
-    "start_in_collision": "the arm collides at home",
-    "ik_unreachable": "the arm cannot reach the target",
-    "ik_in_collision": "every posture at the target collides",
-    "no_path_in_budget": "no path was found in time",
-    "not_settled": "the arm did not come to rest",
-    "motion_in_collision": "the given motion collides",
-    "beyond_joint_limits": "a joint goes beyond its limit",
-    "beyond_speed_limits": "a joint turns faster than it can",
-    "ik_not_found": "no posture was found at the target",
-    "no_free_posture_found": "every posture found at the target collides",
-}
-
-
-FAILS = {
-    "stability": "the gripper does not hold it",
-    "reach": "the hand does not reach the object",
-    "affordance": "the gripper holds the receiver's part",
-    "safe": "the robot meets the hand",
-}
-"""Meaning of a failed criterion; `headline` adds by how much."""
-PAIRS = {
-    "hand": "robot and hand", "table": "robot and table", "self": "robot and robot",
-    "object_hand": "object and hand", "object_table": "object and table", "object_robot": "object and robot",
-}  # fmt: skip
-"""Pairs of bodies (`CollidingPair`) in words."""
-
-
 LEGEND = {
     "target": "requested pose",
     "region": "the receiver's part",
@@ -71,43 +44,13 @@ def legend(drawings: Sequence[Drawing], groups: Collection[str] = MARKS) -> list
 
 def verdict_of(stored: StoredTrial) -> str:
     """The verdict of a trial in one line; of a failed plan with the pair that its margin is about."""
-    return headline(stored.row, stored.asked)
+    return headline(stored.row, pair_of(stored))
 
 
-def headline(row: dict[str, Any], asked: Postures | None = None) -> str:
-    """The verdict in one line: success, or the criterion that fails first, why, and by how much.
-
-    Args:
-        row: of trials.
-        asked: what planning met at the target; None: a row alone does not say which pair Plan's margin is about.
-    """
-    outcome = str(row["outcome"])
-    if outcome == "success":
-        return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
-    if outcome not in CRITERIA:
-        return outcome.replace("_", " ")
-    size = row.get(f"margin_{outcome}_m")
-    size = None if size is None or not np.isfinite(size) else -1e3 * size
-    least = "at least " if row.get(f"margin_kind_{outcome}") == "bound" else ""
-    by = "" if size is None else f"{least}{size:.1f} mm"
-    words = f"{outcome} fails: "
-    if outcome == "plan":
-        reason = str(row["plan_reason"])
-        pair = asked.nearest.kind if asked is not None and asked.nearest is not None else None
-        meets = pair in PAIRS and row.get("plan_pair")  # else nothing is met
-        met = f" ({PAIRS[str(pair)]})" if meets else ""
-        short = f": {by} short" if by and reason in ("ik_unreachable", "ik_not_found") else ""
-        return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
-    if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
-        return f"{words}{body_name(str(row['witness_safe_part']))} meets the hand at {row['witness_time_s']:.1f} s"
-    if outcome == "stability" and row.get("width_m") is None:
-        return f"{words}nothing lies between the pads"
-    if outcome == "stability":
-        words += f"{1e3 * row['width_m']:.1f} mm of material between the pads, "
-    text = FAILS.get(outcome)
-    if text is None or not by:
-        return f"{words}{text or ''}".rstrip(" :,")
-    return f"{words}{text}, by {by}"
+def pair_of(stored: StoredTrial) -> str | None:
+    """The pair of bodies that a failed plan's margin is about."""
+    asked = stored.asked
+    return None if asked is None or asked.nearest is None else asked.nearest.kind
 
 
 def postures(asked: Postures) -> str:
@@ -175,7 +118,8 @@ def _margin(row: dict[str, Any], name: str) -> str:
         return ""
     if kind == "cap":
         return f"more than {1e3 * size:.0f} mm" if size > 0 else ""
-    return f"{1e3 * size:+.1f} mm{' or less' if kind == 'bound' else ''}"
+    words = "0 mm" if abs(1e3 * size) < LEAST_MM else f"{1e3 * size:+.1f} mm"
+    return f"{words}{' or less' if kind == 'bound' else ''}"
 
 
 def _facts(drawing: Drawing) -> list[str]:

@@ -15,6 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from r2h_batch.runs.explain import LEAST_MM, body_name
 from r2h_batch.scene.model_parts import VISUAL
 from r2h_batch.view.mjcf import MARK, checked_pairs, spec_of, trajectory
 from r2h_batch.view.postures import Nearest
@@ -29,7 +30,6 @@ RED: Color = (0.86, 0.10, 0.10, 0.85)
 SPOT_M = 0.03  # radius of the red ball where the table is met
 YELLOW: Color = (0.95, 0.80, 0.10, 0.6)
 REGION = "object/region_visual"
-TOUCH_MM = 0.05  # smaller overlaps are called a touch
 FIXED = ("world", "table", "hand", "target", "target_gripper", "receiver")
 """Bodies that stand still while the arm moves."""
 UNSEEN = ("world", "table", "receiver", "target", "target_gripper")
@@ -133,7 +133,7 @@ class Witness:
             self.least_m is not None and self.least_m < 0
         ):  # the margin is a lower bound of an overlap
             deep_mm = -1e3 * self.least_m
-            met = f"overlap by {deep_mm:.1f} mm or more" if deep_mm >= TOUCH_MM else "touch"
+            met = f"overlap by {deep_mm:.1f} mm or more" if deep_mm >= LEAST_MM else "touch"
             return f"{a} and {b} {met}{' for the planner, which sees the hand with an error' * self.estimated}"
         if self.distance_m < 0:
             return f"{a} and {b} overlap"
@@ -499,7 +499,20 @@ class Drawing:
             turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
             world = local @ turn.swapaxes(1, 2) + data.geom_xpos[geoms, None]
             points.append(world.reshape(-1, 3))
-        return np.concatenate(points)
+        return np.concatenate([*points, *([] if close else [self._upper_body()])])
+
+    def _upper_body(self) -> Array:
+        """Points (N, 3) of the receiver above the table's top, as the trial begins, world, m; none without a body."""
+        if self.stored.receiver is None:
+            return np.zeros((0, 3))
+        geoms = [int(self.model.geom(f"receiver/{name}_visual").id) for name in ("clothes", "skin")]
+        data, model, found = self.at(self.stored.target_q), self.model, []
+        for g in geoms:
+            v = int(model.mesh_vertadr[model.geom_dataid[g]])
+            vertices = model.mesh_vert[v : v + model.mesh_vertnum[model.geom_dataid[g]] : 7]
+            found.append(vertices @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g])
+        world = np.concatenate(found)
+        return world[world[:, 2] > 0.0]
 
     @cached_property
     def sides(self) -> Array:
@@ -528,14 +541,18 @@ class Drawing:
         for elevation in ELEVATIONS_DEG:
             seen = self._seen(elevation)
             around = sum(np.roll(seen, k) for k in (-2, -1, 0, 1, 2)) / 5
-            steep = STEEP * (elevation != ELEVATION_DEG)
+            # what does not move is looked at from one height: what fails there is not in the hand
+            steep = (STEEP if self.stored.moves else np.inf) if elevation != ELEVATION_DEG else 0.0
             clear = self._clear(elevation, np.isfinite(best) & ~behind)
             found.append(best + 16.0 * seen + around + CLEAR_COUNTS * clear - steep)
         return np.concatenate(found)
 
     def _clear(self, elevation_deg: float, asked: NDArray[np.bool_]) -> Array:
         """The share of gripper and object that is seen in the last second from each of `AZIMUTHS_DEG`, 0 where not `asked`: a
-        ray from there to a point of them meets nothing else before."""
+        ray from there to a point of them meets nothing else before. 0 without a motion."""
+        found = np.zeros(len(AZIMUTHS_DEG))
+        if not self.stored.moves:
+            return found
         times, q = self.motion()
         postures = [q[np.abs(times - max(times[-1] - ago, 0.0)).argmin()] for ago in LAST_S]
         model, shown = self.model, np.array([0, 0, 0, 0, 0, 0], np.uint8)
@@ -544,9 +561,8 @@ class Drawing:
         every = np.concatenate(
             [np.stack([np.full(POINTS, g), np.arange(POINTS)], 1) for g in geoms]
         )
-        found, geom = np.zeros(len(AZIMUTHS_DEG)), np.zeros(1, np.int32)
-        some = self.corners(geoms)
-        for posture in postures if self.stored.moves else postures[:1]:
+        geom, some = np.zeros(1, np.int32), self.corners(geoms)
+        for posture in postures:
             data = self.at(posture)
             turn = data.geom_xmat[every[:, 0]].reshape(-1, 3, 3)
             points = np.einsum("nij,nj->ni", turn, some) + data.geom_xpos[every[:, 0]]
@@ -557,7 +573,7 @@ class Drawing:
                     far = mujoco.mj_ray(model, data, start, forward, shown, 1, -1, geom)
                     free = far < 0 or far > FAR_M - SEEN_M
                     found[k] += free or self.body_of(int(geom[0])) in ("gripper", "object")
-        return found / (len(some) * (len(postures) if self.stored.moves else 1))
+        return found / (len(some) * len(postures))
 
     def corners(self, geoms: Sequence[int]) -> Array:
         """`POINTS` points of each geom's surface (N, 3), in its frame, m."""
@@ -702,11 +718,6 @@ def coarse(
 def _color(rgba: Sequence[float]) -> Color:
     r, g, b, a = map(float, rgba)
     return r, g, b, a
-
-
-def body_name(part: str) -> str:
-    """A part of the robot in words, without the number of its collision body: wrist_3_0: wrist 3."""
-    return re.sub(r"_\d+$", "", part).replace("_", " ")
 
 
 def _geom_name(geom: str) -> str:

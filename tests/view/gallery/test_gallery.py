@@ -42,6 +42,8 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
         file.write_text(f"trial {stored.row['trial_id']}")
         return file
 
+    asked = SimpleNamespace(nearest=SimpleNamespace(kind="object_hand"))
+
     class Reader:
         def __init__(self, folder, given):
             assert given == BenchmarkOverrides()
@@ -49,7 +51,7 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
 
         def trial(self, trial, method):
             rows = self.run.trials(method).to_pylist()
-            return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial), asked=None)
+            return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial), asked=asked)
 
     monkeypatch.setattr("r2h_batch.view.stored.Reader", Reader)
     monkeypatch.setattr("r2h_batch.scene.offscreen.ready", lambda: "none")
