@@ -27,6 +27,7 @@ Color = tuple[float, float, float, float]
 MARKS = ("target", "region", "ball", "palm", "width", "witness")
 """Groups of marks that a viewer can show or hide."""
 RED: Color = (0.86, 0.10, 0.10, 0.85)
+WIDE_M = 0.009  # radius of the line to a target that is not reached: it begins within the gripper
 SPOT_M = 0.03  # radius of the red ball where the table is met
 YELLOW: Color = (0.95, 0.80, 0.10, 0.6)
 REGION = "object/region_visual"
@@ -463,7 +464,8 @@ class Drawing:
                     found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
                 else:
                     surface("witness", name, RED)
-            found.append(Mark("witness", RED, points=witness.line, text=witness.caption))
+            wide = {"radius_m": WIDE_M} if witness.kind == "unreachable" else {}
+            found.append(Mark("witness", RED, points=witness.line, text=witness.caption, **wide))
         elif row["outcome"] == "safe" and row.get("witness_point_m"):
             point = np.array(row["witness_point_m"], np.float64)[None]
             part = str(row.get("witness_safe_part"))
@@ -523,7 +525,10 @@ class Drawing:
         robot, and hand and gripper stand beside each other.
         """
         data = self.at(self.last)
-        hand, target = data.geom("hand/mesh_visual").xpos.copy(), data.site("ee").xpos.copy()
+        hand, target = (
+            data.geom("hand/mesh_visual").xpos.copy(),
+            data.site("ee" if self.stored.moves else "target").xpos.copy(),
+        )
         apart = (hand - target)[:2]
         flat = apart / max(float(np.linalg.norm(apart)), 1e-6)
         angles = np.radians(AZIMUTHS_DEG)
