@@ -147,7 +147,7 @@ def explained(
 
 
 def _witness(row: Mapping[str, Any], criterion: str) -> str:
-    """What the row itself says of where the criterion is decided."""
+    """Words for the place where the criterion is decided, as far as the row knows it."""
     if criterion == "stability" and row.get("width_m") is not None:
         return f"the material between the pads, {1e3 * row['width_m']:.1f} mm along the closing direction"
     if criterion == "safe" and row.get("witness_safe_part"):
@@ -168,7 +168,7 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
 
 
 def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float]) -> str:
-    """What would have passed."""
+    """Words for the nearest thing that passes."""
     size = short_by_mm(row, criterion)
     least = "at least " if row.get(f"margin_kind_{criterion}") == "bound" else ""
     by = None if size is None else f"{least}{max(size, 0.1):.1f} mm"
@@ -192,7 +192,7 @@ def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float])
 
 
 def _plan_passes(row: Mapping[str, Any], by: str | None) -> str:
-    """The same of Plan, by its reason."""
+    """The same for each reason of Plan."""
     reason = str(row["plan_reason"])
     if reason in SHORT:
         return "a target that the arm reaches" + (f", {by} from this one" if by else "")

@@ -54,7 +54,7 @@ def pair_of(stored: StoredTrial) -> str | None:
 
 
 def postures(asked: Postures) -> str:
-    """What the postures at a target meet, in one line; which of them the picture shows."""
+    """Counts of the pairs that overlap in the postures at a target, in one line."""
     n = sum(asked.met.values())
     if n == 1:
         return "one posture reaches the target"

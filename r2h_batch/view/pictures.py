@@ -312,7 +312,7 @@ class Caption:
 
     @property
     def inner(self) -> tuple[int, int]:
-        """What is left for the image."""
+        """Width and height that are left for the image."""
         return self.size[0], self.size[1] - self.lines * self.row
 
     @property

@@ -128,7 +128,7 @@ class Cut:
     geom: NDArray[np.int8]  # (F,) index into `GEOMS`
 
     def mixed(self, rows: Array) -> Array:
-        """What the new vertices have of rows (V, k) of the old ones."""
+        """Rows of the new vertices, from rows (V, k) of the old ones."""
         a, b = (rows[self.edges[:, k]] for k in (0, 1))
         return np.asarray(a + self.share[:, None] * (b - a))
 

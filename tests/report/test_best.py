@@ -1,4 +1,4 @@
-"""What a table may call best: no bound, and no rate of a failure of a method that loses its trials earlier."""
+"""Cells that a table may call best: no bound, and no rate of a failure of a method that loses its trials earlier."""
 
 import numpy as np
 from made_runs import write_run
