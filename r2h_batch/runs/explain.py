@@ -1,11 +1,10 @@
 """Why a trial passed or failed, in words: from its stored row, without judging it again."""
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from r2h_batch.verdicts import CRITERIA
 
@@ -48,7 +47,7 @@ def body_name(part: str) -> str:
 def short_by_mm(row: Mapping[str, Any], criterion: str) -> float | None:
     """By how much a criterion fails, mm above 0; None where no length says it."""
     size = row.get(f"margin_{criterion}_m")
-    return None if size is None or not np.isfinite(size) else -1e3 * float(size)
+    return None if size is None or not math.isfinite(size) else -1e3 * float(size)
 
 
 def headline(row: Mapping[str, Any], pair: str | None = None) -> str:

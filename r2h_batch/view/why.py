@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from r2h_batch.base.command_line import UsageError
-from r2h_batch.runs.explain import Explanation, explained
 from r2h_batch.trials.benchmark.flags import BUILT_IN, BenchmarkFlags
 
 if TYPE_CHECKING:
+    from r2h_batch.runs.explain import Explanation
     from r2h_batch.view.stored import Reader
 
 
@@ -34,7 +34,7 @@ def why(run: Path, trial: str, /, *, method: str = "", benchmark: BenchmarkFlags
     return 0
 
 
-def explanation(reader: "Reader", trial: int, method: str) -> Explanation:
+def explanation(reader: "Reader", trial: int, method: str) -> "Explanation":
     """The explanation of a stored row; a plan without a path is judged again for the pair that its margin is about.
 
     Args:
@@ -42,6 +42,7 @@ def explanation(reader: "Reader", trial: int, method: str) -> Explanation:
         trial: the trial's number.
         method: the method's name.
     """
+    from r2h_batch.runs.explain import explained
     from r2h_batch.view.captions import pair_of, postures
 
     own = reader.run.explain(trial, method)
