@@ -309,7 +309,7 @@ def _placed(
     hits = [np.concatenate([*s.successes(trials).values()]) for s in ranked]
     pairs = list(combinations(range(len(ranked)), 2))
     only = [(int((hits[i] & ~hits[j]).sum()), int((hits[j] & ~hits[i]).sum())) for i, j in pairs]
-    decided = holm([mcnemar(*both) for both in only]) < LEVEL if pairs else []
+    decided = holm([mcnemar(*both) for both in only]) < LEVEL
     above = [0] * len(ranked)
     for (i, j), (a, b), sure in zip(pairs, only, decided, strict=True):
         if sure:

@@ -27,6 +27,7 @@ Color = tuple[float, float, float, float]
 MARKS = ("target", "region", "ball", "palm", "width", "witness")
 """Groups of marks that a viewer can show or hide."""
 RED: Color = (0.86, 0.10, 0.10, 0.85)
+LINE_M = 0.004  # radius of a line
 WIDE_M = 0.009  # radius of the line to a target that is not reached: it begins within the gripper
 SPOT_M = 0.03  # radius of the red ball where the table is met
 YELLOW: Color = (0.95, 0.80, 0.10, 0.6)
@@ -83,7 +84,7 @@ class Mark:
     body: str = "world"  # the body in whose frame the mark stands, and with which it moves
     geom: int = -1  # the model's geom that is a surface of this mark; -1: none
     points: Array | None = None  # (1, 3) or (2, 3) m in the body's frame
-    radius_m: float = 0.004
+    radius_m: float = LINE_M
     arrow: bool = False
     text: str = ""
 
@@ -272,7 +273,7 @@ class Drawing:
             return Witness((), "unreachable", away, line)
         home = reason == "start_in_collision"
         q = np.array(stored.workplace.home_q) if home else stored.target_q
-        asked = stored.asked and stored.asked.nearest
+        asked = None if stored.asked is None else stored.asked.nearest
         found = None if asked is None else self._nearest(q, self._pairs_of(asked))
         if found is None:
             return self._nearest(q, self._checked())
@@ -464,8 +465,10 @@ class Drawing:
                     found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
                 else:
                     surface("witness", name, RED)
-            wide = {"radius_m": WIDE_M} if witness.kind == "unreachable" else {}
-            found.append(Mark("witness", RED, points=witness.line, text=witness.caption, **wide))
+            radius_m = WIDE_M if witness.kind == "unreachable" else LINE_M
+            found.append(
+                Mark("witness", RED, points=witness.line, radius_m=radius_m, text=witness.caption)
+            )
         elif row["outcome"] == "safe" and row.get("witness_point_m"):
             point = np.array(row["witness_point_m"], np.float64)[None]
             part = str(row.get("witness_safe_part"))

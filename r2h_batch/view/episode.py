@@ -83,9 +83,9 @@ class EpisodeDrawing(Drawing):
         assert receivers is not None
         for name, made in self._receiver(receivers[k], self._hands[k]).items():
             geom, mesh, order = skins[name]
-            R = np.zeros(9)
-            mujoco.mju_quat2Mat(R, model.geom_quat[geom])
-            R = R.reshape(3, 3)
+            turn = np.zeros(9)
+            mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+            R = turn.reshape(3, 3)
             v, n = int(model.mesh_vertadr[mesh]), int(model.mesh_normaladr[mesh])
             model.mesh_vert[v : v + len(order)] = (made.vertices[order] - model.geom_pos[geom]) @ R
             if model.mesh_normalnum[mesh] == len(order):

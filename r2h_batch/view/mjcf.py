@@ -209,7 +209,7 @@ def describe(stored: StoredTrial) -> dict[str, Any]:
             "T_world_obj_at_goal": T_world_obj.tolist(),
         },
         "q_target": stored.target_q.tolist(),
-        "target_clearance_m": _finite(stored.asked and stored.asked.clearance_m),
+        "target_clearance_m": _finite(None if stored.asked is None else stored.asked.clearance_m),
         "note": stored.note,
         "waypoints": stored.q.tolist() if stored.moves else [],
         "waypoint_time_s": stored.time_s.tolist() if stored.moves else [],

@@ -69,11 +69,11 @@ def postures_at(evaluator: Evaluator, trial: Trials, answer: Predictions) -> Pos
         solve = solve_ik
         if config.ik.solver == "pytorch-kinematics":
             from r2h_batch.judge.ik_jacobian import solve_ik as solve
-        of_robot = {"robot": scene.robot, "home": config.workplace.home_q}
-        ik = solve(held.T_world_ee, active=held.active, **of_robot)
+        robot, home = scene.robot, config.workplace.home_q
+        ik = solve(held.T_world_ee, active=held.active, robot=robot, home=home)
         branches = ik.valid
         if config.plan.goals != "set":
-            branches = one_branch(ik, held.T_world_ee, **of_robot)
+            branches = one_branch(ik, held.T_world_ee, robot=robot, home=home)
         # a row for each branch alone, and one for all of them: that of the margin
         alone = torch.eye(BRANCHES + 1, BRANCHES, dtype=torch.bool, device=scene.device)
         alone[-1] = True
