@@ -49,6 +49,10 @@ COMMANDS = {
         "view.command:view",
         "Look at trials in three dimensions, or write one as a page, a film or strips.",
     ),
+    "why": (
+        "view.why:why",
+        "Say why one trial failed: criterion, margin, what decides it, what would have passed.",
+    ),
     "import": (
         "view.import_command:COMMANDS",
         "Turn other people's hands and grasps into files that sweeps read.",

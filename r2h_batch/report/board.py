@@ -4,22 +4,32 @@ The page shows what the judge computed or checked. What the submitter alone know
 planning and of the method) is shown as claimed.
 """
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics.aggregate import FAILURES, Row, summarise
 from r2h_batch.report.statistics.common import Common
-from r2h_batch.report.statistics.paired import BOUNDS, compare, pair_up
+from r2h_batch.report.statistics.paired import BOUNDS, compare, holm, mcnemar, pair_up
 from r2h_batch.report.statistics.tally import tally
 from r2h_batch.report.text import NA, short_names
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import SPLITS
+from r2h_batch.verdicts import CRITERIA, SPLITS
 
 SUBMITTED = "(submitted)"
 """Stands behind the name of every method that did not answer again with the same bits."""
+
+CODE = 5
+"""Characters that stand for a trial."""
+LEVEL = 0.05
+"""Level of the tests by which places are shared."""
 
 SIGNS = {"better": "\u25b2", "better here": "\u25b3", "tied": "=", "worse here": "\u25bd", "worse": "\u25bc"}  # fmt: skip
 
@@ -83,6 +93,7 @@ class Standing:
         judged: how its rows were judged again; None for a baseline.
         against: baseline -> the comparison with it.
         digest: sha256 of its rows.
+        codes: split -> `CODE` characters for each trial in order: 1 or 0 for success, and a hash of its verdict and margins.
     """
 
     method: str
@@ -96,6 +107,22 @@ class Standing:
     judged: Judged | None
     against: Mapping[str, Against]
     digest: str
+    codes: Mapping[str, str]
+
+    def successes(self, trials: Mapping[str, int]) -> dict[str, NDArray[np.bool_]]:
+        """Split -> success of the first so many of its trials."""
+        return {
+            split: np.array([c == "1" for c in self.codes.get(split, "")[: n * CODE : CODE]], bool)
+            for split, n in trials.items()
+        }
+
+    def answers_as(self, other: "Standing", trials: Mapping[str, int]) -> bool:
+        """Whether verdicts and margins of the first so many trials of each split are those of another line."""
+        ends = (
+            (self.codes.get(s, "")[: n * CODE], other.codes.get(s, "")[: n * CODE])
+            for s, n in trials.items()
+        )
+        return all(a == b for a, b in ends)
 
     @property
     def of_all(self) -> float:
@@ -165,7 +192,21 @@ def _standing(
         judged,
         against,
         run.digest(method),
+        _codes(run, method),
     )
+
+
+def _codes(run: Run, method: str) -> dict[str, str]:
+    """`Standing.codes` of a method."""
+    margins = [f"margin_{name}_m" for name in CRITERIA]
+    found: dict[str, list[str]] = {}
+    for table in run.shards("trials", method, ["split", "outcome", *margins]):
+        columns = [table[name].to_pylist() for name in ("split", "outcome", *margins)]
+        for split, outcome, *lengths in zip(*columns, strict=True):
+            words = [outcome, *("" if m is None else f"{m:.6f}" for m in lengths)]
+            hashed = hashlib.sha256(" ".join(words).encode()).hexdigest()[: CODE - 1]
+            found.setdefault(split, []).append(f"{int(outcome == 'success')}{hashed}")
+    return {split: "".join(codes) for split, codes in found.items()}
 
 
 def _ends(row: Row) -> tuple[float, float, float]:
@@ -229,25 +270,74 @@ def _section(section: Section, least: int) -> dict[str, Any]:
     """The section as board.html writes it: the lines with a place in their order, then the others."""
     lines = sorted(section.standings, key=lambda s: (-s.of_all, s.method, s.submission))
     enough = [s for s in lines if all(s.trials.get(split, 0) >= least for split in SPLITS)]
-    ranked = [s.of_all for s in enough if not s.bound]
-    places = [None if s.bound else 1 + sum(r > s.of_all for r in ranked) for s in enough]
+    trials = {split: min((s.trials.get(split, 0) for s in enough), default=0) for split in SPLITS}
+    enough, places = _placed(enough, trials)
     short = short_names(section.baselines)
+    same = {
+        id(s): next((t.method for t in enough[:k] if t.answers_as(s, trials)), "")
+        for k, s in enumerate(enough)
+    }
+    ranked = [
+        _line(s, place, section, trials, same[id(s)])
+        for s, place in zip(enough, places, strict=True)
+    ]
+    placed = {id(s) for s in enough}
+    others = [_line(s, None, section, {}, "") for s in lines if id(s) not in placed]
     return {
         "setting": section.setting,
         "baselines": [(name, short[name]) for name in section.baselines],
-        "ranked": [_line(s, place, section) for s, place in zip(enough, places, strict=True)],
-        "others": [_line(s, None, section) for s in lines if s not in enough],
+        "common": ", ".join(f"{n} {split}" for split, n in trials.items()),
+        "ranked": ranked,
+        "others": others,
     }
 
 
-def _line(s: Standing, place: int | None, section: Section) -> dict[str, Any]:
+def _on_common(s: Standing, trials: Mapping[str, int]) -> float:
+    """SR in percent on the first so many trials of each split: the mean of the splits."""
+    rates = [100 * float(own.mean()) for own in s.successes(trials).values() if len(own)]
+    return float(np.mean(rates)) if rates else math.nan
+
+
+def _placed(
+    standings: Sequence[Standing], trials: Mapping[str, int]
+) -> tuple[list[Standing], list[int | None]]:
+    """Lines in the order of their success on the trials that all of them hold, and their places.
+
+    A place is one more than the number of methods that are better on these trials by McNemar's test (5 %, Holm over all
+    pairs): where nothing is decided, methods share it. Bounds have none.
+    """
+    rates = {id(s): _on_common(s, trials) for s in standings}
+    order = sorted(standings, key=lambda s: (-rates[id(s)], s.method, s.submission))
+    ranked = [s for s in order if not s.bound]
+    hits = [np.concatenate([*s.successes(trials).values()]) for s in ranked]
+    pairs = list(combinations(range(len(ranked)), 2))
+    only = [(int((hits[i] & ~hits[j]).sum()), int((hits[j] & ~hits[i]).sum())) for i, j in pairs]
+    decided = holm([mcnemar(*both) for both in only]) < LEVEL
+    above = [0] * len(ranked)
+    for (i, j), (a, b), sure in zip(pairs, only, decided, strict=True):
+        if sure:
+            above[j if a > b else i] += 1
+    places = {
+        id(s): 1 + k for s, k in zip(ranked, np.maximum.accumulate(above or [0]), strict=False)
+    }
+    return order, [None if s.bound else int(places[id(s)]) for s in order]
+
+
+def _line(
+    s: Standing, place: int | None, section: Section, trials: Mapping[str, int], same: str
+) -> dict[str, Any]:
     """The cells of a line; `value` is what a column sorts by."""
+    common = _on_common(s, trials)
     return {
         "place": "bound" if s.bound else NA if place is None else str(place),
+        "same": same,
+        "common": {"text": NA, "value": -1}
+        if math.isnan(common)
+        else {"text": f"{common:.1f}", "value": common},
         "method": s.method,
         "submission": s.submission,
         "sr": [_sr(s.sr.get(name)) for name in (*SPLITS, "Avg")],
-        "n": [str(s.trials.get(split, 0)) for split in SPLITS],
+        "n": " + ".join(str(s.trials.get(split, 0)) for split in SPLITS),
         "against": [_cell(s.against.get(name)) for name in section.baselines],
         "failures": [NA if v is None else f"{v:.1f}" for v in s.failures.values()],
         "times": [NA if v is None else f"{v:.2f}" for v in (s.t_exec_s, *s.claimed.values())],

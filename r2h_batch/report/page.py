@@ -5,7 +5,7 @@ jinja2 fills page.html and escapes all text that comes from files; matplotlib dr
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import pyarrow as pa
 from r2h_batch.report import figures
 from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Rate, Row
+from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Rate, Row, wilson_interval
 from r2h_batch.report.statistics.common import Common
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
@@ -39,6 +39,11 @@ TRIALS_SHOWN = 20_000
 """Trials of all methods together that a page holds. Of a larger run it holds the first trials of
 each outcome."""
 
+LEAST_TRIALS = 10
+"""Rates of fewer trials are grey."""
+FIRST_PICTURES = 3
+"""Pictures above the tables."""
+
 _VERDICTS = ("better", "better here", "tied", "worse here", "worse")
 MARKS = dict(zip(_VERDICTS, "\u25b2\u25b3=\u25bd\u25bc", strict=True))
 """A verdict of `compare` as one sign."""
@@ -55,7 +60,7 @@ def page(
 
     Args:
         run: what `load_run` or `join` gives.
-        gallery: method -> pictures with `trial`, `src`, `alt`, `caption`, `command` and `href`.
+        gallery: method -> pictures with `trial`, `outcome`, `src`, `alt`, `caption`, `command` and `href`.
         common: the trials on which several runs are compared; None: they are not compared.
         few: new categories whose mean the prediction intervals speak about.
 
@@ -100,6 +105,9 @@ def page(
         splits=list(dict.fromkeys(row.split for row in table.rows)),
         matrices=[_matrix(c) for c in compared],
         heat=_heat(counted, run.methods),
+        families=_families(counted, run) if table.families else [],
+        least=LEAST_TRIALS,
+        first_pictures=_first_pictures(table, gallery or {}, short),
         failures=[figures.failure_bars(short[m], bars[m]) for m in run.methods],
         legend=[(figures.WORDS[o], figures.COLORS[o]) for o in used],
         margins=[figure for figure in margins if figure],
@@ -185,27 +193,75 @@ def _matrix(c: Comparison) -> dict[str, Any]:
     return {"group": c.group, "n": c.n, "names": c.names, "lines": lines}
 
 
-def _heat(counted: Sequence[Tally], methods: Sequence[str]) -> list[dict[str, Any]]:
-    """SR of each object (lines) and method."""
+def _heat(
+    counted: Sequence[Tally], methods: Sequence[str], names: Collection[str] | None = None
+) -> list[dict[str, Any]]:
+    """SR of each object (lines), or of some, and method."""
     cells = {
         (row.split, name, row.method): row for t in counted for name, row in breakdown.by_object(t)
     }
     lines = []
-    for split, name in sorted({key[:2] for key in cells}):
+    for split, name in sorted({key[:2] for key in cells if names is None or key[1] in names}):
         own = [cells.get((split, name, m)) for m in methods]
-        numbers = sorted({row.n for row in own if row})
         values = [_rate(row, "sr") | {"n": row.n if row else 0} for row in own]
-        ends = dict.fromkeys((numbers[0], numbers[-1]))
-        lines.append(
-            {
-                "split": split,
-                "object": name.replace("_", " "),
-                "n": "\u2013".join(map(str, ends)),
-                "most": numbers[-1],
-                "cells": values,
-            }
-        )
+        lines.append(_heat_line(split, name, values))
     return lines
+
+
+def _heat_line(split: str, name: str, cells: list[dict[str, Any]]) -> dict[str, Any]:
+    numbers = sorted({c["n"] for c in cells if c["n"]})
+    ends = dict.fromkeys((numbers[0], numbers[-1]))
+    return {
+        "split": split,
+        "object": name.replace("_", " "),
+        "n": "\u2013".join(map(str, ends)),
+        "most": numbers[-1],
+        "cells": cells,
+    }
+
+
+def _families(counted: Sequence[Tally], run: Run) -> list[dict[str, Any]]:
+    """SR of each family (lines) and method, with the lines of its objects."""
+    category, rows = run.categories, dict[tuple[str, str], dict[str, list[Row]]]()
+    for t in counted:
+        for name, row in breakdown.by_object(t):
+            own = rows.setdefault((row.split, category.get(name, name)), {})
+            own.setdefault(row.method, []).append(row)
+    lines = []
+    for (split, family), by_method in sorted(rows.items()):
+        cells = [_pooled(by_method.get(m, ())) for m in run.methods]
+        names = {name for name in category if category[name] == family}
+        objects = [line for line in _heat(counted, run.methods, names) if line["split"] == split]
+        lines.append(_heat_line(split, family, cells) | {"objects": objects})
+    return lines
+
+
+def _pooled(rows: Sequence[Row]) -> dict[str, Any]:
+    """The cell of all trials of some rows."""
+    n, hits = sum(r.n for r in rows), sum(r.counts["success"] for r in rows)
+    if not n:
+        return _cell(NA, None) | {"n": 0}
+    low, high = (100 * float(x) for x in wilson_interval(hits, n))
+    share = 100 * hits / n
+    return _cell(f"{share:.1f}", round(share, 4), f"{low:.1f}", f"{high:.1f}") | {"n": n}
+
+
+def _first_pictures(
+    table: Table, gallery: Mapping[str, Sequence[Mapping[str, str]]], short: Mapping[str, str]
+) -> list[dict[str, str]]:
+    """A picture of each of the most frequent causes of all methods together, then a success; of the method that has most."""
+    rows = [row for row in table.rows if row.split != "Avg"]
+    total = {o: sum(row.counts[o] for row in rows) for o in OUTCOME_NAMES}
+    causes = sorted((o for o in CRITERIA if total[o]), key=lambda o: -total[o])
+    found: list[dict[str, str]] = []
+    for outcome in (*causes[: FIRST_PICTURES - 1], "success", *causes[FIRST_PICTURES - 1 :]):
+        of = {m: sum(r.counts[outcome] for r in rows if r.method == m) for m in gallery}
+        for method in sorted(of, key=lambda m: -of[m]):
+            own = [p for p in gallery[method] if p.get("outcome") == outcome]
+            if own and len(found) < FIRST_PICTURES:
+                found.append({"method": short[method], **own[0]})
+                break
+    return found
 
 
 def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dict[str, Any]]:

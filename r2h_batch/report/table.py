@@ -20,6 +20,7 @@ from r2h_batch.report.statistics.aggregate import (
     summarise,
 )
 from r2h_batch.report.statistics.few import FEW
+from r2h_batch.report.statistics.paired import BOUNDS
 from r2h_batch.report.statistics.shares import SHARES, STABLE, THROUGH, UNDECIDED, Share
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import (
@@ -88,9 +89,9 @@ FEW_NOTE = (
 
 
 BEST_NOTE = (
-    "Bold: best rate of a split whose methods all answered the same trials and were judged alike. It does not say that the"
-    " difference is more than chance: r2h-batch compare does. Times of a machine, and means over the trials that moved, are"
-    " never best."
+    "Bold: best rate of a split whose methods all answered the same trials and were judged alike; of a failure only where no"
+    " other method brings more trials to that criterion. It does not say that the difference is more than chance: r2h-batch"
+    " compare does. Bounds (random, oracle), times of a machine, and means over the trials that moved, are never best."
 )
 
 
@@ -107,6 +108,7 @@ class Table:
         turns: turn tests of the methods that have one (`turn.turned`).
         scans: the lines of the same methods on the reader's own objects, by split and method.
         funnels: from success to taken, of the methods with stored transfers.
+        bounds: methods that are bounds (random, oracle): none of their cells is best.
     """
 
     rows: tuple[Row, ...]
@@ -116,6 +118,7 @@ class Table:
     turns: tuple[Turned, ...] = ()
     scans: Mapping[tuple[str, str], Row] = field(default_factory=dict)
     funnels: tuple[Funnel, ...] = ()
+    bounds: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -220,7 +223,8 @@ def table_of(
     )
     misses |= dict.fromkeys(planned)
     beside = {} if scans is None else _beside(run, scans)
-    return Table(rows, origin, alike, tuple(misses), turned(run), beside, funnels(run))
+    bounds = tuple(e.name for e in run.entries if e.source.get("function") in BOUNDS)
+    return Table(rows, origin, alike, tuple(misses), turned(run), beside, funnels(run), bounds)
 
 
 def _without(row: Row, share: str) -> Row:
@@ -370,7 +374,9 @@ def best_cells(table: Table) -> set[tuple[str, str, str]]:
     """Which cells are bold.
 
     Only rates can be, and only where all methods answered the same trials and were judged alike: a preset is no
-    method. T_plan depends on the machine, and T_exec is a mean over the trials that moved.
+    method. T_plan depends on the machine, and T_exec is a mean over the trials that moved. A bound is no method either.
+    A trial counts at its first failure, so a method that loses more of them earlier has fewer left to fail later: the
+    lowest rate of a failure is best only where no other method brings more trials to that criterion.
 
     Returns:
         (split, method, column) of the best printed rate of each split, ties included; none where
@@ -380,14 +386,31 @@ def best_cells(table: Table) -> set[tuple[str, str, str]]:
     if not table.alike:
         return best
     for split in dict.fromkeys(row.split for row in table.rows):
-        rows = [row for row in table.rows if row.split == split]
+        rows = [r for r in table.rows if r.split == split]
+        same = len({r.n for r in rows}) == 1
+        rows = [r for r in rows if r.method not in table.bounds]
         for column in (c for c in HEADINGS if c in RATES):
             printed = {r.method: cell(r, column) for r in rows}
             values = {method: float(text) for method, text in printed.items() if text != NA}
-            if len(set(values.values())) > 1 and len({r.n for r in rows}) == 1:
+            if len(set(values.values())) > 1 and same:
                 top = (max if column == "sr" else min)(values.values())
-                best |= {(split, method, column) for method, v in values.items() if v == top}
+                lost = {r.method: 0.0 if column == "sr" else _lost_before(r, column) for r in rows}
+                least = min(lost.values())
+                best |= {
+                    (split, method, column)
+                    for method, v in values.items()
+                    if v == top and lost[method] <= least
+                }
     return best
+
+
+def _lost_before(row: Row, column: str) -> float:
+    """Percent of the trials that a method loses before the criterion of a failure: its earlier failures, and what was not
+    judged; as printed, to a tenth."""
+    order = {c: CRITERIA.index(entry.name) for c, entry in FAILURES.items()}
+    later = [c for c in FAILURES if order[c] >= order[column]]
+    rates = (row.rates[c] for c in ("sr", *later))
+    return round(100.0 - sum(0.0 if r is None else r.percent for r in rates), 1)
 
 
 def sr_of_scans(row: Row) -> Rate | None:
@@ -536,7 +559,11 @@ def _latex(table: Table, columns: int, intervals: bool) -> str:
         )
         for k, share in table.shares.items()
     ]
-    comments = tex_comments(table.origin, [*legend(short), *counts, *of, BEST_NOTE, *table.notes])
+    origin = "; ".join(f"{key}: {value}" for key, value in table.origin.items())
+    bold = [BEST_NOTE] if best_cells(table) else []
+    comments = tex_comments(
+        {}, [origin, *legend(short), "; ".join(counts), *of, *bold, *table.notes]
+    )
     write = _wide if columns == 2 else _narrow
     return "\n".join([*comments, *write(table, short, intervals)]) + "\n"
 

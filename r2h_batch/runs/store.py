@@ -21,10 +21,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from r2h_batch.base.errors import nearest
 from r2h_batch.base.io.read import open_file, printable
@@ -32,12 +33,16 @@ from r2h_batch.base.io.write import atomic_path, csv_cell
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of, text
 from r2h_batch.base.validate import path as path_of
 from r2h_batch.runs.columns import schema_of_kind
+from r2h_batch.runs.explain import Explanation, explained
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
 from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.verify import first_problem
 from r2h_batch.verdicts import REGISTRY
+
+if TYPE_CHECKING:
+    import pandas
 
 MAX_LABELS_BYTES = 256 << 20
 LABELS = "ids.csv"
@@ -137,6 +142,74 @@ class Run:
             if text_of_owner == word:
                 return number
         raise RunError(f"{self.folder}: no trial has the id {printable(word)[:80]!r}")
+
+    def __repr__(self) -> str:
+        planned = sum(self.header["trials"].values())
+        splits = ", ".join(f"{n} {split}" for split, n in self.header["trials"].items())
+        methods = ", ".join(self.methods) or "none complete"
+        more = f"; not complete: {', '.join(self.unfinished)}" if self.unfinished else ""
+        where = ", ".join(str(run.folder) for run in self.runs)
+        return (
+            f"Run({where}: {planned} trials ({splits}) of {self.header.get('protocol', '?')}, {self.robot}; "
+            f"methods: {methods}{more})"
+        )
+
+    def explain(self, trial: int | str, method: str | None = None) -> Explanation:
+        """Why one trial passed or failed, from its stored row; `r2h-batch why` judges a failed plan again for its pair.
+
+        Args:
+            trial: its number, or what its owner calls it.
+            method: the full name or the sweep's word (fc); None: the only method.
+
+        Returns:
+            The criterion that failed first, its margin, what decides it, what would have passed, and the command that
+            shows it; as text it has a line for each.
+
+        Raises:
+            RunError: there is no such trial or method, or several methods and none is named.
+        """
+        names = list(self.methods)
+        if method is None and len(names) != 1:
+            raise RunError(
+                f"{self.folder}: has {len(names)} complete methods; name one: {', '.join(names) or 'none'}"
+            )
+        name = names[0] if method is None else self.named(method)
+        row = self.row(self.trial_id(str(trial)), name)
+        run = next(r for r in self.runs if r.folder == self.entry(name).folder)
+        limits = run.header.get("configuration", {}).get("thresholds", {})
+        return explained(row, name, limits, picture_command(self, name, row["trial_id"]))
+
+    def row(self, trial: int, method: str) -> dict[str, Any]:
+        """One row of `trials` with its details, where they are stored.
+
+        Raises:
+            RunError: there is no such trial or method.
+        """
+        found: dict[str, Any] = {}
+        for kind in ("details", "trials"):
+            if kind == "details" and kind not in self.entry(method).header["stored"]:
+                continue
+            for table in self.shards(kind, method):
+                own = table.filter(pc.equal(table["trial_id"], trial)).to_pylist()
+                found |= own[0] if own else {}
+                if own:
+                    break
+        if "outcome" not in found:
+            raise RunError(f"{self.folder}: {method!r} has no trial {trial}")
+        return found
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """All trials of all complete methods as a table: the columns of `trials` and the method's name.
+
+        Raises:
+            ImportError: pandas is missing (extra `pandas`).
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install 'r2h_batch[pandas]'") from None
+        tables = [self.trials(m).to_pandas().assign(method=m) for m in self.methods]
+        return pandas.concat(tables, ignore_index=True) if tables else pandas.DataFrame()
 
     def entry(self, method: str) -> Entry:
         """The method of this name."""
@@ -275,6 +348,11 @@ class Run:
                 hashes[name, "valid"].update(valid.tobytes())
                 hashes[name, "value"].update(_plain(column).tobytes())
         return hashlib.sha256(b"".join(h.digest() for h in hashes.values())).hexdigest()
+
+
+def picture_command(run: Run, method: str, trial: int) -> str:
+    """The command that draws a trial into a file."""
+    return f"{run.view_command(method)} {trial} --strips trial-{trial}.png"
 
 
 def _plain(column: pa.Array) -> np.ndarray:

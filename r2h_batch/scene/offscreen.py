@@ -13,8 +13,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from r2h_batch.base.errors import MachineError
 
+MOST_GEOMS = 10_000
 BACKENDS = ("egl", "osmesa", "glfw")
 INSTALL = "no OpenGL draws here; install one: Debian, Ubuntu: apt-get install libosmesa6 libegl1; conda: mesalib"
 _TRY = (
@@ -77,13 +80,57 @@ def _use(backend: str) -> None:
     imported.GLContext = import_module(f"mujoco.{backend}").GLContext
 
 
-def renderer(model: Any, width: int, height: int) -> Any:
-    """A `mujoco.Renderer` of this size (pixels), to be used in a `with`; raises `RenderError`."""
-    backend = ready()
-    import mujoco
+class Drawer:
+    """Draws a model into images, as `mujoco.Renderer` does, and loads meshes anew whose vertices have changed."""
 
+    def __init__(self, model: Any, width: int, height: int, backend: str) -> None:
+        import mujoco
+
+        self._mujoco, self._model = mujoco, model
+        self._gl = import_module(f"mujoco.{backend}").GLContext(width, height)
+        self._gl.make_current()
+        self.scene = mujoco.MjvScene(model, MOST_GEOMS)
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+
+    def update_scene(self, data: Any, camera: Any, option: Any = None) -> None:
+        """The bodies as `data` has them, seen by a camera (`MjvCamera`, or the name of one of the model)."""
+        mj = self._mujoco
+        if isinstance(camera, str):
+            fixed, camera = self._model.camera(camera).id, mj.MjvCamera()
+            camera.type, camera.fixedcamid = mj.mjtCamera.mjCAMERA_FIXED, fixed
+        every = mj.mjtCatBit.mjCAT_ALL
+        option = mj.MjvOption() if option is None else option
+        mj.mjv_updateScene(self._model, data, option, None, camera, every, self.scene)
+
+    def load(self, mesh: int) -> None:
+        """The vertices and normals that the model has of a mesh now."""
+        self._gl.make_current()
+        self._mujoco.mjr_uploadMesh(self._model, self._context, mesh)
+
+    def render(self) -> Any:
+        """The image, uint8 (height, width, 3)."""
+        self._gl.make_current()
+        image = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
+        self._mujoco.mjr_render(self._rect, self.scene, self._context)
+        self._mujoco.mjr_readPixels(image, None, self._rect, self._context)
+        return image[::-1]  # OpenGL's first row is the lowest
+
+    def __enter__(self) -> "Drawer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
+
+
+def renderer(model: Any, width: int, height: int) -> Drawer:
+    """Draws images of this size (pixels) of a model, to be used in a `with`; raises `RenderError`."""
+    backend = ready()
     try:
-        return mujoco.Renderer(model, height, width)
+        return Drawer(model, width, height, backend)
     except Exception as error:  # what an OpenGL library raises is its own
         raise RenderError(
             f"OpenGL ({backend}) does not start: {' '.join(str(error).split())[:200]}; {INSTALL}"

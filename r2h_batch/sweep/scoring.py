@@ -2,8 +2,6 @@
 go on."""
 
 import contextlib
-import os
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +13,8 @@ import pyarrow as pa
 import torch
 
 from r2h_batch.base.command_line import counted, refuse
-from r2h_batch.base.io.log import LOG, is_quiet
+from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.progress import progress as steps
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.runs.files import replace_json
@@ -84,42 +83,17 @@ def progress(
 ) -> Iterator[Callable[[int], None]]:
     """Gives `advance(n)`: a bar on a terminal, else a plain line every 30 s and one at the end, all
     on stderr."""
-    start = printed = time.perf_counter()
-    done = 0
+    start, done = time.perf_counter(), 0
+    with steps(name, total, "trials", first_s=PLAIN_EVERY_S, every_s=PLAIN_EVERY_S) as advance:
 
-    def count(n: int) -> None:
-        nonlocal done
-        done += n
-        if file is not None:
-            file.say(name, done, total, time.perf_counter() - start)
+        def count(n: int) -> None:
+            nonlocal done
+            done += n
+            if file is not None:
+                file.say(name, done, total, time.perf_counter() - start)
+            advance(n)
 
-    if sys.stderr.isatty() and not is_quiet() and os.environ.get("TERM", "dumb") != "dumb":
-        from rich import progress as rich
-        from rich.console import Console
-
-        kinds = (rich.BarColumn, rich.MofNCompleteColumn, rich.TimeRemainingColumn)
-        columns = (rich.TextColumn("{task.description}"), *(kind() for kind in kinds))
-        with rich.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(name, total=total)
-
-            def move(n: int) -> None:
-                count(n)
-                bar.advance(task, n)
-
-            yield move
-    else:
-
-        def speak(n: int) -> None:
-            nonlocal printed
-            count(n)
-            now = time.perf_counter()
-            if now - printed >= PLAIN_EVERY_S:
-                rate = done / (now - start)
-                left = f"{rate:.1f} trials/s, {(total - done) / rate:.0f} s left"
-                LOG.info(f"{name}: {done}/{total} trials, {left}")
-                printed = now
-
-        yield speak
+        yield count
     seconds = time.perf_counter() - start
     rate = f"{total / seconds:.1f} trials/s"
     LOG.info(f"{name}: {counted(total, 'trials')} in {seconds:.1f} s, {rate}")

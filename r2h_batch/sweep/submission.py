@@ -144,10 +144,11 @@ def leaderboard(
                 continue
             found[verdict.baselines].append(standing)
             LOG.info(f"leaderboard: {name}: {printable(standing.method)}")
-    sections = [section_of(load_run(folder), own) for folder, own in found.items() if own]
-    if not sections:
+        sections = [section_of(load_run(folder), own) for folder, own in found.items() if own]
+        if sections:  # after each submission: judging takes minutes, and what is known is shown
+            write_text(out, page(sections, least=least))
+    if not any(found.values()):
         return refuse("leaderboard", "no submission passed; no file is written", 1)
-    write_text(out, page(sections, least=least))
     print(out)
     return 1 if left_out else 0
 

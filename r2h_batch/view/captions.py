@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.report.text import plain
+from r2h_batch.runs.explain import LEAST, PAIRS, headline
 from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS, Unit
-from r2h_batch.view.drawing import MARKS, Drawing, body_name
+from r2h_batch.view.drawing import MARKS, Drawing
+from r2h_batch.view.postures import Postures
+from r2h_batch.view.stored import StoredTrial
 
 MEANING = {
     "stability": "room left between the pads and at the ends of their stroke",
@@ -18,31 +21,6 @@ MEANING = {
     "safe": "smallest distance from the robot to the hand",
 }
 """Meaning of each margin; a criterion that is not named here has no tooltip."""
-REASONS = {
-    "start_in_collision": "the arm collides at home",
-    "ik_unreachable": "the arm cannot reach the target",
-    "ik_in_collision": "every posture at the target collides",
-    "no_path_in_budget": "no path was found in time",
-    "not_settled": "the arm did not come to rest",
-    "motion_in_collision": "the given motion collides",
-    "beyond_joint_limits": "a joint goes beyond its limit",
-    "beyond_speed_limits": "a joint turns faster than it can",
-    "ik_not_found": "no posture was found at the target",
-    "no_free_posture_found": "every posture found at the target collides",
-}
-
-
-FAILS = {
-    "stability": "the gripper does not hold it",
-    "reach": "the hand does not reach the object",
-    "affordance": "the gripper holds the receiver's part",
-    "safe": "the robot meets the hand",
-}
-"""Meaning of a failed criterion; `headline` adds by how much."""
-PAIRS = {"hand": "robot and hand", "table": "robot and table", "self": "robot and robot"}
-"""Pairs whose stored name (`CollidingPair`) leaves out the robot."""
-
-
 LEGEND = {
     "target": "requested pose",
     "region": "the receiver's part",
@@ -64,34 +42,24 @@ def legend(drawings: Sequence[Drawing], groups: Collection[str] = MARKS) -> list
     ]
 
 
-def headline(row: dict[str, Any]) -> str:
-    """The verdict in one line: success, or the criterion that fails first, why, and by how much."""
-    outcome = str(row["outcome"])
-    if outcome == "success":
-        return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
-    if outcome not in CRITERIA:
-        return outcome.replace("_", " ")
-    column, unit = _margin_column(outcome)
-    size = row.get(column)
-    size = None if size is None or not np.isfinite(size) else -unit.scale * size
-    least = "at least " if row.get(f"margin_kind_{outcome}") == "bound" else ""
-    by = "" if size is None else f"{least}{size:.1f} {unit.shown}"
-    words = f"{outcome} fails: "
-    if outcome == "plan":
-        reason, pair = str(row["plan_reason"]), row.get("plan_pair")
-        met = f" ({PAIRS.get(pair, pair.replace('_', ' and '))})" if pair else ""
-        short = f": {by} short" if by and reason in ("ik_unreachable", "ik_not_found") else ""
-        return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
-    if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
-        return f"{words}{body_name(str(row['witness_safe_part']))} meets the hand at {row['witness_time_s']:.1f} s"
-    if outcome == "stability" and row.get("width_m") is None:
-        return f"{words}nothing lies between the pads"
-    if outcome == "stability":
-        words += f"{1e3 * row['width_m']:.1f} mm of material between the pads, "
-    text = FAILS.get(outcome)
-    if text is None or not by:
-        return f"{words}{text or ''}".rstrip(" :,")
-    return f"{words}{text}, by {by}"
+def verdict_of(stored: StoredTrial) -> str:
+    """The verdict of a trial in one line; of a failed plan with the pair that its margin is about."""
+    return headline(stored.row, pair_of(stored))
+
+
+def pair_of(stored: StoredTrial) -> str | None:
+    """The pair of bodies that a failed plan's margin is about."""
+    asked = stored.asked
+    return None if asked is None or asked.nearest is None else asked.nearest.kind
+
+
+def postures(asked: Postures) -> str:
+    """Counts of the pairs that overlap in the postures at a target, in one line."""
+    n = sum(asked.met.values())
+    if n == 1:
+        return "one posture reaches the target"
+    listed = ", ".join(f"{PAIRS[kind]} {k}" for kind, k in asked.met.items())
+    return f"of {n} postures that reach the target: {listed}; shown is the one that overlaps least"
 
 
 def summary(row: dict[str, Any]) -> str:
@@ -108,7 +76,7 @@ def title(drawing: Drawing) -> str:
 
 def as_markdown(drawing: Drawing) -> str:
     """The panel of the viewer."""
-    verdict = f"{plain(drawing.stored.method)}: **{plain(headline(drawing.stored.row))}**"
+    verdict = f"{plain(drawing.stored.method)}: **{plain(verdict_of(drawing.stored))}**"
     lines = [f"**{plain(title(drawing))}**", "", verdict, "", "| | | margin |", "|---|---|---|"]
     lines += [f"| {name} | {verdict} | {margin} |" for name, verdict, margin in _criteria(drawing)]
     return "\n".join([*lines, "", *(f"- {plain(line)}" for line in _facts(drawing))])
@@ -122,7 +90,7 @@ def as_html(drawing: Drawing) -> str:
         for name, verdict, margin in _criteria(drawing)
     )
     facts = "".join(f"<li>{escape(line)}</li>" for line in _facts(drawing))
-    verdict = f"{escape(drawing.stored.method)}: <b>{escape(headline(drawing.stored.row))}</b>"
+    verdict = f"{escape(drawing.stored.method)}: <b>{escape(verdict_of(drawing.stored))}</b>"
     heading = escape(title(drawing))
     groups = [g for g in MARKS if g != "target" or not drawing.stored.moves]
     marks = "".join(
@@ -151,7 +119,9 @@ def _margin(row: dict[str, Any], name: str) -> str:
         return ""
     if kind == "cap":
         return f"more than {unit.scale * size:.0f} {unit.shown}" if size > 0 else ""
-    return f"{unit.scale * size:+.1f} {unit.shown}{' or less' if kind == 'bound' else ''}"
+    shown = unit.scale * size
+    words = f"0 {unit.shown}" if abs(shown) < LEAST else f"{shown:+.1f} {unit.shown}"
+    return f"{words}{' or less' if kind == 'bound' else ''}"
 
 
 def _margin_column(name: str) -> tuple[str, Unit]:
@@ -170,4 +140,7 @@ def _facts(drawing: Drawing) -> list[str]:
         lines.append(f"the arm reaches its goal after {row['t_exec_s']:.1f} s")
     if drawing.witness is not None:
         lines.append(drawing.witness.caption)
+    asked = drawing.stored.asked
+    if asked is not None and asked.met:
+        lines.append(postures(asked))
     return [*lines, *([drawing.stored.note] if drawing.stored.note else [])]

@@ -156,11 +156,11 @@ def view(
             print(write_page(shown, html))
         if not pictures:
             return 0
-        from r2h_batch.view.captions import headline
+        from r2h_batch.view.captions import verdict_of
         from r2h_batch.view.drawing import Drawing
 
         for s in shown if strips is not None else ():
-            print(f"{s.method}: {headline(s.row)}")
+            print(f"{s.method}: {verdict_of(s)}")
         drawings += map(Drawing, shown)
     from r2h_batch.view.pictures import write_film, write_strips
 

@@ -6,7 +6,7 @@ and films; `view/page.py` draws it with viser into a browser.
 
 import re
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
 
@@ -15,8 +15,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from r2h_batch.runs.explain import LEAST, body_name
 from r2h_batch.scene.model_parts import VISUAL
 from r2h_batch.view.mjcf import MARK, checked_pairs, spec_of, trajectory
+from r2h_batch.view.postures import Nearest
 from r2h_batch.view.stored import StoredTrial
 
 Array = NDArray[np.float64]
@@ -25,6 +27,8 @@ Color = tuple[float, float, float, float]
 MARKS = ("target", "region", "ball", "palm", "width", "witness")
 """Groups of marks that a viewer can show or hide."""
 RED: Color = (0.86, 0.10, 0.10, 0.85)
+LINE_M = 0.004  # radius of a line
+WIDE_M = 0.009  # radius of the line to a target that is not reached: it begins within the gripper
 SPOT_M = 0.03  # radius of the red ball where the table is met
 YELLOW: Color = (0.95, 0.80, 0.10, 0.6)
 REGION = "object/region_visual"
@@ -39,6 +43,14 @@ FOV_DEG = 45.0  # vertical, of every camera
 ELEVATION_DEG = -14.0
 BOUNDS_POSTURES = 60  # of a motion that the camera's bounds are made of
 AZIMUTHS_DEG = np.arange(0, 360, 5)  # directions in which the first camera may look
+ELEVATIONS_DEG = (ELEVATION_DEG, -35.0)  # the second where it shows more
+STEEP = 1.0  # what the second is worse by
+DIRECTIONS_DEG = np.array([(a, e) for e in ELEVATIONS_DEG for a in AZIMUTHS_DEG])
+CLEAR_COUNTS = (
+    10.0  # what it counts that gripper and object are seen, beside the other reasons for a camera
+)
+LAST_S = (1.0, 0.0)  # before the end, when they must be seen
+POINTS, FAR_M = 5, 2.0  # of each of their surfaces; where rays to them begin
 BACK = 0.5  # cosine: from within 60 degrees of the receiver's back nothing is looked at
 MET_POSTURES = 200  # of a motion that collides, in which the deepest is looked for
 CLOSE_M = 0.15  # around what a failure is seen by, in near views
@@ -47,10 +59,10 @@ AROUND_M, MOST_BEFORE = (
     24,
 )  # rays past the event, and bodies that may be made clear before it
 SEEN_M = 0.04  # an event is seen where nothing but what takes part stands this far before it
+LIFT_M = 8e-4  # the region is drawn this far outside of the object's surface: neither shows through the other
 NEAR_M = 0.5  # farther pairs of bodies are not called near
 COARSE_M = 0.002  # grid on which vertices of large robot meshes are joined
 COARSE_FACES = 4000  # larger meshes of the robot are coarsened
-LIFT_M = 4e-4  # the region is drawn this far outside of the object's surface
 
 
 @dataclass(frozen=True)
@@ -72,7 +84,7 @@ class Mark:
     body: str = "world"  # the body in whose frame the mark stands, and with which it moves
     geom: int = -1  # the model's geom that is a surface of this mark; -1: none
     points: Array | None = None  # (1, 3) or (2, 3) m in the body's frame
-    radius_m: float = 0.004
+    radius_m: float = LINE_M
     arrow: bool = False
     text: str = ""
 
@@ -104,6 +116,10 @@ class Witness:
     kind: str  # of pair, as `CollidingPair` names it, `unreachable`, `reach` or `affordance`
     distance_m: float  # negative: they overlap by that, or the target is that far away
     line: Array  # (2, 3) the nearest points, world, m
+    least_m: float | None = None  # the stored margin, where it is about these two bodies
+    estimated: bool = (
+        False  # the margin is to the hand as the planner sees it, the picture shows the true one
+    )
 
     @property
     def caption(self) -> str:
@@ -116,8 +132,12 @@ class Witness:
             return f"{_geom_name(self.geoms[0])} on the receiver's part"
         a, b = map(_geom_name, self.geoms)
         if (
-            self.distance_m < 0
-        ):  # by how much the margin says: a picture's posture may have another overlap
+            self.least_m is not None and self.least_m < 0
+        ):  # the margin is a lower bound of an overlap
+            deep_mm = -1e3 * self.least_m
+            met = f"overlap by {deep_mm:.1f} mm or more" if deep_mm >= LEAST else "touch"
+            return f"{a} and {b} {met}{' for the planner, which sees the hand with an error' * self.estimated}"
+        if self.distance_m < 0:
             return f"{a} and {b} overlap"
         return f"{a} and {b} are {1e3 * self.distance_m:.1f} mm apart"
 
@@ -132,14 +152,23 @@ class Drawing:
         self.stored = stored
         self.model = spec_of(stored).compile()
         self._data = mujoco.MjData(self.model)
-        region = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, REGION)
-        self.region = (
-            region,
-            _color(self.model.geom_rgba[region]),
-        )  # -1: S0; its colour unless it fails
+        region = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, REGION)  # -1: S0
+        self.reshaped: set[int] = (
+            set()
+        )  # meshes that `at` has changed: a renderer must load them anew
+        if region >= 0:
+            self._lift(int(self.model.geom_dataid[region]))
         for mark in self.marks:
             if mark.geom >= 0 and mark.group == "witness":  # MuJoCo draws marks by their group
                 self.model.geom_rgba[mark.geom], self.model.geom_group[mark.geom] = mark.rgba, MARK
+
+    def _lift(self, mesh: int) -> None:
+        """Grows a mesh by LIFT_M."""
+        model = self.model
+        v, f = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
+        vertices = model.mesh_vert[v : v + model.mesh_vertnum[mesh]]
+        faces = model.mesh_face[f : f + model.mesh_facenum[mesh]]
+        vertices += LIFT_M * trimesh.Trimesh(vertices, faces, process=False).vertex_normals
 
     def at(self, q: Array) -> mujoco.MjData:
         """The bodies with the arm at posture q (joints,) rad; the next call overwrites them."""
@@ -160,6 +189,19 @@ class Drawing:
             sample_s = float(stored.header["motion"]["sample_s"])
             return np.arange(len(stored.executed_q)) * np.float64(sample_s), stored.executed_q
         return trajectory(stored)
+
+    def groups(self, *, fails: bool) -> tuple[str, ...]:
+        """Marks of one moment of a motion: the receiver's part and the ball; where it fails what speaks against it,
+        without a ball that would cover it."""
+        if not fails:
+            return ("region", "ball")
+        reach = self.stored.row["outcome"] == "reach"
+        return ("region", "ball", "witness") if reach else ("region", "witness")
+
+    @property
+    def last(self) -> Array:
+        """The posture at rest; without a motion the one at the target."""
+        return self.motion()[1][-1]
 
     def moments(self, n: int) -> list[tuple[float, Array, bool]]:
         """`n` even times (s) from the start to rest, their postures (joints,), and whether the failure
@@ -192,9 +234,14 @@ class Drawing:
     def _met(self) -> tuple[float, Witness] | None:
         """Where a motion that collides is deepest in what it meets: its time, and the two bodies."""
         stored = self.stored
-        if not stored.moves or stored.row["outcome"] != "plan" or not stored.row.get("plan_pair"):
+        kind, part = (stored.row.get(k) for k in ("nearest_pair", "witness_plan_part"))
+        if not stored.moves or stored.row["outcome"] != "plan" or not kind:
             return None
-        pairs = [p for p in self._checked() if p[2] == stored.row["plan_pair"]]
+        pairs = [
+            (a, b, k)
+            for a, b, k in self._checked()
+            if k == kind and (not part or self._is_of(a, part) or self._is_of(b, part))
+        ]
         times, q = self.motion()
         some = np.linspace(0, len(q) - 1, min(len(q), MET_POSTURES)).round().astype(int)
         found = [
@@ -209,7 +256,7 @@ class Drawing:
         stored = self.stored
         if stored.row["outcome"] == "stability":
             return None
-        reason, pair = (stored.row.get(k) for k in ("plan_reason", "plan_pair"))
+        reason = stored.row.get("plan_reason")
         if stored.moves and stored.row["outcome"] == "affordance":
             # the part of the gripper that is nearest to the receiver's part, or deepest in its hull
             region = int(self.model.geom(REGION).id)
@@ -226,10 +273,28 @@ class Drawing:
             return Witness((), "unreachable", away, line)
         home = reason == "start_in_collision"
         q = np.array(stored.workplace.home_q) if home else stored.target_q
-        pairs = self._checked()
-        found = self._nearest(q, [p for p in pairs if p[2] == pair])
-        # the stored pair is the last branch's; in the drawn posture another one may overlap
-        return found if found and found.distance_m < 0 else self._nearest(q, pairs)
+        asked = None if stored.asked is None else stored.asked.nearest
+        found = None if asked is None else self._nearest(q, self._pairs_of(asked))
+        if found is None:
+            return self._nearest(q, self._checked())
+        sees = stored.header["configuration"]["plan"]["hand"] == "estimated"
+        estimated = sees and asked is not None and asked.kind in ("hand", "object_hand")
+        return replace(found, least_m=self._stored_m("plan"), estimated=estimated)
+
+    def _pairs_of(self, asked: Nearest) -> list[tuple[int, int, str]]:
+        """The checked pairs of geoms between two bodies that planning names."""
+        sides = ((asked.part, asked.other), (asked.other, asked.part))
+        return [
+            (g, h, kind)
+            for g, h, kind in self._checked()
+            if kind == asked.kind and any(self._is_of(g, a) and self._is_of(h, b) for a, b in sides)
+        ]
+
+    def _is_of(self, geom: int, body: str) -> bool:
+        """Whether a geom is a body that planning names: a part of the robot, `object`, `table`, a piece of hand or
+        person."""
+        owner, _, part = str(self.model.geom(geom).name).partition("/")
+        return body == owner if owner in ("object", "table") else body == part
 
     @cached_property
     def event(self) -> tuple[Array, Array, frozenset[str]]:
@@ -312,9 +377,6 @@ class Drawing:
             faces = model.mesh_face[f : f + model.mesh_facenum[k]]
             if name.startswith("robot_") and len(faces) > COARSE_FACES:
                 vertices, faces = _coarse_robot(vertices.tobytes(), faces.tobytes())
-            elif name == "object_region":
-                mesh = trimesh.Trimesh(vertices, faces, process=False)
-                vertices = mesh.vertices + LIFT_M * mesh.vertex_normals
         else:
             made = _primitive(kind, tuple(map(float, size)))
             vertices, faces = made.vertices, made.faces
@@ -352,7 +414,7 @@ class Drawing:
         fails, pads and width. Only one red mark has words: so no two labels overlap.
         """
         model, row, witness = self.model, self.stored.row, self.witness
-        data, found = self.at(self.stored.target_q), []
+        found: list[Mark] = []
 
         def surface(group: str, geom: str, rgba: Color | None = None) -> None:
             g = int(model.geom(geom).id)
@@ -362,15 +424,26 @@ class Drawing:
             name = model.geom(g).name
             if name.startswith("target/"):
                 surface("target", name)
-            elif name == REGION and (witness is None or name not in witness.geoms):
+            elif name == REGION:  # where fingers are on it, they are red and it keeps its colour
                 surface("region", name)
         green = _color(model.site("ball").rgba)[:3]
-        ball, palm = data.site("ball").xpos.copy(), data.site("palm")
-        radius = float(model.site("ball").size[0])
-        found.append(Mark("ball", (*green, 0.18), points=ball[None], radius_m=radius))
-        tip = palm.xpos + 0.08 * palm.xmat.reshape(3, 3)[:, 2]
-        line = np.stack([palm.xpos, tip])
-        found.append(Mark("palm", (*green, 1.0), points=line, radius_m=0.003, arrow=True))
+        ball, palm = (
+            model.site("ball"),
+            model.site("palm"),
+        )  # in the hand's frame: they move with it
+        found.append(
+            Mark(
+                "ball",
+                (*green, 0.18),
+                "hand",
+                points=ball.pos[None].copy(),
+                radius_m=float(ball.size[0]),
+            )
+        )
+        facing = np.zeros(9)
+        mujoco.mju_quat2Mat(facing, palm.quat)
+        line = np.stack([palm.pos, palm.pos + 0.08 * facing.reshape(3, 3)[:, 2]])
+        found.append(Mark("palm", (*green, 1.0), "hand", points=line, radius_m=0.003, arrow=True))
         pads = [f"gripper/{side}_pad" for side in ("left", "right")]
         fails = row["outcome"] == "stability"
         group, color = ("witness", RED) if fails else ("width", YELLOW)
@@ -386,11 +459,16 @@ class Drawing:
             found.append(Mark(group, color, body, points=line, radius_m=0.0015, text=text))
         if witness is not None:
             for name, point in zip(witness.geoms, witness.line, strict=False):
+                if name == REGION:
+                    continue
                 if name.startswith("table"):  # where it is met, not all of it
                     found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
                 else:
                     surface("witness", name, RED)
-            found.append(Mark("witness", RED, points=witness.line, text=witness.caption))
+            radius_m = WIDE_M if witness.kind == "unreachable" else LINE_M
+            found.append(
+                Mark("witness", RED, points=witness.line, radius_m=radius_m, text=witness.caption)
+            )
         elif row["outcome"] == "safe" and row.get("witness_point_m"):
             point = np.array(row["witness_point_m"], np.float64)[None]
             part = str(row.get("witness_safe_part"))
@@ -426,33 +504,98 @@ class Drawing:
             turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
             world = local @ turn.swapaxes(1, 2) + data.geom_xpos[geoms, None]
             points.append(world.reshape(-1, 3))
-        return np.concatenate(points)
+        return np.concatenate([*points, *([] if close else [self._upper_body()])])
+
+    def _upper_body(self) -> Array:
+        """Points (N, 3) of the receiver above the table's top, as the trial begins, world, m; none without a body."""
+        if self.stored.receiver is None:
+            return np.zeros((0, 3))
+        geoms = [int(self.model.geom(f"receiver/{name}_visual").id) for name in ("clothes", "skin")]
+        data, model, found = self.at(self.stored.target_q), self.model, []
+        for g in geoms:
+            v = int(model.mesh_vertadr[model.geom_dataid[g]])
+            vertices = model.mesh_vert[v : v + model.mesh_vertnum[model.geom_dataid[g]] : 7]
+            found.append(vertices @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g])
+        world = np.concatenate(found)
+        return world[world[:, 2] > 0.0]
 
     @cached_property
     def sides(self) -> Array:
-        """How well the trial is seen from each of `AZIMUTHS_DEG`.
+        """How well the trial is seen from each of `DIRECTIONS_DEG` (azimuth, elevation in degrees).
 
-        The camera never stands behind the receiver. Then the event must be seen, the camera stands on the
-        receiver's side, the torso hides neither hand nor object nor robot, and hand and gripper stand beside
-        each other.
+        The camera never stands behind the receiver. Then the event must be seen, then as much as possible of gripper and
+        object in the last second; the camera stands on the receiver's side, the torso hides neither hand nor object nor
+        robot, and hand and gripper stand beside each other.
         """
-        data = self.at(self.stored.target_q)
-        hand, target = data.geom("hand/mesh_visual").xpos.copy(), data.site("target").xpos.copy()
+        data = self.at(self.last)
+        hand, target = (
+            data.geom("hand/mesh_visual").xpos.copy(),
+            data.site("ee" if self.stored.moves else "target").xpos.copy(),
+        )
         apart = (hand - target)[:2]
         flat = apart / max(float(np.linalg.norm(apart)), 1e-6)
         angles = np.radians(AZIMUTHS_DEG)
         side = np.abs(np.cos(angles) * flat[1] - np.sin(angles) * flat[0])
         hidden = [self._hidden(np.stack([hand, target, ROBOT]), float(a)) for a in AZIMUTHS_DEG]
         behind = np.cos(angles) > 1e-9
-        seen = self._seen()
-        around = sum(np.roll(seen, k) for k in (-2, -1, 0, 1, 2)) / 5
         best = side - 0.35 * np.cos(angles - np.pi) ** 2 - np.array(hidden)
         facing = -flat if self.stored.receiver is None else self.stored.receiver[3:5, 3]
         towards = np.cos(angles) * facing[0] + np.sin(angles) * facing[1]
         best = np.where(
             towards > BACK, -np.inf, best
         )  # it looks where the receiver looks, from behind
-        return best + 16.0 * seen + around - 8.0 * behind
+        best = best - 8.0 * behind
+        found = []
+        for elevation in ELEVATIONS_DEG:
+            seen = self._seen(elevation)
+            around = sum(np.roll(seen, k) for k in (-2, -1, 0, 1, 2)) / 5
+            # what does not move is looked at from one height: what fails there is not in the hand
+            steep = (STEEP if self.stored.moves else np.inf) if elevation != ELEVATION_DEG else 0.0
+            clear = self._clear(elevation, np.isfinite(best) & ~behind)
+            found.append(best + 16.0 * seen + around + CLEAR_COUNTS * clear - steep)
+        return np.concatenate(found)
+
+    def _clear(self, elevation_deg: float, asked: NDArray[np.bool_]) -> Array:
+        """The share of gripper and object that is seen in the last second from each of `AZIMUTHS_DEG`, 0 where not `asked`: a
+        ray from there to a point of them meets nothing else before. 0 without a motion."""
+        found = np.zeros(len(AZIMUTHS_DEG))
+        if not self.stored.moves:
+            return found
+        times, q = self.motion()
+        postures = [q[np.abs(times - max(times[-1] - ago, 0.0)).argmin()] for ago in LAST_S]
+        model, shown = self.model, np.array([0, 0, 0, 0, 0, 0], np.uint8)
+        shown[VISUAL] = 1
+        geoms = self.visual_geoms(("gripper", "object"))
+        every = np.concatenate(
+            [np.stack([np.full(POINTS, g), np.arange(POINTS)], 1) for g in geoms]
+        )
+        geom, some = np.zeros(1, np.int32), self.corners(geoms)
+        for posture in postures:
+            data = self.at(posture)
+            turn = data.geom_xmat[every[:, 0]].reshape(-1, 3, 3)
+            points = np.einsum("nij,nj->ni", turn, some) + data.geom_xpos[every[:, 0]]
+            for k in np.flatnonzero(asked):
+                forward = _axes(float(AZIMUTHS_DEG[k]), elevation_deg)[2]
+                for point in points:
+                    start = point - FAR_M * forward
+                    far = mujoco.mj_ray(model, data, start, forward, shown, 1, -1, geom)
+                    free = far < 0 or far > FAR_M - SEEN_M
+                    found[k] += free or self.body_of(int(geom[0])) in ("gripper", "object")
+        return found / (len(some) * len(postures))
+
+    def corners(self, geoms: Sequence[int]) -> Array:
+        """`POINTS` points of each geom's surface (N, 3), in its frame, m."""
+        model, found = self.model, []
+        for g in geoms:
+            if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH:
+                k = int(model.geom_dataid[g])
+                v, n = int(model.mesh_vertadr[k]), int(model.mesh_vertnum[k])
+                found.append(model.mesh_vert[v + np.linspace(0, n - 1, POINTS).astype(int)])
+            else:
+                middle, half = model.geom_aabb[g, :3], model.geom_aabb[g, 3:]
+                ways = np.linspace(-1, 1, POINTS)[:, None] * half
+                found.append(middle + ways)
+        return np.concatenate(found)
 
     def before(self, view: View) -> frozenset[int]:
         """Geoms that stand between a camera and the point where the verdict is decided."""
@@ -477,7 +620,7 @@ class Drawing:
                 start, left = start + (far + 1e-4) * way, left - far - 1e-4
         return frozenset(found)
 
-    def _seen(self) -> Array:
+    def _seen(self, elevation_deg: float) -> Array:
         """1 for each of `AZIMUTHS_DEG` from which the event is seen, else 0: a ray from there meets
         nothing before it but what takes part."""
         q, point, bodies = self.event
@@ -485,7 +628,7 @@ class Drawing:
         shown[VISUAL] = 1
         found, geom = np.zeros(len(AZIMUTHS_DEG)), np.zeros(1, np.int32)
         for k, azimuth in enumerate(AZIMUTHS_DEG):
-            forward = _axes(float(azimuth), ELEVATION_DEG)[2]
+            forward = _axes(float(azimuth), elevation_deg)[2]
             far = mujoco.mj_ray(model, data, point - 2.0 * forward, forward, shown, 1, -1, geom)
             free = far < 0 or far > 2.0 - SEEN_M
             found[k] = free or self.body_of(int(geom[0])) in bodies
@@ -517,17 +660,25 @@ def view_of(
         close: see `Drawing.bounds`.
         apart_m: how far the trials stand from each other along y.
     """
-    points = np.concatenate([d.bounds(close) + [0, k * apart_m, 0] for k, d in enumerate(drawings)])
     best = np.sum([d.sides for d in drawings], 0)
     if apart_m and len(drawings) > 1:  # none stands before another
-        best = np.where(np.abs(AZIMUTHS_DEG - 180) <= 30, best, -np.inf)
-    azimuth = float(AZIMUTHS_DEG[best.argmax()])
-    axes, half = _axes(azimuth, ELEVATION_DEG), np.tan(np.radians(FOV_DEG / 2))
+        best = np.where(np.abs(DIRECTIONS_DEG[:, 0] - 180) <= 30, best, -np.inf)
+    azimuth, elevation = map(float, DIRECTIONS_DEG[best.argmax()])
+    return framed(drawings, aspect, azimuth, elevation, close=close, apart_m=apart_m)
+
+
+def framed(
+    drawings: Sequence[Drawing], aspect: float, azimuth_deg: float, elevation_deg: float, *, close: bool = False,
+    apart_m: float = 0.0,
+) -> View:  # fmt: skip
+    """The nearest camera of a direction that has all of these trials in the picture; arguments as of `view_of`."""
+    points = np.concatenate([d.bounds(close) + [0, k * apart_m, 0] for k, d in enumerate(drawings)])
+    axes, half = _axes(azimuth_deg, elevation_deg), np.tan(np.radians(FOV_DEG / 2))
     at = points @ axes.T
     middle = (at.min(0) + at.max(0)) / 2
     right, up, forward = (at - middle).T
     needed = np.maximum(np.abs(right) / (half * aspect), np.abs(up) / half) - forward
-    return View(middle @ axes, azimuth, ELEVATION_DEG, float(needed.max()))
+    return View(middle @ axes, azimuth_deg, elevation_deg, float(needed.max()))
 
 
 def _axes(azimuth_deg: float, elevation_deg: float) -> Array:
@@ -577,11 +728,6 @@ def _color(rgba: Sequence[float]) -> Color:
     return r, g, b, a
 
 
-def body_name(part: str) -> str:
-    """A part of the robot in words, without the number of its collision body: wrist_3_0: wrist 3."""
-    return re.sub(r"_\d+$", "", part).replace("_", " ")
-
-
 def _geom_name(geom: str) -> str:
     """robot/wrist_3_0: wrist 3; hand/index2: hand index 2; object/hull: object."""
     owner, _, part = geom.partition("/")
@@ -589,4 +735,6 @@ def _geom_name(geom: str) -> str:
         return owner
     if owner == "robot":
         return body_name(part)
+    if owner == "gripper":
+        return f"gripper {body_name(part)}"
     return f"{owner} {re.sub(r'(?<=[a-z])(?=[0-9])', ' ', part).replace('_', ' ')}"

@@ -60,7 +60,7 @@ from r2h_batch.scene.robot import (
 from r2h_batch.scene.robot_visuals import part_origin
 from r2h_batch.scene.tables import Hands
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SEXES
-from r2h_batch.view.skin import CLOTHED, skin_of
+from r2h_batch.view.skin import CLOTHED, chair_of, skin_of
 from r2h_batch.view.stored import StoredTrial
 
 Array = NDArray[np.float64]
@@ -214,7 +214,7 @@ def describe(stored: StoredTrial) -> dict[str, Any]:
             "T_world_obj_at_goal": T_world_obj.tolist(),
         },
         "q_target": stored.target_q.tolist(),
-        "target_clearance_m": _finite(stored.asked_clearance_m),
+        "target_clearance_m": _finite(None if stored.asked is None else stored.asked.clearance_m),
         "note": stored.note,
         "waypoints": stored.q.tolist() if stored.moves else [],
         "waypoint_time_s": stored.time_s.tolist() if stored.moves else [],
@@ -429,14 +429,14 @@ def _add_target(spec: mujoco.MjSpec, robot: Robot, stored: StoredTrial) -> None:
 
 def _add_ball(spec: mujoco.MjSpec, hands: Hands, stored: StoredTrial, limits: Thresholds) -> None:
     """The palm's frame (its z is the normal) and the ball in front of it."""
-    k, T = stored.row["hand_index"], stored.T_world_hand
+    k = stored.row["hand_index"]
     point, normal = (x[k].double().numpy() for x in (hands.palm_point, hands.palm_normal))
     facing = np.asarray(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], normal), np.float64)
     facing[:3, 3] = point
     _add_frame(spec.body("hand"), "palm", facing)
-    center = T[:3, :3] @ (point + limits.reach_offset_m * normal) + T[:3, 3]
-    spec.worldbody.add_site(
-        name="ball", type=_SPHERE, pos=center, size=[limits.reach_radius_m, 0, 0], group=MARK,
+    # it moves with the hand
+    spec.body("hand").add_site(
+        name="ball", type=_SPHERE, pos=point + limits.reach_offset_m * normal, size=[limits.reach_radius_m, 0, 0], group=MARK,
         rgba=MARK_COLORS["ball"],
     )  # fmt: skip
 
@@ -464,13 +464,17 @@ def _add_receiver(
     k, sex = stored.row["hand_index"], stored.row.get("sex")
     palm = stored.T_world_hand[:3, :3] @ hands.palm_normal[k].double().numpy()
     left = bool(hands.set.side[k])
-    skin = skin_of(receiver, left=left, palm=palm, sex=SEXES.index(sex) if sex in SEXES else None)
-    for part, (vertices, faces) in skin.items():
-        name, look = f"receiver/{part}_visual", "receiver" if part in CLOTHED else "hand"
-        alpha = SEEN_THROUGH if part in CLOTHED else 1.0
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
-        mesh.remove_unreferenced_vertices()
-        _add_surface(spec, body, name, f"receiver_{part}", mesh, look, alpha=alpha)
+    who = SEXES.index(sex) if sex in SEXES else None
+    for name, mesh in receiver_meshes(receiver, left=left, palm=palm, sex=who).items():
+        look, alpha = ("receiver", SEEN_THROUGH) if name == "clothes" else ("hand", 1.0)
+        _add_surface(
+            spec, body, f"receiver/{name}_visual", f"receiver_{name}", mesh, look, alpha=alpha
+        )
+    for i, (middle, half, turn) in enumerate(chair_of(receiver, left=left, sex=who)):
+        body.add_geom(
+            name=f"receiver/chair_{i}_visual", type=_BOX, pos=middle, quat=quat_wxyz(turn), size=half, group=VISUAL,
+            rgba=[*COLORS["table"], 1.0], **_SEEN,
+        )  # fmt: skip
     if not collides:
         return
     shoulder, elbow, wrist = receiver[:3, :3]
@@ -483,6 +487,21 @@ def _add_receiver(
         body.add_geom(name=f"receiver/{limb}", type=_CAPSULE, fromto=[*a, *b], size=size, **how)
     quat = quat_wxyz(turn)
     body.add_geom(name="receiver/torso", type=_BOX, pos=middle, quat=quat, size=half, **how)
+
+
+def receiver_meshes(
+    receiver: Array, *, left: bool, palm: Array, sex: int | None
+) -> dict[str, trimesh.Trimesh]:
+    """The receiver's skin as two surfaces in the world: `clothes` (one piece from shoulder to feet) and `skin`; arguments
+    as of `skin_of`."""
+    parts = skin_of(receiver, left=left, palm=palm, sex=sex)
+    found = {}
+    for name, clothed in (("clothes", True), ("skin", False)):
+        own = [part for part in parts if (part in CLOTHED) == clothed]
+        vertices, faces = parts[own[0]][0], np.concatenate([parts[part][1] for part in own])
+        found[name] = trimesh.Trimesh(vertices, faces, process=False)
+        found[name].remove_unreferenced_vertices()
+    return found
 
 
 def _add_gripper_visuals(

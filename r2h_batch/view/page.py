@@ -31,7 +31,6 @@ APART_M = 1.6  # between two trials side by side, along y
 ASPECT = 1.2  # of the part of a window that the panel leaves free
 CLEAR = 0.35  # opacity of bodies that stand before what a failure is seen by
 FIRST_M = 1.1  # least distance of the first camera from what a failure is seen by
-PANEL = 0.12  # of the picture's width: how far the trial is moved to the left of its middle
 THIN_M = 0.004  # least radius of a red line
 ABOVE_M = 0.07  # words stand so far above what they name, and do not cover it
 SMOOTH_FACES = 20_000  # smaller meshes are drawn with flat faces
@@ -84,9 +83,13 @@ class Drawn:
         *rgb, alpha = made.rgba if rgba is None else rgba
         return self.scene.add_mesh_simple(
             path, made.vertices, made.faces, color=_rgb(rgb), cast_shadow=alpha >= 1,
-            flat_shading=len(made.faces) < SMOOTH_FACES, opacity=None if alpha >= 1 else alpha,
+            flat_shading=self._flat(geom, len(made.faces)), opacity=None if alpha >= 1 else alpha,
             **how,
         )  # fmt: skip
+
+    def _flat(self, geom: int, faces: int) -> bool:
+        """Whether a surface has edges: all but people, hands and large meshes."""
+        return faces < SMOOTH_FACES and self.drawing.body_of(geom) not in ("hand", "receiver")
 
     def _add_mark(self, path: str, mark: Mark) -> None:
         scene, handles, color = self.scene, self.marks[mark.group], _rgb(mark.rgba)
@@ -118,17 +121,14 @@ def moved(view: View, y_m: float) -> View:
 
 
 def aim(server: Any, drawings: Sequence[Drawing]) -> View:
-    """Puts the viewer's first camera where it sees all of the trials beside the panel; one that fails from near, where
+    """Puts the viewer's first camera where it sees all of the trials; one that fails from near, where
     it fails."""
     near = len(drawings) == 1 and drawings[0].stored.row["outcome"] != "success"
     view: View = view_of(drawings, ASPECT, close=near, apart_m=APART_M)
     view = replace(view, distance_m=max(view.distance_m, FIRST_M))
-    right, _, forward = view.axes
-    half_width_m = view.distance_m * np.tan(np.radians(FOV_DEG / 2)) * ASPECT
-    at = view.look_at + 2 * PANEL * half_width_m * right
     camera = server.initial_camera
-    camera.fov, camera.look_at = np.radians(FOV_DEG), at
-    camera.position = at - view.distance_m * forward
+    camera.fov, camera.look_at = np.radians(FOV_DEG), view.look_at
+    camera.position = view.look_at - view.distance_m * view.axes[2]
     return view
 
 

@@ -2,51 +2,58 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.report.figures import style
 from r2h_batch.scene.model_parts import SHADOW_PIXELS
 from r2h_batch.scene.offscreen import RenderError, renderer
-from r2h_batch.view.captions import headline, legend, title
+from r2h_batch.view.captions import legend, title, verdict_of
 from r2h_batch.view.drawing import FOV_DEG, RED, Drawing, Mark, View, view_of
 from r2h_batch.view.mjcf import MARK
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-SEEN = ("target", "region", "witness")
-"""Marks of a trial without a motion."""
+STILL = "no motion: the camera turns around the posture"
+AWAY = ("ik_unreachable", "ik_not_found", "start_in_collision", "no_path_in_budget")
+"""Reasons of Plan with which the drawn arm is not at the target, or nothing is met there."""
 RING = 0.06
 """Radius of the ring about what a failure is seen by, as a share of the picture's height."""
 CLEAR = 0.3
 """Opacity of bodies that stand before what a failure is seen by."""
-STILL_S = 3.0  # a film of a trial without a motion: half from far, half from near
-REST_S = 0.7  # a film goes on after the motion
+STILL_S = 7.0  # a film of a trial without a motion: the camera comes near, then turns around it
+COMING, SWING_DEG = (
+    0.25,
+    55.0,
+)  # share of that time in which it comes; how far it turns to each side
+REST_S = 1.5  # a film goes on after the motion, with the verdict
+LEAST_CAPTIONED, LEAST_LETTERS = (
+    160,
+    11,
+)  # least height of a film with words, and of their letters, pixels
 LETTERS = 34
 """Letters above an image of a strip."""
 PASSES, FAILS = "#1b6e3c", "#a3262a"
 
 
-def seen_at(drawing: Drawing, *, fails: bool) -> tuple[str, ...]:
-    """Marks of one moment of a motion: in S1 region and ball, where it fails what speaks against it, without a ball
-    that would cover it."""
-    row = drawing.stored.row
-    groups = ("region", "ball") if row["split"] == "S1" else ()
-    if not fails:
-        return groups
-    return ("region", "ball", "witness") if row["outcome"] == "reach" else ("region", "witness")
+def still_groups(drawing: Drawing) -> tuple[str, ...]:
+    """Marks of a trial without a motion: the target where the arm is not at it, and what is wrong."""
+    away = drawing.stored.row.get("plan_reason") in AWAY
+    return ("target", "region", "witness") if away else ("region", "witness")
 
 
 @contextmanager
 def painter(drawing: Drawing, size: tuple[int, int], view: View) -> Iterator[Callable[..., Image]]:
-    """Gives `paint(q, *groups)`: an image (height, width, 3) of the trial at posture q (joints,), with
-    the marks of these groups of `MARKS`.
+    """Gives `paint(q, *groups, view=None)`: an image (height, width, 3) of the trial at posture q (joints,), with
+    the marks of these groups of `MARKS`, from a camera of its own or from that of all.
 
     Args:
         drawing: the trial.
@@ -59,15 +66,16 @@ def painter(drawing: Drawing, size: tuple[int, int], view: View) -> Iterator[Cal
     model, (width, height) = drawing.model, size
     option, camera = mujoco.MjvOption(), mujoco.MjvCamera()
     option.sitegroup[:] = 0
-    camera.lookat[:], camera.distance = view.look_at, view.distance_m
-    camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
     # memory and time of every image follow these sizes
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     model.vis.quality.shadowsize = min(SHADOW_PIXELS, 4 * max(width, height))
-    solid = model.geom_rgba.copy()
+    solid, whole = model.geom_rgba.copy(), view
     with renderer(model, width, height) as drawer:
 
-        def paint(q: Array, *groups: str) -> Image:
+        def paint(q: Array, *groups: str, view: View | None = None) -> Image:
+            view = whole if view is None else view
+            camera.lookat[:], camera.distance = view.look_at, view.distance_m
+            camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
             model.geom_rgba[:] = solid
             for geom in drawing.before(view) if "witness" in groups else ():
                 color, material = solid[geom], int(model.geom_matid[geom])
@@ -78,14 +86,14 @@ def painter(drawing: Drawing, size: tuple[int, int], view: View) -> Iterator[Cal
             for mark in drawing.marks:
                 if mark.geom >= 0 and model.geom_group[mark.geom] == MARK:
                     model.geom_rgba[mark.geom, 3] = mark.rgba[3] if mark.group in groups else 0.0
-                    if mark.geom == drawing.region[0] and mark.group not in groups:
-                        model.geom_rgba[mark.geom] = drawing.region[
-                            1
-                        ]  # what fails later, as before
-            drawer.update_scene(drawing.at(q), camera, option)
+            data = drawing.at(q)
+            for mesh in drawing.reshaped:
+                drawer.load(mesh)
+            drawing.reshaped.clear()
+            drawer.update_scene(data, camera, option)
             for mark in drawing.marks:
-                if mark.group in groups and mark.body == "world":
-                    _add_mark(drawer.scene, mark)
+                if mark.group in groups:
+                    _add_mark(drawer.scene, mark, data)
             image = np.array(drawer.render())
             return ringed(image, drawing.event[1], view) if "witness" in groups else image
 
@@ -107,11 +115,12 @@ def ringed(image: Image, point: Array, view: View) -> Image:
     return image
 
 
-def _add_mark(scene: mujoco.MjvScene, mark: Mark) -> None:
-    """A ball at the one point, or a tube between the two points of a mark in the world."""
-    points = mark.points
-    if points is None or scene.ngeom >= scene.maxgeom:
+def _add_mark(scene: mujoco.MjvScene, mark: Mark, data: mujoco.MjData) -> None:
+    """A ball at the one point, or a tube between the two points of a mark, where its body is."""
+    if mark.points is None or scene.ngeom >= scene.maxgeom:
         return
+    body = data.body(mark.body)
+    points = mark.points @ body.xmat.reshape(3, 3).T + body.xpos
     geom, rgba = scene.geoms[scene.ngeom], np.array(mark.rgba, np.float32)
     ball, tube = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
     size, turn = np.full(3, mark.radius_m), np.eye(3).ravel()
@@ -134,21 +143,22 @@ def images(
         if drawing.stored.moves:
             moments = drawing.moments(n)
             return [
-                (paint(q, *seen_at(drawing, fails=fails)), f"{t:.1f} s") for t, q, fails in moments
+                (paint(q, *drawing.groups(fails=fails)), f"{t:.1f} s") for t, q, fails in moments
             ]
         home, target_q = np.array(drawing.stored.workplace.home_q), drawing.stored.target_q
         at_home = drawing.stored.row.get("plan_reason") == "start_in_collision"
-        groups = SEEN if at_home else SEEN[:2]
-        found = [(paint(home, *groups), "home"), (paint(target_q, *SEEN), "target")]
+        groups = still_groups(drawing)
+        seen = groups if at_home else ("target", "region")
+        found = [(paint(home, *seen), "home"), (paint(target_q, *groups), "target")]
     with painter(drawing, size, view_of([drawing], aspect, close=True)) as paint:
-        return [*found, (paint(target_q, *SEEN), "target, near")][:n]
+        return [*found, (paint(target_q, *groups), "target, near")][:n]
 
 
 def image_at_end(drawing: Drawing, size: tuple[int, int], *, close: bool = False) -> Image:
     """Where the motion ends, or the robot meets the hand; without a motion the target. Of a failure
     with the marks that say why."""
     _, q, fails = max(drawing.moments(2), key=lambda moment: moment[2:] + moment[:1])
-    groups = seen_at(drawing, fails=fails) if drawing.stored.moves else SEEN
+    groups = drawing.groups(fails=fails) if drawing.stored.moves else still_groups(drawing)
     with painter(drawing, size, view_of([drawing], size[0] / size[1], close=close)) as paint:
         return paint(q, *groups)
 
@@ -177,18 +187,20 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
             for d in drawings
             if d not in still
             for *_, f in d.moments(n)
-            for g in seen_at(d, fails=f)
+            for g in d.groups(fails=f)
         }
         patches = [
             Patch(color=c, label=words)
-            for c, words in legend(drawings, groups | set(SEEN if still else ()))
+            for c, words in legend(
+                drawings, groups | ({"target", "region", "witness"} if still else set())
+            )
         ]
         if patches:
             foot.legend(handles=patches, loc="center", ncols=4, frameon=False, fontsize=7)
         heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
         for part, drawing in zip(rows, drawings, strict=True):
             stored = drawing.stored
-            verdict = (headline(stored.row), stored.row["outcome"] == "success")
+            verdict = (verdict_of(stored), stored.row["outcome"] == "success")
             words, good = drawing.ended or verdict
             color = PASSES if good else FAILS
             method = stored.method
@@ -209,41 +221,131 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
 
 
 def write_film(drawings: Sequence[Drawing], out: Path, *, size: tuple[int, int], fps: int) -> None:
-    """A film of the trials beside each other; each rests on its last image until all have ended.
+    """A film of the trials beside each other, each with its method, the time and, once it is decided, the verdict; each
+    rests on its last image until all have ended. Around a trial without a motion the camera turns.
 
     Raises:
         RenderError: nothing draws here, or imageio or its ffmpeg is missing.
     """
-    view = view_of(drawings, size[0] / size[1])
+    view = view_of(drawings, Caption.of(size, 3).aspect)
     films = [_film(d, size, fps, view) for d in drawings]
-    with film_writer(out, fps) as write:
+    total = max(len(_times(d, fps)) for d in drawings)
+    with film_writer(out, fps) as write, progress(f"film {out.name}", total, "pictures") as told:
         last = [next(f) for f in films]
         ended = [False] * len(films)
         while not all(ended):
             write(np.concatenate(last, axis=1))
+            told(1)
             for k, film in enumerate(films):
                 image = next(film, None)
                 ended[k] = image is None
                 last[k] = last[k] if image is None else image
 
 
+def _times(drawing: Drawing, fps: int) -> Array:
+    """When the images of a film are, s."""
+    end = drawing.motion()[0][-1] + REST_S if drawing.stored.moves else STILL_S
+    return np.arange(0.0, end, 1.0 / fps)
+
+
 def _film(drawing: Drawing, size: tuple[int, int], fps: int, view: View) -> Iterator[Image]:
-    """The images of one trial: its motion and a short rest, or the target from far and near."""
-    if drawing.stored.moves:
-        times, q = drawing.motion()
-        with painter(drawing, size, view) as paint:
-            fails_s = drawing.fails_at_s
-            at = np.arange(0.0, times[-1] + REST_S, 1.0 / fps)
-            if fails_s is not None:  # the one before it becomes that moment
-                at[np.searchsorted(at, fails_s, side="right") - 1] = fails_s
-            for t in at:
-                fails = fails_s is not None and t >= fails_s
-                yield paint(q[np.abs(times - t).argmin()], *seen_at(drawing, fails=fails))
+    """The images of one trial: its motion and a rest, or its posture at the target from around."""
+    verdict = drawing.ended[0] if drawing.ended else verdict_of(drawing.stored)
+    at, head = _times(drawing, fps), f"{title(drawing)}, {drawing.stored.method}"
+    if not drawing.stored.moves:
+        witness, q = drawing.witness, drawing.event[0]
+        words = [verdict, STILL] if witness is None else [verdict, witness.caption, STILL]
+        letters = Caption.of(size, 1 + len(words))
+        with painter(drawing, letters.inner, view) as paint:
+            for eye in _around(drawing, letters.aspect, view, at / STILL_S):
+                yield letters.around(paint(q, *still_groups(drawing), view=eye), head, words)
         return
-    for camera in (view, view_of([drawing], size[0] / size[1], close=True)):
-        with painter(drawing, size, camera) as paint:
-            image = paint(drawing.stored.target_q, *SEEN)
-        yield from [image] * max(1, round(STILL_S * fps / 2))
+    times, motion = drawing.motion()
+    fails_s, letters = drawing.fails_at_s, Caption.of(size, 3)
+    decided_s = fails_s if fails_s is not None else float(times[-1])
+    if fails_s is not None:  # the one before it becomes that moment
+        at[np.searchsorted(at, fails_s, side="right") - 1] = fails_s
+    with painter(drawing, letters.inner, view) as paint:
+        for t in at:
+            fails = fails_s is not None and t >= fails_s
+            words = [f"{min(t, times[-1]):.1f} s", verdict if t >= decided_s else ""]
+            image = paint(motion[np.abs(times - t).argmin()], *drawing.groups(fails=fails))
+            yield letters.around(image, head, words)
+
+
+def _around(drawing: Drawing, aspect: float, far: View, share: Array) -> Iterator[View]:
+    """Cameras of a film without a motion: from far to near, then to one side and to the other."""
+    near = view_of([drawing], aspect, close=True)
+    turn = (near.azimuth_deg - far.azimuth_deg + 180) % 360 - 180
+    for s in share:
+        x = min(s / COMING, 1.0)
+        x = x * x * (3 - 2 * x)
+        swing = SWING_DEG * np.sin(2 * np.pi * max(s - COMING, 0.0) / (1 - COMING))
+        yield View(
+            far.look_at + x * (near.look_at - far.look_at),
+            far.azimuth_deg + x * turn + swing,
+            far.elevation_deg + x * (near.elevation_deg - far.elevation_deg),
+            far.distance_m + x * (near.distance_m - far.distance_m),
+        )
+
+
+@dataclass(frozen=True)
+class Caption:
+    """Room for lines above and below the images of a film."""
+
+    size: tuple[int, int]
+    lines: int  # one of them above
+    letters: int  # pixels; 0: the film is too small to read any
+
+    @classmethod
+    def of(cls, size: tuple[int, int], lines: int) -> Self:
+        """For a film of this width and height."""
+        height = size[1]
+        return cls(
+            size, lines, max(LEAST_LETTERS, height // 34) if height >= LEAST_CAPTIONED else 0
+        )
+
+    @property
+    def row(self) -> int:
+        """Height of a line, pixels."""
+        return round(1.4 * self.letters)
+
+    @property
+    def inner(self) -> tuple[int, int]:
+        """Width and height that are left for the image."""
+        return self.size[0], self.size[1] - self.lines * self.row
+
+    @property
+    def aspect(self) -> float:
+        """Its width divided by its height."""
+        return self.inner[0] / self.inner[1]
+
+    def around(self, image: Image, head: str, words: Sequence[str]) -> Image:
+        """The image with `head` above it and `words` below."""
+        if not self.letters:
+            return image
+        from PIL import Image as Picture
+        from PIL import ImageDraw, ImageFont
+
+        picture = Picture.new("RGB", self.size, "white")
+        picture.paste(Picture.fromarray(image), (0, self.row))
+        draw, font = ImageDraw.Draw(picture), ImageFont.load_default(self.letters)
+        below = self.row + image.shape[0]
+        for line, top in ((head, 0), *((w, below + k * self.row) for k, w in enumerate(words))):
+            place = self.letters // 2, top + self.letters // 6
+            draw.text(
+                place, _fitting(line, font, self.size[0] - self.letters), font=font, fill="#191919"
+            )
+        return np.asarray(picture)
+
+
+def _fitting(line: str, font: Any, room: float) -> str:
+    """The line, shortened where it is wider than the room."""
+    if font.getlength(line) <= room:
+        return line
+    while line and font.getlength(f"{line} ...") > room:
+        line = line[:-1]
+    return f"{line} ..."
 
 
 @contextmanager

@@ -57,6 +57,12 @@ READ = 6
 HANGING, HANGING_FORE = (0.06, 0.16, -1.0), (0.30, 0.04, -0.95)
 RESTING, RESTING_FORE = (0.12, 0.12, -0.98), (0.86, -0.12, -0.42)
 """The other arm of who stands or sits: ahead, outwards, up [choice]."""
+CHAIR_DEEP_M, CHAIR_BACK_M, CHAIR_WIDER_M = 0.44, 0.24, 0.05
+CHAIR_THICK_M, CHAIR_LEG_M = 0.018, 0.018
+"""The chair of who sits: depth of its seat, half the height of its back, how much wider than the box on each side, half the
+thickness of seat and back, half that of its legs [choice]."""
+SMOOTHED = 40
+"""Steps of smoothing of the borders between clothes and skin, each a mean over a vertex's neighbours."""
 MOST_TWIST = 2.6
 """Largest twist of the forearm, rad: a hand of another make may point anywhere."""
 
@@ -88,19 +94,96 @@ class Skins:
 
 @lru_cache(maxsize=1)
 def skins() -> Skins:
-    """The built-in people's."""
+    """The built-in people's, with smooth borders between clothes and skin."""
     a = read_arrays(asset("people", "skin.npz"))
-    weights = a["weights"].astype(np.float64)
+    weights, n = a["weights"].astype(np.float64), len(JOINTS)
+    weights /= weights.sum(1, keepdims=True)
+    cut = smooth_borders(a["faces"].astype(np.int64), a["geom"], len(weights))
+    points = a["points"].astype(np.float64)
+    basis = a["basis"] * a["scale"].astype(np.float64)[:, None, None]
+
+    def extended(rows: Array) -> Array:
+        """The vertices' rows with those of the borders."""
+        return np.concatenate([rows, cut.mixed(rows)])
+
     return Skins(
-        a["points"].astype(np.float64),
-        a["basis"] * a["scale"].astype(np.float64)[:, None, None],
+        np.concatenate([extended(points[:-n]), points[-n:]]),
+        np.stack([np.concatenate([extended(b[:-n]), b[-n:]]) for b in basis]),
         a["person"].astype(np.float64),
         a["sizes"].astype(np.float64),
         a["sex"],
-        weights / weights.sum(1, keepdims=True),
-        a["faces"].astype(np.int64),
-        a["geom"],
+        extended(weights),
+        cut.faces,
+        cut.geom,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Faces that are cut along smooth borders: B vertices more, each on an edge."""
+
+    edges: NDArray[np.int64]  # (B, 2)
+    share: Array  # (B,) of the edge's second end
+    faces: NDArray[np.int64]  # (F, 3)
+    geom: NDArray[np.int8]  # (F,) index into `GEOMS`
+
+    def mixed(self, rows: Array) -> Array:
+        """Rows of the new vertices, from rows (V, k) of the old ones."""
+        a, b = (rows[self.edges[:, k]] for k in (0, 1))
+        return np.asarray(a + self.share[:, None] * (b - a))
+
+
+def smooth_borders(faces: NDArray[np.int64], geom: NDArray[np.int8], n: int) -> Cut:
+    """The surface cut where the smoothed share of clothes is one half, and not along the edges of its faces.
+
+    Args:
+        faces: (F, 3) of n vertices.
+        geom: (F,) index into `GEOMS`.
+        n: vertices.
+    """
+    clothed = np.isin(geom, [GEOMS.index(name) for name in CLOTHED])
+    corners = faces.ravel()
+    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    share = np.bincount(corners, np.repeat(clothed, 3), n) / np.bincount(corners, minlength=n).clip(
+        1
+    )
+    near = np.bincount(ends.ravel(), minlength=n).clip(1)
+    for _ in range(SMOOTHED):
+        both = np.concatenate([share[ends[:, 1]], share[ends[:, 0]]])
+        share = (
+            0.5 * share
+            + 0.5 * np.bincount(np.concatenate([ends[:, 0], ends[:, 1]]), both, n) / near
+        )
+    above = share - 0.5
+    above[above == 0] = 1e-9
+    inside = above > 0
+    new: dict[tuple[int, int], int] = {}
+
+    def between(a: int, b: int) -> int:
+        return new.setdefault((min(a, b), max(a, b)), n + len(new))
+
+    made, labels = [], []
+    skin_of_cloth = {GEOMS.index("torso"): "head", GEOMS.index("upper_arm"): "forearm"}
+    cloth_of_skin = {GEOMS.index("head"): "torso", GEOMS.index("forearm"): "upper_arm"}
+
+    def label(old: int, cloth: bool) -> int:
+        other = (cloth_of_skin if cloth else skin_of_cloth).get(old)
+        return old if other is None else GEOMS.index(other)
+
+    for face, old in zip(faces.tolist(), geom.tolist(), strict=True):
+        own = inside[face]
+        if own.all() or not own.any():
+            made.append(face)
+            labels.append(label(old, bool(own[0])))
+            continue
+        k = int(np.flatnonzero(own == (own.sum() == 1))[0])  # the corner that is alone
+        a, b, c = face[k], face[(k + 1) % 3], face[(k + 2) % 3]
+        p, q = between(a, b), between(a, c)
+        made += [[a, p, q], [p, b, c], [p, c, q]]
+        labels += [label(old, bool(inside[a])), *[label(old, bool(inside[b]))] * 2]
+    edges = np.array(sorted(new, key=lambda edge: new[edge]), np.int64).reshape(-1, 2)
+    a, b = above[edges[:, 0]], above[edges[:, 1]]
+    return Cut(edges, a / (a - b), np.array(made, np.int64), np.array(labels, np.int8))
 
 
 @dataclass(frozen=True)
@@ -153,11 +236,45 @@ def skin_of(
     return {name: (world, faces[every.geom == k]) for k, name in enumerate(GEOMS)}
 
 
+def sits(at: Placed, own: dict[str, float]) -> bool:
+    """Whether the box's underside is nearer to the height of a seat than to that of the hips of who stands."""
+    return abs(at.hips - own["popliteal_height"]) < abs(at.hips - own["iliac_height"])
+
+
+def chair_of(
+    receiver: Array, *, left: bool, sex: int | None = None
+) -> list[tuple[Array, Array, Array]]:
+    """The chair of who sits, as boxes: middle (3,), half sides (3,) and rotation (3, 3), world, m; none of who stands.
+
+    Args:
+        receiver: (5, 4) as in `Trials.receiver`.
+        left: whether the left arm reaches.
+        sex: 0 male, 1 female; None: that of the nearest person.
+    """
+    every, at = skins(), Placed.of(np.asarray(receiver, np.float64), left)
+    who = every.nearest(at.sizes, sex)
+    if not sits(at, dict(zip(SIZES, every.sizes[who], strict=True))):
+        return []
+    deep, wide = at.sizes[4], at.sizes[5] + CHAIR_WIDER_M
+    seat, half, leg = at.hips - CHAIR_THICK_M, CHAIR_THICK_M, CHAIR_LEG_M
+    back, front = -deep - 2 * half, CHAIR_DEEP_M - deep
+    middle = 0.5 * (back + front)
+    boxes = [((middle, 0.0, seat), (0.5 * (front - back), wide, half))]
+    boxes.append(((back, 0.0, seat + CHAIR_BACK_M), (half, wide, CHAIR_BACK_M)))
+    boxes += [
+        ((x, y, 0.5 * seat), (leg, leg, 0.5 * seat))
+        for x in (back + leg, front - leg)
+        for y in (leg - wide, wide - leg)
+    ]
+    turn = at.axes if np.linalg.det(at.axes) > 0 else at.axes * [1.0, -1.0, 1.0]
+    return [(at.origin + at.axes @ np.array(p), np.array(h), turn) for p, h in boxes]
+
+
 def _moved(
     rest: Array, joints: dict[str, Array], own: dict[str, float], at: Placed, palm: Array | None
 ) -> dict[str, Array]:
     """Bone -> all vertices (V, 3) as it moves them."""
-    seated = abs(at.hips - own["popliteal_height"]) < abs(at.hips - own["iliac_height"])
+    seated = sits(at, own)
     # the height that stays: the floor, or the seat
     before = own["acromial_height"] - own["seated_shoulder"] if seated else 0.0
     now = at.hips if seated else 0.0

@@ -34,6 +34,7 @@ from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, REGISTRY, UNITS
+from r2h_batch.view.postures import Postures, postures_at
 
 Array = NDArray[np.float64]
 
@@ -65,15 +66,14 @@ class StoredTrial:
     robot: Robot = field(default_factory=load_robot)
     workplace: Workplace = field(default_factory=Workplace)
     receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
-    asked_q: Array | None = None  # (joints,) rad at the target, or the nearest to it; None: q[-1]
-    asked_clearance_m: float | None = None  # of that posture, where there is no path
+    asked: Postures | None = None  # what planning met at the target, where there is no path
     planned_q: Array | None = None  # (P, joints) rad where q was executed; None: q is the plan
     note: str = ""  # where what was computed again is not what is stored
 
     @property
     def target_q(self) -> Array:
         """The posture (joints,) at the target, or the one that comes nearest to it."""
-        return self.q[-1] if self.asked_q is None else self.asked_q
+        return self.q[-1] if self.asked is None else self.asked.q
 
     @property
     def given(self) -> bool:
@@ -253,19 +253,14 @@ def judged_again(
     names, path = TrialNames.of(evaluator.scene), path_rows(scores).to_pylist()
     again = score_rows(trial, scores, names).to_pylist()[0]
     again |= detail_rows(trial, scores, names).to_pylist()[0]
-    plan = CRITERIA.index("plan")
-    if path:
-        q, clearance_m = np.array(path[0]["q"][-1], np.float64), float(scores.margin[0, plan])
-    else:
-        posed = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, stages="pose")
-        q, clearance_m = posed.q_goal[0].double().cpu().numpy(), float(posed.margin[0, plan])
+    asked = None if path else postures_at(evaluator, trial, answer)
     scene = evaluator.scene
     stored = _stored(
         header, method, again | (row or {}), path[0] if path else None, trial, answer,
         scene.objects, scene.hands.set, scene.robot, evaluator.config.workplace,
     )  # fmt: skip
     note = "" if row is None else difference(row, again)
-    return replace(stored, asked_q=q, asked_clearance_m=clearance_m, note=note)
+    return replace(stored, asked=asked, note=note)
 
 
 def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:

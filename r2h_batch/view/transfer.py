@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.progress import progress
 from r2h_batch.closed_loop.transfer.cases import Case, Simulator
 from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
 from r2h_batch.closed_loop.transfer.model import TICK_S, Places, Setting, place, transfer_spec
@@ -90,6 +92,9 @@ def write_transfer_film(
     """
     name = reader.method(method)
     reader.trial(trial, name)
+    LOG.info(
+        f"film {out.name}: trial {trial} of {name} is judged and its transfer simulated, some minutes"
+    )
     run = reader.run.only([name])
     judge, _ = judge_of_bodies(run, benchmark, "cpu")
     trial_id, scores, _ = judged_one(run, name, judge, trial)
@@ -113,9 +118,11 @@ def write_transfer_film(
         scene.robot, objects[handed.object_index[0]], handed, _hand(found, handed, scene), size
     )
     film = _film(model, kept[0].moments, size, fps)
-    with film_writer(out, fps) as write:
+    total = _count(kept[0].moments, fps)
+    with film_writer(out, fps) as write, progress(f"film {out.name}", total, "pictures") as told:
         for image in film:
             write(image)
+            told(1)
     return str(made.transfers.outcome[0])
 
 
@@ -194,6 +201,11 @@ def _tube(body: mujoco.MjsBody, a: Any, b: Any, radius: float) -> None:
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[radius, 0, 0], rgba=[*COLORS["gripper"], 1], **_SEEN
     )  # fmt: skip
+
+
+def _count(moments: list[Moment], fps: int) -> int:
+    """Images of a film."""
+    return len(np.arange(0.0, len(moments) * TICK_S, 1 / fps)) + round(REST_S * fps)
 
 
 def _film(

@@ -1,12 +1,13 @@
 """The leaderboard's lines and their order, on rows made by hand."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from made_runs import write_run
 
-from r2h_batch.report.board import Judged, page, section_of, standing_of
+from r2h_batch.report.board import CODE, Judged, page, section_of, standing_of
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.types import Outcome
 
@@ -26,7 +27,9 @@ def folders(tmp_path_factory):
 
 
 def lines_of(text):
-    return re.findall(r"<tr[^>]*><td>([^<]*)</td><td class=l>([^<]*)</td><td class=l>([^<]*)</td>", text)
+    return re.findall(
+        r"<tr[^>]*><td>([^<]*)</td><td class=l>([^<]*)(?:<small>[^<]*</small>)?</td><td class=l>([^<]*)</td>", text
+    )
 
 
 def test_methods_stand_in_the_order_of_their_success_on_their_own_trials(folders):
@@ -51,7 +54,10 @@ def test_methods_stand_in_the_order_of_their_success_on_their_own_trials(folders
     ]
     places = [place for place, _, _ in lines_of(page([section_of(base, standings)], least=61))]
     assert places == ["n/a"] * 4
-    assert re.search(r"<td>60 of 120</td><td>59</td><td>4\.9 %</td>", text)  # 1 - 0.05^(1/60)
+    assert re.search(r"<td class=m>60 of 120</td><td class=m>59</td><td class=m>4\.9 %</td>", text)  # 1 - 0.05^(1/60)
+    assert (
+        "the same answers as &lt;b&gt;half&lt;/b&gt; (submitted)" in text
+    )  # the baseline `whole` succeeds everywhere too
     assert not re.search(r"https?://|url\(|@import", text)
 
 
@@ -59,3 +65,21 @@ def test_rows_that_disagree_with_themselves_have_no_line(folders):
     base, run, _ = folders
     with pytest.raises(ValueError, match="no method"):
         standing_of(run, "nobody", "long", Judged(1, 1, 1, False), base, common_trials([base, run]))
+
+
+def test_places_go_by_the_trials_that_all_hold_and_are_shared_where_nothing_is_decided(folders, tmp_path):
+    """30 trials against 60 say nothing by their own rates: the easy first half would rank above the whole."""
+    base, *_ = folders
+    easy = np.where(np.arange(30) % 29, Outcome.SUCCESS, Outcome.REACH)
+    hard = np.concatenate([easy, np.full(30, Outcome.REACH)])
+    run = write_run(tmp_path / "long", {"mine": np.concatenate([hard, hard])}, 60, 60)
+    long = standing_of(run, "mine", "long", Judged(120, 60, 59, False), base, common_trials([base, run]))
+    first = {split: codes[: 30 * CODE] for split, codes in long.codes.items()}
+    trials, rates = {"S0": 30, "S1": 30}, dict.fromkeys(long.sr, (93.3, 84.0, 97.4))
+    short = replace(long, submission="short", trials=trials, sr=rates, codes=first)
+    assert short.of_all > 90 and long.of_all < 60
+    text = page([section_of(base, [long, short])], least=30)
+    places = {f"{m} {s}": p for p, m, s in lines_of(text)}
+    assert places["mine (submitted) short"] == places["mine (submitted) long"] == places["whole baseline"] == "1"
+    assert places["half baseline"] == "4"
+    assert "30 S0, 30 S1" in text and "the same answers as mine (submitted)" in text

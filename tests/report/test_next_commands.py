@@ -43,7 +43,7 @@ def test_a_run_of_other_trials_is_not_offered_the_baselines(tmp_path, capsys):
 
 
 def test_nothing_is_bold_across_configurations():
-    runs = [load_run(f).only([m]) for f, m in ((DEFAULT, "random"), (OTHERS[1], "oracle"))]
+    runs = [load_run(f).only([m]) for f, m in ((DEFAULT, "fc"), (OTHERS[1], "intent"))]
     assert runs[0].header["trials"] == runs[1].header["trials"] and not judged_alike(runs)
     assert best_cells(table_of(join(runs))) and not best_cells(table_of(join(runs), alike=judged_alike(runs)))
 

@@ -12,17 +12,17 @@ from urllib.parse import quote
 
 import numpy as np
 
-from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.write import atomic_path
-from r2h_batch.report.figures import WORDS, style
+from r2h_batch.report.figures import style
 from r2h_batch.report.text import short_names
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.view.captions import headline
+from r2h_batch.view.captions import verdict_of
 from r2h_batch.view.drawing import Drawing, view_of
 from r2h_batch.view.page import write_page
 from r2h_batch.view.pictures import Image, image_at_end, images, painter
-from r2h_batch.view.stored import Reader
+from r2h_batch.view.stored import Reader, StoredTrial
 
 SHOWN = OUTCOME_NAMES[:6]
 """Outcomes of which there is something to see: success and the five failures."""
@@ -86,34 +86,43 @@ def gallery(
         base: folder that links to the pages start from.
 
     Returns:
-        Method -> trial, src, alt, caption, href and command of each picture.
+        Method -> trial, outcome, src, alt, caption, href and command of each picture.
     """
+    found: dict[str, list[dict[str, str]]] = {method: [] for method in run.methods}
+    shown = {method: first_of_each_outcome(run, method, n) for method in run.methods}
+    every = [
+        (method, outcome, trial)
+        for method, of in shown.items()
+        for outcome, trials in of.items()
+        for trial in trials
+    ]
+    with progress("report: gallery", len(every), "trials") as told:
+        for method, outcome, trial in every:
+            slug = re.sub(r"[^A-Za-z0-9._-]+", "_", run.entry(method).slug)
+            stored = reader.trial(trial, method)
+            page = write_page(stored, pages / f"{slug}-{trial}.html")
+            words, name = verdict_of(stored), stored.row["object"].replace("_", " ")
+            picture = {
+                "trial": str(trial),
+                "outcome": outcome,
+                "command": f"{run.view_command(method)} {trial}",
+                "src": _thumbnail(stored, close=outcome in CLOSE),
+                "alt": f"trial {trial} of {method}: {words}",
+                "caption": f"{trial} {name}: {words}",
+                "href": quote(page.relative_to(base).as_posix()),
+            }
+            found[method].append(picture)
+            told(1)
+    return found
+
+
+def _thumbnail(stored: StoredTrial, *, close: bool) -> str:
+    """A trial's end as the address of a small image."""
     from PIL import Image as Pillow
 
-    found: dict[str, list[dict[str, str]]] = {}
-    shown = {method: first_of_each_outcome(run, method, n) for method in run.methods}
-    for method in run.methods:
-        found[method], slug = [], re.sub(r"[^A-Za-z0-9._-]+", "_", run.entry(method).slug)
-        for outcome, trials in shown[method].items():
-            for trial in trials:
-                stored = reader.trial(trial, method)
-                page = write_page(stored, pages / f"{slug}-{trial}.html")
-                words = headline(stored.row)
-                image = image_at_end(Drawing(stored), THUMBNAIL, close=outcome in CLOSE)
-                box, name = io.BytesIO(), stored.row["object"].replace("_", " ")
-                Pillow.fromarray(image).save(box, "JPEG", quality=QUALITY, optimize=True)
-                data = base64.b64encode(box.getvalue()).decode("ascii")
-                picture = {
-                    "trial": str(trial),
-                    "command": f"{run.view_command(method)} {trial}",
-                    "src": f"data:image/jpeg;base64,{data}",
-                    "alt": f"trial {trial} of {method}: {words}",
-                    "caption": f"{trial} {name}: {words}",
-                    "href": quote(page.relative_to(base).as_posix()),
-                }
-                found[method].append(picture)
-            LOG.info(f"report: {method}: {len(trials)} of {WORDS[outcome]}")
-    return found
+    image, box = image_at_end(Drawing(stored), THUMBNAIL, close=close), io.BytesIO()
+    Pillow.fromarray(image).save(box, "JPEG", quality=QUALITY, optimize=True)
+    return f"data:image/jpeg;base64,{base64.b64encode(box.getvalue()).decode('ascii')}"
 
 
 def protocol(run: Run, reader: Reader, method: str, trial: int | None) -> tuple[Any, str]:
@@ -127,7 +136,7 @@ def protocol(run: Run, reader: Reader, method: str, trial: int | None) -> tuple[
     drawing = Drawing(reader.trial(trial, method))
     stored, aspect = drawing.stored, SIZE[0] / SIZE[1]
     if not stored.moves:
-        words = f"does not move ({headline(stored.row)}); choose another --trial"
+        words = f"does not move ({verdict_of(stored)}); choose another --trial"
         raise ValueError(f"trial {trial} of {method!r} {words}")
     home = np.array(stored.workplace.home_q)
     moments = drawing.moments(4)[1:]
@@ -153,7 +162,7 @@ def methods_over_time(
     for method, drawing in zip(methods, drawings, strict=True):
         rows.append([*images(drawing, SIZE, MOMENTS, view)])
         rows[-1] += [(None, "")] * (MOMENTS - len(rows[-1]))
-        names.append(f"{short[method]}\n{headline(drawing.stored.row)}")
+        names.append(f"{short[method]}\n{verdict_of(drawing.stored)}")
     return _grid(rows, names), f"trial {trial}"
 
 
@@ -169,7 +178,7 @@ def failures(run: Run, reader: Reader, methods: Sequence[str]) -> tuple[Any, str
         trial = found[method][outcome][0]
         drawing = Drawing(reader.trial(trial, method))
         image = image_at_end(drawing, SIZE, close=outcome in CLOSE)
-        panels.append((image, headline(drawing.stored.row)))
+        panels.append((image, verdict_of(drawing.stored)))
         named.append(f"{outcome}: trial {trial} of {short[method]}")
     columns = min(3, len(panels))
     panels += [(None, "")] * (-len(panels) % columns)

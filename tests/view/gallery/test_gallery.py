@@ -42,6 +42,8 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
         file.write_text(f"trial {stored.row['trial_id']}")
         return file
 
+    asked = SimpleNamespace(nearest=SimpleNamespace(kind="object_hand"))
+
     class Reader:
         def __init__(self, folder, given):
             assert given == BenchmarkChoice()
@@ -49,7 +51,7 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
 
         def trial(self, trial, method):
             rows = self.run.trials(method).to_pylist()
-            return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial))
+            return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial), asked=asked)
 
     monkeypatch.setattr("r2h_batch.view.stored.Reader", Reader)
     monkeypatch.setattr("r2h_batch.scene.offscreen.ready", lambda: "none")
@@ -61,9 +63,10 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
     assert main(["report", *line]) == 0 and capsys.readouterr().out == f"{out}\n"
     text = out.read_text()
     links = [part.partition('"')[0] for part in text.split('<a href="')[1:]]
-    assert len(links) == 6 + 4 == len(set(links)) and all((out.parent / link).is_file() for link in links)
+    assert len(set(links)) == 6 + 4 and len(links) == 6 + 4 + 3  # three of them stand above the tables too
+    assert all((out.parent / link).is_file() for link in links)
     assert text.count("data:image/jpeg;base64,") == len(links) and "<b>n</b>" not in text
-    assert text.count("</code></figcaption>") == len(links)
+    assert text.count("</code></figcaption>") == len(set(links))
     assert f"<code>r2h-batch view {run.folder} --method m --trial 4</code>" in text
     assert "4 cup: plan fails: every posture at the target collides (object and hand)" in text and "6 knife" not in text
 

@@ -1,0 +1,219 @@
+"""Why a trial passed or failed, in words: from its stored row, without judging it again."""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS, Unit
+
+REASONS = {
+    "start_in_collision": "the arm collides at home",
+    "ik_unreachable": "the arm cannot reach the target",
+    "ik_in_collision": "every posture at the target collides",
+    "no_path_in_budget": "no path was found in time",
+    "not_settled": "the arm did not come to rest",
+    "motion_in_collision": "the given motion collides",
+    "beyond_joint_limits": "a joint goes beyond its limit",
+    "beyond_speed_limits": "a joint turns faster than it can",
+    "ik_not_found": "no posture was found at the target",
+    "no_free_posture_found": "every posture found at the target collides",
+}
+"""Plan's reasons in words."""
+FAILS = {
+    "stability": "the gripper does not hold it",
+    "reach": "the hand does not reach the object",
+    "affordance": "the gripper holds the receiver's part",
+    "safe": "the robot meets the hand",
+}
+"""Meaning of a failed criterion; `headline` adds by how much."""
+PAIRS = {
+    "hand": "robot and hand", "table": "robot and table", "self": "robot and robot",
+    "object_hand": "object and hand", "object_table": "object and table", "object_robot": "object and robot",
+}  # fmt: skip
+"""Pairs of bodies (`CollidingPair`) in words."""
+SHORT = ("ik_unreachable", "ik_not_found")
+"""Reasons of Plan whose margin is how far the gripper stays from its target."""
+LEAST = 0.05
+"""Smaller margins are not printed as a number (mm, deg)."""
+
+
+def body_name(part: str) -> str:
+    """A part of the robot in words, without the number of its collision body: wrist_3_0: wrist 3."""
+    return re.sub(r"_\d+$", "", part).replace("_", " ")
+
+
+def short_by(row: Mapping[str, Any], criterion: str) -> tuple[float | None, Unit]:
+    """By how much a criterion fails, above 0, as people read it (mm, deg), and the unit; None where no number says it."""
+    entry = REGISTRY[CRITERIA.index(criterion)]
+    size, unit = row.get(entry.margin_column), UNITS[entry.unit]
+    known = size is not None and math.isfinite(size)
+    return (-unit.scale * float(size) if known else None), unit  # type: ignore[arg-type]
+
+
+def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
+    """The verdict in one line: success, or the criterion that fails first, why, and by how much.
+
+    Args:
+        row: of trials, with or without its details.
+        pair: the pair of bodies that Plan's margin is about, where that was computed; a row alone does not say it.
+    """
+    outcome = str(row["outcome"])
+    if outcome == "success":
+        return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
+    if outcome not in CRITERIA:
+        return outcome.replace("_", " ")
+    size, unit = short_by(row, outcome)
+    least = "at least " if row.get(f"margin_kind_{outcome}") == "bound" else ""
+    by = "" if size is None or size < LEAST else f"{least}{size:.1f} {unit.shown}"
+    words = f"{outcome} fails: "
+    if outcome == "plan":
+        reason = str(row["plan_reason"])
+        met = f" ({PAIRS[pair]})" if pair in PAIRS and row.get("plan_pair") else ""
+        short = f": {by} short" if by and reason in SHORT else ""
+        return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
+    if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
+        return f"{words}{body_name(str(row['witness_safe_part']))} meets the hand at {row['witness_time_s']:.1f} s"
+    if outcome == "stability" and row.get("width_m") is None:
+        return f"{words}nothing lies between the pads"
+    if outcome == "stability":
+        words += f"{1e3 * row['width_m']:.1f} mm of material between the pads, "
+    text = FAILS.get(outcome)
+    if text is None or not by:
+        return f"{words}{text or ''}".rstrip(" :,")
+    return f"{words}{text}, by {by}"
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why one trial of one method passed or failed.
+
+    Attributes:
+        trial: the trial's number.
+        method: the method's name.
+        criterion: the one that failed first; empty where none did.
+        margin: its margin, in `unit`, negative where it failed; None where no number says it.
+        unit: of the margin: m or deg.
+        bound: whether the margin is a bound: it fails by at least as much.
+        why: the verdict in one line.
+        witness: what decides it, in words; empty where the row does not say it.
+        passes: what would have passed; empty of a success.
+        picture: the command that shows it.
+    """
+
+    trial: int
+    method: str
+    criterion: str
+    margin: float | None
+    unit: str
+    bound: bool
+    why: str
+    witness: str
+    passes: str
+    picture: str
+
+    def __str__(self) -> str:
+        margin = ""
+        if self.margin is not None:
+            unit = UNITS[self.unit]
+            margin = (
+                f"{unit.scale * self.margin:+.1f} {unit.shown}{' or less' if self.bound else ''}"
+            )
+        lines = {
+            "why": self.why, "criterion": self.criterion, "margin": margin, "witness": self.witness,
+            "would pass": self.passes, "picture": self.picture,
+        }  # fmt: skip
+        told = [f"  {name + ':':<12}{words}" for name, words in lines.items() if words]
+        return "\n".join([f"trial {self.trial}, {self.method}", *told])
+
+
+def explained(
+    row: Mapping[str, Any], method: str, limits: Mapping[str, float], picture: str, *,
+    pair: str | None = None, witness: str = "",
+) -> Explanation:  # fmt: skip
+    """The explanation of a row.
+
+    Args:
+        row: of trials, with its details where they are stored.
+        method: its name.
+        limits: `thresholds` of the run's configuration, m; empty where a foreign run has none.
+        picture: the command that shows the trial.
+        pair: as of `headline`.
+        witness: what decides it, where that was computed; else what the row says.
+    """
+    outcome = str(row["outcome"])
+    criterion = outcome if outcome in CRITERIA else ""
+    size, unit = short_by(row, criterion) if criterion else (None, UNITS["m"])
+    return Explanation(
+        int(row["trial_id"]), method, criterion, None if size is None else -size / unit.scale,
+        next(name for name, one in UNITS.items() if one is unit),
+        row.get(f"margin_kind_{criterion}") == "bound", headline(row, pair), witness or _witness(row, criterion),
+        _passes(row, criterion, limits) if criterion else "", picture,
+    )  # fmt: skip
+
+
+def _witness(row: Mapping[str, Any], criterion: str) -> str:
+    """Words for the place where the criterion is decided, as far as the row knows it."""
+    if criterion == "stability" and row.get("width_m") is not None:
+        return f"the material between the pads, {1e3 * row['width_m']:.1f} mm along the closing direction"
+    if criterion == "safe" and row.get("witness_safe_part"):
+        words = f"{body_name(str(row['witness_safe_part']))}, {row['witness_time_s']:.2f} s after the start"
+        point = row.get("witness_point_m")
+        at = "" if not point else f" at ({', '.join(f'{x:.3f}' for x in point)}) m in the world"
+        return words + at
+    if criterion == "plan" and (row.get("nearest_pair") or row.get("plan_pair")):
+        near = row.get("nearest_pair")
+        name = str(near or row["plan_pair"])
+        part = row.get("witness_plan_part")
+        words = PAIRS.get(name, name.replace("_", " and "))
+        which = "" if near else ", of the first posture that was looked at"
+        return f"{words}{f' ({body_name(str(part))})' if part else ''}{which}"
+    if criterion == "reach":
+        return "the object's nearest point to the ball in front of the palm"
+    return "the fingers and the receiver's part" if criterion == "affordance" else ""
+
+
+def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float]) -> str:
+    """Words for the nearest thing that passes."""
+    size, unit = short_by(row, criterion)
+    least = "at least " if row.get(f"margin_kind_{criterion}") == "bound" else ""
+    by = None if size is None else f"{least}{max(size, 0.1):.1f} {unit.shown}"
+    if criterion == "stability":
+        low, high = (limits.get(k) for k in ("w_min_m", "w_max_m"))
+        room = "" if low is None or high is None else f"{1e3 * low:.1f} to {1e3 * high:.1f} mm of "
+        return f"{room}material between the pads"
+    if criterion == "plan":
+        return _plan_passes(row, by)
+    if by is None:
+        return ""
+    if criterion == "reach":
+        radius = limits.get("reach_radius_m")
+        ball = "" if radius is None else f" (radius {1e3 * radius:.0f} mm)"
+        return f"the object {by} nearer to the ball's middle{ball}"
+    if criterion == "affordance":
+        return f"the fingers {by} farther from the receiver's part"
+    if criterion == "safe":
+        return f"the robot {by} farther from the hand then"
+    return f"a margin larger by {by}"
+
+
+def _plan_passes(row: Mapping[str, Any], by: str | None) -> str:
+    """The same for each reason of Plan."""
+    reason = str(row["plan_reason"])
+    if reason in SHORT:
+        return "a target that the arm reaches" + (f", {by} from this one" if by else "")
+    if reason in ("ik_in_collision", "no_free_posture_found"):
+        return "a target at which one posture overlaps nothing" + (
+            f": the best one overlaps by {by}" if by else ""
+        )
+    if reason == "start_in_collision":
+        return "a home posture that is free"
+    if reason == "no_path_in_budget":
+        return "a path to the target, which is free itself: another target, or a longer search (--set plan.rounds)"
+    return {
+        "not_settled": "a motion that comes to rest at its goal",
+        "motion_in_collision": "a motion that meets nothing" + (f": it is {by} in" if by else ""),
+        "beyond_joint_limits": "joint angles within the limits",
+        "beyond_speed_limits": "a slower motion",
+    }.get(reason, "")

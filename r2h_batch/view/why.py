@@ -1,0 +1,65 @@
+"""The command `why`: one trial in words."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from r2h_batch.base.errors import UsageError
+from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
+
+if TYPE_CHECKING:
+    from r2h_batch.runs.explain import Explanation
+    from r2h_batch.view.stored import Reader
+
+
+def why(run: Path, trial: str, /, *, method: str = "", benchmark: BenchmarkChoice = DEFAULT) -> int:
+    """Say why one trial of a run passed or failed: the criterion, its margin, what decides it, what would have passed, and
+    the command that draws it.
+
+    Args:
+        run: run folder of a sweep.
+        trial: the trial's number, or what its owner calls it.
+        method: the sweep's word (fc) or the table's name; without it a line for each method, and all of the only one.
+        benchmark: where its files are now, if they are not where the sweep found them.
+    """
+    from r2h_batch.view.stored import Reader
+
+    reader = Reader(run, benchmark)
+    names = [reader.method(method)] if method else list(reader.run.methods)
+    if not names:
+        raise UsageError(f"{run}: no method is complete; run its sweep again to go on")
+    number = reader.run.trial_id(trial)
+    for k, name in enumerate(names):
+        print(("\n" if k else "") + str(explanation(reader, number, name)))
+    return 0
+
+
+def explanation(reader: "Reader", trial: int, method: str) -> "Explanation":
+    """The explanation of a stored row; a plan without a path is judged again for the pair that its margin is about.
+
+    Args:
+        reader: of the run folder.
+        trial: the trial's number.
+        method: the method's name.
+    """
+    from r2h_batch.runs.explain import explained
+    from r2h_batch.view.captions import pair_of, postures
+
+    own = reader.run.explain(trial, method)
+    if own.criterion != "plan":
+        return own
+    from r2h_batch.view.drawing import Drawing
+
+    stored = reader.trial(trial, method)
+    found, asked = Drawing(stored).witness, stored.asked
+    if found is None:
+        return own
+    counts = f"; {postures(asked)}" if asked is not None and sum(asked.met.values()) > 1 else ""
+    limits = reader.run.header["configuration"]["thresholds"]
+    return explained(
+        stored.row,
+        method,
+        limits,
+        own.picture,
+        pair=pair_of(stored),
+        witness=found.caption + counts,
+    )

@@ -1,0 +1,82 @@
+"""A stored row in words: the failing criterion, its margin, what decides it and what would have passed."""
+
+import numpy as np
+import pytest
+from made_runs import write_run
+
+from r2h_batch.__main__ import main
+from r2h_batch.runs import load_run
+from r2h_batch.runs.explain import explained, headline
+from r2h_batch.runs.files import RunError
+from r2h_batch.verdicts import CRITERIA
+
+LIMITS = {"w_min_m": 0.002, "w_max_m": 0.085, "reach_radius_m": 0.1}
+OUTCOMES = np.array([0, 0, 0, 0, 2, 2, 3, 8, 0, 1, 4, 5])
+
+
+def row(outcome, margin_m, **more):
+    own = {"trial_id": 7, "outcome": outcome, f"margin_{outcome}_m": margin_m, f"margin_kind_{outcome}": "distance"}
+    return own | more
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return write_run(
+        tmp_path_factory.mktemp("explain") / "run", {"m": OUTCOMES, "n": OUTCOMES[::-1]}, 6, 6, shard_trials=5
+    )
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(
+    ("stored", "why", "passes"),
+    [
+        (row("stability", -0.0071, width_m=0.0921), "92.1 mm of material between the pads", "2.0 to 85.0 mm of material"),
+        (row("reach", -0.0342), "by 34.2 mm", "34.2 mm nearer to the ball's middle (radius 100 mm)"),
+        (row("affordance", -0.0031, margin_kind_affordance="bound"), "by at least 3.1 mm", "at least 3.1 mm farther"),
+        (row("safe", -0.004, witness_safe_part="wrist_3_0", witness_time_s=3.21, witness_point_m=[0.1, 0.2, 0.3]),
+         "wrist 3 meets the hand at 3.2 s", "the robot 4.0 mm farther from the hand"),
+        (row("plan", -0.1453, plan_reason="ik_unreachable", plan_pair=None), "145.3 mm short", "145.3 mm from this one"),
+        (row("plan", -0.005, plan_reason="ik_in_collision", plan_pair="hand"), "every posture", "overlaps by 5.0 mm"),
+        (row("plan", -np.inf, plan_reason="no_path_in_budget", plan_pair=None), "no path was found", "a longer search"),
+    ],
+)  # fmt: skip
+def test_every_failure_says_its_criterion_margin_and_what_would_have_passed(stored, why, passes):
+    found = explained(stored, "mine", LIMITS, "r2h-batch view RUN --trial 7")
+    assert found.criterion == stored["outcome"] and why in found.why and passes in found.passes
+    margin = stored[f"margin_{found.criterion}_m"]
+    assert found.margin == (margin if np.isfinite(margin) else None)
+    text = str(found)
+    assert text.startswith("trial 7, mine") and "r2h-batch view RUN --trial 7" in text
+    assert ("mm" in text.split("margin:")[1].splitlines()[0]) if np.isfinite(margin) else "margin:" not in text
+
+
+def test_the_pair_of_the_margin_is_named_where_it_was_computed():
+    stored = row("plan", -0.005, plan_reason="ik_in_collision", plan_pair="hand")
+    assert "(" not in headline(stored) and headline(stored, "object_hand").endswith("(object and hand)")
+
+
+def test_a_run_explains_its_trials_and_its_repr_is_a_line(run):
+    loaded = load_run(run.folder)
+    assert "configuration" not in repr(loaded) and len(repr(loaded)) < 300
+    assert "methods: m, n" in repr(loaded) and "12 trials (6 S0, 6 S1)" in repr(loaded)
+    for trial, code in enumerate(OUTCOMES.tolist()):
+        found = loaded.explain(trial, "m")
+        wanted = CRITERIA[code - 1] if 0 < code < 6 else ""
+        assert (found.criterion, found.trial, found.method) == (wanted, trial, "m")
+        assert f"--trial {trial} --strips" in found.picture
+    with pytest.raises(RunError, match="name one: m, n"):
+        loaded.explain(3)
+    with pytest.raises(RunError, match="has no trial 99"):
+        loaded.explain(99, "m")
+    table = loaded.to_pandas()
+    assert len(table) == 24 and set(table.method) == {"m", "n"} and table.margin_plan_m.notna().any()
+
+
+def test_the_command_prints_every_method_or_one(run, capsys):
+    assert main(["why", str(run.folder), "0"]) == 0
+    both = capsys.readouterr().out
+    assert both.count("trial 0, ") == 2
+    assert main(["why", str(run.folder), "6", "--method", "m"]) == 0
+    one = capsys.readouterr().out
+    assert one.startswith("trial 6, m") and "criterion:  reach" in one and "would pass:" in one
+    assert main(["why", str(run.folder), "99", "--method", "m"]) != 0 and "has no trial 99" in capsys.readouterr().err

@@ -1,0 +1,86 @@
+"""Postures at a target that no path leads to: headline, picture and margin speak about one posture and one pair."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from r2h_batch.view.captions import PAIRS, as_html, as_markdown, verdict_of
+from r2h_batch.view.drawing import Drawing
+from r2h_batch.view.stored import Reader
+
+ROWS = Path(__file__).resolve().parents[2] / "bench" / "rows" / "v1-release-preset"
+MOST = 24
+"""Failed plans of each method that are looked at."""
+SAME_M = 2e-4
+"""MuJoCo's depth of an overlap may be this much below the evaluator's bound: convex pieces against meshes."""
+
+
+@pytest.fixture(scope="module")
+def reader():
+    return Reader(ROWS)
+
+
+def blocked(reader, method):
+    """Trials whose postures at the target all collide."""
+    rows = reader.rows(reader.method(method)).to_pylist()
+    rows = [r for r in rows if (r["outcome"], r["plan_reason"]) == ("plan", "ik_in_collision")]
+    return [r["trial_id"] for r in rows[:MOST]]
+
+
+def depth(drawing, kind):
+    """The deepest overlap of a kind of pair in the posture that is drawn, m, by MuJoCo."""
+    model, data = drawing.model, drawing.at(drawing.stored.target_q)
+    owner = {"hand": ("robot", "gripper", "hand"), "table": ("robot", "gripper", "table"),
+             "object_hand": ("object", "object", "hand"), "object_table": ("object", "object", "table")}  # fmt: skip
+    first, second, third = owner[kind]
+    geoms = [(g, str(model.geom(g).name).partition("/")[0]) for g in range(model.ngeom) if model.geom_contype[g]]
+    least = 0.0
+    for a, x in geoms:
+        for b, y in geoms:
+            if x in (first, second) and y == third:
+                least = min(least, mujoco.mj_geomDistance(model, data, a, b, 0.01, np.zeros(6)))
+    return -least
+
+
+@pytest.mark.parametrize("method", ["random", "fc"])
+def test_headline_picture_and_caption_name_the_pair_that_the_stored_margin_is_about(reader, method):
+    trials = blocked(reader, method)
+    assert len(trials) >= 6
+    others = 0
+    for trial in trials:
+        stored = reader.trial(trial, method)
+        assert not stored.note  # the margin computed again is the stored one
+        drawing, asked = Drawing(stored), stored.asked
+        witness, margin_m = drawing.witness, stored.row["margin_plan_m"]
+        assert abs(asked.clearance_m - margin_m) < 1e-6 and margin_m < 0, trial
+        assert witness.kind == asked.nearest.kind, trial
+        assert PAIRS[witness.kind] in verdict_of(stored) and witness.caption in as_html(drawing)
+        assert [m.text for m in drawing.marks if m.text] == [witness.caption]
+        # the drawn arm is at the target, and its red pair overlaps at least as deep as the margin says
+        data = drawing.at(stored.target_q)
+        assert np.abs(data.site("ee").xpos - stored.T_world_ee[:3, 3]).max() < 1e-4, trial
+        assert -witness.distance_m > -margin_m - SAME_M, trial
+        if witness.kind in ("hand", "table", "object_hand", "object_table"):
+            assert depth(drawing, witness.kind) >= -margin_m - SAME_M, trial
+        assert witness.kind in asked.met and sum(asked.met.values()) <= 8
+        others += stored.row["plan_pair"] != witness.kind
+    if method == "random":
+        assert others  # the planner's check of another posture met another pair first: that is not what is shown
+
+
+def test_the_panel_counts_what_the_postures_meet(reader):
+    found = [reader.trial(t, "random") for t in blocked(reader, "random")[:8]]
+    several = next(s for s in found if len(s.asked.met) > 1)
+    n = sum(several.asked.met.values())
+    words = as_markdown(Drawing(several))
+    assert f"of {n} postures that reach the target" in words
+    assert all(f"{PAIRS[kind]} {k}" in words for kind, k in several.asked.met.items())
+
+
+def test_a_margin_of_the_hand_that_the_planner_sees_is_called_so():
+    reader = Reader(ROWS.parent / "v1-paper-preset")
+    stored = reader.trial(0, "random")
+    assert stored.row["plan_reason"] == "ik_in_collision" and stored.asked.nearest.kind == "hand"
+    assert Drawing(stored).witness.caption.endswith("for the planner, which sees the hand with an error")
