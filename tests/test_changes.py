@@ -152,7 +152,7 @@ assert "random" in said("compare usual baselines --method random oracle")
 SAID_HELP = """
 def said_help():
     with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
-        main(["sweep", "--help"])
+        main(["sweep", "--help-all"])
     return " ".join(out.getvalue().split())
 
 """

@@ -98,12 +98,14 @@ def _robustness(
 
     from r2h_batch.report import robustness as report
     from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.settings import error_settings
 
     out = Path(options.out)
     folders = [out / level for level in report.LEVELS]
     for level, folder in zip(report.LEVELS, folders, strict=True):
         LOG.info(f"execution error {level}")
-        own = replace(options, robustness=False, execution_error=level, out=str(folder))
+        settings = {**options.settings, **error_settings(level)}
+        own = replace(options, robustness=False, settings=settings, out=str(folder))
         with redirect_stdout(sys.stderr):  # the table of a level is no result of this command
             if code := _run(own, stopping, log_to, command):
                 return code

@@ -273,10 +273,10 @@ def _check_postures(names: Sequence[str], evaluator: "Evaluator") -> None:
         return
     needing = [m for m in names if base_of(m) in SEEN_BY["predicted_hands"]]
     if evaluator.config.plan.hand == "estimated":
-        needing.append("plan_hand=estimated")
+        needing.append("--plan.hand estimated")
     if needing:
         what = "needs the hands' postures, and these trials have meshes of hands"
-        raise UsageError(f"{needing[0]} {what}; take another method, or --set plan_hand=true")
+        raise UsageError(f"{needing[0]} {what}; take another method, or --plan.hand true")
 
 
 def _seen(files: Mapping[str, str], setting: Setting) -> "Observations | None":
