@@ -92,7 +92,7 @@ def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code
 
 
 def test_the_help_of_a_sweep_names_every_flag() -> None:
-    shown = {*re.findall(r"--[a-z][a-z.-]+", full_help("r2h-batch sweep"))}
+    shown = {*re.findall(r"--[a-z][a-z0-9.-]+", full_help("r2h-batch sweep"))}
     names = [*(f.name for f in fields(Flags)), *settings()]
     assert len(settings()) > 20 and {f"--{name.replace('_', '-')}" for name in names} - shown == set()
 

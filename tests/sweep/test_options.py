@@ -86,7 +86,7 @@ def other(hint, value):
     """A value of the setting that is allowed and not its default."""
     if get_origin(hint) is tuple:
         return (7, 8)
-    return {float: value / 2 + 0.001, int: 5}[hint] if hint in (float, int) else another(hint, value)
+    return {float: value / 4 + 0.001, int: 5}[hint] if hint in (float, int) else another(hint, value)
 
 
 @pytest.mark.check
