@@ -6,13 +6,13 @@ The classes are frozen dataclasses. Their fields are held to their annotations w
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field
 
 from r2h_batch.base.registry import PRESET_NAMES, EngineName, EngineWord
-from r2h_batch.base.validate import one_of, validate_fields
+from r2h_batch.base.validate import check_keywords, one_of, validate_fields
 
 HOME_Q = (-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483)
 """The arm's posture at the start of every trial, rad. The gripper points straight down, the TCP is
@@ -74,6 +74,11 @@ class _Checked:
     """Fields are held to their annotations; a file may hold no other fields."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
+
+    def __new__(cls, *_: object, **given: object) -> Self:
+        """A misspelt field is answered with the nearest name."""
+        check_keywords(cls.__name__, given, [f.name for f in fields(cls)])  # type: ignore[arg-type]
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         validate_fields(self)
@@ -229,8 +234,8 @@ class ExecConfig(_Checked):
             means the robot's own limit.
         max_acceleration_rad_s2: acceleration limit of every joint, rad/s^2; robots have no own one.
         sim: engine that moves the arm. auto: mujoco on a CPU, mjwarp on CUDA; none: the planned motion.
-        model: what is simulated. scene: everything, with contacts; arm: the arm with a rigid gripper and no contacts; auto: the arm, and
-            again the whole scene where a contact is not ruled out (docs/motion.md).
+        model: what is simulated. scene: everything, with contacts; arm: the arm with a rigid gripper and
+            no contacts; auto: the arm, and again the whole scene where a contact is not ruled out (docs/motion.md).
         step_s: step of simulator and servos, s: the real controller's 500 Hz.
         record_steps: steps between two samples of the executed motion.
         payload: whether the controller compensates the object's weight.

@@ -33,7 +33,7 @@ from r2h_batch.base.launch.memory import in_chunks, rows_at_once
 from r2h_batch.base.launch.repeated import RepeatedCalls
 from r2h_batch.base.launch.threads import on_threads, one_torch_thread
 from r2h_batch.base.summary import html_table
-from r2h_batch.base.validate import instance_of, optional
+from r2h_batch.base.validate import instance_of, optional, suggest_names
 from r2h_batch.config import EvalConfig, ExecutionError
 from r2h_batch.judge import metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
@@ -123,6 +123,7 @@ class Evaluator:
 
     called = False  # True after the first call has checked the poses for common mistakes
 
+    @suggest_names
     def __init__(
         self,
         benchmark: Benchmark | None = None,
@@ -188,6 +189,7 @@ class Evaluator:
         twin.config = replace(self.config, execute=execute, execution_error=ExecutionError())
         return twin
 
+    @suggest_names
     def score(
         self,
         T_obj_ee: Float32[Tensor, "*b 4 4"],
@@ -246,6 +248,7 @@ class Evaluator:
                 ScoreInputs(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
             )
 
+    @suggest_names
     def score_motion(
         self,
         T_obj_ee: Float32[Tensor, "b 4 4"],

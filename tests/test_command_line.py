@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from r2h_batch.__main__ import COMMANDS, main
-from r2h_batch.sweep.options import FIRST, GROUPS, Flags, full_help, help_text
+from r2h_batch.sweep.options import FIRST, GROUPS, Flags, full_help
 from r2h_batch.sweep.settings import settings
 
 NESTED = (

@@ -370,4 +370,18 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     ):
         values = [word for word in re.findall(r"'([^']*)'", found[3]) if word]
         text = f"{found[2]} is {found[1]!r}{nearest(found[1], values)}; allowed are {', '.join(values)}"
+    if found := re.fullmatch(r"Unrecognized options: (\S+).*", text):
+        text = _left_over(found[1], arguments)
     return text or "the command line was not understood; see --help"
+
+
+def _left_over(word: str, arguments: Sequence[str]) -> str:
+    """One line about a word that no flag takes: behind which flag it stands."""
+    before = arguments[: arguments.index(word)] if word in arguments else []
+    flag = next((a for a in reversed(before) if a.startswith("--")), None)
+    if flag is None:
+        return f"{word!r} is not understood; see --help"
+    name, equals, _ = flag.partition("=")
+    if len(before) - 1 - before[::-1].index(flag) == len(before) - (1 if equals else 2):
+        return f"{name} takes one value, and {word!r} stands behind it; give one"
+    return f"{word!r} stands behind {name} and its values; leave it out, or see --help"

@@ -50,7 +50,7 @@ def _asked(text: str) -> tuple[tuple[str, ...], int, int]:
         raise FileError(f"--objects {printable(text)[:200]!r}: {HOW}")
     names: Sequence[str] = [n.strip() for n in found["names"].split(",")]
     names = OBJECT_NAMES if names == ["*"] else names
-    if unknown := [n for n in names if n not in OBJECT_NAMES]:
+    if unknown := [printable(n)[:40] for n in names if n not in OBJECT_NAMES]:
         same = [c for c in OBJECT_NAMES if unknown[0].replace("_", " ") in THINGS[c].names]
         hint = f", did you mean {same[0]}?" if same else nearest(unknown[0], OBJECT_NAMES)
         raise FileError(
@@ -58,12 +58,16 @@ def _asked(text: str) -> tuple[tuple[str, ...], int, int]:
         )
     if len(set(names)) < len(names):
         raise FileError("--objects: a family stands twice; give each once")
-    count, seed = int(found["count"] or 6), int(found["seed"] or 0)
-    if not 1 <= count * len(names) <= MOST or seed >= 1 << 31:
-        raise FileError(
-            f"--objects: {count} instances of {len(names)} families, seed {seed}; 1 to {MOST} in all, and a seed below 2^31, are"
-            " allowed"
-        )
+    count, seed = (
+        int((found[word] or usual)[:20]) for word, usual in (("count", "6"), ("seed", "0"))
+    )
+    families = f"{len(names)} families" if len(names) > 1 else "one family"
+    if not 1 <= count <= MOST // len(names):
+        each, whole = f"x {count:,} of {families}", f"{count * len(names):,}"
+        allowed = f"at most {MOST:,} are allowed, so write x 1 to x {MOST // len(names)}"
+        raise FileError(f"--objects: {each} is {whole} objects; {allowed}")
+    if seed >= 1 << 31:
+        raise FileError(f"--objects: the seed is {seed}; it must be below 2^31")
     return tuple(names), count, seed
 
 

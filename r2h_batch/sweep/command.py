@@ -146,6 +146,10 @@ def _run(
         sweep_jobs.resolve(methods, request.loop)
         start = time.perf_counter()
         setting = sweep_jobs.set_up(request)
+        if request.trials.benchmark.object_mesh and (
+            shares := request.trials.shares(setting.evaluator.benchmark, setting.header["trials"])
+        ):
+            LOG.info(f"sweep: {shares}")
         planned, seconds = counted(setting.planned, "trials"), time.perf_counter() - start
         LOG.debug(f"ready in {seconds:.1f} s: {setting.evaluator!r}, {planned}")
         jobs = sweep_jobs.make_jobs(methods, files, setting)

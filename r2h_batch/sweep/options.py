@@ -87,9 +87,7 @@ class Flags:
             "FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik",
         ),
     ] = ()
-    predictions: Annotated[
-        tuple[str, ...], Flag("files of poses: .npz, .csv, .json")
-    ] = ()
+    predictions: Annotated[tuple[str, ...], Flag("files of poses: .npz, .csv, .json")] = ()
     motions: Annotated[
         tuple[str, ...],
         Flag("files of joint motions, judged as they are: .npz, .parquet", "methods"),
@@ -135,7 +133,8 @@ class Flags:
         Literal["", "for-robot", "as-for-ur5e"],
         Flag(
             "where persons stand. for-robot (default): scaled by the robot's reach; as-for-ur5e: as for the "
-            "UR5e", "trials"
+            "UR5e",
+            "trials",
         ),
     ] = ""
     people: Annotated[
@@ -150,7 +149,8 @@ class Flags:
         str,
         Flag(
             "turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x) or degrees about x, y, z "
-            "(20,40,60); r2h-batch turn compares them", "trials"
+            "(20,40,60); r2h-batch turn compares them",
+            "trials",
         ),
     ] = ""
     hands: Annotated[str, Flag("another hand set: .npz of import hands", "trials")] = ""
@@ -175,34 +175,42 @@ class Flags:
     )
     address: Annotated[str, Flag("Ray cluster to join: auto or HOST:PORT", "work")] = ""
     replan: Annotated[
-        bool, Flag("with trials_from: plan every motion anew instead of judging that of the file", "trials")
+        bool,
+        Flag(
+            "with trials_from: plan every motion anew instead of judging that of the file", "trials"
+        ),
     ] = False
     predictor: Annotated[
         str,
         Flag(
             "contact network of method contact: .onnx, VoxNet weights as .safetensors, or "
-            "package.module:function or FILE.py:function; default: the built-in VoxNet", "methods"
+            "package.module:function or FILE.py:function; default: the built-in VoxNet",
+            "methods",
         ),
     ] = ""
     trust_code: Annotated[
         bool,
         Flag(
             "also accept a TorchScript file as predictor; such a program can write any file. A --config file "
-            "cannot set this: use --trust-code", "methods"
+            "cannot set this: use --trust-code",
+            "methods",
         ),
     ] = False
     predictor_noise: Annotated[
-        float, Flag("factor on the error model of what the methods see; 0: they see the truth", "methods")
+        float,
+        Flag("factor on the error model of what the methods see; 0: they see the truth", "methods"),
     ] = 1.0
     predicted_hands: Annotated[
         str,
         Flag(
             "hands of your own network instead of the error model, .npz; fc, handover-va, contact and intent "
-            "see them", "methods"
+            "see them",
+            "methods",
         ),
     ] = ""
     predicted_parts: Annotated[
-        str, Flag("part labels or affordances of your own network; handover-va sees them", "methods")
+        str,
+        Flag("part labels or affordances of your own network; handover-va sees them", "methods"),
     ] = ""
     predicted_contacts: Annotated[
         str, Flag("contact probabilities of your own network; contact sees them", "methods")
@@ -211,7 +219,8 @@ class Flags:
         bool,
         Flag(
             "sweep without and with each of four execution errors, into folders of --out, and print how SR "
-            "falls", "output"
+            "falls",
+            "output",
         ),
     ] = False
     receiver_motion: Annotated[
@@ -219,14 +228,16 @@ class Flags:
         Flag(
             "also play every handover in closed loop; the receiver's hand: still, moves, reaches, hesitates, "
             "withdraws or takes, with a size such as moves:100mm,20deg; or replay:NAME_motion.npz of import "
-            "hands (needs the extra env)", "closed loop"
+            "hands (needs the extra env)",
+            "closed loop",
         ),
     ] = ""
     policy: Annotated[
         str,
         Flag(
             "policy that moves the arm in closed loop: planned, stop, servo, replan, or your "
-            "package.module:function, which takes an observation of HandoverEnv", "closed loop"
+            "package.module:function, which takes an observation of HandoverEnv",
+            "closed loop",
         ),
     ] = "planned"
     horizon: Annotated[
@@ -239,13 +250,17 @@ class Flags:
     ] = ""
     no_poses: Annotated[
         bool,
-        Flag("do not store the scored poses: saves 51 to 81 bytes a trial; reevaluate needs them", "output"),
+        Flag(
+            "do not store the scored poses: saves 51 to 81 bytes a trial; reevaluate needs them",
+            "output",
+        ),
     ] = False
     verbose: Annotated[
         bool, Flag("print every step and shard on stderr; log.txt always has them", "output")
     ] = False
     allow_empty_candidates: Annotated[
-        bool, Flag("count trials of objects without a grasp as failures of built-in methods", "methods")
+        bool,
+        Flag("count trials of objects without a grasp as failures of built-in methods", "methods"),
     ] = False
     allow_missing: Annotated[
         bool, Flag("count trials that a predictions file leaves out as failures", "methods")
@@ -255,7 +270,9 @@ class Flags:
         float, Flag("seconds after which a Ray cluster that does not answer counts as lost", "work")
     ] = 30.0
     workers: Annotated[int, Flag("Ray actors; 0: one for each GPU, or for each 4 CPUs", "work")] = 0
-    gpus_per_worker: Annotated[float, Flag("GPUs of each actor; 0: 1 with device cuda", "work")] = 0.0
+    gpus_per_worker: Annotated[float, Flag("GPUs of each actor; 0: 1 with device cuda", "work")] = (
+        0.0
+    )
 
     @property
     def part(self) -> tuple[int, int]:
@@ -283,7 +300,15 @@ class Options(Flags):
 def help_text(prog: str) -> str:
     """What everybody needs, and the names of the groups of the rest: one screen."""
     groups = [*GROUPS.items(), SETTINGS_GROUP]
-    lines = [_usage(prog), "", str(Flags.__doc__), "", *_described(FIRST), "", "more, in groups (--help-all):"]
+    lines = [
+        _usage(prog),
+        "",
+        str(Flags.__doc__),
+        "",
+        *_described(FIRST),
+        "",
+        "more, in groups (--help-all):",
+    ]
     config = ("--config FILE", "a YAML file with any option; a flag wins over it")
     return "\n".join([*lines, *_columns(groups), *_columns([config])]) + "\n"
 

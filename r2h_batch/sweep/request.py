@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from r2h_batch.base.errors import UsageError
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function
 from r2h_batch.config import EstimateConfig, EvalConfig, ExecutionError
 from r2h_batch.protocols.choice import BenchmarkChoice
@@ -57,6 +58,29 @@ class TrialPlan:
         if not any(counts.values()):
             raise UsageError(f"the trials file has none of --splits {' '.join(self.splits)}")
         return {s: n for s, n in counts.items() if n}
+
+    def shares(self, benchmark: "Benchmark", plan: Mapping[str, int]) -> str:
+        """One line that says how many trials each object of --object-mesh gets, for the objects of a split
+        take turns; empty without such objects, or with listed trials.
+
+        Args:
+            benchmark: as `read` gives it.
+            plan: as `plan` gives it.
+        """
+        if not self.benchmark.object_mesh or benchmark.listed is not None:
+            return ""
+        added, words = benchmark.objects[-len(self.benchmark.object_mesh) :], []
+        for model in added:
+            of_split = [o for o in benchmark.objects if o.split == model.split]
+            rounds, rest = divmod(plan.get(model.split, 0), len(of_split))
+            turn = next(i for i, o in enumerate(of_split) if o is model)
+            own = rounds + (turn < rest)
+            words.append(
+                f"{printable(model.name)} gets {own or 'none'} of {plan.get(model.split, 0)} trials of {model.split}"
+                f" ({len(of_split)} objects)"
+            )
+        how = "--objects FOLDER judges your meshes alone"
+        return f"--object-mesh adds to the benchmark's objects: {', '.join(words)}; {how}"
 
     def _check_splits(self, known: set[str]) -> None:
         if missing := [s for s in self.splits if s not in known]:

@@ -108,9 +108,7 @@ def given_in_file(data: dict[str, Any]) -> dict[str, Any]:
             found |= error_settings(data.pop(name))
         elif full in settings():
             found[full] = data.pop(name)
-    return {
-        k: tuple(v) if isinstance(v, list) else v for k, v in found.items() if v != UNSAID
-    }
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in found.items() if v != UNSAID}
 
 
 def known(name: str, kind: str) -> str:

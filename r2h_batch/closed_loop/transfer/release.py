@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
+from r2h_batch.base.errors import nearest
 from r2h_batch.base.user_code import load_function
 from r2h_batch.runs import provenance
 from r2h_batch.trials.holding.held_out import G
@@ -289,9 +290,9 @@ def release_of(spec: str) -> tuple[Any, str]:
     if spec in POLICIES:
         return POLICIES[spec], spec
     if ":" not in spec:
-        raise ImportError(
-            f"no release policy {spec!r}; built in are {', '.join(POLICIES)}, your own is FILE.py:Class"
-        )
+        hint, allowed = nearest(spec, list(POLICIES)), ", ".join(POLICIES)
+        how = f"built in are {allowed}, your own is FILE.py:Class"
+        raise ImportError(f"no release policy {spec!r}{hint}; {how}")
     found = load_function(spec)
     if not isinstance(found.function, type):
         raise TypeError(
