@@ -76,6 +76,16 @@ def test_the_help_of_a_command_loads_nothing_heavy():
         ("scene x --trail 1 --out y", ["did you mean --trial?"]),
         ("trials --out x --splits S3", ["--splits is 'S3'", "allowed are S0, S1\n"]),
         ("sweep --benchmark r2h-v3", ["--benchmark is 'r2h-v3', did you mean r2h-v2?; allowed are r2h-v0, r2h-v1, "]),
+        (
+            "sweep --method random --people adults children",
+            ["--people takes one value, and 'children' stands behind it"],
+        ),
+        ("results transfer x --release loadshare", ["'loadshare', did you mean load-share?"]),
+        (
+            "sweep --method random --objects families:*x1000",
+            ["x 1,000 of 16 families is 16,000 objects; at most 1,000 are allowed, so write x 1 to x 62"],
+        ),
+        ("sweep --method random --objects families:" + "a" * 9000, ["no family is called 'aaaa", "there are "]),
         ("ls robot", ["is 'robot', did you mean robots?; allowed are methods, "]),
         ("sweep --method random --objects not_there", ["not_there: there is no such folder or file; --objects takes"]),
         ("trials --trials 3", ["--out"]),

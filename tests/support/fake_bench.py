@@ -34,6 +34,9 @@ class FakeEvaluator:
         robot = SimpleNamespace(joints=range(6))
         self.scene = SimpleNamespace(device="cpu", objects=objects, hands=hands, part_names=NAMES.parts, robot=robot)
 
+    def hint(self, scores, T_obj_ee, T_world_ee, trials):
+        return None
+
     def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
         assert T_obj_ee.shape == T_world_ee.shape == (len(trials), 4, 4)
         self.sizes.append(len(trials))
