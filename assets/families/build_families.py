@@ -102,10 +102,16 @@ def described(instance: Instance, model: ObjectModel) -> dict[str, Any]:
     }
 
 
+def jobs_of(name: str, count: int) -> list[tuple[str, int]]:
+    """All instances of a category, or the one of this name."""
+    category, _, index = name.rpartition("_")
+    return [(category, int(index))] if category in FAMILIES and index.isdigit() else [(name, i) for i in range(count)]
+
+
 def main() -> None:
     """Writes all files and prints a line per instance."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("categories", nargs="*", help="default: all")
+    parser.add_argument("names", nargs="*", help="categories, or instances such as cup_04; default: all categories")
     parser.add_argument("--training", type=Path, help="write the training instances into this folder instead")
     parser.add_argument("--count", type=int, help="instances of each category; default: 6 to ship, 12 to learn from")
     parser.add_argument("--without-held-out", action="store_true", help="keep the stored held-out grasps")
@@ -117,7 +123,7 @@ def main() -> None:
     count = args.count or count
     out = args.training or args.out
     out.mkdir(parents=True, exist_ok=True)
-    jobs = [(c, i) for c in args.categories or FAMILIES for i in range(count)]
+    jobs = [job for name in args.names or FAMILIES for job in jobs_of(name, count)]
     if args.only:
         with ProcessPoolExecutor(args.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
             make_only(args.only, jobs, out, pool)

@@ -5,7 +5,8 @@ Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.P
 `scene.robot.ROBOTS`.
 """
 
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 
 class Protocol(NamedTuple):
@@ -37,6 +38,16 @@ PROTOCOLS = (
 )
 DEFAULT_PROTOCOL = "r2h-v1"
 PROTOCOL_NAMES = tuple(entry.name for entry in PROTOCOLS)
+LISTED, FOREIGN = "listed", "r2handoversim"
+"""In place of a rule: trials of a file; the verdicts of the authors' release, by its own definitions."""
+
+
+def is_drawn(header: Mapping[str, Any]) -> bool:
+    """Whether a rule drew the trials of a run, by its run.json: of any number of them, the first ones are the same."""
+    told = {"objects", "hand_set"} <= header["digests"].keys() or header[
+        "protocol"
+    ] in PROTOCOL_NAMES
+    return told and header["protocol"] not in (LISTED, FOREIGN)
 
 
 class Preset(NamedTuple):
@@ -91,12 +102,10 @@ TURNS = ("half", "cycled")
 `protocols/edit.py` has them."""
 
 if TYPE_CHECKING:
-    ProtocolName: TypeAlias = str
     PresetName: TypeAlias = str
     EngineName: TypeAlias = str
     EngineWord: TypeAlias = str
 else:  # in a checked field: one of the names; a word may also be empty, or leave the choice open
-    ProtocolName = Literal[PROTOCOL_NAMES]
     PresetName = Literal[PRESET_NAMES]
     EngineName = Literal[("none", *ENGINE_NAMES)]
     EngineWord = Literal[("auto", "none", *ENGINE_NAMES)]

@@ -14,11 +14,12 @@ from pydantic import AfterValidator, Field
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable, read_json
+from r2h_batch.base.registry import FOREIGN
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.data.release_files import Entry, Name, Receiver, validated
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import TRIAL_SCHEMA
-from r2h_batch.runs.store import FOREIGN, write_labels
+from r2h_batch.runs.store import write_labels
 from r2h_batch.runs.writing import open_run
 from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SPLITS
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import path_within, printable
-from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.people import people_hand, people_hand_set
 from r2h_batch.protocols.benchmark import WITH_PEOPLE, Benchmark
@@ -20,6 +20,7 @@ from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.family_objects import PREFIX, family_objects, family_splits
 from r2h_batch.protocols.file_fields import ObjectEntry, read_benchmark_file, read_object_file
 from r2h_batch.protocols.load import load_benchmark
+from r2h_batch.protocols.registry import BENCHMARK
 from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.protocols.yaml_file import (
     hand_of,
@@ -97,9 +98,7 @@ def edited(choice: BenchmarkChoice, *, pieces: bool = False) -> Benchmark:
 def said_splits(choice: BenchmarkChoice) -> set[str]:
     """The splits of the objects that flags and files name, before any mesh is read; empty where they
     name none, or list trials."""
-    named = (
-        "" if choice.benchmark in PROTOCOL_NAMES or ":" in choice.benchmark else choice.benchmark
-    )
+    named = "" if choice.benchmark in BENCHMARK or ":" in choice.benchmark else choice.benchmark
     path = Path(choice.objects or named)
     if choice.trials_file or not (choice.objects or named):
         return set()

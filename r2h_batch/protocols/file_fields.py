@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import printable, read_yaml
-from r2h_batch.base.registry import DEFAULT_PROTOCOL, ProtocolName
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.base.validate import rule_of
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.scene.objects import BUILT_IN_NAMES, OBJECT_NAMES, ObjectModel, load_objects
@@ -143,8 +143,9 @@ class BenchmarkFile(_Entry):
     relative to this one, beside or below it."""
 
     format: Literal[1] = 1
-    protocol: ProtocolName = Field(
-        default=DEFAULT_PROTOCOL, description="the rule that draws the trials"
+    protocol: Name = Field(
+        default=DEFAULT_PROTOCOL,
+        description="the benchmark that this file changes, whose rule draws the trials: a name of r2h-batch ls benchmarks",
     )
     receiver: Literal["hand", "body"] = Field(
         default="hand",

@@ -4,11 +4,11 @@ from pathlib import Path
 
 from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import printable
-from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.base.user_code import HOW, load_function
 from r2h_batch.base.validate import instance_of
 from r2h_batch.protocols.benchmark import Benchmark
-from r2h_batch.protocols.named import named_benchmark
+from r2h_batch.protocols.registry import BENCHMARK, named_benchmark
 from r2h_batch.protocols.yaml_file import read_benchmark
 
 
@@ -24,7 +24,7 @@ def load_benchmark(which: str | Path = DEFAULT_PROTOCOL, *, pieces: bool = False
         FileError: there is none, or (one line) its file is wrong.
     """
     instance_of((str, Path), "a name, or a benchmark.yaml")("which", which)
-    if which in PROTOCOL_NAMES:
+    if which in BENCHMARK:
         return named_benchmark(str(which))
     text, path = str(which), Path(which)
     if path.suffix.lower() in (".yaml", ".yml") or path.is_dir():
@@ -32,13 +32,13 @@ def load_benchmark(which: str | Path = DEFAULT_PROTOCOL, *, pieces: bool = False
     if ":" in text:
         return _of_function(text)
     raise FileError(
-        f"no benchmark is called {printable(text)[:200]!r}{nearest(text, PROTOCOL_NAMES)}; allowed are"
-        f" {', '.join(PROTOCOL_NAMES)}, a benchmark.yaml, or {HOW}"
+        f"no benchmark is called {printable(text)[:200]!r}{nearest(text, list(BENCHMARK))}; allowed are"
+        f" {', '.join(BENCHMARK)}, a benchmark.yaml, or {HOW}"
     )
 
 
 def _of_function(spec: str) -> Benchmark:
-    """What a user's function returns."""
+    """The benchmark that a user's function returns."""
     try:
         found = load_function(spec).function()
     except (ImportError, TypeError) as error:

@@ -9,13 +9,13 @@ from typing import Any
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable
-from r2h_batch.base.registry import PROTOCOL_NAMES
+from r2h_batch.base.registry import LISTED
 from r2h_batch.data.people import WORDS
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.choice import BenchmarkChoice, words_of
 from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.family_objects import PREFIX
-from r2h_batch.protocols.trials_file import LISTED
+from r2h_batch.protocols.registry import BENCHMARK
 from r2h_batch.scene.objects import object_digest
 from r2h_batch.scene.robot import ROBOTS
 
@@ -45,8 +45,8 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: s
         given = replace(given, turn=said.turn)
     flags = _check_flags(header, given, where)
     if not given.benchmark and protocol != LISTED:
-        if protocol not in PROTOCOL_NAMES:
-            known = f"this version has {', '.join(PROTOCOL_NAMES)}; give its --benchmark"
+        if protocol not in BENCHMARK:
+            known = f"this installation has {', '.join(BENCHMARK)}; give its --benchmark"
             raise FileError(f"{where}: benchmark {printable(protocol)!r}; {known}")
         given = replace(given, benchmark=protocol)
     given = replace(given, receiver=header["configuration"].get("receiver", "hand"))
@@ -100,7 +100,7 @@ def _found(said: BenchmarkChoice, run: Path) -> BenchmarkChoice | None:
     def of(name: str, value: str) -> str | None:
         if (
             name in ("persons", "turn")
-            or (name == "benchmark" and value in PROTOCOL_NAMES)
+            or (name == "benchmark" and value in BENCHMARK)
             or (name == "people" and value in WORDS)
             or (name == "robot" and value in ROBOTS)
             or value.startswith(PREFIX)
@@ -133,7 +133,7 @@ def _files(choice: BenchmarkChoice) -> list[str]:
 def _is_said(flag: str) -> bool:
     """Whether run.json says elsewhere what a flag says: the rule that drew the trials, what was seen of the person."""
     name, _, value = flag.partition(" ")
-    named = name == "--benchmark" and value in PROTOCOL_NAMES
+    named = name == "--benchmark" and value in BENCHMARK
     return named or name in ("--protocol", "--receiver")
 
 

@@ -5,6 +5,7 @@ from r2h_batch.config import Workplace
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.draw.palms import place_palms
 from r2h_batch.protocols.draw.rule import Rule
+from r2h_batch.protocols.registry import BENCHMARK
 from r2h_batch.scene.hand import neutral_hand_set
 from r2h_batch.scene.objects import load_objects, without_region
 
@@ -23,6 +24,7 @@ TABLE_CENTER, TABLE_HALF = (0.35, 0.0, -0.05), (0.65, 0.55, 0.035)
 """Its home and the table of its CPU planner, m: 15 mm below the base, and under the receiver."""
 
 
+@BENCHMARK("r2h-release")
 def r2h_release() -> Benchmark:
     """16 objects, two hands."""
     objects = (*map(without_region, load_objects(S0)), *load_objects(S1))

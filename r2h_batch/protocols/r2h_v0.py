@@ -3,10 +3,12 @@
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.draw.hands_alone import place_hands_alone
 from r2h_batch.protocols.draw.rule import Rule
+from r2h_batch.protocols.registry import BENCHMARK
 from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.objects import load_objects
 
 
+@BENCHMARK("r2h-v0")
 def r2h_v0() -> Benchmark:
     """16 objects, 400 hands that float."""
     return Benchmark(load_objects(), load_hand_set(), Rule("r2h-v0", place_hands_alone), "r2h-v0")

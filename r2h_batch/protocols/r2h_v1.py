@@ -3,10 +3,12 @@
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.draw.reaching import place_reaching
 from r2h_batch.protocols.draw.rule import Rule
+from r2h_batch.protocols.registry import BENCHMARK
 from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.objects import load_objects
 
 
+@BENCHMARK("r2h-v1")
 def r2h_v1() -> Benchmark:
     """16 objects, 400 hands of adults."""
     rule = Rule("r2h-v1", place_reaching, bodies=True)

@@ -43,9 +43,6 @@ from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.types import PERSON, Trials
 from r2h_batch.verdicts import SPLITS
 
-LISTED = "listed"
-"""Protocol of a run whose trials a file lists."""
-
 MAX_BYTES, MAX_ROW_BYTES = 256 << 20, 2048
 MAX_TRIALS = 1_000_000
 FARTHEST_M = 10.0

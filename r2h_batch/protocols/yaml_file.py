@@ -35,7 +35,7 @@ from r2h_batch.protocols.file_fields import (
     ObjectEntry,
     read_benchmark_file,
 )
-from r2h_batch.protocols.named import named_benchmark
+from r2h_batch.protocols.registry import named_benchmark
 from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.grasp_set import GraspSet
@@ -126,7 +126,7 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
 
 
 def _name_of(path: Path) -> str:
-    """What a file's benchmark is called: as the file, or as its folder where the file says nothing."""
+    """The name of a file's benchmark: the file's, or its folder's where the file is called benchmark.yaml."""
     return path.parent.name if path.stem == "benchmark" and path.parent.name else path.stem
 
 

@@ -40,8 +40,6 @@ from r2h_batch.runs.verify import first_problem
 
 MAX_LABELS_BYTES = 256 << 20
 LABELS = "ids.csv"
-FOREIGN = "r2handoversim"
-"""Protocol of runs that hold somebody else's verdicts (`import results`): without margins."""
 IMPORTED = "imported-"
 """Begins the name of a folder that holds the trials of a sweep in our form."""
 

@@ -14,7 +14,7 @@ import pyarrow as pa
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import refused_parquet
 from r2h_batch.base.io.read import printable
-from r2h_batch.base.registry import PROTOCOL_NAMES
+from r2h_batch.base.registry import is_drawn
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.runs.files import RunError, claim
 from r2h_batch.runs.format3 import FORMAT_3, Format3Shard
@@ -123,13 +123,13 @@ def not_as_planned(
     """How rows differ from positions `first` to `last` - 1 of the trial list; empty: they do not.
 
     Args:
-        header: run.json. Nothing is known of runs of other protocols.
+        header: run.json. Nothing is known of trials that no rule drew.
         first: first position.
         last: position after the last one.
         table: rows with `trial_id`.
         every: whether every planned trial must have a row.
     """
-    if header["protocol"] not in PROTOCOL_NAMES:
+    if not is_drawn(header):
         return ""
     planned, ids = trial_ids(header["trials"], first, last), table["trial_id"].to_numpy()
     if len(strange := ids[~np.isin(ids, planned)]):

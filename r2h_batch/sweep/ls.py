@@ -81,9 +81,12 @@ def _robots() -> Iterator[Line]:
 
 def _benchmarks() -> Iterator[Line]:
     from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOLS
+    from r2h_batch.protocols.registry import BENCHMARK
 
-    for entry in PROTOCOLS:
-        yield entry.name, entry.about, "default" if entry.name == DEFAULT_PROTOCOL else ""
+    about = {entry.name: entry.about for entry in PROTOCOLS}
+    for name in BENCHMARK:
+        default = "default" if name == DEFAULT_PROTOCOL else ""
+        yield name, about.get(name, "of another package"), default
 
 
 def _runs(folder: Path) -> Iterator[Line]:

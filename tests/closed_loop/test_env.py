@@ -350,7 +350,7 @@ def test_an_object_that_stays_2_cm_outside_of_the_ball_is_not_received(scores):
     given = scores.inputs
     for inside, end in ((-0.02, End.TIMEOUT), (0.01, End.SUCCESS)):
         smaller = replace(benchmark, thresholds=Thresholds(reach_radius_m=far + inside))
-        one = Evaluator(smaller, EvalConfig(execute=ExecConfig(sim="none"))).score(
+        one = Evaluator(load_benchmark("r2h-v1"), smaller).score(
             given.T_obj_ee[[row]], given.T_world_ee[[row]], given.trials[torch.tensor([row])].named(benchmark.objects)
         )
         assert float(one.margin[0, reach]) == pytest.approx(inside, abs=1e-5)
@@ -596,7 +596,7 @@ def test_an_object_within_reach_is_received_after_it_was_held_out_for_a_tenth_of
     _, benchmark = evaluator_of("ur5e_2f85")
     wide = replace(benchmark, thresholds=Thresholds(reach_radius_m=2.0))
     given, rows = scores.inputs, torch.nonzero(scores.success).flatten()[:3]
-    some = Evaluator(wide, EvalConfig(execute=ExecConfig(sim="none"))).score(
+    some = Evaluator(load_benchmark("r2h-v1"), wide).score(
         given.T_obj_ee[rows], given.T_world_ee[rows], given.trials[rows].named(benchmark.objects)
     )
     env = HandoverEnv(some, "still", config=LoopConfig(rate_hz=rate_hz))

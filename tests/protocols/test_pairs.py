@@ -11,7 +11,7 @@ from problems import default_evaluator
 
 from r2h_batch import Benchmark, Evaluator, Predictions, load_benchmark
 from r2h_batch.base.errors import FileError
-from r2h_batch.config import EvalConfig, Thresholds
+from r2h_batch.config import Thresholds
 from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.scene.objects import load_objects
@@ -117,9 +117,9 @@ def test_a_benchmark_is_a_value_that_is_edited_and_carried(tmp_path):
     with pytest.raises(
         ValueError, match=r"config.thresholds is .*say one: dataclasses.replace\(benchmark, thresholds=...\)"
     ):
-        Evaluator(v1, EvalConfig(thresholds=Thresholds(reach_radius_m=0.2)))
+        Evaluator(load_benchmark("r2h-v1"), v1)
     with pytest.raises(TypeError, match="Evaluator\\(config=EvalConfig"):
-        Evaluator(EvalConfig())
+        Evaluator(load_benchmark("r2h-v1"))
     with pytest.raises(ValueError, match="receiver is body, trials of r2h-v0 have none; take a benchmark of people"):
         replace(load_benchmark("r2h-v0"), receiver="body")
 

@@ -7,11 +7,11 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.registry import PROTOCOL_NAMES
+from r2h_batch.base.registry import FOREIGN, is_drawn
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of
 from r2h_batch.config import EvalConfig
 from r2h_batch.report.statistics.codes import judged_by
-from r2h_batch.runs.store import FOREIGN, Run
+from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS
 
 FINER = ("apart_from_objects", "each_object")
@@ -122,9 +122,7 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
         names = [{i: name for i, (name, _) in run.labels.items()} for run in (a, b)]
         return "" if names[0] == names[1] else "the names of their trials"
     same_trials = left["trials"] == right["trials"]
-    follow = (
-        left["protocol"] in PROTOCOL_NAMES and {"objects", "hand_set"} <= left["digests"].keys()
-    )
+    follow = is_drawn(left) and {"objects", "hand_set"} <= left["digests"].keys()
     if not same_trials and not follow:
         return f"trials ({_other_keys(left['trials'], right['trials'])})"
     skipped = set(FINER) if same_trials else {"trials", *FINER}

@@ -1,0 +1,196 @@
+"""Things of one kind under their names: ours, and those of a stranger's package. Standard library only.
+
+A room makes one `Registry` for each kind, beside the things or below them:
+
+    POLICY: Registry[type] = Registry("policy", modules=("r2h_batch.closed_loop.policies",))
+
+    @POLICY("servo")                     # in closed_loop/policies.py, or in any module of `modules`
+    class Servo: ...
+
+    POLICY["servo"]                      # imports the modules, once, when a name is first asked for
+    list(POLICY); "servo" in POLICY      # as well; names that are given as `names` are there before
+
+A package of ours in `modules` stands for all of its modules, so that a new file needs no line
+elsewhere. A stranger's package names what it adds in its own pyproject.toml, and nothing of ours
+changes:
+
+    [project.entry-points."r2h_batch.plugins"]
+    "policy.slow" = "their_package.arms:Slow"       # KIND.NAME: one thing, imported when it is used
+    anything = "their_package.r2h"                  # a module that registers when it is imported
+
+What is in no package is `module:function` on a command line (`base.user_code.find`).
+"""
+
+import difflib
+import pkgutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Generic, TypeVar
+
+GROUP = "r2h_batch.plugins"
+"""The group of entry points in which other packages name what they add."""
+
+T = TypeVar("T")
+U = TypeVar("U")
+
+
+class PluginError(ValueError):
+    """A name that is unknown or taken, or a package that cannot be imported, in one line."""
+
+
+class Registry(Generic[T]):
+    """The things of one kind by name, in the order in which they came: ours first.
+
+    Args:
+        kind: one word for messages and for entry points (`KIND.NAME`).
+        things: those that are light enough to be here from the start.
+        modules: modules and packages of ours that register more when they are imported: when a name
+            is asked for that is not here yet.
+        names: names that those modules give, for lists that must not import them.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        things: Mapping[str, T] | None = None,
+        *,
+        modules: Sequence[str] = (),
+        names: Sequence[str] = (),
+    ) -> None:
+        self.kind = kind
+        self._things: dict[str, T] = dict(things or {})
+        self._modules, self._names = list(modules), tuple(names)
+        self._declared: dict[str, EntryPoint] | None = None
+        self._strangers = False  # whether modules of other packages were imported
+
+    def __call__(self, name: str) -> Callable[[U], U]:
+        """A decorator: what stands below it is registered under this name."""
+
+        def keep(thing: U) -> U:
+            self.add(name, thing)  # type: ignore[arg-type]  # a class stands for what it makes
+            return thing
+
+        return keep
+
+    def add(self, name: str, thing: T) -> None:
+        """Registers a thing.
+
+        Raises:
+            PluginError: the name is another thing's. A module that is imported anew may repeat its own.
+        """
+        old, new = _place(self._things.get(name, thing)), _place(thing)
+        if old != new:
+            raise PluginError(
+                f"two of kind {self.kind} are called {name!r}: {old} and {new}; rename one of them"
+            )
+        self._things[name] = thing
+
+    def __getitem__(self, name: str) -> T:
+        """The thing of this name.
+
+        Raises:
+            PluginError: there is none, or a package cannot be imported.
+        """
+        declared = self._declared_names()
+        for bring in (
+            self._import_ours,
+            lambda: self._load(declared, name),
+            self._import_strangers,
+        ):
+            if name in self._things:
+                break
+            bring()
+        if name not in self._things:
+            raise PluginError(self.unknown(name))
+        return self._things[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._things or name in self._names or name in set(self)
+
+    def __iter__(self) -> Iterator[str]:
+        """The names. Without `names` this imports our modules; it imports a stranger's module only where its
+        entry point does not say KIND.NAME."""
+        if not self._names:
+            self._import_ours()
+        self._import_strangers()
+        return iter(dict.fromkeys((*self._names, *self._things, *self._declared_names())))
+
+    def unknown(self, name: str) -> str:
+        """The line about a name that is not here: the nearest one, and all."""
+        names = list(self)
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f", did you mean {near[0]}?" if near else ""
+        return f"no {self.kind} is called {name!r}{hint}; there are {', '.join(names)}"
+
+    def _import_ours(self) -> None:
+        while self._modules:
+            module = import_module(self._modules[0])
+            for found in pkgutil.iter_modules(getattr(module, "__path__", ())):
+                import_module(f"{module.__name__}.{found.name}")
+            self._modules.pop(0)
+
+    def _declared_names(self) -> dict[str, EntryPoint]:
+        """Name -> entry point of a stranger's, of those that are called KIND.NAME."""
+        if self._declared is None:
+            found: dict[str, EntryPoint] = {}
+            for entry in _entries():
+                of, dot, name = entry.name.partition(".")
+                if of != self.kind or not dot:
+                    continue
+                if not self._names:
+                    self._import_ours()
+                if name in found or name in self._names or name in self._things:
+                    other = _owner(found[name]) if name in found else "r2h_batch"
+                    raise PluginError(
+                        f"{_owner(entry)} calls a {self.kind} {name!r}, and so does {other}; rename it in its entry points or"
+                        " uninstall it"
+                    )
+                found[name] = entry
+            self._declared = found
+        return self._declared
+
+    def _load(self, declared: Mapping[str, EntryPoint], name: str) -> None:
+        if name in declared:
+            self.add(name, _loaded(declared[name]))
+
+    def _import_strangers(self) -> None:
+        """Imports the modules of other packages that register what they add."""
+        if self._strangers:
+            return
+        self._strangers = True  # such a module may ask for names itself
+        try:
+            for entry in _entries():
+                if "." not in entry.name:
+                    _loaded(entry)
+        except BaseException:
+            self._strangers = False
+            raise
+
+
+@lru_cache(maxsize=1)
+def _entries() -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=GROUP))
+
+
+def _loaded(entry: EntryPoint) -> Any:
+    try:
+        return entry.load()
+    except PluginError:
+        raise
+    except Exception as error:  # the stranger's code runs
+        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise PluginError(
+            f"{entry.value} of {_owner(entry)} cannot be imported ({what}); mend the package or uninstall it"
+        ) from error
+
+
+def _owner(entry: EntryPoint) -> str:
+    return f"package {entry.dist.name}" if entry.dist else entry.value
+
+
+def _place(thing: Any) -> str:
+    """`module:name` of a function or class; of anything else its text."""
+    name = getattr(thing, "__qualname__", None)
+    return f"{thing.__module__}:{name}" if name else repr(thing)[:80]

@@ -1,0 +1,116 @@
+"""Names that other packages add: by entry points as `pip` installs them, read by a fresh interpreter."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from r2h_batch.plugins import PluginError, Registry
+
+HEAD = """
+import sys
+from r2h_batch.plugins import PluginError, Registry
+KNIFE = Registry("knife", {"bread": 1})
+
+def line(call):
+    try:
+        call()
+    except PluginError as error:
+        return str(error)
+    raise AssertionError("nothing was refused")
+
+"""
+MODULE = '''from __main__ import KNIFE
+
+
+@KNIFE("paring")
+class Paring:
+    """A small one."""
+'''
+
+
+def installed(folder: Path, package: str, points: str, module: str = "") -> None:
+    """A package as pip leaves it: a module and the metadata beside it."""
+    info = folder / f"{package}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[r2h_batch.plugins]\n{points}")
+    (folder / f"{package}.py").write_text(module)
+
+
+def said(folder: Path, code: str) -> str:
+    """The lines that a fresh interpreter prints that finds the packages of this folder."""
+    path = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run([sys.executable, "-c", HEAD + code], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_declared_thing_is_listed_without_its_import_and_imported_when_it_is_used(tmp_path: Path) -> None:
+    installed(tmp_path, "strange", "knife.palette = strange:PALETTE\nfork.fish = strange:NONE\n", "PALETTE = 7\n")
+    code = "print(*KNIFE, 'palette' in KNIFE, 'strange' in sys.modules, KNIFE['palette'], 'strange' in sys.modules)"
+    assert said(tmp_path, code).split() == ["bread", "palette", "True", "False", "7", "True"]
+
+
+def test_a_module_registers_when_it_is_imported_for_a_list_or_an_unknown_name_and_not_before(tmp_path: Path) -> None:
+    installed(tmp_path, "strange", "all = strange\n", MODULE)
+    assert said(tmp_path, "KNIFE['bread']; print('strange' in sys.modules)").split() == ["False"]
+    assert said(tmp_path, "print(KNIFE['paring'].__doc__, *KNIFE)").split()[-2:] == ["bread", "paring"]
+
+
+def test_what_is_there_twice_or_cannot_be_imported_is_refused_in_a_line_that_names_the_package(tmp_path: Path) -> None:
+    installed(tmp_path / "a", "strange", "knife.bread = strange:X\n", "X = 2\n")
+    text = said(tmp_path / "a", "print(line(lambda: list(KNIFE))); print(line(lambda: KNIFE['bread']))")
+    assert text.count("package strange calls a knife 'bread', and so does r2h_batch; rename it") == 2
+    (tmp_path / "a" / "drawer.py").write_text("from __main__ import FORK\nFORK.add('fish', 1)\n")
+    installed(tmp_path / "a", "forks", "fork.fish = forks:X\n", "X = 2\n")
+    text = said(tmp_path / "a", "FORK = Registry('fork', modules=['drawer']); print(line(lambda: FORK['fish']))")
+    assert "package forks calls a fork 'fish', and so does r2h_batch" in text
+    installed(tmp_path / "b", "strange", "knife.oyster = strange:X\n", "X = 2\n")
+    installed(tmp_path / "b", "other", "knife.oyster = other:X\n", "X = 2\n")
+    assert "calls a knife 'oyster', and so does package" in said(tmp_path / "b", "print(line(lambda: list(KNIFE)))")
+    installed(tmp_path / "c", "strange", "knife.oyster = strange:X\nall = strange\n", "import not_there\n")
+    for ask in ("KNIFE['oyster']", "list(KNIFE)", "list(KNIFE)"):
+        text = said(tmp_path / "c", f"print(line(lambda: {ask}))")
+        assert "of package strange cannot be imported (ModuleNotFoundError: No module named 'not_there')" in text
+        assert len(text.splitlines()) == 1
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
+    knives = Registry[int]("knife", {"bread": 1, "butter": 2})
+    with pytest.raises(
+        PluginError, match=r"^no knife is called 'buter', did you mean butter\?; there are bread, butter$"
+    ):
+        knives["buter"]
+
+
+def test_two_of_a_name_are_refused_and_one_that_is_imported_anew_is_not() -> None:
+    knives = Registry[type]("knife")
+
+    def make(place: str) -> type:
+        return type("Bread", (), {"__module__": place})
+
+    assert knives("bread")(first := make("ours")) is first is knives["bread"]
+    knives("bread")(anew := make("ours"))
+    assert knives["bread"] is anew
+    with pytest.raises(PluginError, match=r"two of kind knife are called 'bread': ours:Bread and theirs:Bread"):
+        knives("bread")(make("theirs"))
+
+
+def test_modules_of_ours_are_imported_once_a_name_is_asked_for_and_a_package_stands_for_its_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "drawer").mkdir()
+    (tmp_path / "drawer" / "__init__.py").write_text("")
+    (tmp_path / "drawer" / "top.py").write_text("import builtins\nbuiltins.KNIVES.add('fish', 3)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    knives = Registry[int]("knife", {"bread": 1}, modules=("drawer",), names=("fish",))
+    monkeypatch.setattr("builtins.KNIVES", knives, raising=False)
+    assert list(knives) == ["fish", "bread"] and "drawer" not in sys.modules
+    assert knives["bread"] == 1 and "drawer" not in sys.modules
+    assert knives["fish"] == 3 and "drawer.top" in sys.modules
+    monkeypatch.delitem(sys.modules, "drawer.top")
+    monkeypatch.delitem(sys.modules, "drawer")
