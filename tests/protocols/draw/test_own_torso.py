@@ -11,7 +11,6 @@ from people_twin import capsule
 from r2h_batch import load_benchmark
 from r2h_batch.data.people import built_in_people
 from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.draw.own_torso import (
     ROOM_M,
     arm_is_clear,
@@ -21,6 +20,7 @@ from r2h_batch.protocols.draw.own_torso import (
     segment_to_box,
 )
 from r2h_batch.protocols.draw.receivers import Person, reach
+from r2h_batch.protocols.edit import edited
 from r2h_batch.scene.robot import ShapeKind
 from r2h_batch.trials.benchmark.benchmark import Benchmark
 
