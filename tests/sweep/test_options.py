@@ -9,8 +9,10 @@ import pytest
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.config import MADE_BY, EvalConfig
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.sweep.options import Flags, Options, check, load_config, parse
-from r2h_batch.sweep.request import requested
+from r2h_batch.sweep.request import TrialPlan, requested
 from r2h_batch.sweep.settings import ELSEWHERE, SHORT, configured, flag_of, settings, value_of
 
 
@@ -219,3 +221,20 @@ def test_yaml_that_says_more_than_words_lists_and_decimal_numbers_is_refused_by_
         check(load_config(path))
     message = str(refused.value)
     assert part in message and message.isprintable() and len(message) < 700, message
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("trials", [8, 40])
+def test_objects_of_a_command_line_say_how_many_trials_they_get(trials):
+    usual = load_benchmark("r2h-v0")
+    cup = next(o for o in usual.objects if o.split == "S0")
+    added = [dataclasses.replace(cup, name=name) for name in ("mug", "jar")]
+    benchmark = dataclasses.replace(usual, objects=(*usual.objects, *added))
+    plan = TrialPlan(BenchmarkChoice(object_mesh=("mug.obj", "jar.obj")), ("S0", "S1"), trials)
+    line = plan.shares(benchmark, {"S0": trials, "S1": trials})
+    drawn = benchmark.trials(trials).object_index
+    for place, model in enumerate(benchmark.objects[-2:], len(usual.objects)):
+        own = int((drawn == place).sum())
+        assert f"{model.name} gets {own or 'none'} of {trials} trials of S0" in line
+    assert "--objects FOLDER" in line
+    assert TrialPlan(BenchmarkChoice(), ("S0",), 8).shares(usual, {"S0": 8}) == ""
