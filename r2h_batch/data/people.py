@@ -181,7 +181,7 @@ def read_people(path: str | Path) -> People:
         rows
     ):  # csv fills a short row with None, and keeps what is over under None
         cells = sum(v is not None for v in row.values()) - (None in row)
-        over = len(row.get(None) or ())  # type: ignore[call-overload]
+        over = len(row.get(None) or ())
         if cells + over != len(there):
             words = f"person {k + 1} has {cells + over} cells, the header has {len(there)}"
             raise FileError(f"{where}: {words}; write one cell for each column")

@@ -34,7 +34,8 @@ def other_poses(T_obj_ee: Tensor, T_world_ee: Tensor) -> dict[str, Poses]:
         T_world_ee: (B, 4, 4) handover poses as given, m.
     """
     inverse_grasp, inverse_handover = se3.inverse(T_obj_ee), se3.inverse(T_world_ee)
-    half = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0])).to(T_world_ee)
+    half = torch.eye(4, dtype=T_world_ee.dtype, device=T_world_ee.device)
+    half[0, 0] = half[1, 1] = -1.0
     xyzw, wxyz = ([_reordered(T, order) for T in (T_obj_ee, T_world_ee)] for order in ORDERS)
     return {
         "T_obj_ee inverted: it is the ee in the object's frame": (inverse_grasp, T_world_ee),
@@ -94,7 +95,7 @@ def pose_hint(
     given = (T_obj_ee[rows], T_world_ee[rows])
     others = other_poses(*given)
     grasps, handovers = zip(given, *others.values(), strict=True)
-    times = torch.arange(ROWS, device=rows.device).repeat(1 + len(others))
+    times = torch.arange(ROWS, dtype=torch.int64, device=rows.device).repeat(1 + len(others))
     found = judge(torch.cat(grasps), torch.cat(handovers), trials[rows][times])
     return _best(scores, found, tuple(others))
 
@@ -126,7 +127,7 @@ def motion_hint(
         return _best(scores, Scores.concatenate(parts), (name,))
     if not long:
         return None
-    rows = torch.arange(ROWS, device=q.device)
+    rows = torch.arange(ROWS, dtype=torch.int64, device=q.device)
     found = judge(rows, q[rows], (time_s if time_s.ndim == 1 else time_s[rows]) / 1000)
     if not (found.passed.sum(1) >= scores.passed[rows].sum(1)).all():
         return None

@@ -13,7 +13,7 @@ import textwrap
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields, make_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
@@ -491,9 +491,8 @@ def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") 
 
     arguments, path, switched, given = _without_config(arguments, prog)
     file = Options() if path is None else load_config(Path(path))
-    options = replace(file, **switched)
     kind, flags = line_class(), [f.name for f in fields(Flags)]
-    default = kind(**{name: getattr(options, name) for name in flags})
+    default = kind(**{name: getattr(file, name) for name in flags} | switched)
     more = ["--config", "--set", "--help-all"]
     line = command_line.parse(kind, arguments, prog=prog, default=default, more_flags=more)
     values = {name: getattr(line, name) for name in flags}

@@ -68,7 +68,8 @@ def line_fields() -> list[tuple[str, Any, Any]]:
 
     made = []
     for name, kind in settings().items():
-        shown = Annotated[kind, tyro.conf.arg(name=name.replace("_", "-"))]
+        argument = tyro.conf.arg(name=name.replace("_", "-"))
+        shown = Annotated[kind, argument]  # type: ignore[valid-type]
         made.append((name.replace(".", "__"), shown, value_of(EvalConfig(), name)))
     return made
 
@@ -165,14 +166,12 @@ def error_settings(text: str) -> dict[str, Any]:
     part, *size = (found[1], float(found[2]) / 1000, float(found[3])) if found else ("", 0.0, 0.0)
     camera = [0.0, 0.0] if part == "object" else size
     held = [0.0, 0.0] if part in ("camera", "bias") else size
-    drawn = "run" if part == "bias" else "trial"
+    drawn: Literal["run", "trial"] = "run" if part == "bias" else "trial"
     try:
-        ExecutionError(*camera, drawn, *held)  # type: ignore[arg-type]
-    except ValueError as error:
-        raise UsageError(f"--execution-error: {error}") from None
-    values = (*camera, drawn, *held)
-    names = [f.name for f in fields(ExecutionError) if f.name != "seed"]
-    return {f"{ERRORS}.{name}": value for name, value in zip(names, values, strict=True)}
+        error = ExecutionError(camera[0], camera[1], drawn, held[0], held[1])
+    except ValueError as refused:
+        raise UsageError(f"--execution-error: {refused}") from None
+    return {f"{ERRORS}.{f.name}": getattr(error, f.name) for f in fields(error) if f.name != "seed"}
 
 
 # ---- help

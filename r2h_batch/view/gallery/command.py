@@ -91,7 +91,8 @@ def report(
         from r2h_batch.report.page import page
         from r2h_batch.report.statistics.common import common_trials
 
-        pictures, common = None, None
+        pictures: dict[str, list[dict[str, str]]] | None = None
+        common = None
         if gallery and out:
             from r2h_batch.scene.offscreen import ready
             from r2h_batch.view.gallery.pictures import gallery as draw
@@ -101,7 +102,8 @@ def report(
             if _pages(out).is_symlink():
                 what = f"{out.stem}_trials beside {out.name} is a link"
                 raise UsageError(f"{what}; its pages would be written elsewhere")
-            pictures, names = {}, iter(stored.methods)  # a joined run may name a method otherwise
+            pictures = {}
+            names = iter(stored.methods)  # a joined run may name a method otherwise
             for number, run in enumerate(loaded, 1):
                 pages = _pages(out) / str(number) if len(loaded) > 1 else _pages(out)
                 found = draw(run, Reader(run.folder, benchmark), gallery, pages, out.parent)
