@@ -18,7 +18,7 @@ ROWS = 8
 """Rows that are judged again: fewer say nothing."""
 
 MOST = 6
-"""Of them so many must be better in another convention."""
+"""Least number of these rows that must be better in another convention."""
 
 SLOW_S = 300.0
 """A median motion of this length is looked at: none of the built-in methods' takes a minute. [choice]"""
@@ -27,7 +27,7 @@ Poses = tuple[Float[Tensor, "b 4 4"], Float[Tensor, "b 4 4"]]
 
 
 def other_poses(T_obj_ee: Tensor, T_world_ee: Tensor) -> dict[str, Poses]:
-    """What the poses are if they were written in another convention -> T_obj_ee, T_world_ee.
+    """The poses read in each other convention: its words -> T_obj_ee, T_world_ee.
 
     Args:
         T_obj_ee: (B, 4, 4) grasps as given, m.

@@ -283,7 +283,7 @@ class Flags:
 
 @dataclass(frozen=True)
 class Options(Flags):
-    """What a command line says of a sweep.
+    """A sweep as a command line asks for it.
 
     Attributes:
         settings: setting of the configuration (`settings.settings`) -> its value, where it is given.
@@ -298,7 +298,7 @@ class Options(Flags):
 
 
 def help_text(prog: str) -> str:
-    """What everybody needs, and the names of the groups of the rest: one screen."""
+    """The flags that everybody needs, and the names of the other groups: one screen."""
     groups = [*GROUPS.items(), SETTINGS_GROUP]
     lines = [
         _usage(prog),
@@ -501,7 +501,7 @@ def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") 
 
 
 def line_class() -> type:
-    """What tyro reads of a command line: the flags, and the settings as `settings.line_fields`."""
+    """The dataclass that tyro reads: the flags, and the settings as `settings.line_fields`."""
     from r2h_batch.sweep.settings import line_fields
 
     made: type = make_dataclass("Line", line_fields(), bases=(Flags,), frozen=True)
