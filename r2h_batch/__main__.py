@@ -138,11 +138,11 @@ def _about(name: str, given: Sequence[str], prog: str) -> int:
 def _completed() -> dict[str, Command]:
     """Subcommands with all their flags, for shell completion: here every command's module is
     imported."""
-    from r2h_batch.sweep.options import Options
+    from r2h_batch.sweep.options import line_class
 
     commands = {name: command_of(name) for name in COMMANDS}
     nested = {k: _chooser(tuple(c)) for k, c in commands.items() if isinstance(c, dict)}
-    return {**commands, **nested, "sweep": Options}
+    return {**commands, **nested, "sweep": line_class()}
 
 
 def _chooser(words: tuple[str, ...]) -> Command:

@@ -6,13 +6,13 @@ The classes are frozen dataclasses. Their fields are held to their annotations w
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field
 
 from r2h_batch.base.registry import PRESET_NAMES, EngineName, EngineWord
-from r2h_batch.base.validate import one_of, validate_fields
+from r2h_batch.base.validate import check_keywords, one_of, validate_fields
 from r2h_batch.verdicts import UNITS
 
 HOME_Q = (-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483)
@@ -76,6 +76,11 @@ class _Checked:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
+    def __new__(cls, *_: object, **given: object) -> Self:
+        """A misspelt field is answered with the nearest name."""
+        check_keywords(cls.__name__, given, [f.name for f in fields(cls)])  # type: ignore[arg-type]
+        return super().__new__(cls)
+
     def __post_init__(self) -> None:
         validate_fields(self)
 
@@ -113,7 +118,7 @@ class IkConfig(_Checked):
     """The solver of a pose's joint angles. The closed form proves which branches exist in both.
 
     Attributes:
-        solver: a Warp kernel, or that package's batched Jacobian, 300 times slower.
+        solver: of joint angles: a Warp kernel, or the batched Jacobian of pytorch-kinematics, 300 times slower.
     """
 
     solver: Literal["fused", "pytorch-kinematics"] = "fused"
@@ -150,17 +155,17 @@ class PlanConfig(_Checked):
     """The search for a path from home to the handover pose.
 
     Attributes:
-        goals: all collision-free branches, or the paper's single one.
+        goals: of a path: all collision-free branches, or the paper's single one.
         hand: which hand paths keep clear of; everything else is judged on the true one.
-        edge_check: conservative advancement, or samples at MoveIt's resolution.
-        object_collision: the object's convex hull, or its convex pieces.
-        hand_clearance_m: kept along the path where the goal keeps it, m [choice]; goals are measured
+        edge_check: of a path's edges: conservative advancement, or samples at MoveIt's resolution.
+        object_collision: what paths avoid of the held object: its convex hull, or its convex pieces.
+        hand_clearance_m: distance to the hand kept along the path where the goal keeps it, m [choice]; goals are measured
             up to 6.5 mm only.
         range_rad: longest extension of RRT, rad.
-        rounds: iterations of each round.
+        rounds: iterations of each round of the search.
         shortcuts: waypoints pulled and segments joined after the quickest subset of the waypoints is
             found.
-        seed: of the random postures.
+        seed: of the random postures of the search.
     """
 
     goals: Literal["set", "one"] = "set"
@@ -180,7 +185,8 @@ class EstimateConfig(_Checked):
     `predictors` gives the same hand for the same numbers.
 
     Attributes:
-        errors: `PredictorNoise.target_errors`.
+        errors: of the target hand, `PredictorNoise.target_errors`. normal: no outliers; frames: errors of published
+            estimators in single frames; tails: both.
         factor: scales all errors; 0: the truth.
         seed: of the methods: they and the planner see the same hand.
     """
@@ -196,10 +202,10 @@ class ExecutionError(_Checked):
     (`judge.execution_error`). 0: the robot does what it is asked.
 
     Attributes:
-        camera_m: handover pose about the hand's origin: the camera's calibration to the base, m.
+        camera_m: error of the handover pose about the hand's origin: the camera's calibration to the base, m.
         camera_deg: the same, degrees.
-        camera_drawn: anew in every trial, or once: a calibration that stays wrong.
-        object_m: gripper in the object's frame, drawn in every trial, m.
+        camera_drawn: the camera's error: anew in every trial, or once: a calibration that stays wrong.
+        object_m: error of the gripper in the object's frame, drawn in every trial, m.
         object_deg: the same, degrees.
         seed: of the random numbers.
     """
@@ -224,13 +230,13 @@ class ExecConfig(_Checked):
     The time law is a trapezoid per segment, all joints together, at a fraction of the joint limits.
 
     Attributes:
-        scale: that fraction; MoveIt 2's default is 0.1.
+        scale: fraction of the joint limits that motions use; MoveIt 2's default is 0.1.
         max_velocity_rad_s: velocity limit of the slowest joint, rad/s; others move up to their own. The default, pi,
             means the robot's own limit.
         max_acceleration_rad_s2: acceleration limit of every joint, rad/s^2; robots have no own one.
         sim: engine that moves the arm. auto: mujoco on a CPU, mjwarp on CUDA; none: the planned motion.
-        model: the whole scene; the arm with a rigid gripper and no contacts; auto: the arm, and
-            again the whole scene where a contact is not ruled out (docs/motion.md).
+        model: what is simulated. scene: everything, with contacts; arm: the arm with a rigid gripper and
+            no contacts; auto: the arm, and again the whole scene where a contact is not ruled out (docs/motion.md).
         step_s: step of simulator and servos, s: the real controller's 500 Hz.
         record_steps: steps between two samples of the executed motion.
         payload: whether the controller compensates the object's weight.
@@ -275,7 +281,8 @@ class EvalConfig(_Checked):
         receiver: what planning and Safe see of the person: the hand, or arm and torso too.
         estimate: the hand that a planner may see.
         execution_error: what a real robot adds to the poses.
-        candidates: grasps that methods choose from; no verdict depends on it. narrow: of the
+        candidates: grasps that methods choose from; no verdict depends on it. filtered: those that
+            the gripper can hold; as-generated: all that the sampler proposes; narrow: of the
             filtered ones those across which the whole object fits into the open gripper.
         width: Stability measures the material between the pads, or the whole object's extent.
         reach: Reach measures the object, or its convex hull.

@@ -18,6 +18,7 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 
 import copy
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -33,7 +34,7 @@ from r2h_batch.base.launch.memory import in_chunks, rows_at_once
 from r2h_batch.base.launch.repeated import RepeatedCalls
 from r2h_batch.base.launch.threads import on_threads, one_torch_thread
 from r2h_batch.base.summary import html_table
-from r2h_batch.base.validate import instance_of, optional
+from r2h_batch.base.validate import instance_of, optional, suggest_names
 from r2h_batch.config import EvalConfig, ExecutionError
 from r2h_batch.judge import metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
@@ -121,8 +122,11 @@ class Evaluator:
         TypeError, ValueError: one of these is something else.
     """
 
-    called = False  # True after the first call has checked the poses for common mistakes
+    called = moved = (
+        False  # True after the first call of poses, of motions was checked for common mistakes
+    )
 
+    @suggest_names
     def __init__(
         self,
         benchmark: Benchmark | None = None,
@@ -186,8 +190,10 @@ class Evaluator:
         twin = copy.copy(self)
         execute = replace(self.config.execute, sim="none")
         twin.config = replace(self.config, execute=execute, execution_error=ExecutionError())
+        twin.called = True  # the poses of a search are no mistakes
         return twin
 
+    @suggest_names
     def score(
         self,
         T_obj_ee: Float32[Tensor, "*b 4 4"],
@@ -233,19 +239,23 @@ class Evaluator:
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
         check_benchmark(self.benchmark, trials)
-        if not self.called and not T_obj_ee.is_cuda:  # looking at values would wait for a GPU
+        first = not self.called and not T_obj_ee.is_cuda  # looking at values would wait for a GPU
+        if first:
             self.called = True
             warn_of_doubts(T_obj_ee, T_world_ee, trials)
         with self.working():
             check_indices(self.scene, trials)
             compile_stages(self.scene, paths=stages == "all")
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
+            if first and (words := self.hint(scores, T_obj_ee, T_world_ee, trials)):
+                warnings.warn(words, stacklevel=3)
             # Copies: an optimizer's step in place must not change the stored inputs, from which
             # pictures of these scores are drawn.
             return scores.with_inputs(
                 ScoreInputs(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
             )
 
+    @suggest_names
     def score_motion(
         self,
         T_obj_ee: Float32[Tensor, "b 4 4"],
@@ -330,7 +340,50 @@ class Evaluator:
         with self.working():
             check_indices(self.scene, trials)
             scores = Scores.concatenate(in_chunks(len(trials), self.rows_at_once(), chunk))
-            return scores.with_inputs(ScoreInputs(T_obj_ee.clone(), T_world_ee, trials, self))
+        if not self.moved and not T_obj_ee.is_cuda and planned_q is None:
+            self.moved = True
+            if words := self.motion_hint(scores, T_obj_ee, trials, q, time_s, length):
+                warnings.warn(words, stacklevel=3)
+        return scores.with_inputs(ScoreInputs(T_obj_ee.clone(), T_world_ee, trials, self))
+
+    def hint(
+        self, scores: Scores, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials
+    ) -> str | None:
+        """One line where all rows fail alike and pass in another convention (`judge.conventions`); else None.
+
+        Args:
+            scores: verdicts of the B rows.
+            T_obj_ee: (B, 4, 4) the grasps, m.
+            T_world_ee: (B, 4, 4) the handover poses, m.
+            trials: B trials.
+        """
+        from r2h_batch.judge.conventions import pose_hint
+
+        def judge(T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
+            with self.working():
+                return self._score(T_obj_ee, T_world_ee, trials, "pose")
+
+        return pose_hint(scores, T_obj_ee.detach(), T_world_ee.detach(), trials, judge)
+
+    def motion_hint(
+        self,
+        scores: Scores,
+        T_obj_ee: Float32[Tensor, "b 4 4"],
+        trials: Trials,
+        q: Float[Tensor, "b w j"],
+        time_s: Float[Tensor, "b w"] | Float[Tensor, " w"],
+        length: Int[Tensor, " b"] | None = None,
+    ) -> str | None:
+        """As `hint`, of motions; the arguments are those of `score_motion`."""
+        from r2h_batch.judge.conventions import motion_hint
+
+        def judge(rows: Tensor, q: Tensor, time_s: Tensor) -> Scores:
+            few = None if length is None else torch.as_tensor(length)[rows]
+            twin = copy.copy(self)
+            twin.moved = True
+            return twin.score_motion(T_obj_ee[rows], q, time_s, trials[rows], length=few)
+
+        return motion_hint(scores, torch.as_tensor(q), torch.as_tensor(time_s), judge)
 
     def __repr__(self) -> str:
         engine = self.config.execute.engine(torch.device(self.scene.device).type)

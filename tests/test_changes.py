@@ -469,13 +469,13 @@ assert not torch.equal(trials.T_world_hand, other.T_world_hand)
 open("benchmark.yaml", "w").write("protocol: r2h-near\\n")
 said("sweep --benchmark benchmark.yaml --method random --trials 6 --sim none --out same")
 assert load_run("same").digest("random") == load_run("run").digest("random")
-said("sweep --method random --trials 6 --sim none --out usual")
+said("sweep --benchmark r2h-v1 --method random --trials 6 --sim none --out usual")
 assert "random" in said("compare usual baselines --method random oracle")
 """
 SAID_HELP = """
 def said_help():
     with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
-        main(["sweep", "--help"])
+        main(["sweep", "--help-all"])
     return " ".join(out.getvalue().split())
 
 """

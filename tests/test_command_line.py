@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from r2h_batch.__main__ import COMMANDS, main
-from r2h_batch.sweep.options import Options, help_text, set_help
+from r2h_batch.sweep.options import FIRST, GROUPS, Flags, full_help
+from r2h_batch.sweep.settings import settings
 
 NESTED = (
     "results verify",
@@ -44,7 +45,6 @@ HELP_OF_ALL = """
 import sys
 from dataclasses import fields
 from r2h_batch.__main__ import COMMANDS, main
-from r2h_batch.sweep.options import Options, help_text
 for name in COMMANDS:
     try: main([name, "--help"])
     except SystemExit: pass
@@ -76,6 +76,19 @@ def test_the_help_of_a_command_loads_nothing_heavy():
         ("scene x --trail 1 --out y", ["did you mean --trial?"]),
         ("trials --out x --splits S3", ["--splits is 'S3'", "allowed are S0, S1\n"]),
         ("sweep --benchmark r2h-v3", ["--benchmark is 'r2h-v3', did you mean r2h-v2?; allowed are r2h-v0, r2h-v1, "]),
+        (
+            "sweep --benchmark r2h-v1 --method random --people adults children",
+            ["--people takes one value, and 'children' stands behind it"],
+        ),
+        ("results transfer x --release loadshare", ["'loadshare', did you mean load-share?"]),
+        (
+            "sweep --benchmark r2h-v1 --method random --objects families:*x1000",
+            ["x 1,000 of 16 families is 16,000 objects; at most 1,000 are allowed, so write x 1 to x 62"],
+        ),
+        (
+            "sweep --benchmark r2h-v1 --method random --objects families:" + "a" * 9000,
+            ["no family is called 'aaaa", "there are "],
+        ),
         ("ls robot", ["is 'robot', did you mean robots?; allowed are methods, "]),
         (
             "sweep --benchmark r2h-v1 --method random --objects not_there",
@@ -95,14 +108,27 @@ def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code
 
 
 def test_the_help_of_a_sweep_names_every_flag() -> None:
-    shown = {*re.findall(r"--[a-z][a-z-]+", help_text("r2h-batch sweep"))}
-    assert {f"--{f.name.replace('_', '-')}" for f in fields(Options)} - shown == set()
+    shown = {*re.findall(r"--[a-z][a-z0-9.-]+", full_help("r2h-batch sweep"))}
+    names = [*(f.name for f in fields(Flags)), *settings()]
+    assert len(settings()) > 20 and {f"--{name.replace('_', '-')}" for name in names} - shown == set()
+
+
+def test_the_first_help_of_a_sweep_is_one_screen_of_what_everybody_needs(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    text = helped(capsys, "sweep")
+    lines = text.splitlines()
+    assert len(lines) <= 40 and max(map(len, lines)) <= 80
+    flags = re.findall(r"^  (--[a-z-]+)", text, re.M)
+    eight = ["method", "predictions", "benchmark", "trials", "robot", "preset", "device", "out"]
+    assert flags == [*(f"--{name}" for name in eight), "--config"] and list(FIRST) == eight
+    assert text.index("--out") < text.index("--help-all")
+    assert all(re.search(rf"^  {name} ", text, re.M) for name in (*GROUPS, "configuration"))
 
 
 def test_the_help_of_a_sweep_names_the_default_of_every_option_that_has_one() -> None:
-    entries = re.split(r"\n(?=  \S)", help_text("r2h-batch sweep") + set_help())
+    entries = re.split(r"\n(?=  \S)", full_help("r2h-batch sweep"))
     told = {e.split()[0].removeprefix("--").replace("-", "_"): " ".join(e.split()) for e in entries if e.strip()}
-    for field in fields(Options):
+    for field in fields(Flags):
         set_to = field.default not in ("", (), None) and not isinstance(field.default, bool)
         assert ("default" in told[field.name]) >= set_to, field.name
     assert told["trials"].endswith("(default: 500)") and told["splits"].endswith("(default: S0 S1)")
@@ -111,7 +137,7 @@ def test_the_help_of_a_sweep_names_the_default_of_every_option_that_has_one() ->
 
 OTHERS = {"--rule", "--bar", "--head", "--tyro-", "--always", "--dirty", "--abbrev", "--exclude"}
 """Colours of a page, flags of Ray, tyro and git."""
-FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]+")
+FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*(?:\.[a-z][a-z0-9-]*)?")
 
 
 def strings(file):
@@ -132,6 +158,7 @@ def test_messages_name_only_flags_that_the_help_of_a_command_names(capsys):
         found = getattr(import_module(f"r2h_batch.{module}"), function)
         for line in [[name, sub] for sub in found] if isinstance(found, dict) else [[name]]:
             shown |= {*FLAG.findall(helped(capsys, *line))}
+    shown |= {*FLAG.findall(full_help("r2h-batch sweep"))}
     package = Path(import_module("r2h_batch").__file__).parent
     files = [f for f in package.rglob("*.py") if f.name != "play.py"]  # a program of its own, in exported scenes
     named = {(flag, f.name) for f in files for text in strings(f) for flag in FLAG.findall(text)}

@@ -1,10 +1,14 @@
 """Every public function with every argument of the wrong kind: an error that names the argument, or its obvious meaning."""
 
+import copy
+import dataclasses
+import pickle
 import re
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pydantic
 import pytest
 import torch
 from made_runs import write_run
@@ -191,3 +195,32 @@ def test_an_argument_of_the_wrong_kind_is_named(name, tmp_path):
     own = {"run", "judge"} if name.startswith("Run.") else set()
     found = [x for argument in arguments if argument not in own for x in raw(call, argument, WRONG, arguments)]
     assert found == [], "\n".join(found)
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: EvalConfig(stabilty="physics"), "EvalConfig() has no argument 'stabilty', did you mean stability?"),
+        (lambda: dataclasses.replace(PlanConfig(), shortcut=3), "'shortcut', did you mean shortcuts?"),
+        (
+            lambda: load_benchmark("r2h-v0").trials(trial=3),
+            "Benchmark.trials() has no argument 'trial', did you mean trials?",
+        ),
+        (
+            lambda: load_benchmark("r2h-v0").evaluator(divice="cpu"),
+            "did you mean device?; it has preset, device, threads",
+        ),
+        (lambda: default_evaluator().score(keep_motions=True), "'keep_motions', did you mean keep_motion?"),
+        (lambda: default_evaluator().score_motion(times_s=3), "'times_s', did you mean time_s?"),
+    ],
+)
+def test_a_misspelt_keyword_gets_the_nearest_name(call, words):
+    with pytest.raises(TypeError, match=re.escape(words)):
+        call()
+
+
+def test_configurations_are_copied_pickled_and_read_as_before():
+    config = EvalConfig(plan=PlanConfig(shortcuts=3))
+    assert pickle.loads(pickle.dumps(config)) == copy.deepcopy(config) == config
+    assert pydantic.TypeAdapter(EvalConfig).validate_python(dataclasses.asdict(config)) == config

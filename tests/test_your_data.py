@@ -14,7 +14,8 @@ from r2h_batch.__main__ import main
 from r2h_batch.methods.predictors import read_observations
 from r2h_batch.protocols.file_fields import BenchmarkFile, read_benchmark_file, read_object_file
 from r2h_batch.protocols.trials_file import read_trials_file
-from r2h_batch.sweep.options import Options
+from r2h_batch.sweep.options import Flags
+from r2h_batch.sweep.settings import SHORT, settings
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs/your_data.md").read_text()
 CODE = {kind: re.findall(rf"```{kind}\n(.*?)```", PAGE, re.S) for kind in ("yaml", "python")}
@@ -27,12 +28,12 @@ def test_every_flag_and_option_of_the_page_is_one(capsys):
     imports = (["import", what] for what in ("hand", "hands", "grasps", "trials"))
     for line in (["sweep"], *imports, ["trials"], ["scene"], ["export"]):
         with pytest.raises(SystemExit):
-            main([*line, "--help"])
+            main([*line, "--help-all" if line == ["sweep"] else "--help"])
         known |= set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
     flags = set(re.findall(r"--[a-z][a-z-]+", re.sub(r"`python bench/.*?`", "", PAGE)))
     assert len(flags) > 20 and flags <= known, flags - known
-    options = set(re.findall(r"--set ([a-z_]+)=", PAGE))
-    assert len(options) > 3 and options <= {f.name for f in fields(Options)}
+    options = set(re.findall(r"--set ([a-z_.]+)=", PAGE))
+    assert len(options) > 3 and options <= {*(f.name for f in fields(Flags)), *settings(), *SHORT}
 
 
 def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_path):

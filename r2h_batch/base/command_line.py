@@ -316,7 +316,7 @@ def _word_of(kind: Any) -> str:
 
 def _flags(command: Command) -> list[str]:
     if is_dataclass(command):
-        names = [f.name for f in fields(command)]
+        names = [n for f in fields(command) for n in _named(f.name, f.type)]
     else:
         parameters = inspect.signature(command).parameters.values()
         names = [n for p in parameters if p.kind is p.KEYWORD_ONLY for n in _names(p)]
@@ -328,9 +328,13 @@ def _names(parameter: inspect.Parameter) -> list[str]:
     parameter); of a dataclass of flags those of its fields."""
     if is_dataclass(parameter.annotation):
         return [f.name for f in fields(parameter.annotation)]
-    metadata = getattr(parameter.annotation, "__metadata__", ())
-    names = [name for m in metadata if isinstance(name := getattr(m, "name", None), str)]
-    return names[:1] or [parameter.name]
+    return _named(parameter.name, parameter.annotation)
+
+
+def _named(name: str, annotation: Any) -> list[str]:
+    metadata = getattr(annotation, "__metadata__", ())
+    names = [given for m in metadata if isinstance(given := getattr(m, "name", None), str)]
+    return names[:1] or [name]
 
 
 MOST_FLAGS_IN_A_LINE = 30
@@ -346,7 +350,7 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
         if name.startswith("-") and name not in (*flags, "-h", "--help") and not is_number:
             allowed = f"allowed are {', '.join(flags)}" if flags else "it has none but --help"
             if len(flags) > MOST_FLAGS_IN_A_LINE:
-                allowed = "see --help"
+                allowed = "see --help-all" if "--help-all" in flags else "see --help"
             return f"unknown flag {name}{nearest(name, flags)}; {allowed}"
     lines = [line.strip("\u2502| \n") for line in box.splitlines()]
     worded = [any(c.isalnum() for c in line) for line in lines]
@@ -366,4 +370,18 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     ):
         values = [word for word in re.findall(r"'([^']*)'", found[3]) if word]
         text = f"{found[2]} is {found[1]!r}{nearest(found[1], values)}; allowed are {', '.join(values)}"
+    if found := re.fullmatch(r"Unrecognized options: (\S+).*", text):
+        text = _left_over(found[1], arguments)
     return text or "the command line was not understood; see --help"
+
+
+def _left_over(word: str, arguments: Sequence[str]) -> str:
+    """One line about a word that no flag takes: behind which flag it stands."""
+    before = arguments[: arguments.index(word)] if word in arguments else []
+    flag = next((a for a in reversed(before) if a.startswith("--")), None)
+    if flag is None:
+        return f"{word!r} is not understood; see --help"
+    name, equals, _ = flag.partition("=")
+    if len(before) - 1 - before[::-1].index(flag) == len(before) - (1 if equals else 2):
+        return f"{name} takes one value, and {word!r} stands behind it; give one"
+    return f"{word!r} stands behind {name} and its values; leave it out, or see --help"

@@ -16,13 +16,13 @@ import math
 import operator
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, SupportsIndex, TypeVar, get_type_hints
 
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import printable
 
 Rule = Callable[[str, Any], Any]
@@ -39,9 +39,11 @@ def check_arguments(**rules: Rule) -> Callable[[Callable[P, R]], Callable[P, R]]
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(function)
         assert set(rules) <= set(signature.parameters)
+        names = [name for name in signature.parameters if name != "self"]
 
         @wraps(function)
         def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+            check_keywords(function.__qualname__, kwargs, names)
             bound = signature.bind(*args, **kwargs)
             for name, rule in rules.items():
                 if name in bound.arguments:
@@ -51,6 +53,31 @@ def check_arguments(**rules: Rule) -> Callable[[Callable[P, R]], Callable[P, R]]
         return checked
 
     return decorate
+
+
+def suggest_names(function: Callable[P, R]) -> Callable[P, R]:
+    """A decorator that answers a misspelt keyword argument with the nearest name (`TypeError`)."""
+    parameters = inspect.signature(function).parameters.values()
+    names = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    known, shown = frozenset(names), [name for name in names if name != "self"]
+    called = function.__qualname__.removesuffix(".__init__")
+
+    @wraps(function)
+    def named(*args: P.args, **kwargs: P.kwargs) -> R:
+        for name in kwargs:  # a loop: torch.compile can trace it
+            if name not in known:
+                check_keywords(called, kwargs, shown)
+        return function(*args, **kwargs)
+
+    return named
+
+
+def check_keywords(call: str, given: Iterable[str], names: Sequence[str]) -> None:
+    """`TypeError` for the first keyword argument that a call does not have."""
+    for name in given:
+        if name not in names:
+            has = f"it has {', '.join(names)}"
+            raise TypeError(f"{call}() has no argument {name!r}{nearest(name, names)}; {has}")
 
 
 def describe_value(value: object) -> str:

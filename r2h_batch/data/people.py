@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable, read_file
+from r2h_batch.base.validate import parse_number
 from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays, stored_arrays
 from r2h_batch.scene.hand import HandModel, HandSet, make_hand_set
 from r2h_batch.verdicts import SEXES
@@ -167,12 +168,23 @@ def read_people(path: str | Path) -> People:
         raise FileError(f"{where}: people are a .csv file, one person a row")
     try:
         text = read_file(Path(path), MOST_BYTES).decode("utf-8-sig")
-        rows = list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+        reader = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+        rows = list(reader)
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(f"{where}: is no .csv in UTF-8: {printable(error)}") from None
     if not 1 <= len(rows) <= MOST_PEOPLE:
         raise FileError(f"{where}: {len(rows)} people; 1 to {MOST_PEOPLE} are allowed")
-    there = [name for name in rows[0] if name is not None]
+    there = list(reader.fieldnames or ())
+    if twice := [name for name in there if there.count(name) > 1]:
+        raise FileError(f"{where}: column {printable(twice[0])[:40]} is there twice; leave one out")
+    for k, row in enumerate(
+        rows
+    ):  # csv fills a short row with None, and keeps what is over under None
+        cells = sum(v is not None for v in row.values()) - (None in row)
+        over = len(row.get(None) or ())
+        if cells + over != len(there):
+            words = f"person {k + 1} has {cells + over} cells, the header has {len(there)}"
+            raise FileError(f"{where}: {words}; write one cell for each column")
     if missing := [name for name in ("sex", "age", *LENGTHS_M) if name not in there]:
         raise FileError(
             f"{where}: has no column {missing[0]}; it has {', '.join(map(printable, there[:20]))}"
@@ -200,12 +212,9 @@ def _numbers(
     values = np.full(len(rows), np.nan)
     for k, row in enumerate(rows):
         try:
-            values[k] = float(row[name] or "")
-        except (TypeError, ValueError):
-            shown = printable(repr(row[name]))[:40]
-            raise FileError(
-                f"{where}: {name} of person {k + 1} is {shown}; need a number"
-            ) from None
+            values[k] = parse_number(row[name].strip())
+        except ValueError as error:
+            raise FileError(f"{where}: {name} of person {k + 1}: {error}") from None
     if (bad := ~((values >= low) & (values <= high))).any():
         k = int(bad.argmax())
         how = ". From millimetres multiply by 0.001" if unit == "m" and values[k] > 10 else ""

@@ -19,7 +19,14 @@ from torch import Tensor
 
 from r2h_batch.base.registry import LISTED, PRESET_NAMES
 from r2h_batch.base.schedule import trial_ids
-from r2h_batch.base.validate import instance_of, integer, one_of, optional, sequence_of
+from r2h_batch.base.validate import (
+    instance_of,
+    integer,
+    one_of,
+    optional,
+    sequence_of,
+    suggest_names,
+)
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
@@ -147,6 +154,7 @@ class Benchmark:
                 digest.update(getattr(self.listed, name).contiguous().numpy().tobytes())
         return digest.hexdigest()
 
+    @suggest_names
     def trials(self, trials: int = TRIALS, *, splits: Sequence[str] | str = SPLITS) -> Trials:
         """The first trials of each split, split by split, on the CPU.
 
@@ -205,6 +213,7 @@ class Benchmark:
     def _own(self, trials: Trials) -> Trials:
         return trials.named(self.objects, benchmark=self.label)
 
+    @suggest_names
     def evaluator(
         self,
         preset: str = "default",

@@ -68,12 +68,16 @@ def _asked(text: str) -> tuple[tuple[Family, ...], int, int, bool]:
         raise FileError(f"--objects: {error}") from None
     if len({f.category for f in families}) < len(families):
         raise FileError("--objects: a family stands twice; give each once")
-    count, seed = int(found["count"] or 6), int(found["seed"] or 0)
-    if not 1 <= count * len(names) <= MOST or seed >= 1 << 31:
-        raise FileError(
-            f"--objects: {count} instances of {len(names)} families, seed {seed}; 1 to {MOST} in all, and a seed below 2^31, are"
-            " allowed"
-        )
+    count, seed = (
+        int((found[word] or usual)[:20]) for word, usual in (("count", "6"), ("seed", "0"))
+    )
+    of = f"{len(names)} families" if len(names) > 1 else "one family"
+    if not 1 <= count <= MOST // len(names):
+        each, whole = f"x {count:,} of {of}", f"{count * len(names):,}"
+        allowed = f"at most {MOST:,} are allowed, so write x 1 to x {MOST // len(names)}"
+        raise FileError(f"--objects: {each} is {whole} objects; {allowed}")
+    if seed >= 1 << 31:
+        raise FileError(f"--objects: the seed is {seed}; it must be below 2^31")
     return families, count, seed, found["fillings"] is not None
 
 

@@ -51,6 +51,7 @@ from r2h_batch.scene.hand_file import HandChoice, read_hand_set
 from r2h_batch.scene.objects import (
     ObjectModel,
     build_object,
+    is_built,
     load_objects,
 )
 from r2h_batch.scene.robot import ROBOTS, Robot, load_robot, read_robot
@@ -263,6 +264,8 @@ def objects_of(
     """The objects of entries whose files lie in the folder or below; several meshes are built at a
     time."""
     meshes = [e for e in entries if e.file is not None and e.built_in is None]
+    for entry in meshes:
+        _check_parts(entry, folder, pieces)
     build_ahead([_own_call(e, folder, pieces) for e in meshes])
     return tuple(_object(e, folder, pieces) for e in entries)
 
@@ -282,12 +285,12 @@ def _object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
         more["grasps"] = _grasps(folder, entry.grasps)
     known_roles = S0_ROLES.get(model.name) if entry.built_in else None
     if entry.roles is not None and entry.roles != known_roles:
-        _check_names(model, "roles", entry.roles, model.part_names)
+        _check_names(model.name, "roles", entry.roles, model.part_names)
         more["roles"] = dict(sorted(entry.roles.items()))
     if entry.words is not None:
         words = Thing(**{k: _tuples(v) for k, v in entry.words.model_dump().items()})
         if not entry.built_in or words != THINGS.get(model.name):
-            _check_words(model, words)
+            _check_words(model.name, words, model.part_names)
             more["words"] = words
     return replace(model, **more) if more else model
 
@@ -299,18 +302,44 @@ def _tuples(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _check_names(model: ObjectModel, field: str, given: Any, allowed: Any) -> None:
+def _check_parts(entry: ObjectEntry, folder: Path, pieces: bool) -> None:
+    """Raise `FileError` where roles or words name a part that the mesh of a file does not have: before it is
+    built, which may take minutes."""
+    if entry.roles is None and entry.words is None:
+        return
+    call = _own_call(entry, folder, pieces)
+    if is_built(**call):
+        return
+    from r2h_batch.scene.mesh_import.file import labels_of, load_mesh_file
+
+    names: Sequence[str] = call["part_names"]
+    if entry.parts is None and (groups := labels_of(load_mesh_file(call["mesh"], call["name"]))):
+        names = groups[1]
+    if entry.roles is not None:
+        _check_names(call["name"], "roles", entry.roles, names)
+    if entry.words is not None:
+        words = Thing(**{k: _tuples(v) for k, v in entry.words.model_dump().items()})
+        _check_words(call["name"], words, names)
+
+
+def _check_names(label: str, field: str, given: Any, allowed: Any) -> None:
     if unknown := [n for n in given if n not in allowed]:
+        hint = nearest(unknown[0], list(allowed))
+        why = (
+            ""
+            if len(allowed) > 1
+            else ": a mesh file has parts where it has two named groups or more"
+        )
         raise FileError(
-            f"object {model.name}: {field} name {unknown[0]!r}; it has {', '.join(allowed)}"
+            f"object {printable(label)}: {field} name {unknown[0]!r}{hint}; it has {', '.join(allowed)}{why}"
         )
 
 
-def _check_words(model: ObjectModel, words: Thing) -> None:
+def _check_words(label: str, words: Thing, part_names: Sequence[str]) -> None:
     for labels in words.parts.values():
-        _check_names(model, "words.parts", labels, model.part_names)
-    _check_names(model, "words.verbs", words.verbs.values(), list(words.parts))
-    _check_names(model, "words.part_words", words.part_words, list(words.parts))
+        _check_names(label, "words.parts", labels, part_names)
+    _check_names(label, "words.verbs", words.verbs.values(), list(words.parts))
+    _check_names(label, "words.part_words", words.part_words, list(words.parts))
 
 
 def _built_in_object(entry: ObjectEntry) -> ObjectModel:

@@ -98,12 +98,14 @@ def _robustness(
 
     from r2h_batch.report import robustness as report
     from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.settings import error_settings
 
     out = Path(options.out)
     folders = [out / level for level in report.LEVELS]
     for level, folder in zip(report.LEVELS, folders, strict=True):
         LOG.info(f"execution error {level}")
-        own = replace(options, robustness=False, execution_error=level, out=str(folder))
+        settings = {**options.settings, **error_settings(level)}
+        own = replace(options, robustness=False, settings=settings, out=str(folder))
         with redirect_stdout(sys.stderr):  # the table of a level is no result of this command
             if code := _run(own, stopping, log_to, command):
                 return code
@@ -144,6 +146,10 @@ def _run(
         sweep_jobs.resolve(methods, request.loop)
         start = time.perf_counter()
         setting = sweep_jobs.set_up(request)
+        if request.trials.benchmark.object_mesh and (
+            shares := request.trials.shares(setting.evaluator.benchmark, setting.header["trials"])
+        ):
+            LOG.info(f"sweep: {shares}")
         planned, seconds = counted(setting.planned, "trials"), time.perf_counter() - start
         LOG.debug(f"ready in {seconds:.1f} s: {setting.evaluator!r}, {planned}")
         jobs = sweep_jobs.make_jobs(methods, files, setting)

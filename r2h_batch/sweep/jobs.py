@@ -275,10 +275,10 @@ def _check_postures(names: Sequence[str], evaluator: "Evaluator") -> None:
         return
     needing = [m for m in names if base_of(m) in SEEN_BY["predicted_hands"]]
     if evaluator.config.plan.hand == "estimated":
-        needing.append("plan_hand=estimated")
+        needing.append("--plan.hand estimated")
     if needing:
         what = "needs the hands' postures, and these trials have meshes of hands"
-        raise UsageError(f"{needing[0]} {what}; take another method, or --set plan_hand=true")
+        raise UsageError(f"{needing[0]} {what}; take another method, or --plan.hand true")
 
 
 def _seen(files: Mapping[str, str], setting: Setting) -> "Observations | None":
@@ -338,7 +338,7 @@ def _function_of(word: str) -> str:
 def _method(argument: str) -> _Method:
     name = base_of(argument)
     built_in = name in METHOD_NAMES
-    form = f"it must be {HOW}; the function takes (trials, scene, *, seed)"
+    form = f"it must be {HOW}; the function takes (trials, scene), and seed if it draws numbers"
     try:
         with own_streams(f"--method {name}"):
             if built_in:
@@ -358,10 +358,16 @@ def _method(argument: str) -> _Method:
     try:
         signature = inspect.signature(function)
         more = {"evaluator", "noise", "predictor", "seen"} & signature.parameters.keys()
-        signature.bind(None, None, seed=0, **dict.fromkeys(more), **chosen)
+        if _takes_seed(signature.parameters):
+            more |= {"seed"}
+        signature.bind(None, None, **dict.fromkeys(more), **chosen)
     except (TypeError, ValueError) as error:
         raise UsageError(f"--method {name}: {error}; {form}") from error
     return _Method(built_in, found, signature.parameters, chosen)
+
+
+def _takes_seed(parameters: Mapping[str, inspect.Parameter]) -> bool:
+    return "seed" in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
 def _method_job(
@@ -373,6 +379,8 @@ def _method_job(
     sees = METHODS[base_of(name)].sees if built_in else ()
     if "evaluator" in takes:
         extra["evaluator"] = evaluator
+    if _takes_seed(takes):
+        extra["seed"] = methods.seed
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)
     title = f"{base} ({method_options})" if method_options and not own_name(name) else base
     source = {"kind": "method", "function": method.found.spec}
@@ -407,7 +415,7 @@ def _method_job(
     def answer(trials: Trials) -> Predictions:
         before = set(sys.modules)
         with on_threads(evaluator.threads):
-            function = partial(method.found.function, seed=methods.seed, **extra)
+            function = partial(method.found.function, **extra)
             answer = answer_of(title, trials, lambda copied: function(copied, evaluator.scene))
         late = user_files(sys.modules.keys() - before)
         for k in late.keys() - files.keys() if not built_in else ():

@@ -1,4 +1,6 @@
-"""The options of a sweep: flags, `--set NAME=VALUE` and a YAML file. Imports nothing heavy."""
+"""The options of a sweep: flags, `--set NAME=VALUE` and a YAML file. Imports nothing heavy.
+
+Settings of the configuration are in `settings`: a dotted name is a field of `EvalConfig`."""
 
 import inspect
 import json
@@ -11,9 +13,9 @@ import textwrap
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from r2h_batch.base import command_line
 from r2h_batch.base.errors import FileError, UsageError, nearest
@@ -23,15 +25,11 @@ from r2h_batch.base.registry import (
     METHODS,
     PRESETS,
     PROTOCOLS,
-    EngineWord,
     PresetName,
 )
 from r2h_batch.base.user_code import HOW
 from r2h_batch.base.validate import expand_home
 from r2h_batch.plugins import PluginError
-
-if TYPE_CHECKING:
-    from r2h_batch.config import ExecutionError
 
 SEEN_BY = {
     name: tuple(m for m in METHOD_NAMES if set(METHODS[m].sees) & set(kinds))
@@ -51,14 +49,25 @@ MOST = 10**12
 
 
 class Flag(NamedTuple):
-    """The help of an option, and the group in which `--help` lists it."""
+    """The help of an option, and the group in which `--help-all` lists it."""
 
     help: str
-    group: str = ""  # of `GROUPS`; empty: for --set and --config
+    group: str = ""  # of `GROUPS`; empty: of `FIRST`
 
 
-GROUPS = ("methods", "trials", "verdict", "output", "work")
-"""Groups of the help, in order."""
+FIRST = ("method", "predictions", "benchmark", "trials", "robot", "preset", "device", "out")
+"""Options that everybody needs: `--help` explains these, `--help-all` every one."""
+
+GROUPS = {
+    "methods": "what methods see, answers from files",
+    "trials": "objects, people, hands, trials of your own",
+    "closed loop": "a hand that moves, a policy that reacts",
+    "output": "table, run folder, loggers",
+    "work": "threads, chunks, job arrays, a Ray cluster",
+}
+"""Groups of options, in the order of the help."""
+
+SETTINGS_GROUP = ("configuration", "criteria, planning, motion, errors")
 
 
 _BENCHMARK_HELP = "; ".join(
@@ -69,7 +78,7 @@ _PRESET_HELP = "; ".join(f"{p.name}: {p.help}" for p in PRESETS)
 
 
 @dataclass(frozen=True)
-class Options:
+class Flags:
     """Score handover methods on the benchmark's trials and print Table I."""
 
     method: Annotated[
@@ -77,12 +86,9 @@ class Options:
         Flag(
             "fc, handover-va, contact, intent, random, oracle; your own: package.module:function, "
             "FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik",
-            "methods",
         ),
     ] = ()
-    predictions: Annotated[
-        tuple[str, ...], Flag("files of poses: .npz, .csv, .json", "methods")
-    ] = ()
+    predictions: Annotated[tuple[str, ...], Flag("files of poses: .npz, .csv, .json")] = ()
     motions: Annotated[
         tuple[str, ...],
         Flag("files of joint motions, judged as they are: .npz, .parquet", "methods"),
@@ -91,7 +97,7 @@ class Options:
     trials_from: Annotated[
         str, Flag("judge trials and motions of the authors' release: a folder or file", "trials")
     ] = ""
-    trials: Annotated[int, Flag("trials of each split", "trials")] = 500
+    trials: Annotated[int, Flag("trials of each split")] = 500
     splits: Annotated[
         tuple[Literal["S0", "S1"], ...],
         Flag("S0: free handover; S1: functional handover", "trials"),
@@ -106,7 +112,7 @@ class Options:
     trials_file: Annotated[str, Flag("your own trials, .npz or .parquet", "trials")] = ""
     benchmark: Annotated[
         str,
-        Flag(f"{_BENCHMARK_HELP}; or your benchmark.yaml, or package.module:function", "trials"),
+        Flag(f"{_BENCHMARK_HELP}; or your benchmark.yaml, or package.module:function"),
     ] = ""
     objects: Annotated[str, Flag("other objects: folder, or benchmark.yaml", "trials")] = ""
     object_mesh: Annotated[
@@ -122,13 +128,14 @@ class Options:
     ] = ()
     robot: Annotated[
         str,
-        Flag("ur5e_2f85 (default), another of ls robots, or a folder of import robot", "trials"),
+        Flag("ur5e_2f85 (default), another of ls robots, or a folder of import robot"),
     ] = ""
     persons: Annotated[
         Literal["", "for-robot", "as-for-ur5e"],
         Flag(
             "where persons stand. for-robot (default): scaled by the robot's reach; as-for-ur5e: as for the "
-            "UR5e"
+            "UR5e",
+            "trials",
         ),
     ] = ""
     people: Annotated[
@@ -143,21 +150,15 @@ class Options:
         str,
         Flag(
             "turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x) or degrees about x, y, z "
-            "(20,40,60); r2h-batch turn compares them"
+            "(20,40,60); r2h-batch turn compares them",
+            "trials",
         ),
     ] = ""
     hands: Annotated[str, Flag("another hand set: .npz of import hands", "trials")] = ""
-    hand_model: Annotated[str, Flag("MANO_RIGHT.pkl, or .npz of import hand")] = ""
-    preset: Annotated[PresetName, Flag(_PRESET_HELP, "verdict")] = "default"
-    sim: Annotated[
-        EngineWord,
-        Flag(
-            "engine that moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset release",
-            "verdict",
-        ),
-    ] = "auto"
+    hand_model: Annotated[str, Flag("MANO_RIGHT.pkl, or .npz of import hand", "trials")] = ""
+    preset: Annotated[PresetName, Flag(_PRESET_HELP)] = "default"
     out: Annotated[
-        str, Flag("run folder; the same command continues it; default: runs/DATE-TIME", "output")
+        str, Flag("run folder; the same command continues it; default: runs/DATE-TIME")
     ] = ""
     format: Annotated[
         Literal["md", "latex", "csv", "json"], Flag("format of the table", "output")
@@ -166,125 +167,61 @@ class Options:
         bool, Flag("store waypoints, goals, grasps and witnesses, for r2h-batch scene", "output")
     ] = False
     quiet: Annotated[bool, Flag("print only errors on stderr", "output")] = False
-    device: Annotated[str, Flag("cpu, cuda or cuda:N", "work")] = "cpu"
+    device: Annotated[str, Flag("cpu, cuda or cuda:N")] = "cpu"
     threads: Annotated[int | None, Flag("CPU threads; default: all cores", "work")] = None
     shard: Annotated[str, Flag("I/N: part I of N, for job arrays with one --out", "work")] = "1/1"
-    shard_trials: Annotated[int, Flag("trials of a shard; 0: a minute of work")] = 0
+    shard_trials: Annotated[int, Flag("trials of a shard; 0: a minute of work", "work")] = 0
     engine: Annotated[Literal["local", "ray"], Flag("this process, or a Ray cluster", "work")] = (
         "local"
     )
-    address: Annotated[str, Flag("Ray cluster to join: auto or HOST:PORT")] = ""
+    address: Annotated[str, Flag("Ray cluster to join: auto or HOST:PORT", "work")] = ""
     replan: Annotated[
-        bool, Flag("with trials_from: plan every motion anew instead of judging that of the file")
+        bool,
+        Flag(
+            "with trials_from: plan every motion anew instead of judging that of the file", "trials"
+        ),
     ] = False
     predictor: Annotated[
         str,
         Flag(
             "contact network of method contact: .onnx, VoxNet weights as .safetensors, or "
-            "package.module:function or FILE.py:function; default: the built-in VoxNet"
+            "package.module:function or FILE.py:function; default: the built-in VoxNet",
+            "methods",
         ),
     ] = ""
     trust_code: Annotated[
         bool,
         Flag(
             "also accept a TorchScript file as predictor; such a program can write any file. A --config file "
-            "cannot set this: use --trust-code"
+            "cannot set this: use --trust-code",
+            "methods",
         ),
     ] = False
     predictor_noise: Annotated[
-        float, Flag("factor on the error model of what the methods see; 0: they see the truth")
+        float,
+        Flag("factor on the error model of what the methods see; 0: they see the truth", "methods"),
     ] = 1.0
     predicted_hands: Annotated[
         str,
         Flag(
             "hands of your own network instead of the error model, .npz; fc, handover-va, contact and intent "
-            "see them"
+            "see them",
+            "methods",
         ),
     ] = ""
     predicted_parts: Annotated[
-        str, Flag("part labels or affordances of your own network; handover-va sees them")
+        str,
+        Flag("part labels or affordances of your own network; handover-va sees them", "methods"),
     ] = ""
     predicted_contacts: Annotated[
-        str, Flag("contact probabilities of your own network; contact sees them")
-    ] = ""
-    hand_errors: Annotated[
-        Literal["preset", "normal", "frames", "tails"],
-        Flag(
-            "error model of the target hand. normal: no outliers; frames: errors of published estimators in "
-            "single frames; tails: both; preset: normal, with preset paper tails"
-        ),
-    ] = "preset"
-    candidates: Annotated[
-        Literal["preset", "filtered", "as-generated", "narrow"],
-        Flag(
-            "grasps that methods choose from. filtered: those that this gripper can hold; as-generated: all "
-            "that the sampler proposes; narrow: those across which the whole object fits; preset: filtered, "
-            "with preset paper as-generated, with preset release narrow"
-        ),
-    ] = "preset"
-    width: Annotated[
-        Literal["preset", "pads", "whole"],
-        Flag(
-            "Stability measures the material between the pads, or the whole object's extent along the closing "
-            "axis; preset: pads, with preset release whole"
-        ),
-    ] = "preset"
-    reach: Annotated[
-        Literal["preset", "solid", "hull"],
-        Flag(
-            "Reach measures the object, or its convex hull; preset: solid, with preset release hull"
-        ),
-    ] = "preset"
-    stability: Annotated[
-        Literal["geometric", "physics"],
-        Flag(
-            "physics: friction must also hold the object against its weight and a shake along three axes"
-        ),
-    ] = "geometric"
-    object_collision: Annotated[
-        Literal["preset", "hull", "pieces"],
-        Flag(
-            "the attached object in planning: its convex hull (as in the paper), or its convex decomposition; "
-            "preset: hull, with preset release pieces where trials_from has boxes as objects"
-        ),
-    ] = "preset"
-    edge_check: Annotated[
-        Literal["preset", "exact", "moveit"],
-        Flag(
-            "edges of a path: certified, or sampled at MoveIt's resolution; preset: exact, with preset paper moveit"
-        ),
-    ] = "preset"
-    plan_hand: Annotated[
-        Literal["preset", "true", "estimated"],
-        Flag(
-            "hand that planned paths avoid: the true hand, or the estimated hand that methods see. Safe "
-            "judges the true hand. preset: true, with preset paper estimated"
-        ),
-    ] = "preset"
-    ik: Annotated[
-        Literal["fused", "pytorch-kinematics"],
-        Flag("inverse kinematics: a Warp kernel, or pytorch-kinematics (slower)"),
-    ] = "fused"
-    sim_model: Annotated[
-        Literal["auto", "scene", "arm"],
-        Flag(
-            "scene: simulate everything, with contacts; arm: a rigid gripper, no contacts; auto: the arm, and "
-            "the scene for each trial in which a contact is possible"
-        ),
-    ] = "auto"
-    execution_error: Annotated[
-        str,
-        Flag(
-            "errors of the executed poses as standard deviations per axis. 5mm,1deg: both the camera's "
-            "calibration and the object in the gripper err anew in every trial; camera:5mm,1deg or "
-            "object:5mm,1deg: one of both errs; bias:5mm,1deg: one error of the camera for all trials"
-        ),
+        str, Flag("contact probabilities of your own network; contact sees them", "methods")
     ] = ""
     robustness: Annotated[
         bool,
         Flag(
             "sweep without and with each of four execution errors, into folders of --out, and print how SR "
-            "falls"
+            "falls",
+            "output",
         ),
     ] = False
     receiver_motion: Annotated[
@@ -292,43 +229,51 @@ class Options:
         Flag(
             "also play every handover in closed loop; the receiver's hand: still, moves, reaches, hesitates, "
             "withdraws or takes, with a size such as moves:100mm,20deg; or replay:NAME_motion.npz of import "
-            "hands (needs the extra env)"
+            "hands (needs the extra env)",
+            "closed loop",
         ),
     ] = ""
     policy: Annotated[
         str,
         Flag(
             "policy that moves the arm in closed loop: planned, stop, servo, replan, or your "
-            "package.module:function, which takes an observation of HandoverEnv"
+            "package.module:function, which takes an observation of HandoverEnv",
+            "closed loop",
         ),
     ] = "planned"
     horizon: Annotated[
         float,
-        Flag("longest episode of a closed loop, s; slow arms need more"),
+        Flag("longest episode of a closed loop, s; slow arms need more", "closed loop"),
     ] = 15.0
     log: Annotated[
         Literal["", "tensorboard", "wandb", "mlflow", "trackio"],
-        Flag("also write the table's numbers into a logger, in the run folder (offline)"),
+        Flag("also write the table's numbers into a logger, in the run folder (offline)", "output"),
     ] = ""
     no_poses: Annotated[
         bool,
-        Flag("do not store the scored poses: saves 51 to 81 bytes a trial; reevaluate needs them"),
+        Flag(
+            "do not store the scored poses: saves 51 to 81 bytes a trial; reevaluate needs them",
+            "output",
+        ),
     ] = False
     verbose: Annotated[
-        bool, Flag("print every step and shard on stderr; log.txt always has them")
+        bool, Flag("print every step and shard on stderr; log.txt always has them", "output")
     ] = False
     allow_empty_candidates: Annotated[
-        bool, Flag("count trials of objects without a grasp as failures of built-in methods")
+        bool,
+        Flag("count trials of objects without a grasp as failures of built-in methods", "methods"),
     ] = False
     allow_missing: Annotated[
-        bool, Flag("count trials that a predictions file leaves out as failures")
+        bool, Flag("count trials that a predictions file leaves out as failures", "methods")
     ] = False
-    chunk: Annotated[int, Flag("trials scored at once; 0: 256 on a CPU, 2048 on a GPU")] = 0
+    chunk: Annotated[int, Flag("trials scored at once; 0: 256 on a CPU, 2048 on a GPU", "work")] = 0
     ray_timeout: Annotated[
-        float, Flag("seconds after which a Ray cluster that does not answer counts as lost")
+        float, Flag("seconds after which a Ray cluster that does not answer counts as lost", "work")
     ] = 30.0
-    workers: Annotated[int, Flag("Ray actors; 0: one for each GPU, or for each 4 CPUs")] = 0
-    gpus_per_worker: Annotated[float, Flag("GPUs of each actor; 0: 1 with device cuda")] = 0.0
+    workers: Annotated[int, Flag("Ray actors; 0: one for each GPU, or for each 4 CPUs", "work")] = 0
+    gpus_per_worker: Annotated[float, Flag("GPUs of each actor; 0: 1 with device cuda", "work")] = (
+        0.0
+    )
 
     @property
     def part(self) -> tuple[int, int]:
@@ -337,29 +282,63 @@ class Options:
         return int(i), int(n)
 
 
+@dataclass(frozen=True)
+class Options(Flags):
+    """A sweep as a command line asks for it.
+
+    Attributes:
+        settings: setting of the configuration (`settings.settings`) -> its value, where it is given.
+    """
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def execution_error(self) -> bool:
+        """Whether it gives a setting of the executed errors."""
+        return any(name.startswith("execution_error.") for name in self.settings)
+
+
 def help_text(prog: str) -> str:
-    """The flags in groups, each with its meaning."""
-    usage = f"usage: {prog} [--config FILE.yaml] [--set NAME=VALUE ...] [FLAGS]"
-    lines = [usage, "", str(Options.__doc__)]
-    for group in GROUPS:
-        lines += ["", f"{group}:", *_described(group, "--")]
+    """The flags that everybody needs, and the names of the other groups: one screen."""
+    groups = [*GROUPS.items(), SETTINGS_GROUP]
+    lines = [
+        _usage(prog),
+        "",
+        str(Flags.__doc__),
+        "",
+        *_described(FIRST),
+        "",
+        "more, in groups (--help-all):",
+    ]
+    config = ("--config FILE", "a YAML file with any option; a flag wins over it")
+    return "\n".join([*lines, *_columns(groups), *_columns([config])]) + "\n"
+
+
+def full_help(prog: str) -> str:
+    """Every flag in its group, with its meaning."""
+    from r2h_batch.sweep.settings import described
+
+    lines = [_usage(prog), "", str(Flags.__doc__), "", "first:", *_described(FIRST)]
+    for group, words in GROUPS.items():
+        names = [name for name, (_, flag) in _flags().items() if flag.group == group]
+        lines += ["", f"{group} ({words}):", *_described(names)]
+    name, words = SETTINGS_GROUP
+    lines += ["", f"{name} ({words}):", *_columns(described())]
     config = (
-        ("--config FILE", "a YAML file with any option; a flag wins over it"),
-        ("--set NAME=VALUE ...", "any option; `--set help` explains them"),
-        ("as flags too", ", ".join(_flag(n) for n, (_, f) in _flags().items() if not f.group)),
+        ("--config FILE", "a YAML file with any option by name; a flag wins over it"),
+        ("--set NAME=VALUE ...", "any option by name: plan.edge_check=moveit chunk=64"),
+        ("--help, --help-all", "the first flags, or all"),
     )
-    return "\n".join([*lines, "", "more options:", *_columns(config)]) + "\n"
+    return "\n".join([*lines, "", "this list:", *_columns(config)]) + "\n"
 
 
-def set_help() -> str:
-    """The options that the help lists by name alone, each with its meaning."""
-    head = "Options for --set NAME=VALUE. A --config file takes these and the flags by name:"
-    return "\n".join([head, "", *_described("", "")]) + "\n"
+def _usage(prog: str) -> str:
+    return f"usage: {prog} [--config FILE] [--set NAME=VALUE] [FLAGS]"
 
 
 def _flags() -> dict[str, tuple[Any, Flag]]:
     """Name of an option -> its type and what the help says of it."""
-    hints = typing.get_type_hints(Options, include_extras=True)
+    hints = typing.get_type_hints(Flags, include_extras=True)
     return {name: (hint.__origin__, hint.__metadata__[0]) for name, hint in hints.items()}
 
 
@@ -368,21 +347,18 @@ def _flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _described(group: str, dashes: str) -> list[str]:
-    """The lines of a group of options."""
-    rows = []
-    for name, (kind, flag) in _flags().items():
-        if flag.group != group:
-            continue
-        more = ""
+def _described(names: Iterable[str]) -> list[str]:
+    """The lines of options."""
+    rows, known = [], _flags()
+    for name in names:
+        (kind, flag), more = known[name], ""
         if get_origin(kind) is tuple:
             kind, more = get_args(kind)[0], " ..."
         if get_origin(kind) is Literal:
             value = "|".join(v for v in get_args(kind) if v)
         else:
             value = {bool: "", str: "TEXT", float: "NUMBER"}.get(kind, "INT")
-        shown = name.replace("_", "-") if dashes else name
-        rows.append((f"{dashes}{shown} {value}{more}".rstrip(), flag.help + _default(name, flag)))
+        rows.append((f"{_flag(name)} {value}{more}".rstrip(), flag.help + _default(name, flag)))
     return _columns(rows)
 
 
@@ -429,6 +405,9 @@ EXCLUDED = (
 
 def check(options: Options) -> Options:
     """The options, or a `UsageError` about the first that cannot be."""
+    from r2h_batch.config import EvalConfig
+    from r2h_batch.sweep.settings import configured
+
     if not (options.method or options.predictions or options.motions or options.trials_from):
         flags = "--predictions FILE, --motions FILE or --trials-from FILE"
         raise UsageError(f"nothing to score: give --method {' '.join(METHOD_NAMES)}, {flags}")
@@ -455,8 +434,7 @@ def check(options: Options) -> Options:
     if not (math.isfinite(options.predictor_noise) and options.predictor_noise >= 0):
         words = "it must be 0 (the truth) or more, 1 is the default"
         raise UsageError(f"--predictor-noise is {options.predictor_noise}; {words}")
-    if options.execution_error:
-        execution_error(options.execution_error)
+    configuration = configured(EvalConfig.preset(options.preset), options.settings)
     for name, others, why in EXCLUDED:
         for other in others if getattr(options, name) else ():
             if getattr(options, other):
@@ -476,10 +454,9 @@ def check(options: Options) -> Options:
         if getattr(options, name) and not any(m in users or ":" in m for m in bases):
             words = f"is seen by --method {', '.join(users)}; add one, or leave it out"
             raise UsageError(f"{_flag(name)} {words}")
-    estimated = {"estimated": True, "true": False, "preset": options.preset == "paper"}
-    if options.predicted_hands and estimated[options.plan_hand]:
+    if options.predicted_hands and configuration.plan.hand == "estimated":
         words = "paths are planned against the error model's hand or the true one"
-        raise UsageError(f"--predicted-hands: {words}; add --plan-hand true")
+        raise UsageError(f"--predicted-hands: {words}; add --plan.hand true")
     if not options.splits:
         raise UsageError("--splits names no split; allowed are S0, S1")
     if not re.fullmatch(r"cpu|cuda(:\d+)?", options.device, re.ASCII):
@@ -499,28 +476,6 @@ def check(options: Options) -> Options:
     return options
 
 
-def execution_error(text: str, seed: int = 0) -> "ExecutionError":
-    """The errors that the option says; empty: none."""
-    from r2h_batch.config import ExecutionError
-
-    if not text:
-        return ExecutionError()
-    number = r"(\d+\.?\d*|\.\d+)"
-    found = re.fullmatch(rf"(?:(camera|object|bias):)?{number}mm,{number}deg", text, re.ASCII)
-    if not found:
-        allowed = "5mm,1deg or camera:5mm,1deg, object:5mm,1deg, bias:5mm,1deg"
-        raise UsageError(f"--execution-error is {text!r}; it must be such as {allowed}")
-    part, size, none = found[1], (float(found[2]) / 1000, float(found[3])), (0.0, 0.0)
-    camera = none if part == "object" else size
-    held = none if part in ("camera", "bias") else size
-    drawn: Literal["trial", "run"] = "run" if part == "bias" else "trial"
-    try:
-        error = ExecutionError(*camera, drawn, *held, seed)
-        return error if error.any else ExecutionError()
-    except ValueError as error:
-        raise UsageError(f"--execution-error: {error}") from None
-
-
 def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") -> Options:
     """The checked options of a command line.
 
@@ -528,20 +483,34 @@ def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") 
         UsageError: one line about the first option that cannot be.
         SystemExit: the help is printed.
     """
-    if "--help" in arguments or "-h" in arguments:
-        sys.stdout.write(help_text(prog))
+    if {"--help", "-h", "--help-all"} & set(arguments):
+        text = full_help if "--help-all" in arguments else help_text
+        sys.stdout.write(text(prog))
         raise SystemExit(0)
-    arguments, path, chosen = _without_config(arguments)
-    default = replace(Options() if path is None else load_config(Path(path)), **chosen)
-    more = ["--config", "--set"]
-    options: Options = command_line.parse(
-        Options, arguments, prog=prog, default=default, more_flags=more
-    )
-    return check(options)
+    from r2h_batch.sweep.settings import given_in
+
+    arguments, path, switched, given = _without_config(arguments, prog)
+    file = Options() if path is None else load_config(Path(path))
+    kind, flags = line_class(), [f.name for f in fields(Flags)]
+    default = kind(**{name: getattr(file, name) for name in flags} | switched)
+    more = ["--config", "--set", "--help-all"]
+    line = command_line.parse(kind, arguments, prog=prog, default=default, more_flags=more)
+    values = {name: getattr(line, name) for name in flags}
+    settings = {**file.settings, **given, **given_in(line, arguments)}
+    return check(Options(**values, settings=settings))
+
+
+def line_class() -> type:
+    """The dataclass that tyro reads: the flags, and the settings as `settings.line_fields`."""
+    from r2h_batch.sweep.settings import line_fields
+
+    made: type = make_dataclass("Line", line_fields(), bases=(Flags,), frozen=True)
+    made.__doc__ = Flags.__doc__
+    return made
 
 
 def load_config(path: Path) -> Options:
-    """Options from a YAML file with the flags' names as fields.
+    """Options from a YAML file with the flags' names as fields, settings as in `EvalConfig`.
 
     Raises:
         UsageError: a field is unknown or of another type; the message names it.
@@ -550,16 +519,22 @@ def load_config(path: Path) -> Options:
 
     from r2h_batch.base.io.read import read_yaml
     from r2h_batch.base.validate import rule_of
+    from r2h_batch.config import EvalConfig
+    from r2h_batch.sweep.settings import configured, given_in_file
 
     try:
         data = read_yaml(path)
+        try:
+            given = given_in_file(data)
+        except UsageError as error:
+            raise UsageError(f"{path}: {error}") from None
         _check_names(str(path), "field", data)
         if data.get("trust_code"):  # the file may come from whoever made the network
             words = "trust_code is not an option of a file"
             raise UsageError(f"{path}: {words}; add the flag --trust-code")
         text = json.dumps(data, default=str)
-        options = pydantic.TypeAdapter(Options).validate_json(text, strict=True)
-        return replace(options, **{k: _expanded(v) for k, v in asdict(options).items()})
+        options = pydantic.TypeAdapter(Flags).validate_json(text, strict=True)
+        values = {k: _expanded(v) for k, v in asdict(options).items()}
     except FileError as error:
         raise UsageError(str(error)) from None
     except pydantic.ValidationError as error:
@@ -567,14 +542,23 @@ def load_config(path: Path) -> Options:
         where = ".".join(map(str, first["loc"]))
         found = repr(first["input"])[:80]
         raise UsageError(f"{path}: {where} is {found}; {rule_of(first)}") from None
+    try:
+        configured(EvalConfig.preset(options.preset), given)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+    return Options(**values, settings=given)
 
 
 def _check_names(where: str, kind: str, names: Iterable[Any]) -> None:
-    allowed = [f.name for f in fields(Options)]
+    from r2h_batch.sweep.settings import ERRORS, SHORT, elsewhere, settings
+
+    allowed = [*(f.name for f in fields(Flags)), *settings(), *SHORT, ERRORS]
     for name in names:
         if name not in allowed:
+            if how := elsewhere(str(name)):
+                raise UsageError(f"{where}: {name} is no {kind} of its own; {how}")
             hint = nearest(str(name), allowed)
-            raise UsageError(f"{where}: unknown {kind} {name!r}{hint}; see --set help")
+            raise UsageError(f"{where}: unknown {kind} {name!r}{hint}; see --help-all")
 
 
 def _expanded(value: Any) -> Any:
@@ -584,17 +568,30 @@ def _expanded(value: Any) -> Any:
     return expand_home(value) if isinstance(value, str) else value
 
 
-def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None, dict[str, Any]]:
-    """The command line with each `--set NAME=VALUE` as a flag, without `--config FILE`; FILE; and
-    what --set says of options that are true or false."""
+def _without_config(
+    arguments: Sequence[str], prog: str
+) -> tuple[list[str], str | None, dict[str, bool], dict[str, Any]]:
+    """The command line with each `--set NAME=VALUE` and each synonym as a flag, without `--config FILE`;
+    FILE; what --set says of options that are true or false; the settings of --execution-error."""
+    from r2h_batch.sweep.settings import ERRORS, SHORT, elsewhere, error_settings, flag_of
+
     rest, path = list(arguments), None
     flags: list[str] = []
-    chosen: dict[str, Any] = {}
+    switched: dict[str, bool] = {}
+    errors: dict[str, Any] = {}
     switches = [name for name, (kind, _) in _flags().items() if kind is bool]
+    short = {flag_of(name): flag_of(full) for name, full in SHORT.items()}
     while rest:
         argument = rest.pop(0)
         name, equals, value = argument.partition("=")
-        if name not in ("--config", "--set"):
+        if name.startswith("--"):
+            name = name.replace("_", "-")
+            if "." in name and (how := elsewhere(name[2:].replace("-", "_"))):
+                raise UsageError(f"{name} is no flag of its own; {how}")
+        if name in short:
+            flags.append(short[name] + equals + value)
+            continue
+        if name not in ("--config", "--set", flag_of(ERRORS)):
             flags.append(argument)
             continue
         value = value if equals else rest.pop(0) if rest else ""
@@ -603,26 +600,31 @@ def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None, di
                 raise UsageError("--config names no file")
             path = value
             continue
+        if name == flag_of(ERRORS):
+            errors = error_settings(value)
+            continue
         if value == "help":
-            sys.stdout.write(set_help())
+            sys.stdout.write(full_help(prog))
             raise SystemExit(0)
-        settings = [value]
+        chosen = [value]
         while rest and not rest[0].startswith("-"):
-            settings.append(rest.pop(0))
-        for setting in settings:
+            chosen.append(rest.pop(0))
+        for setting in chosen:
             option, equals, value = setting.partition("=")
             if not equals:
                 raise UsageError(
-                    f"--set is {setting!r}; it must be NAME=VALUE, and `--set help` has them"
+                    f"--set is {setting!r}; it must be NAME=VALUE, and --help-all has the names"
                 )
             _check_names("--set", "option", [option])
-            if option not in switches:
-                flags.append(f"--{option.replace('_', '-')}={value}")
+            if option == ERRORS:
+                errors = error_settings(value)
+            elif option not in switches:
+                flags.append(f"{flag_of(SHORT.get(option, option))}={value}")
             elif value in ("true", "false"):
-                chosen[option] = value == "true"
+                switched[option] = value == "true"
             else:
                 raise UsageError(f"--set {option} is {value!r}; allowed are true, false")
-    return flags, path, chosen
+    return flags, path, switched, errors
 
 
 GIVEN = ("trials", "scene", "seed", "evaluator", "noise", "predictor", "seen", "instructions")

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from r2h_batch.base.errors import UsageError
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function
-from r2h_batch.config import EstimateConfig, EvalConfig, IkConfig
+from r2h_batch.config import EstimateConfig, EvalConfig, ExecutionError
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs import provenance
-from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, execution_error, spelled_out
+from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, spelled_out
+from r2h_batch.sweep.settings import configured
 from r2h_batch.verdicts import SPLITS
 
 if TYPE_CHECKING:
@@ -56,6 +58,29 @@ class TrialPlan:
         if not any(counts.values()):
             raise UsageError(f"the trials file has none of --splits {' '.join(self.splits)}")
         return {s: n for s, n in counts.items() if n}
+
+    def shares(self, benchmark: "Benchmark", plan: Mapping[str, int]) -> str:
+        """One line that says how many trials each object of --object-mesh gets, for the objects of a split
+        take turns; empty without such objects, or with listed trials.
+
+        Args:
+            benchmark: as `read` gives it.
+            plan: as `plan` gives it.
+        """
+        if not self.benchmark.object_mesh or benchmark.listed is not None:
+            return ""
+        added, words = benchmark.objects[-len(self.benchmark.object_mesh) :], []
+        for model in added:
+            of_split = [o for o in benchmark.objects if o.split == model.split]
+            rounds, rest = divmod(plan.get(model.split, 0), len(of_split))
+            turn = next(i for i, o in enumerate(of_split) if o is model)
+            own = rounds + (turn < rest)
+            words.append(
+                f"{printable(model.name)} gets {own or 'none'} of {plan.get(model.split, 0)} trials of {model.split}"
+                f" ({len(of_split)} objects)"
+            )
+        how = "--objects FOLDER judges your meshes alone"
+        return f"--object-mesh adds to the benchmark's objects: {', '.join(words)}; {how}"
 
     def _check_splits(self, known: set[str]) -> None:
         if missing := [s for s in self.splits if s not in known]:
@@ -196,10 +221,7 @@ def requested(options: Options) -> Request:
         ValueError: one line about an option that cannot be.
     """
     options, released = _with_trials(options)
-    preset = EvalConfig.preset(options.preset)
-    errors = options.hand_errors
-    if errors == "preset":
-        errors = preset.estimate.errors
+    config = configured(EvalConfig.preset(options.preset), options.settings)
     flags = {f.name: getattr(options, f.name) for f in fields(BenchmarkChoice)}
     splits = tuple(s for s in SPLITS if s in options.splits)
     count = None if options.trials == Options.trials else options.trials
@@ -210,14 +232,14 @@ def requested(options: Options) -> Request:
         )
     methods = Methods(
         names=tuple(map(spelled_out, options.method)), predictions=options.predictions, motions=options.motions,
-        seed=options.seed, noise_factor=options.predictor_noise, errors=errors,
+        seed=options.seed, noise_factor=options.predictor_noise, errors=config.estimate.errors,
         predictor=options.predictor, trust_code=options.trust_code,
         seen={name: file for name in SEEN_BY if (file := getattr(options, name))},
         allow_empty_candidates=options.allow_empty_candidates, allow_missing=options.allow_missing,
     )  # fmt: skip
     return Request(
         TrialPlan(BenchmarkChoice(**flags), splits, count),
-        _configuration(options, preset, errors, pieces=released is not None and released.boxes),
+        _configuration(options, config, pieces=released is not None and released.boxes),
         methods,
         Work(options.device, options.threads, options.chunk, options.part, cluster),
         Storage(
@@ -252,32 +274,22 @@ def _with_trials(options: Options) -> tuple[Options, "Imported | None"]:
     return replace(options, motions=(*options.motions, str(motions))), about(folder)
 
 
-def _configuration(
-    options: Options, config: EvalConfig, errors: "Errors", *, pieces: bool
-) -> EvalConfig:
-    """A preset with what the options change; `errors` of the target hand; `pieces`: preset release
-    judges the object piece by piece, as the release judges a file's boxes."""
-    edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
-    hand = config.plan.hand if options.plan_hand == "preset" else options.plan_hand
-    collision = config.plan.object_collision
-    if options.object_collision != "preset":
-        collision = options.object_collision
-    elif pieces and config.name == "release":
-        collision = "pieces"
-    plan = replace(config.plan, object_collision=collision, edge_check=edge_check, hand=hand)
+def _configuration(options: Options, config: EvalConfig, *, pieces: bool) -> EvalConfig:
+    """The configuration of the settings with what other options decide.
+
+    `pieces`: preset release judges the object piece by piece, as the release judges a file's boxes.
+    """
+    plan = config.plan
+    if pieces and config.name == "release" and "plan.object_collision" not in options.settings:
+        plan = replace(plan, object_collision="pieces")
     # settings that no verdict uses stay at their defaults: runs that differ in them can be compared
-    estimate = EstimateConfig(errors, options.predictor_noise, options.seed)
-    sim = config.execute.sim if options.sim == "auto" else options.sim
-    execute = replace(config.execute, sim=sim, model=options.sim_model)
-    execute = replace(execute, sim=execute.engine(options.device))
-    return replace(
-        config, ik=IkConfig(options.ik), plan=plan, execute=execute, stability=options.stability,
-        width=config.width if options.width == "preset" else options.width,
-        reach=config.reach if options.reach == "preset" else options.reach,
-        estimate=estimate if hand == "estimated" else EstimateConfig(),
-        execution_error=execution_error(options.execution_error, options.seed),
-        candidates=config.candidates if options.candidates == "preset" else options.candidates,
-    )  # fmt: skip
+    seen, error = EstimateConfig(), ExecutionError()
+    if plan.hand == "estimated":
+        seen = EstimateConfig(config.estimate.errors, options.predictor_noise, options.seed)
+    if config.execution_error.any:
+        error = replace(config.execution_error, seed=options.seed)
+    execute = replace(config.execute, sim=config.execute.engine(options.device))
+    return replace(config, plan=plan, execute=execute, estimate=seen, execution_error=error)
 
 
 def _stored(options: Options) -> list[str]:

@@ -195,15 +195,17 @@ def score_shard(
             raise Stopped
         last = min(first + setting.chunk, shard.last)
         rows = None if job.rows is None else job.rows[first:last]
-        writer.append(**_score_chunk(job, setting.trials(setting.ids(first, last)), rows, setting))
+        look = first == 0 and not job.warm  # built-in methods know the conventions
+        trials = setting.trials(setting.ids(first, last))
+        writer.append(**_score_chunk(job, trials, rows, setting, look=look))
         advance(last - first)
 
 
 def _score_chunk(
-    job: Job, trials: Trials, rows: torch.Tensor | None, setting: Setting
+    job: Job, trials: Trials, rows: torch.Tensor | None, setting: Setting, *, look: bool = False
 ) -> dict[str, pa.Table]:
     """Tables of a chunk in the plan's order; `rows`: the answers' rows, -1 for a trial without
-    one."""
+    one; `look`: say so where all rows fail alike and pass in another convention."""
     every = torch.ones(len(trials), dtype=torch.bool, device="cpu")
     answered = every if rows is None else rows >= 0
     moved = ~every  # whose answer is a motion
@@ -222,7 +224,16 @@ def _score_chunk(
                 motions = job.motions.padded(own, evaluator.scene.device)
             stored = setting.header["stored"]
             parts.append(
-                judged_tables(evaluator, part, answers, motions, stored, names, setting.loop)
+                judged_tables(
+                    evaluator,
+                    part,
+                    answers,
+                    motions,
+                    stored,
+                    names,
+                    setting.loop,
+                    look_for=job.name if look else None,
+                )
             )
     if not answered.all():
         parts.append({"trials": missing_rows(trials[~answered], names)})
@@ -239,19 +250,28 @@ def judged_tables(
     stored: Sequence[str],
     names: TrialNames,
     loop: "Loop | None" = None,
+    *,
+    look_for: str | None = None,
 ) -> dict[str, pa.Table]:
     """Tables of trials and of the kinds `stored`, as a run folder has them.
 
     `motions`: motions in place of the handover poses, as `Evaluator.score_motion` takes them. `loop`: how
-    `episodes` are played.
+    `episodes` are played. `look_for`: the method whose hint is said, where all rows fail alike.
     """
+    hint = None
     if motions is not None:
         scores = evaluator.score_motion(answers.T_obj_ee, trials=part, **motions)
         assert scores.inputs is not None
         answers = replace(answers, T_world_ee=scores.inputs.T_world_ee)
+        if look_for and "planned_q" not in motions:
+            hint = evaluator.motion_hint(scores, answers.T_obj_ee, part, **motions)
     else:
         keep = "paths" in stored
         scores = evaluator.score(answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep)
+        if look_for:
+            hint = evaluator.hint(scores, answers.T_obj_ee, answers.T_world_ee, part)
+    if hint:
+        LOG.info(f"{look_for}: {hint}")
     played = None if loop is None else loop(scores)
     # one copy each from a GPU
     part, answers, scores = part.to("cpu"), answers.to("cpu"), scores.to("cpu")
@@ -293,6 +313,7 @@ def warm_up(job: Job, setting: Setting, trials: int = WARM_TRIALS) -> None:
     if job.warm:
         answers = job.predict(few, None)
         T_obj_ee, T_world_ee = answers.T_obj_ee, answers.T_world_ee
+    setting.evaluator.called = setting.evaluator.moved = True  # these poses are nobody's mistakes
     setting.evaluator.score(T_obj_ee.contiguous(), T_world_ee, few)
     load_searches(scene.device, len(scene.robot.joints))  # none of these few may have needed them
 

@@ -35,7 +35,12 @@ def test_a_table_of_nobody_gets_one_line(tmp_path: Path, capsys: pytest.CaptureF
         (HEAD, "0 people; 1 to 100000 are allowed"),
         (f"{HEAD[4:]}\n{WOMAN[7:]}", "has no column sex"),
         (f"{HEAD}\n{WOMAN[:-5]}1.80", "hand_length of person 1 is 1.8; a body's is 0.08 to 0.26 m"),
-        (f"{HEAD}\n{WOMAN[:-6]}", "hand_length of person 1 is None; need a number"),
+        (f"{HEAD}\n{WOMAN[:-6]}", "person 1 has 15 cells, the header has 16"),
+        (f"{HEAD}\n{WOMAN}\n{WOMAN},1", "person 2 has 17 cells, the header has 16"),
+        (f"{HEAD},stature\n{WOMAN},1.7", "column stature is there twice; leave one out"),
+        (f"{HEAD}\n{WOMAN.replace('1.63', 'inf')}", "stature of person 1: 'inf' is not a plain number"),
+        (f"{HEAD}\n{WOMAN.replace('1.63', '١.٦٣')}", "stature of person 1: '١.٦٣' is not a plain number"),
+        (f"{HEAD}\n{WOMAN.replace('1.63', '')}", "stature of person 1: '' is not a plain number"),
     ):
         (tmp_path / "staff.csv").write_text(text + "\n")
         line = said(capsys, "people", str(tmp_path / "staff.csv"), code=2)

@@ -168,6 +168,38 @@ def test_files_that_are_no_benchmark_are_refused_in_one_line(text, box, capsys):
     assert told.out == "" and len(told.err.splitlines()) == 1 and REFUSED[text] in told.err
 
 
+def test_parts_are_looked_for_before_a_mesh_is_built(box, capsys, monkeypatch):
+    def built(*_, **__):
+        raise AssertionError("a mesh is built")
+
+    corners = [f"v {x} {y} {z}" for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)]
+    faces = [
+        "f 1 2 4",
+        "f 1 4 3",
+        "f 5 8 6",
+        "f 5 7 8",
+        "f 1 5 6",
+        "f 1 6 2",
+        "f 3 4 8",
+        "f 3 8 7",
+        "f 1 3 7",
+        "f 1 7 5",
+    ]
+    rest = ["f 2 6 8", "f 2 8 4"]
+    (box / "one.obj").write_text("\n".join([*corners, "g wall", *faces, *rest]))
+    (box / "two.obj").write_text("\n".join([*corners, "g wall", *faces, "g lid", *rest]))
+    monkeypatch.setattr("r2h_batch.protocols.yaml_file.build_ahead", lambda calls: built() if calls else 0)
+    monkeypatch.setattr("r2h_batch.protocols.yaml_file.build_object", built)
+    for file, words in (
+        ("one", "it has body: a mesh file has parts where"),
+        ("two", "did you mean lid?; it has wall, lid"),
+    ):
+        text = f"objects: [{{file: {file}.obj, roles: {{lit: wrap}}}}]"
+        assert main(["benchmark", "check", str(written(box, text))]) == 2
+        told = capsys.readouterr().err
+        assert f"object {file}: roles name 'lit'" in told and words in told, told
+
+
 @pytest.mark.parametrize(
     ("hands", "words"),
     [

@@ -10,7 +10,7 @@ from scipy import stats
 from r2h_batch.config import EvalConfig
 from r2h_batch.report.robustness import robustness
 from r2h_batch.report.statistics.intervals import BORROWED
-from r2h_batch.sweep.options import execution_error
+from r2h_batch.sweep.settings import configured, error_settings
 from r2h_batch.types import Outcome
 
 LEVELS, MM = ("0mm,0deg", "5mm,1deg", "20mm,3deg"), np.array([0.0, 5.0, 20.0])
@@ -28,7 +28,7 @@ def solved():
 def runs(tmp_path_factory, solved):
     made = []
     for i, level in enumerate(LEVELS):
-        config = asdict(EvalConfig(execution_error=execution_error(level)))
+        config = asdict(configured(EvalConfig(), error_settings(level)))
         codes = np.where(solved[:, i].reshape(2, 120), SUCCESS, STABILITY)
         folder = tmp_path_factory.mktemp("runs") / level
         made.append(write_run(folder, dict(zip("ab", codes, strict=True)), 60, 60, configuration=config))

@@ -13,9 +13,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import torch
-from made_runs import NAMES, make_header, make_scores
+from made_runs import NAMES, made_trials, make_header, make_scores
 
-from r2h_batch import load_benchmark
 from r2h_batch.sweep.jobs import CPU_CHUNK, Setting
 from r2h_batch.sweep.options import Options
 from r2h_batch.sweep.request import Request
@@ -28,11 +27,15 @@ class FakeEvaluator:
     def __init__(self):
         self.config, self.threads = SimpleNamespace(chunk=2048), None
         self.sizes = []
+        self.benchmark = SimpleNamespace(name="r2h-v1", label="r2h-v1@0")
         objects = [SimpleNamespace(name=n, split=s) for n, s in zip(NAMES.objects, NAMES.object_splits)]
         sides = torch.tensor([("right", "left").index(s) for s in NAMES.hand_sides])
         hands = SimpleNamespace(set=SimpleNamespace(side=sides, digest="h"))
         robot = SimpleNamespace(joints=range(6))
         self.scene = SimpleNamespace(device="cpu", objects=objects, hands=hands, part_names=NAMES.parts, robot=robot)
+
+    def hint(self, scores, T_obj_ee, T_world_ee, trials):
+        return None
 
     def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
         assert T_obj_ee.shape == T_world_ee.shape == (len(trials), 4, 4)
@@ -62,7 +65,7 @@ def set_up(request: Request) -> Setting:
     config = {"name": "default", "execution_error": asdict(error)}
     more = {"seed": request.methods.seed, "stored": request.storage.kinds, "configuration": config}
     header = make_header(0, 0, trials=planned, **more)
-    trials = load_benchmark("r2h-v1").trials(n["S1"], splits=n["S0"])
+    trials = made_trials(n["S0"], n["S1"])
     return Setting(
         FakeEvaluator(), header, lambda first, last: torch.arange(first, last), lambda ids: trials[ids],
         chunk=request.work.chunk or CPU_CHUNK, part=request.work.part,

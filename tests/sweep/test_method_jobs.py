@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from problems import default_evaluator
 
+from r2h_batch.base.errors import UsageError
 from r2h_batch.runs.provenance import file_digest
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
@@ -67,3 +68,47 @@ def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, caps
     assert run.header["predictors"]["noise"]["target_translation_m"] == 0
     margins = np.array(run.trials("my_rules:predict")["margin_reach_m"])
     assert (margins[~np.isnan(margins)] > 0.05).all()  # the TCP is where the object is wanted
+
+
+@pytest.mark.parametrize("more", ["", ", *, seed", ", seed=3", ", **given"])
+def test_a_users_method_takes_a_seed_or_none(bench, tmp_path, more, trials_of_six=6):
+    got = "None" if more == "" else "given['seed']" if "**" in more else "seed"
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import torch\nSEEN = []\n"
+        f"def predict(trials, scene{more}):\n"
+        f"    SEEN.append({got})\n"
+        "    T = torch.eye(4).repeat(len(trials), 1, 1)\n"
+        "    return T, T\n"
+    )
+    (job,) = jobs.make_jobs(Methods((f"{file}:predict",), seed=11), [], bench)
+    answer = job.predict(bench.evaluator.benchmark.trials(trials_of_six, splits="S0"), None)
+    assert len(answer) == trials_of_six
+    module = next(m for m in list(sys.modules.values()) if getattr(m, "__file__", None) == str(file))
+    assert [None if more == "" else 11] == module.SEEN
+
+
+def test_a_method_of_other_arguments_is_refused_with_what_it_takes(bench, tmp_path):
+    (tmp_path / "mine.py").write_text("def predict(trials):\n    return trials\n")
+    with pytest.raises(UsageError, match="the function takes \\(trials, scene\\), and seed if it draws numbers"):
+        jobs.make_jobs(Methods((f"{tmp_path}/mine.py:predict",)), [], bench)
+
+
+WRONG = """
+from r2h_batch.methods import oracle
+
+def predict(trials, scene):
+    answer = oracle.predict(trials, scene)
+    return answer.T_obj_ee, answer.T_world_ee.inverse()
+"""
+
+
+def test_a_sweep_says_in_which_convention_answers_pass(tmp_path, capsys):
+    (tmp_path / "mine.py").write_text(WRONG)
+    line = ["--method", f"{tmp_path}/mine.py:predict", "--benchmark", "r2h-v0", "--trials", "5", "--sim", "none"]
+    assert sweep.main([*line, "--out", str(tmp_path / "run")]) == 0
+    said = [text for text in capsys.readouterr().err.splitlines() if "rows fail" in text]
+    assert len(said) == 1 and "mine.py:predict: all 10 rows fail" in said[0], said
+    assert "T_world_ee inverted" in said[0]
+    log = (tmp_path / "run" / "log.txt").read_text()
+    assert said[0].partition(": ")[2] in log

@@ -8,7 +8,12 @@ from typing import Literal, get_args, get_origin, get_type_hints
 import pytest
 
 from r2h_batch.base.errors import UsageError
-from r2h_batch.sweep.options import Options, check, load_config, parse
+from r2h_batch.config import MADE_BY, EvalConfig
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.load import load_benchmark
+from r2h_batch.sweep.options import Flags, Options, check, load_config, parse
+from r2h_batch.sweep.request import TrialPlan, requested
+from r2h_batch.sweep.settings import ELSEWHERE, SHORT, configured, flag_of, settings, value_of
 
 
 def write(tmp_path, text):
@@ -28,11 +33,12 @@ def another(hint, value):
 
 @pytest.mark.check
 def test_every_field_comes_back_from_a_file(tmp_path):
-    hints = get_type_hints(Options)
-    names = [f.name for f in dataclasses.fields(Options) if f.name != "trust_code"]  # which no file may say
+    hints = get_type_hints(Flags)
+    names = [f.name for f in dataclasses.fields(Flags) if f.name != "trust_code"]  # which no file may say
     options = Options(**{name: another(hints[name], getattr(Options(), name)) for name in names})
     assert all(getattr(options, name) != getattr(Options(), name) for name in names)
-    assert load_config(write(tmp_path, json.dumps(dataclasses.asdict(options)))) == options
+    data = {name: value for name, value in dataclasses.asdict(options).items() if name != "settings"}
+    assert load_config(write(tmp_path, json.dumps(data))) == options
 
 
 def test_flags_win_over_the_file(tmp_path):
@@ -47,10 +53,9 @@ def test_every_option_can_be_set_on_the_command_line(tmp_path, capsys):
     options = parse(
         ["--config", str(path), "--set", "chunk=8", "edge_check=moveit", "--set=no_poses=false", "--seed", "4"]
     )
-    assert (options.chunk, options.edge_check, options.no_poses, options.seed) == (8, "moveit", False, 4)
-    assert (
-        parse(["--benchmark", "r2h-v1", "--method", "random", "--chunk", "8"]).chunk == 8
-    )  # the old flags stay for one version
+    assert (options.chunk, options.no_poses, options.seed) == (8, False, 4)
+    assert options.settings == {"plan.edge_check": "moveit"}
+    assert parse(["--benchmark", "r2h-v1", "--method", "random", "--chunk", "8"]).chunk == 8
     for line, part in (
         ("chunks=8", "unknown option 'chunks', did you mean chunk?"),
         ("chunk=many", "'many' is not a whole number"),
@@ -62,7 +67,140 @@ def test_every_option_can_be_set_on_the_command_line(tmp_path, capsys):
     with pytest.raises(SystemExit):
         parse(["--set", "help"])
     told = capsys.readouterr().out
-    assert "edge_check preset|exact|moveit" in told and "trials" not in re.findall(r"^  ([a-z_]+)", told, re.M)
+    assert "--plan.edge-check exact|moveit" in told and "--trials INT" in told
+
+
+# ---- settings of the configuration
+
+
+def leaves(kind, at=""):
+    """(dotted name, type) of every field of a configuration."""
+    for name, hint in get_type_hints(kind).items():
+        inner = dataclasses.is_dataclass(hint)
+        yield from leaves(hint, f"{at}{name}.") if inner else [(at + name, hint)]
+
+
+def typed(value):
+    return [str(v) for v in value] if isinstance(value, tuple) else [str(value)]
+
+
+def other(hint, value):
+    """A value of the setting that is allowed and not its default."""
+    if get_origin(hint) is tuple:
+        return (7, 8)
+    return {float: value / 4 + 0.001, int: 5}[hint] if hint in (float, int) else another(hint, value)
+
+
+@pytest.mark.check
+def test_each_field_of_the_configuration_is_one_flag_of_its_name_or_is_set_elsewhere():
+    names = set(settings())
+    rest = {name for name, _ in leaves(EvalConfig)} - names
+    assert all(name in ELSEWHERE or name.partition(".")[0] in ELSEWHERE for name in rest)
+    assert set(SHORT.values()) <= names and not set(SHORT) & names
+    assert not names & {f.name for f in dataclasses.fields(Flags)}  # one setting has one name in one place
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("name", settings())
+def test_a_flag_a_word_of_set_and_a_field_of_a_file_change_that_field_alone(tmp_path, name):
+    hint, usual = settings()[name], value_of(EvalConfig(), name)
+    value = other(hint, usual)
+    given = {name: value}
+    line = ["--benchmark", "r2h-v1", "--method", "random"]
+    assert parse([*line, flag_of(name), *typed(value)]).settings == given
+    if not isinstance(value, tuple):
+        assert parse([*line, "--set", f"{name}={value}"]).settings == given
+    section, _, key = name.rpartition(".")
+    for fields in ({name: value}, {section: {key: value}} if section else {name: value}):
+        assert load_config(write(tmp_path, json.dumps({"method": ["random"], **fields}))).settings == given
+    changed = configured(EvalConfig(), given)
+    different = [n for n, _ in leaves(EvalConfig) if value_of(changed, n) != value_of(EvalConfig(), n)]
+    assert different == [name] and value_of(changed, name) == value
+
+
+@pytest.mark.parametrize("short", SHORT)
+def test_short_names_are_synonyms(tmp_path, short):
+    full = SHORT[short]
+    value = next(v for v in get_args(settings()[full]) if v not in ("auto", value_of(EvalConfig(), full)))
+    given = {full: value}
+    line = ["--benchmark", "r2h-v1", "--method", "random"]
+    for more in ([flag_of(short), value], [f"{flag_of(short)}={value}"], ["--set", f"{short}={value}"]):
+        assert parse([*line, *more]).settings == given
+    assert load_config(write(tmp_path, f'method: [random]\n{short}: "{value}"\n')).settings == given
+
+
+@pytest.mark.parametrize("preset", MADE_BY)
+def test_a_preset_stays_what_it_is_but_for_what_is_given(preset):
+    words = ["--benchmark", "r2h-v1", "--method", "random", "--preset", preset, "--out", "x", "--seed", "4"]
+    found = requested(parse([*words, "--plan.shortcuts", "3"])).configuration
+    of_preset = EvalConfig.preset(preset)
+    assert found.plan == dataclasses.replace(of_preset.plan, shortcuts=3)
+    assert found.width == of_preset.width and found.execute.scale == of_preset.execute.scale
+    assert found.execute.sim == ("none" if preset == "release" else "mujoco")
+    seen = requested(parse([*words, "--predictor-noise", "2"]))
+    planned = dataclasses.replace(of_preset.estimate, factor=2.0, seed=4)
+    estimated = of_preset.plan.hand == "estimated"
+    assert seen.configuration.estimate == (planned if estimated else type(planned)())
+    assert seen.methods.errors == of_preset.estimate.errors  # methods see them whatever the planner does
+
+
+def test_errors_in_one_word_are_five_settings_and_the_seed_comes_from_the_command_line(tmp_path):
+    words = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--out",
+        "x",
+        "--seed",
+        "4",
+        "--execution-error",
+        "bias:5mm,1deg",
+    ]
+    error = requested(parse(words)).configuration.execution_error
+    assert (error.camera_m, error.camera_deg, error.camera_drawn, error.object_m, error.seed) == (0.005, 1, "run", 0, 4)
+    one_by_one = ["--execution-error.camera-m", "0.005", "--execution-error.camera-deg", "1"]
+    drawn = ["--execution-error.camera-drawn", "run"]
+    assert requested(parse([*words[:6], *one_by_one, *drawn])).configuration.execution_error == error
+    path = write(tmp_path, "method: [random]\nexecution_error: 5mm,1deg\n")
+    both = parse(["--config", str(path), "--execution-error", "object:2mm,1deg"])
+    assert both.settings["execution_error.camera_m"] == 0 and both.settings["execution_error.object_m"] == 0.002
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["--plan.edge-chek", "moveit"], "did you mean --plan.edge-check?; see --help-all"),
+        (["--plan.edge-check", "sampled"], "--plan.edge-check is 'sampled'; allowed are exact, moveit"),
+        (["--sim", "mujco"], "--execute.sim is 'mujco', did you mean mujoco?"),
+        (["--execute.scale", "-1"], "--execute.scale is -1.0; it must be above 0"),
+        (["--plan.rounds", "0"], "--plan.rounds[0] is 0; it must be 1 or more"),
+        (["--set", "plan.edge_chek=moveit"], "did you mean plan.edge_check?"),
+        (["--set", "thresholds.w_max_m=1"], "write thresholds into a benchmark.yaml"),
+        (["--estimate.seed", "3"], "say --seed"),
+        (["--execution-error", "5mm"], "it must be such as 5mm,1deg"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_one_line(words, part):
+    with pytest.raises(UsageError, match=re.escape(part)):
+        parse(["--benchmark", "r2h-v1", "--method", "random", *words])
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("plan: {edge_chek: moveit}", "unknown field 'plan.edge_chek', did you mean plan.edge_check?"),
+        ("plan: {edge_check: sampled}", "--plan.edge-check is 'sampled'"),
+        ("execute: {scale: fast}", "--execute.scale is 'fast'; it must be a number"),
+        ("estimate: {seed: 3}", "say --seed"),
+        ("plan: exact", "unknown field 'plan'"),
+    ],
+)
+def test_a_setting_of_a_file_that_cannot_be_is_one_line_with_the_file(tmp_path, text, part):
+    path = write(tmp_path, f"method: [random]\n{text}\n")
+    with pytest.raises(UsageError) as refused:
+        load_config(path)
+    assert str(path) in str(refused.value) and part in str(refused.value), refused.value
 
 
 BILLION = "a: &a [1,1]\nb: &b [*a,*a]\n"
@@ -94,3 +232,20 @@ def test_yaml_that_says_more_than_words_lists_and_decimal_numbers_is_refused_by_
         check(load_config(path))
     message = str(refused.value)
     assert part in message and message.isprintable() and len(message) < 700, message
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("trials", [8, 40])
+def test_objects_of_a_command_line_say_how_many_trials_they_get(trials):
+    usual = load_benchmark("r2h-v0")
+    cup = next(o for o in usual.objects if o.split == "S0")
+    added = [dataclasses.replace(cup, name=name) for name in ("mug", "jar")]
+    benchmark = dataclasses.replace(usual, objects=(*usual.objects, *added))
+    plan = TrialPlan(BenchmarkChoice(object_mesh=("mug.obj", "jar.obj")), ("S0", "S1"), trials)
+    line = plan.shares(benchmark, {"S0": trials, "S1": trials})
+    drawn = benchmark.trials(trials).object_index
+    for place, model in enumerate(benchmark.objects[-2:], len(usual.objects)):
+        own = int((drawn == place).sum())
+        assert f"{model.name} gets {own or 'none'} of {trials} trials of S0" in line
+    assert "--objects FOLDER" in line
+    assert TrialPlan(BenchmarkChoice(), ("S0",), 8).shares(usual, {"S0": 8}) == ""

@@ -92,13 +92,12 @@ def report(
     stored = join(loaded)
     if not stored.methods:
         raise ValueError(f"{runs[0]}: no method is complete; run its sweep again to go on")
-    if gallery and len(runs) > 1:
-        raise ValueError("--gallery shows one run; give one, or leave --gallery out")
     if format == "html":
         from r2h_batch.report.page import page
         from r2h_batch.report.statistics.common import common_trials
 
-        pictures, common = None, None
+        pictures: dict[str, list[dict[str, str]]] | None = None
+        common = None
         if gallery and out:
             from r2h_batch.scene.offscreen import ready
             from r2h_batch.view.gallery.pictures import gallery as draw
@@ -108,9 +107,12 @@ def report(
             if _pages(out).is_symlink():
                 what = f"{out.stem}_trials beside {out.name} is a link"
                 raise UsageError(f"{what}; its pages would be written elsewhere")
-            reader = Reader(runs[0], benchmark)
-            own = reader.run.only(method)
-            pictures = draw(own, reader, gallery, _pages(out), out.parent)
+            pictures = {}
+            names = iter(stored.methods)  # a joined run may name a method otherwise
+            for number, run in enumerate(loaded, 1):
+                pages = _pages(out) / str(number) if len(loaded) > 1 else _pages(out)
+                found = draw(run, Reader(run.folder, benchmark), gallery, pages, out.parent)
+                pictures |= {next(names): found[name] for name in run.methods}
         try:
             common = common_trials(loaded, proven=stored_rows())
         except ValueError as error:

@@ -69,6 +69,14 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
     assert text.count("</code></figcaption>") == len(set(links))
     assert f"<code>r2h-batch view {run.folder} --method m --trial 4</code>" in text
     assert "4 cup: plan fails: every posture at the target collides (object and hand)" in text and "6 knife" not in text
+    second = write_run(tmp_path / "second", {"other": OUTCOMES}, 6, 6)
+    both, runs = tmp_path / "both.html", [str(run.folder), str(second.folder)]
+    line = ["--format", "html", "--gallery", "1", "--out", str(both)]
+    assert main(["report", *runs, *line]) == 0
+    links = [part.partition('"')[0] for part in both.read_text().split('<a href="')[1:]]
+    assert len(links) > 10 and len(set(links)) == len(links) and all((tmp_path / link).is_file() for link in links)
+    assert {link.split("/")[1] for link in links} == {"1", "2"}
+    assert f"r2h-batch view {second.folder} --method other --trial" in both.read_text()
 
 
 def test_what_a_gallery_needs_is_said_in_one_line(run, tmp_path, capsys):

@@ -1,0 +1,131 @@
+"""Hints about poses and motions in another convention, on the oracle's answers written in each of them."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+import torch
+from problems import default_evaluator
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.conventions import failing, other_poses
+from r2h_batch.methods import oracle
+from r2h_batch.protocols.load import load_benchmark
+
+HALF = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0]))
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    """Makes an evaluator that was not asked before."""
+    return lambda: Evaluator(load_benchmark("r2h-v0"), EvalConfig(execute=ExecConfig(sim="none")))
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """Trials that the oracle solves, its poses, and the scores of its motions."""
+    evaluator = default_evaluator().kinematic
+    trials = evaluator.benchmark.trials(8)
+    answer = oracle.predict(trials, evaluator.scene, seed=0)
+    poses = [answer.T_obj_ee, answer.T_world_ee]
+    scores = evaluator.score(*poses, trials)
+    assert scores.success.sum() >= 12
+    keep = scores.success
+    return trials[keep], [T[keep] for T in poses], scores[keep]
+
+
+def as_quaternion_in_another_order(T, order):
+    """The poses whose quaternions were written in one order and read in the other, by SciPy's orders."""
+    R = Rotation.from_matrix(T[:, :3, :3].double().numpy())
+    written = R.as_quat(scalar_first=order == "wxyz")
+    wrong = Rotation.from_quat(written, scalar_first=order != "wxyz").as_matrix()
+    out = T.clone()
+    out[:, :3, :3] = torch.from_numpy(wrong.astype(np.float32))
+    return out
+
+
+def inverted(T):
+    return torch.from_numpy(np.linalg.inv(T.double().numpy())).float()
+
+
+WRITTEN = {
+    "T_obj_ee inverted": lambda a, b: (inverted(a), b),
+    "T_world_ee inverted": lambda a, b: (a, inverted(b)),
+    "both poses inverted": lambda a, b: (inverted(a), inverted(b)),
+    "T_world_ee times T_obj_ee": lambda a, b: (a, b @ inverted(a)),
+    "turned by 180 degrees": lambda a, b: (a, HALF @ b),
+    "read as x, y, z, w": lambda a, b: tuple(as_quaternion_in_another_order(T, "xyzw") for T in (a, b)),
+    "read as w, x, y, z": lambda a, b: tuple(as_quaternion_in_another_order(T, "wxyz") for T in (a, b)),
+}
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("name", WRITTEN)
+def test_each_other_convention_leads_back_to_the_poses(solved, name):
+    _, poses, _ = solved
+    found = next(v for k, v in other_poses(*WRITTEN[name](*poses)).items() if name in k)
+    for back, pose in zip(found, poses, strict=True):
+        torch.testing.assert_close(back, pose, atol=2e-6, rtol=0)
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_the_first_call_names_the_convention_in_which_poses_pass(solved, fresh, name):
+    trials, poses, _ = solved
+    evaluator, wrong = fresh(), WRITTEN[name](*poses)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        scores = evaluator.score(*wrong, trials)
+        evaluator.score(*wrong, trials)  # said once
+    lines = [str(w.message) for w in said if "rows fail" in str(w.message)]
+    if not failing(scores).any():  # this mistake leaves some rows alone: there is nothing to say
+        assert not lines
+        return
+    assert len(lines) == 1 and name in lines[0] and lines[0].isprintable(), lines
+    assert lines[0].startswith(f"all {len(trials)} rows fail ")
+
+
+def test_right_poses_and_poses_that_no_convention_mends_get_no_hint(solved, fresh):
+    trials, poses, _ = solved
+    nowhere = poses[1].clone()
+    nowhere[:, 2, 3] = 3.0  # above the robot's reach in every frame
+    for T_world_ee in (poses[1], nowhere):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            fresh().score(poses[0], T_world_ee, trials)
+    few = slice(0, 7)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fresh().score(inverted(poses[0])[few], poses[1][few], trials[few])
+
+
+def test_a_hint_changes_no_verdict(solved, fresh):
+    trials, poses, _ = solved
+    wrong = WRITTEN["T_world_ee inverted"](*poses)
+    evaluator = fresh()
+    with pytest.warns(UserWarning, match="rows fail"):
+        first = evaluator.score(*wrong, trials)
+    second = evaluator.score(*wrong, trials)
+    for name in ("outcome", "passed", "margin", "plan_reason"):
+        a, b = getattr(first, name), getattr(second, name)
+        assert a.numpy().tobytes() == b.numpy().tobytes(), name
+
+
+@pytest.mark.parametrize(
+    ("of_q", "of_time", "words"),
+    [
+        (180 / math.pi, 1.0, "q read as degrees: angles"),
+        (180 / math.pi, 1000.0, "q read as degrees and time_s as milliseconds"),
+        (1.0, 1000.0, "with time_s read as milliseconds it lasts"),
+        (1.0, 1.0, None),
+    ],
+)
+def test_motions_in_degrees_or_milliseconds_are_told(solved, fresh, of_q, of_time, words):
+    trials, poses, scores = solved
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        fresh().score_motion(poses[0], scores.path * of_q, scores.path_time_s * of_time, trials, length=scores.path_len)
+    lines = [str(w.message) for w in said if "rows" in str(w.message)]
+    assert len(lines) == (words is not None) and all(words in line for line in lines), lines
