@@ -39,7 +39,7 @@ ROBOTS = pytest.mark.parametrize("robot", ["ur5e_2f85", "panda_hand"])
 
 @cache
 def evaluator_of(robot):
-    benchmark = built_in(protocol="r2h-v1").on(load_robot(robot))
+    benchmark = load_benchmark("r2h-v1").on(load_robot(robot))
     return Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none"))), benchmark
 
 

@@ -29,8 +29,8 @@ from r2h_batch.data.people import (
 from r2h_batch.protocols.benchmark import Benchmark, trials_digest
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.draw.people import Owners
-from r2h_batch.protocols.draw.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM, TABLE_HEIGHT_M, reach
-from r2h_batch.protocols.draw.wheelchair import KNEES, LAP_M, POPLITEAL_M, clear_of_lap
+from r2h_batch.protocols.draw.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM, TABLE_HEIGHT_M, Person, reach
+from r2h_batch.protocols.draw.wheelchair import KNEES, LAP_M, POPLITEAL_M, clear_of_lap, off_the_lap
 from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays
@@ -152,6 +152,27 @@ def test_an_arm_that_rests_in_the_lap_is_refused() -> None:
     )
     assert rests.sum() > 5 and not clear[rests].any()
     assert (low > 0.1).sum() > 5 and clear[low > 0.1].all()
+
+
+@pytest.mark.parametrize(("stature", "chest_depth"), [(1.5, 0.20), (1.8, 0.26)])
+def test_the_lap_ends_at_the_knees_buttock_knee_length_from_the_back(stature: float, chest_depth: float) -> None:
+    """A forearm across the person, level with the lap: refused up to its own thickness before the knees, and no farther."""
+    n, radius, height = 61, 0.04, LAP_M - TABLE_HEIGHT_M
+    ahead = np.linspace(0.2, 0.8, n)  # from the torso's middle
+    of = np.zeros((n, 3))
+    elbow, wrist = (np.stack([ahead, np.full(n, y), np.full(n, height)], 1) for y in (0.1, -0.1))
+    facing, half = np.tile([1.0, 0.0], (n, 1)), np.full((n, 3), 0.2)
+    person = Person(
+        elbow, elbow, wrist, np.tile([0.0, -1.0, 0.0], (n, 1)), of, np.full((n, 2), radius), of, facing, half
+    )
+
+    def every(people: Person, rows: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray, Person]:
+        return np.ones(n, bool), np.tile(np.eye(4, dtype=np.float32), (n, 1, 1)), people
+
+    sizes = (np.full(n, x) for x in (stature, chest_depth, 0.18))
+    fits, T, _ = off_the_lap(every, *sizes)(person, np.arange(n), np.zeros(n, np.int64))
+    knees = 0.356 * stature - chest_depth / 2
+    assert np.array_equal(fits, ahead > knees + radius) and 5 < fits.sum() < n - 5 and len(T) == fits.sum()
 
 
 def test_without_people_trials_are_the_protocols_own() -> None:

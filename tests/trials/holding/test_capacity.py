@@ -1,5 +1,7 @@
 """Capacities of grasps: closed forms, scipy's linprog, and grasps of the held-out set."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -148,3 +150,22 @@ def test_a_turned_object_has_the_capacities_of_its_own_frame():
     found = usual_grips(load_held_out(other), other, rows, down @ R.T)
     assert np.array_equal(found.capacity, own.capacity) and np.array_equal(found.total_n, own.total_n)
     assert found.center == pytest.approx(own.center @ R.T) and found.axes == pytest.approx(np.stack([R] * 3))
+
+
+def test_capacities_of_a_users_object_are_kept_for_its_hand_its_mesh_and_its_mass(monkeypatch):
+    """An empty store: what differs in anything that decides the figures has a key of its own."""
+    keys = []
+
+    def kept(folder, key, make, form):
+        keys.append((folder, key))
+        return {
+            name: np.zeros([1 if n == "holds" else n for n in spec.shape], spec.dtype) for name, spec in form.items()
+        }
+
+    monkeypatch.setattr(programs_of, "cached", kept)
+    (cup,) = load_objects(["cup"])
+    heavy, heavier = (replace(cup, name="own", mass=cup.mass + more) for more in (0.123, 0.124))
+    for hand in (load_hand(), people_hand()):
+        for own in (heavy, heavier):
+            assert Withstood.of([own], hand).capacity.shape == (1, 6, 6)
+    assert len(set(keys)) == 4 and {folder for folder, _ in keys} == {"capacity"}
