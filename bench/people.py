@@ -45,9 +45,9 @@ STORED, PAGE = ROOT / "bench" / "results" / "people.json", ROOT / "docs" / "resu
 MEASURES = (
     "assets/people",
     "r2h_batch/data/people.py",
-    "r2h_batch/trials/people.py",
-    "r2h_batch/trials/receivers.py",
-    "r2h_batch/trials/wheelchair.py",
+    "r2h_batch/protocols/draw/people.py",
+    "r2h_batch/protocols/draw/receivers.py",
+    "r2h_batch/protocols/draw/wheelchair.py",
     "r2h_batch/trials/holding",
     "r2h_batch/judge/plan.py",
     "r2h_batch/judge/reception.py",

@@ -154,7 +154,7 @@ class Evaluator:
 
     @property
     def benchmark(self) -> Benchmark:
-        """What is judged."""
+        """The benchmark that is judged."""
         return self.scene.benchmark
 
     def __getstate__(self) -> dict[str, Any]:

@@ -136,7 +136,7 @@ def _alone(value: Any) -> Any:
 
 
 class _Origin(NamedTuple):
-    """What trials know of the benchmark that they index."""
+    """Names of objects, and the benchmark, that trials index."""
 
     objects: tuple[str, ...]
     benchmark: str

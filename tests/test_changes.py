@@ -166,7 +166,7 @@ def test_a_protocol_is_drawn_listed_swept_named_in_files_and_judged_again(tmp_pa
                 'RELEASE = "r2h-release"\nPROTOCOLS = (\n': 'RELEASE = "r2h-release"\nPROTOCOLS = (\n'
                 '    Protocol("r2h-near", "hands alone, lower", "hands alone, 5 cm lower"),\n',
             },
-            "r2h_batch/trials/protocol.py": {"if set(_DRAWS) != set(PROTOCOL_NAMES):\n": DRAWN},
+            "r2h_batch/protocols/draw/rule.py": {"if set(_DRAWS) != set(PROTOCOL_NAMES):\n": DRAWN},
         },
     )
     report(tree)

@@ -69,7 +69,7 @@ def test_kernels_import_relatively_what_depends_on_the_number_of_joints_and_noth
 
 
 OFFERED = ("r2h_batch.evaluate", "r2h_batch.report.compare.stored")
-"""What methods of `Benchmark` give back: its evaluator, its stored rows."""
+"""Modules of what methods of `Benchmark` return: its evaluator, its stored rows."""
 
 
 def test_no_file_imports_itself_through_others_not_even_lazily() -> None:

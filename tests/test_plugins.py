@@ -41,7 +41,7 @@ def installed(folder: Path, package: str, points: str, module: str = "") -> None
 
 
 def said(folder: Path, code: str) -> str:
-    """What a fresh interpreter prints that finds the packages of this folder."""
+    """The lines that a fresh interpreter prints that finds the packages of this folder."""
     path = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
     environment = {**os.environ, "PYTHONPATH": path}
     done = subprocess.run([sys.executable, "-c", HEAD + code], env=environment, capture_output=True, text=True)

@@ -47,7 +47,7 @@ MOST_FLEXED, MOST_EXTENDED = wp.constant(-0.98482), wp.constant(0.93971)
 LEAST_INWARDS = wp.constant(0.030150)
 """Just beyond -sin 80, sin 70 and cos^2 80 degrees."""
 FOREARM_POINTS = wp.constant(9)
-"""Points of the forearm that must lie outside the torso's box, as when persons are placed (trials/receivers.py)."""
+"""Points of the forearm that must lie outside the torso's box, as when persons are placed (protocols/draw/receivers.py)."""
 
 WAY_M = wp.constant(0.10)
 """Length of the straight ends of the ways: of the hand to the grasp, and of the gripper back from the object."""
@@ -135,7 +135,7 @@ def share(angle: float, above: float, below: float):
 def arm_angles(arm: Arm, outwards: float, along: wp.vec3, normal: wp.vec3) -> vec7:
     """The arm's joint angles in degrees (lean 0), from where its hand points and its palm faces (unit vectors).
 
-    The inverse of how r2h-v1 draws a posture (trials/receivers.py: `_hand_axes`): the forearm turns, then the wrist bends,
+    The inverse of how r2h-v1 draws a posture (protocols/draw/receivers.py: `_hand_axes`): the forearm turns, then the wrist bends,
     then it goes aside.
     """
     u = unit(arm.elbow - arm.shoulder)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 
 class UserError(ValueError):
-    """What was given cannot be used: one line. A command ends with exit code 2."""
+    """A user can mend it: the line says what was given. A command ends with exit code 2."""
 
 
 class FileError(UserError):

@@ -5,7 +5,8 @@ Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.P
 `scene.robot.ROBOTS`.
 """
 
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 
 class Protocol(NamedTuple):
@@ -41,9 +42,10 @@ LISTED, FOREIGN = "listed", "r2handoversim"
 """In place of a rule: trials of a file; the verdicts of the authors' release, by its own definitions."""
 
 
-def is_drawn(protocol: str) -> bool:
-    """Whether a rule drew a run's trials: of any number of them, the first ones are the same."""
-    return protocol not in (LISTED, FOREIGN)
+def is_drawn(header: Mapping[str, Any]) -> bool:
+    """Whether a rule drew the trials of a run, by its run.json: of any number of them, the first ones are the same."""
+    told = {"objects", "hand_set"} <= header["digests"].keys() or header["protocol"] in PROTOCOL_NAMES
+    return told and header["protocol"] not in (LISTED, FOREIGN)
 
 
 class Preset(NamedTuple):

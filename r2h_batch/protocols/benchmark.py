@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from r2h_batch.base.registry import LISTED
+from r2h_batch.base.registry import LISTED, PRESET_NAMES
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.validate import instance_of, integer, one_of, optional, sequence_of
 from r2h_batch.base.validate_tensors import check_tensor
@@ -222,6 +222,7 @@ class Benchmark:
         """
         from r2h_batch.evaluate import Evaluator
 
+        one_of(*PRESET_NAMES)("preset", preset)
         return Evaluator(self, EvalConfig.preset(preset), device=device, threads=threads)
 
     def baselines(self) -> Run:
@@ -241,6 +242,8 @@ class Benchmark:
         With `persons` "for-robot" the table's sides are as long as that robot's reach asks for: it
         is to the UR5e's as the reaches are.
         """
+        instance_of(Robot, "such as load_robot(NAME)")("robot", robot)
+        one_of("for-robot", "as-for-ur5e")("persons", persons)
         place = self.workplace
         if place.home_q == self.robot.home_q:
             place = replace(place, home_q=robot.home_q)
@@ -264,6 +267,7 @@ class Benchmark:
         Raises:
             ValueError: its receivers have no body.
         """
+        instance_of(People, "such as built_in_people(WORD)")("people", people)
         return replace(self, people=people, hand_set=people_hand_set(people))
 
     def config(self, base: EvalConfig | None = None) -> EvalConfig:
@@ -273,7 +277,7 @@ class Benchmark:
         Raises ValueError where `base` has other limits or another place of its own: nobody could
         tell which were meant.
         """
-        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", base)
+        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("base", base)
         base = self.robot.fitted(base or EvalConfig())
         usual = self.robot.fitted(EvalConfig())
         for name, own in (("thresholds", self.thresholds), ("workplace", self.workplace)):

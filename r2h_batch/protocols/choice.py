@@ -31,7 +31,7 @@ class BenchmarkChoice:
     people: str = ""
     """Receivers of every size: adults, children, elderly, all, wheelchair, or your own .csv (import people)."""
     receiver: Literal["", "hand", "body"] = ""
-    """What planning and Safe see of the person: the hand, or arm and torso too."""
+    """Whether planning and Safe see the hand, or the person's arm and torso too."""
     turn: str = ""
     """Turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x), or degrees about x, y, z
     (`20,40,60`)."""

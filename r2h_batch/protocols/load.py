@@ -38,7 +38,7 @@ def load_benchmark(which: str | Path = DEFAULT_PROTOCOL, *, pieces: bool = False
 
 
 def _of_function(spec: str) -> Benchmark:
-    """What a user's function returns."""
+    """The benchmark that a user's function returns."""
     try:
         found = load_function(spec).function()
     except (ImportError, TypeError) as error:

@@ -125,7 +125,7 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
 
 
 def _name_of(path: Path) -> str:
-    """What a file's benchmark is called: as the file, or as its folder where the file says nothing."""
+    """The name of a file's benchmark: the file's, or its folder's where the file is called benchmark.yaml."""
     return path.parent.name if path.stem == "benchmark" and path.parent.name else path.stem
 
 

@@ -129,7 +129,7 @@ def not_as_planned(
         table: rows with `trial_id`.
         every: whether every planned trial must have a row.
     """
-    if not is_drawn(header["protocol"]):
+    if not is_drawn(header):
         return ""
     planned, ids = trial_ids(header["trials"], first, last), table["trial_id"].to_numpy()
     if len(strange := ids[~np.isin(ids, planned)]):

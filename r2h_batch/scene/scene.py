@@ -35,6 +35,7 @@ from r2h_batch.scene.grasp_tables import (
     region_centers,
     surfaces_on,
 )
+from r2h_batch.scene.hand import HandSet
 from r2h_batch.scene.tables import Hands, WorldTables
 
 if TYPE_CHECKING:  # it brings MuJoCo (0.2 s), which only simulations and pictures need
@@ -72,6 +73,12 @@ class Scene:
         config: EvalConfig | None = None,
     ) -> None:
         self.device = checked_device(device)
+        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))(
+            "config", config
+        )
+        if not isinstance(getattr(benchmark, "hand_set", None), HandSet):  # its class stands above
+            how = "it must be a Benchmark: load_benchmark(NAME or FILE)"
+            raise TypeError(f"benchmark is {describe_value(benchmark)}; {how}")
         self.config = benchmark.config(config)
         init_warp()
         self.benchmark, self.robot, self.objects = benchmark, benchmark.robot, benchmark.objects

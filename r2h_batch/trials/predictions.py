@@ -353,7 +353,7 @@ def write_predictions(path: str | Path, predictions: Predictions, *, benchmark: 
     if path.suffix != ".npz":
         shown = printable(path)
         raise FileError(f"{shown}: predictions are written as .npz, not {path.suffix!r}")
-    told = {"benchmark": np.array(text("benchmark", benchmark))} if benchmark else {}
+    told = {"benchmark": np.array(benchmark)} if text("benchmark", benchmark) else {}
     write_npz(path, {"method": np.array(method), **told, **data})
 
 

@@ -135,12 +135,12 @@ def test_of_several_processes_one_makes_it_and_the_others_wait(folder):
         (
             RECEIVING,
             ("trials/holding/sampler.py", "scene/hand.py", "kernels/receiver/close_hand.py"),
-            ("scene/scene.py", "trials/holding/held_out.py", "trials/protocol.py"),
+            ("scene/scene.py", "trials/holding/held_out.py", "protocols/draw/rule.py"),
         ),
         (
             HELD_OUT,
             ("trials/holding/sampler.py", "trials/holding/held_out.py"),
-            ("scene/scene.py", "trials/protocol.py"),
+            ("scene/scene.py", "protocols/draw/rule.py"),
         ),
         (
             CANDIDATES,

@@ -162,7 +162,7 @@ def store(run: RunFolder, method: str, trials: Trials, scores: Scores, t_method_
 
 def write_run(folder: Path, methods: dict[str, np.ndarray], n_s0: int, n_s1: int, **changes: object) -> results.Run:
     """A stored run in which method -> outcome codes of its n_s0 + n_s1 trials."""
-    trials = load_benchmark("r2h-v1").trials(n_s1, splits=n_s0)
+    trials = made_trials(n_s0, n_s1)
     run = open_run(folder, make_header(n_s0, n_s1, **changes))
     for name, outcome in methods.items():
         store(run, name, trials, make_scores(trials, outcome))

@@ -122,7 +122,7 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
         names = [{i: name for i, (name, _) in run.labels.items()} for run in (a, b)]
         return "" if names[0] == names[1] else "the names of their trials"
     same_trials = left["trials"] == right["trials"]
-    follow = is_drawn(left["protocol"]) and {"objects", "hand_set"} <= left["digests"].keys()
+    follow = is_drawn(left) and {"objects", "hand_set"} <= left["digests"].keys()
     if not same_trials and not follow:
         return f"trials ({_other_keys(left['trials'], right['trials'])})"
     skipped = set(FINER) if same_trials else {"trials", *FINER}

@@ -75,7 +75,7 @@ def test_a_run_without_bodies_and_wrong_words_are_told_what_is_missing(run, tmp_
         main(["sweep", "--method", "random", "--trials", "1", "--benchmark", "r2h-v0", "--out", str(bare), *QUICK]) == 0
     )
     assert main(["results", "transfer", str(bare)]) == 2
-    assert "no receiver's body; sweep --benchmark r2h-v1" in capsys.readouterr().err
+    assert "no receiver's body; sweep a benchmark of people" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--scenario", "grab"]) == 2
     assert "take, touch, nobody, pull-early, weak" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--release", "soon"]) == 2
