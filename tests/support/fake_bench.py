@@ -13,9 +13,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import torch
-from made_runs import NAMES, make_header, make_scores
+from made_runs import NAMES, made_trials, make_header, make_scores
 
-from r2h_batch import load_benchmark
 from r2h_batch.sweep.jobs import CPU_CHUNK, Setting
 from r2h_batch.sweep.options import Options
 from r2h_batch.sweep.request import Request
@@ -62,7 +61,7 @@ def set_up(request: Request) -> Setting:
     config = {"name": "default", "execution_error": asdict(error)}
     more = {"seed": request.methods.seed, "stored": request.storage.kinds, "configuration": config}
     header = make_header(0, 0, trials=planned, **more)
-    trials = load_benchmark("r2h-v1").trials(n["S1"], splits=n["S0"])
+    trials = made_trials(n["S0"], n["S1"])
     return Setting(
         FakeEvaluator(), header, lambda first, last: torch.arange(first, last), lambda ids: trials[ids],
         chunk=request.work.chunk or CPU_CHUNK, part=request.work.part,

@@ -14,7 +14,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
-from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.io.parquet import check_decoded_size
 from r2h_batch.runs import store as results
@@ -209,7 +208,7 @@ OUTCOMES = np.array([
 
 def write(folder, outcome=OUTCOMES, method="m", **changes):
     n = len(outcome) // 2
-    trials = load_benchmark("r2h-v1").trials(len(outcome) - n, splits=n)
+    trials = made_trials(n, len(outcome) - n)
     scores = make_scores(trials, outcome)
     run = open_run(folder, make_header(n, len(outcome) - n, **changes))
     store(run, method, trials, scores)

@@ -102,10 +102,10 @@ from pathlib import Path
 from r2h_batch.methods.random import predict
 
 
-def noting(trials, scene, *, seed, evaluator):
+def noting(trials, scene, *, seed):
     with Path(__file__).with_name("seeds.txt").open("a") as file:
         print(seed, file=file)
-    return predict(trials, scene, seed=seed, evaluator=evaluator)
+    return predict(trials, scene, seed=seed)
 """
 
 
@@ -118,6 +118,10 @@ def test_a_users_method_is_asked_with_the_runs_seed_in_turned_runs_too(tmp_path,
     capsys.readouterr()
     turned = (tmp_path / "seeds.txt").read_text().split()[len(swept) :]
     assert set(swept) == {"3"} == set(turned) and len(turned) >= len(FRAMES)
+    shutil.rmtree(tmp_path / "run-turned")
+    assert command("turn", tmp_path / "run", "--method", word, "--trials", 1) == 0
+    for turn in FRAMES:
+        assert load_run(tmp_path / "run-turned" / turn).trials("mine")["trial_id"].to_pylist() == [1]  # S1's first
 
 
 def test_a_turn_test_of_another_run_is_refused(run, capsys, tmp_path):
