@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from problems import default_evaluator
+from rounds import each
 
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.box_grasps import three_boxes
@@ -51,7 +52,7 @@ def test_no_cloud_point_lies_in_the_boxes_of_the_open_gripper():
 @pytest.mark.slow
 def test_the_stored_ones_are_made_again():
     stored = stored_arrays("objects", "grasps_as_generated.npz")
-    for model in OBJECTS[6:8]:
+    for model in each(OBJECTS[6:8]):
         assert np.array_equal(generate_grasps(model).T_obj_ee, stored[f"{model.name}/T_obj_ee"])
 
 

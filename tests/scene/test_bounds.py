@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from rounds import each
 from scipy.spatial import ConvexHull
 
 from r2h_batch.scene import bounds
@@ -15,7 +16,7 @@ def test_cells_never_lose_the_farthest_point() -> None:
     rng = np.random.default_rng(2)
     clouds = [o.hull_vertices.astype(np.float64) for o in load_objects(["hammer", "eyeglasses"])]
     clouds.append(rng.normal(size=(8, 3)))
-    for points in clouds:
+    for points in each(clouds):
         points = points[ConvexHull(points).vertices]
         rows = bounds.support_cells(points)
         d = rng.normal(size=(20000, 3))

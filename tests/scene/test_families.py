@@ -7,6 +7,7 @@ from importlib import resources
 import numpy as np
 import pytest
 import trimesh
+from rounds import each
 from scipy.spatial import ConvexHull
 
 from r2h_batch.__main__ import main
@@ -31,7 +32,7 @@ def test_ninety_six_instances_are_shipped_category_first():
 
 @each_category
 def test_a_shipped_instance_is_one_closed_solid_with_named_parts_and_its_region(category):
-    for model in load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == category]):
+    for model in each(load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == category])):
         family, line = FAMILIES[category], REPORT[model.name]
         assert object_digest(model) == line["digest"] and stored_key(model) == model.name
         mesh = model.mesh

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from rounds import each
 from scipy.spatial import cKDTree
 
 from r2h_batch.protocols.choice import BenchmarkChoice
@@ -67,7 +68,7 @@ def test_the_drawn_arm_lies_in_the_judged_capsules_but_for_a_stated_overshoot(dr
 
 def test_the_drawn_arm_ends_where_the_hand_begins(drawn):
     _, receivers, _, hands, found, _ = drawn
-    for receiver, hand, skin in zip(receivers, hands, found, strict=True):
+    for receiver, hand, skin in each(zip(receivers, hands, found, strict=True)):
         edge = rim(skin["forearm"], receiver[2, :3])
         assert np.linalg.norm(edge.mean(0) - receiver[2, :3]) < 0.010
         assert cKDTree(hand).query(edge)[0].max() < 0.025
@@ -75,7 +76,7 @@ def test_the_drawn_arm_ends_where_the_hand_begins(drawn):
 
 def test_who_stands_has_the_feet_on_the_floor_and_who_sits_has_them_near_it(drawn):
     _, _, _, _, found, trials = drawn
-    for k, skin in enumerate(found):
+    for k, skin in each(enumerate(found)):
         low = vertices(skin["torso"])[:, 2].min()
         stands = trials.person is not None and not trials.person[k, PERSON.index("seated")]
         assert abs(low - (0.025 - 0.74)) < (0.005 if stands else 0.13)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.assets.hand.build_handset import angles_from_pose
@@ -202,7 +203,7 @@ def test_the_hand_is_watertight_at_every_stature() -> None:
     shape = torch.from_numpy(people.hand_shape[shown])
     for side in (0, 1):
         posed = hand.pose(torch.zeros(25, 48), shape, torch.full((25,), side, dtype=torch.int8))
-        for skin in posed.vertices.numpy():
+        for skin in each(posed.vertices.numpy()):
             mesh = trimesh.Trimesh(skin, hand.faces_by_side[side].numpy(), process=False)
             assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 5e-5
 
@@ -247,7 +248,7 @@ def test_receiving_postures_keep_to_clinical_ranges_of_the_joints() -> None:
     right = np.where(stored["side"][:, None, None] == 1, [[1.0, -1.0, -1.0]], 1.0) * stored["pose"].reshape(-1, 16, 3)
     angles = np.array([angles_from_pose(pose.astype(np.float64).reshape(48), axes) for pose in right])
     for joints, (flexion, abduction) in NORMS.items():
-        for j in joints:
+        for j in each(joints):
             assert angles[:, j, 0].min() >= flexion[0] and angles[:, j, 0].max() <= flexion[1], j
             if abduction is not None:
                 assert abduction[0] <= angles[:, j, 1].min() and angles[:, j, 1].max() <= abduction[1], j

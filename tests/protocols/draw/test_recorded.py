@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.base.errors import FileError
@@ -69,7 +70,7 @@ def test_known_directions_are_kept_unknown_ones_drawn_as_before_and_what_no_arm_
 def test_the_arm_can_have_the_hand(recorded):
     in_body, known, hands, trials = recorded
     joints = hands.model.pose(hands.pose, hands.shape, hands.side).joints.double().numpy()
-    for i in range(len(trials)):
+    for i in each(range(len(trials))):
         k, r = int(trials.hand_index[i]), trials.receiver[i].double().numpy()
         if not known[k] or np.abs(turned(trials, i) - in_body[k]).max() > 1e-6:
             continue

@@ -51,6 +51,8 @@ def test_a_load_is_carried_by_the_least_grip_and_a_margin_and_a_pinch_cannot_car
     assert total == pytest.approx(max(SAFETY * least, GRIP_BASE_N + 5 * weight))
     # what is left of the friction, and the load's own part
     assert capacity[2] == pytest.approx((total * friction - weight + weight) / total)
+    slippery, _ = capacity_of(*PINCH, np.array([0, 0, weight, 0, 0, 0.0]), 0.1)
+    assert slippery == pytest.approx(SAFETY * weight / 0.1) and slippery < MOST_GRIP_N
     about = np.array([0, 0, weight, 0.1, 0, 0])
     assert capacity_of(*PINCH, about, friction) == (0.0, pytest.approx(np.zeros(6)))
     assert np.array_equal(

@@ -11,6 +11,7 @@ import numpy as np
 import oracle
 import pytest
 import trimesh
+from rounds import each
 
 from r2h_batch.config import HOME_Q
 from r2h_batch.scene.robot import load_robot
@@ -152,7 +153,7 @@ def _robot_distance(model, data, triangles, q):
 
 def test_the_trajectory_is_the_timed_path_with_all_its_waypoints(exported):
     robot = load_robot()
-    for stored, folder in exported.values():
+    for stored, folder in each(exported.values()):
         header, rows = trajectory(folder)
         assert header == ["time_s", *robot.joints]
         t, q = rows[:, 0], rows[:, 1:]
@@ -182,7 +183,7 @@ def test_a_model_opens_at_home_stays_there_and_plays_with_the_script_beside_it(e
 
 
 def test_contacts_are_those_of_the_checked_pairs(exported):
-    for stored, folder in exported.values():
+    for stored, folder in each(exported.values()):
         model, data = load(folder)
         data.qpos[:] = stored.q[-1]
         mujoco.mj_forward(model, data)
