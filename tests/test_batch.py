@@ -88,8 +88,7 @@ def test_threads_of_a_program_may_share_an_evaluator():
             assert_same(reference("pose")[rows], score(batch(SIZE).rows(rows), None, "pose"))
 
     with ThreadPoolExecutor(4) as pool:
-        for done in [pool.submit(many, rows) for rows in parts]:
-            done.result()
+        assert list(pool.map(many, parts)) == [None] * 4  # an assert that fails there is raised here
 
 
 def test_scores_of_another_configuration_are_its_own():

@@ -762,7 +762,7 @@ MUTATIONS = (
         CAPACITY,
         'GRAVITY).argmax(1)',
         'GRAVITY).argmin(1)',
-        (f"{T_CAPACITY}::test_a_turned_object_has_the_capacities_of_its_own_frame",),
+        (f"{T_CAPACITY}::test_held_out_grasps_that_carry_the_object_withstand_more_than_its_weight",),
     ),
     Mutation(
         'capacity: a turned object has the axes of its own',

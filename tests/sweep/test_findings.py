@@ -32,7 +32,7 @@ def test_a_variants_flags_and_options_are_a_sweeps():
         request = requested(parse(["--method", *v.methods, *(v.flags or sensitivity.BASE)]))
         jobs.resolve(request.methods, request.loop)
         assert request.methods.names == tuple(v.methods), v.name
-        found[v.name] = (request.methods, request.benchmark, request.configuration)
+        found[v.name] = (request.methods, request.trials, request.configuration)
     # each says something that no other says
     same = [(a, b) for a in found for b in found if a < b and found[a] == found[b]]
     assert same == [] and len(found) == len(sensitivity.variants()) > 20

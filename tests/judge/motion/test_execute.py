@@ -56,6 +56,7 @@ def test_waypoint_times_add_up_and_rows_without_a_path_have_none():
     rng = np.random.default_rng(0)
     path, length = made_paths(rng, 33)
     motion = time_path(path, length, LAW)
+    assert (length == 0).any() and (length > 1).sum() > 10
     for row in range(33):
         n = int(length[row])
         if n == 0:

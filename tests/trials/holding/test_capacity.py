@@ -82,6 +82,12 @@ def test_held_out_grasps_that_carry_the_object_withstand_more_than_its_weight():
     assert (grips.total_n > 0).all() and (grips.total_n <= MOST_GRIP_N).all()
     assert (grips.capacity[:, 2] * grips.total_n >= weight - 1e-6).all()
     assert load_hand() is held_out.grasps.hand
+    every = Withstood.of(objects, load_hand())
+    for k, down in enumerate(GRAVITY):
+        pulled = usual_grips(held_out, objects, rows, np.repeat(down[None], len(rows), axis=0))
+        assert np.array_equal(pulled.total_n, every.total_n[rows, k].astype(np.float64))
+        assert np.array_equal(pulled.capacity, every.capacity[rows, k].astype(np.float64))
+    assert len(np.unique(every.total_n[rows], axis=1).T) > 1  # directions differ
 
 
 def least_and_most(edges, load, total=None):

@@ -82,7 +82,7 @@ def trajectory(folder, name="trajectory.csv"):
 def test_distances_on_the_exported_geoms_are_those_of_the_planners_bodies(exported, scene):
     rng = np.random.default_rng(0)
     objects = {o.name: i for i, o in enumerate(scene.objects)}
-    for stored, folder in exported.values():
+    for stored, folder in each(exported.values()):
         model, data = load(folder)
         staged = oracle.Staged(
             objects[stored.row["object"]],
@@ -92,7 +92,7 @@ def test_distances_on_the_exported_geoms_are_those_of_the_planners_bodies(export
             stored.row["opening_m"],
         )
         twin = oracle.mujoco_scene(scene, staged)
-        for q in (*stored.q, *(stored.q[-1] + rng.normal(size=(6, 6)) * 0.2)):
+        for q in each((*stored.q, *(stored.q[-1] + rng.normal(size=(6, 6)) * 0.2))):
             ours, theirs = clearances(model, data, q), twin.clearances(q, cap=CAP_M).distance
             for name in CHECKED:
                 if theirs[name] < CAP_M and theirs[name] > 0:
