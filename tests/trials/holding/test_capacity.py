@@ -87,7 +87,7 @@ def test_held_out_grasps_that_carry_the_object_withstand_more_than_its_weight():
         pulled = usual_grips(held_out, objects, rows, np.repeat(down[None], len(rows), axis=0))
         assert np.array_equal(pulled.total_n, every.total_n[rows, k].astype(np.float64))
         assert np.array_equal(pulled.capacity, every.capacity[rows, k].astype(np.float64))
-    assert len(np.unique(every.total_n[rows], axis=1).T) > 1  # directions differ
+    assert np.ptp(every.capacity[rows], axis=1).max() > 0.01  # directions differ
 
 
 def least_and_most(edges, load, total=None):
