@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from rounds import each
 
 TESTS = Path(__file__).resolve().parent
 pytestmark = pytest.mark.check
@@ -154,3 +155,10 @@ def test_what_counts_as_an_assert_that_is_reached(tmp_path: Path, text: str, sur
     path.write_text(f"{helpers}def test_it():\n{body}\n")
     functions = functions_of(path)
     assert asserts(functions["test_it"].body, functions) == sure
+
+
+def test_each_demands_rounds_and_gives_all_items() -> None:
+    assert each(iter("abc"), 3) == ["a", "b", "c"]
+    for items, at_least in (([], 1), (iter("ab"), 3)):
+        with pytest.raises(AssertionError, match=rf"rounds; its test needs {at_least} or more"):
+            each(items, at_least)
