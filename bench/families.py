@@ -163,7 +163,7 @@ def by_category(folder: Path, method: str) -> dict[str, float]:
 
 def spreads(folder: Path) -> dict[str, Any]:
     """Standard deviations between categories, between instances of one, and of single trials: of each method's SR and of
-    each pair's difference, in points, with the trials' noise removed."""
+    each pair's difference, in points, with the trials' noise removed. The differences are Table I's: splits count the same."""
     from r2h_batch.report.statistics.paired import pair_up
     from r2h_batch.runs.store import load_run
 
@@ -172,6 +172,7 @@ def spreads(folder: Path) -> dict[str, Any]:
     place = paired.clusters[1]
     n = paired.trials.sum(0)
     rate = paired.hits.sum(0) / n
+    table_one = (paired.hits.sum(2) / paired.trials.sum(1)[:, None]).mean(0)
     only = paired.only.sum(0) / n.sum()
     found: dict[str, Any] = {"methods": {}, "pairs": {}}
     names = [SHORT[name.partition(" (")[0]] for name in paired.names]
@@ -180,7 +181,7 @@ def spreads(folder: Path) -> dict[str, Any]:
         found["methods"][name] = parts_of(rate[i], mean * (1 - mean), n, place)
     for i, a in enumerate(names):
         for j, b in enumerate(names[:i]):
-            more = float((rate[i] - rate[j]).mean())
+            more = float(table_one[i] - table_one[j])
             noise = float(only[i, j] + only[j, i]) - more**2
             own = parts_of(rate[i] - rate[j], noise, n, place)
             found["pairs"][f"{a} - {b}"] = {"difference": 100 * more, **own, "needs": needed(100 * more, own)}
@@ -405,6 +406,11 @@ def short(method: str) -> str:
     return SHORT.get(method.partition(" (")[0], method.partition(" (")[0])
 
 
+def ends_of(row: Mapping[str, Any], name: str) -> str:
+    """`LOW-HIGH` of an interval of Table I's JSON."""
+    return f"{row[f'{name}_low']:.1f}-{row[f'{name}_high']:.1f}"
+
+
 def ends(low: float | None, high: float | None) -> str:
     """`LOW to HIGH`, with signs."""
     return "-" if low is None or high is None else f"{low:+.1f} to {high:+.1f}"
@@ -419,8 +425,9 @@ def table_lines(data: Mapping[str, Any]) -> str:
         "split, method",
         "SR",
         "more trials",
-        "new objects",
-        "new categories",
+        "all objects",
+        "all categories",
+        f"{data['table']['rows'][0]['few']} new categories",
         "#1",
         "worst rank",
         "largest move by a turn",
@@ -438,9 +445,8 @@ def table_lines(data: Mapping[str, Any]) -> str:
         most = max(test["moves"], key=lambda m: abs(m["points"])) if test else None
         own = scans.get((r["split"], r["method"]))
         lines.append([
-            f"{r['split']} {short(r['method'])}", f"{r['sr']:.1f}", f"{r['sr_low']:.1f}-{r['sr_high']:.1f}",
-            f"{r['sr_new_objects_low']:.1f}-{r['sr_new_objects_high']:.1f}",
-            f"{r['sr_new_categories_low']:.1f}-{r['sr_new_categories_high']:.1f}", first, worst,
+            f"{r['split']} {short(r['method'])}", f"{r['sr']:.1f}", ends_of(r, "sr"), ends_of(r, "sr_new_objects"),
+            ends_of(r, "sr_new_categories"), ends_of(r, "sr_few"), first, worst,
             f"{most['points']:+.1f} ({ends(most['low'], most['high'])})" if most else "-",
             *([f"{own['sr']:.1f}" if own else "-"] if scans else []),
         ])  # fmt: skip
@@ -460,12 +466,12 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
     """
     rows = {(r["split"], short(r["method"])): r for r in data["table"]["rows"]}
     titles = dict.fromkeys(r["method"].partition(" (")[0] for r in data["table"]["rows"])
-    moved = {short(t["method"]) for t in data["turned"]["r2h-v2"] if marked(t)}
+    moved = {short(t["method"]) for t in data["turned"]["r2h-v2"] if t["marked"]}
     (whole,) = [c for c in data["compared"] if c["group"] == "all"]
 
     def cell(split: str, name: str) -> str:
         r = rows[split, name]
-        return f"{r['sr']:.1f} ({r['sr_new_categories_low']:.1f}-{r['sr_new_categories_high']:.1f})"
+        return f"{r['sr']:.1f} ({ends_of(r, 'sr_new_categories')}; {ends_of(r, 'sr_few')})"
 
     lines = [
         [
@@ -476,11 +482,12 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
         ]
         for t in titles
     ]
-    n = data["table"]["rows"][0]["n"]
+    n, few = (data["table"]["rows"][0][k] for k in ("n", "few"))
     parts = [
-        f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned; in brackets the 95 % interval for new"
-        " categories of objects. The last column compares methods over all trials: *better* holds for new categories, *better"
-        " here* for these objects alone.",
+        f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned. In brackets: the 95 % interval for the"
+        f" mean of all categories of objects; then where the mean of {few} new categories lies (read this one for your own"
+        " things). The last column compares methods over all trials: *better* holds for new categories (t test over categories),"
+        " *better here* for these objects alone (McNemar). Both tests are corrected for all pairs of the four methods (Holm).",
         markdown_table(["", "SR S0", "SR S1", "beside the others"], lines),
     ]
     return TABLE.sub(lambda _: "\n" + "\n\n".join(parts) + "\n\n", text, count=1)
@@ -502,13 +509,6 @@ def beside(name: str, pairs: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(words.values())
 
 
-def marked(test: Mapping[str, Any]) -> bool:
-    """Whether a turn moves a method's SR by more than 10 points."""
-    from r2h_batch.report.turn import MOST_POINTS
-
-    return max(abs(m["points"]) for m in test["moves"]) > MOST_POINTS
-
-
 def turn_lines(data: Mapping[str, Any]) -> str:
     """Turn tests of both protocols."""
     from r2h_batch.report.turn import words_for
@@ -517,7 +517,7 @@ def turn_lines(data: Mapping[str, Any]) -> str:
         [
             f"{protocol} {t['group']} {short(t['method'])}", t["n"], f"{t['rate']:.1f}",
             *(f"{m['points']:+.1f} ({ends(m['low'], m['high'])})" for m in t["moves"]),
-            "^" if marked(t) else "",
+            "^" if t["marked"] else "",
         ]
         for protocol, tests in data["turned"].items()
         for t in tests
@@ -683,16 +683,21 @@ def markdown(data: Mapping[str, Any]) -> str:
         f" commit {data['rows_commit'][:12]}; `bench/results/families.json`). [Statistical terms](../statistics.md).",
         "## Table I of r2h-v2",
         f"{data['table']['origin']['instances']}. SR in percent; {n['S0']} trials in S0, {n['S1']} in S1. #1: share of bootstrap"
-        " draws of categories and their instances in which the method is first. Worst rank: with one category left out.",
+        " draws of categories and their instances in which the method is first. Worst rank: with one category left out. 95 %"
+        " intervals: for more trials with these objects; for the mean of all objects, and of all categories; for the mean of some"
+        " new categories, which is the one to read for your own things.",
         table_lines(data),
         *scan_lines(data),
         f"The oracle solves at least {data['oracle'][low]:.1f} % in every category.",
-        "Differences of SR between two methods, over all trials: " + "; ".join(pair_words(data)) + ".",
+        "Differences of SR between two methods, over all trials, with the 95 % interval for the mean of all categories and p of"
+        " the t test over categories (Holm over the six pairs): " + "; ".join(pair_words(data)) + ".",
         "## Turn test",
         "The same trials with turned objects ([turn test](../statistics.md#turn-test)): points of SR gained, with the 95 %"
-        " interval over categories. Handover-VA grasps from above along the frame's z, as published, and aligns its template"
-        " from the frame's axes, so its answer depends on them. Half turn and cycled axes map an object's voxel grid and its box"
-        f" onto themselves. A turn by other angles (`r2h-batch turn RUN --by {ANY_TURN}`, degrees about x, y and z) maps neither."
+        " interval over categories. `^`: success depends on the frame (Cochran's Q over all frames, by category and of all"
+        " trials; Holm over the methods). Handover-VA grasps from above along the frame's z, as published, and aligns its"
+        " template from the frame's axes, so its answer depends on them. Half turn and cycled axes map an object's voxel grid and"
+        f" its box onto themselves. A turn by other angles (`r2h-batch turn RUN --by {ANY_TURN}`, degrees about x, y and z) maps"
+        " neither."
         " FC, Contact and Intent place the centre"
         " of the object above the palm: of r2h-v2's objects that of the smallest ball around them, which turns with them; of"
         " r2h-v1's objects that of the box along the frame's axes, as these rows are frozen. Contact-Handover's network reads a"
@@ -705,8 +710,8 @@ def markdown(data: Mapping[str, Any]) -> str:
         network_lines(data),
         "## Order of the methods",
         "SR is the mean of the splits. The last column names the pairs of methods whose difference is significant over all trials"
-        " for new categories, with a star where it is for these objects alone (r2h-v1: at least). Every other of the six pairs is"
-        " tied.",
+        " for new categories (Holm over the six pairs), with a star where it is for these objects alone (r2h-v1: at"
+        " least). Every other of the six pairs is tied.",
         order_lines(data),
         "## Which criteria fail",
         "First failures in percent of all trials, mean of the splits, from the method with the fewest to the one with the most."
@@ -727,7 +732,8 @@ def markdown(data: Mapping[str, Any]) -> str:
         " s_t: of single trials, in points, from r2h-v2's rows. Columns C x m: half widths.",
         spread,
         "For the difference of two methods: the points measured, their spreads, the half width at 16 x 6, and the fewest"
-        " categories at which such a difference would be decided, with m instances of each.",
+        " categories at which its 95 % interval would leave out 0, with m instances of each. Among several pairs Holm's"
+        " correction asks for more.",
         needs,
         *cost_lines(data),
     ]
@@ -738,7 +744,8 @@ def pair_words(data: Mapping[str, Any]) -> list[str]:
     """Each pair of methods with its verdict over all trials."""
     (whole,) = [c for c in data["compared"] if c["group"] == "all"]
     return [
-        f"{short(p['a'])} - {short(p['b'])} {p['difference']:+.1f} ({ends(p['low'], p['high'])}, {p['verdict']})"
+        f"{short(p['a'])} - {short(p['b'])} {p['difference']:+.1f} ({ends(p['low'], p['high'])}; p {p['p_new_holm']:.2g}:"
+        f" {p['verdict']})"
         for p in whole["pairs"]
     ]
 

@@ -22,7 +22,7 @@ other columns add [execution errors](robustness.md), a person who must [take](re
 {table}
 
 These pairs change places. A number is the first method's rate less the second's, in points. p is that of McNemar's exact
-test, not corrected for the number of pairs.{stars}
+test, corrected for all pairs of the column (Holm). It speaks about these objects.{stars}
 
 {pairs}
 """
@@ -53,18 +53,26 @@ def columns() -> dict[str, dict[str, float]]:
 
 def tested(case: str, a: str, b: str) -> str:
     """A pair's difference as the page of a column gives it: marks, or p."""
-    from scipy.stats import binomtest
-
     if case in LEVELS.values():
         head, _, *rows = lines_of(read("robustness")["tables"], "Pairs: A-B")
         (cell,) = [r[head.index(case)] for r in rows if {r[0], r[1]} == {a, b}]
         return "*" * cell.count("*")
     if case not in CASES:
         return ""
-    methods = {m.partition(" (")[0]: x["cases"][case]["won"] for m, x in read("closed_loop")["methods"].items()}
-    pairs = list(zip(methods[a], methods[b], strict=True))
-    up, down = pairs.count(("1", "0")), pairs.count(("0", "1"))
-    return f" (p {binomtest(up, up + down).pvalue:.2g})" if up + down else ""
+    return f" (p {corrected(case)[frozenset((a, b))]:.2g})"
+
+
+def corrected(case: str) -> dict[frozenset[str], float]:
+    """Pair of methods -> McNemar's exact p of a case with hands that move, corrected over all pairs."""
+    from r2h_batch.report.statistics.paired import holm, mcnemar
+
+    won = {m.partition(" (")[0]: x["cases"][case]["won"] for m, x in read("closed_loop")["methods"].items()}
+    counts = {}
+    for a, b in combinations(won, 2):
+        pairs = list(zip(won[a], won[b], strict=True))
+        counts[frozenset((a, b))] = pairs.count(("1", "0")), pairs.count(("0", "1"))
+    p = holm([mcnemar(*own) for own in counts.values()])
+    return dict(zip(counts, p.tolist(), strict=True))
 
 
 def page() -> str:

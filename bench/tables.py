@@ -103,7 +103,7 @@ NOTES = """- SR: trials that succeed. F_*: trials whose first failure is that cr
 - Presented (not in SR): it faces the palm within reach."""
 TIMES_NOTES = """- T_plan: wall time of planning a batch / its size. T_exec: mean over trials whose arm came to rest at its goal.
   T_method: the method's own time.
-- SR, 95 %: for more trials with these objects (Wilson); for new objects of the same kind (t interval over objects).
+- SR, 95 %: for more trials with these objects (Wilson); for the mean of all objects of the same kind (over objects).
 - Arm or torso met: percent of the motions. They count in Safe only with `--receiver body`."""
 
 
@@ -145,7 +145,10 @@ def pairs_of(run) -> list[dict[str, object]]:
     from r2h_batch.report.statistics.paired import compare, pair_up
 
     return [
-        {"group": c.group, "a": p.a, "b": p.b, "difference": p.difference, "p_holm": p.p_holm, "verdict": p.verdict}
+        {
+            **{"group": c.group, "a": p.a, "b": p.b, "difference": p.difference},
+            **{"p_holm": p.p_holm, "p_new_holm": p.p_new_holm, "verdict": p.verdict},
+        }
         for c in compare(pair_up([run]), draws=1)
         for p in c.pairs
     ]

@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field
 
 from r2h_batch.base.registry import PRESET_NAMES, EngineName, EngineWord
 from r2h_batch.base.validate import one_of, validate_fields
+from r2h_batch.verdicts import UNITS
 
 HOME_Q = (-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483)
 """The arm's posture at the start of every trial, rad. The gripper points straight down, the TCP is
@@ -41,7 +42,7 @@ FARTHEST_M = 1e6
 CLEARANCE_TOLERANCE_M = 1e-4
 """Tolerance of the smallest clearance along a path."""
 
-BORDERLINE_M = 1e-4
+BORDERLINE_M = UNITS["m"].borderline
 """Half width of the band around a threshold in which float32 geometry does not decide."""
 
 PAD_SQUEEZE_CAP_M = 0.01

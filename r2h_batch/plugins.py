@@ -2,13 +2,13 @@
 
 A room makes one `Registry` for each kind, beside the things or below them:
 
-    POLICY: Registry[type] = Registry("policy", modules=("r2h_batch.closed_loop.policies",))
+    POLICIES: Registry[type] = Registry("policy", modules=("r2h_batch.closed_loop.policies",))
 
-    @POLICY("servo")                     # in closed_loop/policies.py, or in any module of `modules`
+    @POLICIES("servo")                     # in closed_loop/policies.py, or in any module of `modules`
     class Servo: ...
 
-    POLICY["servo"]                      # imports the modules, once, when a name is first asked for
-    list(POLICY); "servo" in POLICY      # as well; names that are given as `names` are there before
+    POLICIES["servo"]                      # imports the modules, once, when a name is first asked for
+    list(POLICIES); "slow" in POLICIES       # as well; with `names` and `light` they do not
 
 A package of ours in `modules` stands for all of its modules, so that a new file needs no line
 elsewhere. A stranger's package names what it adds in its own pyproject.toml, and nothing of ours
@@ -18,7 +18,7 @@ changes:
     "policy.slow" = "their_package.arms:Slow"       # KIND.NAME: one thing, imported when it is used
     anything = "their_package.r2h"                  # a module that registers when it is imported
 
-What is in no package is `module:function` on a command line (`base.user_code.find`).
+What is in no package is `module:function` on a command line (`base.user_code.chosen`).
 """
 
 import difflib
@@ -44,11 +44,12 @@ class Registry(Generic[T]):
     """The things of one kind by name, in the order in which they came: ours first.
 
     Args:
-        kind: one word for messages and for entry points (`KIND.NAME`).
+        kind: in messages, and with _ for spaces in entry points (`KIND.NAME`).
         things: those that are light enough to be here from the start.
         modules: modules and packages of ours that register more when they are imported: when a name
             is asked for that is not here yet.
-        names: names that those modules give, for lists that must not import them.
+        names: names that those modules give, in the order in which lists show them.
+        light: these names are all that those modules give, so lists need not import them.
     """
 
     def __init__(
@@ -58,10 +59,11 @@ class Registry(Generic[T]):
         *,
         modules: Sequence[str] = (),
         names: Sequence[str] = (),
+        light: bool = False,
     ) -> None:
         self.kind = kind
         self._things: dict[str, T] = dict(things or {})
-        self._modules, self._names = list(modules), tuple(names)
+        self._modules, self._names, self._light = list(modules), tuple(names), light
         self._declared: dict[str, EntryPoint] | None = None
         self._strangers = False  # whether modules of other packages were imported
 
@@ -110,12 +112,28 @@ class Registry(Generic[T]):
         return name in self._things or name in self._names or name in set(self)
 
     def __iter__(self) -> Iterator[str]:
-        """The names. Without `names` this imports our modules; it imports a stranger's module only where its
+        """The names. This imports our modules, unless `light`; it imports a stranger's module only where its
         entry point does not say KIND.NAME."""
-        if not self._names:
+        if not self._light:
             self._import_ours()
         self._import_strangers()
         return iter(dict.fromkeys((*self._names, *self._things, *self._declared_names())))
+
+    @property
+    def declared(self) -> tuple[str, ...]:
+        """Names that other packages' entry points give as KIND.NAME; nothing is imported."""
+        return tuple(self._declared_names())
+
+    def outside(self, name: str) -> str:
+        """`module:name` of a function or class of somebody else's; empty for ours.
+
+        Raises:
+            PluginError: as for the thing itself.
+        """
+        if entry := self._declared_names().get(name):
+            return entry.value
+        thing = self[name]
+        return "" if thing.__module__.startswith("r2h_batch.") else _place(thing)
 
     def unknown(self, name: str) -> str:
         """The line about a name that is not here: the nearest one, and all."""
@@ -137,9 +155,9 @@ class Registry(Generic[T]):
             found: dict[str, EntryPoint] = {}
             for entry in _entries():
                 of, dot, name = entry.name.partition(".")
-                if of != self.kind or not dot:
+                if of != self.kind.replace(" ", "_") or not dot:
                     continue
-                if not self._names:
+                if not self._light:
                     self._import_ours()
                 if name in found or name in self._names or name in self._things:
                     other = _owner(found[name]) if name in found else "r2h_batch"

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from r2h_batch.base import summary
-from r2h_batch.base.soft import soft_success
+from r2h_batch.base.soft import in_metres, soft_success
 from r2h_batch.base.validate import describe_value, instance_of, integer, one_of, sequence_of
 from r2h_batch.base.validate_tensors import row_index
 from r2h_batch.verdicts import (
@@ -279,12 +279,12 @@ class Scores(_Rows):
         success: whether all criteria pass.
         passed: whether each criterion passes.
         evaluated: whether each criterion was evaluated.
-        margin: m, positive when the criterion passes; NaN where it was not evaluated.
+        margin: in the criterion's unit (m), positive when the criterion passes; NaN where it was not evaluated.
         margin_kind: `MarginKind`. DISTANCE: a length, to 0.1 mm. BOUND: bodies overlap, and the
             margin is minus a lower bound of their penetration depth, the shortest translation that
             parts them. CAP: the clearance is this or more (5 cm; Stability 1 cm), or there is
             nothing to measure (-inf; nothing between the pads).
-        borderline: an evaluated margin is nearer to 0 than 0.1 mm, where float32 does not decide it.
+        borderline: an evaluated margin is nearer to 0 than 0.1 mm (0.05 deg), where float32 does not decide it.
         plan_reason: `PlanReason`: OK, or why there is no path.
         plan_pair: `CollidingPair`: what collides at start or goal; with a path its nearest pair.
         witness_part: robot part (`Scene.part_names`) of Plan's and of Safe's smallest clearance.
@@ -386,7 +386,11 @@ class Scores(_Rows):
             log: return its logarithm, which stays linear far from success.
         """
         return soft_success(
-            self.margin, self.evaluated, self.success, temperature_m=temperature_m, log=log
+            in_metres(self.margin),
+            self.evaluated,
+            self.success,
+            temperature_m=temperature_m,
+            log=log,
         )
 
     @property

@@ -3,8 +3,12 @@
 Whoever reads stored rows needs these and no tensor; `r2h_batch.types` offers them too.
 """
 
+import re
+from collections.abc import Callable
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+from r2h_batch.plugins import PluginError, Registry
 
 SPLITS = ("S0", "S1")
 """S0: free handover; S1: functional, the receiver wants a certain part of the object."""
@@ -19,10 +23,30 @@ SIDES = ("right", "left")
 """Which hand receives; place in this tuple = code in every table of hands."""
 
 
-class CriterionEntry(NamedTuple):
-    """Description of a criterion without its equation (`judge.metrics` has the equation)."""
+class Unit(NamedTuple):
+    """A unit of margins, and how margins in it are shown."""
 
-    name: str  # stored columns are passed_NAME and margin_NAME_m; the outcome is NAME in capitals
+    shown: str  # the unit in which people read them
+    scale: float  # shown number / stored number
+    borderline: float  # float32 geometry does not decide a margin that is nearer to 0
+    low: float  # ends of their histograms
+    high: float
+    worth_m: float  # one unit beside lengths, in rewards
+
+
+UNITS = {
+    "m": Unit("mm", 1e3, 1e-4, -0.06, 0.12, 1.0),
+    "deg": Unit("deg", 1.0, 0.05, -60.0, 120.0, 0.002),
+}
+"""Unit of a criterion's margin -> how it is shown. A degree counts as 2 mm, the arc at 11.5 cm."""
+
+
+class CriterionEntry(NamedTuple):
+    """Description of a criterion without its equation (`function` has the equation)."""
+
+    name: (
+        str  # stored columns are passed_NAME and margin_NAME_UNIT; the outcome is NAME in capitals
+    )
     rate: str  # key of the rate of trials that fail here first
     heading: str  # of that rate in tables
     column: int  # place of that heading among the criteria's columns of Table I
@@ -32,18 +56,60 @@ class CriterionEntry(NamedTuple):
     since: str = (
         ""  # the first version that judges by it; empty: all do. Older rows are not judged by it
     )
+    unit: str = "m"  # of its margins: a key of `UNITS`
+    applies: Callable[[Any], bool] | None = None  # whether it concerns an object (an ObjectModel)
+    function: str = ""  # module:name of the equation; empty: that of its name in judge/metrics.py
+
+    @property
+    def margin_column(self) -> str:
+        """The stored column of its margins."""
+        return f"margin_{self.name}_{self.unit}"
 
 
-REGISTRY = (
+_OURS = (
     CriterionEntry("stability", "f_stab", "F_stab", 3, "#e69f00", SPLITS, True),
     CriterionEntry("plan", "f_plan", "F_plan", 0, "#0072b2", SPLITS, False),
     CriterionEntry("reach", "f_reach", "F_reach", 1, "#56b4e9", SPLITS, True),
     CriterionEntry("affordance", "f_afford", "F_afford", 4, "#cc79a7", ("S1",), False),
     CriterionEntry("safe", "f_safe", "F_safe", 2, "#d55e00", SPLITS, False),
 )
+
+
+def _checked(entry: CriterionEntry, place: str) -> CriterionEntry:
+    """An entry that somebody added.
+
+    Raises:
+        PluginError: one line: what is wrong with it, and what is allowed.
+    """
+    if not isinstance(entry, CriterionEntry) or entry.name != place:
+        raise PluginError(
+            f"criterion {place!r} is {entry!r:.100}; it must be a CriterionEntry of that name"
+        )
+    wrong = {
+        "name": not re.fullmatch("[a-z][a-z0-9_]*", entry.name),
+        "unit": entry.unit not in UNITS,
+        "splits": not entry.splits or not set(entry.splits) <= set(SPLITS),
+        "since": not entry.since,
+    }
+    if bad := [field for field, is_wrong in wrong.items() if is_wrong]:
+        value = getattr(entry, bad[0])
+        raise PluginError(
+            f"criterion {entry.name!r}: {bad[0]} is {value!r}; name: small letters, unit: {' or '.join(UNITS)}, splits: one of"
+            f" {', '.join(SPLITS)} or both (`applies` says for which objects), since: the version that judges by it first"
+        )
+    return entry
+
+
+CRITERION: Registry[CriterionEntry] = Registry("criterion", {entry.name: entry for entry in _OURS})
+
+REGISTRY = (
+    *_OURS,
+    *(_checked(CRITERION[name], name) for name in CRITERION.declared),
+)
 """The criteria in the order in which the first failure is looked for. Stored columns, outcomes,
-rates, headings, charts and re-scoring follow it. A new criterion needs an entry here, a member of
-`Outcome` at the same place, and a function in `judge.metrics`."""
+rates, headings, charts and re-scoring follow it. A new criterion is an entry here and a function in
+`judge.metrics`, or an entry that another package names as `criterion.NAME` (`r2h_batch.plugins`;
+its module is imported here, so it may import this file and the standard library alone)."""
 
 CRITERIA = tuple(entry.name for entry in REGISTRY)
 """Column order of every (B, C) tensor of criteria."""
@@ -62,14 +128,13 @@ class Outcome(IntEnum):
     REACH = 3
     AFFORDANCE = 4
     SAFE = 5
-    INVALID_INPUT = 6
-    INVALID_SIM = 7
+    vars().update({name.upper(): 1 + CRITERIA.index(name) for name in CRITERIA[5:]})
+    INVALID_INPUT = len(CRITERIA) + 1
+    INVALID_SIM = len(CRITERIA) + 2
 
 
-if tuple(Outcome.__members__)[1 : len(REGISTRY) + 1] != tuple(c.upper() for c in CRITERIA):
-    raise ValueError(
-        f"Outcome and REGISTRY differ; Outcome must name {', '.join(CRITERIA)} in order"
-    )
+if [o.name.lower() for o in Outcome][1:-2] != list(CRITERIA):
+    raise ValueError(f"new criteria stand behind {CRITERIA[4]}; REGISTRY has {', '.join(CRITERIA)}")
 
 
 class MarginKind(IntEnum):
@@ -78,7 +143,7 @@ class MarginKind(IntEnum):
     NONE = 0
     """Not evaluated: there is no margin."""
     DISTANCE = 1
-    """A length, to 0.1 mm: a clearance or a width; how far a target is out of reach."""
+    """A length, to 0.1 mm, or an angle: a clearance or a width; how far a target is out of reach."""
     BOUND = 2
     """Below 0: bodies overlap. The penetration depth (the length of the shortest translation that
     parts them) is at least this."""

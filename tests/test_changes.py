@@ -101,9 +101,8 @@ def test_a_criterion_has_rates_tables_a_gradient_and_older_rows_without_it(tmp_p
         tmp_path / "tree",
         {
             "r2h_batch/verdicts.py": {
-                ')\n"""The criteria in the order': '    CriterionEntry("centred", "f_centre", "F_centre", 5, "#666666",'
-                ' SPLITS, True, since="0.3.0"),\n)\n"""The criteria in the order',
-                "    INVALID_INPUT = 6\n    INVALID_SIM = 7\n": "    CENTRED = 6\n    INVALID_INPUT = 7\n    INVALID_SIM = 8\n",
+                '"#d55e00", SPLITS, False),\n)\n': '"#d55e00", SPLITS, False),\n'
+                '    CriterionEntry("centred", "f_centre", "F_centre", 5, "#666666", SPLITS, True, since="0.3.0"),\n)\n',
             },
             "r2h_batch/judge/metrics.py": {"def reach(e: Evidence) -> Criterion:\n": CENTRED},
         },
@@ -113,6 +112,305 @@ def test_a_criterion_has_rates_tables_a_gradient_and_older_rows_without_it(tmp_p
     assert "`passed_centred` | bool" in (tree.folder / "docs" / "run_folder.md").read_text()
     assert tree.run(READ + "\nsys.exit()") == shipped
     tree.run(READ + USE_CENTRED)
+
+
+WORDS = '''"""What the criterion is called; read before anything heavy is imported."""
+
+from r2h_batch.verdicts import SPLITS, CriterionEntry
+
+
+def has_opening(o):
+    """Cups, bowls and wine glasses: a rim that holds no lens."""
+    return "rim" in o.part_names and "lens" not in o.part_names
+
+
+UPRIGHT = CriterionEntry("upright", "f_upright", "F_upright", 5, "#666666", SPLITS, True, since="strange 1.0",
+                         unit="deg", applies=has_opening, function="tilted.equation:upright")
+'''
+EQUATION = '''"""A vessel is handed over with its opening up."""
+
+import torch
+
+from r2h_batch.judge.metrics import Criterion
+from tilted.words import has_opening
+
+
+def opening(o):
+    """From the centre of mass to the rim's, object frame."""
+    rim = o.face_part == o.part_names.index("rim")
+    corners = o.vertices[o.faces[rim]].astype(float)
+    area = abs_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    axis = (corners.mean(1) * area[:, None]).sum(0) / area.sum() - o.com
+    return axis / (axis @ axis) ** 0.5
+
+
+def abs_cross(a, b):
+    x, y, z = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1], a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2], a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return (x * x + y * y + z * z) ** 0.5
+
+
+def upright(e):
+    """At most 60 degrees between the opening and the vertical."""
+    axes = [opening(o) if has_opening(o) else (0.0, 0.0, 1.0) for o in e.scene.objects]
+    axis = torch.tensor(axes, dtype=torch.float32, device=e.held.attached.device)[e.held.objects.long()]
+    R_world_obj = e.held.T_world_ee[:, :3, :3] @ e.held.attached[:, :3, :3].mT
+    up = (R_world_obj @ axis[:, :, None])[:, :, 0]
+    angle = torch.rad2deg(torch.atan2((up[:, 0] ** 2 + up[:, 1] ** 2).sqrt(), up[:, 2]))
+    return Criterion(angle, e.held.active, limit=60.0, below=True)
+'''
+USE_UPRIGHT = """
+import json
+import numpy as np
+import torch
+from r2h_batch import EvalConfig, verdicts
+from r2h_batch.config import ExecConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods import oracle
+from r2h_batch.scene.objects import load_objects
+from r2h_batch.training import reward
+from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch.types import Outcome
+
+assert verdicts.CRITERIA[5] == "upright" and Outcome.UPRIGHT == 6 and Outcome.INVALID_SIM == 8
+OPEN = {"cup", "bowl", "wineglass"}
+said("sweep --method oracle random --trials 36 --sim none --save-paths --out run")
+run = load_run("run")
+vessels, axes = {o.name: o for o in load_objects() if o.name in OPEN}, {}
+for name, o in vessels.items():  # another way to the same axis: trimesh's centroid of the rim alone
+    rim = o.mesh.submesh([np.flatnonzero(o.face_part == o.part_names.index("rim"))], append=True)
+    axes[name] = (rim.centroid - o.com) / np.linalg.norm(rim.centroid - o.com)
+below, n = 0, 0
+for method in run.methods:
+    rows = {r["trial_id"]: r for r in run.trials(method).to_pylist()}
+    for pose in run.poses(method).to_pylist():
+        row = rows[pose["trial_id"]]
+        if row["object"] not in OPEN:
+            assert row["passed_upright"] is row["margin_upright_deg"] is row["margin_kind_upright"] is None
+            assert row["outcome"] != "upright"
+            continue
+        T_obj_ee, T_world_ee = (np.reshape(pose[k], (4, 4)) for k in ("T_obj_ee", "T_world_ee"))
+        up = T_world_ee[:3, :3] @ T_obj_ee[:3, :3].T @ axes[row["object"]]
+        margin = 60.0 - np.degrees(np.arccos(np.clip(up[2], -1, 1)))
+        assert abs(margin - row["margin_upright_deg"]) < 0.02, (margin, row)
+        assert row["passed_upright"] == (row["margin_upright_deg"] >= 0) and row["margin_kind_upright"] == "distance"
+        others = [row[f"passed_{c}"] for c in verdicts.CRITERIA[:5]]
+        first = not row["passed_upright"] and False not in others
+        assert (row["outcome"] == "upright") == first
+        below, n = below + first, n + 1
+assert below > 0 and n > below
+
+# its rate is of the trials that it concerns, and every format says so and names the unit
+found = {(r["split"], r["method"]): r for r in json.loads(said("report run --format json"))["rows"]}
+for method in run.methods:
+    own = [r for r in run.trials(method).to_pylist() if r["object"] in OPEN]
+    failed = sum(r["outcome"] == "upright" for r in own)
+    s0, s1, mean = (found[split, method] for split in ("S0", "S1", "Avg"))
+    assert s0["f_upright_of"] == len(own) == 18 and s0["n"] == 36 and abs(s0["f_upright"] - 100 * failed / 18) < 1e-9
+    assert s1["f_upright"] is None and abs(mean["f_upright"] - s0["f_upright"]) < 1e-9
+for form, words in (("md", "F_upright"), ("latex", "{upright}"), ("html", "F_upright"), ("csv", "f_upright_of")):
+    assert words in (text := said(f"report run --format {form}")), form
+    if form != "csv":
+        assert "whose object the criterion concerns" in " ".join(text.split()) and "margins are in deg" in " ".join(text.split())
+page = said("report run --format html")
+assert '"margin_upright_deg":["upright","deg",1.0]' in page and ">deg<" in page and ">mm<" in page
+again = said("results rethreshold run --reach-radius .08,.1")
+lines = [[x.strip() for x in line.strip("|").split("|")] for line in again.splitlines() if "|" in line]
+at = lines[0].index("F_upright")
+cells = {(x[0], x[1]): x[at] for x in lines[2:] if len(x) > at and x[2] == "0.1"}
+assert cells["oracle", "S0"] == f"{found['S0', 'oracle']['f_upright']:.1f}" and cells["oracle", "S1"] == "n/a"
+said("results reevaluate run")
+said("report run --by-object")
+
+# older rows have no such criterion
+old = shipped.trials(shipped.methods[0])
+assert old["passed_upright"].null_count == old["margin_upright_deg"].null_count == len(old) == 1000
+assert '"sr"' in said(f"report {FOLDERS[1]} --format json")
+assert "lack upright (since strange 1.0)" in said("compare run baselines")
+
+# in Python: the unit, rewards in metres, and a gradient like that of a small turn
+evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+trials = trials_with_ids(torch.arange(24), objects=evaluator.scene.objects, protocol="r2h-v0")
+poses = oracle.predict(trials, evaluator.scene, seed=0)
+asked = torch.tensor([o.name in OPEN for o in evaluator.scene.objects])[trials.object_index.long()]
+hand = poses.T_world_ee.clone().requires_grad_()
+scores = evaluator.score(poses.T_obj_ee, hand, trials, stages="pose")
+assert torch.equal(scores.evaluated[:, 5], asked & scores.evaluated[:, 0]) and asked.any() and not asked.all()
+assert "deg" in scores.summary() and "margin_deg/upright" in scores.scalars()
+assert "margin_upright_deg" in scores.to_pandas() if __import__("importlib.util").util.find_spec("pandas") else True
+row = scores.evaluated[:, 5]
+vector = reward.margin_vector(scores)[row, 5]
+assert torch.allclose(vector, (0.002 * scores.margin[row, 5]).clamp(-0.05, 0.05))
+assert scores.soft(temperature_m=0.01).isfinite().all()
+(slope,) = torch.autograd.grad(scores.margin[row, 5].sum(), hand)
+turn = torch.tensor([[0.0, 0.0, 1e-3], [0.0, 0.0, 0.0], [-1e-3, 0.0, 0.0]])  # about y
+moved = []
+for sign in (-1.0, 1.0):
+    T = hand.detach().clone()
+    T[:, :3, :3] = torch.linalg.matrix_exp(sign * turn) @ T[:, :3, :3]
+    moved.append(evaluator.score(poses.T_obj_ee, T, trials, stages="pose").margin[row, 5])
+expected = (moved[1] - moved[0]) / 2
+along = (slope[:, :3, :3] * (turn @ hand.detach()[:, :3, :3])).sum((1, 2))[row]
+assert expected.abs().max() > 0.03 and (along - expected).abs().median() < 1e-3, (along, expected)
+"""
+
+
+def test_a_strangers_criterion_in_degrees_for_objects_with_an_opening_needs_no_file_of_ours(
+    tmp_path: Path, shipped: str
+) -> None:
+    tree = changed_tree(
+        tmp_path / "tree",
+        {},
+        package={"tilted/__init__.py": "", "tilted/words.py": WORDS, "tilted/equation.py": EQUATION},
+        points={"criterion.upright": "tilted.words:UPRIGHT"},
+    )
+    report(tree)
+    tree.write_docs()
+    assert "`margin_upright_deg` | float32 | deg" in (tree.folder / "docs" / "run_folder.md").read_text()
+    assert tree.run(READ + "\nassert 'torch' not in sys.modules\nsys.exit()") == shipped
+    tree.run(READ + USE_UPRIGHT)
+
+
+SLOW = '''"""How often an arm takes its time."""
+
+import pyarrow.compute as pc
+
+from r2h_batch.report.statistics.shares import Share
+
+
+def over_8_s(rows):
+    return pc.greater(rows["t_exec_s"], 8.0)
+
+
+SLOW = Share("Slow", "Motions that take more than 8 s, of those that came to rest.", ("t_exec_s",), over_8_s)
+'''
+USE_SLOW = """
+import csv, json
+
+said("sweep --method oracle random --trials 12 --sim none --out run")
+run = load_run("run")
+expected = {}
+for method in run.methods:
+    for split in ("S0", "S1"):
+        rows = [r for r in run.trials(method).to_pylist() if r["split"] == split and r["t_exec_s"] is not None]
+        if rows:
+            expected[split, method] = (sum(r["t_exec_s"] > 8 for r in rows), len(rows))
+assert len(expected) > 2 and any(0 < k < n for k, n in expected.values()), expected
+found = {(r["split"], r["method"]): r for r in json.loads(said("report run --format json"))["rows"]}
+records = {(r["split"], r["method"]): r for r in csv.DictReader(io.StringIO(said("report run --format csv")))}
+for key, (k, n) in expected.items():
+    assert abs(found[key]["slow"] - 100 * k / n) < 1e-9 and found[key]["slow_low"] < found[key]["slow_high"]
+    assert abs(float(records[key]["slow"]) - 100 * k / n) < 1e-6
+text = {form: said(f"report run --format {form}") for form in ("md", "latex", "html")}
+(section,) = [part for part in text["md"].split("\\n\\n") if "Slow" in part]
+assert "Motions that take more than 8 s" in text["md"] and all(f"{100 * k / n:.1f}" in section for k, n in expected.values())
+assert "{Slow}" in text["latex"] and "Motions that take more than 8 s" in " ".join(text["latex"].replace("% ", "").split())
+assert ">Slow</th>" in text["html"]
+k, n = expected["S0", "oracle"]
+line = next(x for x in text["latex"].splitlines() if x.startswith("oracle &"))
+assert f"{100 * k / n:.1f}" in line.split(" & ")[-1] or f"& {100 * k / n:.1f} " in line
+groups = {g["group"]: g for g in json.loads(said("compare run --format json"))}
+assert groups["S0"]["shares"]["oracle"]["slow"]["total"] == n and groups["S0"]["shares"]["oracle"]["slow"]["count"] == k
+assert "Slow" in said("compare run") and "Slow" in said("compare run --format latex")
+assert "slow_a" in said("compare run --format csv").splitlines()[0]
+said("sweep --method random --trials 12 --sim mujoco --out mine")
+both = json.loads(said("compare mine baselines --format json"))[0]["shares"]
+assert all("slow" in own for own in both.values()) and len(both) == 6 or len(both) == 7, both.keys()
+assert all(own["slow"]["total"] <= 12 for own in both.values())  # on the shared trials alone
+"""
+
+
+def test_a_strangers_share_of_rows_is_in_tables_pages_latex_and_comparisons(tmp_path: Path, shipped: str) -> None:
+    tree = changed_tree(tmp_path / "tree", {}, package={"slow.py": SLOW}, points={"share.slow": "slow:SLOW"})
+    report(tree)
+    assert tree.run(READ) == shipped
+    tree.run(READ + USE_SLOW)
+
+
+VASE = '''"""Vases: nothing of ours has one."""
+
+from r2h_batch.scene.families.family import GLASS, Shape, family
+from r2h_batch.scene.families.shapes import revolve
+from r2h_batch.scene.vocabulary import Thing
+
+WORDS = Thing(("vase", "flower vase"), {"foot": ("foot",), "body": ("body",)}, {"use": "foot", "pour": "body"})
+
+
+@family("vase", "S1", parts=("body", "foot"), rests=("upright", "side"), receiver=("foot",), take="foot", words=WORDS,
+        roles={"body": "function"})
+def VASE(draw, part):
+    """A full glass vase with a wide foot."""
+    r, h = draw("radius", 20, 28), draw("height", 110, 170)
+    profile = [(0, 0), (1.1 * r, 0), (1.1 * r, 8), (0.7 * r, 16), (r, 0.6 * h), (0.8 * r, h), (0, h)]
+    solid = part.divided("body", revolve(profile, 40), ("foot", (0, 0, -1), -0.25 * h))
+    return Shape(solid, dict.fromkeys(("body", "foot"), float(GLASS)))
+'''
+USE_VASE = """
+import numpy as np
+from r2h_batch.protocols.family_objects import family_objects, family_splits
+from r2h_batch.trials.holding.instructions import instructions_of, understand
+
+def swept(objects, out):
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as err:
+        line = "--method oracle random --trials 4 --splits S1 --sim none --out"
+        code = main(["sweep", "--objects", objects, *line.split(), out])
+    return code, err.getvalue()
+
+models = family_objects(f"families:{FAMILY} x 2 seed 3")
+assert [o.name for o in models] == ["vase_s1003_00", "vase_s1003_01"] and {o.split for o in models} == {"S1"}
+assert family_splits(f"families:{FAMILY},cup") == {"S0", "S1"} and models[0].mass != models[1].mass
+for o in models:
+    assert o.mesh.is_watertight and o.words.names == ("vase", "flower vase") and o.roles == {"body": "function"}
+    assert {o.part_names[k] for k in np.unique(o.face_part[o.receiver_face])} == {"foot"}
+    assert o.instruction == "hand over the vase foot to human" and o.category == "vase"
+    understood = understand("I need the flower vase, I want to use it", [o])
+    assert understood.part == "foot" and understood.verb == "use" and o.instruction in instructions_of(o)
+code, said_there = swept(f"families:{FAMILY} x 2 seed 3", "run")
+assert code == 0, said_there
+objects = load_run("run").header["objects"]
+assert [o["category"] for o in objects] == ["vase"] * 2 and not any(o["built_in"] for o in objects)
+assert any(r["outcome"] == "success" for r in load_run("run").trials("oracle").to_pylist())
+assert "of 1 families" in " ".join(said("report run").split())
+"""
+LISTED_VASE = """
+assert "vase" in said("ls families").splitlines()[-1]
+assert len(said("ls families").splitlines()) == 97
+code, line = swept("families:vaze x 2", "none")
+assert code == 2 and "did you mean vase?" in line and "trigger_sprayer, vase, or * for all" in line
+code, line = swept("families:flower_vase x 2", "none")
+assert code == 2 and "did you mean vase?" in line
+said("results reevaluate run")  # an installed package is the reader's own
+"""
+NAMED_VASE = """
+from r2h_batch.trials.benchmark.build import BenchmarkChoice, benchmark_of_run
+from r2h_batch.base.errors import FileError
+
+try:  # run.json may come from anybody: the module that it names is not imported
+    benchmark_of_run(load_run("run").header, BenchmarkChoice(), "run")
+except FileError as error:
+    assert "give what its sweep was given: --objects 'families:vases:VASE x 2 seed 3'" in str(error), error
+else:
+    raise AssertionError("a module that run.json names was imported")
+"""
+
+
+def test_a_strangers_family_is_drawn_listed_swept_and_judged_again_without_a_file_of_ours(
+    tmp_path: Path, shipped: str
+) -> None:
+    pytest.importorskip("manifold3d")
+    tree = changed_tree(tmp_path / "tree", {}, package={"vases.py": VASE}, points={"family.vase": "vases:VASE"})
+    report(tree)
+    assert tree.run(READ) == shipped
+    tree.run(f"{READ}\nFAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}")
+
+
+def test_a_family_may_also_stand_in_a_module_of_the_user_or_in_one_file_of_ours(tmp_path: Path) -> None:
+    pytest.importorskip("manifold3d")
+    own = changed_tree(tmp_path / "own", {}, package={"vases.py": VASE})
+    own.run(f"{READ}\nFAMILY = 'vases:VASE'\n{USE_VASE}{NAMED_VASE}")
+    ours = changed_tree(tmp_path / "ours", {"r2h_batch/scene/families/vases.py": VASE})
+    report(ours)
+    assert len(ours.changed) == 1
+    ours.run(f"{READ}\nFAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}")
 
 
 DRAWN = '''@draws("r2h-near")
@@ -195,10 +493,11 @@ def test_a_policy_is_one_class_under_its_name(tmp_path: Path, shipped: str) -> N
         tmp_path / "tree",
         {
             "r2h_batch/closed_loop/policies.py": {
-                "POLICIES: dict[str, Any] = {\n": 'class HalfSpeed(Planned):\n    """The planned motion at half its speed."""\n\n'
+                "def kind_of_action(": '@POLICIES("half")\nclass HalfSpeed(Planned):\n'
+                '    """The planned motion at half its speed."""\n\n'
                 '    def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:\n'
                 "        self.clock = self.clock + 0.5 * self.step_s\n        return self.posture(self.clock)\n\n\n"
-                'POLICIES: dict[str, Any] = {\n    "half": HalfSpeed,\n',
+                "def kind_of_action("
             }
         },
     )

@@ -54,7 +54,7 @@ def site(tmp_path_factory, scene):
 @needs("mkdocs", "viser", "pandas")
 def test_the_site_fetches_nothing_and_holds_the_notebooks_with_what_they_show(site):
     page = (site / "reference" / "python.html").read_text(encoding="utf-8")
-    assert "make_trials" in page and "r2h_batch.evaluate.Evaluator" in page
+    assert "load_benchmark" in page and "r2h_batch.evaluate.Evaluator" in page
     outside = [
         address
         for file in site.rglob("*.html")

@@ -107,10 +107,65 @@ def test_modules_of_ours_are_imported_once_a_name_is_asked_for_and_a_package_sta
     (tmp_path / "drawer" / "__init__.py").write_text("")
     (tmp_path / "drawer" / "top.py").write_text("import builtins\nbuiltins.KNIVES.add('fish', 3)\n")
     monkeypatch.syspath_prepend(tmp_path)
-    knives = Registry[int]("knife", {"bread": 1}, modules=("drawer",), names=("fish",))
+    knives = Registry[int]("knife", {"bread": 1}, modules=("drawer",), names=("fish",), light=True)
     monkeypatch.setattr("builtins.KNIVES", knives, raising=False)
     assert list(knives) == ["fish", "bread"] and "drawer" not in sys.modules
     assert knives["bread"] == 1 and "drawer" not in sys.modules
     assert knives["fish"] == 3 and "drawer.top" in sys.modules
     monkeypatch.delitem(sys.modules, "drawer.top")
     monkeypatch.delitem(sys.modules, "drawer")
+
+
+CODE = """
+from r2h_batch.methods.random import predict as drawn
+
+
+def predict(trials, scene, *, seed):
+    return drawn(trials, scene, seed=seed + 1)
+
+
+class Stands:
+    def __init__(self, *given):
+        pass
+"""
+NAMED = """
+import contextlib, io
+from r2h_batch.__main__ import main
+from r2h_batch.closed_loop.episodes import policy_of
+from r2h_batch.closed_loop.transfer.release import release_of
+from r2h_batch.runs.store import load_run
+
+def run(*words):
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
+        code = main(list(words))
+    return code, out.getvalue() + err.getvalue()
+
+assert run("ls", "methods")[1].splitlines()[-1].split() == ["shifted", "acts:predict"]
+code, text = run("sweep", "--method", "shifted", "random", "--seed", "0", "--trials", "3", "--sim", "none", "--out", "run")
+assert code == 0, text
+assert run("sweep", "--method", "random", "--seed", "1", "--trials", "3", "--sim", "none", "--out", "other")[0] == 0
+stored, other = load_run("run"), load_run("other")
+assert stored.methods == ("shifted", "random") and stored.entry("shifted").source["function"] == "acts:predict"
+assert stored.poses("shifted").equals(other.poses("random")) and not stored.poses("random").equals(other.poses("random"))
+code, text = run("sweep", "--method", "shiftd", "--trials", "3")
+assert code == 2 and "did you mean shifted?" in text and "intent, shifted or your own" in text, text
+for named in (policy_of, release_of):
+    found, text = named("stand")
+    assert found.__name__ == "Stands" and text.startswith("acts:Stands "), text
+    try:
+        named("stnd")
+    except ImportError as error:
+        assert "did you mean stand?" in str(error) and len(str(error).splitlines()) == 1
+    else:
+        raise AssertionError
+"""
+
+
+def test_methods_and_policies_of_a_package_are_named_listed_swept_and_hinted_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("gymnasium")
+    points = "method.shifted = acts:predict\npolicy.stand = acts:Stands\nrelease_policy.stand = acts:Stands\n"
+    installed(tmp_path / "site", "acts", points, CODE)
+    monkeypatch.chdir(tmp_path)
+    said(tmp_path / "site", NAMED)

@@ -108,8 +108,8 @@ MUTATIONS = (
     Mutation(
         "reach: sign of the margin",
         METRICS,
-        "limit_m=e.config.thresholds.reach_radius_m, below=True",
-        "limit_m=e.config.thresholds.reach_radius_m",
+        "limit=e.config.thresholds.reach_radius_m, below=True",
+        "limit=e.config.thresholds.reach_radius_m",
         (f"{T_METRICS}::test_reach_passes_up_to_the_balls_radius",),
     ),
     Mutation(
@@ -122,8 +122,8 @@ MUTATIONS = (
     Mutation(
         "safe: the safety margin is added",
         METRICS,
-        "limit_m=e.config.thresholds.safe_margin_m",
-        "limit_m=-e.config.thresholds.safe_margin_m",
+        "limit=e.config.thresholds.safe_margin_m",
+        "limit=-e.config.thresholds.safe_margin_m",
         (f"{T_METRICS}::test_a_safety_margin_is_taken_off",),
     ),
     Mutation(
@@ -541,10 +541,10 @@ MUTATIONS = (
         (f"{T_FAM}::test_an_instance_is_a_function_of_category_series_and_number_alone",),
     ),
     Mutation(
-        "families: the evaluator's mass is spread over the surface",
+        "families: the centre of mass is that of the surface",
         DRAWN,
-        'replace(built, com=instance.com, inertia=instance.inertia)',
-        'built',
+        "        com=instance.com,\n",
+        "",
         (T_NEW_INSTANCES,),
     ),
     Mutation(
@@ -555,10 +555,10 @@ MUTATIONS = (
         (T_NEW_INSTANCES,),
     ),
     Mutation(
-        "families: the splits' names are exchanged",
+        "families: every split is S0",
         FAMILY_OBJECTS,
-        '"S0" if c in S0_NAMES else "S1"',
-        '"S1" if c in S0_NAMES else "S0"',
+        "{f.split for f in _asked(text)[0]}",
+        '{"S0"}',
         (T_NEW_INSTANCES,),
     ),
     Mutation(

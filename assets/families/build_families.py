@@ -27,8 +27,9 @@ from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.data.people import people_hand
 from r2h_batch.methods.grasps import generate_grasps, sample_grasps
 from r2h_batch.scene.arrays import read_arrays
-from r2h_batch.scene.families.draw import FAMILIES, SHIPPED, TRAINING, Instance, draw_instance, model_of
-from r2h_batch.scene.objects import SAID, ObjectModel, load_objects, object_digest
+from r2h_batch.scene.families.draw import SHIPPED, TRAINING, Instance, draw_instance, model_of
+from r2h_batch.scene.families.family import FAMILIES
+from r2h_batch.scene.objects import OBJECT_NAMES, SAID, ObjectModel, load_objects, object_digest
 from r2h_batch.scene.objects import SHIPPED_INSTANCES as TESTS
 from r2h_batch.trials.holding.held_out import sample_held_out
 from r2h_batch.trials.holding.sampler import sample_receiving
@@ -76,7 +77,7 @@ def make_only(file: str, jobs: list[tuple[str, int]], out: Path, pool: ProcessPo
     path = out / f"{file}.npz"
     known: Arrays = dict(read_arrays(path)) if path.exists() else {}
     todo = [(c, i) for c, i in jobs if f"{c}_{i:02d}/side" not in known and (file != "held_out" or i < HELD_OUT)]
-    order = [f"{c}_{i:02d}" for c in FAMILIES for i in range(TESTS)]
+    order = [f"{c}_{i:02d}" for c in OBJECT_NAMES for i in range(TESTS)]
     for name, arrays, seconds in pool.map(partial(held, file), todo):
         known |= arrays
         left = int(arrays[f"{name}/side"].sum())
@@ -102,10 +103,16 @@ def described(instance: Instance, model: ObjectModel) -> dict[str, Any]:
     }
 
 
+def jobs_of(name: str, count: int) -> list[tuple[str, int]]:
+    """All instances of a category, or the one of this name."""
+    category, _, index = name.rpartition("_")
+    return [(category, int(index))] if category in FAMILIES and index.isdigit() else [(name, i) for i in range(count)]
+
+
 def main() -> None:
     """Writes all files and prints a line per instance."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("categories", nargs="*", help="default: all")
+    parser.add_argument("names", nargs="*", help="categories, or instances such as cup_04; default: all categories")
     parser.add_argument("--training", type=Path, help="write the training instances into this folder instead")
     parser.add_argument("--count", type=int, help="instances of each category; default: 6 to ship, 12 to learn from")
     parser.add_argument("--without-held-out", action="store_true", help="keep the stored held-out grasps")
@@ -117,7 +124,7 @@ def main() -> None:
     count = args.count or count
     out = args.training or args.out
     out.mkdir(parents=True, exist_ok=True)
-    jobs = [(c, i) for c in args.categories or FAMILIES for i in range(count)]
+    jobs = [job for name in args.names or OBJECT_NAMES for job in jobs_of(name, count)]
     if args.only:
         with ProcessPoolExecutor(args.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
             make_only(args.only, jobs, out, pool)
@@ -134,7 +141,7 @@ def main() -> None:
                 stored.setdefault(file, {}).update(found)
             report[model.name] = line
             print(model.name, {k: v for k, v in line.items() if k not in ("parameters", "digest")}, flush=True)
-    order = [f"{c}_" for c in FAMILIES]
+    order = [f"{c}_" for c in OBJECT_NAMES]
     names = sorted(report, key=lambda n: (order.index(n.rpartition("_")[0] + "_"), n))
     for file, known in stored.items():
         write_npz(out / f"{file}.npz", {k: known[k] for n in names for k in known if k.startswith(f"{n}/")})

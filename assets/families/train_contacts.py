@@ -13,7 +13,7 @@ import argparse
 import hashlib
 import json
 import resource
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,8 +29,15 @@ from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.assets.receiving.contact_maps import contact_map
 from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD, SHIPPED_FILE
 from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
-from r2h_batch.methods.predictors.principal_axes import FLIPS, STORED_FILE, InPrincipalAxes, turned_grid
+from r2h_batch.methods.predictors.principal_axes import (
+    FLIPS,
+    STORED_FILE,
+    InPrincipalAxes,
+    load_axes_network,
+    turned_grid,
+)
 from r2h_batch.methods.predictors.voxnet import VoxNet
+from r2h_batch.scene.arrays import read_arrays
 from r2h_batch.scene.objects import INSTANCE_NAMES, VOXELS, ObjectModel, load_objects, read_object, with_words
 from r2h_batch.scene.solid import solid_occupancy
 
@@ -148,9 +155,9 @@ def figures(net: VoxNet, objects: Sequence[ObjectModel]) -> dict[str, dict[str, 
     return found
 
 
-def answer(whole: InPrincipalAxes, objects: Sequence[ObjectModel]) -> None:
-    """Stores what the network answers for these objects, so that nobody computes it on first use."""
-    answers: dict[str, NDArray[Any]] = {"network": np.array(whole.digest)}
+def answer(whole: InPrincipalAxes, objects: Sequence[ObjectModel], known: Mapping[str, NDArray[Any]]) -> None:
+    """Stores what the network answers for these objects, beside known answers, so that nobody computes it on first use."""
+    answers: dict[str, NDArray[Any]] = {**known, "network": np.array(whole.digest)}
     for o in objects:
         x, y, z = voxel_of_points(o).T
         with torch.no_grad():
@@ -170,9 +177,15 @@ def main() -> None:
     )  # fmt: skip
     parser.add_argument("--left-out-steps", type=int, default=STEPS)
     parser.add_argument("--only-left-out", action="store_true", help="keep the stored weights")
+    parser.add_argument(
+        "--answers", nargs="+", metavar="INSTANCE", help="only the stored network's answers for these anew"
+    )
     args = parser.parse_args()
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
+    if args.answers:
+        answer(load_axes_network(), load_objects(args.answers), read_arrays(HERE / SHIPPED_FILE))
+        return
     files = sorted(args.training.glob("*_t[0-9][0-9].npz"))
     category = [f.stem.rpartition("_")[0] for f in files]
     data = Examples([with_words(read_object(str(f)), c) for f, c in zip(files, category, strict=True)])
@@ -183,7 +196,7 @@ def main() -> None:
         save_file({k: v.contiguous() for k, v in net.state_dict().items()}, HERE / STORED_FILE)
         (HERE / STORED_FILE).chmod(0o644)
         tests = load_objects(INSTANCE_NAMES)
-        answer(InPrincipalAxes(net), tests)
+        answer(InPrincipalAxes(net), tests, {})
         report |= {
             "sha256": hashlib.sha256((HERE / STORED_FILE).read_bytes()).hexdigest(),
             "training_instances": len(files), "steps": args.steps, "seed": args.seed,

@@ -1,11 +1,15 @@
 """Makes hand.npz, people.npz, postures.npz and report.json: ``python -m r2h_batch.assets.people.build_people``. Deterministic.
 
+`--only table` makes people.npz anew for the stored hand, for which receiving grasps were sampled: the last bits of a hand
+differ between processors.
+
 Needs `pip install 'r2h_batch[build]'` (anny, roma). Anny's first construction takes one to two minutes and leaves a
 cache of 790 MB (ANNY_CACHE_DIR, else ~/.cache/anny); delete it afterwards. The rest takes two CPU minutes.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from pathlib import Path
@@ -28,6 +32,7 @@ from r2h_batch.assets.hand.measure import hull_planes, self_cut
 from r2h_batch.assets.people import bodies as anny_bodies
 from r2h_batch.assets.people import hands as anny_hands
 from r2h_batch.assets.people.bodies import GROUPS, Bodies, Model, lengths, limbs, trunk_skin
+from r2h_batch.assets.people.proportions import proportioned
 from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays
 from r2h_batch.scene.hand import HandModel, load_hand
 from r2h_batch.scene.hand_pieces import hulls_of
@@ -113,32 +118,33 @@ def tape(model: Model, people: Bodies, length: dict[str, F64]) -> dict[str, F64]
 
 
 def main() -> None:
-    """Writes the four files and prints the report."""
+    """Writes the files and prints the report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=("table",), help="keep hand.npz, postures.npz and whose hand is which")
+    only = parser.parse_args().only
     begin = time.process_time()
     torch.set_num_threads(1)
     model = Model()
-    drawn = {group: model.draw(group) for group in GROUPS}
+    own = {group: model.draw(group) for group in GROUPS}
+    drawn = {group: proportioned(model, people) for group, people in own.items()}
     measured = {group: lengths(model, people) for group, people in drawn.items()}
-    piece = anny_hands.cut(model, drawn["adults"])
-    hands = {group: anny_hands.hands_of(piece, people, load_hand()) for group, people in drawn.items()}
-    every = anny_hands.Hands(*(np.concatenate([getattr(h, k) for h in hands.values()]) for k in ("skin", "joints")))
     group_of = np.repeat(np.arange(len(GROUPS)), [len(p.age) for p in drawn.values()]).astype(np.int8)
-    made, shape, figures = anny_hands.arrays(piece, every, group_of == 0, load_hand())
-    write_npz(HERE / "hand.npz", made)
+    made, hands, figures = stored_hands() if only else new_hands(model, own, group_of)
     table: dict[str, NDArray[Any]] = {
         "group": group_of,
         "sex": np.concatenate([p.sex for p in drawn.values()]),
         "age": np.asarray(np.concatenate([p.age for p in drawn.values()]), np.float32),
-        "hand_length": np.asarray(every.length(piece), np.float32),
-        "hand_shape": np.asarray(shape, np.float16),
+        **hands,
     }
     for name in measured["adults"]:
         table[name] = np.asarray(np.concatenate([m[name] for m in measured.values()]), np.float32)
     write_npz(HERE / "people.npz", table)
 
     hand = HandModel.from_arrays(made)
-    postures = same_angles(hand)
-    write_npz(HERE / "postures.npz", postures)
+    postures = dict(read_arrays(HERE / "postures.npz")) if only else same_angles(hand)
+    if not only:
+        write_npz(HERE / "hand.npz", made)
+        write_npz(HERE / "postures.npz", postures)
     report: dict[str, Any] = {
         "anny": "0.6.2",
         "digests": {"hand": arrays_digest(made), "people": arrays_digest(table), "postures": arrays_digest(postures)},
@@ -158,6 +164,26 @@ def main() -> None:
     report["cpu_s"] = round(time.process_time() - begin)
     (HERE / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     print(json.dumps(report, indent=1))
+
+
+def new_hands(
+    model: Model, own: dict[str, Bodies], group_of: NDArray[np.int8]
+) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]], dict[str, float]]:
+    """The hand model of these bodies, the columns of the table that say whose hand is which, and how well it fits."""
+    piece = anny_hands.cut(model, own["adults"])
+    hands = [anny_hands.hands_of(piece, people, load_hand()) for people in own.values()]
+    every = anny_hands.Hands(*(np.concatenate([getattr(h, k) for h in hands]) for k in ("skin", "joints")))
+    made, shape, figures = anny_hands.arrays(piece, every, group_of == 0, load_hand())
+    length, shape = np.asarray(every.length(piece), np.float32), np.asarray(shape, np.float16)
+    return made, {"hand_length": length, "hand_shape": shape}, figures
+
+
+def stored_hands() -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]], dict[str, float]]:
+    """As `new_hands`, from the files."""
+    table, report = read_arrays(HERE / "people.npz"), json.loads((HERE / "report.json").read_text())
+    fits = ("residual_mean_mm", "residual_max_mm", "first_component_share", "largest_shape_number")
+    figures = {name: report["hand"][name] for name in fits}
+    return dict(read_arrays(HERE / "hand.npz")), {k: table[k] for k in ("hand_length", "hand_shape")}, figures
 
 
 def same_angles(hand: HandModel) -> dict[str, NDArray[Any]]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.assets.people.bodies import ABOVE_JOINT, GROUPS, Bodies, Model, lengths
+from r2h_batch.assets.people.proportions import proportioned
 from r2h_batch.data.people import LENGTHS_M
 from r2h_batch.scene.arrays import read_arrays
 from r2h_batch.view.skin import BONES, GEOMS, JOINTS, SIZES
@@ -107,7 +108,7 @@ def main() -> None:
     """Writes the file and prints how far its skins are from Anny's."""
     torch.set_num_threads(1)
     model = Model()
-    drawn = {group: model.draw(group) for group in GROUPS}
+    drawn = {group: proportioned(model, model.draw(group)) for group in GROUPS}
     table = read_arrays(HERE / "people.npz")
     if not all(
         np.allclose(table["stature"][table["group"] == k], lengths(model, people)["stature"], atol=1e-5)

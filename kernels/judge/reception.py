@@ -135,7 +135,7 @@ def share(angle: float, above: float, below: float):
 def arm_angles(arm: Arm, outwards: float, along: wp.vec3, normal: wp.vec3) -> vec7:
     """The arm's joint angles in degrees (lean 0), from where its hand points and its palm faces (unit vectors).
 
-    The inverse of how r2h-v1 draws a posture (protocols/draw/receivers.py: `_hand_axes`): the forearm turns, then the wrist bends,
+    The inverse of how r2h-v1 draws a posture (`_hand_axes` of receivers.py): the forearm turns, then the wrist bends,
     then it goes aside.
     """
     u = unit(arm.elbow - arm.shoulder)

@@ -1,12 +1,14 @@
 """Names that a command line takes: protocols, presets, engines and methods, each an entry here and
-a function in its folder. Standard library only.
+a function in its folder. Light.
 
-Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.POLICIES`, robots of
-`scene.robot.ROBOTS`.
+Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.POLICIES`, families of
+`scene.families.family.FAMILIES`, robots of `scene.robot.ROBOTS`.
 """
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+
+from r2h_batch.plugins import Registry
 
 
 class Protocol(NamedTuple):
@@ -44,7 +46,9 @@ LISTED, FOREIGN = "listed", "r2handoversim"
 
 def is_drawn(header: Mapping[str, Any]) -> bool:
     """Whether a rule drew the trials of a run, by its run.json: of any number of them, the first ones are the same."""
-    told = {"objects", "hand_set"} <= header["digests"].keys() or header["protocol"] in PROTOCOL_NAMES
+    told = {"objects", "hand_set"} <= header["digests"].keys() or header[
+        "protocol"
+    ] in PROTOCOL_NAMES
     return told and header["protocol"] not in (LISTED, FOREIGN)
 
 
@@ -85,7 +89,7 @@ class Method(NamedTuple):
     sees: tuple[str, ...] = ()  # fields of `predictors.Observations` that it is shown
 
 
-METHODS = (
+_OURS = (
     Method("random"),
     Method("oracle"),
     Method("fc", ("receiving", "target")),
@@ -93,7 +97,9 @@ METHODS = (
     Method("contact", ("receiving", "target", "contacts")),
     Method("intent", ("receiving", "target")),
 )
-METHOD_NAMES = tuple(entry.name for entry in METHODS)
+METHOD_NAMES = tuple(entry.name for entry in _OURS)
+METHODS: Registry[Any] = Registry("method", {entry.name: entry for entry in _OURS})
+"""Built-in methods' entries, and functions that packages name as `method.NAME`."""
 
 TURNS = ("half", "cycled")
 """Turns of the objects' frames that a turn test makes: by 180 degrees about z; x to y, y to z, z to x.

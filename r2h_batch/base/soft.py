@@ -17,6 +17,7 @@ from torch import Tensor
 
 from r2h_batch.base.validate import boolean, describe_value, number
 from r2h_batch.base.validate_tensors import check_tensor, check_tensor_arguments
+from r2h_batch.verdicts import REGISTRY, UNITS
 
 _LOG_2 = 0.6931471805599453
 
@@ -103,6 +104,14 @@ def soft_success(
         change = torch.where(success, torch.log(change.clamp(min=0.5)), failing - _LOG_2)
         value = torch.where(judged & ~success, change, torch.log(value))
     return with_gradient(value.detach(), torch.where(judged, change, torch.zeros_like(change)))
+
+
+def in_metres(margin: Float[Tensor, "*b c"]) -> Float[Tensor, "*b c"]:
+    """Margins (..., C), each in its criterion's unit, as lengths: a degree counts as `verdicts.UNITS` says."""
+    if all(entry.unit == "m" for entry in REGISTRY):
+        return margin
+    worth = [UNITS[entry.unit].worth_m for entry in REGISTRY]
+    return torch.stack([margin[..., k] * w for k, w in enumerate(worth)], -1)
 
 
 class _WithGradient(torch.autograd.Function):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.verdicts import CRITERIA, MarginKind, Outcome, PlanReason
+from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS, MarginKind, Outcome, PlanReason
 
 Array = NDArray[Any]
 
@@ -49,15 +49,17 @@ def scores_line(shape: Sequence[int], device: str, outcome: Array) -> str:
 def scores_table(
     passed: Array, evaluated: Array, margin: Array
 ) -> list[tuple[str, str, str, str, str]]:
-    """(criterion, evaluated, passes, median margin, 5 % margin) of each criterion, margins in
-    mm."""
+    """(criterion, evaluated, passes, median margin, 5 % margin) of each criterion; margins in mm, others say
+    their unit."""
     p, e, m = (np.reshape(x, (-1, len(CRITERIA))) for x in (passed, evaluated, margin))
     rows = []
-    for k, name in enumerate(CRITERIA):
+    for k, entry in enumerate(REGISTRY):
+        name, (shown, scale, *_) = entry.name, UNITS[entry.unit]
         column = e[:, k]
         finite = m[column & np.isfinite(m[:, k]), k]
+        unit = "" if shown == "mm" else f" {shown}"
         low, middle = (
-            f"{1e3 * float(np.quantile(finite, q)):.1f}" if len(finite) else "none"
+            f"{scale * float(np.quantile(finite, q)):.1f}{unit}" if len(finite) else "none"
             for q in (0.05, 0.5)
         )
         n = int(column.sum())
@@ -73,8 +75,8 @@ def scalars_of(
     outcome: Array,
     times: Mapping[str, Array],
 ) -> dict[str, float]:
-    """Numbers for a logger: `success`, `outcome/NAME`, `passed/NAME` and `margin_m/NAME` of
-    criteria, means of times. Margins that are caps are not lengths: means leave them out.
+    """Numbers for a logger: `success`, `outcome/NAME`, `passed/NAME` and `margin_m/NAME` (or the
+    criterion's other unit) of criteria, means of times. Margins that are caps are not lengths: means leave them out.
 
     Rates are of all rows (outcomes) or of those evaluated (criteria); what no row has is left out,
     so nothing is NaN.
@@ -86,13 +88,13 @@ def scalars_of(
     found = {"success": float((codes == Outcome.SUCCESS).mean())}
     found |= {f"outcome/{o.name.lower()}": float((codes == o).mean()) for o in Outcome}
     p, e, m, kinds = (np.reshape(x, (-1, len(CRITERIA))) for x in (passed, evaluated, margin, kind))
-    for k, name in enumerate(CRITERIA):
+    for k, (name, entry) in enumerate(zip(CRITERIA, REGISTRY, strict=True)):
         column = e[:, k]
         finite = m[column & np.isfinite(m[:, k]) & (kinds[:, k] != MarginKind.CAP), k]
         if column.any():
             found[f"passed/{name}"] = float(p[column, k].mean())
         if len(finite):
-            found[f"margin_m/{name}"] = float(finite.astype(np.float64).mean())
+            found[f"margin_{entry.unit}/{name}"] = float(finite.astype(np.float64).mean())
     for name, values in times.items():
         finite = values.reshape(-1)[np.isfinite(values.reshape(-1))]
         if len(finite):
@@ -121,10 +123,10 @@ def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
         "plan_reason": [PlanReason(int(r)).name.lower() for r in names("plan_reason")],
         "borderline": names("borderline"),
     }
-    for k, name in enumerate(CRITERIA):
+    for k, (name, entry) in enumerate(zip(CRITERIA, REGISTRY, strict=True)):
         judged = zip(passed[:, k], evaluated[:, k])
         columns[f"passed_{name}"] = [bool(p) if e else None for p, e in judged]
-        columns[f"margin_{name}_m"] = margin[:, k]
+        columns[entry.margin_column] = margin[:, k]
         columns[f"margin_kind_{name}"] = [MarginKind(int(i)).name.lower() for i in kind[:, k]]
     times = ("t_plan_s", "t_exec_s", "width_m", "opening_m", "grasp_shift_m")
     return columns | {name: names(name) for name in times}

@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from r2h_batch.base.errors import FileError
+from r2h_batch.plugins import PluginError, Registry
 
 HOW = "package.module:function or FILE.py:function"
 
@@ -69,6 +70,26 @@ def load_function(spec: str) -> UserFunction:
         return UserFunction(getattr(module, name), module, spec)
     except AttributeError:
         raise ImportError(f"{place} has no function {name!r}") from None
+
+
+def chosen(registry: Registry[Any], spec: str) -> tuple[Any, UserFunction | None]:
+    """A thing that a command line names: ours, and None; or somebody else's, and where it is from.
+
+    Args:
+        registry: of its kind.
+        spec: a name, ours or of an installed package (`r2h_batch.plugins`), or as `load_function` takes it.
+
+    Raises:
+        ImportError: one line: no such name, module, file or function.
+    """
+    try:
+        place = spec if ":" in spec else registry.outside(spec)
+        if not place:
+            return registry[spec], None
+    except PluginError as error:
+        raise ImportError(f"{error}; your own is {HOW}") from None
+    found = load_function(place)
+    return found.function, found
 
 
 def _search_first(folder: Path) -> None:

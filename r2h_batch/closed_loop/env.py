@@ -221,8 +221,8 @@ class HandoverEnv(VectorEnv):
     that a step takes.
 
     `info` has for each row `end` (a name of `End` in small letters), `why` in words, `success`, `least_m` and
-    `margins` (criterion -> m) of the plan that the episode began with, with `release` also `transfer`, the outcome of the
-    transfer. `_end` marks rows that end in this step.
+    `margins` (criterion -> m, or its other unit) of the plan that the episode began with, with `release` also
+    `transfer`, the outcome of the transfer. `_end` marks rows that end in this step.
 
     Without `autoreset`, rows that have ended stand still until `reset`, whose option `reset_mask` names rows (B,). With
     it, they begin their next episode in the step after their last one (`AutoresetMode.NEXT_STEP`). A first episode

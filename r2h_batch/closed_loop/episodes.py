@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from r2h_batch.base.user_code import load_function
+from r2h_batch.base.user_code import chosen
 from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
 from r2h_batch.closed_loop.moving import KINDS, ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
@@ -20,23 +20,19 @@ AT_ONCE = 256
 
 
 def policy_of(spec: str) -> tuple[Any, str]:
-    """A built-in policy by its name, or the user's (`package.module:function` or `FILE.py:function`), and a text
-    that says what decides its actions.
+    """A policy by its name, or the user's (`package.module:function` or `FILE.py:function`), and a text that says what
+    decides its actions.
 
     Raises:
         ImportError: the module or function does not exist.
         TypeError: it cannot be called.
     """
-    if spec in POLICIES:
-        return POLICIES[spec], spec
-    if ":" not in spec:
-        raise ImportError(
-            f"no policy {spec!r}; built in are {', '.join(POLICIES)}, your own is package.module:function"
-        )
-    found = load_function(spec)
-    if not callable(found.function):
+    policy, own = chosen(POLICIES, spec)
+    if own is None:
+        return policy, spec
+    if not callable(policy):
         raise TypeError(f"{spec} is not a function")
-    return found.function, f"{found.spec} {provenance.file_digest(found.files().values())[:16]}"
+    return policy, f"{own.spec} {provenance.file_digest(own.files().values())[:16]}"
 
 
 def play(env: HandoverEnv, policy: Callable[..., Any]) -> Episodes:

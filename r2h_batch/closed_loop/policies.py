@@ -18,8 +18,12 @@ from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.plan import plan_paths, random_key
 from r2h_batch.kernels.plan.codes import WAYPOINTS
+from r2h_batch.plugins import Registry
 
 Observation = dict[str, Tensor]
+
+POLICIES: Registry[Any] = Registry("policy")
+"""By their names in commands: classes of this file, and what packages name as `policy.NAME`."""
 
 SLOW_M, STOP_M = 0.10, 0.02
 """Nearer than the first to the hand that it sees, a robot slows down; nearer than the second it stands."""
@@ -27,6 +31,7 @@ REPLAN_HZ = 2.0
 FOLLOW = 0.15
 
 
+@POLICIES("planned")
 class Planned:
     """The motion that was planned before the episode, blind. Each segment keeps its time law; the next one begins
     with a step, so that every waypoint is a sample."""
@@ -75,6 +80,7 @@ class Planned:
         return torch.where(share >= 1.0, q, p + share * (q - p)).float()
 
 
+@POLICIES("stop")
 class StopAndWait(Planned):
     """The planned motion, which stands while the hand that it sees is nearer than `STOP_M`."""
 
@@ -92,6 +98,7 @@ class StopAndWait(Planned):
         return self.posture(self.clock)
 
 
+@POLICIES("servo")
 class Servo(Planned):
     """The planned motion with a goal that follows the hand: the posture of the handover pose beside the hand that
     it sees, found by damped least squares from the planned goal on. The path bends with it, in proportion to how
@@ -144,6 +151,7 @@ class Servo(Planned):
         return torch.where(self.env.keeps_off(to)[:, None], to, observation["q"])
 
 
+@POLICIES("replan")
 class Replan:
     """Plans twice a second, with the judge's planner from where the arm is to the handover pose beside the hand that it
     sees, while that hand has moved since the last plan or there is none; goes from waypoint to waypoint. Without a
@@ -210,15 +218,6 @@ class Replan:
         self.length[rows] = found.length.long().clamp(min=1)
         self.next[rows], self.planned[rows] = 0, found.length > 0
         self.T_planned_for[rows] = T_wanted[rows]
-
-
-POLICIES: dict[str, Any] = {
-    "planned": Planned,
-    "stop": StopAndWait,
-    "servo": Servo,
-    "replan": Replan,
-}
-"""By their names in commands."""
 
 
 def kind_of_action(policy: Callable[..., Any]) -> str:

@@ -1,13 +1,16 @@
 """The criteria of the paper (Sec. Evaluation Metrics): one function per equation, each a signed
-margin in metres.
+margin.
 
-A criterion is a function of this file and the entry of the same name in `verdicts.REGISTRY`.
+A criterion is a function of this file and the entry of the same name in `verdicts.REGISTRY`, which says
+the margin's unit and which objects it concerns.
 `judge` calls the functions in the order of the registry. Stored columns, rates, tables and charts
 derive from the registry.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib import import_module
 
 import torch
 from jaxtyping import Bool, Float32, Float64, Int8, Int32
@@ -19,8 +22,9 @@ from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
 from r2h_batch.kernels.judge import reach as reach_kernels
+from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.scene import Scene
-from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
+from r2h_batch.verdicts import CRITERION, REGISTRY, CriterionEntry, MarginKind, PlanReason
 
 
 @dataclass(frozen=True)
@@ -33,11 +37,11 @@ class Criterion:
     in some splits only, it says that the row is not evaluated.
     """
 
-    number: Float32[Tensor, " b"]  # m
+    number: Float32[Tensor, " b"]  # in the registry's unit, m or deg; so are limit and cap
     evaluated: Bool[Tensor, " b"]
-    limit_m: float = 0.0  # the margin is the number less this,
+    limit: float = 0.0  # the margin is the number less this,
     below: bool = False  # or, where the number has to stay below it, this less the number
-    cap_m: float = 0.0  # the number is a clearance that counts up to here; 0: it is a length
+    cap: float = 0.0  # the number is a clearance that counts up to here; 0: it is a length
     passed: Bool[Tensor, " b"] | None = None  # None: the margin says it
     # MarginKind, or a code that `kind_of` gives one to; NONE, or None: number and cap say it
     kind: Int8[Tensor, " b"] | Int32[Tensor, " b"] | None = None
@@ -45,8 +49,8 @@ class Criterion:
 
     @property
     def margin(self) -> Float32[Tensor, " b"]:
-        """(B,) m."""
-        return self.limit_m - self.number if self.below else self.number - self.limit_m
+        """(B,) in the criterion's unit."""
+        return self.limit - self.number if self.below else self.number - self.limit
 
 
 @lru_cache(maxsize=256)
@@ -76,15 +80,40 @@ class Evidence:
 
 
 def judge(evidence: Evidence) -> list[Criterion]:
-    """All criteria, in the order of the registry."""
-    functions = globals()
-    return [functions[entry.name](evidence) for entry in REGISTRY]
+    """All criteria, in the order of the registry; evaluated where they concern the object."""
+    return [_criterion(entry, evidence) for entry in REGISTRY]
 
 
 def margin_of(name: str, evidence: Evidence) -> Float32[Tensor, " b"]:
-    """The margin of one criterion, m."""
-    margin: Tensor = globals()[name](evidence).margin
+    """The margin of one criterion, in its unit."""
+    margin: Tensor = _function(CRITERION[name])(evidence).margin
     return margin
+
+
+def _criterion(entry: CriterionEntry, e: Evidence) -> Criterion:
+    found = _function(entry)(e)
+    if entry.applies is None:
+        return found
+    concerned = _concerned(entry.applies, e.scene.objects, found.evaluated.device)
+    return replace(found, evaluated=found.evaluated & concerned[e.held.objects.long()])
+
+
+@lru_cache(maxsize=64)
+def _function(entry: CriterionEntry) -> Callable[[Evidence], Criterion]:
+    """The equation: of this file, or of the module that the entry names."""
+    module, _, name = entry.function.rpartition(":")
+    found: Callable[[Evidence], Criterion] = (
+        getattr(import_module(module), name) if module else globals()[entry.name]
+    )
+    return found
+
+
+@lru_cache(maxsize=64)
+def _concerned(
+    applies: Callable[[ObjectModel], bool], objects: tuple[ObjectModel, ...], device: torch.device
+) -> Bool[Tensor, " o"]:
+    """Which objects a criterion concerns; asked once, for a GPU would wait for a copy from the host."""
+    return torch.tensor([bool(applies(o)) for o in objects], dtype=torch.bool, device=device)
 
 
 def stability(e: Evidence) -> Criterion:
@@ -105,7 +134,7 @@ def stability(e: Evidence) -> Criterion:
         lost = torch.where(left.isinf(), int(MarginKind.CAP), int(MarginKind.DISTANCE))
         kind = torch.where(slips, lost.to(torch.int8), kind)
         number = torch.where(slips, left, number)
-    return Criterion(number, e.held.active, cap_m=CUT_CAP_M, kind=kind)
+    return Criterion(number, e.held.active, cap=CUT_CAP_M, kind=kind)
 
 
 def plan(e: Evidence) -> Criterion:
@@ -119,7 +148,7 @@ def plan(e: Evidence) -> Criterion:
     return Criterion(
         e.clearance_m,
         e.held.active,
-        cap_m=CLEARANCE_CAP_M,
+        cap=CLEARANCE_CAP_M,
         passed=e.goal_reached,
         kind=e.reason,
         kind_of=KIND_OF_REASON,
@@ -142,7 +171,7 @@ def reach(e: Evidence) -> Criterion:
     """
     held = e.held
     distance = reach_distance(e.scene, held.objects, held.ball)
-    return Criterion(distance, held.active, limit_m=e.config.thresholds.reach_radius_m, below=True)
+    return Criterion(distance, held.active, limit=e.config.thresholds.reach_radius_m, below=True)
 
 
 def reach_distance(
@@ -186,7 +215,7 @@ def affordance(e: Evidence) -> Criterion:
         cap_m=CLEARANCE_CAP_M,
         known=True,
     )
-    return Criterion(distance, held.active, cap_m=CLEARANCE_CAP_M)
+    return Criterion(distance, held.active, cap=CLEARANCE_CAP_M)
 
 
 def safe(e: Evidence) -> Criterion:
@@ -201,7 +230,7 @@ def safe(e: Evidence) -> Criterion:
     return Criterion(
         e.nearest.distance_m,
         e.moves,
-        limit_m=e.config.thresholds.safe_margin_m,
-        cap_m=CLEARANCE_CAP_M,
+        limit=e.config.thresholds.safe_margin_m,
+        cap=CLEARANCE_CAP_M,
         kind=far,
     )

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
 from r2h_batch.base.launch import over_trials
-from r2h_batch.config import BORDERLINE_M, ExecConfig
+from r2h_batch.config import ExecConfig
 from r2h_batch.judge.attach import ROWS_CHUNK, AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
@@ -18,7 +18,7 @@ from r2h_batch.judge.metrics import Criterion, constants
 from r2h_batch.judge.presented import Presented
 from r2h_batch.kernels.judge import verdict as kernels
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
-from r2h_batch.verdicts import REGISTRY, SPLITS
+from r2h_batch.verdicts import REGISTRY, SPLITS, UNITS
 
 if TYPE_CHECKING:  # paths: a pose's first verdict is there 0.2 s earlier without them
     from r2h_batch.judge.motion.execute import Executed
@@ -68,12 +68,12 @@ def verdict(
             kind["code" if c.kind_of else "kind"] = c.kind.contiguous()
         over_trials(kernels.judge_criterion, b, device, outputs=columns, chunk=ROWS_CHUNK)(
             column=column,
-            borderline=BORDERLINE_M,
+            borderline=UNITS[entry.unit].borderline,
             touching=int(entry.touching_passes),
             partial=int(entry.splits != SPLITS),
             below=int(c.below),
-            limit=c.limit_m,
-            cap=c.cap_m,
+            limit=c.limit,
+            cap=c.cap,
             decided=int(c.passed is not None),
             kind_from=0 if c.kind is None else 2 if c.kind_of else 1,
             number=c.number.contiguous(),

@@ -6,8 +6,10 @@ from functools import lru_cache
 
 from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import printable
-from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel
-from r2h_batch.scene.vocabulary import THINGS
+from r2h_batch.base.user_code import load_function
+from r2h_batch.plugins import PluginError
+from r2h_batch.scene.families.family import FAMILIES, Family
+from r2h_batch.scene.objects import ObjectModel
 
 PREFIX = "families:"
 MOST = 1000
@@ -15,11 +17,7 @@ MOST = 1000
 FIRST_SERIES = 1000
 """Series of seed 0; smaller ones are shipped or learned from."""
 FORM = re.compile(
-    r"families:(?P<names>[a-z_,* ]*?)\s*(?:x\s*(?P<count>\d+))?\s*(?:seed\s*(?P<seed>\d+))?\s*"
-)
-HOW = (
-    'write families:CATEGORY,... x COUNT seed SEED, as in --objects "families:cup,hammer x 20 seed 7"; '
-    f"CATEGORY is * or of {', '.join(OBJECT_NAMES)}"
+    r"families:(?P<names>(?:[a-z_,* ]|[\w./-]+:\w+)*?)\s*(?:x\s*(?P<count>\d+))?\s*(?:seed\s*(?P<seed>\d+))?\s*"
 )
 
 
@@ -28,35 +26,44 @@ def family_objects(text: str) -> tuple[ObjectModel, ...]:
 
     Args:
         text: `families:cup,hammer x 20 seed 7`; `families:*` means all categories; without a count 6 of
-            each, without a seed 0.
+            each, without a seed 0. `package.module:NAME` or `FILE.py:NAME` is a family of the user's.
 
     Raises:
         FileError: not of this form, an unknown category, more than `MOST` instances, or no manifold3d.
     """
-    categories, count, seed = _asked(text)
-    return _drawn(categories, count, seed)
+    families, count, seed = _asked(text)
+    return _drawn(tuple(f.category for f in families), count, seed)
 
 
 def family_splits(text: str) -> set[str]:
     """The splits of the categories that such a text names; nothing is drawn."""
-    from r2h_batch.scene.objects import S0_NAMES
-
-    return {"S0" if c in S0_NAMES else "S1" for c in _asked(text)[0]}
+    return {f.split for f in _asked(text)[0]}
 
 
-def _asked(text: str) -> tuple[tuple[str, ...], int, int]:
-    found = FORM.fullmatch(text)
-    if found is None:
-        raise FileError(f"--objects {printable(text)[:200]!r}: {HOW}")
-    names: Sequence[str] = [n.strip() for n in found["names"].split(",")]
-    names = OBJECT_NAMES if names == ["*"] else names
-    if unknown := [n for n in names if n not in OBJECT_NAMES]:
-        same = [c for c in OBJECT_NAMES if unknown[0].replace("_", " ") in THINGS[c].names]
-        hint = f", did you mean {same[0]}?" if same else nearest(unknown[0], OBJECT_NAMES)
+def names_code(text: str) -> bool:
+    """Whether such a text names a module or file of the user's, which runs when it is read."""
+    return text.startswith(PREFIX) and ":" in text.removeprefix(PREFIX)
+
+
+def _asked(text: str) -> tuple[tuple[Family, ...], int, int]:
+    try:
+        known = tuple(FAMILIES)
+        found = FORM.fullmatch(text)
+        if found is None:
+            raise FileError(
+                f"--objects {printable(text)[:200]!r}: write families:CATEGORY,... x COUNT seed SEED, as in --objects"
+                f' "families:cup,hammer x 20 seed 7"; CATEGORY is * or of {", ".join(known)}, or your own package.module:NAME'
+            )
+        names: Sequence[str] = [n.strip() for n in found["names"].split(",")]
+        names = known if names == ["*"] else names
+        families = tuple(_own(n) if ":" in n else _named(n, known) for n in names)
+    except ModuleNotFoundError as error:
         raise FileError(
-            f"--objects: no family is called {unknown[0]!r}{hint}; there are {', '.join(OBJECT_NAMES)}, or * for all"
-        )
-    if len(set(names)) < len(names):
+            f"--objects families: needs {error.name}; pip install 'r2h_batch[build]'"
+        ) from None
+    except PluginError as error:
+        raise FileError(f"--objects: {error}") from None
+    if len({f.category for f in families}) < len(families):
         raise FileError("--objects: a family stands twice; give each once")
     count, seed = int(found["count"] or 6), int(found["seed"] or 0)
     if not 1 <= count * len(names) <= MOST or seed >= 1 << 31:
@@ -64,16 +71,49 @@ def _asked(text: str) -> tuple[tuple[str, ...], int, int]:
             f"--objects: {count} instances of {len(names)} families, seed {seed}; 1 to {MOST} in all, and a seed below 2^31, are"
             " allowed"
         )
-    return tuple(names), count, seed
+    return families, count, seed
+
+
+def _named(name: str, known: Sequence[str]) -> Family:
+    if name in known:
+        return _checked(FAMILIES[name], name)
+    called = {c: FAMILIES[c].words for c in known}
+    same = [c for c, words in called.items() if words and name.replace("_", " ") in words.names]
+    hint = f", did you mean {same[0]}?" if same else nearest(name, known)
+    raise FileError(
+        f"--objects: no family is called {name!r}{hint}; there are {', '.join(known)}, or * for all"
+    )
+
+
+def _own(spec: str) -> Family:
+    """The family that a module of the user's has under this name."""
+    try:
+        found: object = load_function(spec).function
+    except ModuleNotFoundError:
+        raise
+    except Exception as error:  # the user's module runs
+        raise FileError(
+            f"--objects: {spec}: {type(error).__name__}: {' '.join(str(error).split())}"
+        ) from error
+    return _checked(found, spec)
+
+
+def _checked(found: object, name: str) -> Family:
+    """A family under its own name."""
+    if not isinstance(found, Family):
+        raise FileError(
+            f"--objects: {name} is a {type(found).__name__}; a family is a generator below @family(...)"
+        )
+    if ":" not in name and found.category != name:
+        raise FileError(
+            f"--objects: the family that an entry point calls {name!r} calls itself {found.category!r}; give both one name"
+        )
+    return found
 
 
 @lru_cache(maxsize=4)
 def _drawn(categories: tuple[str, ...], count: int, seed: int) -> tuple[ObjectModel, ...]:
-    try:
-        from r2h_batch.scene.families.draw import draw_instance, model_of
-    except ModuleNotFoundError as error:
-        raise FileError(
-            f"--objects families: needs {error.name}; pip install 'r2h_batch[build]'"
-        ) from None
+    from r2h_batch.scene.families.draw import draw_instance, model_of
+
     jobs = [(c, i) for c in categories for i in range(count)]
     return tuple(model_of(draw_instance(c, FIRST_SERIES + seed, i)) for c, i in jobs)

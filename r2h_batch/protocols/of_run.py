@@ -14,7 +14,7 @@ from r2h_batch.data.people import WORDS
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.choice import BenchmarkChoice, words_of
 from r2h_batch.protocols.edit import edited
-from r2h_batch.protocols.family_objects import PREFIX
+from r2h_batch.protocols.family_objects import PREFIX, names_code
 from r2h_batch.protocols.registry import BENCHMARK
 from r2h_batch.scene.objects import object_digest
 from r2h_batch.scene.robot import ROBOTS
@@ -103,9 +103,11 @@ def _found(said: BenchmarkChoice, run: Path) -> BenchmarkChoice | None:
             or (name == "benchmark" and value in BENCHMARK)
             or (name == "people" and value in WORDS)
             or (name == "robot" and value in ROBOTS)
-            or value.startswith(PREFIX)
+            or (value.startswith(PREFIX) and not names_code(value))
         ):
             return value
+        if names_code(value):  # the user says again that it may run
+            return None
         if name == "object_mesh":  # FILE[:SPLIT[:REGION]]
             file, sign, rest = value.partition(":")
         elif name == "grasps":  # NAME=FILE

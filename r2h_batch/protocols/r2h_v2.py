@@ -1,4 +1,5 @@
-"""Benchmark r2h-v2: six instances of each of 16 families of objects, and people from 6 to 90 years."""
+"""Benchmark r2h-v2: six instances of each of 16 families of objects, and people from 6 to 90
+years, whose arm and torso count. Frozen."""
 
 from r2h_batch.data.people import ALL, built_in_people, people_hand_set
 from r2h_batch.protocols.benchmark import Benchmark
@@ -10,9 +11,10 @@ from r2h_batch.scene.objects import INSTANCE_NAMES, load_objects
 
 @BENCHMARK("r2h-v2")
 def r2h_v2() -> Benchmark:
-    """96 objects, 2,000 people with 400 hands of theirs."""
+    """96 objects, 2,000 people with 400 hands of theirs, whose arms and torsos count."""
     # objects take turns in their order: categories first, then instances
     in_turn = sorted(INSTANCE_NAMES, key=lambda name: name.rpartition("_")[2])
     people = built_in_people(ALL)
     rule = Rule("r2h-v2", place_reaching, bodies=True)
-    return Benchmark(load_objects(in_turn), people_hand_set(people), rule, "r2h-v2", people)
+    objects, hands = load_objects(in_turn), people_hand_set(people)
+    return Benchmark(objects, hands, rule, "r2h-v2", people, receiver="body")

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics.aggregate import FAILURES, Row, summarise
 from r2h_batch.report.statistics.common import Common
 from r2h_batch.report.statistics.paired import BOUNDS, compare, pair_up
@@ -49,8 +50,9 @@ class Against:
 
     Attributes:
         difference: of the success rates, in points.
-        low: lower end of its 95 % interval for new categories of objects; None with one category.
+        low: lower end of its 95 % interval for the mean of all categories of objects; None with one category.
         high: upper end.
+        p: of McNemar's test and of the t test over categories, as `compare` words them; both are corrected over the baselines.
         verdict: what the method is, as `compare` says it.
         trials: number of trials that both answered.
         new: what the interval and the verdict speak about beside these objects: new objects, or new categories.
@@ -59,6 +61,7 @@ class Against:
     difference: float
     low: float | None
     high: float | None
+    p: str
     verdict: str
     trials: int
     new: str
@@ -135,7 +138,7 @@ def _against(run: Run, baselines: Run, common: Common) -> dict[str, Against]:
     paired = pair_up([run, replace(baselines, entries=tuple(own))], common)
     compared = compare(paired, mine=paired.names[:1], draws=1)[-1]
     return {
-        name: Against(p.difference, p.low, p.high, p.verdict, compared.n, compared.new)
+        name: Against(p.difference, p.low, p.high, p_words(p), p.verdict, compared.n, compared.new)
         for name, p in zip(baselines.methods, compared.pairs, strict=True)
     }
 
@@ -275,7 +278,7 @@ def _cell(against: Against | None) -> dict[str, Any]:
         return {"text": "", "value": -1000, "words": ""}
     ends = ""
     if against.low is not None and against.high is not None:
-        ends = f", 95 % for new {against.new} {against.low:+.1f} to {against.high:+.1f}"
-    words = f"{against.verdict}: {against.difference:+.1f} points on {against.trials} trials{ends}"
+        ends = f", 95 % for all {against.new} {against.low:+.1f} to {against.high:+.1f}"
+    words = f"{against.verdict}: {against.difference:+.1f} points on {against.trials} trials{ends}; Holm p {against.p}"
     text = f"{against.difference:+.1f} {SIGNS[against.verdict]}"
     return {"text": text, "value": against.difference, "words": words}

@@ -12,9 +12,11 @@ import numpy as np
 import pyarrow as pa
 
 from r2h_batch.report import figures
+from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Row
+from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Rate, Row
 from r2h_batch.report.statistics.common import Common
+from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import (
@@ -31,7 +33,7 @@ from r2h_batch.report.transfers import HEADINGS as FUNNEL
 from r2h_batch.report.transfers import NOTE as TRANSFERS
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS
 
 TRIALS_SHOWN = 20_000
 """Trials of all methods together that a page holds. Of a larger run it holds the first trials of
@@ -47,6 +49,7 @@ def page(
     gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = None,
     *,
     common: Common | None = None,
+    few: int = FEW,
 ) -> str:
     """The page as text.
 
@@ -54,6 +57,7 @@ def page(
         run: what `load_run` or `join` gives.
         gallery: method -> pictures with `trial`, `src`, `alt`, `caption`, `command` and `href`.
         common: the trials on which several runs are compared; None: they are not compared.
+        few: new categories whose mean the prediction intervals speak about.
 
     Raises:
         ValueError: if matplotlib is missing.
@@ -62,7 +66,7 @@ def page(
 
     figures.needs_matplotlib()
     counted = [tally(run, m) for m in run.methods]
-    table = table_of(run, counted=counted, alike=len(run.runs) == 1 or common is not None)
+    table = table_of(run, counted=counted, alike=len(run.runs) == 1 or common is not None, few=few)
     short = short_names(run.methods)
     runs = run.runs
     used = [o for o in OUTCOME_NAMES if any(row.counts[o] for row in table.rows)]
@@ -71,13 +75,17 @@ def page(
     found = {short[m]: breakdown.margin_histograms(run, m) for m in run.methods}
     margins = [
         figures.ridges(
-            c.capitalize(), {m: h[c] for m, h in found.items()}, scale=1000, unit="mm", zero=True
+            entry.name.capitalize(),
+            {m: h[entry.name] for m, h in found.items()},
+            scale=UNITS[entry.unit].scale,
+            unit=UNITS[entry.unit].shown,
+            zero=True,
         )
-        for c in CRITERIA
+        for entry in REGISTRY
     ]
     times = breakdown.time_histograms(run, "t_exec_s")
     comparable = len(run.methods) > 1 and not (len(runs) > 1 and common is None)
-    compared = compare(pair_up([run], common)) if comparable else ()
+    compared = compare(pair_up([run], common), few=few) if comparable else ()
     loader = jinja2.PackageLoader("r2h_batch.report", ".")
     strict = jinja2.StrictUndefined
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=strict)
@@ -88,6 +96,7 @@ def page(
         overview=_overview(table, compared),
         bold=bool(best_cells(table)),
         kind="categories" if table.families else "objects",
+        few=few,
         splits=list(dict.fromkeys(row.split for row in table.rows)),
         matrices=[_matrix(c) for c in compared],
         heat=_heat(counted, run.methods),
@@ -102,6 +111,8 @@ def page(
         funnel=["Method", "release", *FUNNEL],
         funnel_note=TRANSFERS,
         headings=list(HEADINGS.values()),
+        shares=list(table.shares.values()),
+        failing=[entry.heading for entry in FAILURES.values()],
         notes=[*table.notes, *([BEST_NOTE] if best_cells(table) else [])],
         facts=_all_facts(runs),
         trials=_trials(run, gallery or {}),
@@ -115,7 +126,10 @@ def _cell(text: str, value: float | None, low: str = "", high: str = "", best: b
 
 
 def _rate(row: Row | None, column: str, best: bool = False) -> Any:
-    rate = row.rates[column] if row else None
+    return _percent(row.rates[column] if row else None, best)
+
+
+def _percent(rate: Rate | None, best: bool = False) -> Any:
     if rate is None:
         return _cell(NA, None)
     low, high = f"{rate.low:.1f}", f"{rate.high:.1f}"
@@ -158,10 +172,12 @@ def _matrix(c: Comparison) -> dict[str, Any]:
     words = {}
     for p in c.pairs:
         known = p.low is not None and p.high is not None
-        ends = f", 95 % for new {c.new} {p.low:+.1f} to {p.high:+.1f}" if known else ""
+        ends = f", 95 % for all {c.new} {p.low:+.1f} to {p.high:+.1f}" if known else ""
+        if p.few_low is not None and p.few_high is not None:
+            ends += f", for {c.few} new ones {p.few_low:+.1f} to {p.few_high:+.1f}"
         sentence = (
             f"{p.a} is {p.verdict}: {p.difference:+.1f} points{ends}; "
-            f"only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p.p_holm:.2g}"
+            f"only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p_words(p)}"
         )
         words[p.a, p.b] = (MARKS[p.verdict], sentence)
         words[p.b, p.a] = (MARKS[opposite[p.verdict]], sentence)
@@ -221,7 +237,8 @@ def _table(table: Table) -> list[dict[str, Any]]:
         more = {
             "moved": test.sentence if test and test.marked else "",
             "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
-            "presented": f"{row.presented.percent:.1f}" if row.presented else NA,
+            "few": f"{row.sr_few.low:.1f}\u2013{row.sr_few.high:.1f}" if row.sr_few else NA,
+            "shares": [_percent(row.shares.get(name)) for name in table.shares],
             "n": row.n,
             "invalid": invalid(row),
             "missing": row.counts["missing"],
@@ -235,6 +252,9 @@ def _trials(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]]) -> dic
     trial and the command that shows one; the notes name the methods of which it holds a part."""
     each = max(1, TRIALS_SHOWN // len(run.methods))
     data: dict[str, Any] = {"columns": list(breakdown.SHOWN)}
+    data["margins"] = {
+        e.margin_column: [e.name, UNITS[e.unit].shown, UNITS[e.unit].scale] for e in REGISTRY
+    }
     data |= {name: {} for name in ("methods", "view", "pages")}
     notes = []
     for method in run.methods:

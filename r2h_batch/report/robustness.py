@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from r2h_batch.report.figures import make_figure, style
-from r2h_batch.report.statistics.aggregate import FAILURES, Rate, ratio
+from r2h_batch.report.statistics.aggregate import FAILURES, Rate, wilson_interval
+from r2h_batch.report.statistics.intervals import over_clusters, paired_score_interval
 from r2h_batch.report.statistics.paired import Pair, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import HEADINGS, table_of
@@ -23,6 +24,7 @@ from r2h_batch.report.text import (
     short_names,
 )
 from r2h_batch.runs.store import Run
+from r2h_batch.verdicts import Outcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,10 +37,10 @@ FORMATS = ("md", "csv", "json")
 NOTES = (
     "SR: percent of all trials, mean of the splits; brackets: 95 %, MOVER of the splits' Wilson intervals. Area: mean height of"
     " the line through the SRs over 0 to the largest error in mm. +-: 95 % t interval over objects (families:"
-    " over categories), which speaks about new ones.",
+    " over categories), of the mean of all of them; never narrower than the interval for more trials.",
     "First failures: percent of all trials, as in Table I.",
-    "A-B: difference of SR in points. ** decided for these objects and for new ones, * for these objects, without a mark:"
-    " not decided (McNemar, Holm over the pairs of a level).",
+    "A-B: difference of SR in points. ** decided for new objects (families: categories; t test over them), * for these objects"
+    " alone (McNemar), without a mark: not decided. Both tests: Holm over the pairs of a level.",
 )
 
 
@@ -107,9 +109,16 @@ def robustness(runs: Sequence[Run]) -> Robustness:
             (np.array([level[k][0] for level in cells]), n) for k, (_, n) in enumerate(cells[0])
         ]
         sr = tuple(rate for row in own if (rate := row.rates["sr"]))  # a run has trials
-        lost = [_estimate([(h[0] - h[i], n) for h, n in splits]) for i in range(len(runs))]
+        won = [_won(run, name) for run in runs]
+        lost = [
+            _lost(
+                [(h[0] - h[i], n) for h, n in splits],
+                [_discordant(a, b) for a, b in zip(won[0], now)],
+            )
+            for i, now in enumerate(won)
+        ]
         failures = tuple({key: row.rates[key] for key in FAILURES} for row in own)
-        area = _estimate([(weight @ h / weight.sum(), n) for h, n in splits])
+        area = _area([(weight @ h / weight.sum(), n) for h, n in splits])
         curves.append(Curve(name, sr, tuple(lost), failures, area))
     pairs: tuple[tuple[Pair, ...], ...] = ((),) * len(runs)
     if len(names) > 1:
@@ -133,12 +142,50 @@ def _by_category(counted: Tally) -> list[tuple[np.ndarray, np.ndarray]]:
     return found
 
 
-def _estimate(splits: Sequence[tuple[np.ndarray, np.ndarray]]) -> Estimate:
-    """The mean of the splits' ratios, in points."""
-    value = float(np.mean([x.sum() / n.sum() for x, n in splits]))
-    parts = [ratio([part]) for part in splits]
-    halves = [part[1] for part in parts if part is not None]
-    half = float(np.linalg.norm(halves)) / len(splits) if len(halves) == len(splits) else None
+def _won(run: Run, method: str) -> list[np.ndarray]:
+    """Whether each trial succeeds, split by split, in the order of their ids."""
+    table = run.trials(method, ["trial_id", "split", "outcome"]).sort_by("trial_id")
+    success = np.array(table["outcome"].to_pylist()) == Outcome.SUCCESS.name.lower()
+    split = np.array(table["split"].to_pylist())
+    return [success[split == s] for s in run.planned(method)]
+
+
+def _discordant(first: np.ndarray, now: np.ndarray) -> tuple[int, int]:
+    """Trials that only the first solves, and that only the other does."""
+    return int((first & ~now).sum()), int((now & ~first).sum())
+
+
+def _lost(
+    splits: Sequence[tuple[np.ndarray, np.ndarray]], only: Sequence[tuple[int, int]]
+) -> Estimate:
+    """The mean of the splits' differences, in points; no interval is narrower than the one for more trials."""
+    parts: list[tuple[float, float | None]] = []
+    for (x, n), (a, b) in zip(splits, only, strict=True):
+        total = n.sum()
+        low, high = paired_score_interval(a, b, total)
+        value = (a - b) / total
+        over = over_clusters([(x, n)], (a + b) / total - value**2)
+        widest = max(high - value, value - low)
+        parts.append((value, None if over is None else max(over.half(), widest)))
+    return _mean(parts)
+
+
+def _area(splits: Sequence[tuple[np.ndarray, np.ndarray]]) -> Estimate:
+    """The mean of the splits' mean rates, in points; no interval is narrower than the one for more trials."""
+    parts: list[tuple[float, float | None]] = []
+    for x, n in splits:
+        p = float(x.sum() / n.sum())
+        low, high = (float(end) for end in wilson_interval(x.sum(), n.sum()))
+        over = over_clusters([(x, n)], p * (1 - p))
+        widest = max(high - p, p - low)
+        parts.append((p, None if over is None else max(over.half(), widest)))
+    return _mean(parts)
+
+
+def _mean(parts: Sequence[tuple[float, float | None]]) -> Estimate:
+    halves = [half for _, half in parts if half is not None]
+    half = float(np.linalg.norm(halves)) / len(parts) if len(halves) == len(parts) else None
+    value = float(np.mean([value for value, _ in parts]))
     return Estimate(100 * value, None if half is None else 100 * half)
 
 

@@ -3,13 +3,24 @@ object by object."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from math import floor, log10
 from typing import Any
 
 from r2h_batch.config import ExecutionError
 from r2h_batch.report.held import held_rates
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import FAILURES, RATES, TIMES, Rate, Row, summarise
+from r2h_batch.report.statistics.aggregate import (
+    FAILURES,
+    PARTIAL,
+    RATES,
+    TIMES,
+    Rate,
+    Row,
+    summarise,
+)
+from r2h_batch.report.statistics.few import FEW
+from r2h_batch.report.statistics.shares import HELD, SHARES, THROUGH, Share
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import (
     NA,
@@ -33,7 +44,7 @@ from r2h_batch.report.transfers import about as about_funnels
 from r2h_batch.report.turn import MARK, Turned, about, turned
 from r2h_batch.runs.header import motions_left_out
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, SPLITS
+from r2h_batch.verdicts import CRITERIA, SPLITS, UNITS
 
 FORMATS = ("md", "latex", "csv", "json")
 
@@ -62,13 +73,17 @@ FOOTNOTES = (
     f"Avg: mean of the two splits, {_SKIPPED} (not evaluated) taken as 0.",
     "Presented: percent of S1's trials, failed ones too, whose receiver's region faces the palm (seen from the TCP, 90 degrees"
     " at most) and lies within the ball's radius of c_h; no part of SR.",
-    "Intervals: 95 %. Wilson (MOVER in Avg) speaks about more trials with these objects; the object-clustered t interval"
-    " about new objects of the same kind.",
+    "Intervals: 95 %. Wilson (MOVER in Avg) speaks about more trials with these objects; the object-clustered interval (t, of"
+    " log odds) about the mean of all objects of the same kind.",
 )
 
 CATEGORY_NOTE = (
-    "SR new cat.: the category-clustered t interval, about new categories of objects. SR new obj. takes the objects"
+    "SR new cat.: the category-clustered interval, about the mean of all categories of objects. SR new obj. takes the objects"
     " for independent, and those of one category are not."
+)
+FEW_NOTE = (
+    "SR of {0} new: the prediction interval: where the mean of {0} {1} lies that you bring (of each split; Avg: of both). Read"
+    " it for your own things, and the interval for all to say what a method is worth."
 )
 
 
@@ -111,8 +126,40 @@ class Table:
             for row in self.scans.values()
         ]
         scans = [f"SR scans, and its 95 % interval for new objects like these: {'; '.join(own)}."]
+        new = "new categories" if self.families else "new objects"
         families = [CATEGORY_NOTE] if self.families else []
-        return (*FOOTNOTES, *families, *(scans if own else []), *self.misses, *marks)
+        families += [FEW_NOTE.format(self.few, new)]
+        return (
+            *FOOTNOTES,
+            *map(self._partial, PARTIAL),
+            *families,
+            *(scans if own else []),
+            *self.misses,
+            *marks,
+        )
+
+    @property
+    def shares(self) -> dict[str, Share]:
+        """The shares that at least one line has."""
+        return {
+            name: SHARES[name] for name in SHARES if any(name in row.shares for row in self.rows)
+        }
+
+    def _partial(self, rate: str) -> str:
+        """Which trials the rate of a criterion for some objects is of."""
+        known = [(row, own) for row in self.rows if (own := row.rates[rate]) and own.total]
+        n = "; ".join(f"{row.split} {row.method} {own.total}" for row, own in known) or "none"
+        entry = PARTIAL[rate]
+        unit = UNITS[entry.unit].shown
+        return (
+            f"{entry.heading}: percent of the trials whose object the criterion concerns ({n}), so no part of that sum;"
+            f" Avg: mean of the splits that have such objects. Its margins are in {unit}."
+        )
+
+    @property
+    def few(self) -> int:
+        """New categories whose mean the prediction intervals speak about."""
+        return self.rows[0].few if self.rows else FEW
 
     def turn_of(self, row: Row) -> Turned | None:
         """The turn test of a line, where its method has one."""
@@ -136,6 +183,7 @@ def table_of(
     *,
     alike: bool = True,
     scans: Run | None = None,
+    few: int = FEW,
 ) -> Table:
     """The table of every complete method of a run folder.
 
@@ -144,6 +192,7 @@ def table_of(
         counted: these methods' trials, if they were counted before.
         alike: of joined runs, whether they were judged the same (`next_commands.judged_alike`).
         scans: a run of the same methods on the reader's own objects, for a column beside SR.
+        few: new categories whose mean the prediction intervals speak about.
 
     Raises:
         ValueError: the run of the scans was judged by another configuration, or has none of the methods.
@@ -155,11 +204,16 @@ def table_of(
     origin = _joined([(r.folder.absolute().name, robot | _origin(r.header)) for r, robot in named])
     configurations = [r.header["configuration"] for r in runs]
     averages = {str(c.get("averages", "trials")) for c in configurations}
-    rows = summarise(tallies, "objects" if averages == {"objects"} else "trials")
+    rows = summarise(tallies, "objects" if averages == {"objects"} else "trials", few)
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
-        rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
+        rows = tuple(_without(row, THROUGH) for row in rows)  # certified paths meet nothing
     held = held_rates(run)
-    rows = tuple(replace(row, held=held.get((row.split, row.method))) for row in rows)
+    rows = tuple(
+        replace(row, shares={**row.shares, HELD: own})
+        if (own := held.get((row.split, row.method)))
+        else row
+        for row in rows
+    )
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
     planned = (
         line for r in runs for line in motions_left_out(r.header.get("motions_left_out", {}))
@@ -167,6 +221,10 @@ def table_of(
     misses |= dict.fromkeys(planned)
     beside = {} if scans is None else _beside(run, scans)
     return Table(rows, origin, alike, tuple(misses), turned(run), beside, funnels(run))
+
+
+def _without(row: Row, share: str) -> Row:
+    return replace(row, shares={k: rate for k, rate in row.shares.items() if k != share})
 
 
 def _beside(run: Run, scans: Run) -> dict[tuple[str, str], Row]:
@@ -358,15 +416,20 @@ def _with_more(table: Table, row: Row) -> dict[str, Any]:
     return found
 
 
-def _share(rate: Rate | None) -> list[str]:
+def _share(row: Row, name: str) -> list[str]:
+    rate = row.shares.get(name)
     return [f"{rate.percent:.1f}", interval(rate), str(rate.total)] if rate else []
 
 
-def _counts(row: Row, families: bool) -> list[str]:
-    n_plan, n_exec = row.times["t_plan_s"].count, row.times["t_exec_s"].count
+def _new_ones(row: Row, families: bool) -> list[str]:
     new = [interval(row.sr_new_objects), *([interval(row.sr_new_categories)] if families else [])]
-    cells = [row.n, *new, n_plan, n_exec, cell(row, "t_method_s")]
-    return [*map(str, cells), str(invalid(row)), str(row.counts["missing"])]
+    return [cell(row, "sr"), *new, interval(row.sr_few)]
+
+
+def _counts(row: Row) -> list[str]:
+    n_plan, n_exec = row.times["t_plan_s"].count, row.times["t_exec_s"].count
+    cells = [row.n, n_plan, n_exec, cell(row, "t_method_s"), invalid(row), row.counts["missing"]]
+    return [*map(str, cells)]
 
 
 def _md(table: Table) -> str:
@@ -388,34 +451,21 @@ def _md(table: Table) -> str:
             lambda row: [interval(row.rates[c]) for c in rates],
         ),
         (
-            "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial."
-            if not table.families
-            else "Counts, the object- and category-clustered 95 % intervals of SR, and T_method, the method's own time.",
+            "95 % intervals of SR for new things.",
             [
-                *("N", "SR new obj.", *(["SR new cat."] if table.families else [])),
-                *("n T_plan", "n T_exec", "T_method", "invalid", "missing"),
+                *("SR", "SR new obj.", *(["SR new cat."] if table.families else [])),
+                f"SR of {table.few} new",
             ],
-            lambda row: _counts(row, table.families),
+            lambda row: _new_ones(row, table.families),
         ),
         (
-            "Presented (not in SR).",
-            ["Presented", "95 %", "of"],
-            lambda row: _share(row.presented),
+            "Counts, and T_method, the method's own time per trial.",
+            ["N", "n T_plan", "n T_exec", "T_method", "invalid", "missing"],
+            _counts,
         ),
-        (
-            "Motions that meet the receiver's arm or torso (in Safe with --receiver body only).",
-            ["Body met", "95 %", "of"],
-            lambda row: _share(row.body_met),
-        ),
-        (
-            "Successes whose path passes through something by more than 0.1 mm between two samples (edge_check moveit).",
-            ["Through", "95 %", "of"],
-            lambda row: _share(row.through),
-        ),
-        (
-            "Objects that the closed gripper holds under their weight for 1 s, of those past Stability (not in SR).",
-            ["Held 1 s", "95 %", "of"],
-            lambda row: _share(row.held),
+        *(
+            (share.caption, [share.heading, "95 %", "of"], partial(_share, name=name))
+            for name, share in table.shares.items()
         ),
     ]
     parts = ["  \n".join(f"{key}: {value}" for key, value in table.origin.items())]
@@ -451,11 +501,17 @@ def record(row: Row) -> dict[str, Any]:
     fields |= {"n": row.n, "n_objects": row.n_objects, "n_categories": row.n_categories}
     for name in RATES:
         fields |= with_ends(name, row.rates[name])
+        if name in PARTIAL:
+            own = row.rates[name]
+            fields[f"{name}_of"] = own.total if own else None
     for what, clustered in (("objects", row.sr_new_objects), ("categories", row.sr_new_categories)):
         fields |= with_ends(f"sr_new_{what}", clustered)
         del fields[f"sr_new_{what}"]  # it is "sr"
-    fields |= with_ends("presented", row.presented) | with_ends("body_met", row.body_met)
-    fields |= with_ends("through", row.through) | with_ends("held_1s", row.held)
+    few = with_ends("sr_few", row.sr_few)
+    del few["sr_few"]
+    fields |= {"few": row.few} | few
+    for name in SHARES:
+        fields |= with_ends(name, row.shares.get(name))
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}
@@ -470,15 +526,22 @@ def _latex(table: Table, columns: int, intervals: bool) -> str:
         f" {row.times['t_exec_s'].count}, invalid {invalid(row)}, missing {row.counts['missing']}, SR of new objects"
         f" {interval(row.sr_new_objects)}"
         f"{f', of new categories {interval(row.sr_new_categories)}' if table.families else ''}"
+        f", of the mean of {row.few} new ones {interval(row.sr_few)}"
         for row in table.rows
     ]
-    comments = tex_comments(table.origin, [*legend(short), *counts, BEST_NOTE, *table.notes])
+    of = [
+        f"{share.heading}: {share.caption} Of: "
+        + "; ".join(
+            f"{r.split} {short[r.method]} {r.shares[k].total}" for r in table.rows if k in r.shares
+        )
+        for k, share in table.shares.items()
+    ]
+    comments = tex_comments(table.origin, [*legend(short), *counts, *of, BEST_NOTE, *table.notes])
     write = _wide if columns == 2 else _narrow
     return "\n".join([*comments, *write(table, short, intervals)]) + "\n"
 
 
-def _ends(row: Row | None, column: str) -> str:
-    rate = row.rates.get(column) if row else None
+def _ends(rate: Rate | None) -> str:
     return rf"{{\scriptsize [{rate.low:.1f}, {rate.high:.1f}]}}" if rate else ""
 
 
@@ -488,26 +551,36 @@ def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
     for row in table.rows:
         n = {r.n for r in table.rows if r.split == row.split}
         size = f"$N={row.n}$" if len(n) == 1 else "$N$ in brackets"
-        heading = rf"\multicolumn{{{1 + len(HEADINGS)}}}{{@{{}}l}}{{{row.split}, {size}}} \\"
+        heading = rf"\multicolumn{{{1 + len(HEADINGS) + len(table.shares)}}}{{@{{}}l}}{{{row.split}, {size}}} \\"
         lines = groups.setdefault(row.split, [heading])
         values = [tex_cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in HEADINGS]
         name = tex(short[row.method] + table.mark(row)) + (f" ({row.n})" if len(n) > 1 else "")
+        values += [f"{s.percent:.1f}" if (s := row.shares.get(k)) else NA for k in table.shares]
         lines.append(" & ".join([name, *values]) + r" \\")
         if intervals:
-            lines.append(" & ".join(["", *(_ends(row, c) for c in HEADINGS)]) + r" \\[2pt]")
+            ends = (
+                *(_ends(row.rates.get(c)) for c in HEADINGS),
+                *(_ends(row.shares.get(k)) for k in table.shares),
+            )
+            lines.append(" & ".join(["", *ends]) + r" \\[2pt]")
     decimals = max([len(cell(r, "t_plan_s").partition(".")[2]) for r in table.rows], default=2)
     sizes = [(3, 1) if c in RATES else (2, decimals if c == "t_plan_s" else 2) for c in HEADINGS]
+    sizes += [(3, 1)] * len(table.shares)
     spec = ["l", *(tex_number(*size) for size in sizes)]
     times, failures = (sum(c in of for c in HEADINGS) for of in (TIMES, FAILURES))
     first_failure = 3 + times  # the method and SR stand before the times
+    first_share, shares = first_failure + failures, len(table.shares)
+    over = rf" & \multicolumn{{{shares}}}{{c}}{{Share (\%)}}" if shares else ""
+    under = rf"\cmidrule(l){{{first_share}-{first_share + shares - 1}}}" if shares else ""
     top = [
         rf" & {{SR}} & \multicolumn{{{times}}}{{c}}{{Time (s)}}"
-        rf" & \multicolumn{{{failures}}}{{c}}{{First failure (\%)}} \\",
+        rf" & \multicolumn{{{failures}}}{{c}}{{First failure (\%)}}{over} \\",
         rf"\cmidrule(lr){{3-{first_failure - 1}}}"
-        rf"\cmidrule(l){{{first_failure}-{first_failure + failures - 1}}}",
+        rf"\cmidrule(l{'r' if shares else ''}){{{first_failure}-{first_share - 1}}}{under}",
     ]
     names = {c: h.partition("_")[2] for c, h in HEADINGS.items()} | {"sr": r"(\%)"}
     head = ["Method", *(f"{{{n}}}" for n in names.values())]
+    head += [f"{{{tex(share.heading)}}}" for share in table.shares.values()]
     return tex_table(spec, head, groups.values(), top)
 
 
@@ -524,7 +597,9 @@ def _narrow(table: Table, short: Mapping[str, str], intervals: bool) -> list[str
         ]
         lines.append(" & ".join([tex(name), *values]) + r" \\")
         if intervals:
-            lines.append(" & ".join(["", *(_ends(r, "sr") for r in own)]) + r" \\[2pt]")
+            lines.append(
+                " & ".join(["", *(_ends(r.rates["sr"] if r else None) for r in own)]) + r" \\[2pt]"
+            )
     sizes = {s: sorted({r.n for r in table.rows if r.split == s}) for s in splits}
     n = [f"{{{k[0]}}}" if len(k) == 1 else f"{{{k[0]}--{k[-1]}}}" for k in sizes.values()]
     spec = ["l", *[tex_number(3, 1)] * len(splits)]

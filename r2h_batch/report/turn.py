@@ -2,7 +2,7 @@
 whose answers depend on how a mesh lies in its file moves; another one does not."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.base.registry import TURNS
-from r2h_batch.report.statistics.paired import Paired, compare
+from r2h_batch.report.statistics.cochran import stratified_cochran
+from r2h_batch.report.statistics.paired import ALPHA, Pair, Paired, compare, holm
 from r2h_batch.report.text import (
     NA,
     aligned,
@@ -29,9 +30,8 @@ BESIDE = "-turned"
 """A folder of the run's name with this end, beside the run, holds the runs with turned objects, each called
 after its turn."""
 FORMATS = ("md", "csv", "json")
-MOST_POINTS = 10.0
-"""A turn that moves the success rate by more than this gets a mark in every table of the run."""
 MARK = "^"
+"""Stands in every table of the run behind a method whose successes depend on the frame, by a test."""
 
 AS_IT_LIES = "as it lies"
 WORDS = {"half": "half turn", "cycled": "cycled axes"}
@@ -40,8 +40,9 @@ NOTES = (
     "half turn: 180 degrees about z. cycled axes: x to y, y to z, z to x. Objects, grasps, hands and trials are the same; only"
     " the frame differs in which a method sees an object.",
     "moves: SR with turned objects less SR as they lie, in points, paired on the trial id, with the 95 % t interval over"
-    " objects (families: over categories). p: McNemar's exact test, Holm over the pairs of frames.",
-    f"{MARK}: a turn moves SR by more than {MOST_POINTS:g} points.",
+    " objects (families: over categories). p: McNemar's exact test of that move, Holm over the turns.",
+    f"{MARK}: success depends on the frame: Cochran's Q over all frames, by object (families: by category) and of all trials,"
+    f" corrected for both and over the methods (Holm), below {ALPHA} (p frames). By object, opposite moves do not cancel.",
 )
 
 
@@ -54,7 +55,7 @@ class Move:
         points: rate with turned objects less the rate as they lie.
         low: lower end of the 95 % interval over categories of objects; None with one category.
         high: its upper end.
-        p_holm: McNemar's exact p value, adjusted over the turns of the group.
+        p_holm: McNemar's exact p value, adjusted by Holm over the turns.
     """
 
     turn: str
@@ -80,6 +81,9 @@ class Turned:
         n: trials in each frame.
         rate: success rate in percent as the meshes lie.
         moves: one for each turn.
+        p_frames: p value of Cochran's Q: success does not depend on the frame, by category (`stratified_cochran`) and of
+            all trials; twice the smaller one of both (Bonferroni).
+        p_frames_holm: the same, adjusted by Holm over the methods of the group.
     """
 
     method: str
@@ -87,6 +91,8 @@ class Turned:
     n: int
     rate: float
     moves: tuple[Move, ...]
+    p_frames: float
+    p_frames_holm: float
 
     @property
     def most(self) -> Move:
@@ -95,16 +101,17 @@ class Turned:
 
     @property
     def marked(self) -> bool:
-        """Whether a turn moves the rate by more than `MOST_POINTS`."""
-        return abs(self.most.points) > MOST_POINTS
+        """Whether success depends on the frame, by the corrected test over all turns."""
+        return self.p_frames_holm < ALPHA
 
     @property
     def sentence(self) -> str:
         """The mark of a table in words."""
-        most = self.most
+        most, rates = self.most, [self.rate, *(self.rate + move.points for move in self.moves)]
         return (
-            f"{MARK} {self.method}, {self.group}: a {words_for(most.turn)} of the objects' frames moves SR by {most.points:+.1f}"
-            f" points (95 % {most.ends}; {self.n} trials in each frame)."
+            f"{MARK} {self.method}, {self.group}: success depends on the objects' frames (Cochran's Q, Holm p"
+            f" {self.p_frames_holm:.2g}): SR {min(rates):.1f} to {max(rates):.1f} in {len(rates)} frames, {self.n} trials in"
+            f" each; {words_for(most.turn)}: {most.points:+.1f} points (95 % {most.ends})."
         )
 
 
@@ -129,6 +136,16 @@ def turned(run: Run) -> tuple[Turned, ...]:
             asked = {turn: other for turn, other in runs.items() if stored in other.methods}
             if asked.keys() >= {*TURNS}:
                 found += _of_method(own, asked, stored, entry.name)
+    return _corrected(found)
+
+
+def _corrected(tests: Sequence[Turned]) -> tuple[Turned, ...]:
+    """The tests with p values adjusted over the methods of each group."""
+    found = list(tests)
+    for group in {test.group for test in tests}:
+        own = [i for i, test in enumerate(tests) if test.group == group]
+        for i, p in zip(own, holm([tests[i].p_frames for i in own]).tolist(), strict=True):
+            found[i] = replace(tests[i], p_frames_holm=p)
     return tuple(found)
 
 
@@ -161,7 +178,7 @@ def _check(run: Run, turn: str, other: Run) -> None:
 
 
 def _of_method(run: Run, runs: Mapping[str, Run], method: str, shown: str) -> list[Turned]:
-    columns = [_solved(one, method) for one in (*runs.values(), run)]
+    columns = [_solved(one, method) for one in (run, *runs.values())]
     ids = reduce(
         np.intersect1d, [column[0] for column in columns]
     )  # each has the first ones of the run
@@ -169,20 +186,27 @@ def _of_method(run: Run, runs: Mapping[str, Run], method: str, shown: str) -> li
         raise RunError(f"{run.folder}{BESIDE}: {method!r} has other trials; make the test again")
     rows = [np.searchsorted(other[0], ids) for other in columns]
     success = np.stack([c[3][row] for c, row in zip(columns, rows, strict=True)])
-    split, names = columns[-1][1][rows[-1]], columns[-1][2][rows[-1]]
+    split, names = columns[0][1][rows[0]], columns[0][2][rows[0]]
     objects, place = np.unique(names, return_inverse=True)
     category = [run.categories.get(str(name), str(name)) for name in objects]
-    frames = (*runs, AS_IT_LIES)
-    paired = Paired.of(frames, split, place, success, category=category)
-    return [
-        Turned(
-            shown, c.group, c.n, c.rates[-1],
-            tuple(
-                Move(p.a, p.difference, p.low, p.high, p.p_holm) for p in c.pairs if p.b == AS_IT_LIES
-            ),
-        )
-        for c in compare(paired, draws=1)
-    ]  # fmt: skip
+    paired = Paired.of((AS_IT_LIES, *runs), split, place, success, category=category)
+    stratum = paired.clusters[1][place]
+    inside = {name: split == k for k, name in enumerate(SPLITS)}
+    found = []
+    for c in compare(paired, mine=[AS_IT_LIES], draws=1):
+        own = inside.get(c.group, np.ones(len(split), bool))
+        # by category moves of opposite sign do not cancel; of all trials together a few trials of each say more
+        kinds = (stratum[own], np.zeros_like(stratum[own]))
+        p = min(1.0, 2 * min(stratified_cochran(success[:, own], kind).p for kind in kinds))
+        moves = (_move(pair) for pair in c.pairs)
+        found.append(Turned(shown, c.group, c.n, c.rates[0], tuple(moves), p, p))
+    return found
+
+
+def _move(pair: Pair) -> Move:
+    """The move by a turn, of its frame's comparison with the objects as they lie."""
+    low, high = (None if end is None else 0.0 - end for end in (pair.high, pair.low))
+    return Move(pair.b, 0.0 - pair.difference, low, high, pair.p_holm)  # never -0.0
 
 
 def _solved(run: Run, method: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -205,14 +229,17 @@ def render(tests: Sequence[Turned], fmt: str = "md") -> str:
     if fmt == "csv":
         return csv_text(
             [
-                {"group": t.group, "method": t.method, "n": t.n, "sr": t.rate, **asdict(move)}
+                {
+                    **{"group": t.group, "method": t.method, "n": t.n, "sr": t.rate},
+                    **{"p_frames_holm": t.p_frames_holm, **asdict(move)},
+                }
                 for t in tests
                 for move in t.moves
             ]
         )
     short = short_names([t.method for t in tests])
     turns = tuple(dict.fromkeys(move.turn for t in tests for move in t.moves))
-    head = ["Split", "Method", "N", "SR"]
+    head = ["Split", "Method", "N", "SR", "p frames"]
     head += [cell for turn in turns for cell in (words_for(turn), "moves", "95 %", "p")]
     lines = []
     for t in tests:
@@ -221,6 +248,7 @@ def render(tests: Sequence[Turned], fmt: str = "md") -> str:
             f"{plain(short[t.method])}{f' {MARK}' * t.marked}",
             str(t.n),
             f"{t.rate:.1f}",
+            f"{t.p_frames_holm:.2g}",
         ]
         moves = {move.turn: move for move in t.moves}
         for turn in turns:

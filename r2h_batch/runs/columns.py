@@ -78,8 +78,8 @@ TRIALS = (
            nullable=False),
     *(Column(f"passed_{entry.name}", BOOL, "whether the criterion passed; null: not evaluated", since=entry.since)
       for entry in REGISTRY),
-    *(Column(f"margin_{entry.name}_m", FLOAT,
-             "positive when the criterion passes, except for Plan with [sampled edges](choices.md#plan)", "m",
+    *(Column(entry.margin_column, FLOAT,
+             "positive when the criterion passes, except for Plan with [sampled edges](choices.md#plan)", entry.unit,
              since=entry.since)
       for entry in REGISTRY),
     *(Column(f"margin_kind_{entry.name}", NAME,

@@ -9,8 +9,8 @@ import pyarrow as pa
 
 from r2h_batch.runs.columns import BOOL, DETAILS, ENDS, TRIALS, Column, later, schema_of_kind
 from r2h_batch.verdicts import (
-    CRITERIA,
     PERSON,
+    REGISTRY,
     SEXES,
     SIDES,
     SPLITS,
@@ -151,9 +151,10 @@ def score_rows(
         "t_method_s": _floats(seconds),
     }
     columns |= _person_columns(trials)
-    for i, c in enumerate(CRITERIA):
+    for i, entry in enumerate(REGISTRY):
+        c = entry.name
         columns[f"passed_{c}"] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
-        columns[f"margin_{c}_m"] = _floats(margin[:, i])
+        columns[entry.margin_column] = _floats(margin[:, i])
         columns[f"margin_kind_{c}"] = _named(kind[:, i] - 1, KINDS)
     return pa.table(_stored(scores, TRIALS, columns), schema=TRIAL_SCHEMA)
 

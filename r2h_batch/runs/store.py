@@ -37,6 +37,7 @@ from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_
 from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.verify import first_problem
+from r2h_batch.verdicts import REGISTRY
 
 MAX_LABELS_BYTES = 256 << 20
 LABELS = "ids.csv"
@@ -86,6 +87,18 @@ class Run:
         """Object -> the family that it is an instance of; an object of no family is its own category."""
         objects = [o for run in self.runs for o in run.header.get("objects", ())]
         return {str(o["name"]): str(o.get("category", o["name"])) for o in objects}
+
+    @property
+    def concerned(self) -> dict[str, frozenset[str]]:
+        """Criterion that is not for all objects -> those that it concerns, as run.json says."""
+        objects = [o for run in self.runs for o in run.header.get("objects", ())]
+        return {
+            entry.name: frozenset(
+                str(o["name"]) for o in objects if entry.name in o.get("concerned", ())
+            )
+            for entry in REGISTRY
+            if entry.applies is not None
+        }
 
     @property
     def methods(self) -> tuple[str, ...]:

@@ -115,6 +115,9 @@ class ObjectModel:
     """(N, 5, 3) the receiver's region as volumes, where a user gave boxes: centre, half sides, the
     rows of R_obj_box. Affordance asks them instead of ``receiver_face``, the faces in them"""
 
+    category: str | None = None
+    """the family that it is an instance of"""
+
     turn: Turn | None = None
     """which object was turned to make this one (`turned`): its grasps are that one's, turned"""
 
@@ -179,13 +182,14 @@ def _stored_object(name: str) -> ObjectModel:
 
 
 def with_words(model: ObjectModel, category: str) -> ObjectModel:
-    """The object with the words and roles of a built-in one."""
-    return replace(model, words=THINGS[category], roles=S0_ROLES.get(category))
+    """The object with the words and roles of a built-in one, as an instance of its family."""
+    return replace(model, words=THINGS[category], roles=S0_ROLES.get(category), category=category)
 
 
 def category_of(model: ObjectModel) -> str | None:
     """The family that an object is an instance of; None for an object of no family."""
-    return next((name for name, thing in THINGS.items() if model.words == thing), None)
+    by_words = (name for name, thing in THINGS.items() if model.words == thing)
+    return model.category or next(by_words, None)
 
 
 def stored_arrays_of(file: str, built_in: str) -> dict[str, NDArray[Any]]:
@@ -299,7 +303,7 @@ def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     for model in [objects] if isinstance(objects, ObjectModel) else objects:
         for f in fields(model):
             value = getattr(model, f.name)
-            if f.name == "repair":  # the geometry says it
+            if f.name in ("repair", "category"):  # the geometry and the words say it
                 continue
             if f.name in SAID:
                 digest.update(b"" if value is None else _said(value).encode())
@@ -310,7 +314,7 @@ def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     return digest.hexdigest()
 
 
-SAID = ("grasps", "roles", "words", "repair", "receiver_boxes", "turn")
+SAID = ("grasps", "roles", "words", "repair", "receiver_boxes", "category", "turn")
 """Fields that only a benchmark or a user fills: nothing of them is stored with an object."""
 
 

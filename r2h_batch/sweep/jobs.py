@@ -37,7 +37,7 @@ from r2h_batch.trials.predictions import (
     load_answers,
 )
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import SIDES
+from r2h_batch.verdicts import REGISTRY, SIDES
 
 if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
@@ -214,6 +214,8 @@ def _about_object(model: "ObjectModel") -> dict[str, Any]:
     }
     if (category := category_of(model)) is not None:
         fields["category"] = category
+    if any(entry.applies for entry in REGISTRY):
+        fields["concerned"] = [e.name for e in REGISTRY if e.applies is None or e.applies(model)]
     return fields if model.repair is None else {**fields, "repair": asdict(model.repair)}
 
 
@@ -368,7 +370,7 @@ def _method_job(
     method, method_options = _method(name), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
     extra = dict(method.options)
-    sees = next((m.sees for m in METHODS if m.name == base_of(name)), ())
+    sees = METHODS[base_of(name)].sees if built_in else ()
     if "evaluator" in takes:
         extra["evaluator"] = evaluator
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)

@@ -3,9 +3,12 @@
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from r2h_batch.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from r2h_batch.scene.families.family import Family
 
 Line = tuple[str, ...]
 
@@ -18,7 +21,7 @@ def ls(
     """List methods, objects, families, robots, benchmarks or runs, one a line.
 
     Args:
-        what: methods, objects, families (and their shipped instances), robots, benchmarks or runs.
+        what: methods, objects, families (shipped instances, and families that are only drawn), robots, benchmarks or runs.
         folder: with `runs`, the folder to search; by default runs.
     """
     if folder is not None and what != "runs":
@@ -38,11 +41,14 @@ def ls(
 def _methods() -> Iterator[Line]:
     from importlib import import_module
 
-    from r2h_batch.base.registry import METHOD_NAMES
+    from r2h_batch.base.registry import METHOD_NAMES, METHODS
 
     for name in METHOD_NAMES:
         words = import_module(f"r2h_batch.methods.{name.replace('-', '_')}").__doc__ or ""
         yield name, " ".join(words.partition(".\n")[0].partition(";")[0].split()).rstrip(".")
+    for name in METHODS:
+        if name not in METHOD_NAMES:
+            yield name, METHODS.outside(name)
 
 
 def _objects() -> Iterator[Line]:
@@ -68,6 +74,21 @@ def _families() -> Iterator[Line]:
             f"{1000 * o.mass:.0f} g",
             taken,
         )
+    for family in _not_shipped():
+        taken = f"receiver takes {', '.join(family.receiver)}" if family.receiver else ""
+        how = f'--objects "families:{family.category} x 5"'
+        yield family.split, family.category, how, "", "", taken
+
+
+def _not_shipped() -> "list[Family]":
+    """Families that are drawn alone; none where what draws them is not installed."""
+    from r2h_batch.scene.families.family import FAMILIES
+    from r2h_batch.scene.objects import OBJECT_NAMES
+
+    try:
+        return [FAMILIES[name] for name in FAMILIES if name not in OBJECT_NAMES]
+    except ModuleNotFoundError:
+        return []
 
 
 def _robots() -> Iterator[Line]:

@@ -28,12 +28,13 @@ from r2h_batch.base.registry import (
 )
 from r2h_batch.base.user_code import HOW
 from r2h_batch.base.validate import expand_home
+from r2h_batch.plugins import PluginError
 
 if TYPE_CHECKING:
     from r2h_batch.config import ExecutionError
 
 SEEN_BY = {
-    name: tuple(m.name for m in METHODS if set(m.sees) & set(kinds))
+    name: tuple(m for m in METHOD_NAMES if set(METHODS[m].sees) & set(kinds))
     for name, kinds in {
         "predicted_hands": ("receiving", "target"),
         "predicted_parts": ("parts",),
@@ -434,8 +435,7 @@ def check(options: Options) -> Options:
     bases = [base_of(name) for name in options.method]
     for name, base in zip(options.method, bases, strict=True):
         if base not in METHOD_NAMES and ":" not in base:
-            allowed = f"allowed are {', '.join(METHOD_NAMES)} or your own {HOW}"
-            raise UsageError(f"unknown method {base!r}{nearest(base, METHOD_NAMES)}; {allowed}")
+            _check_installed(base)
         if base in METHOD_NAMES and own_name(name):
             words = f"{base} is built in and keeps its name in tables; leave {own_name(name)}= out"
             raise UsageError(f"--method {name}: {words}")
@@ -628,6 +628,27 @@ def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None, di
 GIVEN = ("trials", "scene", "seed", "evaluator", "noise", "predictor", "seen", "instructions")
 """Arguments of a method that the sweep passes; its other keyword arguments are its options:
 `--method contact,gate=ik`."""
+
+
+def _check_installed(name: str) -> None:
+    """That a package gives this method; `spelled_out` says where."""
+    try:
+        known = tuple(METHODS)
+        if name in known and METHODS.outside(name):
+            return
+    except PluginError as error:
+        raise UsageError(f"--method {name}: {error}") from error
+    allowed = f"allowed are {', '.join(known)} or your own {HOW}"
+    raise UsageError(f"unknown method {name!r}{nearest(name, known)}; {allowed}")
+
+
+def spelled_out(method: str) -> str:
+    """A method of an installed package as its `NAME=module:function`; any other as it is."""
+    base = base_of(method)
+    if base in METHOD_NAMES or ":" in base:
+        return method
+    _, comma, chosen = method.partition(",")
+    return f"{own_name(method) or base}={METHODS.outside(base)}{comma}{chosen}"
 
 
 def base_of(method: str) -> str:

@@ -11,7 +11,7 @@ from r2h_batch.base.user_code import load_function
 from r2h_batch.config import EstimateConfig, EvalConfig, IkConfig
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs import provenance
-from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, execution_error
+from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, execution_error, spelled_out
 from r2h_batch.verdicts import SPLITS
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ def requested(options: Options) -> Request:
             options.address, options.ray_timeout, options.workers, options.gpus_per_worker
         )
     methods = Methods(
-        names=options.method, predictions=options.predictions, motions=options.motions,
+        names=tuple(map(spelled_out, options.method)), predictions=options.predictions, motions=options.motions,
         seed=options.seed, noise_factor=options.predictor_noise, errors=errors,
         predictor=options.predictor, trust_code=options.trust_code,
         seen={name: file for name in SEEN_BY if (file := getattr(options, name))},

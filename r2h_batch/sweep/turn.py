@@ -31,7 +31,8 @@ def turn(
 
     The objects are turned by 180 degrees, and their axes are cycled. Grasps, hands and trials stay the same. The
     command stores the rows beside the run, in RUN-turned, and prints how far SR moves. Afterwards every report of
-    the run has a mark where it moves by more than 10 points. The same command goes on after an interruption.
+    the run has a mark where success depends on the frame, by a test over all turns. The same command goes on after an
+    interruption.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
+from r2h_batch.base.soft import in_metres
 from r2h_batch.base.validate import describe_value, instance_of, integer, number
 from r2h_batch.base.validate_tensors import check_tensor, check_tensor_arguments
 from r2h_batch.config import CLEARANCE_CAP_M
@@ -41,7 +42,7 @@ def success(scores: Scores) -> Float32[Tensor, " b"]:
 
 @check_tensor_arguments(scores=_scores, limit_m=_limit)
 def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, "b c"]:
-    """Margins in m, clipped to +-`limit_m`, never NaN: columns as CRITERIA.
+    """Margins in m, clipped to +-`limit_m`, never NaN: columns as CRITERIA. A degree counts as 2 mm.
 
     A criterion that was not evaluated cannot be what fails: it counts as `limit_m` (Affordance in
     S0), except in rows that were not judged at all, where all count as `-limit_m`.
@@ -50,9 +51,8 @@ def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float3
         scores: B rows.
         limit_m: largest absolute value, m, above 0.
     """
-    margin = torch.where(scores.evaluated, scores.margin.nan_to_num(nan=0.0), limit_m).clamp(
-        -limit_m, limit_m
-    )
+    number = in_metres(scores.margin).nan_to_num(nan=0.0)
+    margin = torch.where(scores.evaluated, number, limit_m).clamp(-limit_m, limit_m)
     return torch.where(_judged(scores)[:, None], margin, -limit_m)
 
 

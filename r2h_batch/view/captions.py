@@ -1,4 +1,4 @@
-"""Text beside a picture of a trial: its verdict in words and the five margins."""
+"""Text beside a picture of a trial: its verdict in words and the margins."""
 
 from collections.abc import Collection, Sequence
 from html import escape
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.report.text import plain
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS, Unit
 from r2h_batch.view.drawing import MARKS, Drawing, body_name
 
 MEANING = {
@@ -71,10 +71,11 @@ def headline(row: dict[str, Any]) -> str:
         return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
     if outcome not in CRITERIA:
         return outcome.replace("_", " ")
-    size = row.get(f"margin_{outcome}_m")
-    size = None if size is None or not np.isfinite(size) else -1e3 * size
+    column, unit = _margin_column(outcome)
+    size = row.get(column)
+    size = None if size is None or not np.isfinite(size) else -unit.scale * size
     least = "at least " if row.get(f"margin_kind_{outcome}") == "bound" else ""
-    by = "" if size is None else f"{least}{size:.1f} mm"
+    by = "" if size is None else f"{least}{size:.1f} {unit.shown}"
     words = f"{outcome} fails: "
     if outcome == "plan":
         reason, pair = str(row["plan_reason"]), row.get("plan_pair")
@@ -133,7 +134,7 @@ def as_html(drawing: Drawing) -> str:
 
 
 def _criteria(drawing: Drawing) -> list[tuple[str, str, str]]:
-    """(name, verdict, margin in mm) of each criterion."""
+    """(name, verdict, margin) of each criterion."""
     row, found = drawing.stored.row, []
     for name in CRITERIA:
         passed = row.get(f"passed_{name}")
@@ -143,13 +144,20 @@ def _criteria(drawing: Drawing) -> list[tuple[str, str, str]]:
 
 
 def _margin(row: dict[str, Any], name: str) -> str:
-    """A margin in mm. What saturates is no distance, and is not printed as one."""
-    size, kind = row.get(f"margin_{name}_m"), row.get(f"margin_kind_{name}")
+    """A margin with its unit. What saturates is no distance, and is not printed as one."""
+    column, unit = _margin_column(name)
+    size, kind = row.get(column), row.get(f"margin_kind_{name}")
     if size is None or not np.isfinite(size):
         return ""
     if kind == "cap":
-        return f"more than {1e3 * size:.0f} mm" if size > 0 else ""
-    return f"{1e3 * size:+.1f} mm{' or less' if kind == 'bound' else ''}"
+        return f"more than {unit.scale * size:.0f} {unit.shown}" if size > 0 else ""
+    return f"{unit.scale * size:+.1f} {unit.shown}{' or less' if kind == 'bound' else ''}"
+
+
+def _margin_column(name: str) -> tuple[str, Unit]:
+    """The stored column of a criterion's margin, and how it is shown."""
+    entry = REGISTRY[CRITERIA.index(name)]
+    return entry.margin_column, UNITS[entry.unit]
 
 
 def _facts(drawing: Drawing) -> list[str]:

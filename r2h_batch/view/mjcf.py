@@ -59,7 +59,7 @@ from r2h_batch.scene.robot import (
 )
 from r2h_batch.scene.robot_visuals import part_origin
 from r2h_batch.scene.tables import Hands
-from r2h_batch.verdicts import CRITERIA, SEXES
+from r2h_batch.verdicts import CRITERIA, REGISTRY, SEXES
 from r2h_batch.view.skin import CLOTHED, skin_of
 from r2h_batch.view.stored import StoredTrial
 
@@ -197,7 +197,12 @@ def describe(stored: StoredTrial) -> dict[str, Any]:
         "git_commit": header.get("git_commit"),
         "method": stored.method,
         "passed": {c: row[f"passed_{c}"] for c in CRITERIA},
-        "margin_m": {c: _finite(row[f"margin_{c}_m"]) for c in CRITERIA},
+        **{
+            f"margin_{unit}": {
+                e.name: _finite(row[e.margin_column]) for e in REGISTRY if e.unit == unit
+            }
+            for unit in dict.fromkeys(e.unit for e in REGISTRY)
+        },
         "witness": {
             "plan_part": row["witness_plan_part"],
             "safe_part": row["witness_safe_part"],

@@ -13,7 +13,7 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.report.text import plain
 from r2h_batch.runs.files import RunError
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS
 from r2h_batch.view.captions import as_markdown, summary
 from r2h_batch.view.drawing import MARKS, Drawing
 from r2h_batch.view.page import APART_M, Drawn, aim, light, new_server, stop_server
@@ -23,6 +23,7 @@ ANY = "any"
 NO_METHOD = "none"
 ORDERS = ("trial", *(f"margin of {name}" for name in CRITERIA))
 """Orders of the list: the trial's number, or a margin, the smallest first."""
+BELOW = " or ".join(dict.fromkeys(UNITS[entry.unit].shown for entry in REGISTRY))
 FILTERS = {"object": "object", "outcome": "outcome", "plan's reason": "plan_reason"}
 """Controls that choose trials, and the columns that they look at."""
 LISTED = 500
@@ -33,21 +34,22 @@ TICK_S = 0.04
 @dataclass(frozen=True)
 class Filter:
     """Which rows are listed: column -> the word that it must hold (ANY: every word), and the order.
-    `below_mm` bounds the margin that `order` names."""
+    `below` bounds the margin that `order` names, in mm or deg."""
 
     words: dict[str, str]
     order: str = ORDERS[0]
-    below_mm: float = np.inf
+    below: float = np.inf
 
     def chosen(self, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         """The rows that pass, sorted; without a row that lacks the margin to sort by."""
-        column = "" if self.order == ORDERS[0] else f"margin_{self.order.rpartition(' ')[2]}_m"
+        named = {f"margin of {e.name}": e for e in REGISTRY}.get(self.order)
+        column, scale = (named.margin_column, UNITS[named.unit].scale) if named else ("", 1.0)
 
         def passes(row: dict[str, Any]) -> bool:
             wanted = all(word in (ANY, str(row[name])) for name, word in self.words.items())
             if not wanted or not column:
                 return wanted
-            return row[column] is not None and 1e3 * row[column] <= self.below_mm
+            return row[column] is not None and scale * row[column] <= self.below
 
         kept = [row for row in rows if passes(row)]
         return sorted(kept, key=lambda row: (row[column] if column else 0.0, row["trial_id"]))
@@ -122,7 +124,7 @@ class Viewer:
             self.beside = menu("beside it", [NO_METHOD, *names], [*first, NO_METHOD][1])
             self.filters = {column: menu(label, [ANY]) for label, column in FILTERS.items()}
             self.order = menu("sorted by", ORDERS)
-            self.below = gui.add_number("margin below, mm", 1000.0, step=1.0)
+            self.below = gui.add_number(f"margin below, {BELOW}", 1000.0, step=1.0)
             hint = f"the list holds {LISTED} trials from this one"
             self.start = gui.add_number("from", 1, min=1, step=LISTED, hint=hint)
             self.count = gui.add_markdown("")

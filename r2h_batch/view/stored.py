@@ -33,7 +33,7 @@ from r2h_batch.scene.robot import Robot, load_robot
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import CRITERIA, MOST_SECONDS
+from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, REGISTRY, UNITS
 
 Array = NDArray[np.float64]
 
@@ -273,10 +273,12 @@ def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:
     if stored["outcome"] != again["outcome"]:
         words = f"the outcome is {again['outcome']}, stored is {stored['outcome']}"
         return f"computed again here {words}"
-    for name in CRITERIA:
-        a, b = (row[f"margin_{name}_m"] for row in (stored, again))
-        if (a is None) != (b is None) or (a is not None and a != b and abs(a - b) > SAME_M):
-            return f"computed again here the margin of {name} is {b} m, stored is {a} m"
+    for entry in REGISTRY:
+        a, b = (row[entry.margin_column] for row in (stored, again))
+        same = SAME_M / UNITS[entry.unit].worth_m
+        if (a is None) != (b is None) or (a is not None and a != b and abs(a - b) > same):
+            unit = entry.unit
+            return f"computed again here the margin of {entry.name} is {b} {unit}, stored is {a} {unit}"
     return ""
 
 

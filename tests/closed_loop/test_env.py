@@ -803,5 +803,5 @@ def test_gymnasiums_checker_passes_with_an_action_to_open_and_what_does_not_fit_
         HandoverEnv(scores, "moves", release="load-share")
     with pytest.raises(ValueError, match='release="action" needs action velocity, twist or posture'):
         HandoverEnv(scores, "takes", action="pose", release="action")
-    with pytest.raises(ImportError, match="no release policy 'soon'"):
+    with pytest.raises(ImportError, match="no release policy is called 'soon'"):
         HandoverEnv(scores, "takes", release="soon")

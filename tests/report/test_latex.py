@@ -28,21 +28,28 @@ def paper(paper_rows):
     return report.table_of(paper_rows)
 
 
-def cells_of(text):
+def cells_of(text, columns=10):
     """(split, method) -> cells of the wide table, without braces and bold."""
     split, found = "", {}
     for line in text.splitlines():
-        if heading := re.match(r"\\multicolumn\{10\}\{@\{\}l\}\{(\w+), \$N=\d+\$\}", line):
+        if heading := re.match(rf"\\multicolumn\{{{columns}\}}\{{@\{{\}}l\}}\{{(\w+), \$N=\d+\$\}}", line):
             split = heading[1]
         cells = [re.sub(r"\\bfseries |[{}]", "", c.strip()) for c in line.removesuffix(r" \\").split(" & ")]
-        if len(cells) == 10 and cells[0] and cells[0] != "Method":
+        if len(cells) == columns and cells[0] and cells[0] != "Method":
             found[split, cells[0]] = cells[1:]
     return found
 
 
 def test_the_wide_table_gives_back_every_cell_of_table_1(paper):
     text = report.render(paper, "latex")
-    assert cells_of(text) == {(r["split"], r["method"]): [r[c] or "n/a" for c in COLUMNS] for r in table_1()}
+    found = cells_of(text, 10 + len(paper.shares))
+    assert {k: v[:9] for k, v in found.items()} == {
+        (r["split"], r["method"]): [r[c] or "n/a" for c in COLUMNS] for r in table_1()
+    }
+    assert list(paper.shares) == ["presented"] and r"\multicolumn{1}{c}{Share (\%)}" in text
+    for row in paper.rows:
+        rate = row.shares.get("presented")
+        assert found[row.split, row.method][9:] == [f"{rate.percent:.1f}" if rate else "n/a"]
     assert text.count(r"\midrule") == 3 and text.count("{") == text.count("}")
     first = text.partition(r"\begin{tabular}")[0]
     assert all(line.startswith("% ") for line in first.splitlines())  # provenance is there, and not on the page

@@ -100,7 +100,7 @@ def test_motions_that_meet_a_receivers_body_are_a_rate_of_those_past_one(tmp_pat
     table = report.table_of(load_run(tmp_path / "run"))
     *_, met = md_tables(report.render(table, "md"))
     assert met[0] == ["Split", "Method", "Body met", "95 %", "of"] and met[1][2:] == ["50.0", "18.8-81.2", "6"]
-    assert table.rows[0].body_met.percent == 50.0 and '"body_met": 50.0' in report.render(table, "json")
+    assert table.rows[0].shares["body_met"].percent == 50.0 and '"body_met": 50.0' in report.render(table, "json")
 
 
 def test_beside_a_run_of_other_choices_the_default_ones_are_named(tmp_path, capsys):

@@ -9,6 +9,7 @@ from scipy import stats
 
 from r2h_batch.config import EvalConfig
 from r2h_batch.report.robustness import robustness
+from r2h_batch.report.statistics.intervals import BORROWED
 from r2h_batch.sweep.options import execution_error
 from r2h_batch.types import Outcome
 
@@ -46,10 +47,15 @@ def test_curves_areas_and_losses_are_those_of_the_counted_trials(runs, solved):
         assert [f["f_stab"].percent for f in curve.failures] == pytest.approx(100 - sr)
         assert curve.failures[0]["f_plan"].percent == 0
     steady = found.curves[1]
-    assert steady.area.value == pytest.approx(steady.sr[0].percent) and steady.lost[2].half == 0
+    assert steady.area.value == pytest.approx(steady.sr[0].percent) and steady.lost[2].value == 0
+    # no trial moved: Tango's interval of each split, 60 trials
+    least = stats.norm.ppf(0.975) ** 2 / (60 + stats.norm.ppf(0.975) ** 2)
+    assert steady.lost[2].half == pytest.approx(100 * np.hypot(least, least) / 2)
 
 
 def test_intervals_are_t_intervals_over_objects_of_the_same_trials(runs, solved):
-    lost = (solved[0, 0].astype(int) - solved[0, 2]).reshape(2, 20, 3).mean(1)  # by split and object, of equal size
-    error = np.sqrt(sum(part.var(ddof=1) / 3 for part in lost)) / 2
+    each = solved[0, 0].astype(int) - solved[0, 2]
+    lost = each.reshape(2, 20, 3).mean(1)  # by split and object, of equal size
+    varied = [(2 * o.var(ddof=1) + BORROWED * t.var()) / (2 + BORROWED) for o, t in zip(lost, each, strict=True)]
+    error = np.sqrt(sum(varied) / 3) / 2
     assert robustness(runs).curves[0].lost[2].half == pytest.approx(100 * stats.t.ppf(0.975, 2) * error)

@@ -14,8 +14,9 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.protocols.family_objects import FIRST_SERIES, family_objects, family_splits
-from r2h_batch.scene.families.draw import FAMILIES, SHIPPED, TRAINING, draw_instance
-from r2h_batch.scene.families.family import Draw
+from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance
+from r2h_batch.scene.families.family import FAMILIES, Draw
+from r2h_batch.scene.families.remesh import Surface, heights, without_slivers
 from r2h_batch.scene.families.shapes import Parts
 from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, stored_key, turned
 from r2h_batch.trials.holding.receiving import load_receiving
@@ -105,6 +106,49 @@ def test_new_instances_are_drawn_by_what_the_flag_says():
     assert np.array_equal(second[0].com, drawn.com) and np.array_equal(second[0].inertia, drawn.inertia)
     assert second[0].mass == drawn.mass and second[0].words is not None
     assert family_splits("families:knife,cup x 2") == {"S0", "S1"} and family_splits("families:cup") == {"S0"}
+
+
+def test_no_shipped_instance_has_a_sliver():
+    """Slivers as trimesh has them: a triangle whose box along its longest side is lower than 10 nm."""
+    for model in each(load_objects(INSTANCE_NAMES)):
+        assert model.mesh.nondegenerate_faces(height=1e-8).all(), model.name
+
+
+def test_slivers_go_without_a_change_of_the_solid():
+    """A needle at a corner of a cube, and a cap: a face divided at a point of its own longest side."""
+    cube = trimesh.creation.box((10.0, 10.0, 10.0))
+    vertices, faces = np.array(cube.vertices), np.array(cube.faces)
+    corner = vertices[faces[0]]
+    first = int(np.linalg.norm(corner - np.roll(corner, -1, 0), axis=1).argmax())
+    a, b, c = np.roll(faces[0], -first)
+    m = len(vertices)
+    faces = np.concatenate([[(a, m, c), (m, b, c), (a, b, m)], faces[1:]])
+    label = np.concatenate([cube.face_normals[[0, 0, 0]], cube.face_normals[1:]])[:, 2] > 0.5
+    surface = Surface(np.concatenate([vertices, [(vertices[a] + vertices[b]) / 2]]), faces, label.astype(np.int64))
+    p, q = next(e for e in surface.edges() if m not in e and surface.length(*e) == 10.0)
+    surface.split(p, q, tuple(np.array(surface.v[p]) + 1e-6 * (np.array(surface.v[q]) - np.array(surface.v[p]))))
+    dirty, found, _ = surface.arrays()
+    assert (heights(dirty, found) < 1e-4).sum() == 3
+    without_slivers(surface, 1e-4, 0.01)
+    clean, left, names = surface.arrays()
+    mesh = trimesh.Trimesh(clean, left, process=False)
+    assert heights(clean, left).min() > 1e-4 and mesh.is_watertight and mesh.is_winding_consistent
+    assert mesh.volume == pytest.approx(1000.0, rel=1e-5)
+    assert mesh.area_faces[names == 1].sum() == pytest.approx(100.0, rel=1e-5)
+
+
+def test_a_paper_cup_weighs_what_its_board_weighs():
+    """Board of double-walled cups has 0.4 to 0.5 kg/m^2; the cup's outer surface is a frustum with a floor."""
+    seen = 0
+    for model in load_objects([name for name in INSTANCE_NAMES if name.startswith("cup_")]):
+        parameters = REPORT[model.name]["parameters"]
+        if parameters["kind"] != "paper cup":
+            continue
+        seen += 1
+        top, low, high = parameters["radius"], parameters["radius"] * parameters["taper"], parameters["height"]
+        outside = 1e-6 * np.pi * ((top + low) * np.hypot(high, top - low) + low**2)
+        assert 0.4 * outside < model.mass < 0.55 * outside and 0.008 < model.mass < 0.015
+    assert seen == 2
 
 
 @pytest.mark.parametrize(

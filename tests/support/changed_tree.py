@@ -56,12 +56,20 @@ def said(line):
 """
 
 
-def changed_tree(folder: Path, edits: Mapping[str, Mapping[str, str] | str]) -> Tree:
+def changed_tree(
+    folder: Path,
+    edits: Mapping[str, Mapping[str, str] | str],
+    *,
+    package: Mapping[str, str] | None = None,
+    points: Mapping[str, str] | None = None,
+) -> Tree:
     """Copies the tree.
 
     Args:
         folder: a new one.
         edits: file -> old text -> new text, each old text once in it; or the text of a new file.
+        package: file -> text of a stranger's package beside the tree, which stands in no file of ours.
+        points: its entry points in the group r2h_batch.plugins, as an installed package has them.
     """
     inside = {p for name in (*edits, *COPIED) for p in Path(name).parents}
     count = {}
@@ -88,6 +96,15 @@ def changed_tree(folder: Path, edits: Mapping[str, Mapping[str, str] | str]) -> 
         path.unlink()
         path.write_text(text)
         count[name] = lines
+    for name, text in (package or {}).items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+    if points:
+        info = folder / "strange-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: strange\nVersion: 1.0\n")
+        lines_of = "".join(f"{name} = {place}\n" for name, place in points.items())
+        (info / "entry_points.txt").write_text(f"[r2h_batch.plugins]\n{lines_of}")
     return Tree(folder, count)
 
 

@@ -28,7 +28,7 @@ def by_x(trials, scene, *, seed, evaluator):
 
 
 TURNED = (*FRAMES, "20,40,-60")
-FEW = ("--trials", "10", "--splits", "S1", "--sim", "none", "--quiet")
+FEW = ("--trials", "40", "--splits", "S1", "--sim", "none", "--quiet")
 
 
 def command(*words):
@@ -47,42 +47,44 @@ def run(tmp_path_factory):
 def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(run, capsys):
     capsys.readouterr()
     words = ["intent", f"mine={run / 'own.py'}:by_x"]
-    assert command("turn", run / "run", "--method", *words, "--by", "20, 40,-60", "--format", "json") == 0
+    assert command("turn", run / "run", "--method", *words, "--format", "json") == 0
     found = {(t["method"].partition(" ")[0], t["group"]): t for t in json.loads(capsys.readouterr().out)}
     names = load_run(run / "run").trials("mine")["object"].to_pylist()
     ahead = {o.name: o.com[0] > 0 for o in load_objects()}
-    for turn in TURNED:
-        table = load_run(run / "run-turned" / turn).trials("mine")
-        com = {o.name: (frame_of(turn) @ o.com)[0] > 0 for o in load_objects()}
-        solved = np.array(table["outcome"].to_pylist()) == "success"
-        assert not solved[[not com[n] for n in table["object"].to_pylist()]].any() and solved.any()
-    assert {m["turn"] for m in found["mine", "S1"]["moves"]} == set(TURNED) and any(ahead[n] for n in names)
+    assert {m["turn"] for m in found["mine", "S1"]["moves"]} == set(FRAMES) and any(ahead[n] for n in names)
     assert max(abs(m["points"]) for m in found["mine", "S1"]["moves"]) >= 20
     assert all(m["points"] == 0 for m in found["Intent-Handover", "S1"]["moves"])
     assert command("report", run / "run") == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "mine ^" in said and "Intent-Handover ^" not in said and "^ mine, S1: a" in said
+    assert "mine ^" in said and "Intent-Handover ^" not in said and "^ mine, S1: success" in said
     assert command("report", run / "run", "--format", "json") == 0
     table = json.loads(capsys.readouterr().out)
     rows = {row["method"].partition(" ")[0]: row for row in table["rows"]}
     most = max((m["points"] for m in found["mine", "S1"]["moves"]), key=abs)
     assert rows["mine"]["turn"] == most and rows["mine"]["turn_marked"] is True
-    assert rows["Intent-Handover"]["turn"] == 0 and rows["Intent-Handover"]["turn_marked"] is False
+    assert abs(rows["Intent-Handover"]["turn"]) < 10 and rows["Intent-Handover"]["turn_marked"] is False
     assert command("report", run / "run", "--format", "html", "--out", run / "page.html") == 0
     capsys.readouterr()
     page = (run / "page.html").read_text()
     moved = re.findall(r'<td class="l moved" title="([^"]*)">([^<]*)</td>', page)
     assert [name.partition(" ")[0] for _, name in moved] == ["mine"] * 2  # overview and Table I
-    assert all("mine, S1: a" in title for title, _ in moved)
+    assert all("mine, S1: success" in title for title, _ in moved)
     assert command("compare", run / "run") == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "^ mine, S1: a" in said and "| mine ^" in said and "Intent-Handover ^" not in said
+    assert "^ mine, S1: success" in said and "| mine ^" in said and "Intent-Handover ^" not in said
     assert command("compare", run / "run", "--format", "json") == 0
     (compared,) = json.loads(capsys.readouterr().out)
     assert {t["method"].partition(" ")[0]: t["marked"] for t in compared["turns"]} == {
         "Intent-Handover": False,
         "mine": True,
     }
+    # r2h-v1 keeps the centre of a box along the frame's axes, so a turn by any angles moves Intent-Handover too
+    assert command("turn", run / "run", "--method", *words, "--by", "20, 40,-60") == 0
+    for turn in TURNED:
+        table = load_run(run / "run-turned" / turn).trials("mine")
+        com = {o.name: (frame_of(turn) @ o.com)[0] > 0 for o in load_objects()}
+        solved = np.array(table["outcome"].to_pylist()) == "success"
+        assert not solved[[not com[n] for n in table["object"].to_pylist()]].any() and solved.any()
     # a turned run is a run like any other: its rows are what the evaluator says
     assert command("results", "reevaluate", run / "run-turned" / "half", "--rows", 5, "--method", "intent") == 0
     capsys.readouterr()

@@ -37,7 +37,7 @@ def test_a_film_shows_the_object_in_the_gripper_then_in_the_hand_and_the_force_t
     ("more", "said"),
     [
         (["--transfer", "grab", "--video", "a.gif"], "choose take, touch"),
-        (["--transfer", "take", "--release", "soon", "--video", "a.gif"], "no release policy 'soon'"),
+        (["--transfer", "take", "--release", "soon", "--video", "a.gif"], "no release policy is called 'soon'"),
         (["--transfer", "take"], "--transfer needs --video"),
         (["--transfer", "take", "--video", "a.gif", "--strips", "a.png"], "no other output"),
     ],

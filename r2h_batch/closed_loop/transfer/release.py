@@ -14,9 +14,13 @@ from jaxtyping import Bool, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.base.user_code import load_function
+from r2h_batch.base.user_code import chosen
+from r2h_batch.plugins import Registry
 from r2h_batch.runs import provenance
 from r2h_batch.trials.holding.held_out import G
+
+POLICIES: Registry[Any] = Registry("release policy")
+"""By their names in commands: classes of this file, and of packages that name `release_policy.NAME`."""
 
 TARE_TICKS = 12
 """Readings whose mean is the load before anybody touches: 0.1 s."""
@@ -108,6 +112,7 @@ def size(v: Float64[Tensor, "n 3"]) -> Float64[Tensor, " n"]:
     return (v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1] + v[:, 2] * v[:, 2]).sqrt()
 
 
+@POLICIES("never")
 class Never:
     """Never lets go: a bound."""
 
@@ -118,6 +123,7 @@ class Never:
         return Action(self.no)
 
 
+@POLICIES("timer")
 class Timer(Tared):
     """Lets go a while after something touches the object: a bound."""
 
@@ -136,6 +142,7 @@ class Timer(Tared):
         return Action(self.since * self.robot.tick_s > self.AFTER_S)
 
 
+@POLICIES("threshold")
 class Threshold(Tared):
     """Lets go once the load has changed by more than 5 N for 50 ms: what most robots do."""
 
@@ -150,6 +157,7 @@ class Threshold(Tared):
         return Action(self.no if change is None else self.lasting(size(change) > self.FORCE_N))
 
 
+@POLICIES("load-share")
 class LoadShare(Tared):
     """The grip follows what the robot still carries, and opens when the person has carried 90 % of the weight for
     50 ms (Chan et al. 2012, 2013)."""
@@ -172,6 +180,7 @@ class LoadShare(Tared):
         return Action(self.lasting(share > self.SHARE), squeeze)
 
 
+@POLICIES("probe")
 class Probe:
     """Shakes the object by a few millimetres along each axis, and lets go when it feels a hand that carries.
 
@@ -268,33 +277,19 @@ def second_singular_exceeds(
     return torch.where(determinant > 0, (minors > 0) & (trace > 0), ~((minors > 0) & (trace < 0)))
 
 
-POLICIES: dict[str, Any] = {
-    "never": Never,
-    "timer": Timer,
-    "threshold": Threshold,
-    "load-share": LoadShare,
-    "probe": Probe,
-}
-"""By their names in commands."""
-
-
 def release_of(spec: str) -> tuple[Any, str]:
-    """A built-in policy by its name, or the user's class (`package.module:Class` or `FILE.py:Class`), and a text
+    """A policy by its name, or the user's class (`package.module:Class` or `FILE.py:Class`), and a text
     that says what decides its actions.
 
     Raises:
         ImportError: the module or class does not exist.
         TypeError: it is not a class.
     """
-    if spec in POLICIES:
-        return POLICIES[spec], spec
-    if ":" not in spec:
-        raise ImportError(
-            f"no release policy {spec!r}; built in are {', '.join(POLICIES)}, your own is FILE.py:Class"
-        )
-    found = load_function(spec)
-    if not isinstance(found.function, type):
+    policy, own = chosen(POLICIES, spec)
+    if own is None:
+        return policy, spec
+    if not isinstance(policy, type):
         raise TypeError(
             f"{spec} is no class; a release policy is made for each batch, Class(robot)"
         )
-    return found.function, f"{found.spec} {provenance.file_digest(found.files().values())[:16]}"
+    return policy, f"{own.spec} {provenance.file_digest(own.files().values())[:16]}"

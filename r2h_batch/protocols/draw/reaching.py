@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from r2h_batch.base import se3
 from r2h_batch.config import Workplace
 from r2h_batch.protocols.draw import receivers, recorded
+from r2h_batch.protocols.draw.own_torso import off_the_torso
 from r2h_batch.protocols.draw.people import draw_people, owners
 from r2h_batch.protocols.draw.reachable_set import (
     Room,
@@ -32,7 +33,7 @@ def place_reaching(batch: Batch) -> Placed:
     return Placed(
         *draw_people(
             batch.key, batch.trial_id, batch.side, batch.hand_index, owners(people, benchmark.hand_set),
-            partial(_placing, batch=batch), edge_m,
+            partial(_placing_people, batch=batch), edge_m,
         )
     )  # fmt: skip
 
@@ -86,3 +87,9 @@ def _placing(hand_index: NDArray[np.int64], batch: Batch) -> receivers.PlaceHand
         return fits, T[clear], people
 
     return place_hand
+
+
+def _placing_people(hand_index: NDArray[np.int64], batch: Batch) -> receivers.PlaceHand:
+    """`_placing` of people who do not overlap themselves: the receivers of r2h-v2, not those of r2h-v1, which is frozen."""
+    hands, place_hand = batch.hands, _placing(hand_index, batch)
+    return off_the_torso(place_hand, hand_index, hands.vertices, hands.center, hands.radius)

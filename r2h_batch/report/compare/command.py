@@ -13,6 +13,7 @@ from r2h_batch.base.errors import nearest
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.report.compare.stored import baselines_for, is_stored, stored_rows
+from r2h_batch.report.statistics.few import FEW, check_few
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
@@ -30,6 +31,7 @@ def compare(
     method: tuple[str, ...] = (),
     all_pairs: bool = False,
     across_robots: bool = False,
+    categories: int = FEW,
 ) -> int:
     """Compare the methods of run folders on the trials that they share.
 
@@ -45,21 +47,27 @@ def compare(
         method: only these methods, by the sweep's word (fc) or the table's name; by default all.
         all_pairs: also compare the baselines with each other.
         across_robots: also pair runs of several robots, by the number of the trial.
+        categories: so many new categories of objects: where their mean difference lies, beside the
+            interval for the mean of all categories (without families: objects).
     """
     from r2h_batch.report.compare.text import render
     from r2h_batch.report.held import held_rates
     from r2h_batch.report.statistics import paired as statistics
+    from r2h_batch.report.statistics.aggregate import rate_of
     from r2h_batch.report.statistics.common import common_trials
+    from r2h_batch.report.statistics.shares import hits_on
     from r2h_batch.report.turn import turned
 
     check_seed(seed)
+    check_few(categories)
     stored = load_runs(runs, method)
     common = common_trials(stored, proven=stored_rows(), across_robots=across_robots)
     paired = statistics.pair_up(stored, common)
     shipped = [is_stored(stored[k]) for k in paired.runs]
     not_shipped = [n for n, s in zip(paired.names, shipped, strict=True) if not s]
     some = any(shipped) and not all_pairs
-    comparisons = statistics.compare(paired, mine=not_shipped if some else (), seed=seed)
+    mine = not_shipped if some else ()
+    comparisons = statistics.compare(paired, mine=mine, seed=seed, few=categories)
     header = stored[0].header
     folders = (BASELINES if is_stored(r) else r.folder.name for r in stored)
     origin = {
@@ -83,7 +91,16 @@ def compare(
     known = [f"held under their weight for 1 s, percent of those past Stability: {'; '.join(held)}"]
     marked = (test.sentence for test in turns if test.marked)
     notes = (*common.notes, *paired.notes, *marked, *(known if held else ()))
-    sys.stdout.write(render(comparisons, format, origin=origin, notes=notes, turns=turns))
+    shares = {
+        n: {
+            key: rate_of(*hits)
+            for key, hits in hits_on(stored[k], own, common.trials).items()
+            if hits[1]
+        }
+        for n, k, own in called
+    }
+    text = render(comparisons, format, origin=origin, notes=notes, turns=turns, shares=shares)
+    sys.stdout.write(text)
     return 0
 
 

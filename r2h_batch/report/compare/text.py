@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison
+from r2h_batch.report.statistics.aggregate import Rate
+from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison, Pair
+from r2h_batch.report.statistics.shares import SHARES
 from r2h_batch.report.text import (
     NA,
     aligned,
@@ -20,16 +22,24 @@ from r2h_batch.report.text import (
     tex_table,
 )
 from r2h_batch.report.turn import MARK, Turned, about
+from r2h_batch.verdicts import SPLITS
 
 FORMATS = ("md", "latex", "csv", "json")
 
+Shares = Mapping[str, Mapping[tuple[str, str], Rate]]
+"""Method -> (split, key of `SHARES`) -> rate."""
+
+SHARES_NOTE = "Shares of rows on these trials, percent [95 %, Wilson] and rows; no part of SR."
+
 NOTES = (
-    "Holm p: McNemar's exact test, corrected over the pairs of its table. It decides for these objects.",
-    f"95 % new {{0}}: a t interval over {{1}}. #1: a bootstrap over {{2}} ({DRAWS} draws). Both speak about new"
-    " {1}.",
+    "p here: McNemar's exact test, for these objects. p new: a t test over {1}, for new ones. Holm corrected both over the"
+    " pairs of their table.",
+    "95 % all {0}: a t interval over {1}, of the mean of all {1}. {4} new: where the mean of {4} new {1} lies (95 %). Neither is"
+    " corrected for the other pairs.",
+    f"#1: a bootstrap over {{2}} ({DRAWS} draws), for new {{1}}.",
     "worst: a method's worst rank with one {3} left out, and which.",
-    "better, worse: decided for these objects and for new {1}. better here, worse here: decided for these objects"
-    " only. tied: not decided.",
+    f"better, worse: decided for new {{1}} (p new below {ALPHA}). better here, worse here: decided for these objects only. tied:"
+    " not decided.",
 )
 
 
@@ -39,11 +49,26 @@ def _notes(comparisons: Sequence[Comparison]) -> list[str]:
         words = ("cat.", "categories", "categories and their objects", "category")
     else:
         words = ("obj.", "objects", "objects", "object")
-    return [note.format(*words) for note in NOTES]
+    few = next((c.few for c in comparisons), "")
+    return [note.format(*words, few) for note in NOTES]
 
 
 def _new(comparison: Comparison) -> str:
     return "cat." if comparison.new == "categories" else "obj."
+
+
+def p_words(pair: Pair) -> str:
+    """The corrected p values of a pair: for these objects, and for new ones."""
+    return f"{_p(pair.p_holm)} here, {_p(pair.p_new_holm)} new"
+
+
+def _p(p: float | None) -> str:
+    return NA if p is None else f"{p:.2g}" if p >= 0.001 else f"{p:.0e}"
+
+
+def _ends(low: float | None, high: float | None, digits: int = 1) -> str:
+    known = low is not None and high is not None
+    return f"{low:+.{digits}f} to {high:+.{digits}f}" if known else NA
 
 
 def render(
@@ -53,6 +78,7 @@ def render(
     origin: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
     turns: Sequence[Turned] = (),
+    shares: Shares | None = None,
 ) -> str:
     """The comparisons as text that ends in a newline.
 
@@ -62,22 +88,44 @@ def render(
         origin: where the rows come from; LaTeX writes it as comments.
         notes: what a reader should know about the runs; Markdown and LaTeX write them.
         turns: turn tests of the methods, under their names in the comparisons.
+        shares: shares of their rows on these trials.
     """
+    shares = shares or {}
     if fmt == "md":
-        return _md(comparisons, notes, turns)
+        return _md(comparisons, notes, turns, shares)
     if fmt == "latex":
-        return _latex(comparisons, origin or {}, notes, turns)
+        return _latex(comparisons, origin or {}, notes, turns, shares)
     if fmt == "csv":
-        return _csv(comparisons, turns)
+        return _csv(comparisons, turns, shares)
     if fmt == "json":
-        return json_text([_record(c, turns) for c in comparisons])
+        return json_text([_record(c, turns, shares) for c in comparisons])
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
 
-def _record(c: Comparison, turns: Sequence[Turned]) -> dict[str, Any]:
+def _record(c: Comparison, turns: Sequence[Turned], shares: Shares) -> dict[str, Any]:
     own = [test for test in turns if test.group == c.group]
     found = {**asdict(c), "rank": None if c.rank is None else c.rank.tolist()}
+    known = {
+        method: {name: asdict(rate) for (split, name), rate in rates.items() if split == c.group}
+        for method, rates in shares.items()
+    }
+    found |= {"shares": known} if any(known.values()) else {}
     return found | ({"turns": about(own)} if own else {})
+
+
+def _share_lines(shares: Shares) -> tuple[list[str], list[list[str]]]:
+    """Headings and lines of a table: split, method, and each share with its interval and rows."""
+    names = [n for n in SHARES if any(n == k for rates in shares.values() for _, k in rates)]
+    short, lines = short_names(list(shares)), []
+    for split in SPLITS:
+        for method, rates in shares.items():
+            own = [rates.get((split, name)) for name in names]
+            cells = [
+                f"{r.percent:.1f} [{r.low:.0f}, {r.high:.0f}] {r.total}" if r else NA for r in own
+            ]
+            if any(own):
+                lines.append([split, short[method], *cells])
+    return ["Split", "Method", *(SHARES[name].heading for name in names)], lines
 
 
 def _marked(c: Comparison, short: Mapping[str, str], turns: Sequence[Turned]) -> dict[str, str]:
@@ -86,24 +134,30 @@ def _marked(c: Comparison, short: Mapping[str, str], turns: Sequence[Turned]) ->
     return {name: short[name] + (f" {MARK}" if name in moved else "") for name in c.names}
 
 
-def _md(comparisons: Sequence[Comparison], notes: Sequence[str], turns: Sequence[Turned]) -> str:
+def _md(
+    comparisons: Sequence[Comparison],
+    notes: Sequence[str],
+    turns: Sequence[Turned],
+    shares: Shares,
+) -> str:
     short = short_names([name for c in comparisons for name in c.names])
     parts = []
     for c in comparisons:
         shown = _marked(c, short, turns)
-        head = ["A", "B", "A-B", f"95 % new {_new(c)}", "only A/B", "Holm p", "A is"]
+        head = ["A", "B", "A-B", f"95 % all {_new(c)}", f"{c.few} new", "only A/B"]
+        head += ["p here", "p new", "A is"]
         parts.append(f"{c.group}: {c.n} trials, paired on the trial id")
         lines = []
         for pair in c.pairs:
-            known = pair.low is not None and pair.high is not None
-            ends = f"{pair.low:+.1f} to {pair.high:+.1f}" if known else NA
-            cells = [f"{pair.difference:+.1f}", ends, f"{pair.only_a}/{pair.only_b}"]
+            ends = [_ends(pair.low, pair.high), _ends(pair.few_low, pair.few_high, 0)]
             names = [plain(shown[pair.a]), plain(shown[pair.b])]
-            lines.append([*names, *cells, f"{pair.p_holm:.2g}", pair.verdict])
+            cells = [f"{pair.difference:+.1f}", *ends, f"{pair.only_a}/{pair.only_b}"]
+            p = [_p(pair.p_holm), _p(pair.p_new_holm)]
+            lines.append([*names, *cells, *p, pair.verdict])
         parts.append(aligned(head, lines, 2))
         if c.rank is not None:
-            shares = [[f"{100 * p:.0f} %" for p in row] for row in c.rank]
-            ranks = dict(zip(c.ranked, shares, strict=True))
+            chances = [[f"{100 * p:.0f} %" for p in row] for row in c.rank]
+            ranks = dict(zip(c.ranked, chances, strict=True))
             for name, worst in zip(c.ranked, c.worst or (), strict=True):
                 without = f" without {worst.without.replace('_', ' ')}" if worst.without else ""
                 ranks[name] = [*ranks[name], f"#{worst.rank}{without}"]
@@ -114,6 +168,10 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str], turns: Sequence
             ]
             places = [f"#{i + 1}" for i in range(len(c.ranked))]
             parts.append(aligned(["Method", "SR", *places, "worst"], table, 1))
+    head, rows = _share_lines(shares)
+    if rows:
+        rows = [[split, plain(method), *cells] for split, method, *cells in rows]
+        parts += [SHARES_NOTE, aligned(head, rows, 2)]
     columns = "A-B: difference of SR in points. #1: how often a method has that rank."
     parts.append(notes_list([*map(plain, legend(short)), *notes, columns, *_notes(comparisons)]))
     return "\n\n".join(parts) + "\n"
@@ -124,6 +182,7 @@ def _latex(
     origin: Mapping[str, str],
     notes: Sequence[str],
     turns: Sequence[Turned],
+    shares: Shares,
 ) -> str:
     """All pairs over both columns of a page; what is decided for new objects or categories too is bold."""
     short = short_names([name for c in comparisons for name in c.names])
@@ -136,25 +195,39 @@ def _latex(
             ends = f"[{pair.low:+.1f}, {pair.high:+.1f}]" if known else NA
             bold = pair.verdict in ("better", "worse")
             word = rf"\textbf{{{pair.verdict}}}" if bold else pair.verdict
-            p = r"{$<$0.001}" if pair.p_holm < 0.001 else f"{pair.p_holm:.3f}"
+            p = [_tex_p(pair.p_holm), _tex_p(pair.p_new_holm)]
             names = ["" if rows else c.group, tex(shown[pair.a]), tex(shown[pair.b])]
             counts = [str(pair.only_a), str(pair.only_b)]
-            cells = [*names, f"{pair.difference:+.1f}", ends, *counts, p, word]
+            cells = [*names, f"{pair.difference:+.1f}", ends, *counts, *p, word]
             rows.append(" & ".join(cells) + r" \\")
         groups.append(rows)
     signed = tex_number(3, 1).replace("3.1", "+3.1")
-    spec = ["l", "l", "l", signed, "c", "r", "r", tex_number(1, 3), "l"]
+    spec = ["l", "l", "l", signed, "c", "r", "r", *[tex_number(1, 3)] * 2, "l"]
     head = ["", "$A$", "$B$", "{$A-B$}", r"95\,\%", "only $A$", "only $B$"]
-    head += ["{$p$ (Holm)}", "$A$ is"]
+    head += ["{$p$ here}", "{$p$ new}", "$A$ is"]
     decided = f"bold: decided for new ones too, alpha {ALPHA}"
     comments = tex_comments(origin, [*legend(short), *notes, *_notes(comparisons), decided])
-    return "\n".join([*comments, *tex_table(spec, head, groups)]) + "\n"
+    tables = tex_table(spec, head, groups)
+    columns, lines = _share_lines(shares)
+    if lines:
+        cells = [" & ".join(map(tex, line)) + r" \\" for line in lines]
+        tables += [
+            f"% {SHARES_NOTE}",
+            *tex_table(["l"] * len(columns), [*map(tex, columns)], [cells]),
+        ]
+    return "\n".join([*comments, *tables]) + "\n"
 
 
-def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned]) -> str:
+def _tex_p(p: float | None) -> str:
+    return "{" + NA + "}" if p is None else r"{$<$0.001}" if p < 0.001 else f"{p:.3f}"
+
+
+def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned], shares: Shares) -> str:
     """One row for each group and pair, with both rates and the share of draws in which each method
-    is first; where there are turn tests, with the largest move of each method's rate."""
+    is first; shares of rows where there are any; where there are turn tests, with the largest move of each
+    method's rate."""
     records = []
+    shown = [n for n in SHARES if any(n == k for rates in shares.values() for _, k in rates)]
     for c in comparisons:
         rate = dict(zip(c.names, c.rates))
         ranks = [] if c.rank is None else c.rank.tolist()
@@ -164,5 +237,12 @@ def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned]) -> str:
             rates = {"sr_a": rate[pair.a], "sr_b": rate[pair.b]}
             firsts = {"first_a": first.get(pair.a), "first_b": first.get(pair.b)}
             moves = {"turn_a": most.get(pair.a), "turn_b": most.get(pair.b)} if turns else {}
-            records.append({"group": c.group, "n": c.n, **asdict(pair), **rates, **firsts, **moves})
+            of_rows = {
+                f"{name}_{side}": rate and rate.percent
+                for name in shown
+                for side, method in (("a", pair.a), ("b", pair.b))
+                for rate in [shares.get(method, {}).get((c.group, name))]
+            }
+            pair_fields = {"group": c.group, "n": c.n, **asdict(pair), "few": c.few}
+            records.append(pair_fields | rates | firsts | of_rows | moves)
     return csv_text(records)

@@ -2,28 +2,36 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 
 from r2h_batch.base.validate import (
     array,
     check_arguments,
     describe_value,
     instance_of,
+    integer,
     number,
     one_of,
+    optional,
     sequence_of,
 )
-from r2h_batch.report.statistics.tally import SECONDS, SHARES, Tally
+from r2h_batch.report.statistics.few import FEW
+from r2h_batch.report.statistics.intervals import over_clusters
+from r2h_batch.report.statistics.shares import counted_shares
+from r2h_batch.report.statistics.tally import SECONDS, Tally
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.verdicts import REGISTRY, SPLITS
 
 FAILURES = {entry.rate: entry for entry in sorted(REGISTRY, key=lambda entry: entry.column)}
 """Rate of first failures -> its criterion, in the order of Table I's columns."""
+
+PARTIAL = {rate: entry for rate, entry in FAILURES.items() if entry.applies is not None}
+"""Those of criteria for some objects: rates of the trials that they concern."""
 
 RATES = {
     "sr": ("success",),
@@ -72,14 +80,11 @@ class Row:
         n_objects: different objects.
         sr_new_categories: the success rate with its interval for new categories of objects.
         n_categories: different categories; as many as objects where each is one of its own.
+        sr_few: the success rate with its prediction interval: where the mean of `few` new categories
+            lies, of each split in the Avg row.
+        few: number of these.
         times: key of `TIMES` -> mean in seconds.
-        presented: rate of trials whose region faced the palm within reach, of S1's trials.
-        body_met: rate of motions that met the receiver's arm or torso, of the motions past a
-            receiver who has them.
-        through: rate of successes whose path passes through something by more than 0.1 mm, which
-            only paths can that are checked at samples.
-        held: rate of objects that the closed gripper holds under their weight for 1 s, of those past
-            Stability, where a run has it (`report.held`).
+        shares: key of `SHARES` -> rate of the rows that it is of; those that no row is of are left out.
     """
 
     split: str
@@ -90,12 +95,11 @@ class Row:
     sr_new_objects: Rate | None
     n_objects: int
     times: Mapping[str, Mean]
-    presented: Rate | None = None
-    body_met: Rate | None = None
-    through: Rate | None = None
-    held: Rate | None = None
+    shares: Mapping[str, Rate] = field(default_factory=dict)
     sr_new_categories: Rate | None = None
     n_categories: int = 0
+    sr_few: Rate | None = None
+    few: int = FEW
 
 
 _SHARE = number(0, 1)
@@ -132,48 +136,18 @@ def wilson_interval(
     return low, high
 
 
-def ratio(
-    strata: Sequence[tuple[np.ndarray, np.ndarray]], confidence: float = 0.95
-) -> tuple[float, float] | None:
-    """The ratio sum(x) / sum(n) over clusters (objects), and half of its t interval.
+@check_arguments(success=_COUNTS, total=_COUNTS, few=optional(integer(1)))
+def clustered_rate(success: np.ndarray, total: np.ndarray, few: int | None = None) -> Rate | None:
+    """The success rate with an interval over clusters (objects, or categories of them): it speaks
+    about the mean of all clusters of this kind, or about that of a few new ones.
 
-    The error is the linearised one: the variance of the residuals x - ratio n between the clusters
-    of each stratum. The degrees of freedom are clusters minus strata.
-
-    Args:
-        strata: (x, n) of each stratum: (K,) sums and trials of its clusters; empty clusters do not
-            count.
-        confidence: between 0 and 1.
-
-    Returns:
-        Both as fractions, or None if a stratum has fewer than two clusters.
-
-    Source: Cochran 1977, Sampling Techniques, chapter 6.
-    """
-    pairs = [(x[n > 0], np.asarray(n[n > 0], np.float64)) for x, n in strata]
-    if min((len(n) for _, n in pairs), default=0) < 2:
-        return None
-    total = sum(n.sum() for _, n in pairs)
-    p = sum(x.sum() for x, _ in pairs) / total
-    variance = 0.0
-    for x, n in pairs:
-        residual, k = x - p * n, len(n)
-        variance += k / (k - 1) * np.sum((residual - residual.mean()) ** 2)
-    freedom = sum(len(n) - 1 for _, n in pairs)
-    return float(p), float(stdtrit(freedom, 0.5 + confidence / 2) * np.sqrt(variance) / total)
-
-
-@check_arguments(success=_COUNTS, total=_COUNTS)
-def clustered_rate(success: np.ndarray, total: np.ndarray) -> Rate | None:
-    """The success rate with a t interval over clusters (objects, or categories of them): it speaks
-    about new clusters of this kind.
-
-    It is never narrower than the Wilson interval: with few clusters the variance between them can
-    come out as 0.
+    It is a t interval of the log odds (`Clustered.rate_ends`), and never narrower than the Wilson
+    interval: with few clusters the variance between them can come out as 0.
 
     Args:
         success: (K,) successes of each cluster.
         total: (K,) trials of each cluster; empty clusters do not count.
+        few: so many new clusters, each with as many trials as these have; None: all clusters.
 
     Returns:
         The rate, or None with fewer than two clusters.
@@ -182,13 +156,15 @@ def clustered_rate(success: np.ndarray, total: np.ndarray) -> Rate | None:
     if x.shape != n.shape or (x > n).any():
         found = f"success is {describe_value(success)} and total {describe_value(total)}"
         raise ValueError(f"{found}; they must be successes and trials of each cluster")
-    if (found_ratio := ratio([(x, n)])) is None:
+    count, trials = int(x.sum()), int(n.sum())
+    p = count / trials if trials else 0.0
+    if (found_mean := over_clusters([(x, n)], p * (1 - p))) is None:
         return None
-    p, half = found_ratio
-    wilson_low, wilson_high = wilson_interval(x.sum(), n.sum())
-    low = max(min(p - half, float(wilson_low)), 0.0)
-    high = min(max(p + half, float(wilson_high)), 1.0)
-    return Rate(100 * p, 100 * low, 100 * high, int(x.sum()), int(n.sum()))
+    share = found_mean.shrunk(few)
+    wilson = wilson_interval(count * share, trials * share)
+    ends = found_mean.rate_ends(few)
+    low, high = min(ends[0], float(wilson[0])), max(ends[1], float(wilson[1]))
+    return Rate(100 * p, 100 * max(low, 0.0), 100 * min(high, 1.0), count, trials)
 
 
 @check_arguments(rates=sequence_of(Rate))
@@ -205,19 +181,23 @@ def mean_rate(rates: Sequence[Rate]) -> Rate:
 _TALLY = instance_of(Tally, "what tally(RUN, METHOD) gives")
 
 
-@check_arguments(counted=_TALLY, split=one_of(*SPLITS))
-def split_row(counted: Tally, split: str) -> Row:
-    """The table line of a split. The rate of a criterion that the split does not require, or that came after
-    these rows, is None.
+_FEW = integer(1)
+
+
+@check_arguments(counted=_TALLY, split=one_of(*SPLITS), few=_FEW)
+def split_row(counted: Tally, split: str, few: int = FEW) -> Row:
+    """The table line of a split. The rate of a criterion that the split does not require, that concerns none of its
+    objects, or that came after these rows, is None.
 
     Args:
         counted: a method's trials.
         split: S0 or S1.
+        few: new categories whose mean the prediction interval speaks about.
 
     Raises:
         ValueError: if a trial fails a criterion that its split does not require.
     """
-    return _row(counted, split, counted.of_split(split).by("object", "outcome"))
+    return _row(counted, split, counted.of_split(split).by("object", "outcome"), few)
 
 
 @check_arguments(counted=_TALLY, split=one_of(*SPLITS))
@@ -229,7 +209,7 @@ def object_rows(counted: Tally, split: str) -> dict[str, Row]:
     return {name: _row(counted, split, own) for name, own in cells.items() if own}
 
 
-def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
+def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]], few: int = FEW) -> Row:
     """The table line of the trials in these cells, each of one object and outcome."""
     counts = dict.fromkeys(OUTCOME_NAMES, 0)
     trials, successes = Counter[str](), Counter[str]()
@@ -245,6 +225,13 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
             raise ValueError(f"{counted.method}: {failed} {split} {what}")
         if split not in entry.splits or entry.name not in counted.judged:
             rates[rate] = None
+        elif entry.applies is not None:
+            own = counted.concerned.get(entry.name, frozenset())
+            others = (c for c in cells if c["object"] not in own and c["outcome"] == entry.name)
+            if other := next(others, None):
+                what = f"failed {entry.name.capitalize()}, which does not concern {other['object']}"
+                raise ValueError(f"{counted.method}: {other['n']} {split} trials {what}")
+            rates[rate] = _rate(counts[entry.name], sum(k for o, k in trials.items() if o in own))
 
     def added(name: str) -> tuple[float, int]:
         return sum(c[f"{name}_sum"] for c in cells), sum(c[f"{name}_count"] for c in cells)
@@ -260,7 +247,7 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
     categories = [counted.category.get(o, o) for o in trials]
     by_category = np.zeros((len(set(categories)), 2), np.int64)
     np.add.at(by_category, np.unique(categories, return_inverse=True)[1], by_object)
-    shares = {name: added(name) for name in SHARES}
+    shares = {name: added(name) for name in counted_shares()}
     return Row(
         split=split,
         method=counted.method,
@@ -271,15 +258,17 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]]) -> Row:
         n_objects=len(trials),
         sr_new_categories=clustered_rate(*by_category.T),
         n_categories=len(by_category),
+        sr_few=clustered_rate(by_category[:, 0], by_category[:, 1], few),
+        few=few,
         times={k: means[k] for k in TIMES},
-        **{name: _rate(round(hits), known) for name, (hits, known) in shares.items()},
+        shares={k: rate_of(round(hits), known) for k, (hits, known) in shares.items() if known},
     )
 
 
-def over_objects(counted: Tally, split: str) -> Row:
+def over_objects(counted: Tally, split: str, few: int = FEW) -> Row:
     """As `split_row`, but every object of the split counts the same, whatever its trials: rates
     and times are means over the objects' own. Counts and intervals are those of the trials."""
-    whole = split_row(counted, split)
+    whole = split_row(counted, split, few)
     rows = list(object_rows(counted, split).values())
 
     def rate(of: Callable[[Row], Rate | None]) -> Rate | None:
@@ -296,9 +285,11 @@ def over_objects(counted: Tally, split: str) -> Row:
         whole,
         rates={name: rate(lambda r, k=name: r.rates[k]) for name in RATES},  # type: ignore[misc]
         times={name: mean(name) for name in TIMES},
-        presented=rate(lambda r: r.presented),
-        body_met=rate(lambda r: r.body_met),
-        through=rate(lambda r: r.through),
+        shares={
+            name: found
+            for name in whole.shares
+            if (found := rate(lambda r, k=name: r.shares.get(k)))  # type: ignore[misc]
+        },
     )
 
 
@@ -321,7 +312,8 @@ def rate_of(count: int, total: int) -> Rate:
 def average_row(rows: Sequence[Row]) -> Row:
     """The paper's Avg: the mean of a method's splits.
 
-    A criterion that a split skips counts as 0 there. A rate is None if a split has no trials.
+    A criterion that a split skips counts as 0 there. A rate is None if a split has no trials; that of a criterion
+    for some objects is the mean of the splits that have such objects.
     """
 
     def rate(name: str) -> Rate | None:
@@ -329,6 +321,8 @@ def average_row(rows: Sequence[Row]) -> Row:
         judged_in = FAILURES[name].splits if name in FAILURES else SPLITS
         parts = [r.rates[name] if r.split in judged_in or not r.n else zero for r in rows]
         known = [p for p in parts if p is not None]
+        if name in PARTIAL and known:  # a split may have none of its objects
+            return mean_rate(known)
         return mean_rate(known) if len(known) == len(parts) else None
 
     def mean(name: str) -> Mean:
@@ -351,6 +345,8 @@ def average_row(rows: Sequence[Row]) -> Row:
         n_objects=sum(r.n_objects for r in rows),
         sr_new_categories=over([r.sr_new_categories for r in rows]),
         n_categories=sum(r.n_categories for r in rows),
+        sr_few=over([r.sr_few for r in rows]),
+        few=rows[0].few,
         times={name: mean(name) for name in TIMES},
     )
 
@@ -358,13 +354,17 @@ def average_row(rows: Sequence[Row]) -> Row:
 @check_arguments(
     methods=sequence_of(Tally, "what tally(RUN, METHOD) gives", least=0),
     averages=one_of("trials", "objects"),
+    few=_FEW,
 )
-def summarise(methods: Sequence[Tally], averages: str = "trials") -> tuple[Row, ...]:
+def summarise(
+    methods: Sequence[Tally], averages: str = "trials", few: int = FEW
+) -> tuple[Row, ...]:
     """The lines of Table I: every method on S0, then on S1, then Avg if both splits were planned.
 
     Args:
         methods: counted trials; their names differ.
         averages: what counts the same within a split, as `EvalConfig.averages` says.
+        few: new categories whose mean the prediction intervals speak about.
     """
     table: list[Row] = []
     by_method: dict[str, list[Row]] = {m.method: [] for m in methods}
@@ -373,7 +373,7 @@ def summarise(methods: Sequence[Tally], averages: str = "trials") -> tuple[Row, 
     for split in SPLITS:
         for counted in methods:
             if split in counted.splits:
-                row = (split_row if averages == "trials" else over_objects)(counted, split)
+                row = (split_row if averages == "trials" else over_objects)(counted, split, few)
                 table.append(row)
                 by_method[counted.method].append(row)
     table.extend(average_row(rows) for rows in by_method.values() if len(rows) == len(SPLITS))

@@ -11,7 +11,7 @@ from r2h_batch.report.statistics.codes import FAILED, UNEVALUATED, codes, states
 from r2h_batch.report.statistics.tally import Tally
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,6 @@ def by_object(counted: Tally) -> tuple[tuple[str, Row], ...]:
 
 
 BINS = 60
-MARGIN_RANGE_M = (-0.06, 0.12)
 
 
 @dataclass(frozen=True)
@@ -67,13 +66,14 @@ def _histogram(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def margin_histograms(run: Run, method: str) -> dict[str, Histogram]:
-    """Criterion -> histogram of its finite margins."""
-    low, high = MARGIN_RANGE_M
+    """Criterion -> histogram of its finite margins, in its unit."""
+    ends = {e.name: (UNITS[e.unit].low, UNITS[e.unit].high) for e in REGISTRY}
     counts = {c: np.zeros(BINS, np.int64) for c in CRITERIA}
-    for table in run.shards("trials", method, [f"margin_{c}_m" for c in CRITERIA]):
-        for c in CRITERIA:
-            counts[c] += _histogram(table[f"margin_{c}_m"].to_numpy().astype(np.float64), low, high)
-    return {c: Histogram(low, high, n) for c, n in counts.items()}
+    for table in run.shards("trials", method, [e.margin_column for e in REGISTRY]):
+        for e in REGISTRY:
+            values = table[e.margin_column].to_numpy().astype(np.float64)
+            counts[e.name] += _histogram(values, *ends[e.name])
+    return {c: Histogram(*ends[c], n) for c, n in counts.items()}
 
 
 def time_histograms(run: Run, name: str) -> dict[str, Histogram]:
@@ -96,7 +96,7 @@ def time_histograms(run: Run, name: str) -> dict[str, Histogram]:
     return {m: Histogram(0.0, high, count) for m, count in counts.items()}
 
 
-SHOWN = ("trial_id", "object", "split", "side", "outcome", *(f"margin_{c}_m" for c in CRITERIA))
+SHOWN = ("trial_id", "object", "split", "side", "outcome", *(e.margin_column for e in REGISTRY))
 SHOWN += ("plan_reason", "plan_pair", "borderline", "t_exec_s")
 """Columns of the trials on a page."""
 

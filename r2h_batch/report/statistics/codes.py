@@ -46,7 +46,10 @@ def judged_by(run: Run, method: str) -> tuple[str, ...]:
 
 
 def first_failures(
-    state: Mapping[str, np.ndarray], split: np.ndarray, judged: Sequence[str] = CRITERIA
+    state: Mapping[str, np.ndarray],
+    split: np.ndarray,
+    judged: Sequence[str] = CRITERIA,
+    concerned: Mapping[str, np.ndarray] | None = None,
 ) -> np.ndarray:
     """The outcome that the criteria of each trial give.
 
@@ -54,6 +57,7 @@ def first_failures(
         state: criterion -> (N,) `UNEVALUATED`, `FAILED` or `PASSED`.
         split: (N,) int, place in `SPLITS`.
         judged: criteria that the rows were judged by (`judged_by`).
+        concerned: criterion that is not for all objects -> (N,) bool, whether it concerns the trial's.
 
     Returns:
         (N,) int8 code of `Outcome`: the first failed criterion, or success; -1 if no criterion
@@ -64,6 +68,7 @@ def first_failures(
     for entry in reversed(REGISTRY):
         found[state[entry.name] == FAILED] = Outcome[entry.name.upper()]
         required = np.array([s in entry.splits and entry.name in judged for s in SPLITS])
-        unseen |= (state[entry.name] == UNEVALUATED) & required[split]
+        asked = required[split] & (concerned or {}).get(entry.name, True)
+        unseen |= (state[entry.name] == UNEVALUATED) & asked
     found[unseen & (found == Outcome.SUCCESS)] = -1
     return found

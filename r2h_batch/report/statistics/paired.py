@@ -1,5 +1,6 @@
-"""Which method is better, decided on the same trials: McNemar's test, Holm's correction, a t interval
-over categories of objects, and a bootstrap over categories and their objects for ranks."""
+"""Which method is better, decided on the same trials: McNemar's test and a t test over categories of
+objects, Holm's correction of both, t intervals, and a bootstrap over categories and their objects for
+ranks."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,9 +19,14 @@ from r2h_batch.base.validate import (
     optional,
     sequence_of,
 )
-from r2h_batch.report.statistics.aggregate import ratio
 from r2h_batch.report.statistics.codes import codes
 from r2h_batch.report.statistics.common import Common, common_trials
+from r2h_batch.report.statistics.few import FEW
+from r2h_batch.report.statistics.intervals import (
+    Clustered,
+    over_clusters,
+    paired_score_interval,
+)
 from r2h_batch.report.statistics.tally import check_planned
 from r2h_batch.runs.store import Run, robot_words
 from r2h_batch.verdicts import SPLITS, Outcome
@@ -108,15 +114,21 @@ class Pair:
         b: the second method.
         difference: of the success rates, in points.
         low: lower end of the difference's 95 % t interval over categories of objects, which speaks
-            about new ones; None with one category.
+            about the mean of all categories; never narrower than the score interval for more trials
+            with these objects. None with one category. It is this pair's own, not corrected for others.
         high: its upper end.
+        few_low: lower end of the 95 % prediction interval of the mean of a few new categories, of each
+            split.
+        few_high: its upper end.
         only_a: trials that only the first solves.
         only_b: trials that only the second solves.
         p: McNemar's exact p value.
         p_holm: the same, adjusted by Holm over the pairs that are compared.
-        verdict: what `a` is. "better" or "worse": p_holm is below 0.05 and the interval, which
-            speaks about new categories, leaves out 0. "better here" or "worse here": only the former
-            holds, which speaks about these objects. "tied": neither.
+        p_new: p value of the t test over categories, which speaks about new ones, or `p` if that is
+            larger: new categories bring new trials. None with one category.
+        p_new_holm: the same, adjusted by Holm over the pairs that are compared.
+        verdict: what `a` is. "better" or "worse": p_new_holm is below 0.05. "better here" or "worse
+            here": only p_holm is, which speaks about these objects. "tied": neither.
     """
 
     a: str
@@ -124,10 +136,14 @@ class Pair:
     difference: float
     low: float | None
     high: float | None
+    few_low: float | None
+    few_high: float | None
     only_a: int
     only_b: int
     p: float
     p_holm: float
+    p_new: float | None
+    p_new_holm: float | None
     verdict: str
 
 
@@ -160,6 +176,7 @@ class Comparison:
         worst: the worst rank of each of `ranked` with one category left out; None with one category.
         categories: number of them.
         objects: number of them.
+        few: new categories whose mean the prediction intervals speak about.
     """
 
     group: str
@@ -172,6 +189,7 @@ class Comparison:
     worst: tuple[Worst, ...] | None
     categories: int
     objects: int
+    few: int = FEW
 
     @property
     def new(self) -> str:
@@ -363,10 +381,13 @@ class _Stream:
 
 
 @check_arguments(
-    paired=instance_of(Paired, "what pair_up(RUNS) gives"), draws=integer(1, 10**7), seed=integer(0)
+    paired=instance_of(Paired, "what pair_up(RUNS) gives"),
+    draws=integer(1, 10**7),
+    seed=integer(0),
+    few=integer(1),
 )
 def compare(
-    paired: Paired, *, mine: Sequence[str] = (), draws: int = DRAWS, seed: int = 0
+    paired: Paired, *, mine: Sequence[str] = (), draws: int = DRAWS, seed: int = 0, few: int = FEW
 ) -> tuple[Comparison, ...]:
     """Compare pairs of methods on each split, and on all trials if there are two splits.
 
@@ -376,6 +397,7 @@ def compare(
             pairs need a smaller correction.
         draws: of the bootstrap over categories and objects, for the ranks.
         seed: of the bootstrap. No verdict depends on it.
+        few: new categories whose mean the prediction intervals speak about.
     """
     groups = [(SPLITS[k], [k]) for k in range(len(SPLITS)) if paired.trials[k].any()]
     if len(groups) > 1:
@@ -385,7 +407,7 @@ def compare(
     if own:
         chosen = [(i, j) for i, j in pairs if i in own or j in own]
         pairs = [(i, j) if i in own else (j, i) for i, j in chosen]
-    return tuple(_compare(name, paired, splits, pairs, draws, seed) for name, splits in groups)
+    return tuple(_compare(name, paired, splits, pairs, draws, seed, few) for name, splits in groups)
 
 
 def _compare(
@@ -395,23 +417,39 @@ def _compare(
     pairs: Sequence[tuple[int, int]],
     draws: int,
     seed: int,
+    few: int,
 ) -> Comparison:
     names, n = paired.names, int(paired.trials[splits].sum())
     sampled = _resampled_rates(paired, splits, draws, seed)
     counts = paired.only[splits].sum(0)
     only = [(int(counts[i, j]), int(counts[j, i])) for i, j in pairs]
     p = [mcnemar(*both) for both in only]
+    over = [_over_categories(paired, splits, i, j, *both) for (i, j), both in zip(pairs, only)]
+    # new categories come with new trials, so their test never finds more than that of these objects
+    known = [None if o is None else max(o.p, raw) for o, raw in zip(over, p, strict=True)]
+    p_new = [1.0 if value is None else value for value in known]
     lines = []
-    for (i, j), (only_i, only_j), raw, adjusted in zip(pairs, only, p, holm(p)):
-        difference = 100 * (only_i - only_j) / n
-        low, high = _interval(paired, splits, i, j) or (None, None)
+    for k, ((i, j), adjusted, adjusted_new) in enumerate(
+        zip(pairs, holm(p).tolist(), holm(p_new).tolist(), strict=True)
+    ):
+        difference = 100 * (only[k][0] - only[k][1]) / n
         word = "better" if difference > 0 else "worse"
         if adjusted >= ALPHA:
             word = "tied"
-        elif low is None or high is None or low <= 0 <= high:
+        elif adjusted_new >= ALPHA:
             word += " here"
-        own = (names[i], names[j], difference, low, high, only_i, only_j, raw)
-        lines.append(Pair(*own, float(adjusted), word))
+        own = over[k]
+        low, high = _ends(own, only[k], n, None)
+        few_low, few_high = _ends(own, only[k], n, few)
+        lines.append(
+            Pair(
+                a=names[i], b=names[j], difference=difference,
+                low=low, high=high, few_low=few_low, few_high=few_high,
+                only_a=only[k][0], only_b=only[k][1],
+                p=p[k], p_holm=adjusted, p_new=known[k],
+                p_new_holm=None if own is None else adjusted_new, verdict=word,
+            )
+        )  # fmt: skip
     rates = tuple(float(100 * (hits / n)) for hits in paired.hits[splits].sum((0, 2)))
     places = [i for i, name in enumerate(names) if name not in paired.bounds]
     ranked = tuple(names[i] for i in places)
@@ -420,19 +458,32 @@ def _compare(
     asked = paired.trials[splits].any(0)
     categories = len(np.unique(paired.clusters[1][asked]))
     return Comparison(
-        group, n, names, rates, tuple(lines), ranked, rank, worst, categories, int(asked.sum())
+        group, n, names, rates, tuple(lines), ranked, rank, worst, categories, int(asked.sum()), few
     )
 
 
-def _interval(paired: Paired, splits: Sequence[int], i: int, j: int) -> tuple[float, float] | None:
-    """The 95 % t interval of the difference of two methods' rates, in points, with the splits as
-    strata; None with one category."""
+def _over_categories(
+    paired: Paired, splits: Sequence[int], i: int, j: int, only_i: int, only_j: int
+) -> Clustered | None:
+    """The difference of two methods' rates over categories, with the splits as strata; None with one category."""
     more = _by_category(paired, paired.hits[:, i] - paired.hits[:, j])
     trials = _by_category(paired, paired.trials)
-    found = ratio([(more[k], trials[k]) for k in splits], 1 - ALPHA)
-    if found is None:
-        return None
-    return 100 * max(found[0] - found[1], -1.0), 100 * min(found[0] + found[1], 1.0)
+    n = trials[splits].sum()
+    # a trial's difference is 1, -1 or 0
+    spread = (only_i + only_j) / n - ((only_i - only_j) / n) ** 2
+    return over_clusters([(more[k], trials[k]) for k in splits], float(spread))
+
+
+def _ends(
+    over: Clustered | None, only: tuple[int, int], n: int, few: int | None
+) -> tuple[float | None, float | None]:
+    """The 95 % interval of the difference in points, for all categories or for the mean of a few new ones."""
+    if over is None:
+        return None, None
+    share = over.shrunk(few)
+    least = paired_score_interval(only[0] * share, only[1] * share, n * share)
+    low, high = over.ends(few)
+    return 100 * min(low, least[0]), 100 * max(high, least[1])
 
 
 def _by_category(paired: Paired, counts: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from r2h_batch.config import BORDERLINE_M
 from r2h_batch.report.statistics.codes import first_failures, judged_by, states
+from r2h_batch.report.statistics.shares import counted_shares, with_shares
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
@@ -17,18 +17,8 @@ from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
 SECONDS = ("t_plan_s", "t_exec_s", "t_method_s")
 """Stored times."""
 
-SHARES = ("presented", "body_met", "through")
-"""Whether the region was presented; whether the motion met the receiver's arm or torso; whether a
-success passed through something (by more than float32's doubt)."""
-
 _WORDS = ("object", "split", "outcome")
 _KEYS = [*_WORDS, *(f"passed_{c}" for c in CRITERIA)]
-_STORED = [*_KEYS, *SECONDS, "presented", "body_m", "margin_plan_m"]
-_COUNTS = [
-    "n",
-    "successes",
-    *(f"{name}_{how}" for name in (*SECONDS, *SHARES) for how in ("sum", "count")),
-]
 _PIECES = 64
 """Number of shards' counts that are added up together."""
 
@@ -42,11 +32,12 @@ class Tally:
         splits: the planned ones.
         objects: names in the order in which they were met. Arrow's groups have no order.
         groups: a row for each group. Columns: object, split, outcome, passed_CRITERION (null: not
-            evaluated), the number n of trials, its successes, and for each of `SECONDS` and `SHARES`
+            evaluated), the number n of trials, its successes, and for each of `SECONDS` and `counted_shares`
             the NAME_sum of its values (seconds, or 0 and 1) and the NAME_count of trials that have
             one.
         judged: criteria that the rows were judged by.
         category: object -> its family; an object that is not here is its own category.
+        concerned: criterion that is not for all objects -> those that it concerns.
     """
 
     method: str
@@ -55,6 +46,7 @@ class Tally:
     groups: pa.Table
     judged: tuple[str, ...] = CRITERIA
     category: Mapping[str, str] = field(default_factory=dict)
+    concerned: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @staticmethod
     def of(method: str, splits: Sequence[str], tables: Iterable[pa.Table]) -> "Tally":
@@ -100,8 +92,10 @@ def tally(run: Run, method: str) -> Tally:
             first failure.
     """
     trials = run.planned(method)
-    counted = Tally.of(method, tuple(trials), run.shards("trials", method, _STORED))
-    counted = replace(counted, judged=judged_by(run, method), category=run.categories)
+    counted = Tally.of(method, tuple(trials), run.shards("trials", method, _stored()))
+    counted = replace(
+        counted, judged=judged_by(run, method), category=run.categories, concerned=run.concerned
+    )
     n = {found["split"]: found["n"] for found in counted.by("split")}
     check_planned(method, trials, n)
     groups = counted.groups
@@ -109,7 +103,11 @@ def tally(run: Run, method: str) -> Tally:
         np.array([order.index(word) for word in groups[name].to_pylist()], np.int64)
         for name, order in (("split", SPLITS), ("outcome", OUTCOME_NAMES))
     )
-    says = first_failures(states(groups), split, counted.judged)
+    objects = groups["object"].to_pylist()
+    concerned = {
+        c: np.array([o in own for o in objects], bool) for c, own in counted.concerned.items()
+    }
+    says = first_failures(states(groups), split, counted.judged, concerned)
     other = (outcome < Outcome.INVALID_INPUT) & (outcome != says)
     if odd := int(groups["n"].to_numpy()[other].sum()):
         words = "rows have another outcome than their criteria say"
@@ -126,18 +124,32 @@ def check_planned(method: str, trials: Mapping[str, int], found: Mapping[str, in
             raise ValueError(f"{method}: {count} rows in {split}, {planned} were planned")
 
 
+def _stored() -> list[str]:
+    """The columns that are read."""
+    needs = (column for share in counted_shares().values() for column in share.needs)
+    return list(dict.fromkeys((*_KEYS, *SECONDS, *needs)))
+
+
+def _summed_up() -> list[str]:
+    """The columns that are added up, beside the number of rows and of successes."""
+    return [*SECONDS, *counted_shares()]
+
+
+def _counts() -> list[str]:
+    sums = (f"{name}_{how}" for name in _summed_up() for how in ("sum", "count"))
+    return ["n", "successes", *sums]
+
+
 def _counted(table: pa.Table) -> pa.Table:
     """The groups of stored rows."""
     success = pc.equal(table["outcome"].cast(pa.string()), Outcome.SUCCESS.name.lower())
-    through = pc.if_else(success, pc.less(table["margin_plan_m"], -BORDERLINE_M), None)
-    columns = {"successes": success, "body_met": pc.less(table["body_m"], 0), "through": through}
-    for name, column in columns.items():
-        table = table.append_column(name, column)
-    added = [(name, how) for name in (*SECONDS, *SHARES) for how in ("sum", "count")]
+    table = with_shares(table).append_column("successes", success)
+    added = [(name, how) for name in _summed_up() for how in ("sum", "count")]
     groups = table.group_by(_KEYS, use_threads=False)
     groups = groups.aggregate([([], "count_all"), ("successes", "sum"), *added])
-    groups = groups.rename_columns([*_KEYS, *_COUNTS])
-    types = dict.fromkeys(_WORDS, pa.string()) | {f"{name}_sum": pa.float64() for name in SHARES}
+    groups = groups.rename_columns([*_KEYS, *_counts()])
+    types = dict.fromkeys(_WORDS, pa.string())
+    types |= {f"{name}_sum": pa.float64() for name in counted_shares()}
     for name, kind in types.items():
         groups = groups.set_column(groups.column_names.index(name), name, groups[name].cast(kind))
     return groups
@@ -147,6 +159,6 @@ def _summed(groups: pa.Table, keys: Sequence[str]) -> pa.Table:
     """The counts added up over the groups that agree in `keys`; 0 where no trial has a value."""
     found = groups.group_by(list(keys), use_threads=False)
     found = found.aggregate(
-        [(name, "sum", pc.ScalarAggregateOptions(min_count=0)) for name in _COUNTS]
+        [(name, "sum", pc.ScalarAggregateOptions(min_count=0)) for name in _counts()]
     )
-    return found.rename_columns([*keys, *_COUNTS])
+    return found.rename_columns([*keys, *_counts()])

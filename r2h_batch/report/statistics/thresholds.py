@@ -3,8 +3,8 @@
 r2h_batch.sweep.results.rethreshold says which thresholds can change, and how far.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
@@ -49,6 +49,7 @@ class Point:
         safe_margin_m: distance that the robot must keep from the hand.
         counts: method -> (2, 9) trials by split and outcome.
         undecided: method -> trials too near to a threshold.
+        concerned: method -> criterion that is not for all objects -> (2,) trials that it concerns.
     """
 
     reach_radius_m: float
@@ -56,6 +57,7 @@ class Point:
     safe_margin_m: float
     counts: dict[str, np.ndarray]
     undecided: dict[str, int]
+    concerned: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
 
     def rate(self, method: str) -> float:
         """Success rate in percent, the mean over the planned splits as in the paper's Avg."""
@@ -116,8 +118,13 @@ def rethreshold(
             point.counts[method] = np.zeros((len(SPLITS), MISSING + 1), np.int64)
             point.undecided[method] = 0
         judged = judged_by(run, method)
+        of = {c: np.zeros(len(SPLITS), np.int64) for c in run.concerned}
+        for point in points:
+            point.concerned[method] = of
         for table in run.shards("trials", method):
-            shard = _Margins(table, base, judged)
+            shard = _Margins(table, base, judged, run.concerned)
+            for c, mask in shard.concerned.items():
+                of[c] += np.bincount(shard.split[mask], minlength=len(SPLITS))
             for point in points:
                 counts, undecided = shard.outcomes(point)
                 point.counts[method] += counts
@@ -128,7 +135,13 @@ def rethreshold(
 class _Margins:
     """A shard's distances in float64, and the verdicts of its other criteria."""
 
-    def __init__(self, table: pa.Table, base: dict[str, Any], judged: Sequence[str]) -> None:
+    def __init__(
+        self,
+        table: pa.Table,
+        base: dict[str, Any],
+        judged: Sequence[str],
+        concerned: Mapping[str, frozenset[str]],
+    ) -> None:
         def margin(name: str) -> np.ndarray:
             return table[f"margin_{name}_m"].to_numpy().astype(np.float64)
 
@@ -150,6 +163,8 @@ class _Margins:
             raise ValueError(f"{where}, {what}; `r2h-batch results reevaluate` scores it again")
         self.clearance = margin("safe") + np.float32(base["safe_margin_m"]).astype(np.float64)
         self.base, self.judged = base, judged
+        objects = table["object"].to_pylist() if concerned else ()
+        self.concerned = {c: np.array([o in own for o in objects]) for c, own in concerned.items()}
 
     def outcomes(self, point: Point) -> tuple[np.ndarray, int]:
         """(2, 9) trials by split and outcome at other thresholds, and how many are undecided."""
@@ -169,7 +184,7 @@ class _Margins:
                 good = good & (old == PASSED)  # w_max only falls: what failed still fails
             state[criterion] = np.where(old > 0, np.where(good, PASSED, FAILED), old)
             near |= (old > 0) & (np.abs(margin) < ROUNDING_M)
-        outcome = first_failures(state, self.split, self.judged)
+        outcome = first_failures(state, self.split, self.judged, self.concerned)
         outcome = np.where(self.outcome < Outcome.INVALID_INPUT, outcome, self.outcome)
         if (outcome < 0).any():
             count = int((outcome < 0).sum())

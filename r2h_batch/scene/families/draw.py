@@ -9,20 +9,10 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.scene.families import goods, tools, vessels, worn
-from r2h_batch.scene.families.family import Draw, Family, Shape
-from r2h_batch.scene.families.remesh import Surface, imprint
+from r2h_batch.scene.families.family import FAMILIES, Draw, Family, Shape
+from r2h_batch.scene.families.remesh import Surface, heights, imprint, without_slivers
 from r2h_batch.scene.families.shapes import Parts
-from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel, build_object, with_words
-
-FAMILIES: dict[str, Family] = {
-    name: f
-    for name in OBJECT_NAMES
-    for f in (*vessels.FAMILIES, *worn.FAMILIES, *tools.FAMILIES, *goods.FAMILIES)
-    if f.category == name
-}
-"""Category -> family, in the order of the objects of r2h-v1."""
-
+from r2h_batch.scene.objects import ObjectModel, build_object
 
 SHIPPED, TRAINING = 0, 1
 """Series of the test instances in assets/families, and of those that predictors learn from."""
@@ -30,6 +20,10 @@ SHIPPED, TRAINING = 0, 1
 SMOOTH_MM, EDGE_MM, SNAP_MM = 0.05, 18.0, 0.4
 """Triangles are merged where the surface moves by less than the first, and divided until no edge is longer than
 the second. Corners nearer to a cut than the third lie on it."""
+
+SLIVER_M, CLEARED_MM, NEEDLE_MM = 1e-8, 1e-4, 0.01
+"""A triangle lower than the first, as it is stored, is a sliver (trimesh's `nondegenerate_faces`). An instance that has one
+gets rid of all triangles lower than the second; sides shorter than the third are collapsed."""
 
 Vec = NDArray[np.float64]
 
@@ -60,7 +54,7 @@ def draw_instance(category: str, series: int, index: int) -> Instance:
     """Instance `index` of a series of a category.
 
     Args:
-        category: a key of `FAMILIES`.
+        category: a name of `FAMILIES`.
         series: 0 for the shipped test instances, 1 for training, others for users (`--seed`).
         index: 0, 1, 2, ...
     """
@@ -79,9 +73,10 @@ def draw_instance(category: str, series: int, index: int) -> Instance:
     rest, R = _resting(family, vertices, faces, com, draw)
     turned = vertices @ R.T
     middle = (turned.min(0) + turned.max(0)) / 2
+    placed, faces, label = _without_slivers((turned - middle) / 1000, faces, label)
     tag = {SHIPPED: "", TRAINING: "t"}.get(series, f"s{series}_")
     return Instance(
-        f"{category}_{tag}{index:02d}", family, (turned - middle) / 1000, faces, label,
+        f"{category}_{tag}{index:02d}", family, placed, faces, label,
         round(1e-9 * mass, 4), (R @ com - middle) / 1000, 1e-15 * (R @ inertia @ R.T), rest, draw.parameters,
     )  # fmt: skip
 
@@ -101,6 +96,18 @@ def _divided(
                 surface.label[k] = family.parts.index(new) if height > 0 else old
     vertices, found, names = surface.arrays()
     return vertices, found.astype(np.int32), names.astype(np.uint8)
+
+
+def _without_slivers(
+    vertices: Vec, faces: NDArray[np.int32], label: NDArray[np.uint8]
+) -> tuple[Vec, NDArray[np.int32], NDArray[np.uint8]]:
+    """The surface (m) as it is, or without slivers where it has some in single precision."""
+    if heights(vertices.astype(np.float32), faces).min() >= SLIVER_M:
+        return vertices, faces, label
+    surface = Surface(1000 * vertices, faces.astype(np.int64), label.astype(np.int64))
+    without_slivers(surface, CLEARED_MM, NEEDLE_MM)
+    found, left, names = surface.arrays()
+    return found / 1000, left.astype(np.int32), names.astype(np.uint8)
 
 
 def _inertial(parts: Parts, shape: Shape, volume: float) -> tuple[float, Vec, Vec]:
@@ -166,4 +173,11 @@ def model_of(instance: Instance) -> ObjectModel:
         instance.mesh, instance.name, family.split, receiver=region if family.split == "S1" else None,
         mass=instance.mass, instruction=family.instruction, face_part=instance.face_part, part_names=family.parts,
     )  # fmt: skip
-    return with_words(replace(built, com=instance.com, inertia=instance.inertia), family.category)
+    return replace(
+        built,
+        com=instance.com,
+        inertia=instance.inertia,
+        words=family.words,
+        roles=family.roles,
+        category=family.category,
+    )

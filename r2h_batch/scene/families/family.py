@@ -1,17 +1,32 @@
-"""A family: a generator of one category's solids, its parts and region, and how it rests."""
+"""A family: a generator of one category's solids, its parts and region, and how it rests.
+
+`@family` above a generator makes it one: in a file of this folder, in a package that names it as
+`family.CATEGORY` in its entry points (`r2h_batch.plugins`), or in a module of the user's. Light: the
+generators' files import manifold3d.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from manifold3d import Manifold
 
 from r2h_batch.base import rng
-from r2h_batch.scene.families.shapes import Parts
+from r2h_batch.plugins import Registry
+from r2h_batch.scene.objects import OBJECT_NAMES
+from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
+from r2h_batch.verdicts import SPLITS
 
+if TYPE_CHECKING:
+    from manifold3d import Manifold
+
+    from r2h_batch.scene.families.shapes import Parts
+
+FORM = re.compile("[a-z]+(_[a-z]+)*")
 NUMBERS = 64
 """Uniform numbers that one instance may take."""
 
@@ -69,7 +84,13 @@ class Family:
     rests: tuple[str, ...]
     """how such a thing lies: words of `draw.TURNS`; a word that stands twice is twice as likely"""
     receiver: tuple[str, ...] = ()
+    """parts that the receiver takes, in S1"""
     take: str = ""
+    """those in the sentence that asks for an instance"""
+    words: Thing | None = None
+    """how people ask for it"""
+    roles: Mapping[str, str] | None = None
+    """part -> function, grasp or wrap: what people take it by where there is no receiver's region"""
 
     @cached_property
     def instruction(self) -> str:
@@ -82,3 +103,58 @@ class Family:
                 "to human",
             )
         )
+
+
+FAMILIES: Registry[Family] = Registry(
+    "family", modules=("r2h_batch.scene.families",), names=OBJECT_NAMES
+)
+"""Category -> family, those of the objects of r2h-v1 first, in their order."""
+
+Make = Callable[[Draw, "Parts"], Shape]
+
+
+def family(
+    category: str,
+    split: str,
+    *,
+    parts: tuple[str, ...],
+    rests: tuple[str, ...],
+    receiver: tuple[str, ...] = (),
+    take: str = "",
+    words: Thing | None = None,
+    roles: Mapping[str, str] | None = None,
+) -> Callable[[Make], Family]:
+    """A decorator: the generator below it is registered as a family, and its name stands for that.
+
+    Args:
+        category: small letters and _: `--objects "families:CATEGORY x 5"`.
+        split: S0, or S1 with a receiver's region.
+        parts: names of all parts that the generator may make.
+        rests: as `Family.rests`.
+        receiver: parts that the receiver takes; of S1 alone.
+        take: those parts in words.
+        words: how people ask for it; None: those of the built-in object of this name, else the names of category and parts.
+        roles: as `Family.roles`; None: those of the built-in object of this name.
+
+    Raises:
+        ValueError: one line: the name, the split and its region, or a part that is not there.
+    """
+    if not FORM.fullmatch(category):
+        raise ValueError(f"family {category!r}: a category is small letters, and _ between them")
+    if split not in SPLITS or (split == "S1") != bool(receiver):
+        raise ValueError(
+            f"family {category}: split is {split!r} with receiver {receiver}; S0 has no receiver's parts, S1 has some"
+        )
+    if unknown := [p for p in (*receiver, *(roles or {})) if p not in parts]:
+        raise ValueError(f"family {category}: no part {unknown[0]!r}; parts are {', '.join(parts)}")
+    if (words := words or THINGS.get(category)) is None:
+        labels = {part.replace("_", " "): (part,) for part in receiver or parts}
+        words = Thing((category.replace("_", " "),), labels, {"use": next(iter(labels))})
+
+    def registered(make: Make) -> Family:
+        own = S0_ROLES.get(category) if roles is None else roles
+        made = Family(category, split, parts, make, rests, receiver, take, words, own)
+        FAMILIES.add(category, made)
+        return made
+
+    return registered

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from r2h_batch.scene.families.family import Draw, Family, Shape
+from r2h_batch.scene.families.family import Draw, Shape, family
 from r2h_batch.scene.families.shapes import (
     Parts,
     along_x,
@@ -22,6 +22,14 @@ from r2h_batch.scene.families.shapes import (
 TO_X = (0, 90, 0)
 
 
+@family(
+    "power_drill",
+    "S1",
+    parts=("body", "grip", "battery", "chuck", "bit", "trigger"),
+    rests=("left", "right", "upright"),
+    receiver=("grip", "trigger"),
+    take="grip",
+)
 def power_drill(draw: Draw, part: Parts) -> Shape:
     """x to the bit, z up, the grip down: pistol grip with a slide-on or stick battery."""
     r, back, front = (
@@ -129,6 +137,14 @@ def power_drill(draw: Draw, part: Parts) -> Shape:
     )
 
 
+@family(
+    "binoculars",
+    "S1",
+    parts=("barrel", "right_barrel", "eyecup", "right_eyecup", "bridge", "focus_wheel"),
+    rests=("upright", "upright", "over"),
+    receiver=("right_barrel", "right_eyecup"),
+    take="right barrel",
+)
 def binoculars(draw: Draw, part: Parts) -> Shape:
     """x the direction of sight, y to the left barrel, z up: roof prisms (straight tubes) of 8 x 21 to 10 x 50."""
     lens, length = draw("objective", 13, 29), draw("length", 90, 165)
@@ -188,6 +204,14 @@ def binoculars(draw: Draw, part: Parts) -> Shape:
     )
 
 
+@family(
+    "bottle",
+    "S1",
+    parts=("body", "base", "neck", "cap"),
+    rests=("upright", "upright", "upright", "side", "side"),
+    receiver=("base",),
+    take="body",
+)
 def bottle(draw: Draw, part: Parts) -> Shape:
     """z to the cap: water, oil or shampoo bottle, round or oval, partly filled. The region is the lower part of the
     body, as on the built-in bottle."""
@@ -255,6 +279,14 @@ def bottle(draw: Draw, part: Parts) -> Shape:
     )
 
 
+@family(
+    "trigger_sprayer",
+    "S1",
+    parts=("bottle", "neck", "collar", "head", "nozzle", "trigger"),
+    rests=("upright", "upright", "left"),
+    receiver=("neck", "collar", "head", "trigger"),
+    take="grip",
+)
 def trigger_sprayer(draw: Draw, part: Parts) -> Shape:
     """x to the nozzle, z up: a bottle, round or oval, under a spray head."""
     tall, a, flat = (
@@ -373,43 +405,3 @@ def trigger_sprayer(draw: Draw, part: Parts) -> Shape:
             "trigger": 900.0,
         },
     )
-
-
-FAMILIES = (
-    Family(
-        "power_drill",
-        "S1",
-        ("body", "grip", "battery", "chuck", "bit", "trigger"),
-        power_drill,
-        ("left", "right", "upright"),
-        ("grip", "trigger"),
-        "grip",
-    ),
-    Family(
-        "binoculars",
-        "S1",
-        ("barrel", "right_barrel", "eyecup", "right_eyecup", "bridge", "focus_wheel"),
-        binoculars,
-        ("upright", "upright", "over"),
-        ("right_barrel", "right_eyecup"),
-        "right barrel",
-    ),
-    Family(
-        "bottle",
-        "S1",
-        ("body", "base", "neck", "cap"),
-        bottle,
-        ("upright", "upright", "upright", "side", "side"),
-        ("base",),
-        "body",
-    ),
-    Family(
-        "trigger_sprayer",
-        "S1",
-        ("bottle", "neck", "collar", "head", "nozzle", "trigger"),
-        trigger_sprayer,
-        ("upright", "upright", "left"),
-        ("neck", "collar", "head", "trigger"),
-        "grip",
-    ),
-)

@@ -204,6 +204,77 @@ def _cot(apex: Vec, p: Vec, q: Vec) -> float:
     return float((ux * vx + uy * vy + uz * vz) / max((x * x + y * y + z * z) ** 0.5, 1e-18))
 
 
+def heights(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArray[np.float64]:
+    """(F,) least heights of triangles: twice the area over the longest side."""
+    corner = vertices.astype(np.float64)[faces]
+    side = np.linalg.norm(corner - np.roll(corner, 1, 1), axis=2).max(1)
+    double = np.linalg.norm(
+        np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
+    )
+    return np.asarray(double / np.maximum(side, 1e-300))
+
+
+def without_slivers(surface: Surface, least: float, short: float) -> None:
+    """Removes triangles lower than ``least``: a needle's side shorter than ``short`` is collapsed, a cap's longest side is
+    flipped into the triangle beyond it, whose label both halves take. Corners stay or move by less than ``short``.
+
+    Raises:
+        ValueError: some are left.
+    """
+    for _ in range(50):
+        vertices, faces, _ = _live(surface)
+        low = np.flatnonzero(heights(vertices, faces) < least)
+        if not len(low):
+            return
+        live = [k for k, face in enumerate(surface.f) if face is not None]
+        changed = False
+        for k in (live[i] for i in low):
+            face = surface.f[k]
+            if face is not None and _height(surface, face) < least:
+                changed |= _remove_sliver(surface, k, short)
+        if not changed:
+            break
+    raise ValueError("a sliver cannot be removed: neither can its side be collapsed nor flipped")
+
+
+def _live(
+    surface: Surface,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices as they are numbered, and the faces that are left."""
+    faces = [face for face in surface.f if face is not None]
+    labels = [surface.label[k] for k, face in enumerate(surface.f) if face is not None]
+    return np.array(surface.v), np.array(faces, np.int64), np.array(labels, np.int64)
+
+
+def _height(surface: Surface, face: tuple[int, int, int]) -> float:
+    return float(
+        heights(np.array([surface.v[x] for x in face]), np.array([[0, 1, 2]], np.int64))[0]
+    )
+
+
+def _remove_sliver(surface: Surface, k: int, short: float) -> bool:
+    a, b, c = surface.f[k]  # type: ignore[misc]
+    edges = sorted(((a, b), (b, c), (c, a)), key=lambda e: surface.length(*e))
+    if surface.length(*edges[0]) < short:
+        p, q = edges[0]
+        return any(surface.collapse(i, j, surface.v[i], np.inf, 0.7) for i, j in ((p, q), (q, p)))
+    p, q = edges[-1]
+    pair = surface.sides(p, q)
+    if len(pair) != 2:
+        return False
+    other = pair[0] if pair[1] == k else pair[1]
+    apex, beyond = surface.third(k, p, q), surface.third(other, p, q)
+    if beyond in surface.neighbours(apex):
+        return False
+    surface.f[k], surface.f[other] = (p, beyond, apex), (beyond, q, apex)
+    surface.label[k] = surface.label[other]
+    surface.of[p].discard(other)
+    surface.of[q].discard(k)
+    surface.of[apex].add(other)
+    surface.of[beyond].add(k)
+    return True
+
+
 def imprint(surface: Surface, height: Callable[[Vec], float], snap: float) -> None:
     """Split edges so that no face crosses height = 0 (linear along edges); vertices nearer than ``snap`` count as on it."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from r2h_batch.scene.families.family import PLASTIC, RUBBER, STEEL, WOOD, Draw, Family, Shape
+from r2h_batch.scene.families.family import PLASTIC, RUBBER, STEEL, WOOD, Draw, Shape, family
 from r2h_batch.scene.families.shapes import (
     Parts,
     along_x,
@@ -20,6 +20,14 @@ from r2h_batch.scene.families.shapes import (
 )
 
 
+@family(
+    "hammer",
+    "S1",
+    parts=("grip", "shaft", "head", "face", "claw"),
+    rests=("upright", "over"),
+    receiver=("grip",),
+    take="handle",
+)
 def hammer(draw: Draw, part: Parts) -> Shape:
     """Claw, ball-peen, cross-peen hammer or mallet; y to the striking face."""
     kind = draw.choice("kind", ("claw", "claw", "ball", "cross", "mallet"))
@@ -112,6 +120,14 @@ def hammer(draw: Draw, part: Parts) -> Shape:
     return Shape(solid, {"grip": 900.0, "shaft": float(WOOD), **density})
 
 
+@family(
+    "pliers",
+    "S1",
+    parts=("handle", "jaw", "pivot"),
+    rests=("upright", "over"),
+    receiver=("handle",),
+    take="handles",
+)
 def pliers(draw: Draw, part: Parts) -> Shape:
     """Needle-nose, combination or wide-jawed pliers, nearly closed; z along the pivot."""
     kind = draw.choice("kind", ("needle", "combination", "combination"))
@@ -194,6 +210,14 @@ def pliers(draw: Draw, part: Parts) -> Shape:
     )
 
 
+@family(
+    "knife",
+    "S1",
+    parts=("handle", "blade"),
+    rests=("upright", "over"),
+    receiver=("handle",),
+    take="handle",
+)
 def knife(draw: Draw, part: Parts) -> Shape:
     """A kitchen knife, from paring to chef's; y to the blade's back."""
     handle, h, w = (
@@ -251,6 +275,14 @@ def knife(draw: Draw, part: Parts) -> Shape:
     )
 
 
+@family(
+    "toothbrush",
+    "S1",
+    parts=("handle", "neck", "grip", "head", "bristles"),
+    rests=("upright", "over", "roll"),
+    receiver=("handle", "grip"),
+    take="handle",
+)
 def toothbrush(draw: Draw, part: Parts) -> Shape:
     """A manual toothbrush; z to the bristles."""
     length, head = draw("length", 150, 195), draw("head", 22, 33)
@@ -305,6 +337,14 @@ def toothbrush(draw: Draw, part: Parts) -> Shape:
     )
 
 
+@family(
+    "screwdriver",
+    "S1",
+    parts=("handle", "shaft", "tip"),
+    rests=("roll",),
+    receiver=("handle",),
+    take="handle",
+)
 def screwdriver(draw: Draw, part: Parts) -> Shape:
     """A fluted handle with a flat or cross tip, stubby to long."""
     handle, r, flutes = (
@@ -352,6 +392,14 @@ def screwdriver(draw: Draw, part: Parts) -> Shape:
     )
 
 
+@family(
+    "scissors",
+    "S1",
+    parts=("blade", "shank", "loop", "pivot"),
+    rests=("upright", "over"),
+    receiver=("loop",),
+    take="loops",
+)
 def scissors(draw: Draw, part: Parts) -> Shape:
     """Household or tailor's scissors, nearly closed, with equal or unequal loops; z along the pivot."""
     blade, width, steel = (
@@ -424,53 +472,3 @@ def scissors(draw: Draw, part: Parts) -> Shape:
         total + pin,
         {"blade": float(STEEL), "loop": 1200.0, "shank": 1200.0, "pivot": float(STEEL)},
     )
-
-
-FAMILIES = (
-    Family(
-        "hammer",
-        "S1",
-        ("grip", "shaft", "head", "face", "claw"),
-        hammer,
-        ("upright", "over"),
-        ("grip",),
-        "handle",
-    ),
-    Family(
-        "pliers",
-        "S1",
-        ("handle", "jaw", "pivot"),
-        pliers,
-        ("upright", "over"),
-        ("handle",),
-        "handles",
-    ),
-    Family("knife", "S1", ("handle", "blade"), knife, ("upright", "over"), ("handle",), "handle"),
-    Family(
-        "toothbrush",
-        "S1",
-        ("handle", "neck", "grip", "head", "bristles"),
-        toothbrush,
-        ("upright", "over", "roll"),
-        ("handle", "grip"),
-        "handle",
-    ),
-    Family(
-        "screwdriver",
-        "S1",
-        ("handle", "shaft", "tip"),
-        screwdriver,
-        ("roll",),
-        ("handle",),
-        "handle",
-    ),
-    Family(
-        "scissors",
-        "S1",
-        ("blade", "shank", "loop", "pivot"),
-        scissors,
-        ("upright", "over"),
-        ("loop",),
-        "loops",
-    ),
-)

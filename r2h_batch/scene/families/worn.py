@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from manifold3d import Manifold
 
-from r2h_batch.scene.families.family import Draw, Family, Shape
+from r2h_batch.scene.families.family import Draw, Shape, family
 from r2h_batch.scene.families.shapes import (
     Parts,
     box,
@@ -23,6 +23,12 @@ from r2h_batch.scene.families.shapes import (
 )
 
 
+@family(
+    "eyeglasses",
+    "S0",
+    parts=("temple", "rim", "lens", "bridge", "nose_pad", "hinge"),
+    rests=("upright", "upright", "over"),
+)
 def eyeglasses(draw: Draw, part: Parts) -> Shape:
     """x the direction of sight. Lens, bridge and temple lengths are the numbers stamped on a frame: 44 to 58, 14
     to 22 and 130 to 150 mm."""
@@ -103,6 +109,12 @@ def eyeglasses(draw: Draw, part: Parts) -> Shape:
     )
 
 
+@family(
+    "headphones",
+    "S0",
+    parts=("band", "padding", "slider", "cup", "cushion"),
+    rests=("face", "back"),
+)
 def headphones(draw: Draw, part: Parts) -> Shape:
     """Over-ear or on-ear; y from ear to ear, z to the band."""
     kind = draw.choice("kind", ("over-ear", "over-ear", "on-ear"))
@@ -158,6 +170,12 @@ def headphones(draw: Draw, part: Parts) -> Shape:
     )
 
 
+@family(
+    "game_controller",
+    "S0",
+    parts=("body", "grip", "stick", "dpad", "button", "trigger"),
+    rests=("upright", "upright", "over"),
+)
 def game_controller(draw: Draw, part: Parts) -> Shape:
     """x to its right, y away from the player: a body of overlapping rounded solids with two handles."""
     span, deep, tall = draw("span", 88, 106), draw("depth", 52, 68), draw("height", 27, 35)
@@ -215,28 +233,3 @@ def game_controller(draw: Draw, part: Parts) -> Shape:
         solid,
         dict.fromkeys(("body", "grip", "stick", "dpad", "button", "trigger"), 620.0),
     )
-
-
-FAMILIES = (
-    Family(
-        "game_controller",
-        "S0",
-        ("body", "grip", "stick", "dpad", "button", "trigger"),
-        game_controller,
-        ("upright", "upright", "over"),
-    ),
-    Family(
-        "headphones",
-        "S0",
-        ("band", "padding", "slider", "cup", "cushion"),
-        headphones,
-        ("face", "back"),
-    ),
-    Family(
-        "eyeglasses",
-        "S0",
-        ("temple", "rim", "lens", "bridge", "nose_pad", "hinge"),
-        eyeglasses,
-        ("upright", "upright", "over"),
-    ),
-)

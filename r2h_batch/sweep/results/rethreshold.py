@@ -41,7 +41,7 @@ def values(text: str, name: str) -> tuple[float, ...]:
 
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     """Tables of rates for every point and method, and the ranks over the points."""
-    from r2h_batch.report.statistics.aggregate import FAILURES
+    from r2h_batch.report.statistics.aggregate import FAILURES, PARTIAL
     from r2h_batch.report.statistics.thresholds import ROUNDING_M, rank_stability
     from r2h_batch.report.text import NA, aligned, legend, notes_list, plain, short_names
 
@@ -54,13 +54,19 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
                 if n := counts.sum():
                     rates = [f"{100 * counts[Outcome.SUCCESS] / n:.1f}"]
                     for entry in FAILURES.values():
-                        failed = 100 * counts[Outcome[entry.name.upper()]] / n
-                        rates.append(f"{failed:.1f}" if SPLITS[k] in entry.splits else NA)
+                        failed, of = 100 * counts[Outcome[entry.name.upper()]], n
+                        if entry.applies is not None:
+                            of = point.concerned[method][entry.name][k]
+                        known = SPLITS[k] in entry.splits and of
+                        rates.append(f"{failed / of:.1f}" if known else NA)
                     at = (point.reach_radius_m, point.w_max_m, point.safe_margin_m)
                     cells = [*(f"{v:.4g}" for v in at), *rates, str(point.undecided[method])]
                     lines.append([short[method], SPLITS[k], *cells])
     parts = [
-        "Rates in percent of all planned trials, thresholds in metres, computed from stored margins.",
+        "Rates in percent of all planned trials (of a criterion for some objects: of those that it concerns), thresholds in"
+        " metres, computed from stored margins."
+        if PARTIAL
+        else "Rates in percent of all planned trials, thresholds in metres, computed from stored margins.",
         aligned(["Method", "Split", "r_h", "w_max", "safe", *shown, "undecided"], lines, 2),
     ]
     if len(methods) > 1:

@@ -9,6 +9,7 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import check_output_file, check_output_folder, write_text
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
+from r2h_batch.report.statistics.few import FEW, check_few
 
 MOST = 20
 """Pictures of one method and outcome in a gallery."""
@@ -27,6 +28,7 @@ def report(
     intervals: bool = False,
     method: tuple[str, ...] = (),
     scans: Path | None = None,
+    categories: int = FEW,
     gallery: int = 0,
     perceived: bool = False,
     out: Path | None = None,
@@ -50,6 +52,8 @@ def report(
         method: only these methods, by the sweep's word (fc) or the table's name; all by default.
         scans: a run of the same methods on your own meshes (sweep --objects FOLDER): their SR as a
             column of the table.
+        categories: so many new categories of objects: where their mean SR lies, beside the interval for
+            the mean of all categories (without families: objects).
         gallery: html: draw this many successes and failures of each kind and method. Each picture leads
             to a page of its trial in three dimensions, in a folder beside --out.
         perceived: print the run's measures beside people's ratings of the paper's four methods,
@@ -60,6 +64,7 @@ def report(
     """
     if not 0 <= gallery <= MOST:
         raise UsageError(f"--gallery is {gallery}; it must be 0 to {MOST}")
+    check_few(categories)
     if gallery and (format != "html" or out is None):
         words = "--format html and --out FILE.html, for the pages of its trials"
         raise UsageError(f"--gallery needs {words}")
@@ -110,7 +115,7 @@ def report(
             common = common_trials(loaded, proven=stored_rows())
         except ValueError as error:
             LOG.info(f"report: not compared with each other: {error}")
-        text = page(stored, pictures, common=common)
+        text = page(stored, pictures, common=common, few=categories)
     elif perceived:
         from r2h_batch.sweep.results.reception import tables_of_run
         from r2h_batch.sweep.study.perceived import measured_trials, of_the_paper
@@ -131,7 +136,9 @@ def report(
         from r2h_batch.report.table import render, table_of
 
         of_scans = None if scans is None else load_run(scans)
-        table = table_of(stored, alike=len(loaded) == 1 or judged_alike(loaded), scans=of_scans)
+        table = table_of(
+            stored, alike=len(loaded) == 1 or judged_alike(loaded), scans=of_scans, few=categories
+        )
         text = render(table, format, columns=columns, intervals=intervals)
         if format == "md" and out is None:
             text += "\n" + next_commands(loaded)

@@ -15,6 +15,7 @@ from r2h_batch.closed_loop.transfer import person, release
 from r2h_batch.closed_loop.transfer.cases import Case, Processes, Simulator, processes
 from r2h_batch.closed_loop.transfer.handed import Handed
 from r2h_batch.closed_loop.transfer.model import STEPS, Setting
+from r2h_batch.plugins import Registry
 
 
 def simulated(handed: Handed, *cases: Case, setting: Setting | None = None):
@@ -87,7 +88,7 @@ def test_while_nobody_comes_the_pads_keep_it_and_slippery_ones_do_not():
 
 
 def test_a_hand_without_grip_drops_what_the_robot_lets_go(monkeypatch):
-    monkeypatch.setitem(release.POLICIES, "at-once", AtOnce)
+    monkeypatch.setattr(release, "POLICIES", Registry("release policy", {"at-once": AtOnce}))
     handed = screwdrivers()
     weak = replace(handed, capacity=handed.capacity * 0)
     (made,) = simulated(weak, Case("at-once", "take", 0))

@@ -220,15 +220,39 @@ def test_capsules_and_box_hold_the_body_as_the_report_says() -> None:
 
 
 def test_lengths_are_those_of_bodies_between_a_child_and_a_tall_man() -> None:
-    # ANSUR II's medians (bench/people.py has the source); Anny's upper arms are short
+    # ANSUR II's medians (bench/people.py has the source)
     adults = built_in_people("adults")
-    for sex, medians in ((0, (1.755, 1.439, 0.267, 0.430, 0.608)), (1, (1.626, 1.332, 0.240, 0.387, 0.567))):
-        names = ("stature", "acromial_height", "radiale_stylion", "popliteal_height", "seated_shoulder")
+    for sex, medians in (
+        (0, (1.755, 1.439, 0.335, 0.267, 0.430, 0.608)),
+        (1, (1.626, 1.332, 0.311, 0.240, 0.387, 0.567)),
+    ):
+        names = (
+            "stature",
+            "acromial_height",
+            "acromion_radiale",
+            "radiale_stylion",
+            "popliteal_height",
+            "seated_shoulder",
+        )
         for name, published in zip(names, medians, strict=True):
             own = np.median(adults.lengths[name][adults.sex == sex])
-            assert abs(own / published - 1) < (0.15 if name == "radiale_stylion" else 0.05), (name, own)
+            assert abs(own / published - 1) < 0.05, (name, own)
     children = built_in_people("children")
     assert np.corrcoef(children.age, children.lengths["stature"])[0, 1] > 0.8
+
+
+def test_the_old_are_shorter_as_a_survey_has_them_and_it_is_their_trunk() -> None:
+    """NHANES 2009 to 2012 (assets/people/proportions.py): mean statures at 80 and older over those at 20 to 29 years."""
+    people = built_in_people("all")
+    young, old = (people.age >= 20) & (people.age < 30), people.age >= 80
+    for sex, published in ((0, 171.23 / 176.40), (1, 155.68 / 162.90)):
+        both = [(people.sex == sex) & rows for rows in (young, old)]
+        mean = {name: [values[rows].mean() for rows in both] for name, values in people.lengths.items()}
+        assert abs(mean["stature"][1] / mean["stature"][0] - published) < 0.01, sex
+        lost = mean["stature"][0] - mean["stature"][1]
+        assert mean["seated_shoulder"][0] - mean["seated_shoulder"][1] > 0.5 * lost
+        for name in ("popliteal_height", "iliac_height", "acromion_radiale"):
+            assert abs(mean[name][1] / mean[name][0] - 1) < 0.03, name
 
 
 NORMS = {

@@ -12,8 +12,10 @@ from scipy import stats
 from statsmodels.stats.contingency_tables import mcnemar as reference_mcnemar
 from statsmodels.stats.multitest import multipletests
 
+from r2h_batch.report.statistics import intervals
 from r2h_batch.report.statistics import paired as pairing
 from r2h_batch.report.statistics.common import common_trials
+from r2h_batch.report.statistics.intervals import BORROWED
 from r2h_batch.report.statistics.paired import Paired
 from r2h_batch.runs.store import Run, load_run
 
@@ -92,21 +94,57 @@ def test_the_interval_for_new_objects_covers_the_truth_and_knows_no_seed(splits)
     assert plain / runs < 0.85  # McNemar speaks about these objects only and says so
 
 
+def by_hand(success, clusters):
+    """The t interval of a difference, and p of its test, from the clusters' own differences and the largest spread."""
+    each = success[0].astype(float) - success[1]
+    means = each.reshape(clusters, -1).mean(1)
+    largest, freedom = each.var(), clusters - 1
+    variance = (freedom * means.var(ddof=1) + BORROWED * largest) / (freedom + BORROWED) / clusters
+    low, high = stats.t.interval(0.95, freedom, loc=means.mean(), scale=variance**0.5)
+    return 100 * low, 100 * high, 2 * stats.t.sf(abs(means.mean()) / variance**0.5, freedom)
+
+
 def test_the_interval_of_one_split_is_the_t_interval_of_the_objects_differences():
     success = np.random.default_rng(3).random((2, 12 * 30)) < [[0.6], [0.4]]
-    (c,) = pairing.compare(paired(success, np.repeat(np.arange(12), 30)), draws=2)
-    means = 100 * (success[0].astype(float) - success[1]).reshape(12, 30).mean(1)
-    low, high = stats.t.interval(0.95, 11, loc=means.mean(), scale=stats.sem(means))
-    assert (c.pairs[0].low, c.pairs[0].high) == pytest.approx((low, high), abs=1e-9)
+    (pair,) = pairing.compare(paired(success, np.repeat(np.arange(12), 30)), draws=2)[0].pairs
+    low, high, p = by_hand(success, 12)
+    assert (pair.low, pair.high) == pytest.approx((low, high), abs=1e-9)
+    assert pair.p_new == pair.p_new_holm == pytest.approx(max(p, pair.p))
 
 
 def test_with_families_the_interval_is_the_t_interval_of_the_categories_differences():
     success, objects = in_families(0.2)
     (c,) = pairing.compare(paired(success, objects, category=FAMILIES), draws=2)
-    means = 100 * (success[0].astype(float) - success[1]).reshape(6, 100).mean(1)
-    low, high = stats.t.interval(0.95, 5, loc=means.mean(), scale=stats.sem(means))
+    low, high, p = by_hand(success, 6)
     assert (c.pairs[0].low, c.pairs[0].high) == pytest.approx((low, high), abs=1e-9)
+    assert c.pairs[0].p_new == pytest.approx(p) and p > c.pairs[0].p
     assert (c.categories, c.objects) == (6, 24)
+
+
+def test_without_borrowed_variance_the_test_for_new_ones_is_students_and_statsmodels_holm(monkeypatch):
+    monkeypatch.setattr(intervals, "BORROWED", 0.0)
+    success = np.random.default_rng(8).random((4, 10 * 40)) < [[0.7], [0.62], [0.5], [0.68]]
+    (c,) = pairing.compare(paired(success, np.repeat(np.arange(10), 40)), draws=2)
+    rates = dict(zip(c.names, success.reshape(4, 10, 40).mean(2), strict=True))
+    expected = [max(stats.ttest_1samp(rates[p.a] - rates[p.b], 0).pvalue, p.p) for p in c.pairs]
+    assert [p.p_new for p in c.pairs] == pytest.approx(expected)
+    assert [p.p_new_holm for p in c.pairs] == pytest.approx(multipletests(expected, method="holm")[1])
+    for p in c.pairs:
+        assert (p.verdict in ("better", "worse")) == (p.p_new_holm < 0.05)
+        assert (p.verdict == "tied") == (p.p_holm >= 0.05)
+
+
+def test_a_pair_that_alone_is_better_is_better_here_among_many():
+    """Holm corrects the test for new ones too: with more pairs the same pair is no longer called."""
+    random = np.random.default_rng(12)
+    rate = np.clip(np.stack([random.normal(0.68, 0.12, 10), random.normal(0.5, 0.12, 10)]), 0, 1)
+    rate = np.concatenate([rate, rate.mean(0) + random.normal(0, 0.2, (3, 10))]).clip(0, 1)
+    success = (random.random((5, 10, 60)) < rate[:, :, None]).reshape(5, -1)
+    objects = np.repeat(np.arange(10), 60)
+    (alone,) = pairing.compare(paired(success[:2], objects), draws=1)[0].pairs
+    among = pairing.compare(paired(success, objects), draws=1)[0].pairs[0]
+    assert alone.verdict == "better" and among.verdict == "better here"
+    assert (alone.low, alone.high, alone.p_new) == (among.low, among.high, among.p_new) and among.low > 0
 
 
 def test_a_method_that_is_better_for_new_objects_alone_is_better_here():
@@ -146,6 +184,14 @@ def test_the_worst_rank_names_the_category_whose_absence_gives_it():
     assert found == [(2, "cup"), (2, "pan"), (3, "")]
 
 
+def test_the_worst_rank_compares_all_methods_without_the_same_object():
+    """Both fall without the first object. Neither's whole rate may stand beside the other's rate without it."""
+    solved = np.array([[40, 20, 20], [36, 19, 19]])
+    success = (np.arange(40) < solved[:, :, None]).reshape(2, -1)
+    (c,) = pairing.compare(paired(success, np.repeat(np.arange(3), 40)), draws=1)
+    assert [(w.rank, w.without) for w in c.worst] == [(1, ""), (2, "")]
+
+
 def test_a_run_of_families_is_compared_and_reported_by_category(tmp_path, capsys):
     kinds = {"bowl": "bowl", "cup": "cup", "eyeglasses": "cup", "hammer": "tool", "knife": "tool", "scissors": "tool"}
     about = [{"name": n, "split": "S0", "built_in": True, "category": k} for n, k in kinds.items()]
@@ -158,7 +204,7 @@ def test_a_run_of_families_is_compared_and_reported_by_category(tmp_path, capsys
     assert s1["pairs"][0]["low"] is None and s1["worst"] is None and s1["categories"] == 1
     assert command("compare", tmp_path / "a") == 0
     said = capsys.readouterr().out
-    assert "95 % new cat." in said and "categories and their objects" in said
+    assert "95 % all cat." in said and "6 new" in said and "categories and their objects" in said
     assert command("report", tmp_path / "a") == 0
     assert "SR new cat." in capsys.readouterr().out
     assert command("report", tmp_path / "a", format="csv") == 0
@@ -172,7 +218,9 @@ def test_objects_and_splits_of_different_sizes_weigh_by_their_trials():
     success = np.stack([np.ones(216), np.zeros(216), objects == 1])
     for c in pairing.compare(paired(success, objects, split)):
         pair = c.pairs[0]
-        assert (pair.difference, pair.low, pair.high) == (100, 100, 100)
+        # all objects agree, so what is left is the interval for more trials: Wilson's width at 100 %
+        least = 100 * (1 - stats.norm.ppf(0.975) ** 2 / (c.n + stats.norm.ppf(0.975) ** 2) * 2)
+        assert (pair.difference, pair.high) == (100, 100) and least - 2 < pair.low < 100
     third = next(p for p in c.pairs if (p.a, p.b) == ("m1", "m2"))
     assert third.difference == pytest.approx(-100 * 90 / 216) and third.low < third.difference < third.high
 
