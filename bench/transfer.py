@@ -23,7 +23,7 @@ from _source import digests
 
 PAGE = ROOT / "docs" / "results" / "transfer.md"
 STORED = ROOT / "bench" / "results" / "transfer.json"
-BASELINES = ROOT / "r2h_batch" / "report" / "compare" / "baselines"
+BASELINES = ROOT / "bench" / "rows" / "v1"
 BOUND = "oracle,for=reception"
 STUDIED = 44
 """Trials that the model or `probe` was tuned on: 22 of each split. Figures are of others."""
@@ -32,6 +32,7 @@ SCENARIO = ("take", "touch")
 MORE = tuple((r, s) for s in ("pull-early", "weak") for r in ("threshold", "load-share"))
 """Cases beside the policies with `SCENARIO`."""
 FORCE_PERCENT = (50, 90, 99)
+HELD_HEAD = ("Method", "n", "physically stable", "lost in closing", "under the weight", "undecided", "statics")
 HELD_EVERY = 2
 """Every second trial of each split is asked whether the gripper holds its object."""
 MEASURES = (
@@ -93,7 +94,7 @@ Percent of all trials, with the default policy `load-share`. `taken and success`
 ## Policies
 
 Percent of the received trials. Brackets: 95 % (Wilson) over trials, each with a person of its own. `kept`: under a mere touch.
-Medians are of the taken trials: the largest pull beyond the weight, and the time from the beginning of the grip until the gripper
+Medians are of the taken trials: the largest force along the pull, and the time from the beginning of the grip until the gripper
 is free.
 
 {policies}
@@ -111,10 +112,10 @@ about pain or safety: nothing strikes the hand, and it has no skin.
 
 {force}
 
-## Held under its weight
+## Physically stable
 
-Percent of the grasps past Stability whose object slips by less than 2 cm while its weight acts for 1 s (`results held`), of every
-second trial of each split, and the objects that are lost most.
+Percent of the grasps past Stability that hold in physics (`results held`: after closing, and under the weight for 1 s), of every
+second trial of each split. `undecided`: too near a limit to say. `statics`: friction balances the weight on the settled posture.
 
 {held}
 
@@ -312,9 +313,9 @@ def again(simulator: Any, handed: Any, done: int) -> int:
 
 
 def held_of(run: Any, judge: Any, name: str, simulator: Any) -> dict[str, Any]:
-    """Which objects of every `HELD_EVERY`th row the closed gripper holds for 1 s, and core milliseconds a grasp."""
+    """Which grasps of every `HELD_EVERY`th row hold in physics, and core milliseconds a grasp."""
     from r2h_batch.closed_loop.transfer.handed import gripped_of
-    from r2h_batch.judge.grasp_physics import DROPPED_M
+    from r2h_batch.closed_loop.transfer.held import Lost
 
     every = np.sort(run.trials(name, ["trial_id"])["trial_id"].to_numpy())
     ids = every[every // 2 % HELD_EVERY == 0]  # the splits take turns
@@ -322,13 +323,16 @@ def held_of(run: Any, judge: Any, name: str, simulator: Any) -> dict[str, Any]:
     scores = judge.evaluator.kinematic.score(poses["T_obj_ee"], poses["T_world_ee"], judge.trials(ids), stages="pose")
     gripped = gripped_of(scores, ids)
     begin = time.process_time()
-    held = simulator.hold(gripped)[:, 1] < DROPPED_M
+    found = simulator.hold(gripped)
     ms = 1e3 * (time.process_time() - begin) / len(gripped)
     words = [simulator.models.objects[k].name for k in gripped.object_index]
-    lost = Counter(word for word, h in zip(words, held, strict=True) if not h)
+    lost = Counter(word for word, h in zip(words, found.held, strict=True) if not h)
     return {
-        "n": len(held),
-        "held": int(held.sum()),
+        "n": len(words),
+        "held": int(found.held.sum()),
+        **{str(end): found.lost.count(end) for end in Lost},
+        "undecided": int(found.undecided.sum()),
+        "statics": int((found.carries >= 1.0).sum()),
         "lost": dict(lost.most_common(4)),
         "of": dict(Counter(words)),
         "ms": ms,
@@ -468,7 +472,8 @@ def markdown(data: dict[str, Any]) -> str:
         more.append([name, m["received"], *(rate(by[k]["outcomes"].get("taken", 0), m["received"]) for k in MORE)])
         if h := m.get("held"):
             lost = ", ".join(f"{w.replace('_', ' ')} {k} of {h['of'][w]}" for w, k in h["lost"].items())
-            held.append([name, h["n"], rate(h["held"], h["n"]), lost or "-"])
+            percents = (f"{100 * h[k] / h['n']:.1f}" for k in ("closing", "weight", "undecided", "statics"))
+            held.append([name, h["n"], rate(h["held"], h["n"]), *percents, lost or "-"])
             held_ms = h["ms"]
     force = [[r, int(n), *(f"{x:.1f}" for x in numbers)] for r, (n, *numbers) in data["force"].items()]
     oracle = {(c["release"], c["scenario"]): c for c in data["methods"]["oracle"]["cases"]}["load-share", "take"]
@@ -484,7 +489,7 @@ def markdown(data: dict[str, Any]) -> str:
         ends=markdown_table(["Method", "policy", *(OTHER_ENDS[k].replace("_", " ") for k in some)], ends),
         more=markdown_table(["Method", "received", *(f"{r}, {w}" for r, w in MORE)], more),
         force=markdown_table(["policy", "n", *(f"{p} %" for p in FORCE_PERCENT)], force),
-        held=markdown_table(["Method", "n", "held 1 s", "lost most (of)"], held),
+        held=markdown_table([*HELD_HEAD, "lost most (of)"], held),
         held_ms=held_ms,
         memory=memory_text(data["memory"]),
         compared=data["compared"],

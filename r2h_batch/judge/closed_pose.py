@@ -17,6 +17,7 @@ from r2h_batch.base.launch import cpu_threads, thread_pool
 from r2h_batch.judge.grasp_physics import (
     FINGERS,
     FRICTION,
+    Material,
     add_closing_fingers,
     add_motor,
     add_object,
@@ -71,11 +72,13 @@ def _model(robot: Robot, model: ObjectModel) -> mujoco.MjModel:
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    stiff = [4 * STEP_S, 1.0]
-    add_closing_fingers(spec, spec.worldbody, robot, stiff=stiff, friction=FRICTION)
+    material = Material.of_steps(STEP_S)
+    add_closing_fingers(
+        spec, spec.worldbody, robot, stiff=material.solref, material=material, friction=FRICTION
+    )
     for name in FINGERS:
         add_motor(spec, name, full_effort(robot) / opening_speed(robot))
-    add_object(spec, model, np.eye(4), stiff=stiff)
+    add_object(spec, model, np.eye(4), material)
     m = spec.compile()
     # nothing drifts off at a touch
     m.dof_damping[-6:] = np.repeat([float(model.mass), float(np.trace(model.inertia))], 3) * 50

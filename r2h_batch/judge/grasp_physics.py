@@ -7,6 +7,7 @@ stands in the gripper frame: weight and shaking are accelerations of that frame.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -36,6 +37,16 @@ pads."""
 SETTLE_S = 0.35
 FRICTION = 0.8
 """Rubber pads on plastic or metal [choice]."""
+TORSION_M = 0.005
+"""Radius of the patch whose friction withstands turning about the normal: by Hertz a pad of 3 MPa that presses a
+radius of 35 mm with 25 N has 2.6 mm [choice]."""
+ROLL_M, CONDIM = 0.0001, 4
+"""Rolling friction, and the dimensions of a contact: normal, two tangents, torsion."""
+LINK, ARMATURES = (0.05, 1e-5), (1e-3, 1e-4)
+"""Mass (kg) and inertia about each axis (kg m^2) of a driver and of a pad; armatures of their joints, kg m^2 [choice]."""
+IMPRATIO, TOLERANCE = 100.0, 1e-12
+"""How much harder friction is regularised than normal forces: with 10 light objects creep by centimetres. MuJoCo's solver has
+to converge for that: with its own 1e-8 postures are off by 0.6 mm after a second, and steps take longer."""
 SHAKE_M_S2, SHAKE_HZ, SHAKE_S = 5.0, 4.0, 0.5
 """Per axis: a sine of half the weight's size, two periods [choice]."""
 G = 9.81
@@ -43,6 +54,43 @@ FINGERS = ("left", "right")
 """Names of joint, body, motor and pad of each finger."""
 HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 DROPPED_M = 0.02
+
+
+@dataclass(frozen=True)
+class Material:
+    """How MuJoCo regularises the contacts of pads and objects.
+
+    Friction inside of the cone slides at R f / b: f the friction force, b = 2 / (0.95 time constant), and R falls with
+    (1 - impedance) / impedance and with 1 / impratio. The time constant is in seconds, not in steps: else half the step is
+    another material.
+
+    Attributes:
+        solref: time constant (s) and damping ratio.
+        solimp: impedance at no and at full depth, that depth (m), midpoint and power.
+        torsion_m: radius of the patch whose friction withstands turning about the normal.
+    """
+
+    solref: tuple[float, float] = (0.0056, 1.0)
+    solimp: tuple[float, float, float, float, float] = (0.99, 0.99, 0.001, 0.5, 2.0)
+    torsion_m: float = TORSION_M
+
+    @staticmethod
+    def of_steps(step_s: float) -> "Material":
+        """MuJoCo's default impedance, and four steps: for fingers that close and do not hold."""
+        return Material((4 * step_s, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0))
+
+    def of_geom(self, friction: float) -> dict[str, Any]:
+        """Arguments of a geom with this material.
+
+        Args:
+            friction: Coulomb's.
+        """
+        return {
+            "friction": [friction, self.torsion_m, ROLL_M],
+            "condim": CONDIM,
+            "solref": self.solref,
+            "solimp": self.solimp,
+        }
 
 
 @dataclass(frozen=True)
@@ -119,19 +167,20 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    spec.option.impratio = 10
-    stiff = [4 * STEP_S, 1.0]
-    add_closing_fingers(spec, spec.worldbody, robot, stiff=stiff, friction=FRICTION)
+    spec.option.impratio, spec.option.tolerance = IMPRATIO, TOLERANCE
+    add_closing_fingers(
+        spec, spec.worldbody, robot, stiff=[4 * STEP_S, 1.0], material=Material(), friction=FRICTION
+    )
     kp, kv = (100.0, 2.0) if robot.linkage.table is None else JAW_GAINS
     for name in FINGERS:
         add_servo(spec, name, kp, kv)
     T = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee @ np.linalg.inv(T_obj_ee)
-    add_object(spec, model, T, stiff=stiff)
+    add_object(spec, model, T, Material())
     return spec
 
 
 def add_object(
-    spec: mujoco.MjSpec, model: ObjectModel, T_gripper_obj: Array, *, stiff: Sequence[float]
+    spec: mujoco.MjSpec, model: ObjectModel, T_gripper_obj: Array, material: Material
 ) -> None:
     """Adds the object's convex pieces as a free body, the last joint of the model.
 
@@ -139,7 +188,7 @@ def add_object(
         spec: with the fingers; its world is the gripper.
         model: the object.
         T_gripper_obj: (4, 4) where it is, m.
-        stiff: MuJoCo's solref of contacts.
+        material: of the contacts.
     """
     xx, yy, zz, xy, xz, yz = model.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     held = spec.worldbody.add_body(
@@ -152,7 +201,7 @@ def add_object(
         add_mesh(spec, f"piece_{k}", vertices.astype(np.float64), faces, convex=True)
         held.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece_{k}", contype=2, conaffinity=1,
-            friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
+            **material.of_geom(FRICTION),
         )  # fmt: skip
 
 
@@ -162,6 +211,7 @@ def add_closing_fingers(
     robot: Robot,
     *,
     stiff: Sequence[float],
+    material: Material,
     friction: float,
 ) -> None:
     """Adds two fingers that move together, as parallelograms of their four-bars or as jaws, each with a pad that
@@ -171,17 +221,18 @@ def add_closing_fingers(
         spec: the model.
         wrist: the body that carries them; its frame is the gripper's.
         robot: whose linkage.
-        stiff: MuJoCo's solref of ties and contacts.
+        stiff: MuJoCo's solref of ties.
+        material: of the pads' contacts.
         friction: of the pads.
     """
     link, jaws = robot.linkage, robot.linkage.table is not None
-    most, armature = (FORCE_N, JAW_ARMATURE_KG) if jaws else (TORQUE_NM, 1e-3)
+    most, armature = (FORCE_N, JAW_ARMATURE_KG) if jaws else (TORQUE_NM, ARMATURES[0])
     low, high = (link.drive_lower, link.drive_upper) if jaws else (0.0, link.drive_upper)
     room = 0.002 if jaws else 0.05
     for name, side in zip(FINGERS, (-1, 1), strict=True):
         frames = FingerFrames.of(robot, side)
         body = wrist.add_body(
-            name=name, pos=frames.driver, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
+            name=name, pos=frames.driver, explicitinertial=True, mass=LINK[0], inertia=[LINK[1]] * 3
         )
         body.add_joint(
             name=name, type=SLIDE if jaws else HINGE, axis=frames.axis, armature=armature,
@@ -190,9 +241,11 @@ def add_closing_fingers(
         finger = body
         if not jaws:
             finger = body.add_body(
-                name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
+                name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=LINK[0], inertia=[LINK[1]] * 3
             )  # fmt: skip
-            finger.add_joint(name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=1e-4)
+            finger.add_joint(
+                name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=ARMATURES[1]
+            )
             # the four-bar is a parallelogram: the pad keeps upright
             tie(spec, f"{name}_pad", name, (0, -1), solref=stiff)
         elif (rise := pad_rise(robot)) is not None:
@@ -200,7 +253,7 @@ def add_closing_fingers(
             tie(spec, f"{name}_pad", name, rise.tolist(), solref=stiff)
         finger.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=robot.linkage.pad_half_size, pos=frames.pad,
-            contype=1, conaffinity=2, friction=[friction, 0.005, 0.0001], condim=4, solref=stiff,
+            contype=1, conaffinity=2, **material.of_geom(friction),
         )  # fmt: skip
     tie(spec, "left", "right", (0, 1), solref=stiff)
 

@@ -18,6 +18,7 @@ FIRST_SERIES = 1000
 """Series of seed 0; smaller ones are shipped or learned from."""
 FORM = re.compile(
     r"families:(?P<names>(?:[a-z_,* ]|[\w./-]+:\w+)*?)\s*(?:x\s*(?P<count>\d+))?\s*(?:seed\s*(?P<seed>\d+))?\s*"
+    r"(?P<fillings>standing)?\s*"
 )
 
 
@@ -26,13 +27,14 @@ def family_objects(text: str) -> tuple[ObjectModel, ...]:
 
     Args:
         text: `families:cup,hammer x 20 seed 7`; `families:*` means all categories; without a count 6 of
-            each, without a seed 0. `package.module:NAME` or `FILE.py:NAME` is a family of the user's.
+            each, without a seed 0. `package.module:NAME` or `FILE.py:NAME` is a family of the user's. With the word
+            `standing` at its end fillings stand at the bottom of vessels.
 
     Raises:
         FileError: not of this form, an unknown category, more than `MOST` instances, or no manifold3d.
     """
-    families, count, seed = _asked(text)
-    return _drawn(tuple(f.category for f in families), count, seed)
+    families, count, seed, standing = _asked(text)
+    return _drawn(tuple(f.category for f in families), count, seed, standing)
 
 
 def family_splits(text: str) -> set[str]:
@@ -45,14 +47,15 @@ def names_code(text: str) -> bool:
     return text.startswith(PREFIX) and ":" in text.removeprefix(PREFIX)
 
 
-def _asked(text: str) -> tuple[tuple[Family, ...], int, int]:
+def _asked(text: str) -> tuple[tuple[Family, ...], int, int, bool]:
     try:
         known = tuple(FAMILIES)
         found = FORM.fullmatch(text)
         if found is None:
             raise FileError(
                 f"--objects {printable(text)[:200]!r}: write families:CATEGORY,... x COUNT seed SEED, as in --objects"
-                f' "families:cup,hammer x 20 seed 7"; CATEGORY is * or of {", ".join(known)}, or your own package.module:NAME'
+                f' "families:cup,hammer x 20 seed 7"; CATEGORY is * or of {", ".join(known)}, or your own package.module:NAME;'
+                " with the word standing behind it fillings stand at the bottom of bottles"
             )
         names: Sequence[str] = [n.strip() for n in found["names"].split(",")]
         names = known if names == ["*"] else names
@@ -71,7 +74,7 @@ def _asked(text: str) -> tuple[tuple[Family, ...], int, int]:
             f"--objects: {count} instances of {len(names)} families, seed {seed}; 1 to {MOST} in all, and a seed below 2^31, are"
             " allowed"
         )
-    return families, count, seed
+    return families, count, seed, found["fillings"] is not None
 
 
 def _named(name: str, known: Sequence[str]) -> Family:
@@ -112,8 +115,11 @@ def _checked(found: object, name: str) -> Family:
 
 
 @lru_cache(maxsize=4)
-def _drawn(categories: tuple[str, ...], count: int, seed: int) -> tuple[ObjectModel, ...]:
+def _drawn(
+    categories: tuple[str, ...], count: int, seed: int, standing: bool
+) -> tuple[ObjectModel, ...]:
     from r2h_batch.scene.families.draw import draw_instance, model_of
 
     jobs = [(c, i) for c in categories for i in range(count)]
-    return tuple(model_of(draw_instance(c, FIRST_SERIES + seed, i)) for c, i in jobs)
+    series = FIRST_SERIES + seed
+    return tuple(model_of(draw_instance(c, series, i, standing=standing)) for c, i in jobs)

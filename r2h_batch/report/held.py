@@ -1,12 +1,14 @@
-"""Rates of objects that the closed gripper holds under their weight for 1 s, where `results held` has stored them."""
+"""Rates of physically stable grasps, where `results held` has stored them."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from r2h_batch.base.io.log import LOG
 from r2h_batch.report.statistics.aggregate import Rate, rate_of
 from r2h_batch.runs.store import Run
 
@@ -16,10 +18,28 @@ MADE_OF = b"r2h_batch held"
 """Key of the Parquet file's metadata: the digest of the rows, and the code."""
 
 
-def held_rates(run: Run) -> dict[tuple[str, str], Rate]:
-    """(split, method) -> the share of the rows past Stability whose object stays in the closed gripper for 1 s.
+NOTE = "physically stable, percent of those past Stability"
 
-    A file that was made of other rows than the run's is left out.
+
+@dataclass(frozen=True)
+class Stable:
+    """How many grasps past Stability hold in physics.
+
+    Attributes:
+        rate: of the physically stable.
+        undecided: of those that are too near a limit to say.
+    """
+
+    rate: Rate
+    undecided: Rate
+
+
+def stable_rates(run: Run) -> dict[tuple[str, str], Stable]:
+    """(split, method) -> the share of the rows past Stability whose object the closed gripper holds: after closing, and
+    while its weight acts for 1 s.
+
+    A file that was made of other rows than the run's is left out, and one of a version that did not tell what closing
+    loses from what the weight pulls out (no column `lost`).
 
     Args:
         run: what `load_run` or `join` gives.
@@ -29,10 +49,14 @@ def held_rates(run: Run) -> dict[tuple[str, str], Rate]:
         path = entry.folder / FOLDER / f"{entry.slug}.parquet"
         if not path.is_file() or rows_of(path, MADE_OF) != run.digest(entry.name):
             continue
-        table = pq.read_table(path, columns=["split", "held"])
+        if "lost" not in pq.read_schema(path).names:
+            LOG.info(f"{path}: an older version made it; r2h-batch results held makes it anew")
+            continue
+        table = pq.read_table(path, columns=["split", "held", "undecided"])
         for split in pc.unique(table["split"]).to_pylist():
-            held = table.filter(pc.equal(table["split"], split))["held"]
-            rates[split, entry.name] = rate_of(pc.sum(held).as_py() or 0, len(held))
+            own = table.filter(pc.equal(table["split"], split))
+            held, undecided = (pc.sum(own[k]).as_py() or 0 for k in ("held", "undecided"))
+            rates[split, entry.name] = Stable(rate_of(held, len(own)), rate_of(undecided, len(own)))
     return rates
 
 

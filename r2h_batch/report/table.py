@@ -8,7 +8,7 @@ from math import floor, log10
 from typing import Any
 
 from r2h_batch.config import ExecutionError
-from r2h_batch.report.held import held_rates
+from r2h_batch.report.held import stable_rates
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import (
     FAILURES,
@@ -20,7 +20,7 @@ from r2h_batch.report.statistics.aggregate import (
     summarise,
 )
 from r2h_batch.report.statistics.few import FEW
-from r2h_batch.report.statistics.shares import HELD, SHARES, THROUGH, Share
+from r2h_batch.report.statistics.shares import SHARES, STABLE, THROUGH, UNDECIDED, Share
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import (
     NA,
@@ -207,10 +207,10 @@ def table_of(
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials", few)
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(_without(row, THROUGH) for row in rows)  # certified paths meet nothing
-    held = held_rates(run)
+    stable = stable_rates(run)
     rows = tuple(
-        replace(row, shares={**row.shares, HELD: own})
-        if (own := held.get((row.split, row.method)))
+        replace(row, shares={**row.shares, STABLE: found.rate, UNDECIDED: found.undecided})
+        if (found := stable.get((row.split, row.method)))
         else row
         for row in rows
     )

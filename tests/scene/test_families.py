@@ -7,6 +7,7 @@ from importlib import resources
 import numpy as np
 import pytest
 import trimesh
+from manifold3d import Manifold
 from rounds import each
 from scipy.spatial import ConvexHull
 
@@ -14,7 +15,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.protocols.family_objects import FIRST_SERIES, family_objects, family_splits
-from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance
+from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance, filled_to
 from r2h_batch.scene.families.family import FAMILIES, Draw
 from r2h_batch.scene.families.remesh import Surface, heights, without_slivers
 from r2h_batch.scene.families.shapes import Parts
@@ -174,3 +175,39 @@ def test_what_names_no_family_or_too_many_is_refused_in_one_line(text, said):
 def test_ls_refuses_a_second_word_that_it_would_not_read(capsys):
     assert main(["ls", "families", "cup"]) == 2
     assert "takes nothing more, and 'cup' is given" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("category", ["bottle", "trigger_sprayer"])
+def test_standing_fillings_lie_at_the_bottom_and_weigh_as_much(category):
+    """The mass is nearly the same: parts overlap a little."""
+    for index in range(3):
+        smeared, standing = (draw_instance(category, 1000, index, standing=s) for s in (False, True))
+        share = smeared.parameters["filled"]
+        assert smeared.parameters["filled"] == standing.parameters["filled"]
+        assert standing.mass == pytest.approx(smeared.mass, rel=2e-3)
+        heights = []
+        for one in (smeared, standing):
+            up = np.zeros(3)
+            names = np.array(one.family.parts)[one.face_part]
+            top, bottom = ("cap", "base") if category == "bottle" else ("nozzle", "bottle")
+            middles = one.mesh.triangles_center
+            up = middles[names == top].mean(0) - middles[names == bottom].mean(0)
+            corner = one.vertices @ (up / np.linalg.norm(up))
+            heights.append(float(one.com @ (up / np.linalg.norm(up))) - corner.min())
+        assert heights[1] < heights[0] - (1 - share) * 0.02
+
+
+def test_a_cylinder_that_is_partly_full_has_its_water_below():
+    tall = Manifold.cylinder(200, 30, circular_segments=64)
+    for share in (0.05, 0.3, 1.0):
+        water = filled_to(tall, share)
+        assert water.volume() == pytest.approx(share * tall.volume(), rel=1e-6)
+        low, high = water.bounding_box()[2], water.bounding_box()[5]
+        assert low == pytest.approx(0, abs=1e-6) and high == pytest.approx(200 * share, rel=1e-5)
+
+
+def test_the_command_lines_word_standing_moves_the_centre_of_mass_of_bottles_alone():
+    for category, moved in (("bottle", True), ("hammer", False)):
+        (smeared,), (standing,) = (family_objects(f"families:{category} x 1 seed 3{w}") for w in ("", " standing"))
+        assert (np.abs(smeared.com - standing.com).max() > 0.005) == moved
+        assert standing.mass == pytest.approx(smeared.mass, rel=2e-3)

@@ -13,7 +13,7 @@ from typing import TypeVar
 import mujoco
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32
 from numpy.typing import NDArray
 
 from r2h_batch.closed_loop.transfer.cases import (
@@ -24,11 +24,13 @@ from r2h_batch.closed_loop.transfer.cases import (
     transferred,
 )
 from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
+from r2h_batch.closed_loop.transfer.held import Holds
 from r2h_batch.closed_loop.transfer.model import TICK_S, Setting
 from r2h_batch.closed_loop.transfer.outcome import (
     DROPPED_M,
     HELD_DEG,
     HELD_M,
+    NEAR_M,
     Outcome,
     free_at,
 )
@@ -43,9 +45,9 @@ from r2h_batch.scene.robot import Robot
 MOST_WORLDS = {"cpu": 128, "cuda": 4096}
 """Handovers at a time."""
 
-NEAR_M, NEAR_DEG = 0.003, 3.0
-"""A slip or turn this near to a limit of the outcomes is doubtful: the engines differ by up to 2.1 mm and 2.4 degrees
-in 300 transfers (bench/transfer.py)."""
+NEAR_DEG = 3.0
+"""A slip or turn within `NEAR_M` or this of a limit of the outcomes is doubtful: the engines differ by up to 2.1 mm and 2.4
+degrees in 300 transfers (bench/transfer.py)."""
 
 Doubtful = Bool[NDArray[np.bool_], " n"]
 Rows = TypeVar("Rows", Transfers, Persons)
@@ -92,7 +94,7 @@ class BatchedSimulator:
             standing = batch.close(full)
             return [self._one(batch, standing, case, n) for case in cases]
 
-    def hold(self, gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
+    def hold(self, gripped: Gripped) -> Holds:
         """As `Simulator.hold`, in MuJoCo C."""
         return self.exact.hold(gripped)
 

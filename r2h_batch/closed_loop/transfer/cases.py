@@ -13,11 +13,11 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 import torch
 from jaxtyping import Float64
-from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base.io.child import end_with
 from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
+from r2h_batch.closed_loop.transfer.held import Holding, Holds
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.closed_loop.transfer.person import SCENARIOS, Hands, Persons, draw_persons
 from r2h_batch.closed_loop.transfer.release import release_of
@@ -76,6 +76,7 @@ class Simulator:
         self.robot, self.setting, self.seed = robot, setting, seed
         self.worlds, self.rows = worlds, ROWS
         self.models = Models(robot, objects, setting)
+        self.holding = Holding(self.models)
 
     def __call__(self, handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
         """Every row in every case; the gripper closes once for each row."""
@@ -83,11 +84,10 @@ class Simulator:
             closed = [self.models.close(handed[i : i + 1]) for i in range(len(handed))]
             return [self._one(handed, closed, case) for case in cases]
 
-    def hold(self, gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
-        """`Models.hold` of every row: m, m, degrees."""
+    def hold(self, gripped: Gripped) -> Holds:
+        """Which objects the closed grippers hold."""
         with warnings_unwritten():
-            rows = [self.models.hold(gripped[i : i + 1]) for i in range(len(gripped))]
-        return np.array(rows, np.float64).reshape(-1, 3)
+            return self.holding(gripped)
 
     def _one(self, handed: Handed, closed: list[Any], case: Case) -> Transferred:
         persons = persons_of(handed, case)
@@ -146,8 +146,8 @@ class Simulates(Protocol):
         """Every row in every case."""
         ...
 
-    def hold(self, gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
-        """`Models.hold` of every row: m, m, degrees."""
+    def hold(self, gripped: Gripped) -> Holds:
+        """Which objects the closed grippers hold."""
         ...
 
 
@@ -168,7 +168,7 @@ def _transfer(handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
     return _simulator(handed, cases)
 
 
-def _hold(gripped: Gripped) -> Float64[NDArray[np.float64], "n 3"]:
+def _hold(gripped: Gripped) -> Holds:
     assert _simulator is not None
     return _simulator.hold(gripped)
 
@@ -188,9 +188,7 @@ class Processes:
             return ((group, self.simulator(group, cases)) for group in groups)
         return self._ahead(self.pool, groups, partial(_transfer, cases=cases))
 
-    def hold(
-        self, gripped: Iterable[Gripped]
-    ) -> Iterator[tuple[Gripped, Float64[NDArray[np.float64], "n 3"]]]:
+    def hold(self, gripped: Iterable[Gripped]) -> Iterator[tuple[Gripped, Holds]]:
         """Groups of at most `simulator.rows` rows, each with `Simulator.hold`."""
         groups = _groups(gripped, self.simulator.rows)
         if self.pool is None:

@@ -66,10 +66,10 @@ class LoopTransfers:
         Args:
             row: of the loop.
             handed: the handover, of length 1.
-            seed: of the sensor's noise.
+            seed: which person of the trial, with the sensor's noise that `results transfer` gives that person.
         """
         scenario = SCENARIOS["take"]
-        persons = draw_persons(scenario, handed.trial_id, 0)
+        persons = draw_persons(scenario, handed.trial_id, seed)
         with warnings_unwritten():
             closed = self.models.close(handed)
         worlds = MujocoWorlds([closed], persons.arm_n_m, self.scene.robot, self.models.setting)
@@ -78,7 +78,7 @@ class LoopTransfers:
             Hands(handed, scenario, persons, self.models.setting),
             R_world_gripper=torch.from_numpy(handed.R_world_gripper),
             com_closed=torch.from_numpy(np.asarray(closed.com_closed)[None]),
-            noise=noise_of(handed.trial_id, 0, seed),
+            noise=noise_of(handed.trial_id, seed, 0),
         )
         self.rows[row] = _Row(running, self.policy(running.robot_side))
 

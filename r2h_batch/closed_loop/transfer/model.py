@@ -16,6 +16,10 @@ from numpy.typing import NDArray
 from r2h_batch.judge.grasp_physics import (
     FINGERS,
     FRICTION,
+    IMPRATIO,
+    TOLERANCE,
+    TORSION_M,
+    Material,
     add_closing_fingers,
     add_motor,
     finger_posture,
@@ -34,9 +38,9 @@ TICK_S = 1 / 120
 STEPS = 6
 """Steps of the simulation in a tick: 1.39 ms each. docs/transfer.md says what half of it changes."""
 
-GRIPPER_KG, WRIST_N_M = 4.0, 60_000.0
-"""The moving base of the gripper, and how stiffly the robot's arm holds it [choice]. The force of that spring is
-what the wrist's sensor reads."""
+BASE, WRIST_N_M = (4.0, 0.02), 60_000.0
+"""The moving base of the gripper, its mass (kg) and inertia about each axis (kg m^2), and how stiffly the robot's arm
+holds it [choice]. The force of that spring is what the wrist's sensor reads."""
 ARM_KG, ARM_KG_M2, ARM_NM_RAD, DAMPING = 1.2, 0.005, 6.0, 0.9
 """Hand and what of the forearm moves with it, its stiffness against turning, and the share of critical damping
 [choice]. The stiffness along the axes is the person's."""
@@ -45,6 +49,10 @@ HAND = ("hand_x", "hand_y", "hand_z", "hand_rx", "hand_ry", "hand_rz")
 WRIST = ("wrist_x", "wrist_y", "wrist_z")
 CARRIED_DAMPING, FREE_DAMPING = 50.0, 1e-5
 """Damping of the object while the gripper closes, per kg and kg m^2, and after that."""
+TIES = (0.0056, 1.0)
+"""MuJoCo's solref of the gripper's linkage: in seconds, so that half the step is no other gripper."""
+GRASP_SOLREF, GRASP_SOLIMP = (0.0028, 1.0), (0.9995, 0.9999, 0.001, 0.5, 2.0)
+"""MuJoCo's solref and solimp of the dry friction in the hand; the default impedance creeps by 40 mm."""
 MEMORY = 2**21
 """Bytes for contacts and constraints: 30 times what transfers use. MuJoCo's own choice is 15 MB a world."""
 LEAST_FRICTION = 1e-6
@@ -58,12 +66,14 @@ class Setting:
     Attributes:
         steps: simulation steps in a tick.
         pad_friction: of the gripper's pads.
+        torsion_m: radius of the pads' patches that withstand turning about the normal.
         skin_friction: of the hand, relative to 0.6, which the capacities were made with.
         mass: factor of the object's mass, which robot and person know.
     """
 
     steps: int = STEPS
     pad_friction: float = FRICTION
+    torsion_m: float = TORSION_M
     skin_friction: float = 1.0
     mass: float = 1.0
 
@@ -77,18 +87,21 @@ def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.
     option = spec.option
     option.timestep, option.gravity = step, [0, 0, 0]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio, option.tolerance = IMPRATIO, TOLERANCE
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    stiff = [4 * step, 1.0]
+    material = Material(torsion_m=setting.torsion_m)
     base = spec.worldbody.add_body(
-        name="gripper", explicitinertial=True, mass=GRIPPER_KG, inertia=[0.02] * 3
+        name="gripper", explicitinertial=True, mass=BASE[0], inertia=[BASE[1]] * 3
     )
     for name, axis in zip(WRIST, np.eye(3), strict=True):
         base.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        add_servo(spec, name, WRIST_N_M, 2 * np.sqrt(WRIST_N_M * GRIPPER_KG))
-    add_closing_fingers(spec, base, robot, stiff=stiff, friction=setting.pad_friction)
+        add_servo(spec, name, WRIST_N_M, 2 * np.sqrt(WRIST_N_M * BASE[0]))
+    add_closing_fingers(
+        spec, base, robot, stiff=TIES, material=material, friction=setting.pad_friction
+    )
     for name in FINGERS:
-        spec.geom(name).priority = 1  # the friction of the pads counts, not the larger one
+        spec.geom(name).priority = 1  # the pads' material counts
         add_motor(spec, name, full_effort(robot) / opening_speed(robot))
     hand = spec.worldbody.add_body(
         name="hand", explicitinertial=True, mass=ARM_KG, inertia=[ARM_KG_M2] * 3
@@ -100,8 +113,8 @@ def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.
         add_servo(spec, name, ARM_NM_RAD, 2 * DAMPING * np.sqrt(ARM_NM_RAD * 2 * ARM_KG_M2))
     grip = hand.add_body(name="grip")
     solver = {
-        "solimp_friction": [0.9995, 0.9999, 0.001, 0.5, 2.0],  # the default creeps by 40 mm
-        "solref_friction": [2 * step, 1.0],
+        "solimp_friction": GRASP_SOLIMP,
+        "solref_friction": GRASP_SOLREF,
         "frictionloss": LEAST_FRICTION,
     }
     for name, axis in zip(SLIP[:3], np.eye(3), strict=True):
@@ -116,7 +129,8 @@ def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.
     for k, (vertices, faces) in enumerate(model.pieces):
         add_mesh(spec, f"piece_{k}", vertices.astype(np.float64), faces, convex=True)
         held.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece_{k}", contype=2, conaffinity=1, condim=4, solref=stiff
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece_{k}", contype=2, conaffinity=1,
+            **material.of_geom(setting.pad_friction),
         )  # fmt: skip
     for body in spec.bodies:
         body.gravcomp = float(body.name not in ("world", "object"))

@@ -1,6 +1,7 @@
 """How a transfer ends, and what is measured on the way."""
 
 import math
+from collections.abc import Sequence
 from enum import StrEnum
 
 import numpy as np
@@ -14,16 +15,19 @@ from r2h_batch.closed_loop.transfer.model import TICK_S
 from r2h_batch.closed_loop.transfer.person import (
     BEGIN_S,
     FINGER_S,
+    GRIP_S,
     KEEP_S,
     LOST_DEG,
     LOST_M,
     Does,
     Hands,
 )
+from r2h_batch.closed_loop.transfer.release import BY_SHARE, LoadShare
 from r2h_batch.closed_loop.transfer.worlds import Seen
 
-DROPPED_M = 0.03
-"""An object that slips by more in the closed gripper, before anybody touches it, is dropped by the robot."""
+DROPPED_M, NEAR_M = 0.03, 0.003
+"""An object that slips by more in the closed gripper, before anybody touches it, is dropped by the robot. What ends this near
+to the limit is undecided: an object that has passed it is watched until it has slipped by so much more."""
 HELD_M, HELD_DEG = 0.02, 30.0
 """Taken: slipped and turned by less in the person's hand."""
 FREE_TICKS = 4
@@ -75,6 +79,7 @@ class Book:
         running: (N,) bool, not yet decided.
         released: (N,) bool, the gripper no longer holds the object.
         lost: (N,) bool, the object is out of the hand.
+        slipping: (N,) bool, slipped by more than `DROPPED_M` in the gripper.
         decided_s: (N,) when the policy let go; inf: not yet.
     """
 
@@ -85,7 +90,7 @@ class Book:
         self.running = ~no
         self.code = torch.full_like(no, -1, dtype=torch.int64)
         self.apart = torch.zeros_like(self.code)
-        self.released, self.lost = no.clone(), no.clone()
+        self.released, self.lost, self.slipping = (no.clone() for _ in range(3))
         never = torch.full_like(no, torch.inf, dtype=torch.float64)
         self.decided_s, self.released_s, self.lost_s = (never.clone() for _ in range(3))
         self.passed_s = [never.clone() for _ in SHARES]
@@ -113,6 +118,8 @@ class Book:
         if not touched or not hands.scenario.grips:
             slipped = _distance(seen.com - seen.shifted, self.com_closed)
             self.robot_slip_m = torch.where(run, slipped, self.robot_slip_m)
+            before = self.decided_s.isinf() if touched else True
+            self.slipping = self.slipping | (run & before & (slipped > DROPPED_M))
         self._share = 1.0 + _dot(seen.load, hands.up) / hands.weight
         for share, when in zip(SHARES, self.passed_s, strict=True):
             new = grips & (self._share > share) & when.isinf()
@@ -121,17 +128,15 @@ class Book:
         turn_cos = _half_turn(seen.slip[:, 3:], self.slip_before[:, 3:])
         self.slip_m = torch.where(grips, slip, self.slip_m)
         self.turn_cos = torch.where(grips, turn_cos, self.turn_cos)
-        beyond = seen.arm - hands.support
-        self.pull_n = torch.where(
-            grips & ~self.released, self.pull_n.maximum(_size(beyond)), self.pull_n
-        )
+        pull = _dot(seen.arm - hands.support, hands.along)
+        self.pull_n = torch.where(grips & ~self.released, self.pull_n.maximum(pull), self.pull_n)
         self.hand_n = torch.where(grips, self.hand_n.maximum(_size(seen.arm)), self.hand_n)
         self.grip_n = torch.where(grips, self.grip_n.maximum(hands.grip_n / 2), self.grip_n)
         self.apart = torch.where(seen.touching, 0, self.apart + 1)
         free = run & touched & (self.apart >= FREE_TICKS) & ~self.released
         self.released = self.released | free
         self.released_s[free] = t - (FREE_TICKS - 1) * TICK_S
-        gripped = hands.scenario.grips and t >= BEGIN_S + 0.3
+        gripped = hands.scenario.grips and t >= BEGIN_S + GRIP_S
         gone = run & gripped & ((slip > LOST_M) | (turn_cos < _COS_LOST)) & ~self.lost
         self.lost = self.lost | gone
         self.lost_s[gone] = t
@@ -148,15 +153,18 @@ class Book:
         t, does = self.time_s, self.hands.does
         decided = self.decided_s.isfinite()
         self._over(~seen.fine, Outcome.EXPLODED)
+        far = self.robot_slip_m > DROPPED_M + NEAR_M
         if t < BEGIN_S:
-            self._over(self.robot_slip_m > DROPPED_M, Outcome.ROBOT_DROPPED)
+            self._over(far, Outcome.ROBOT_DROPPED)
             return
         if not self.hands.scenario.grips:
-            self._over(decided, Outcome.FALSE_RELEASE)
-            self._over(self.released | (self.robot_slip_m > DROPPED_M), Outcome.ROBOT_DROPPED)
             over = torch.full_like(decided, t > BEGIN_S + FINGER_S + AFTER_TOUCH_S)
+            self._over(self.slipping & (far | over | decided), Outcome.ROBOT_DROPPED)
+            self._over(decided, Outcome.FALSE_RELEASE)
+            self._over(self.released, Outcome.ROBOT_DROPPED)
             self._over(over, Outcome.KEPT)
             return
+        self._over(self.slipping, Outcome.ROBOT_DROPPED)
         self._over(self.released & self.lost, Outcome.DROPPED)
         kept = self.released & (t - self.released_s > KEEP_S)
         well = (self.slip_m < HELD_M) & (self.turn_cos > _COS_HELD)
@@ -184,6 +192,29 @@ class Book:
         """The outcome of every transfer."""
         names = [str(o) for o in Outcome]
         return [names[k] for k in self.code.tolist()]
+
+
+def undecided(
+    robot_slip_m: Float64[NDArray[np.float64], " n"],
+    weight_n: Float64[NDArray[np.float64], " n"],
+    outcome: Sequence[str],
+    release: str,
+) -> Bool[NDArray[np.bool_], " n"]:
+    """Which of N outcomes hang on less than the model knows.
+
+    An object slipped in the gripper to within `NEAR_M` of `DROPPED_M`. Or the robot kept or let go what is lighter than
+    `LoadShare.LEAST_N`, by a policy that counts in shares of the weight: the sensor's noise decides.
+
+    Args:
+        robot_slip_m: (N,) slips in the gripper, m.
+        weight_n: (N,) of the objects, N.
+        outcome: of each.
+        release: the policy, as the command has it.
+    """
+    near = np.abs(robot_slip_m - DROPPED_M) < NEAR_M
+    noisy = (weight_n < LoadShare.LEAST_N) & (release in BY_SHARE)
+    asked = np.isin(outcome, [str(Outcome.KEPT), str(Outcome.FALSE_RELEASE)])
+    return np.asarray(near | (noisy & asked))
 
 
 def free_at(touching: Bool[NDArray[np.bool_], "t n"]) -> Int64[NDArray[np.int64], " n"]:

@@ -22,12 +22,12 @@ from r2h_batch.trials.holding.capacity import AXES_SHARE, GRIP_BASE_N, GRIP_PER_
 
 BEGIN_S = 0.15
 """Before that nobody touches the object, and policies tare."""
-GRIP_S, LOAD_S = 0.3, 0.3
-"""The grip grows for so long. Half way the arm begins to take the weight, for so long."""
+GRIP_S, LOADS_FROM, LOAD_S = 0.3, 0.5, 0.3
+"""The grip grows for so long. From this share of it on the arm takes the weight, for so long."""
 PULL_M_S, EARLY_PULL_M_S = 0.15, 0.3
-PATIENCE_S, REST_S, FIRMER, PULLS = 0.5, 0.4, 1.25, 2
-"""At the largest pull the person waits, then rests, grips firmer by this factor and pulls again; after the last
-pull the person gives up."""
+PATIENCE_S, REST_S, BACK_FASTER, FIRMER, PULLS = 0.5, 0.4, 3.0, 1.25, 2
+"""At the largest pull the person waits, then rests and lets the pull back, so many times as fast. Then the person grips
+firmer by this factor and pulls again; after the last pull the person gives up."""
 AWAY_M, KEEP_S = 0.25, 0.5
 """When the gripper lets go, the person goes on by so far. What then happens in the hand for so long decides."""
 FELT_SHARE = 0.3
@@ -205,7 +205,7 @@ class Hands:
         """Goes on to the next state where it is time."""
         since_s = self.since * TICK_S
         most_m = self.pull_n / self.arm_n_m
-        ready_s = 0.0 if self.scenario.early else 0.5 * GRIP_S + LOAD_S
+        ready_s = 0.0 if self.scenario.early else LOADS_FROM * GRIP_S + LOAD_S
         now, again = self.does, self.pulls < PULLS
         to = now.clone()
 
@@ -236,7 +236,7 @@ class Hands:
         pulls = (self.does == int(Does.PULLS)) | (self.does == int(Does.HAS))
         rests = self.does == int(Does.RESTS)
         further = torch.minimum(self.pull_m + step, most)
-        back = (self.pull_m - 3 * step).clamp(min=0.0)
+        back = (self.pull_m - BACK_FASTER * step).clamp(min=0.0)
         self.pull_m = torch.where(pulls, further, torch.where(rests, back, self.pull_m))
 
     def _ramp(self, after_s: float, over_s: float) -> Float64[Tensor, " n"]:
@@ -246,7 +246,7 @@ class Hands:
         return torch.where(gripping, (age / over_s).clamp(0.0, 1.0), 0.0)
 
     def _target(self, lost: Bool[Tensor, " n"]) -> Float64[Tensor, "n 3"]:
-        load = torch.where(lost, 0.0, self._ramp(0.5 * GRIP_S, LOAD_S))
+        load = torch.where(lost, 0.0, self._ramp(LOADS_FROM * GRIP_S, LOAD_S))
         self.support = self.up * (load * self.weight)[:, None]
         return self.support / self.arm_n_m[:, None] + self.along * self.pull_m[:, None]
 

@@ -277,6 +277,10 @@ def second_singular_exceeds(
     return torch.where(determinant > 0, (minors > 0) & (trace > 0), ~((minors > 0) & (trace < 0)))
 
 
+BY_SHARE = ("load-share", "probe")
+"""Policies that count in shares of the weight."""
+
+
 def release_of(spec: str) -> tuple[Any, str]:
     """A policy by its name, or the user's class (`package.module:Class` or `FILE.py:Class`), and a text
     that says what decides its actions.

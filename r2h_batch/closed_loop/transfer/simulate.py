@@ -22,8 +22,9 @@ SENSOR_TICKS = 1
 """The policy sees the force this late."""
 GRIPPER_S = 0.06
 """From the decision to the fingers' first move [choice]."""
-BACK_AFTER_S, BACK_M_S, BACK_M = 0.2, 0.15, 0.10
-"""The robot backs off once the fingers have opened for so long: they stay hooked in headphones otherwise."""
+BACK = (0.2, 0.15, 0.10)
+"""The robot backs off once the fingers have opened for so long (s), at this speed (m/s) and by so far (m): they stay
+hooked in headphones otherwise."""
 MOST_TICKS = 720
 """No transfer lasts longer: 6 s."""
 POLL_TICKS = 32
@@ -40,7 +41,7 @@ class Transfers:
         release_share: share of the weight that the person carried when the policy let go.
         transfer_s: from the beginning of the person's grip until the gripper was free.
         share_s: (N, 3) when the share first passed 10, 50 and 90 %, from the beginning of the grip.
-        pull_n: largest force of the person's arm beyond the weight until the gripper was free.
+        pull_n: largest force of the person's arm along the pull, less what carries the weight, until the gripper was free.
         grip_n: largest grip of the person, one side.
         hand_n: largest force of the arm on the hand.
         slip_m: how far the object slipped in the hand, from the grip to the end.
@@ -174,7 +175,7 @@ class _Robot:
         squeeze = torch.ones_like(since) if action.squeeze is None else action.squeeze
         opens = since >= 0.0
         effort = torch.where(opens, -1.0, squeeze.clamp(0.0, 1.0))
-        back = ((since - BACK_AFTER_S) * BACK_M_S).clamp(0.0, BACK_M)
+        back = ((since - BACK[0]) * BACK[1]).clamp(0.0, BACK[2])
         shift = torch.zeros_like(self.R[:, 0])
         if action.shift is not None:
             shift = torch.where(opens[:, None], 0.0, _rotate(self.R.transpose(1, 2), action.shift))

@@ -21,9 +21,9 @@ from r2h_batch.base.launch import init_warp
 from r2h_batch.closed_loop.transfer.handed import Handed
 from r2h_batch.closed_loop.transfer.model import (
     ARM_KG,
+    BASE,
     DAMPING,
     FREE_DAMPING,
-    GRIPPER_KG,
     Places,
     transfer_spec,
 )
@@ -172,7 +172,7 @@ class Batch:
         """The state now."""
         d, p, at = self.data_of, self.places, self.at
         actuator = d["actuator_force"]
-        load = GRIPPER_KG * d["qacc"].index_select(1, at["wrist_v"])
+        load = BASE[0] * d["qacc"].index_select(1, at["wrist_v"])
         body = p.object_body
         speed = d["qvel"].abs().amax(1)
         return Seen(

@@ -17,11 +17,10 @@ from torch import Tensor
 from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
 from r2h_batch.closed_loop.transfer.model import (
     ARM_KG,
+    BASE,
     CARRIED_DAMPING,
     DAMPING,
     FREE_DAMPING,
-    GRIPPER_KG,
-    TICK_S,
     Places,
     Setting,
     place,
@@ -39,8 +38,6 @@ Array = NDArray[np.float64]
 CLOSE_TICKS, SETTLE_TICKS = 15, 30
 """The gripper closes for 0.125 s, from `AJAR_M` wider; then the object's weight acts for 0.25 s."""
 AJAR_M = 0.004
-HOLD_S = 1.0
-"""`Models.hold`: the weight acts for so long."""
 TOO_FAST = 300.0
 TOUCH_M = 0.0005
 """A contact of MuJoCo's this near is one."""
@@ -115,26 +112,6 @@ class Models:
         mujoco.mj_step(m, d, SETTLE_TICKS * self.setting.steps)
         return Closed(m, d, closed, quat, float(np.linalg.norm(closed - start)))
 
-    def hold(self, row: Gripped) -> tuple[float, float, float]:
-        """Closes the gripper of one row and lets the object's weight act for `HOLD_S`.
-
-        Args:
-            row: of length 1.
-
-        Returns:
-            How far closing moved the object's centre of mass (m), and how far it then slipped (m) and the object
-            turned (degrees) in the gripper. NaN: the simulation failed.
-        """
-        closed = self.close(row)
-        m, d, body = closed.model, closed.data, Places.of(closed.model).object_body
-        ticks = round(HOLD_S / TICK_S) - SETTLE_TICKS
-        mujoco.mj_step(m, d, ticks * self.setting.steps)
-        slip = float(np.linalg.norm(d.xipos[body] - closed.com_closed))
-        cosine = min(abs(float(d.xquat[body] @ closed.quat_closed)), 1.0)
-        if not np.isfinite(d.qpos).all():
-            return (float("nan"),) * 3
-        return closed.moved_m, slip, float(np.rad2deg(2 * np.arccos(cosine)))
-
 
 class MujocoWorlds:
     """N transfers in MuJoCo C (`worlds.Worlds`)."""
@@ -185,7 +162,7 @@ class MujocoWorlds:
     def seen(self) -> Seen:
         """The state now. The tensors are the worlds' own: valid until the next step."""
         acc, force = self._wrist
-        self._out["load"][:] = GRIPPER_KG * acc - force
+        self._out["load"][:] = BASE[0] * acc - force
         out = {k: torch.from_numpy(v) for k, v in self._out.items()}
         out["R_obj"] = out["R_obj"].view(-1, 3, 3)
         fine = np.abs(self._speed).max(1) < TOO_FAST  # not where one is NaN

@@ -51,7 +51,7 @@ def compare(
             interval for the mean of all categories (without families: objects).
     """
     from r2h_batch.report.compare.text import render
-    from r2h_batch.report.held import held_rates
+    from r2h_batch.report.held import NOTE, stable_rates
     from r2h_batch.report.statistics import paired as statistics
     from r2h_batch.report.statistics.aggregate import rate_of
     from r2h_batch.report.statistics.common import common_trials
@@ -81,14 +81,14 @@ def compare(
     tests = [turned(run) for run in stored]
     called = list(zip(paired.names, paired.runs, paired.methods, strict=True))
     turns = [replace(t, method=n) for n, k, own in called for t in tests[k] if t.method == own]
-    rates = [held_rates(run) for run in stored]
+    rates = [stable_rates(run) for run in stored]
     held = [
-        f"{n} {rate.percent:.1f} ({split}, {rate.total})"
+        f"{n} {stable.rate.percent:.1f} ({split}, {stable.rate.total}; undecided {stable.undecided.percent:.1f})"
         for n, k, own in called
-        for (split, name), rate in rates[k].items()
+        for (split, name), stable in rates[k].items()
         if name == own
     ]
-    known = [f"held under their weight for 1 s, percent of those past Stability: {'; '.join(held)}"]
+    known = [f"{NOTE}: {'; '.join(held)}"]
     marked = (test.sentence for test in turns if test.marked)
     notes = (*common.notes, *paired.notes, *marked, *(known if held else ()))
     shares = {

@@ -48,7 +48,7 @@ def _through(rows: pa.Table) -> pa.ChunkedArray:
 
 
 THROUGH = "through"
-HELD = "held_1s"
+STABLE, UNDECIDED = "physically_stable", "physically_undecided"
 
 SHARES: Registry[Share] = Registry(
     "share",
@@ -66,9 +66,13 @@ SHARES: Registry[Share] = Registry(
             ("outcome", "margin_plan_m"),
             _through,
         ),
-        HELD: Share(
-            "Held 1 s",
-            "Objects that the closed gripper holds under their weight for 1 s, of those past Stability (not in SR).",
+        STABLE: Share(
+            "Physically stable",
+            "Trials past Stability whose object holds in physics, closed and under the weight for 1 s (not in SR).",
+        ),
+        UNDECIDED: Share(
+            "Stable undecided",
+            "Trials past Stability that are too near a limit of Physically stable to say.",
         ),
     },
 )

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 import trimesh
+from manifold3d import Manifold
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.scene.families.family import FAMILIES, Draw, Family, Shape
+from r2h_batch.scene.families.family import FAMILIES, WATER, Draw, Family, Shape
 from r2h_batch.scene.families.remesh import Surface, heights, imprint, without_slivers
 from r2h_batch.scene.families.shapes import Parts
 from r2h_batch.scene.objects import ObjectModel, build_object
@@ -24,6 +27,8 @@ the second. Corners nearer to a cut than the third lie on it."""
 SLIVER_M, CLEARED_MM, NEEDLE_MM = 1e-8, 1e-4, 0.01
 """A triangle lower than the first, as it is stored, is a sliver (trimesh's `nondegenerate_faces`). An instance that has one
 gets rid of all triangles lower than the second; sides shorter than the third are collapsed."""
+HALVINGS = 40
+"""A water level is searched in so many halves: to its last bits."""
 
 Vec = NDArray[np.float64]
 
@@ -50,13 +55,15 @@ class Instance:
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 
-def draw_instance(category: str, series: int, index: int) -> Instance:
+def draw_instance(category: str, series: int, index: int, *, standing: bool = False) -> Instance:
     """Instance `index` of a series of a category.
 
     Args:
         category: a name of `FAMILIES`.
         series: 0 for the shipped test instances, 1 for training, others for users (`--seed`).
         index: 0, 1, 2, ...
+        standing: fillings stand at the bottom of the upright vessel. False: they are smeared over it, as in the shipped
+            instances, so that a vessel that is 30 % full has its centre of mass at half its height.
     """
     family, draw, parts = FAMILIES[category], Draw(category, series, index), Parts()
     shape = family.make(draw, parts)
@@ -69,7 +76,7 @@ def draw_instance(category: str, series: int, index: int) -> Instance:
     for k, original in enumerate(found.run_original_id):
         label[bounds[k] : bounds[k + 1]] = family.parts.index(parts.names[int(original)])
     vertices, faces, label = _divided(vertices, faces, label, family, parts)
-    mass, com, inertia = _inertial(parts, shape, float(solid.volume()))
+    mass, com, inertia = _inertial(_weighed(parts, shape, standing), float(solid.volume()))
     rest, R = _resting(family, vertices, faces, com, draw)
     turned = vertices @ R.T
     middle = (turned.min(0) + turned.max(0)) / 2
@@ -110,21 +117,50 @@ def _without_slivers(
     return found / 1000, left.astype(np.int32), names.astype(np.uint8)
 
 
-def _inertial(parts: Parts, shape: Shape, volume: float) -> tuple[float, Vec, Vec]:
+Weighed: TypeAlias = tuple[Manifold, float, float | None]
+"""A solid, its density, kg/m^3, and the volume that it takes up of the whole, mm^3; None: its own."""
+
+
+def _weighed(parts: Parts, shape: Shape, standing: bool) -> list[Weighed]:
+    """The parts' own solids; of a vessel with a standing filling the water in it."""
+    found: list[Weighed] = []
+    for name, solid in parts.solids:
+        if standing and shape.filling is not None and name == shape.filling[0]:
+            found.append((filled_to(solid, shape.filling[1]), WATER, float(solid.volume())))
+        else:
+            found.append((solid, shape.density[name], None))
+    return found
+
+
+def filled_to(solid: Manifold, share: float) -> Manifold:
+    """The lowest part of a solid, by z, that has this share of its volume.
+
+    Args:
+        solid: z up.
+        share: 0 to 1.
+    """
+    _, _, low, _, _, high = solid.bounding_box()
+    wanted = share * float(solid.volume())
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        below = float(solid.trim_by_plane((0.0, 0.0, -1.0), -middle).volume())
+        low, high = (middle, high) if below < wanted else (low, middle)
+    return solid.trim_by_plane((0.0, 0.0, -1.0), -high)
+
+
+def _inertial(weighed: Sequence[Weighed], volume: float) -> tuple[float, Vec, Vec]:
     """Mass (mm^3 kg/m^3), centre (mm) and inertia about it, of the parts' own solids at their densities. Where solids
     overlap both count, so all are scaled to the volume of the whole."""
     mass, moment, second, own = 0.0, np.zeros(3), np.zeros((3, 3)), 0.0
-    for name, solid in parts.solids:
+    for solid, density, takes in weighed:
         mesh = solid.to_mesh64()
         body = trimesh.Trimesh(
             np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts), process=False
         )
-        m, c = shape.density[name] * body.volume, np.asarray(body.center_mass)
-        own += body.volume
+        m, c = density * body.volume, np.asarray(body.center_mass)
+        own += body.volume if takes is None else takes
         mass, moment = mass + m, moment + m * c
-        second += shape.density[name] * body.moment_inertia + m * (
-            (c @ c) * np.eye(3) - np.outer(c, c)
-        )
+        second += density * body.moment_inertia + m * ((c @ c) * np.eye(3) - np.outer(c, c))
     com = moment / mass
     inertia = second - mass * ((com @ com) * np.eye(3) - np.outer(com, com))
     share = volume / own

@@ -71,6 +71,8 @@ class Shape:
     solid: Manifold
     density: Mapping[str, float]
     """part -> kg/m^3 of its own solid; a hollow part that is modelled as a full one has less"""
+    filling: tuple[str, float] | None = None
+    """the part that holds water, z up, and the share of its solid that is full"""
 
 
 @dataclass(frozen=True)

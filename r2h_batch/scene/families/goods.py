@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from manifold3d import Manifold
 
-from r2h_batch.scene.families.family import Draw, Shape, family
+from r2h_batch.scene.families.family import WATER, Draw, Shape, family
 from r2h_batch.scene.families.shapes import (
     Parts,
     along_x,
@@ -275,7 +275,8 @@ def bottle(draw: Draw, part: Parts) -> Shape:
     )
     return Shape(
         solid + part("cap", top),
-        dict.fromkeys(("body", "base", "neck"), 1000 * filled) | {"cap": 900.0},
+        dict.fromkeys(("body", "base", "neck"), WATER * filled) | {"cap": 900.0},
+        ("body", filled),
     )
 
 
@@ -397,11 +398,12 @@ def trigger_sprayer(draw: Draw, part: Parts) -> Shape:
     return Shape(
         solid,
         {
-            "bottle": 1000 * filled,
-            "neck": 1000 * filled,
+            "bottle": WATER * filled,
+            "neck": WATER * filled,
             "collar": 700.0,
             "head": 520.0,
             "nozzle": 700.0,
             "trigger": 900.0,
         },
+        ("bottle", filled),
     )

@@ -5,7 +5,7 @@ digest RUN        print the digest of each method's rows
 reevaluate RUN    judge a sample of stored rows again from their stored poses
 rethreshold RUN   print the rates at other thresholds
 reception RUN     print how many receivers could take the object
-held RUN          print how many objects the closed gripper holds under their weight
+held RUN          print how many grasps hold in physics: after closing, and under the weight
 transfer RUN      simulate the transfer: the person takes the object, the gripper lets go
 """
 
@@ -18,6 +18,7 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.sweep.results.rethreshold import rethreshold
 
+MOST_TORSION_MM = 11.0
 LISTED = 200
 """Differences of one method that are printed; the count covers all of them."""
 
@@ -167,18 +168,22 @@ def held(
     /,
     *,
     method: tuple[str, ...] = (),
+    torsion_mm: float = 5.0,
     processes: int = 0,
     benchmark: BenchmarkChoice = DEFAULT,
     device: str = "cpu",
 ) -> int:
-    """Print how many objects the closed gripper holds under their weight for 1 s; write RUN/held/METHOD.parquet.
+    """Print how many grasps hold in physics, and whether closing or the weight loses the others; write RUN/held/METHOD.parquet.
 
-    Stability is geometric: it passes a heavy object that slides out of a light grasp. The command simulates each grasp
-    that passes it in MuJoCo. `report` and `compare` then show the rate. The success rate does not depend on it.
+    Stability is geometric: it passes an object that the closing fingers push away, and a heavy one that slides out. The
+    command simulates each grasp that passes it in MuJoCo. `report` and `compare` then show the rate. The success rate does
+    not depend on it.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
         method: only these methods, by the sweep's word (fc) or the table's name.
+        torsion_mm: radius of the pads' patches that withstand turning, mm. Another one than 5 has files of its own, which
+            report does not show.
         processes: processes that simulate; 0: one for each core.
         benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N, for the grasps.
@@ -191,10 +196,16 @@ def held(
 
     if processes < 0:
         raise UsageError("--processes must be 0 or more")
+    if not 0 < torsion_mm <= MOST_TORSION_MM:
+        raise UsageError(
+            f"--torsion-mm {torsion_mm:g}: give more than 0 and at most {MOST_TORSION_MM:g}, the half width of a pad"
+        )
     if what := in_the_way(folder / FOLDER, folder=True):
         raise RunError(what)
     run = load_run(folder).only(method)
-    files = simulated.write_tables(run, benchmark, count=processes or cpu_threads(), device=device)
+    files = simulated.write_tables(
+        run, benchmark, count=processes or cpu_threads(), device=device, torsion_mm=torsion_mm
+    )
     print(simulated.render(files), end="")
     return 0
 

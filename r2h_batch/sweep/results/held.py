@@ -1,4 +1,4 @@
-"""Objects of a stored run that the closed gripper holds under their weight for 1 s (`results held`)."""
+"""Objects of a stored run that the closed gripper holds: after closing, and under their weight (`results held`)."""
 
 import json
 from collections.abc import Iterator
@@ -7,16 +7,18 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from r2h_batch.base.io.cache import code_digest
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.closed_loop.transfer.cases import Processes, Simulator, processes
 from r2h_batch.closed_loop.transfer.handed import gripped_of
+from r2h_batch.closed_loop.transfer.held import Lost
 from r2h_batch.closed_loop.transfer.model import Setting
-from r2h_batch.judge.grasp_physics import DROPPED_M
+from r2h_batch.closed_loop.transfer.outcome import NEAR_M
+from r2h_batch.judge.grasp_physics import DROPPED_M, TORSION_M
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.held import FOLDER, MADE_OF
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
@@ -26,6 +28,7 @@ from r2h_batch.sweep.results.reevaluation import Judge
 from r2h_batch.sweep.scoring import progress
 
 _FLOAT = pa.float32()
+_NUMBERS = ("closing_m", "squeezed_m", "slip_m", "turn_deg", "carries")
 SCHEMA = pa.schema(
     [
         pa.field("trial_id", pa.int64(), nullable=False),
@@ -33,44 +36,57 @@ SCHEMA = pa.schema(
         pa.field("split", pa.string(), nullable=False),
         pa.field("success", pa.bool_(), nullable=False),
         pa.field("held", pa.bool_()),
-        pa.field("slip_m", _FLOAT),
-        pa.field("turn_deg", _FLOAT),
-        pa.field("closing_m", _FLOAT),
+        pa.field("lost", pa.string()),
+        pa.field("undecided", pa.bool_(), nullable=False),
+        pa.field("settled", pa.bool_()),
+        *(pa.field(k, _FLOAT) for k in _NUMBERS),
     ]
 )
-"""A row for each stored row whose grasp passes Stability. held: the object slipped by less than 2 cm; null: the
-simulation failed. closing_m: how far the closing gripper moved it."""
+"""A row for each stored row whose grasp passes Stability, as `closed_loop.transfer.held.Holds` has it. held: physically
+stable; null: the simulation failed. lost: `closing`, `weight`, or null. Numbers are null where nothing came to them."""
 CODE = ("r2h_batch.closed_loop.transfer", "r2h_batch.judge.grasp_physics")
-VERSIONS = ("mujoco", "numpy")
+VERSIONS = ("mujoco", "numpy", "scipy")
 NOTES = (
-    f"held: the object's centre of mass slips by less than {100 * DROPPED_M:g} cm while the weight acts for 1 s,"
-    " at the handover pose, after the gripper has closed with 30 N (pad friction 0.8).",
-    "n counts the rows that pass Stability. Brackets: 95 %, Wilson. No part of SR. Objects: those that are not always held, and"
-    " the median slip of the lost. `report` and `compare` show the rate from now on.",
+    "Physically stable: the gripper closes with 30 N (pad friction 0.8), both pads touch the object, it slips by less than"
+    f" {100 * DROPPED_M:g} cm until it stands, and by less than {100 * DROPPED_M:g} cm more while its weight acts for 1 s at the"
+    " handover pose. Lost in closing, or under the weight: which of these fails first.",
+    "n counts the rows that pass Stability. Brackets: 95 %, Wilson. No part of SR. undecided: within"
+    f" {1e3 * NEAR_M:g} mm of a limit, or half the time step says otherwise. statics: friction balances the weight on the settled"
+    " posture (a linear program; no solver's friction). `report` and `compare` show the rate from now on.",
 )
 
 
 def write_tables(
-    run: Run, benchmark: BenchmarkChoice, *, count: int, device: str
+    run: Run,
+    benchmark: BenchmarkChoice,
+    *,
+    count: int,
+    device: str,
+    torsion_mm: float = 1e3 * TORSION_M,
 ) -> dict[str, Path]:
     """Method -> its file RUN/held/METHOD.parquet. A file that was made of the same rows by the same code is kept.
+
+    Another torsion than the usual one has files of its own, which no table shows.
 
     Args:
         run: with poses.
         benchmark: where its files are now, if they are not where the sweep found them.
         count: processes.
         device: cpu, cuda or cuda:N, for the grasps.
+        torsion_mm: radius of the pads' patches that withstand turning.
 
     Raises:
         RunError: the run holds no rows or no poses.
     """
     judge, names = judge_of(run, benchmark, device)
     scene = judge.evaluator.scene
-    simulator = Simulator(scene.robot, tuple(scene.objects), Setting(), 0)
+    setting = Setting(torsion_m=torsion_mm / 1e3)
+    simulator = Simulator(scene.robot, tuple(scene.objects), setting, 0)
     code, written = code_digest(CODE, VERSIONS), {}
+    own = "" if setting == Setting() else f".torsion-{torsion_mm:g}mm"
     with processes(simulator, count) as simulated:
         for name in names:
-            path = written[name] = run.folder / FOLDER / f"{run.entry(name).slug}.parquet"
+            path = written[name] = run.folder / FOLDER / f"{run.entry(name).slug}{own}.parquet"
             made_of = {"rows": run.digest(name), "code": code}
             if _made_of(path) == made_of:
                 LOG.info(f"{name}: {path} has these rows")
@@ -104,46 +120,55 @@ def _rows(run: Run, method: str, judge: Judge, simulated: Processes) -> Iterator
             for rows, found in simulated.hold([gripped]):
                 advance(len(rows))
                 ids = rows.trial_id.tolist()
-                closing, slip, turn = (pa.array(x, _FLOAT, mask=np.isnan(x)) for x in found.T)
+                held = pa.array(found.held, mask=found.failed)
                 yield pa.table(
                     {
                         "trial_id": rows.trial_id,
                         "object": [words[i][0] for i in ids],
                         "split": [words[i][1] for i in ids],
                         "success": [won[i] for i in ids],
-                        "held": pc.less(slip, pa.scalar(DROPPED_M, _FLOAT)),
-                        "slip_m": slip,
-                        "turn_deg": turn,
-                        "closing_m": closing,
+                        "held": held,
+                        "lost": pa.array(found.lost, pa.string()),
+                        "undecided": found.undecided,
+                        "settled": pa.array(found.settled, mask=found.failed),
+                        **{k: _floats(getattr(found, k)) for k in _NUMBERS},
                     },
                     schema=SCHEMA,
                 )
 
 
+def _floats(values: NDArray[np.float64]) -> pa.Array:
+    return pa.array(values, _FLOAT, mask=np.isnan(values))
+
+
 def render(files: dict[str, Path]) -> str:
-    """Rates of held objects of each method, and the objects that are lost, as text that ends in a newline."""
+    """Rates of physically stable grasps of each method, and the objects that are lost, as text that ends in a newline."""
     short = short_names(list(files))
     rates, objects = [], []
     for name, path in files.items():
         table = pq.read_table(path)
-        label, held = plain(short[name]), table["held"].to_numpy(zero_copy_only=False) == True  # noqa: E712 - null: failed
-        slip, won = table["slip_m"].to_numpy(), table["success"].to_numpy()
-        rates.append(
-            [label, str(len(held)), rate_text(held), str(int(won.sum())), rate_text(held[won])]
-        )
+        label, won = plain(short[name]), table["success"].to_numpy()
+        held = table["held"].to_numpy(zero_copy_only=False) == True  # noqa: E712 - null: failed
+        lost = np.array(table["lost"].to_pylist(), dtype=object)
+        undecided, carries = table["undecided"].to_numpy(), table["carries"].to_numpy()
+        ends = [percent_text(lost == word) for word in Lost]
+        doubt, statics = percent_text(undecided), percent_text(carries >= 1.0)
+        successes = [str(int(won.sum())), rate_text(held[won])]
+        rates.append([label, str(len(held)), rate_text(held), *ends, doubt, statics, *successes])
         of = np.array(table["object"].to_pylist(), dtype=object)
         for word in dict.fromkeys(of.tolist()):
             own = of == word
-            if (lost := own & ~held).any():
-                cm = f"{100 * float(np.nanmedian(slip[lost])):.1f}"
+            if not held[own].all():
+                counts = [str(int((lost[own] == end).sum())) for end in Lost]
                 objects.append(
-                    [label, plain(word), str(int(own.sum())), percent_text(held[own]), cm]
+                    [label, plain(word), str(int(own.sum())), percent_text(held[own]), *counts]
                 )
+    ends = ["lost in closing", "under the weight"]
+    head = ["Method", "n", "physically stable", *ends, "undecided", "statics", "successes"]
     parts = [
-        "Held under their weight for 1 s",
-        aligned(["Method", "n", "held 1 s", "successes", "of these held"], rates, 1),
+        "Grasps that hold in physics, percent of those past Stability",
+        aligned([*head, "of these stable"], rates, 1),
     ]
     if objects:
-        head = ["Method", "object", "n", "held 1 s", "slip of the lost, cm"]
-        parts += ["Objects", aligned(head, objects, 2)]
+        parts += ["Objects", aligned(["Method", "object", "n", "stable", *ends], objects, 2)]
     return "\n\n".join([*parts, notes_list(NOTES)]) + "\n"

@@ -24,7 +24,7 @@ from r2h_batch.closed_loop.transfer.cases import (
 )
 from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
 from r2h_batch.closed_loop.transfer.model import Setting
-from r2h_batch.closed_loop.transfer.outcome import Outcome
+from r2h_batch.closed_loop.transfer.outcome import Outcome, undecided
 from r2h_batch.closed_loop.transfer.person import SCENARIOS
 from r2h_batch.closed_loop.transfer.release import release_of
 from r2h_batch.judge.reception import reception
@@ -50,6 +50,7 @@ SCHEMA = pa.schema(
         pa.field("received", _YES, nullable=False),
         pa.field("outcome", pa.string(), nullable=False),
         pa.field("false_release", _YES, nullable=False),
+        pa.field("undecided", _YES),
         *(pa.field(k, _FLOAT) for k in ("release_share", "transfer_s", "t10_s", "t50_s", "t90_s")),
         *(pa.field(k, _FLOAT) for k in ("pull_n", "grip_n", "hand_n", "slip_m", "turn_deg")),
         *(pa.field(k, _FLOAT) for k in ("robot_slip_m", "closing_m", "time_s")),
@@ -57,7 +58,8 @@ SCHEMA = pa.schema(
     ]
 )
 """A row for each stored row that has a pose and each case; numbers as in `closed_loop.transfer.simulate.Transfers`,
-null where nothing is received or it did not happen. person_...: what the person was drawn with."""
+null where nothing is received or it did not happen. undecided: `outcome.undecided`. person_...: what the person was drawn
+with."""
 
 CODE = (
     "r2h_batch.closed_loop.transfer",
@@ -74,6 +76,8 @@ NOTES = (
     "n counts received rows; nobody takes the others. taken: in the person's hand, slipped by less than 2 cm and turned by"
     " less than 30 degrees. Outcomes are percent of n. Brackets: 95 % over trials, each with persons of its own (Wilson; where"
     " a trial has several persons, a t interval over trials).",
+    "undecided: the object slipped in the gripper to within 3 mm of 3 cm, or the robot kept or let go by its share of a weight"
+    " within the sensor's noise: another time step may end otherwise.",
     "Persons: percent taken by the weaker and the firmer half of the grips, and by the stiffer half of the arms. touch: a finger"
     " presses and does not grip; nobody: nobody comes. There kept is right.",
     "Medians: share of the weight that the person carries when the policy lets go; seconds from the beginning of the grip"
@@ -256,6 +260,7 @@ def table_of(handed: Handed, made: Sequence[Transferred], success: dict[int, boo
             "received": np.ones(n, bool),
             "outcome": t.outcome,
             "false_release": np.array([o == Outcome.FALSE_RELEASE for o in t.outcome], bool),
+            "undecided": undecided(t.robot_slip_m, handed.weight_n, t.outcome, one.case.release),
             **{k: getattr(t, k) for k in numbers},
             **{f"t{s}_s": t.share_s[:, k] for k, s in enumerate((10, 50, 90))},
             "closing_m": handed.closing_m,
@@ -314,12 +319,20 @@ def render(files: dict[str, Path], cases: Sequence[Case]) -> str:
             )  # fmt: skip
             count = int(got.sum())
             halves = _halves(rows, done, got) if grips else ["-"] * 3
-            ends.append([*label, str(count), _over_trials(done[got], own), *halves])
+            ends.append(
+                [
+                    *label,
+                    str(count),
+                    _over_trials(done[got], own),
+                    percent_text(rows["undecided"][got].astype(bool)),
+                    *halves,
+                ]
+            )
             others.append({o: percent_text(rows["outcome"][got] == o) for o in OTHERS})
             went.append([*label, *_medians(rows, done), *_forces(rows["hand_n"][got])])
     key = ["Method", "release", "scenario"]
     steps = [*key, "n", "SR", "received", "end", "so ended", "and success"]
-    how = [*key, "n", "taken or kept", "weak grip", "firm grip", "stiff arm"]
+    how = [*key, "n", "taken or kept", "undecided", "weak grip", "firm grip", "stiff arm"]
     numbers = [
         "share",
         "time, s",

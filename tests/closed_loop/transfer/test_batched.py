@@ -15,7 +15,7 @@ from r2h_batch.closed_loop.transfer import worlds_mjwarp
 from r2h_batch.closed_loop.transfer.batched import BatchedSimulator
 from r2h_batch.closed_loop.transfer.cases import Case, Simulator, Transferred
 from r2h_batch.closed_loop.transfer.handed import Handed
-from r2h_batch.closed_loop.transfer.model import Setting
+from r2h_batch.closed_loop.transfer.model import TICK_S, Setting
 from r2h_batch.closed_loop.transfer.outcome import free_at
 from r2h_batch.closed_loop.transfer.release import second_singular_exceeds
 from r2h_batch.closed_loop.transfer.simulate import Transfers
@@ -49,18 +49,23 @@ def same_bits(a: Transferred, b: Transferred) -> bool:
 
 
 def test_worlds_with_different_objects_agree_with_mujoco_c(exact, batched):
-    handed = knives_and_screwdrivers()
+    """Where the gripper is free at the same tick, which it is in all but one transfer at most; there it is the next one."""
+    handed, other_ticks = knives_and_screwdrivers(), 0
     for one, (two, doubt) in each(zip(exact(handed, CASES), batched.worlds(handed, CASES), strict=True)):
         a, b = one.transfers, two.transfers
         assert a.outcome == b.outcome and not doubt.any()
         assert not same_bits(one, two)  # float32: they were not copied
+        off = np.abs(a.time_s - b.time_s)
+        same = off < 1e-9
+        other_ticks += int((~same).sum())
+        assert (off < 1.5 * TICK_S).all()
         # under a shake contacts creep, and what float32 changes adds up
         creep = 2e-4 if one.case.release == "probe" else 2e-5
         for name, most in {"pull_n": 0.05, "hand_n": 0.05, "slip_m": creep, "robot_slip_m": creep}.items():
-            assert np.allclose(getattr(a, name), getattr(b, name), rtol=0, atol=most), name
-        for name in ("transfer_s", "time_s"):
-            assert np.allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-9, equal_nan=True), name
-        assert np.allclose(a.turn_deg, b.turn_deg, rtol=0, atol=0.2)
+            assert np.allclose(getattr(a, name)[same], getattr(b, name)[same], rtol=0, atol=most), name
+        assert np.allclose(a.transfer_s[same], b.transfer_s[same], rtol=0, atol=1e-9, equal_nan=True)
+        assert np.allclose(a.turn_deg[same], b.turn_deg[same], rtol=0, atol=0.2)
+    assert other_ticks <= 1
 
 
 def test_a_row_does_not_depend_on_its_batch(batched):
