@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 STORED, PAGE = ROOT / "bench" / "results" / "families.json", ROOT / "docs" / "results" / "families.md"
 MEASURES = (
     *("bench/families.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
-    *("r2h_batch/trials", "r2h_batch/evaluate.py"),
+    *("r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py"),
 )
 METHODS = ("fc", "handover-va", "contact", "intent")
 BOUNDS = ("random", "oracle")
@@ -44,7 +44,7 @@ V1, V2 = ("--benchmark", "r2h-v1", "--sim", "none"), ("--benchmark", "r2h-v2", "
 OTHERS = {
     "preset paper": ("--preset", "paper"),
     "preset release": ("--preset", "release"),
-    "receiver with a body": ("--receiver", "body"),
+    "the hand alone": ("--receiver", "hand"),
     "candidates as generated": ("--candidates", "as-generated"),
 }
 OF_V1 = ("base", "protocol r2h-v0", *OTHERS, "plan-hand estimated", "error x 2")

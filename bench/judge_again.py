@@ -162,7 +162,18 @@ def judged(name: str, judge: Judge, rows: dict[int, dict[str, Any]]) -> Iterator
 def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: int) -> tuple[int, dict[str, Tally]]:
     """Sweeps a set and judges all its rows again; how many, and what became of each criterion, and of facts."""
     own = ["--objects", str(meshes), "--splits", "S0"] if name == "unseen" else []
-    line = ["--method", *METHODS, "--trials", str(trials), "--sim", "none", "--save-paths", "--quiet"]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        *METHODS,
+        "--trials",
+        str(trials),
+        "--sim",
+        "none",
+        "--save-paths",
+        "--quiet",
+    ]
     with contextlib.redirect_stdout(io.StringIO()):
         code = sweep([*line, *flags, *own, "--out", str(folder)])
     if code:

@@ -265,7 +265,17 @@ def of_group(group: str, options: argparse.Namespace) -> dict[str, Any]:
     """Counts of the methods on a group's trials, or on those of r2h-v1."""
     words = [] if group == V1 else ["--people", group]
     with TemporaryDirectory() as folder:
-        run = swept(Path(folder) / "run", "--method", *options.methods, *words, "--trials", options.trials, *KINEMATIC)
+        run = swept(
+            Path(folder) / "run",
+            "--benchmark",
+            "r2h-v1",
+            "--method",
+            *options.methods,
+            *words,
+            "--trials",
+            options.trials,
+            *KINEMATIC,
+        )
         return counts(load_run(run))
 
 
@@ -291,7 +301,7 @@ def of_hands(options: argparse.Namespace) -> dict[str, Any]:
     """Counts of Handover-VA on the bodies of r2h-v1 with other hands."""
     with TemporaryDirectory() as name:
         folder = Path(name)
-        line = ("--method", "handover-va", "--trials", options.trials, *KINEMATIC)
+        line = ("--benchmark", "r2h-v1", "--method", "handover-va", "--trials", options.trials, *KINEMATIC)
         runs = {
             hand: swept(folder / f"run{k}", *line, *words) for k, (hand, words) in enumerate(hand_files(folder).items())
         }

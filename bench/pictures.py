@@ -37,6 +37,8 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         command("report", run, "--format", "html", "--out", folder / "page.html")
         screenshot(folder / "page.html", out / "report.png", 1280, 1262)
         gallery = (
+            "--benchmark",
+            "r2h-v1",
             "--method",
             "fc",
             "handover-va",
@@ -55,7 +57,17 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         command("figures", run, "--method", "fc", "random", "handover-va", "--out", folder / "figures")
         for name in ("protocol", "failures"):
             shutil.copy(folder / "figures" / f"{name}.png", out / f"figure_{name}.png")
-        words = ("--method", "handover-va", "fc", "contact", "intent", "--out", folder / "theirs")
+        words = (
+            "--benchmark",
+            "r2h-v1",
+            "--method",
+            "handover-va",
+            "fc",
+            "contact",
+            "intent",
+            "--out",
+            folder / "theirs",
+        )
         command("figures", release, *words)
         for name in ("protocol", "methods"):
             shutil.copy(folder / "theirs" / f"{name}.png", out / f"release_{name}.png")

@@ -118,7 +118,20 @@ def table(robot: str, trials: int, folder: Path) -> dict[str, dict[str, Any]]:
     from r2h_batch.report.table import record, table_of
     from r2h_batch.runs.store import load_run
 
-    swept(folder, "--robot", robot, "--method", *METHODS, "--trials", trials, "--sim", "none", "--quiet")
+    swept(
+        folder,
+        "--robot",
+        robot,
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        *METHODS,
+        "--trials",
+        trials,
+        "--sim",
+        "none",
+        "--quiet",
+    )
     rows = table_of(load_run(folder)).rows
     return {row.method.partition(" (")[0]: record(row) for row in rows if row.split == "Avg"}
 

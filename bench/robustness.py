@@ -36,7 +36,7 @@ HEAD = """# Robustness: errors of execution, and weight
 
 Compare methods under [errors of execution](../choices.md#errors-estimates-candidates). `python bench/robustness.py`
 measured {trials} trials of each split of r2h-v1, motion as planned (bench/results/robustness.json; commit {commit}). For
-your method run `r2h-batch sweep --method mine.py:predict --set robustness=true --out runs/robust`.
+your method run `r2h-batch sweep --benchmark r2h-v1 --method mine.py:predict --set robustness=true --out runs/robust`.
 
 ![SR over the execution error](robustness.png)
 
@@ -133,7 +133,19 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     from r2h_batch.runs.store import load_run
 
     out, trials = options.out, options.trials
-    swept(out, "--method", *METHODS, "--trials", trials, "--sim", "none", "--set", "robustness=true")
+    swept(
+        out,
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        *METHODS,
+        "--trials",
+        trials,
+        "--sim",
+        "none",
+        "--set",
+        "robustness=true",
+    )
     found = robustness([load_run(out / level) for level in LEVELS])
     figure(found).savefig(PAGE.with_suffix(".png"), dpi=110)
     evaluator = Evaluator(load_benchmark("r2h-v1"))

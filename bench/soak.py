@@ -51,7 +51,19 @@ KINDS = ("pose", "all", "gradient")
 
 def sweep(out: Path, given: argparse.Namespace, part: str = "1/1", *more: str) -> subprocess.Popen[str]:
     """The sweep command, or a part of it, as a process of its own, quiet."""
-    line = [sys.executable, "-m", "r2h_batch.sweep", "--method", "random", "--sim", "none", "--out", str(out)]
+    line = [
+        sys.executable,
+        "-m",
+        "r2h_batch.sweep",
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--sim",
+        "none",
+        "--out",
+        str(out),
+    ]
     line += ["--trials", str(given.trials), "--shard-trials", str(given.shard_trials), "--format", "csv"]
     line += ["--shard", part, *more]
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)

@@ -133,6 +133,8 @@ def tried(name: str, sold: Sold, files: Path, out: Path, trials: int) -> dict[st
             out / f"{name}_run",
             "--robot",
             out / name,
+            "--benchmark",
+            "r2h-v1",
             "--method",
             "oracle",
             "--trials",

@@ -67,7 +67,7 @@ def measure(out: Path, trials: int) -> dict[str, Any]:
     for number, (name, options) in enumerate(VIEWS.items()):
         folder = out / str(number)
         method = f"contact,{options}" if options else "contact"
-        swept(folder, "--method", method, "--trials", trials, "--sim", "none", "--quiet")
+        swept(folder, "--benchmark", "r2h-v1", "--method", method, "--trials", trials, "--sim", "none", "--quiet")
         of = {row.split: record(row) for row in table_of(load_run(folder)).rows}
         found = {k: of["S1" if "S1" in heading else "Avg"][k] for k, heading in COLUMNS.items()}
         spec = {k: float(v) for k, _, v in (word.partition("=") for word in options.split(",") if word)}

@@ -168,7 +168,18 @@ def measured(figure: str, calls: dict[str, Any]) -> float:
         return of_a_process([str(HERE), "--once", "pose.1"])
     if figure == "sweep":
         with tempfile.TemporaryDirectory() as out:
-            words = ["-m", "r2h_batch.sweep", "--method", "random", "--trials", str(n // 2), "--sim", "none"]
+            words = [
+                "-m",
+                "r2h_batch.sweep",
+                "--benchmark",
+                "r2h-v1",
+                "--method",
+                "random",
+                "--trials",
+                str(n // 2),
+                "--sim",
+                "none",
+            ]
             return of_a_process([*words, "--out", f"{out}/run"]) / n
     if figure not in calls:
         call = work(figure)

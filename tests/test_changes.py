@@ -9,10 +9,11 @@ from changed_tree import Tree, changed_tree
 MOST_FILES = 2
 
 READ = """
-from r2h_batch.report.compare.command import FOLDERS
+from r2h_batch.report.compare.stored import stored_rows
 from r2h_batch.runs.columns import later
 from r2h_batch.runs.store import load_run
 
+FOLDERS = stored_rows()
 for folder in FOLDERS:
     shipped = load_run(folder)
     assert len(shipped.methods) == 6
@@ -49,11 +50,12 @@ from r2h_batch import EvalConfig, verdicts
 from r2h_batch.config import ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
-from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch import load_benchmark
 
 assert verdicts.CRITERIA[5] == "centred"
-evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
-trials = trials_with_ids(torch.arange(24), objects=evaluator.scene.objects, protocol="r2h-v0")
+benchmark = load_benchmark("r2h-v0")
+evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")))
+trials = benchmark.trials_with_ids(torch.arange(24))
 poses = oracle.predict(trials, evaluator.scene, seed=0)
 grasp = poses.T_obj_ee.clone().requires_grad_()
 scores = evaluator.score(grasp, poses.T_world_ee, trials, stages="pose")
@@ -74,7 +76,7 @@ for sign in (-1.0, 1.0):
 found, expected = (slope[:, :3, 3] * along).sum(1), (moved[1] - moved[0]) / 2
 assert expected.abs().max() > 5e-4 and (found - expected).abs().median() < 2e-5, (found, expected)
 
-said("sweep --method oracle random --trials 12 --sim none --out run")
+said("sweep --benchmark r2h-v1 --method oracle random --trials 12 --sim none --out run")
 run = load_run("run")
 method = run.methods[0]
 rows = run.trials(method).to_pylist()
@@ -168,12 +170,12 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.training import reward
-from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch import load_benchmark
 from r2h_batch.types import Outcome
 
 assert verdicts.CRITERIA[5] == "upright" and Outcome.UPRIGHT == 6 and Outcome.INVALID_SIM == 8
 OPEN = {"cup", "bowl", "wineglass"}
-said("sweep --method oracle random --trials 36 --sim none --save-paths --out run")
+said("sweep --benchmark r2h-v1 --method oracle random --trials 36 --sim none --save-paths --out run")
 run = load_run("run")
 vessels, axes = {o.name: o for o in load_objects() if o.name in OPEN}, {}
 for name, o in vessels.items():  # another way to the same axis: trimesh's centroid of the rim alone
@@ -228,8 +230,9 @@ assert '"sr"' in said(f"report {FOLDERS[1]} --format json")
 assert "lack upright (since strange 1.0)" in said("compare run baselines")
 
 # in Python: the unit, rewards in metres, and a gradient like that of a small turn
-evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
-trials = trials_with_ids(torch.arange(24), objects=evaluator.scene.objects, protocol="r2h-v0")
+benchmark = load_benchmark("r2h-v0")
+evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")))
+trials = benchmark.trials_with_ids(torch.arange(24))
 poses = oracle.predict(trials, evaluator.scene, seed=0)
 asked = torch.tensor([o.name in OPEN for o in evaluator.scene.objects])[trials.object_index.long()]
 hand = poses.T_world_ee.clone().requires_grad_()
@@ -286,7 +289,7 @@ SLOW = Share("Slow", "Motions that take more than 8 s, of those that came to res
 USE_SLOW = """
 import csv, json
 
-said("sweep --method oracle random --trials 12 --sim none --out run")
+said("sweep --benchmark r2h-v1 --method oracle random --trials 12 --sim none --out run")
 run = load_run("run")
 expected = {}
 for method in run.methods:
@@ -312,7 +315,7 @@ groups = {g["group"]: g for g in json.loads(said("compare run --format json"))}
 assert groups["S0"]["shares"]["oracle"]["slow"]["total"] == n and groups["S0"]["shares"]["oracle"]["slow"]["count"] == k
 assert "Slow" in said("compare run") and "Slow" in said("compare run --format latex")
 assert "slow_a" in said("compare run --format csv").splitlines()[0]
-said("sweep --method random --trials 12 --sim mujoco --out mine")
+said("sweep --benchmark r2h-v1 --method random --trials 12 --sim mujoco --out mine")
 both = json.loads(said("compare mine baselines --format json"))[0]["shares"]
 assert all("slow" in own for own in both.values()) and len(both) == 6 or len(both) == 7, both.keys()
 assert all(own["slow"]["total"] <= 12 for own in both.values())  # on the shared trials alone
@@ -413,34 +416,56 @@ def test_a_family_may_also_stand_in_a_module_of_the_user_or_in_one_file_of_ours(
     ours.run(f"{READ}\nFAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}")
 
 
-DRAWN = '''@draws("r2h-near")
-def _draw_near(
-    key: tuple[int, int],
-    ids: NDArray[np.int64],
-    hand_index: NDArray[np.int64],
-    object_index: NDArray[np.int64],
-    place: Place,
-) -> Drawn:
-    """Hands alone, 5 cm lower than in r2h-v0."""
-    T_world_hand, _ = _draw_poses(key, ids, hand_index, object_index, place)
-    T_world_hand[:, 2, 3] -= 0.05
-    return T_world_hand, None
+NEAR = '''"""Benchmark r2h-near: children whose hands are 5 cm lower than they would hold them."""
+
+from dataclasses import replace
+
+from r2h_batch.data.people import built_in_people
+from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.protocols.draw.reaching import place_reaching
+from r2h_batch.protocols.draw.rule import Batch, Placed, Rule
+from r2h_batch.protocols.registry import BENCHMARK, named_benchmark
 
 
-if set(_DRAWS) != set(PROTOCOL_NAMES):
+def place_lower(batch: Batch) -> Placed:
+    """As people reach, 5 cm lower."""
+    placed = place_reaching(batch)
+    placed.T_world_hand[:, 2, 3] -= 0.05
+    return placed
+
+
+@BENCHMARK("r2h-near")
+def r2h_near() -> Benchmark:
+    """16 objects, children."""
+    rule = Rule("r2h-near", place_lower, bodies=True)
+    base = replace(named_benchmark("r2h-v1"), rule=rule, name="r2h-near")
+    return base.with_people(built_in_people("children"))
 '''
+STRANGE = """from dataclasses import replace
+
+from r2h_batch import load_benchmark
+
+
+def near():
+    return replace(load_benchmark("r2h-v0"), name="near", receiver="hand")
+"""
 USE_NEAR = """
 import torch
-from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch import load_benchmark
 
-ids = torch.arange(40)
-trials = trials_with_ids(ids, protocol="r2h-near")
-assert torch.equal(trials[7:9].T_world_hand, trials_with_ids(ids[7:9], protocol="r2h-near").T_world_hand)
-assert not torch.equal(trials.T_world_hand, trials_with_ids(ids, protocol="r2h-v0").T_world_hand)
-assert "r2h-near" in said("ls protocols") and "r2h-near: hands alone, lower" in said_help()
-said("sweep --benchmark r2h-near --method random --trials 6 --sim none --out run")
-assert load_run("run").header["protocol"] == "r2h-near"
+near, ids = load_benchmark(NAME), torch.arange(40)
+trials = near.trials_with_ids(ids)
+assert torch.equal(trials[7:9].T_world_hand, near.trials_with_ids(ids[7:9]).T_world_hand)
+assert near.digest != load_benchmark("r2h-v1").digest and near.label == trials.benchmark
+assert NAME in said("ls benchmarks")
+said(f"sweep --benchmark {NAME} --method random --trials 6 --sim none --out run")
+assert load_run("run").header["digests"]["benchmark"] == near.digest
 said("results reevaluate run")
+"""
+USE_OURS = """
+assert trials.person is not None and float(trials.person[:, 0].max()) < 13 and "r2h-near: children, lower" in said_help()
+other = load_benchmark("r2h-v1").with_people(near.people).trials_with_ids(ids)
+assert not torch.equal(trials.T_world_hand, other.T_world_hand)
 open("benchmark.yaml", "w").write("protocol: r2h-near\\n")
 said("sweep --benchmark benchmark.yaml --method random --trials 6 --sim none --out same")
 assert load_run("same").digest("random") == load_run("run").digest("random")
@@ -456,33 +481,43 @@ def said_help():
 """
 
 
-def test_a_protocol_is_drawn_listed_swept_named_in_files_and_judged_again(tmp_path: Path, shipped: str) -> None:
+def test_a_protocol_with_other_people_is_a_file_and_an_entry(tmp_path: Path, shipped: str) -> None:
+    entry = 'RELEASE = "r2h-release"\nPROTOCOLS = (\n'
     tree = changed_tree(
         tmp_path / "tree",
         {
             "r2h_batch/base/registry.py": {
-                'RELEASE = "r2h-release"\nPROTOCOLS = (\n': 'RELEASE = "r2h-release"\nPROTOCOLS = (\n'
-                '    Protocol("r2h-near", "hands alone, lower", "hands alone, 5 cm lower"),\n',
+                entry: entry + '    Protocol("r2h-near", "children, lower", "children whose hands are 5 cm lower"),\n',
             },
-            "r2h_batch/protocols/draw/rule.py": {"if set(_DRAWS) != set(PROTOCOL_NAMES):\n": DRAWN},
+            "r2h_batch/protocols/r2h_near.py": NEAR,
         },
     )
     report(tree)
     assert tree.run(READ) == shipped
-    tree.run(SAID_HELP + READ + USE_NEAR)
+    tree.run(SAID_HELP + READ + "\nNAME = 'r2h-near'\n" + USE_NEAR + USE_OURS)
+
+
+def test_a_strangers_protocol_needs_no_file_of_ours(tmp_path: Path, shipped: str) -> None:
+    tree = changed_tree(
+        tmp_path / "tree", {}, package={"strange_task.py": STRANGE}, points={"benchmark.near": "strange_task:near"}
+    )
+    report(tree)
+    assert tree.run(READ) == shipped
+    tree.run(READ + "\nNAME = 'near'\n" + USE_NEAR)
 
 
 USE_POLICY = """
-said("sweep --method oracle --trials 2 --splits S0 --sim none --receiver-motion still --policy half --out run")
+said("sweep --benchmark r2h-v1 --method oracle --trials 2 --splits S0 --sim none --receiver-motion still --policy half --out run")
 run = load_run("run")
 half = run.episodes(run.methods[0]).to_pylist()
-said("sweep --method oracle --trials 2 --splits S0 --sim none --receiver-motion still --policy planned --out planned")
+said("sweep --benchmark r2h-v1 --method oracle --trials 2 --splits S0 --sim none --receiver-motion still --policy planned"
+     " --out planned")
 run = load_run("planned")
 whole = run.episodes(run.methods[0]).to_pylist()
 pairs = [(a["time_s"], b["time_s"]) for a, b in zip(half, whole) if a["end"] == b["end"] == "success"]
 assert pairs and all(1.5 * b < a < 2.5 * b for a, b in pairs), pairs
 said("results reevaluate run")
-said("sweep --method oracle --trials 6 --sim none --out usual")
+said("sweep --benchmark r2h-v1 --method oracle --trials 6 --sim none --out usual")
 assert "oracle" in said("compare usual baselines").lower()
 """
 
@@ -509,7 +544,7 @@ def test_a_policy_is_one_class_under_its_name(tmp_path: Path, shipped: str) -> N
 USE_COLUMN = """
 import numpy as np
 
-said("sweep --method oracle --trials 6 --sim none --save-paths --out run")
+said("sweep --benchmark r2h-v1 --method oracle --trials 6 --sim none --save-paths --out run")
 run = load_run("run")
 method = run.methods[0]
 travel = dict(zip(run.trials(method)["trial_id"].to_pylist(), run.trials(method)["travel_rad"].to_pylist()))
@@ -576,7 +611,7 @@ def simulate(job: Job) -> Samples:
 USE_ENGINE = """
 import numpy as np
 
-line = "sweep --method oracle --trials 4 --splits S0 --save-paths"
+line = "sweep --benchmark r2h-v1 --method oracle --trials 4 --splits S0 --save-paths"
 said(f"{line} --sim rk4 --out run")
 run = load_run("run")
 assert run.header["motion"]["engine"] == "rk4" and run.header["versions"]["mujoco"][0].isdigit()

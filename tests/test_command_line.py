@@ -77,9 +77,12 @@ def test_the_help_of_a_command_loads_nothing_heavy():
         ("trials --out x --splits S3", ["--splits is 'S3'", "allowed are S0, S1\n"]),
         ("sweep --benchmark r2h-v3", ["--benchmark is 'r2h-v3', did you mean r2h-v2?; allowed are r2h-v0, r2h-v1, "]),
         ("ls robot", ["is 'robot', did you mean robots?; allowed are methods, "]),
-        ("sweep --method random --objects not_there", ["not_there: there is no such folder or file; --objects takes"]),
+        (
+            "sweep --benchmark r2h-v1 --method random --objects not_there",
+            ["not_there: there is no such folder or file; --objects takes"],
+        ),
         ("trials --trials 3", ["--out"]),
-        ("sweep --method fc --method random", ["--method is given twice", "--method A B"]),
+        ("sweep --benchmark r2h-v1 --method fc --method random", ["--method is given twice", "--method A B"]),
         ("import robot --urdf x --base b --flange f --out y --package a=1 --package=b=2", ["--package is given twice"]),
     ],
 )

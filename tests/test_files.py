@@ -56,7 +56,7 @@ def test_every_command_that_takes_a_file_refuses_a_pipe_at_once(tmp_path, monkey
     for name in ("pipe.npz", "pipe.yaml", "pipe.csv"):
         os.mkfifo(name)
     for line in (
-        "sweep --predictions pipe.npz --trials 1 --out run",
+        "sweep --benchmark r2h-v1 --predictions pipe.npz --trials 1 --out run",
         "sweep --config pipe.yaml",
         "study ratings pipe.csv",
         "benchmark check pipe.yaml",

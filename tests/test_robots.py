@@ -126,7 +126,21 @@ def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = str(tmp_path / "run")
-    line = ["sweep", "--robot", "ur3e_2f85", "--method", "random", "--trials", "2", "--sim", "none", "--out", run]
+    line = [
+        "sweep",
+        "--robot",
+        "ur3e_2f85",
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--trials",
+        "2",
+        "--sim",
+        "none",
+        "--out",
+        run,
+    ]
     assert main(line) == 0
     assert load_run(run).header["benchmark"]["flags"] == ["--robot ur3e_2f85"]
     capsys.readouterr()

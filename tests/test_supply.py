@@ -75,6 +75,17 @@ def test_an_audit_that_looked_nothing_up_is_not_a_clean_one(
 
 @needs("unshare")
 def test_a_sweep_fetches_nothing_it_runs_with_the_network_cut_off(tmp_path: Path) -> None:
-    line = ["--method", "random", "--trials", "1", "--sim", "none", "--out", str(tmp_path / "run")]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--trials",
+        "1",
+        "--sim",
+        "none",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     without_network(in_process, *line)
     assert load_run(tmp_path / "run").trials("random").num_rows == 2

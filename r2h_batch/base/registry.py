@@ -38,7 +38,7 @@ PROTOCOLS = (
         "palms, objects, table and home of the authors' release",
     ),
 )
-DEFAULT_PROTOCOL = "r2h-v1"
+DEFAULT_PROTOCOL = "r2h-v2"
 PROTOCOL_NAMES = tuple(entry.name for entry in PROTOCOLS)
 LISTED, FOREIGN = "listed", "r2handoversim"
 """In place of a rule: trials of a file; the verdicts of the authors' release, by its own definitions."""

@@ -18,7 +18,7 @@ def test_a_sweep_writes_its_table_into_tensorboard(tmp_path, monkeypatch, capsys
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     monkeypatch.setattr(jobs, "set_up", set_up_fake)
-    line = ["--method", "fake_bench:best", "--trials", "4", "--out", str(tmp_path / "run")]
+    line = ["--benchmark", "r2h-v1", "--method", "fake_bench:best", "--trials", "4", "--out", str(tmp_path / "run")]
     assert sweep.main([*line, "--log", "tensorboard"]) == 0
     (events,) = (tmp_path / "run" / "tensorboard").iterdir()
     stored = EventAccumulator(str(events))

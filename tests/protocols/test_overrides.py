@@ -49,7 +49,19 @@ def as_parquet(path: Path, columns: dict[str, np.ndarray]) -> Path:
 
 
 def score(out: Path, *flags: object) -> None:
-    line = ["sweep", "--method", "random", "--sim", "none", "--out", out, "--save-paths", *flags]
+    line = [
+        "sweep",
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--sim",
+        "none",
+        "--out",
+        out,
+        "--save-paths",
+        *flags,
+    ]
     assert main([str(a) for a in line]) == 0
 
 
@@ -97,7 +109,19 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
 def test_a_split_without_objects_is_refused_before_any_mesh_is_built(tmp_path, capsys):
     for name in ("mug", "jar"):
         trimesh.creation.box((0.05, 0.06, 0.07)).export(tmp_path / f"{name}.obj")
-    line = ["sweep", "--objects", str(tmp_path), "--method", "random", "--trials", "2", "--out", str(tmp_path / "r")]
+    line = [
+        "sweep",
+        "--objects",
+        str(tmp_path),
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--trials",
+        "2",
+        "--out",
+        str(tmp_path / "r"),
+    ]
     assert main(line) == 2
     refused = "sweep: no object belongs to split S1; give at least one, or --splits S0\n"
     assert capsys.readouterr().err == refused

@@ -74,7 +74,7 @@ class Fork:
 def start(tmp_path, out, method=SLOW, *flags, before=lambda: None, fork=False, **more):
     """A sweep of the fake bench; `before` is called in its process first. What starts Ray needs a process of its own."""
     methods = [method] if isinstance(method, str) else method
-    line = [*SWEEP, "--method", *methods, "--out", str(out), "--format", "csv", *flags]
+    line = [*SWEEP, "--benchmark", "r2h-v1", "--method", *methods, "--out", str(out), "--format", "csv", *flags]
     env = environment(tmp_path, **more)
     if fork or "--engine" not in flags:
         return Fork(line[1:], env, before)

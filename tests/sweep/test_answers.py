@@ -129,7 +129,18 @@ def test_poses_get_the_same_rows_from_a_method_that_edits_its_trials_and_from_a_
 
     write_predictions(tmp_path / "p.npz", Predictions(planned.trial_id, *my_cheat.honest(planned, None, seed=0)))
     out = tmp_path / "run"
-    line = ["--method", "my_cheat:cheats", "--predictions", str(tmp_path / "p.npz"), "--trials", "4", "--sim", "none"]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "my_cheat:cheats",
+        "--predictions",
+        str(tmp_path / "p.npz"),
+        "--trials",
+        "4",
+        "--sim",
+        "none",
+    ]
     try:
         assert sweep.main([*line, "--save-paths", "--out", str(out)]) == 0
     finally:
@@ -154,7 +165,17 @@ def fake(monkeypatch):
 
 
 def test_other_methods_finish_when_one_answers_nonsense(fake, tmp_path, capsys):
-    line = ["--method", "mine:late", "mine:best", "--trials", "3", "--out", str(tmp_path / "run")]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "mine:late",
+        "mine:best",
+        "--trials",
+        "3",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     assert sweep.main(line) == 2
     captured = capsys.readouterr()
     (said,) = [x for x in captured.err.splitlines() if "t_method_s" in x]
@@ -164,7 +185,10 @@ def test_other_methods_finish_when_one_answers_nonsense(fake, tmp_path, capsys):
     assert "mine:best" in captured.out and "Traceback" not in captured.err
     run = load_run(tmp_path / "run")
     assert run.methods == ("mine:best",) and run.trials("mine:best").num_rows == 6
-    assert sweep.main(["--method", "mine:late", "--trials", "3", "--out", str(tmp_path / "run")]) == 2
+    assert (
+        sweep.main(["--benchmark", "r2h-v1", "--method", "mine:late", "--trials", "3", "--out", str(tmp_path / "run")])
+        == 2
+    )
     assert capsys.readouterr().out == ""
 
 
@@ -181,7 +205,7 @@ def test_a_method_that_is_none_is_refused_before_any_preparation(fake, monkeypat
     (tmp_path / "broken_rules.py").write_text("raise SystemExit(7)\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(jobs, "set_up", lambda request: pytest.fail("prepared before the method was looked for"))
-    assert sweep.main(["--method", spec, "--trials", "3", "--out", str(tmp_path / "run")]) == 2
+    assert sweep.main(["--benchmark", "r2h-v1", "--method", spec, "--trials", "3", "--out", str(tmp_path / "run")]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
 

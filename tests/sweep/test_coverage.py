@@ -40,7 +40,7 @@ def outcomes(folder, method):
 
 def test_what_was_found_is_enough_and_the_side_without_holds_fails_that_method_only(folder, capsys):
     with pytest.warns(UserWarning, match="31 of 32 right receiving grasps found"):
-        assert sweep(folder, "--method", "random", "contact") == 0
+        assert sweep(folder, "--benchmark", "r2h-v1", "--method", "random", "contact") == 0
     said = capsys.readouterr().err
     assert said.count("contact: no left hand was found that can hold") == 2 and "random: no " not in said
     ball, stick = load_run(folder / "run").header["objects"]
@@ -64,11 +64,11 @@ def test_an_object_too_wide_for_the_gripper_is_refused_in_one_line_unless_it_may
 
     monkeypatch.setattr(candidates, "sample_grasps", sample)
     with pytest.warns(UserWarning, match="ball: no grasp found"):
-        assert sweep(folder, "--method", "random") == 2
+        assert sweep(folder, "--benchmark", "r2h-v1", "--method", "random") == 2
     lines = capsys.readouterr().err.splitlines()
     said = [line for line in lines if not line.endswith(" s")]  # a slow machine says "reading ball.ply, 5 s"
     assert len(said) == 1 and "sweep: ball: no grasp found; the gripper needs a part narrower" in said[0]
     assert not (folder / "run").exists()
-    assert sweep(folder, "--method", "random", "--allow-empty-candidates") == 0
+    assert sweep(folder, "--benchmark", "r2h-v1", "--method", "random", "--allow-empty-candidates") == 0
     assert "random: no grasp candidate of ball" in capsys.readouterr().err
     assert {o: failed for (o, _), failed in outcomes(folder, "random").items()} == {"ball": True, "stick": False}

@@ -31,7 +31,18 @@ def test_a_gpu_that_cannot_be_had_is_refused_with_torchs_reason(error, words, tm
 
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(torch.cuda, "init", init)
-    line = ["--device", "cuda", "--method", "random", "--trials", "1", "--out", str(tmp_path / "run")]
+    line = [
+        "--device",
+        "cuda",
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--trials",
+        "1",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     assert sweep.main(line) == 2
     assert capsys.readouterr().err == f"sweep: --device cuda: torch sees no CUDA device ({words}); use --device cpu\n"
     assert not (tmp_path / "run").exists()
@@ -64,7 +75,18 @@ def test_a_gpu_that_is_lost_is_one_line_and_the_same_command_goes_on(what, who, 
     monkeypatch.setitem(sys.modules, "mine", mine)
     monkeypatch.setattr(FakeEvaluator, "score", score)
     monkeypatch.setattr(jobs, "set_up", set_up_fake)
-    line = ["--method", "mine:best", "--trials", "9", "--shard-trials", "3", "--out", str(tmp_path / "run")]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "mine:best",
+        "--trials",
+        "9",
+        "--shard-trials",
+        "3",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     assert sweep.main(line) == 1
     said = capsys.readouterr().err
     (last,) = [x for x in said.splitlines() if "shards that were complete are stored; run the same command" in x]

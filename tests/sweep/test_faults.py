@@ -118,7 +118,7 @@ def test_a_shard_that_always_kills_the_sweep_comes_last_is_quarantined_listed_an
 def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(jobs, "set_up", fake_bench.set_up)
     monkeypatch.setattr(pq, "write_table", lambda *a, **k: (_ for _ in ()).throw(OSError(28, "No space left")))
-    line = ["--method", "fake_bench:best", "--trials", "6", "--out", str(tmp_path / "run")]
+    line = ["--benchmark", "r2h-v1", "--method", "fake_bench:best", "--trials", "6", "--out", str(tmp_path / "run")]
     for _ in range(4):
         assert sweep.main(line) == 1
     mark = tmp_path / "run" / ".claims" / "fake_bench_best-000000"
@@ -145,7 +145,7 @@ def test_what_stands_in_the_place_of_a_runs_own_file_is_named_with_the_run_folde
     monkeypatch.setattr(jobs, "set_up", fake_bench.set_up)
     out = tmp_path / "run"
     name = "fake_bench:best"
-    line = ["--method", name, "--trials", "6", "--out", str(out)]
+    line = ["--benchmark", "r2h-v1", "--method", name, "--trials", "6", "--out", str(out)]
     assert sweep.main(line) == 0 and sweep.main([*line[:-1], str(tmp_path / "other")]) == 0
     for path in out.rglob("*"):  # nothing is scored yet, and somebody put something there
         if path.is_file() and path.name != "run.json":

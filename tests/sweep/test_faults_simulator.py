@@ -25,7 +25,20 @@ def test_what_the_simulator_failed_on_is_invalid_in_the_table_and_stored_with_it
         failed.append(int(job.rows[0]))
         return answer
 
-    line = ["--method", "oracle", "--trials", "2", "--splits", "S0", "--sim", "mujoco", "--sim-model", "arm"]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "oracle",
+        "--trials",
+        "2",
+        "--splits",
+        "S0",
+        "--sim",
+        "mujoco",
+        "--sim-model",
+        "arm",
+    ]
     assert sweep.main([*line, "--out", str(tmp_path / "good"), "--format", "json"]) == 0
     monkeypatch.setattr(sim_mujoco, "simulate", failing)
     capsys.readouterr()
@@ -51,7 +64,18 @@ def test_a_gripper_closed_around_the_hand_is_a_collision_in_the_stored_rows(tmp_
     T_world_ee = trials.T_world_hand.clone()  # the TCP at the wrist, the hand between and inside the fingers
     T_obj_ee = torch.eye(4).repeat(4, 1, 1)
     write_predictions(tmp_path / "in.npz", Predictions(trials.trial_id, T_obj_ee, T_world_ee, None, "inside"))
-    line = ["--predictions", str(tmp_path / "in.npz"), "--trials", "4", "--splits", "S0", "--sim", "none"]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--predictions",
+        str(tmp_path / "in.npz"),
+        "--trials",
+        "4",
+        "--splits",
+        "S0",
+        "--sim",
+        "none",
+    ]
     assert sweep.main([*line, "--out", str(tmp_path / "run")]) == 0
     rows = load_run(tmp_path / "run").trials("inside").to_pylist()
     assert len(rows) == 4 and not any(r["outcome"] == "success" for r in rows)

@@ -29,7 +29,7 @@ def test_a_variants_flags_and_options_are_a_sweeps():
 
     found = {}
     for v in sensitivity.variants():
-        request = requested(parse(["--method", *v.methods, *(v.flags or sensitivity.BASE)]))
+        request = requested(parse(["--benchmark", "r2h-v1", "--method", *v.methods, *(v.flags or sensitivity.BASE)]))
         jobs.resolve(request.methods, request.loop)
         assert request.methods.names == tuple(v.methods), v.name
         found[v.name] = (request.methods, request.trials, request.configuration)

@@ -60,7 +60,7 @@ def forget():
 
 def run(method="id_method:predict,table=table.csv"):
     forget()
-    return sweep.main(["--method", method, "--trials", "3", "--out", "run"])
+    return sweep.main(["--benchmark", "r2h-v1", "--method", method, "--trials", "3", "--out", "run"])
 
 
 def test_a_method_is_its_module_what_that_imports_and_the_files_that_it_names(place):

@@ -14,7 +14,7 @@ from r2h_batch.sweep import submission_judge
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results import reevaluation
 
-LINE = ["--method", "random", "--trials", "3", "--sim", "none", "--shard-trials", "2"]
+LINE = ["--benchmark", "r2h-v1", "--method", "random", "--trials", "3", "--sim", "none", "--shard-trials", "2"]
 
 
 @pytest.fixture(scope="module")

@@ -43,7 +43,20 @@ def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, caps
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     try:
-        line = ["--method", "my_rules:predict", "--trials", "6", "--sim", "none", "--format", "json", "--out", "run"]
+        line = [
+            "--benchmark",
+            "r2h-v1",
+            "--method",
+            "my_rules:predict",
+            "--trials",
+            "6",
+            "--sim",
+            "none",
+            "--format",
+            "json",
+            "--out",
+            "run",
+        ]
         assert sweep.main([*line, "--predictor-noise", "0"]) == 0
     finally:
         sys.modules.pop("my_rules", None)

@@ -18,7 +18,19 @@ TRIALS = 3
 def planned(tmp_path_factory, request):
     """A run of ours without a simulator, and its motions as a file: the samples one after another."""
     folder, robot = tmp_path_factory.mktemp("motions"), getattr(request, "param", "ur5e_2f85")
-    line = ("--method", "oracle", "--robot", robot, "--trials", TRIALS, "--sim", "none", "--save-paths")
+    line = (
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "oracle",
+        "--robot",
+        robot,
+        "--trials",
+        TRIALS,
+        "--sim",
+        "none",
+        "--save-paths",
+    )
     done = in_process(*line, "--out", folder / "own")
     assert done.returncode == 0, done.stderr
     run = load_run(folder / "own")
@@ -43,7 +55,21 @@ def planned(tmp_path_factory, request):
 
 def judged(folder, file, out, *more):
     robot = load_run(folder / "own").robot
-    line = ["--motions", file, "--robot", robot, "--trials", TRIALS, "--sim", "none", "--out", folder / out, *more]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--motions",
+        file,
+        "--robot",
+        robot,
+        "--trials",
+        TRIALS,
+        "--sim",
+        "none",
+        "--out",
+        folder / out,
+        *more,
+    ]
     done = in_process(*line)
     assert done.returncode == 0, done.stderr
     return load_run(folder / out)

@@ -39,7 +39,7 @@ def test_flags_win_over_the_file(tmp_path):
     path = write(tmp_path, "method: [random]\ntrials: 9\nseed: 4\nsave_paths: true\n")
     options = parse(["--config", str(path), "--trials", "5"])
     assert (options.method, options.trials, options.seed, options.save_paths) == (("random",), 5, 4, True)
-    assert parse([f"--config={path}", "--method", "oracle"]).method == ("oracle",)
+    assert parse([f"--config={path}", "--benchmark", "r2h-v1", "--method", "oracle"]).method == ("oracle",)
 
 
 def test_every_option_can_be_set_on_the_command_line(tmp_path, capsys):
@@ -48,7 +48,9 @@ def test_every_option_can_be_set_on_the_command_line(tmp_path, capsys):
         ["--config", str(path), "--set", "chunk=8", "edge_check=moveit", "--set=no_poses=false", "--seed", "4"]
     )
     assert (options.chunk, options.edge_check, options.no_poses, options.seed) == (8, "moveit", False, 4)
-    assert parse(["--method", "random", "--chunk", "8"]).chunk == 8  # the old flags stay for one version
+    assert (
+        parse(["--benchmark", "r2h-v1", "--method", "random", "--chunk", "8"]).chunk == 8
+    )  # the old flags stay for one version
     for line, part in (
         ("chunks=8", "unknown option 'chunks', did you mean chunk?"),
         ("chunk=many", "'many' is not a whole number"),
@@ -56,7 +58,7 @@ def test_every_option_can_be_set_on_the_command_line(tmp_path, capsys):
         ("verbose=yes", "--set verbose is 'yes'; allowed are true, false"),
     ):
         with pytest.raises(UsageError, match=re.escape(part)):
-            parse(["--method", "random", "--set", line])
+            parse(["--benchmark", "r2h-v1", "--method", "random", "--set", line])
     with pytest.raises(SystemExit):
         parse(["--set", "help"])
     told = capsys.readouterr().out

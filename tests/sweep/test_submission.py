@@ -16,7 +16,20 @@ from r2h_batch.sweep.command import main as sweep
 def bundle(tmp_path_factory):
     place = tmp_path_factory.mktemp("submission")
     run = place / "mine"
-    line = ["--method", "random", "--trials", "3", "--sim", "none", "--shard-trials", "2", "--out", str(run)]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--trials",
+        "3",
+        "--sim",
+        "none",
+        "--shard-trials",
+        "2",
+        "--out",
+        str(run),
+    ]
     assert sweep(line) == 0
     assert main(["submit", str(run), "--rows", "4"]) == 0
     return place / "mine.zip"

@@ -69,7 +69,18 @@ def here(monkeypatch):
 
 def test_robustness_is_a_run_folder_for_each_error_and_goes_on_where_it_stopped(fake, here, tmp_path, capsys):
     out = tmp_path / "robust"
-    line = ["--method", f"{here}:best", "--trials", "6", "--out", str(out), "--set", "robustness=true"]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        f"{here}:best",
+        "--trials",
+        "6",
+        "--out",
+        str(out),
+        "--set",
+        "robustness=true",
+    ]
     assert sweep.main(line) == 0
     captured = capsys.readouterr()
     assert captured.out == (out / "robustness.md").read_text() and "20 mm, 3 deg" in captured.out
@@ -78,7 +89,11 @@ def test_robustness_is_a_run_folder_for_each_error_and_goes_on_where_it_stopped(
     before = {f: f.stat().st_mtime_ns for f in out.rglob("*.parquet")}
     assert sweep.main(line) == 0 and capsys.readouterr().out == captured.out
     assert before == {f: f.stat().st_mtime_ns for f in out.rglob("*.parquet")}
-    for clash in (["--motions", "m.npz"], ["--execution-error", "5mm,1deg"], ["--format", "latex"]):
+    for clash in (
+        ["--benchmark", "r2h-v1", "--motions", "m.npz"],
+        ["--execution-error", "5mm,1deg"],
+        ["--format", "latex"],
+    ):
         assert sweep.main([*line, *clash]) == 2
         assert "--robustness" in capsys.readouterr().err
 
@@ -89,7 +104,7 @@ def test_a_predictions_file_in_any_order_is_scored_as_what_it_is(fake, tmp_path,
     order = torch.tensor([7, 3, 0, 5, 1, 2, 6, 4])
     write_predictions(tmp_path / "p.npz", made[order])
     file, out = str(tmp_path / "p.npz"), str(tmp_path / "run")
-    line = ["--predictions", file, "--trials", "4", "--out", out, "--format", "json"]
+    line = ["--benchmark", "r2h-v1", "--predictions", file, "--trials", "4", "--out", out, "--format", "json"]
     assert sweep.main(line) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert [(r["split"], r["method"], r["sr"], r["n_invalid_input"]) for r in rows][:2] == [
@@ -107,6 +122,8 @@ def test_a_predictions_file_in_any_order_is_scored_as_what_it_is(fake, tmp_path,
 def test_missing_predictions_are_refused_or_counted_as_failures(fake, tmp_path, capsys):
     write_predictions(tmp_path / "p.npz", make_predictions(made_trials(4, 4), "m")[torch.tensor([0, 2, 3])])
     line = [
+        "--benchmark",
+        "r2h-v1",
         "--predictions",
         str(tmp_path / "p.npz"),
         "--trials",
@@ -131,7 +148,17 @@ def test_any_chunk_shard_and_part_gives_the_same_digest(fake, here, tmp_path, ca
         tmp_path / "p.npz",
         make_predictions(made_trials(40, 40), "m")[torch.arange(0, 80, 3)],
     )
-    base = ["--method", f"{here}:best", "--predictions", str(tmp_path / "p.npz"), "--allow-missing", "--trials", "40"]
+    base = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        f"{here}:best",
+        "--predictions",
+        str(tmp_path / "p.npz"),
+        "--allow-missing",
+        "--trials",
+        "40",
+    ]
     digests = set()
     for name, more in (
         ("plain", [[]]),

@@ -12,7 +12,18 @@ from r2h_batch.types import Predictions
 
 
 def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
-    line = ["--method", "random", "oracle", "--trials", 3, "--out", tmp_path / "run", "--save-paths"]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "oracle",
+        "--trials",
+        3,
+        "--out",
+        tmp_path / "run",
+        "--save-paths",
+    ]
     done = in_process(*line)
     assert done.returncode == 0, done.stderr
     assert done.stdout.isascii() and done.stdout.startswith("preset: default")
@@ -47,7 +58,7 @@ def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
 
 @pytest.mark.slow
 def test_one_process_two_ray_workers_and_three_parts_give_the_same_digest(tmp_path):
-    base = ["--method", "random", "oracle", "--trials", 30, "--threads", 1]
+    base = ["--benchmark", "r2h-v1", "--method", "random", "oracle", "--trials", 30, "--threads", 1]
     sweeps = {
         "one": [["--chunk", 7, "--shard-trials", 60]],
         "ray": [["--engine", "ray", "--workers", 2, "--shard-trials", 13]],

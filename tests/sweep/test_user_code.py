@@ -44,18 +44,33 @@ def place(tmp_path, monkeypatch):
     ],
 )
 def test_a_method_is_found_beside_the_command_and_as_a_file(place, said, name, function):
-    assert sweep.main(["--method", said, "--trials", "3", "--out", "run"]) == 0
+    assert sweep.main(["--benchmark", "r2h-v1", "--method", said, "--trials", "3", "--out", "run"]) == 0
     run = load_run("run")
     assert run.methods == (name,) and run.entry(name).source["function"] == function
     assert str(place) not in (place / "here/run/run.json").read_text().partition('"command"')[0]
 
 
 def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refused(place, capsys):
-    line = ["--method", "a=uc_rules.py:predict", "b=../there/uc_rules.py:predict", "--trials", "3", "--out", "run"]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "a=uc_rules.py:predict",
+        "b=../there/uc_rules.py:predict",
+        "--trials",
+        "3",
+        "--out",
+        "run",
+    ]
     assert sweep.main(line) == 0
     run = load_run("run")
     assert run.methods == ("a", "b") and run.entry("a").source["sha256"] != run.entry("b").source["sha256"]
     capsys.readouterr()
-    assert sweep.main(["--method", "c=../third/uc_rules.py:predict", "--trials", "3", "--out", "run"]) == 2
+    assert (
+        sweep.main(
+            ["--benchmark", "r2h-v1", "--method", "c=../third/uc_rules.py:predict", "--trials", "3", "--out", "run"]
+        )
+        == 2
+    )
     error = capsys.readouterr().err
     assert "uc_rules.py imports uc_helper, and " in error and "rename one of them" in error and error.count("\n") == 1

@@ -135,7 +135,7 @@ def test_a_sweep_says_whose_predictions_its_methods_saw(scene, tmp_path, capsys)
     trials = load_benchmark("r2h-v1").trials(2)
     arrays = truth(scene, trials, predict_receiving)
     np.savez(tmp_path / "text2hoi.npz", **{k: v for k, v in arrays.items() if "target" not in k})
-    line = ["sweep", "--method", "fc", "--trials", "2", "--sim", "none", "--predicted-hands"]
+    line = ["sweep", "--benchmark", "r2h-v1", "--method", "fc", "--trials", "2", "--sim", "none", "--predicted-hands"]
     line.append(str(tmp_path / "text2hoi.npz"))
     assert main([*line, "--out", str(tmp_path / "run")]) == 0
     assert "FC-Handover (hand: text2hoi, target hand: oracle + noise)" in capsys.readouterr().out.replace("\n", " ")
@@ -144,10 +144,10 @@ def test_a_sweep_says_whose_predictions_its_methods_saw(scene, tmp_path, capsys)
     assert len(run.header["predictors"]["predicted_hands"]["sha256"]) == 64
     assert main([*line, "--trials", "3", "--out", str(tmp_path / "more")]) == 2
     assert "2 planned trials are missing: 4, 5" in capsys.readouterr().err
-    assert main(["sweep", "--method", "random", "--predicted-hands", "x.npz"]) == 2
+    assert main(["sweep", "--benchmark", "r2h-v1", "--method", "random", "--predicted-hands", "x.npz"]) == 2
     assert "is seen by --method fc" in capsys.readouterr().err
     both = ["--predictor", "net.pt", "--predicted-contacts", "x.npz"]
-    assert main(["sweep", "--method", "contact", *both]) == 2
+    assert main(["sweep", "--benchmark", "r2h-v1", "--method", "contact", *both]) == 2
     assert "both say the contacts" in capsys.readouterr().err
 
 

@@ -50,7 +50,18 @@ def test_torchscript_writes_no_file_unless_its_source_is_trusted(tmp_path, capsy
     victim = tmp_path / "victim.txt"
     victim.write_text("mine")
     torch.jit.save(torch.jit.script(Writes(str(victim))), tmp_path / "net.pt")
-    line = ["--method", "contact", "--predictor", str(tmp_path / "net.pt"), "--trials", "1", "--sim", "none"]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "contact",
+        "--predictor",
+        str(tmp_path / "net.pt"),
+        "--trials",
+        "1",
+        "--sim",
+        "none",
+    ]
     assert sweep.main([*line, "--out", str(tmp_path / "run")]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "ONNX (torch.onnx.export), or, if you trust its source, add --trust-code" in said

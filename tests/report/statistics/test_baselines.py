@@ -40,7 +40,8 @@ def test_rows_of_the_runs_benchmark_preset_and_engine_are_its_baselines_whatever
         assert baselines_for({k: header[k] for k in ("protocol", "digests", "configuration")}) == folder
     unknown = {"protocol": "mine", "digests": {"benchmark": "0"}, "configuration": {"name": "paper"}}
     with pytest.raises(
-        FileError, match=r"benchmark mine --preset paper; make them with `r2h-batch sweep --method random "
+        FileError,
+        match=r"benchmark mine --preset paper; make them with `r2h-batch sweep --benchmark r2h-v1 --method random ",
     ):
         baselines_for({**unknown, "benchmark": {"flags": ["--benchmark mine.yaml"]}})
 
@@ -73,7 +74,18 @@ def test_a_benchmark_knows_its_stored_rows_by_digest_simulated_ones_of_the_defau
 
 
 def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_path, capsys, monkeypatch):
-    line = ["--method", "random", "--trials", "12", "--sim", "none", "--out", str(tmp_path / "mine")]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--trials",
+        "12",
+        "--sim",
+        "none",
+        "--out",
+        str(tmp_path / "mine"),
+    ]
     assert sweep(line) == 0
     capsys.readouterr()
     monkeypatch.chdir(tmp_path)

@@ -17,7 +17,21 @@ QUICK = ["--sim", "none", "--quiet"]
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reception") / "run"
     assert (
-        main(["sweep", "--method", "random", "oracle,for=reception", "--trials", "2", "--out", str(folder), *QUICK])
+        main(
+            [
+                "sweep",
+                "--benchmark",
+                "r2h-v1",
+                "--method",
+                "random",
+                "oracle,for=reception",
+                "--trials",
+                "2",
+                "--out",
+                str(folder),
+                *QUICK,
+            ]
+        )
         == 0
     )
     return folder

@@ -22,7 +22,19 @@ from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results import reevaluation as again
 from r2h_batch.sweep.results.reevaluation import Judge, configuration, reevaluate
 
-LINE = ["--method", "random", "--trials", "12", "--sim", "none", "--shard-trials", "9", "--save-paths"]
+LINE = [
+    "--benchmark",
+    "r2h-v1",
+    "--method",
+    "random",
+    "--trials",
+    "12",
+    "--sim",
+    "none",
+    "--shard-trials",
+    "9",
+    "--save-paths",
+]
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +109,19 @@ def test_one_made_up_success_is_found_though_every_checksum_agrees(folder, tmp_p
 def test_episodes_are_played_again_and_a_made_up_one_is_found(tmp_path, capsys, monkeypatch):
     run = tmp_path / "run"
     monkeypatch.setattr("r2h_batch.closed_loop.env.LoopConfig", partial(LoopConfig, horizon_s=2.0))
-    line = ["--method", "random", "--trials", "1", "--sim", "none", "--quiet", "--receiver-motion", "moves:50mm,10deg"]
+    line = [
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "random",
+        "--trials",
+        "1",
+        "--sim",
+        "none",
+        "--quiet",
+        "--receiver-motion",
+        "moves:50mm,10deg",
+    ]
     assert sweep([*line, "--policy", "servo", "--seed", "3", "--out", str(run)]) == 0
     assert main(["results", "reevaluate", str(run)]) == 0
     out = capsys.readouterr().out

@@ -24,7 +24,10 @@ QUICK = ["--sim", "none", "--quiet"]
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("transfer") / "run"
-    assert main(["sweep", "--method", "random", "--trials", "3", "--out", str(folder), *QUICK]) == 0
+    assert (
+        main(["sweep", "--benchmark", "r2h-v1", "--method", "random", "--trials", "3", "--out", str(folder), *QUICK])
+        == 0
+    )
     return folder
 
 

@@ -20,7 +20,7 @@ COMFORT = (3.2, 2.8, 2.5)  # Fig. 7 of the paper
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("perceived") / "run"
-    assert main(["sweep", "--method", *METHODS, "--out", str(folder), *QUICK]) == 0
+    assert main(["sweep", "--benchmark", "r2h-v1", "--method", *METHODS, "--out", str(folder), *QUICK]) == 0
     return folder
 
 
