@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from problems import Batch, assert_same, default_evaluator, make_batch
+from rounds import each
 
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.types import Outcome, Scores
@@ -57,7 +58,7 @@ def test_smaller_batches_give_the_same_rows(stages):
 @every_stage
 def test_an_empty_batch_gives_empty_scores_of_the_same_types(stages):
     empty = score(batch(SIZE).rows(slice(0, 0)), None, stages)
-    for f in fields(Scores):
+    for f in each(fields(Scores)):
         x, y = getattr(empty, f.name), getattr(reference(stages), f.name)
         assert x.shape == (0, *y.shape[1:]) and x.dtype == y.dtype, f.name
 
@@ -87,8 +88,7 @@ def test_threads_of_a_program_may_share_an_evaluator():
             assert_same(reference("pose")[rows], score(batch(SIZE).rows(rows), None, "pose"))
 
     with ThreadPoolExecutor(4) as pool:
-        for done in [pool.submit(many, rows) for rows in parts]:
-            done.result()
+        assert list(pool.map(many, parts)) == [None] * 4  # an assert that fails there is raised here
 
 
 def test_scores_of_another_configuration_are_its_own():

@@ -4,6 +4,7 @@ import os
 import socket
 
 import pytest
+from rounds import each
 
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
@@ -23,7 +24,7 @@ def special_files(folder):
 
 
 def test_only_regular_files_are_opened_and_no_pipe_is_waited_for(tmp_path):
-    for name, path in special_files(tmp_path):
+    for name, path in each(special_files(tmp_path)):
         with pytest.raises(FileError) as refused:
             open_file(path, 1 << 20)
         message = str(refused.value)

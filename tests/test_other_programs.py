@@ -15,6 +15,7 @@ import pytest
 import torch
 from other_defaults import everything
 from problems import assert_same, default_evaluator, make_batch
+from rounds import each
 from torch._subclasses.fake_tensor import FakeTensorMode
 
 from r2h_batch import Evaluator, load_benchmark
@@ -224,7 +225,7 @@ def test_second_derivatives_raise():
 
     first = torch.autograd.grad(total(), moving, create_graph=True)
     plain = torch.autograd.grad(total(), moving)
-    for a, b in zip(first, plain, strict=True):
+    for a, b in each(zip(first, plain, strict=True)):
         assert b.any() and torch.equal(a, b)
         with pytest.raises(RuntimeError, match="first derivatives only"):
             torch.autograd.grad(a.square().sum(), moving, retain_graph=True, allow_unused=True)

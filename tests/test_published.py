@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from rounds import each
 
 from r2h_batch.runs import provenance
 from r2h_batch.runs.store import load_run
@@ -31,7 +32,7 @@ def made_from():
 
 
 def test_every_published_text_is_what_the_stored_rows_give(tables):
-    for path, text in tables.render_all().items():
+    for path, text in each(tables.render_all().items()):
         assert (ROOT / path).read_text() == text, f"{path}: python bench/tables.py --render writes it again"
 
 

@@ -16,6 +16,7 @@ from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.ik_any import APART_RAD
 from r2h_batch.methods.oracle import predict
+from r2h_batch.runs.store import load_run
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import ROBOTS, Robot, ee_pose, load_robot, read_robot, write_robot
 from r2h_batch.types import PlanReason
@@ -121,7 +122,9 @@ def test_persons_stand_for_the_robot_or_as_for_the_ur5e() -> None:
     assert len(digests) == 4
 
 
-def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(tmp_path: Path) -> None:
+def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = str(tmp_path / "run")
     line = [
         "sweep",
@@ -139,8 +142,14 @@ def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(tmp_path: Path
         run,
     ]
     assert main(line) == 0
+    assert "--robot ur3e_2f85" in load_run(run).header["benchmark"]["flags"]
+    capsys.readouterr()
     assert main(["results", "reevaluate", run]) == 0
+    said = capsys.readouterr().out
+    assert "random: 4 of 4 rows judged again" in said and "none differs, 4 are equal bit for bit" in said
     assert main(["results", "reevaluate", run, "--robot", "ur5e_2f85"]) == 2
+    refused = capsys.readouterr().err
+    assert "was made with other benchmark" in refused and "--robot ur3e_2f85" in refused
 
 
 def test_pytorch_kinematics_finds_the_pandas_postures_by_itself(monkeypatch):

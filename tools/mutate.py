@@ -57,12 +57,59 @@ T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluat
 T_GRASP = f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit"
 T_BALL = f"{T_ROWS}::test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit"
 
+DRAWN, T_FAM = "r2h_batch/scene/families/draw.py", "tests/scene/test_families.py"
+T_ONE_MATERIAL = f"{T_FAM}::test_mass_centre_and_inertia_of_one_material_are_those_of_the_surface"
+T_NEW_INSTANCES = f"{T_FAM}::test_new_instances_are_drawn_by_what_the_flag_says"
+FAMILY_OBJECTS = "r2h_batch/protocols/family_objects.py"
+PEOPLE, T_PEOPLE = "r2h_batch/protocols/draw/people.py", "tests/protocols/draw/test_people.py"
+RECEIVERS, WHEELCHAIR = "r2h_batch/protocols/draw/receivers.py", "r2h_batch/protocols/draw/wheelchair.py"
+T_LAP = f"{T_PEOPLE}::test_the_lap_ends_at_the_knees_buttock_knee_length_from_the_back"
+T_IN_WHEELCHAIRS = (
+    f"{T_PEOPLE}::test_people_in_wheelchairs_sit_as_high_as_these_and_keep_hand_and_forearm_off_their_lap"
+)
+T_PAIRS, T_ENV = "tests/protocols/test_pairs.py", "tests/closed_loop/test_env.py"
+T_FROZEN = f"{T_PAIRS}::test_a_frozen_benchmark_and_its_trials_never_change"
+T_DIGEST = f"{T_PAIRS}::test_all_that_decides_is_in_the_digest_and_names_are_not"
+T_SAME_NAME = (
+    f"{T_PAIRS}::test_answers_to_an_edited_benchmark_of_the_same_name_are_refused_and_to_a_renamed_one_are_not"
+)
+T_KNOW = f"{T_PAIRS}::test_trials_know_their_benchmark_wherever_they_go"
+T_OF_RUN = f"{T_PAIRS}::test_a_run_is_judged_by_the_benchmark_that_it_says_to_the_last_limit"
+BENCHMARK, OF_RUN, STORED = (
+    "r2h_batch/protocols/benchmark.py",
+    "r2h_batch/protocols/of_run.py",
+    "r2h_batch/report/compare/stored.py",
+)
+T_STORED = (
+    "tests/report/statistics/test_baselines.py"
+    "::test_stored_rows_of_another_preset_are_no_baselines_and_those_of_the_same_engine_come_first"
+)
+T_BASELINES = (
+    "tests/report/statistics/test_baselines.py"
+    "::test_a_benchmark_knows_its_stored_rows_by_digest_simulated_ones_of_the_default_preset"
+)
+TRANSFERS, TURN = "r2h_batch/sweep/results/transfer.py", "r2h_batch/sweep/turn.py"
+T_GRIPS = (
+    "tests/sweep/results/test_transfer.py"
+    "::test_rates_of_weak_and_firm_grips_and_of_stiff_arms_stand_in_their_own_columns"
+)
+T_TURN_SEED = "tests/sweep/test_turn.py::test_a_users_method_is_asked_with_the_runs_seed_in_turned_runs_too"
+HOH, T_HOH = "r2h_batch/data/hoh_objects.py", "tests/data/test_hoh_objects.py"
+T_REGION = f"{T_HOH}::test_the_region_is_where_most_receivers_took_hold"
+CAPACITY, T_CAPACITY = "r2h_batch/trials/holding/capacity.py", "tests/trials/holding/test_capacity.py"
+T_LEAST_GRIP = (
+    f"{T_CAPACITY}"
+    "::test_a_load_is_carried_by_the_least_grip_and_a_margin_and_a_pinch_cannot_carry_a_moment_about_itself"
+)
+T_KEPT = f"{T_CAPACITY}::test_capacities_of_a_users_object_are_kept_for_its_hand_its_mesh_and_its_mass"
+SHARD, T_SHARD = "r2h_batch/runs/shard.py", "tests/runs/test_shard.py"
+
 MUTATIONS = (
     Mutation(
         "reach: sign of the margin",
         METRICS,
-        "limit_m=e.config.thresholds.reach_radius_m, below=True",
-        "limit_m=e.config.thresholds.reach_radius_m",
+        "limit=e.config.thresholds.reach_radius_m, below=True",
+        "limit=e.config.thresholds.reach_radius_m",
         (f"{T_METRICS}::test_reach_passes_up_to_the_balls_radius",),
     ),
     Mutation(
@@ -75,8 +122,8 @@ MUTATIONS = (
     Mutation(
         "safe: the safety margin is added",
         METRICS,
-        "limit_m=e.config.thresholds.safe_margin_m",
-        "limit_m=-e.config.thresholds.safe_margin_m",
+        "limit=e.config.thresholds.safe_margin_m",
+        "limit=-e.config.thresholds.safe_margin_m",
         (f"{T_METRICS}::test_a_safety_margin_is_taken_off",),
     ),
     Mutation(
@@ -450,6 +497,454 @@ MUTATIONS = (
         "    if found > 0:\n        residual_out",
         "    if found > 99:\n        residual_out",
         (T_SEVEN,),
+    ),
+    Mutation(
+        'families: overlapping parts weigh twice',
+        DRAWN,
+        'share = volume / own',
+        'share = 1.0',
+        (T_ONE_MATERIAL,),
+    ),
+    Mutation(
+        'families: the parallel axes pull the other way',
+        DRAWN,
+        '(c @ c) * np.eye(3) - np.outer(c, c)',
+        'np.outer(c, c) - (c @ c) * np.eye(3)',
+        (T_ONE_MATERIAL,),
+    ),
+    Mutation(
+        'families: the inertia does not turn with the object',
+        DRAWN,
+        '1e-15 * (R @ inertia @ R.T)',
+        '1e-15 * inertia',
+        (T_ONE_MATERIAL,),
+    ),
+    Mutation(
+        'families: the centre of mass stays where the parts were drawn',
+        DRAWN,
+        '(R @ com - middle) / 1000',
+        '(com - middle) / 1000',
+        (T_ONE_MATERIAL,),
+    ),
+    Mutation(
+        'families: an instance may rest beside its support',
+        DRAWN,
+        '(weight > -1e-9).all(1)',
+        '(weight > -1e-9).any(1)',
+        (f"{T_FAM}::test_an_instance_rests_on_a_side_over_which_its_centre_of_mass_stands",),
+    ),
+    Mutation(
+        'families: all series are one',
+        'r2h_batch/scene/families/family.py',
+        'f"r2h families {category} {series}"',
+        'f"r2h families {category} 0"',
+        (f"{T_FAM}::test_an_instance_is_a_function_of_category_series_and_number_alone",),
+    ),
+    Mutation(
+        "families: the centre of mass is that of the surface",
+        DRAWN,
+        "        com=instance.com,\n",
+        "",
+        (T_NEW_INSTANCES,),
+    ),
+    Mutation(
+        'families: every seed draws the same',
+        FAMILY_OBJECTS,
+        'FIRST_SERIES + seed',
+        'FIRST_SERIES',
+        (T_NEW_INSTANCES,),
+    ),
+    Mutation(
+        "families: every split is S0",
+        FAMILY_OBJECTS,
+        "{f.split for f in _asked(text)[0]}",
+        '{"S0"}',
+        (T_NEW_INSTANCES,),
+    ),
+    Mutation(
+        'people: large hands for small people',
+        PEOPLE,
+        'kind="stable")]',
+        'kind="stable")][::-1]',
+        (f"{T_PEOPLE}::test_body_and_hand_are_of_one_person_of_the_table",),
+    ),
+    Mutation(
+        'people: in wheelchairs some stand',
+        PEOPLE,
+        'seated = (u[1] < SEATED) | found.people.wheelchair',
+        'seated = u[1] < SEATED',
+        (T_IN_WHEELCHAIRS,),
+    ),
+    Mutation(
+        'people: a trial that is drawn again changes its side',
+        PEOPLE,
+        'members = np.flatnonzero(side[todo] == s), found.members(s)',
+        'members = np.flatnonzero(side[todo] == s), found.members(1 - s)',
+        (f"{T_PEOPLE}::test_hands_keep_their_sides_when_a_trial_is_drawn_again",),
+    ),
+    Mutation(
+        'people: the shoes count twice in a wheelchair',
+        WHEELCHAIR,
+        'POPLITEAL_M = SEAT_M - SHOES_M',
+        'POPLITEAL_M = SEAT_M - 2 * SHOES_M',
+        (T_IN_WHEELCHAIRS,),
+    ),
+    Mutation(
+        'people: knees half a chest too far ahead',
+        WHEELCHAIR,
+        'KNEES * stature - 0.5 * chest_depth',
+        'KNEES * stature',
+        (T_LAP,),
+    ),
+    Mutation(
+        'people: a forearm on the lap is as thin as a line',
+        WHEELCHAIR,
+        '(above < r)',
+        '(above < 0.0)',
+        (T_LAP,),
+    ),
+    Mutation(
+        'people: an elbow may be in the chest',
+        RECEIVERS,
+        'clear &= ~(inside[:, 0] & inside[:, 1] & inside[:, 2])',
+        'clear &= True',
+        (T_FROZEN,),
+    ),
+    Mutation(
+        "people: men's lengths for women",
+        RECEIVERS,
+        'np.where(woman, row[3 + k], row[k])',
+        'np.where(woman, row[k], row[3 + k])',
+        (T_FROZEN,),
+    ),
+    Mutation(
+        'transfer: weak and firm grips exchanged',
+        TRANSFERS,
+        '(weak, got & ~weak, stiff)',
+        '(got & ~weak, weak, stiff)',
+        (T_GRIPS,),
+    ),
+    Mutation(
+        'transfer: limp arms are called stiff',
+        TRANSFERS,
+        'got & (arm > np.median(arm[got]))',
+        'got & (arm < np.median(arm[got]))',
+        (T_GRIPS,),
+    ),
+    Mutation(
+        'transfer: one that ends badly costs no reward',
+        ENV,
+        '(self.ends != int(End.NOT_RECEIVED))',
+        '(self.ends < int(End.NOT_RECEIVED))',
+        (f"{T_ENV}::test_an_action_opens_the_gripper_and_one_that_never_does_keeps_it",),
+    ),
+    Mutation(
+        "transfer: a new episode has the last one's",
+        ENV,
+        'self._transfers.forget(row)',
+        'pass',
+        (f"{T_ENV}::test_an_episode_that_begins_in_the_middle_of_a_transfer_has_none_yet",),
+    ),
+    Mutation(
+        'closed loop: the true gap is the seen one',
+        ENV,
+        '"true_gap": self.gap.clone()',
+        '"true_gap": gap.clone()',
+        (f"{T_ENV}::test_the_true_gap_is_that_to_the_hand_as_it_is_whatever_is_seen",),
+    ),
+    Mutation(
+        "closed loop: the gripper's first body is the arm's",
+        ENV,
+        'near.body >= len(names) - 1 - gripper',
+        'near.body > len(names) - 1 - gripper',
+        (f"{T_ENV}::test_a_hand_that_takes_may_come_to_every_body_of_the_gripper_and_to_none_of_the_arm",),
+    ),
+    Mutation(
+        "turn: a user's method is asked with seed 0",
+        TURN,
+        'seed=header["seed"], noise_factor',
+        'seed=0, noise_factor',
+        (T_TURN_SEED,),
+    ),
+    Mutation(
+        'turn: all trials whatever is asked',
+        TURN,
+        'min(n, trials or n)',
+        'n',
+        (T_TURN_SEED,),
+    ),
+    Mutation(
+        'turn: a method that changed is turned',
+        TURN,
+        'k != "predictors" and job.source.get(k) != v',
+        'k == "nothing"',
+        ("tests/sweep/test_turn.py::test_nothing_that_a_folder_names_is_run_and_a_changed_method_is_refused",),
+    ),
+    Mutation(
+        'turn: nothing is turned',
+        TURN,
+        'prepare(in_frame(own, word), plan',
+        'prepare(own, plan',
+        ("tests/sweep/test_turn.py::test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays",),
+    ),
+    Mutation(
+        'HOH: a handover that is in both sources counts twice',
+        HOH,
+        'scenes.pop((path.stem, number), None)',
+        'scenes.get((path.stem, number), None)',
+        (f"{T_HOH}::test_a_handover_that_is_in_hoh_and_in_hoh_grasps_counts_once",),
+    ),
+    Mutation(
+        'HOH: the full mesh before the simplified one',
+        HOH,
+        'found.setdefault(path.stem.removesuffix(end), path)',
+        'found[path.stem.removesuffix(end)] = path',
+        (f"{T_HOH}::test_the_simplified_mesh_is_taken_where_there_is_a_full_one_too",),
+    ),
+    Mutation(
+        'HOH: what anybody took is in the region',
+        HOH,
+        'share > SHARE * share.max(initial=0.0)',
+        'share > 0.0',
+        (T_REGION,),
+    ),
+    Mutation(
+        'HOH: steps of the object in the other order',
+        HOH,
+        'T = _pose(steps.get(name), f"{printable(file)} {name}") @ T',
+        'T = T @ _pose(steps.get(name), f"{printable(file)} {name}")',
+        (T_REGION,),
+    ),
+    Mutation(
+        'HOH: hands in millimetres',
+        HOH,
+        'return MM * _moved(',
+        'return _moved(',
+        (T_REGION,),
+    ),
+    Mutation(
+        'capacity: kept without the hand',
+        CAPACITY,
+        '{object_digest(model)} {hand.digest} ',
+        '{object_digest(model)} ',
+        (T_KEPT,),
+    ),
+    Mutation(
+        'capacity: kept without the object',
+        CAPACITY,
+        '{object_digest(model)} {hand.digest} ',
+        '{hand.digest} ',
+        (T_KEPT,),
+    ),
+    Mutation(
+        'capacity: people grip no firmer than they must',
+        CAPACITY,
+        'SAFETY * least[carries]',
+        'least[carries]',
+        (T_LEAST_GRIP,),
+    ),
+    Mutation(
+        "capacity: the load's own part is missing",
+        CAPACITY,
+        '(further + abs(load[carries]))',
+        'further',
+        (T_LEAST_GRIP,),
+    ),
+    Mutation(
+        'capacity: moments in other units than they came in',
+        CAPACITY,
+        ' / total[carries, None] / MOMENT_SCALE',
+        ' / total[carries, None]',
+        (f"{T_CAPACITY}::test_a_pinch_of_two_points_has_its_closed_form",),
+    ),
+    Mutation(
+        'capacity: gravity pulls the other way',
+        CAPACITY,
+        'GRAVITY).argmax(1)',
+        'GRAVITY).argmin(1)',
+        (f"{T_CAPACITY}::test_held_out_grasps_that_carry_the_object_withstand_more_than_its_weight",),
+    ),
+    Mutation(
+        'capacity: a turned object has the axes of its own',
+        CAPACITY,
+        'np.asarray(o.turn.R_new_own)',
+        'np.eye(3)',
+        (f"{T_CAPACITY}::test_a_turned_object_has_the_capacities_of_its_own_frame",),
+    ),
+    Mutation(
+        'shard: one of another method passes',
+        SHARD,
+        '"method": method, "first": shard.first, "last": shard.last}',
+        '"first": shard.first, "last": shard.last}',
+        (f"{T_SHARD}::test_a_shard_of_another_method_of_the_run_is_refused_under_this_ones_name",),
+    ),
+    Mutation(
+        'shard: of two files of one the last is read',
+        SHARD,
+        'found.setdefault(number, path)',
+        'found[number] = path',
+        (f"{T_SHARD}::test_of_two_files_of_one_shard_the_one_with_the_smallest_name_counts",),
+    ),
+    Mutation(
+        'shard: a digest in a name is not compared',
+        SHARD,
+        'if named is not None and found == named[2]:',
+        'if named is not None:',
+        ("tests/runs/test_verify.py::test_a_damaged_shard_is_named_verify_marks_it_and_only_it_is_written_again",),
+    ),
+    Mutation(
+        'shard: a second writer gives its own name too',
+        SHARD,
+        'if _named(place, shard) is None:',
+        'if True:',
+        (f"{T_SHARD}::test_of_writers_at_the_same_moment_one_is_stored_and_nothing_of_the_others",),
+    ),
+    Mutation(
+        'shard: rows of trials that it does not have are null',
+        SHARD,
+        'if len(trial_id) - place.null_count != len(table):',
+        'if False:',
+        (f"{T_SHARD}::test_rows_of_trials_that_a_shard_does_not_have_are_refused",),
+    ),
+    Mutation(
+        'benchmark: the digest leaves out what is seen of the person',
+        BENCHMARK,
+        'if self.receiver != "hand":  #',
+        'if False:  #',
+        (T_DIGEST,),
+    ),
+    Mutation(
+        'benchmark: the digest leaves out the people',
+        BENCHMARK,
+        'f"people {self.people.digest}\\n"',
+        'f"people\\n"',
+        (T_DIGEST,),
+    ),
+    Mutation(
+        'benchmark: the digest leaves out where people stand',
+        BENCHMARK,
+        'f"robot {self.robot.digest} {self.persons}\\n"',
+        'f"robot {self.robot.digest}\\n"',
+        (T_DIGEST,),
+    ),
+    Mutation(
+        'benchmark: the digest leaves out table and home',
+        BENCHMARK,
+        'for part in (self.thresholds, self.workplace):',
+        'for part in (self.thresholds,):',
+        (T_DIGEST,),
+    ),
+    Mutation(
+        "benchmark: the digest leaves out an object's roles",
+        BENCHMARK,
+        '"roles": None if o.roles is None else dict(o.roles)',
+        '"roles": None',
+        (T_DIGEST,),
+    ),
+    Mutation(
+        'benchmark: the digest leaves out where listed hands are',
+        BENCHMARK,
+        '"hand_index", "T_world_hand"):',
+        '"hand_index"):',
+        (T_DIGEST,),
+    ),
+    Mutation(
+        'benchmark: trials do not say whose they are',
+        BENCHMARK,
+        'trials.named(self.objects, benchmark=self.label)',
+        'trials.named(self.objects)',
+        (T_KNOW,),
+    ),
+    Mutation(
+        'benchmark: the digest has the name in it',
+        BENCHMARK,
+        'f"{self.protocol}\\n{self.hand_set.digest}\\n"',
+        'f"{self.protocol}\\n{self.hand_set.digest}\\n{self.name}\\n"',
+        (T_DIGEST,),
+    ),
+    Mutation(
+        'benchmark: an evaluator refuses by the name',
+        'r2h_batch/judge/inputs.py',
+        'if digest and digest != benchmark.digest:',
+        'if digest and name != benchmark.name:',
+        (T_SAME_NAME,),
+    ),
+    Mutation(
+        'benchmark: a file of answers is refused by the name',
+        'r2h_batch/trials/predictions.py',
+        'if answers.benchmark and digest != own:',
+        'if answers.benchmark and name != ours:',
+        (T_SAME_NAME,),
+    ),
+    Mutation(
+        'benchmark: people stand for another robot as for the UR5e',
+        BENCHMARK,
+        'placing = self.on(load_robot(DEFAULT_ROBOT), self.persons)',
+        'placing = self',
+        ("tests/test_robots.py::test_persons_stand_for_the_robot_or_as_for_the_ur5e",),
+    ),
+    Mutation(
+        "of run: its benchmark's digest is not compared",
+        OF_RUN,
+        'if "benchmark" in digests:',
+        'if False:',
+        (T_OF_RUN,),
+    ),
+    Mutation(
+        'of run: what it saw of the person is forgotten',
+        OF_RUN,
+        'receiver=header["configuration"].get("receiver", "hand")',
+        'receiver="hand"',
+        (T_OF_RUN,),
+    ),
+    Mutation(
+        'of run: files that its sweep was not given pass',
+        OF_RUN,
+        '!= {f.split()[0] for f in _files(given)}:',
+        "< {f.split()[0] for f in _files(replace(given, people=''))}:",
+        (T_OF_RUN,),
+    ),
+    Mutation(
+        'stored: rows of another preset are baselines',
+        STORED,
+        'if benchmark and preset]',
+        'if benchmark]',
+        (T_STORED,),
+    ),
+    Mutation(
+        'stored: rows of another engine come first',
+        STORED,
+        'int(len({*engines}) == 1)',
+        'int(len({*engines}) == 2)',
+        (T_STORED,),
+    ),
+    Mutation(
+        'stored: rows of other objects are baselines',
+        STORED,
+        'for k in ("objects", "hand_set")',
+        'for k in ("hand_set",)',
+        (T_STORED,),
+    ),
+    Mutation(
+        'stored: planned rows before simulated ones',
+        STORED,
+        '(simulated or found)[0]',
+        'found[-1]',
+        (T_BASELINES,),
+    ),
+    Mutation(
+        "stored: a benchmark's rows by its rule's name",
+        STORED,
+        'own["digests"]["benchmark"] == digest if digest else own["protocol"] == name',
+        'own["protocol"] == name',
+        (T_BASELINES,),
+    ),
+    Mutation(
+        "stored: rows of any preset are a benchmark's",
+        STORED,
+        'if own["configuration"]["name"] == "default"\n        and (',
+        'if (',
+        (T_BASELINES,),
     ),
 )  # fmt: skip
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import torch
 from problems import default_evaluator, make_batch
+from rounds import each
 from torch import Tensor
 
 from r2h_batch import load_benchmark
@@ -57,7 +58,7 @@ def test_small_calls_of_any_order_and_size_have_the_bits_of_a_large_one(poses, w
     ] * 5:
         some = slice(first, first + rows)
         kept.append((some, evaluator.score(*(x[some] for x in poses), stages="pose")))
-    for some, scores in kept:  # after all calls: no later one has written into an earlier result
+    for some, scores in each(kept):  # after all calls: no later one has written into an earlier result
         assert equal(scores, whole[some]), some
 
 

@@ -4,6 +4,7 @@ import copy
 import pickle
 from dataclasses import replace
 from functools import cache, partial
+from types import SimpleNamespace
 
 import numpy as np
 import oracle
@@ -39,7 +40,7 @@ ROBOTS = pytest.mark.parametrize("robot", ["ur5e_2f85", "panda_hand"])
 
 @cache
 def evaluator_of(robot):
-    benchmark = built_in(protocol="r2h-v1").on(load_robot(robot))
+    benchmark = load_benchmark("r2h-v1").on(load_robot(robot))
     return Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none"))), benchmark
 
 
@@ -229,6 +230,19 @@ def test_what_is_seen_is_late_noisy_and_sometimes_old_and_the_truth_only_on_requ
     assert off.std(0).mean() < 0.5 * off.mean()  # most of it stays through a trial
 
 
+def test_the_true_gap_is_that_to_the_hand_as_it_is_whatever_is_seen(scores):
+    """Beside a hand that stands still and a robot that stands: what is seen without noise is the truth."""
+    exact = HandoverEnv(scores, "still", config=LoopConfig(noise=0, dropout=0, latency_s=0.0))
+    noisy = HandoverEnv(scores, "still", config=LoopConfig(dropout=0.5, latency_s=0.2), privileged=True)
+    (clear, _), (seen, _) = exact.reset(), noisy.reset()
+    for _ in range(8):
+        lives = noisy.ends == int(End.RUNNING)
+        assert lives.sum() > 5 and torch.equal(seen["true_gap"][lives], clear["gap"][lives])
+        assert ((seen["gap"] - clear["gap"])[lives].abs() > 1e-3).any()
+        stand = torch.zeros(noisy.num_envs, 6)
+        clear, seen = exact.step(stand)[0], noisy.step(stand)[0]
+
+
 @ROBOTS
 def test_arms_keep_their_limits_and_every_kind_of_action_moves_them(robot):
     scores = scores_of(robot)
@@ -350,7 +364,7 @@ def test_an_object_that_stays_2_cm_outside_of_the_ball_is_not_received(scores):
     given = scores.inputs
     for inside, end in ((-0.02, End.TIMEOUT), (0.01, End.SUCCESS)):
         smaller = replace(benchmark, thresholds=Thresholds(reach_radius_m=far + inside))
-        one = Evaluator(load_benchmark("r2h-v1"), smaller).score(
+        one = Evaluator(smaller, EvalConfig(execute=ExecConfig(sim="none"))).score(
             given.T_obj_ee[[row]], given.T_world_ee[[row]], given.trials[torch.tensor([row])].named(benchmark.objects)
         )
         assert float(one.margin[0, reach]) == pytest.approx(inside, abs=1e-5)
@@ -571,6 +585,39 @@ def test_a_hand_that_takes_may_touch_the_gripper_by_itself_and_nothing_else(scor
     assert (e.end == int(End.CONTACT)).sum() >= 4 and not e.robot_touched[e.end == int(End.CONTACT)].any()
 
 
+@pytest.mark.parametrize(
+    ("place", "end"), [("last of the arm", End.CONTACT), ("first of the gripper", End.SUCCESS), ("last", End.SUCCESS)]
+)
+def test_a_hand_that_takes_may_come_to_every_body_of_the_gripper_and_to_none_of_the_arm(
+    scores, monkeypatch, place, end
+):
+    """Hands in the gripper; the query that says which body is the nearest to them is answered by the test."""
+    good = scores[scores.success][:3]
+    env = HandoverEnv(good, "takes", config=LoopConfig(horizon_s=6))
+    env.reset(seed=0)
+    names, gripper = env.scene.part_names, env.scene.robot.gripper.names
+    assert names[-1 - len(gripper) : -1] == tuple(gripper) and names[-1] == "object"
+    first = len(names) - 1 - len(gripper)
+    body = {"last of the arm": first - 1, "first of the gripper": first, "last": len(names) - 2}[place]
+    asked, own = [], env._distance.nearest
+
+    def nearest(rows, q, T_world_hand):
+        asked.append(len(rows))
+        return SimpleNamespace(
+            distance_m=own(rows, q, T_world_hand).distance_m, body=torch.full((len(rows),), body, dtype=torch.int32)
+        )
+
+    monkeypatch.setattr(env._distance, "nearest", nearest)
+    env.hands.way.begin[0] = torch.inf
+    into = env.T_world_ee[:, :3, 3] - 0.06 * env.T_world_ee[:, :3, 2]
+    at = env.T_world_hand.clone()
+    at[:, :3, 3] += into.float() - env.scene.palm(env.trials.hand_index, env.T_world_hand)[0]
+    sent(env, at)
+    while running(env):
+        env.step(torch.zeros(3, 6))
+    assert sum(asked) >= 3 and (env.ends == int(end)).all()
+
+
 @pytest.mark.parametrize(("rises_s", "end"), [(0.3, End.SUCCESS), (0.5, End.NOT_RECEIVED)])
 def test_an_object_that_goes_farther_than_1_cm_while_it_is_taken_is_not_received(scores, rises_s, end):
     """Hands that are where they take the object, and a gripper that rises and then stands."""
@@ -596,7 +643,7 @@ def test_an_object_within_reach_is_received_after_it_was_held_out_for_a_tenth_of
     _, benchmark = evaluator_of("ur5e_2f85")
     wide = replace(benchmark, thresholds=Thresholds(reach_radius_m=2.0))
     given, rows = scores.inputs, torch.nonzero(scores.success).flatten()[:3]
-    some = Evaluator(load_benchmark("r2h-v1"), wide).score(
+    some = Evaluator(wide, EvalConfig(execute=ExecConfig(sim="none"))).score(
         given.T_obj_ee[rows], given.T_world_ee[rows], given.trials[rows].named(benchmark.objects)
     )
     env = HandoverEnv(some, "still", config=LoopConfig(rate_hz=rate_hz))
@@ -705,14 +752,46 @@ def test_an_action_opens_the_gripper_and_one_that_never_does_keeps_it(takeable):
         env = HandoverEnv(takeable, "takes", action=Planned.action, release="action")
         assert env.single_action_space.shape == (7,)
         seen, _ = env.reset()
-        policy = LetsGo(env, seconds)
+        policy, last = LetsGo(env, seconds), torch.full((env.num_envs,), torch.nan)
         while running(env):
-            seen, *_ = env.step(policy(seen))
+            going = env.ends == int(End.RUNNING)
+            seen, reward, *_ = env.step(policy(seen))
+            last = torch.where(going & (env.ends != int(End.RUNNING)), reward, last)
         e = env.episodes()
         ends.append(env._info(None)["transfer"])
         times.append(e.time_s)
+        lost, won = (e.end == int(end) for end in (End.NOT_TAKEN, End.SUCCESS))
+        cost = 0.1 * env.step_s / env.config.horizon_s
+        assert (lost | won).all() and torch.allclose(last, won.float() - lost.float() - cost, atol=1e-6)
     assert "taken" in ends[0] and "taken" not in ends[1] and "not_released" in ends[1]
     assert ((times[0] < times[1]) | torch.from_numpy(ends[0] != "taken")).all()
+
+
+def test_an_episode_that_begins_in_the_middle_of_a_transfer_has_none_yet(takeable):
+    """The one that was reset goes as an episode of a loop of its own; the others go on."""
+    env, n = HandoverEnv(takeable, "takes", action=Planned.action, release="action"), len(takeable)
+    seen, _ = env.reset()
+    policy, never = Planned(env), -torch.ones(n, 1)
+
+    def step(seen):
+        return env.step(torch.cat([policy(seen), never], 1))[0]
+
+    def held(seen):
+        return (seen["wrist_force"] != 0).any(1) & (env.ends == int(End.RUNNING))
+
+    while not held(seen).any():
+        assert running(env)
+        seen = step(seen)
+    row = int(held(seen).nonzero()[0, 0])
+    others = held(seen) & (torch.arange(n) != row)
+    seen, info = env.reset(options={"reset_mask": np.arange(n) == row})
+    assert (seen["wrist_force"][row] == 0).all() and torch.equal(held(seen), others)
+    assert info["transfer"][row] == "" and info["end"][row] == "running"
+    q = seen["q"][row].clone()
+    for _ in range(3):  # nobody takes anything from it: the arm moves, and nothing pulls at the wrist
+        seen = env.step(torch.cat([takeable.q_goal, never], 1))[0]
+        assert (seen["wrist_force"][row] == 0).all()
+    assert not torch.equal(seen["q"][row], q)
 
 
 def test_gymnasiums_checker_passes_with_an_action_to_open_and_what_does_not_fit_is_refused(scores):

@@ -9,6 +9,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.__main__ import main
+from r2h_batch.data.hoh_objects import collect, meshes
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.edit import edited
 
@@ -16,6 +17,8 @@ CAPTURE = "01638-46157-S1"
 SESSION = f"{CAPTURE}/reference/{CAPTURE}.json"
 STEPS = f"{CAPTURE}/3dModelAlignments/{CAPTURE}_1_transformations.json"
 RANDOM = np.random.default_rng(4)
+ENDS = (-100.0, -96.0, 100.0)
+"""Where three receivers take hold of the bar: x, mm."""
 
 
 def pose(mm):
@@ -43,9 +46,8 @@ def hoh(tmp_path):
     bar = trimesh.creation.box((200.0, 24.0, 24.0)).subdivide().subdivide().subdivide()
     bar.export(models / "318_simplified.obj")
     trimesh.creation.icosphere(radius=40.0).export(models / "7_simplified.obj")
-    ends = (-100.0, -96.0, 100.0)
     keyframes, objects = [], []
-    for i, end in enumerate(ends):
+    for i, end in enumerate(ENDS):
         hand = np.array([end, 0.0, 0.0]) + RANDOM.uniform(-16, 16, (4000, 3))  # mm, in the object's frame
         steps = {
             "3dm_to_O": pose((30 + i, 400, 900)),
@@ -86,16 +88,44 @@ def test_the_region_is_where_most_receivers_took_hold(hoh, tmp_path, capsys):
     assert [(r["object"], r["giver"], r["receiver"]) for r in rows] == [("hoh_318", *p) for p in ("54", "44", "32")]
 
 
+def scene(scenes, number, end):
+    """A handover of the bar as HOH-Grasps has it: metres, the receiver's hand at x = end (mm)."""
+    name = f"{CAPTURE}_{number}_318"
+    T = pose((7 + number, 0, 0))
+    T[:3, 3] *= 0.001
+    hand = 0.001 * (np.array([end, 0.0, 0.0]) + RANDOM.uniform(-16, 16, (4000, 3)))
+    cloud(scenes / name / f"{name}_hand_receiver_t.ply", moved(T, hand))
+    (scenes / name / f"{name}_transforms.json").write_text(json.dumps({"obj_to_t": T.tolist()}))
+
+
+def test_a_handover_that_is_in_hoh_and_in_hoh_grasps_counts_once(hoh):
+    """Only one of three is in both: counted twice, it would take a share from the others."""
+    alone = collect(hoh, ["318"]).shares["hoh_318"]
+    scene(hoh / "scenes", 2, ENDS[2])
+    both = collect(hoh, ["318"])
+    assert len(both.handovers) == len({(h.capture, h.number) for h in both.handovers}) == 3
+    assert all(h.comfort is not None for h in both.handovers)  # HOH's ratings stay
+    assert set(alone.round(6)) == {0.0, round(1 / 3, 6), round(2 / 3, 6)}
+    assert (alone == both.shares["hoh_318"]).mean() > 0.99
+
+
+def test_the_simplified_mesh_is_taken_where_there_is_a_full_one_too(hoh):
+    full = hoh / "HOH_Objects" / "full"
+    full.mkdir()
+    for name in ("318", "9"):
+        trimesh.creation.box((400.0, 24.0, 24.0)).export(full / f"{name}_cleaned.obj")
+    assert {name: path.name for name, path in meshes(hoh).items()} == {
+        "318": "318_simplified.obj",
+        "7": "7_simplified.obj",
+        "9": "9_cleaned.obj",
+    }
+
+
 def test_scenes_of_hoh_grasps_give_the_same_region_in_metres(hoh, tmp_path, capsys):
     assert imported(hoh, tmp_path / "a", "--only", "318") == 0
     scenes = tmp_path / "grasps" / "scenes"
-    for i, end in enumerate((-100.0, -96.0, 100.0)):
-        name = f"{CAPTURE}_{i}_318"
-        T = pose((7 + i, 0, 0))
-        T[:3, 3] *= 0.001
-        hand = 0.001 * (np.array([end, 0.0, 0.0]) + RANDOM.uniform(-16, 16, (4000, 3)))
-        cloud(scenes / name / f"{name}_hand_receiver_t.ply", moved(T, hand))
-        (scenes / name / f"{name}_transforms.json").write_text(json.dumps({"obj_to_t": T.tolist()}))
+    for i, end in enumerate(ENDS):
+        scene(scenes, i, end)
     both = tmp_path / "both"
     both.mkdir()
     (hoh / "HOH_Objects").rename(both / "HOH_Objects")

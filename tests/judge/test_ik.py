@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from needs import needs
+from rounds import each
 
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import HOME_Q
@@ -226,6 +227,6 @@ def test_rows_do_not_depend_on_batch_order_or_threads(n, targets, result):
     for threads in (1, 3):
         with on_threads(threads):
             part = solve_ik(torch.from_numpy(targets[order]))
-        for field in dataclasses.fields(part):
+        for field in each(dataclasses.fields(part)):
             whole = getattr(result, field.name)[torch.from_numpy(order)]
             assert getattr(part, field.name).numpy().tobytes() == whole.numpy().tobytes(), field.name

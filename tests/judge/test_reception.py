@@ -9,6 +9,7 @@ import pytest
 import torch
 import warp as wp
 from fcl_twin import distance, hull, primitive
+from rounds import each
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -253,7 +254,7 @@ def test_hands_are_free_of_the_gripper_as_fcl_says(steps):
     batch, arms, passes, _ = steps
     within, clear = passes[..., 0], passes[..., 1]
     for mask, free in ((within & clear, True), (within & ~clear, False)):
-        for i, k in some(mask, 30):
+        for i, k in each(some(mask, 30)):
             opening = float(batch.of_trial["opening"][i])
             gap = gap_to_gripper(batch, i, int(batch.first[i]) + k, arms["turn"][i, k], opening)
             assert gap > judge.ROOM_M - 2e-5 if free else gap < judge.ROOM_M + 2e-5, (i, k, gap)
@@ -262,7 +263,7 @@ def test_hands_are_free_of_the_gripper_as_fcl_says(steps):
 def test_a_way_in_and_the_release_are_free_at_every_sample(steps):
     batch, arms, passes, way = steps
     table = batch.grasps
-    for i, k in some(passes[..., :5].all(2), 3):
+    for i, k in each(some(passes[..., :5].all(2), 3)):
         row, turn = int(batch.first[i]) + k, arms["turn"][i, k]
         T = turned_object(batch, i, turn)
         n, a = (x[row].double().numpy() for x in (table.owners[2], table.owners[1]))
@@ -279,7 +280,7 @@ def test_arm_and_torso_are_clear_of_the_robot_as_fcl_says(scores, steps):
     batch, arms, passes, _ = steps
     asked = passes[..., :3].all(2)
     for mask, clear in ((asked & passes[..., 3], True), (asked & ~passes[..., 3], False)):
-        for i, k in some(mask, 5):
+        for i, k in each(some(mask, 5)):
             trial, at = torch.tensor([i]), torch.tensor([k])
             wrist = batch.wrists(batch.pairs(trial, at, arms))[0].double().numpy()
             lean, elbow = float(arms["angles"][i, k, 6]), arms["elbow"][i, k].double().numpy()
@@ -541,7 +542,7 @@ def test_hands_hold_what_they_carry_and_what_a_pull_about_the_gripper_does_not_t
 def test_a_row_depends_on_its_own_trial_alone(scores, found):
     rows = torch.tensor([5, 2, 29])
     again = reception(scores[rows])
-    for name in judge.Reception.__dataclass_fields__:
+    for name in each(judge.Reception.__dataclass_fields__):
         a, b = getattr(found, name)[rows], getattr(again, name)
         assert torch.equal(torch.nan_to_num(a.float(), nan=-7), torch.nan_to_num(b.float(), nan=-7)), name
 
@@ -591,7 +592,7 @@ def test_the_chance_of_one_is_that_of_drawing_without_replacement():
 def test_held_out_grasps_are_none_of_those_that_predictors_are_shown():
     objects = load_objects()
     shown, own = load_receiving(), load_held_out(objects).grasps
-    for i in range(len(objects)):
+    for i in each(range(len(objects))):
         a, b = (g.T_obj_hand[g.rows_of(i)].flatten(1) for g in (shown, own))
         assert len(b) == 512 and (torch.cdist(a, b) > 1e-5).all()
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from problems import default_evaluator, make_batch
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import se3
@@ -96,7 +97,7 @@ def test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed(simula
     lengths = {k: torch.rand(N, generator=g) for k in ("width_m", "opening_m", "shift_m")}
     held = SimpleNamespace(active=active, grasp=SimpleNamespace(**lengths))
     found = verdict(criteria, held, lengths["width_m"], valid if simulated else None)  # type: ignore[arg-type]
-    for i in range(N):
+    for i in each(range(N)):
         judged = bool(valid[i]) or not simulated
         asked = [judged and bool(c.evaluated[i]) for c in criteria]
         fine = [judged and bool(c.passed[i]) for c in criteria]

@@ -8,6 +8,7 @@ import oracle
 import pytest
 import torch
 from convex_twin import bodies, point_to_segment
+from rounds import each
 from seven import seven_joints, with_hulls
 
 from r2h_batch import load_benchmark
@@ -217,7 +218,7 @@ def test_object_motion_radii_bound_every_point_and_match_the_robots_own_bound(sc
     first, c0, c1, radius = (getattr(world, n).numpy() for n in ("hull_first", "hull_c0", "hull_c1", "hull_radius"))
     q = rng.uniform(-np.pi, np.pi, (150, 6))
     T_world_link = forward_kinematics(scene.robot, q)
-    for k, staged in enumerate(stages):
+    for k, staged in each(enumerate(stages)):
         T_wrist_obj = scene.robot.T_wrist3_flange @ scene.robot.T_flange_ee @ np.linalg.inv(staged.T_obj_ee)
         expected = np.zeros(6)
         for h in range(first[staged.object_index], first[staged.object_index + 1]):
@@ -253,7 +254,7 @@ def test_bounding_capsules_and_motion_radii_hold_their_bodies_at_every_opening(s
     q = rng.uniform(-np.pi, np.pi, (60, 6))
     T_world_link = forward_kinematics(robot, q)
     body_R, body_p = w.body_R.numpy(), w.body_p.numpy()
-    for b in range(w.n_robot):
+    for b in each(range(w.n_robot)):
         x = boundary_points(kind[b], size[b], rng, 150)
         assert point_to_segment(x, -axis[b], axis[b]).max() <= cap[b] + 1e-7
         assert abs(w.radius.numpy()[b] - (size[b, 0] if kind[b] <= ShapeKind.CAPSULE else 0.0)) < 1e-9

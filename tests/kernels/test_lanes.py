@@ -11,6 +11,7 @@ import pytest
 import torch
 import warp as wp
 from needs import needs
+from rounds import each
 
 from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.geometry.balls import balls_within
@@ -234,5 +235,5 @@ def test_one_lane_at_a_time_has_the_bits_of_eight_at_once(asked: SimpleNamespace
         if name in ("run_high", "radius"):
             arguments.append(len(inputs[name]))
     compiled.ask(*arguments, *(ctypes.c_void_p(x.ctypes.data) for x in got))
-    for a, b in zip(expected, got, strict=True):
+    for a, b in each(zip(expected, got, strict=True)):
         assert (a.view(np.int32) == b.view(np.int32)).all()

@@ -19,6 +19,7 @@ from baseline_twins import (
     trials,
 )
 from needs import needs
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import se3
@@ -49,7 +50,7 @@ def test_fc_takes_the_grasp_most_opposed_to_the_hand_of_those_that_do_not_touch_
 
 def test_fc_opposes_the_gripper_to_the_target_hand_with_the_object_15_cm_above_the_palm():
     target = predict_target(trials(), evaluator().scene, noise=NOISE)
-    for i in range(len(trials())):
+    for i in each(range(len(trials()))):
         T_world_ee = answer("fc").T_world_ee[i].double().numpy()
         v_h = target.wrist_to_middle[i].double().numpy()
         assert np.abs(T_world_ee[:3, 2] + v_h).max() < 1e-5
@@ -131,7 +132,7 @@ def test_intent_moves_hand_object_and_gripper_as_one_onto_the_target_hand():
     scene = evaluator().scene
     target = predict_target(trials(), scene, noise=NOISE)
     taking = retrieve_receiving(trials(), scene, noise=NOISE)
-    for i in range(len(trials())):
+    for i in each(range(len(trials()))):
         T_obj_ee, T = (getattr(answer("intent"), k)[i].double().numpy() for k in ("T_obj_ee", "T_world_ee"))
         n, fingers = fifteen_degrees_to_the_thumb(target, i)
         assert np.abs(middle(answer("intent"), i)[0] - above(target, i)).max() < 1e-5
@@ -145,7 +146,7 @@ def test_intent_moves_hand_object_and_gripper_as_one_onto_the_target_hand():
 def test_intent_by_its_axis_opposes_the_gripper_to_the_hand_and_searches_the_roll():
     target = predict_target(trials(), evaluator().scene, noise=NOISE)
     found = predict(intent, trials(), orientation="axis")
-    for i in range(0, len(trials()), 3):
+    for i in each(range(0, len(trials()), 3)):
         T = found.T_world_ee[i].double().numpy()
         n, fingers = fifteen_degrees_to_the_thumb(target, i)
         center, inside = middle(found, i)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from problems import default_evaluator
+from rounds import each
 
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.box_grasps import three_boxes
@@ -41,8 +42,8 @@ def test_methods_can_fail_stability_with_grasps_as_generated_and_not_with_filter
 
 def test_no_cloud_point_lies_in_the_boxes_of_the_open_gripper():
     low, high, rest_low, rest_high = three_boxes(load_robot())
-    for model, c in zip(OBJECTS[::5], candidates_of(OBJECTS, "as-generated")[::5], strict=True):
-        for T in c.T_obj_ee.astype(np.float64)[::9]:
+    for model, c in each(zip(OBJECTS[::5], candidates_of(OBJECTS, "as-generated")[::5], strict=True)):
+        for T in each(c.T_obj_ee.astype(np.float64)[::9]):
             p = (model.points.astype(np.float64) - T[:3, 3]) @ T[:3, :3]
             for x, a, b in ((p, low, high), (p * [1, -1, 1], low, high), (p, rest_low, rest_high)):
                 assert not ((x > a + 1e-5) & (x < b - 1e-5)).all(1).any()
@@ -51,7 +52,7 @@ def test_no_cloud_point_lies_in_the_boxes_of_the_open_gripper():
 @pytest.mark.slow
 def test_the_stored_ones_are_made_again():
     stored = stored_arrays("objects", "grasps_as_generated.npz")
-    for model in OBJECTS[6:8]:
+    for model in each(OBJECTS[6:8]):
         assert np.array_equal(generate_grasps(model).T_obj_ee, stored[f"{model.name}/T_obj_ee"])
 
 

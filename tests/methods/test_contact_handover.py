@@ -8,6 +8,7 @@ import trimesh
 from baseline_twins import NOISE, above, answer, candidates, chosen_candidate, evaluator, middle, predict, trials
 from convex_twin import primitive_distance
 from numpy.typing import NDArray
+from rounds import each
 
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.judge.ik import solve_ik
@@ -81,7 +82,7 @@ def test_contacts_orientation_has_the_least_cost_of_all_or_of_those_the_arm_reac
     robot = load_robot()
     some = [1, 10] if gate == "none" else [10]
     answered = predict(contact, trials()[torch.tensor(some)], gate=gate)
-    for row, i in enumerate(some):
+    for row, i in each(enumerate(some)):
         k = chosen_candidate(i, answered.T_obj_ee[row])
         T_obj_ee, opening, _ = candidates(i)
         T = twins.pose(fan[i], above(target, i) - fan[i] @ middle(answered, row, i)[1])

@@ -11,6 +11,7 @@ import trimesh
 from fcl_twin import distance, primitive, surface
 from grasp_cases import material64
 from needs import needs
+from rounds import each
 
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.methods.candidates import candidates_of
@@ -90,7 +91,7 @@ def test_a_grasp_is_narrow_centred_clear_and_within_the_friction_cone(name: str,
         (found,) = candidates_of((model,), robot=PANDA)
         assert len(found) == 100 and found.width.max() <= 0.0772 and not np.array_equal(found.T_obj_ee, T_obj_ee)
         T_obj_ee, widths = found.T_obj_ee, found.width
-    for T, width in zip(T_obj_ee[::STEP], map(float, widths[::STEP]), strict=True):
+    for T, width in each(zip(T_obj_ee[::STEP], map(float, widths[::STEP]), strict=True)):
         mesh, gap = _in_ee(model, T), max(width, robot.closed_gap_m + 1e-4)
         low, high = material64(model.mesh, T, gap, robot=robot)
         assert high - low == pytest.approx(width, abs=BAND) and width <= robot.open_gap_m

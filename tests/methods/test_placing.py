@@ -1,6 +1,7 @@
 """Where a method holds an object above a palm does not depend on the frame of its mesh, but for objects of r2h-v1."""
 
 import numpy as np
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.evaluate import Evaluator
@@ -28,7 +29,7 @@ def test_methods_give_the_same_poses_whatever_frame_an_objects_file_has():
 
 def test_the_centre_turns_with_the_object_and_is_the_boxs_for_objects_of_frozen_protocols():
     R = frame_of(ANY_TURN)
-    for model in load_objects(INSTANCES):
+    for model in each(load_objects(INSTANCES)):
         center = center_of(model)
         assert np.abs(center_of(turned(model, R)) - R @ center).max() < 2e-5
         reach = np.linalg.norm(model.vertices - center, axis=1).max()

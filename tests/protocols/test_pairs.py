@@ -11,13 +11,15 @@ from problems import default_evaluator
 
 from r2h_batch import Benchmark, Evaluator, Predictions, load_benchmark
 from r2h_batch.base.errors import FileError
-from r2h_batch.config import Thresholds
+from r2h_batch.config import EvalConfig, Thresholds
+from r2h_batch.data.people import built_in_people, people_hand_set
 from r2h_batch.protocols.benchmark import trials_digest
+from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.of_run import benchmark_of_run
-from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.objects import load_objects, object_digest
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.sweep.command import main as sweep
-from r2h_batch.trials.predictions import check_benchmark, load_answers, write_predictions
+from r2h_batch.trials.predictions import Answers, check_benchmark, load_answers, write_predictions
 
 FROZEN = {
     "r2h-v0": ("3bff8fe196d6ec35", "425d5ad2f97d0e45"),
@@ -117,9 +119,9 @@ def test_a_benchmark_is_a_value_that_is_edited_and_carried(tmp_path):
     with pytest.raises(
         ValueError, match=r"config.thresholds is .*say one: dataclasses.replace\(benchmark, thresholds=...\)"
     ):
-        Evaluator(load_benchmark("r2h-v1"), v1)
+        Evaluator(v1, EvalConfig(thresholds=Thresholds(reach_radius_m=0.2)))
     with pytest.raises(TypeError, match="Evaluator\\(config=EvalConfig"):
-        Evaluator(load_benchmark("r2h-v1"))
+        Evaluator(EvalConfig())
     with pytest.raises(ValueError, match="receiver is body, trials of r2h-v0 have none; take a benchmark of people"):
         replace(load_benchmark("r2h-v0"), receiver="body")
 
@@ -153,7 +155,82 @@ def test_a_benchmark_comes_by_name_file_or_function_and_a_typo_is_told(tmp_path,
 def test_a_stored_run_brings_no_code():
     header = {"protocol": "mine", "digests": {}, "configuration": {"plan": {"object_collision": "hull"}},
               "benchmark": {"flags": ["--benchmark os:getcwd"]}, "versions": {}}  # fmt: skip
-    from r2h_batch.protocols.choice import BenchmarkChoice
-
     with pytest.raises(FileError, match="give what its sweep was given: --benchmark os:getcwd"):
         benchmark_of_run(header, BenchmarkChoice(), "run")
+
+
+def other_parts(v1: Benchmark) -> dict[str, Benchmark]:
+    """r2h-v1 with one thing exchanged that decides what is asked or how it is judged."""
+    first, *rest = v1.objects
+    many = load_objects(["cup", "bowl"])
+    grown = people_hand_set(built_in_people("adults"))
+    listed = v1.trials(3)
+    moved = replace(listed, T_world_hand=listed.T_world_hand + 1e-3)
+
+    def with_first(**changes: object) -> Benchmark:
+        return v1.with_objects([replace(first, **changes), *rest])
+
+    return {
+        "rule": replace(load_benchmark("r2h-v0"), objects=v1.objects, hand_set=v1.hand_set),
+        "hands": replace(v1, hand_set=grown),
+        "body": replace(v1, receiver="body"),
+        "people": replace(v1, people=built_in_people("adults")),
+        "other people": replace(v1, people=built_in_people("children")),
+        "robot": replace(v1, robot=load_robot("ur10e_2f85")),
+        "robot, people as for the UR5e": replace(v1, robot=load_robot("ur10e_2f85"), persons="as-for-ur5e"),
+        "limits": replace(v1, thresholds=Thresholds(reach_radius_m=0.08)),
+        "place": replace(v1, workplace=v1.workplace.scaled(1.01)),
+        "objects": v1.with_objects(many),
+        "objects, the other way round": v1.with_objects(many[::-1]),
+        "mass": with_first(mass=first.mass + 0.001),
+        "split": with_first(split="S1" if first.split == "S0" else "S0"),
+        "words": with_first(words=load_objects(["cup_05"])[0].words),
+        "roles": with_first(roles={first.part_names[0]: "grasp"}),
+        "listed": replace(v1, listed=listed),
+        "listed, moved": replace(v1, listed=moved),
+    }
+
+
+def test_all_that_decides_is_in_the_digest_and_names_are_not():
+    v1 = load_benchmark("r2h-v1")
+    found = {"itself": v1.digest} | {name: b.digest for name, b in other_parts(v1).items()}
+    same = [(a, b) for a in found for b in found if a < b and found[a] == found[b]]
+    assert same == [] and len(found) > 15
+    renamed = replace(v1, name="mine")
+    assert renamed.digest == v1.digest and renamed.label == f"mine@{v1.digest}"
+
+
+def test_answers_to_an_edited_benchmark_of_the_same_name_are_refused_and_to_a_renamed_one_are_not():
+    v1 = load_benchmark("r2h-v1")
+    trials = replace(v1, thresholds=Thresholds(reach_radius_m=0.08)).trials(1)
+    poses = Predictions(trials.trial_id, eye(2), eye(2), method="mine")
+    with pytest.raises(FileError, match=r"file: answers trials of benchmark r2h-v1 \(\w{8}\), and r2h-v1 "):
+        check_benchmark(Answers(poses, benchmark=trials.benchmark), v1.label, "file")
+    renamed = replace(v1, name="mine")
+    check_benchmark(Answers(poses, benchmark=renamed.label), v1.label, "file")
+    judge = default_evaluator()
+    own = replace(judge.benchmark, name="mine").trials(1)
+    assert own.benchmark.startswith("mine@") and len(judge.score(eye(2), eye(2), own, "pose")) == 2
+
+
+def test_a_run_is_judged_by_the_benchmark_that_it_says_to_the_last_limit():
+    v1 = load_benchmark("r2h-v1")
+
+    def header(benchmark: Benchmark) -> dict:
+        digests = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
+        return {
+            "protocol": "r2h-v1",
+            "digests": {**digests, "benchmark": benchmark.digest},
+            "configuration": {"plan": {"object_collision": "hull"}, "receiver": benchmark.receiver},
+            "benchmark": {"flags": []},
+            "versions": {"r2h_batch": "1"},
+        }
+
+    assert benchmark_of_run(header(v1), BenchmarkChoice(), "run").digest == v1.digest
+    body = replace(v1, receiver="body")
+    assert benchmark_of_run(header(body), BenchmarkChoice(), "run").receiver == "body"
+    for name in ("limits", "place", "mass", "objects"):
+        with pytest.raises(FileError, match=r"run: was made with other .*benchmark"):
+            benchmark_of_run(header(other_parts(v1)[name]), BenchmarkChoice(), "run")
+    with pytest.raises(FileError, match="give what its sweep was given: no flag for objects or hands"):
+        benchmark_of_run(header(v1), BenchmarkChoice(people="adults"), "run")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from rounds import each
 
 from r2h_batch.base.package import VERSION
 from r2h_batch.closed_loop.env import End
@@ -55,7 +56,7 @@ def test_postures_are_as_long_as_the_arm_has_joints_and_nothing_else_changes() -
 
 
 def test_shipped_rows_hold_every_column_of_the_table_or_one_that_came_later() -> None:
-    for folder in stored_rows():
+    for folder in each(stored_rows()):
         run = load_run(folder, verify=False)
         for path in folder.rglob("*.parquet"):
             kind = path.relative_to(folder).parts[0]

@@ -2,19 +2,31 @@
 
 import multiprocessing
 import os
+import shutil
 import time
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from made_runs import NAMES, OUTCOMES, files_of, made_trials, make_header, make_scores, receipt_of, store, write
+from made_runs import (
+    NAMES,
+    OUTCOMES,
+    files_of,
+    made_trials,
+    make_header,
+    make_scores,
+    put_shard,
+    receipt_of,
+    store,
+    write,
+)
 
 from r2h_batch.runs import shard as shards
 from r2h_batch.runs.files import RunError, link_once, sha256_of
 from r2h_batch.runs.header import shards_of
 from r2h_batch.runs.rows import detail_rows, score_rows
-from r2h_batch.runs.shard import finish_storing, shard_folder
+from r2h_batch.runs.shard import finish_storing, number_of, shard_folder, stored_files
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
 
@@ -131,3 +143,27 @@ def test_rows_of_trials_that_a_shard_does_not_have_are_refused(tmp_path):
     with pytest.raises(RunError, match="nothing was stored"), run.write("m", *run.todo("m")) as writer:
         writer.append(trials=score_rows(trials, scores, NAMES), details=detail_rows(other, other_scores, NAMES))
     assert not files_of(tmp_path / "run")
+
+
+def test_a_shard_of_another_method_of_the_run_is_refused_under_this_ones_name(tmp_path):
+    folder, trials = tmp_path / "run", made_trials(6, 6)
+    run = open_run(folder, make_header(6, 6))
+    for name in ("good", "poor"):
+        store(run, name, trials, make_scores(trials, OUTCOMES))
+    good, poor = (files_of(folder, name) for name in ("good", "poor"))
+    poor[0].unlink()
+    shutil.copy(good[0], poor[0].parent)
+    with pytest.raises(RunError, match="foreign, its method is 'good' and not 'poor'"):
+        load_run(folder)
+
+
+def test_of_two_files_of_one_shard_the_one_with_the_smallest_name_counts(tmp_path):
+    """Whoever stores a shard second finds the first; two names are left only by a file system that lost one for a while."""
+    write(tmp_path / "run")
+    (first,) = files_of(tmp_path / "run")
+    table = pq.read_table(first, partitioning=None)
+    second = put_shard(first, table.set_column(table.column_names.index("t_plan_s"), "t_plan_s", table["t_exec_s"]))
+    assert second.name != first.name and number_of(second) == number_of(first) == 0
+    header = load_run(tmp_path / "run").header
+    low, high = sorted((first, second))
+    assert stored_files(header, tmp_path / "run", "m") == {0: low} and high.exists()

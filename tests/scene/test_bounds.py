@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from rounds import each
 from scipy.spatial import ConvexHull
 
 from r2h_batch.scene import bounds
@@ -15,7 +16,7 @@ def test_cells_never_lose_the_farthest_point() -> None:
     rng = np.random.default_rng(2)
     clouds = [o.hull_vertices.astype(np.float64) for o in load_objects(["hammer", "eyeglasses"])]
     clouds.append(rng.normal(size=(8, 3)))
-    for points in clouds:
+    for points in each(clouds):
         points = points[ConvexHull(points).vertices]
         rows = bounds.support_cells(points)
         d = rng.normal(size=(20000, 3))
@@ -57,7 +58,7 @@ def test_the_smallest_ball_is_that_of_some_of_its_points() -> None:
 
 
 def test_stored_balls_are_those_that_would_be_found() -> None:
-    for model in load_objects((*BUILT_IN_NAMES, *INSTANCE_NAMES[::7])):
+    for model in each(load_objects((*BUILT_IN_NAMES, *INSTANCE_NAMES[::7]))):
         hull = model.hull_vertices.astype(np.float64)
         np.testing.assert_allclose(
             bounds.ball_inside(hull), bounds.inner_ball(hull), rtol=0, atol=1e-9, err_msg=model.name
@@ -66,5 +67,5 @@ def test_stored_balls_are_those_that_would_be_found() -> None:
 
 def test_shipped_objects_need_no_linear_program(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounds, "inner_ball", lambda points: pytest.fail("an inner ball is not stored"))
-    for model in load_objects((*BUILT_IN_NAMES, *INSTANCE_NAMES)):
-        bounds.ball_inside(model.hull_vertices.astype(np.float64))
+    for model in each(load_objects((*BUILT_IN_NAMES, *INSTANCE_NAMES))):
+        assert np.isfinite(bounds.ball_inside(model.hull_vertices.astype(np.float64))).all()

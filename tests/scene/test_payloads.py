@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from dynamics_twin import some_payload
 from problems import default_evaluator
+from rounds import each
 
 from r2h_batch.scene.dynamics import MassProperties, Payload, PayloadTables, load, principal, quat_wxyz
 from r2h_batch.scene.model import SceneModel, TrialScenes, build_scene_model
@@ -58,7 +59,7 @@ def test_the_object_of_each_trial_is_the_one_it_holds():
     objects = rng.integers(0, len(scene.objects), N)
     trials = TrialScenes(scene.objects, T, objects, np.zeros(N, np.int64), T, np.full(N, 0.03))
     rows = model.loaded(trials)
-    for i in range(N):
+    for i in each(range(N)):
         o = Payload.of(scene.objects[objects[i]], T[i])
         assert rows["body_mass"][i] == o.mass and np.array_equal(rows["body_ipos"][i], o.com)
         np.testing.assert_allclose(rows["body_quat"][i], quat_wxyz(T[i, :3, :3]), atol=1e-15)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from convex_twin import primitive_distance
+from rounds import each
 
 from r2h_batch.assets.robot import build_robot
 from r2h_batch.scene import robot as robots
@@ -79,7 +80,7 @@ def test_flange_agrees_with_the_published_dh_parameters():
     rng = np.random.default_rng(0)
     d, a = (0.1625, 0, 0, 0.1333, 0.0997, 0.0996), (0, -0.425, -0.3922, 0, 0, 0)
     alpha = (P / 2, 0, 0, P / 2, -P / 2, 0)
-    for q in rng.uniform(-2 * P, 2 * P, (50, JOINTS)):
+    for q in each(rng.uniform(-2 * P, 2 * P, (50, JOINTS))):
         T = np.diag([-1.0, -1.0, 1.0, 1.0])  # DH's base is turned by half a turn against base_link
         for i in range(JOINTS):
             c, s, ca, sa = np.cos(q[i]), np.sin(q[i]), np.cos(alpha[i]), np.sin(alpha[i])

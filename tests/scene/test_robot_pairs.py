@@ -6,6 +6,7 @@ from itertools import pairwise, product
 import mujoco
 import numpy as np
 import pytest
+from rounds import each
 
 from r2h_batch.data import robot_pairs as self_pairs
 from r2h_batch.scene.robot import Primitives, Robot, ShapeKind, load_robot
@@ -37,7 +38,7 @@ def test_unchecked_pairs_stay_apart_on_a_dense_scan_of_their_joints():
         ("wrist_1", "gripper"): (4, 5, coarse, coarse, 0.030),
         ("wrist_2", "gripper"): (4, 5, coarse[:1], coarse, 0.040),
     }
-    for (a, b), (i, j, first, second, enough) in scans.items():
+    for (a, b), (i, j, first, second, enough) in each(scans.items()):
         wanted = sorted((robot.links.index(a), robot.links.index(b)))
         meant = np.isin(owner, wanted)
         model.geom_contype[:], model.geom_conaffinity[:] = (np.where(meant, x, 0) for x in kinds)

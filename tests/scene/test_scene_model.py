@@ -11,6 +11,7 @@ import pytest
 import warp as wp
 from dynamics_twin import mass_matrix, some_payload
 from problems import default_evaluator
+from rounds import each
 from scipy.spatial import cKDTree
 
 from r2h_batch.base.launch import init_warp
@@ -75,7 +76,7 @@ def same_points(a: np.ndarray, b: np.ndarray, tol: float = 2e-6) -> bool:
 
 def test_every_object_and_hand_stands_where_its_trial_says_whatever_stood_there_before():
     rng, s = np.random.default_rng(0), scene()
-    for o in range(len(s.objects)):
+    for o in each(range(len(s.objects))):
         before, trial = some_trial(rng, (o + 5) % len(s.objects), 17), some_trial(rng, o, HANDS[o % 3])
         q = rng.uniform(-2, 2, 6)
         m, data = at(built(), trial, q, (before,))
@@ -83,7 +84,7 @@ def test_every_object_and_hand_stands_where_its_trial_says_whatever_stood_there_
         for name, points in (("mesh_visual", s.objects[o].vertices), ("hull_0", s.objects[o].hull_vertices)):
             geom = m.geom(f"object/{name}").id
             assert same_points(mesh_points(m, data, geom), points @ T[:3, :3].T + T[:3, 3]), (o, name)
-        for k, name in enumerate(s.hands.model.piece_names):
+        for k, name in each(enumerate(s.hands.model.piece_names)):
             points = s.hands.piece_points(trial.hand_index, k).astype(np.float64)
             points = points @ trial.T_world_hand[:3, :3].T + trial.T_world_hand[:3, 3]
             assert same_points(mesh_points(m, data, m.geom(f"hand/{name}").id), points), (o, name)

@@ -27,9 +27,15 @@ def test_a_variants_flags_and_options_are_a_sweeps():
     from r2h_batch.sweep.options import parse
     from r2h_batch.sweep.request import requested
 
+    found = {}
     for v in sensitivity.variants():
         request = requested(parse(["--benchmark", "r2h-v1", "--method", *v.methods, *(v.flags or sensitivity.BASE)]))
         jobs.resolve(request.methods, request.loop)
+        assert request.methods.names == tuple(v.methods), v.name
+        found[v.name] = (request.methods, request.trials, request.configuration)
+    # each says something that no other says
+    same = [(a, b) for a in found for b in found if a < b and found[a] == found[b]]
+    assert same == [] and len(found) == len(sensitivity.variants()) > 20
 
 
 def test_readmes_table_is_exchanged_and_says_who_is_better_from_both_sides():

@@ -99,6 +99,33 @@ def test_nothing_that_a_folder_names_is_run_and_a_changed_method_is_refused(run,
     (run / "own.py").write_text(BY_X)
 
 
+NOTES_SEED = """
+from pathlib import Path
+from r2h_batch.methods.random import predict
+
+
+def noting(trials, scene, *, seed):
+    with Path(__file__).with_name("seeds.txt").open("a") as file:
+        print(seed, file=file)
+    return predict(trials, scene, seed=seed)
+"""
+
+
+def test_a_users_method_is_asked_with_the_runs_seed_in_turned_runs_too(tmp_path, capsys):
+    (tmp_path / "own.py").write_text(NOTES_SEED)
+    word, few = f"mine={tmp_path / 'own.py'}:noting", ("--trials", 2, "--splits", "S1", "--sim", "none", "--quiet")
+    assert command("sweep", "--method", word, *few, "--seed", 3, "--out", tmp_path / "run") == 0
+    swept = (tmp_path / "seeds.txt").read_text().split()
+    assert command("turn", tmp_path / "run", "--method", word) == 0
+    capsys.readouterr()
+    turned = (tmp_path / "seeds.txt").read_text().split()[len(swept) :]
+    assert set(swept) == {"3"} == set(turned) and len(turned) >= len(FRAMES)
+    shutil.rmtree(tmp_path / "run-turned")
+    assert command("turn", tmp_path / "run", "--method", word, "--trials", 1) == 0
+    for turn in FRAMES:
+        assert load_run(tmp_path / "run-turned" / turn).trials("mine")["trial_id"].to_pylist() == [1]  # S1's first
+
+
 def test_a_turn_test_of_another_run_is_refused(run, capsys, tmp_path):
     assert command("sweep", "--method", "intent", *FEW, "--seed", 3, "--out", tmp_path / "run") == 0
     shutil.copytree(run / "run-turned", tmp_path / "run-turned")

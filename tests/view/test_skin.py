@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rounds import each
 from scipy.spatial import cKDTree
 
 from r2h_batch.protocols.choice import BenchmarkChoice
@@ -53,7 +54,7 @@ def rim(surface, near):
 
 def test_the_drawn_arm_lies_in_the_judged_capsules_but_for_a_stated_overshoot(drawn):
     _, receivers, _, _, found, _ = drawn
-    for receiver, skin in zip(receivers, found, strict=True):
+    for receiver, skin in each(zip(receivers, found, strict=True)):
         for k, name in enumerate(("upper_arm", "forearm")):
             a, b = receiver[k, :3], receiver[k + 1, :3]
             v = vertices(skin[name])
@@ -73,7 +74,7 @@ def test_the_drawn_arm_lies_in_the_judged_capsules_but_for_a_stated_overshoot(dr
 
 def test_the_drawn_arm_ends_where_the_hand_begins(drawn):
     _, receivers, _, hands, found, _ = drawn
-    for receiver, hand, skin in zip(receivers, hands, found, strict=True):
+    for receiver, hand, skin in each(zip(receivers, hands, found, strict=True)):
         edge = rim(skin["forearm"], receiver[2, :3])
         assert np.linalg.norm(edge.mean(0) - receiver[2, :3]) < 0.010
         assert cKDTree(hand).query(edge)[0].max() < 0.025
@@ -81,7 +82,7 @@ def test_the_drawn_arm_ends_where_the_hand_begins(drawn):
 
 def test_who_stands_has_the_feet_on_the_floor_and_who_sits_has_them_near_it(drawn):
     _, _, _, _, found, trials = drawn
-    for k, skin in enumerate(found):
+    for k, skin in each(enumerate(found)):
         low = vertices(skin["torso"])[:, 2].min()
         stands = trials.person is not None and not trials.person[k, PERSON.index("seated")]
         assert abs(low - (0.025 - 0.74)) < (0.005 if stands else 0.13)
@@ -94,7 +95,7 @@ def test_who_stands_has_the_feet_on_the_floor_and_who_sits_has_them_near_it(draw
 def test_a_left_arm_is_the_mirror_image_of_a_right_one(drawn):
     _, receivers, left, _, _, _ = drawn
     flip = np.array([1.0, -1.0, 1.0])
-    for receiver, side in zip(receivers[:6], left[:6], strict=True):
+    for receiver, side in each(zip(receivers[:6], left[:6], strict=True), 6):
         other = receiver.copy()
         other[:4, :3] *= flip
         other[4, 3] *= -1
@@ -114,7 +115,7 @@ def test_a_built_in_person_is_drawn_with_the_own_body():
 
 def test_surfaces_face_outwards(drawn):
     _, _, _, _, found, _ = drawn
-    for skin in found[:6]:
+    for skin in each(found[:6], 6):
         for name in ("torso", "upper_arm", "forearm", "head"):
             points, faces = skin[name]
             a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]

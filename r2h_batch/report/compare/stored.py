@@ -43,16 +43,13 @@ def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
     """
     if header is None:
         return baselines_of(None, DEFAULT_PROTOCOL)
-    ranked = sorted(
-        ((_likeness(header, own), folder) for folder, own in _headers().items()),
-        key=lambda pair: pair[0],
-        reverse=True,
-    )
-    if not ranked or ranked[0][0][:2] < (1, 1):
+    likeness = {folder: _likeness(header, own) for folder, own in _headers().items()}
+    suited = [folder for folder, (benchmark, preset, _) in likeness.items() if benchmark and preset]
+    if not suited:
         flags = " ".join((header.get("benchmark") or {}).get("flags", ()))
         preset = header.get("configuration", {}).get("name", "default")
         raise FileError(_none_stored(str(header.get("protocol", "")), flags, preset))
-    return ranked[0][1]
+    return max(suited, key=lambda folder: likeness[folder])
 
 
 def baselines_of(digest: str | None, name: str) -> Path:

@@ -8,6 +8,7 @@ import pytest
 import torch
 import warp as wp
 from pretend_cuda import OnCuda, pretending
+from rounds import each
 from screwdriver import OBJECTS, ROBOT, screwdrivers
 
 from r2h_batch.closed_loop.transfer import worlds_mjwarp
@@ -50,7 +51,7 @@ def same_bits(a: Transferred, b: Transferred) -> bool:
 def test_worlds_with_different_objects_agree_with_mujoco_c(exact, batched):
     """Where the gripper is free at the same tick, which it is in all but one transfer at most; there it is the next one."""
     handed, other_ticks = knives_and_screwdrivers(), 0
-    for one, (two, doubt) in zip(exact(handed, CASES), batched.worlds(handed, CASES), strict=True):
+    for one, (two, doubt) in each(zip(exact(handed, CASES), batched.worlds(handed, CASES), strict=True)):
         a, b = one.transfers, two.transfers
         assert a.outcome == b.outcome and not doubt.any()
         assert not same_bits(one, two)  # float32: they were not copied

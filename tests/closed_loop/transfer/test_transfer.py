@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from alive import alive, all_end, children_of, until
+from rounds import each
 from screwdriver import OBJECTS, ROBOT, screwdrivers
 
 from r2h_batch.closed_loop.transfer import person, release
@@ -191,7 +192,7 @@ def test_rows_have_the_same_bits_in_any_order_batch_and_number_of_processes(poli
     (alone,) = simulated(handed[2:3], case)
     with processes(Simulator(ROBOT, OBJECTS, Setting(), 0), 2) as two:
         found = [t for _, made in two([handed[:2], handed[2:]], [case]) for t in made]
-    for name in (f.name for f in fields(whole.transfers) if f.name != "outcome"):
+    for name in each(f.name for f in fields(whole.transfers) if f.name != "outcome"):
         x = getattr(whole.transfers, name)
         assert np.array_equal(x[order], getattr(turned.transfers, name), equal_nan=True), name
         assert np.array_equal(x[2:3], getattr(alone.transfers, name), equal_nan=True), name
@@ -238,6 +239,7 @@ def test_half_the_time_step_changes_no_outcome():
     cases = [Case("load-share", "take", 0), Case("threshold", "take", 0), Case("timer", "touch", 0)]
     whole, half = (simulated(screwdrivers(4), *cases, setting=Setting(steps=n)) for n in (STEPS, 2 * STEPS))
     assert [m.transfers.outcome for m in whole] == [m.transfers.outcome for m in half]
+    assert [m.transfers.outcome for m in whole] == [["taken"] * 4, ["taken"] * 4, ["false_release"] * 4]
 
 
 def test_another_person_of_the_same_trial_is_drawn_anew_and_policies_meet_the_same_one():

@@ -10,6 +10,7 @@ import pytest
 import torch
 from motions import ARM, BRIEF, MUJOCO, N, into_the_table, placed, problems, reference_run, run
 from problems import default_evaluator
+from rounds import each
 
 import r2h_batch.judge.motion.execute as module
 from r2h_batch import load_benchmark
@@ -129,7 +130,7 @@ def test_rows_do_not_depend_on_who_else_needs_the_scene():
     found = torch.nonzero(problems().plan.length > 0).flatten()
     for rows in (found[:1], found[:5].flip(0)):
         part = auto(clearance, rows)
-        for i, row in enumerate(rows.tolist()):
+        for i, row in each(enumerate(rows.tolist())):
             assert same(part, whole, i, row) and torch.equal(part.slack_m[i], whole.slack_m[row])
 
 

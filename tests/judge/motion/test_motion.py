@@ -26,6 +26,7 @@ from motions import (
     run,
 )  # fmt: skip
 from problems import default_evaluator
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.base.launch import init_warp, launch
@@ -161,7 +162,7 @@ def test_every_step_of_the_motion_lies_within_the_slack_of_the_recorded_lines():
     coarse, fine = reference_run(MUJOCO), run(replace(MUJOCO, record_steps=1, dwell_s=0.5))
     lever = default_evaluator().scene.motion_radii.numpy()
     k = 4
-    for row in torch.nonzero(p.plan.length > 0).flatten().tolist():
+    for row in each(torch.nonzero(p.plan.length > 0).flatten().tolist()):
         n = min(int(coarse.length[row]), (int(fine.length[row]) - 1) // k + 1)
         q = fine.path[row, : (n - 1) * k + 1].double().numpy()
         np.testing.assert_array_equal(q[::k], coarse.path[row, :n].double().numpy())
@@ -248,7 +249,7 @@ def test_rows_do_not_depend_on_their_batch(config):
         motion = time_path(path, length, config)
         with on_threads(1):
             e = execute(default_evaluator().scene, placed(rows), path, length, motion, config)
-        for i, row in enumerate(rows.tolist()):
+        for i, row in each(enumerate(rows.tolist())):
             n = int(whole.length[row])
             assert int(e.length[i]) == n and torch.equal(e.path[i, :n], whole.path[row, :n])
             assert torch.equal(e.slack_m[i], whole.slack_m[row]) and torch.equal(e.settled[i], whole.settled[row])

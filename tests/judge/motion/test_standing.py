@@ -8,6 +8,7 @@ import pytest
 import torch
 import warp as wp
 from motions import BRIEF_WARP, problems, reference_run, run
+from rounds import each
 
 from r2h_batch.judge.motion import sim_mjwarp
 from r2h_batch.judge.motion.time_law import time_path
@@ -78,6 +79,6 @@ def test_more_trials_than_there_was_room_for_find_more(monkeypatch):
     monkeypatch.setitem(sim_mjwarp.MAX_WORLDS, "cpu", 1)  # one world for any number of trials
     for rows in (found[:1], found):
         e = run(ARM, *some_paths(rows))
-        for i in rows:
+        for i in each(rows):
             n = int(whole.length[i])
             assert int(e.length[i]) == n and torch.equal(e.path[i, :n], whole.path[i, :n])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from refusals import one_line
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
@@ -169,6 +170,6 @@ def test_files_that_are_no_predictions_are_refused_in_one_line(scene, asked, see
         "need 0 to 1 (a sigmoid?)": ("contacts", {"trial_id": ids, "probability": big + 1.5}),
         "rows go by one of": ("contacts", {"probability": big + 0.5}),
     }  # fmt: skip
-    for words, (kind, arrays) in cases.items():
+    for words, (kind, arrays) in each(cases.items()):
         with one_line(re.escape(words)):
             seen_in(kind, arrays)

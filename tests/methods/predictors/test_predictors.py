@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.base.errors import UsageError
@@ -80,7 +81,7 @@ def test_a_row_depends_on_seed_and_trial_id_only(scene, trials, predict, names) 
     for rows in (0, 1, 2, 33):
         order = torch.randperm(len(trials), generator=torch.Generator().manual_seed(rows))[:rows]
         part = predict(trials[order], scene, seed=3)
-        for name in names:
+        for name in each(names):
             value = getattr(whole, name)
             assert torch.equal(value[order], getattr(part, name)), (name, rows)
             assert not torch.equal(value, getattr(other, name))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from rounds import each
 from scipy.spatial.transform import Rotation
 
 from r2h_batch import load_benchmark
@@ -61,7 +62,7 @@ def test_the_arm_reaches_the_reference_grasp_of_every_trial_with_the_object_15_c
     T = np.linalg.inv(THEIRS) @ release_frames(trials)
     x, n = T[:, :3, 0], T[:, :3, 2]
     tool = np.stack([x, np.cross(-n, x), -n], 2)
-    for i, o in enumerate(trials.object_index.tolist()):
+    for i, o in each(enumerate(trials.object_index.tolist())):
         grasp = candidates_of(objects)[o].T_obj_ee[0].astype(float)
         center = (objects[o].vertices.min(0) + objects[o].vertices.max(0)) / 2
         T_world_obj = np.eye(4)

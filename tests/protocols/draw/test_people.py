@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.assets.hand.build_handset import angles_from_pose
@@ -29,8 +30,8 @@ from r2h_batch.data.people import (
 from r2h_batch.protocols.benchmark import Benchmark, trials_digest
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.draw.people import Owners
-from r2h_batch.protocols.draw.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM, TABLE_HEIGHT_M, reach
-from r2h_batch.protocols.draw.wheelchair import KNEES, LAP_M, POPLITEAL_M, clear_of_lap
+from r2h_batch.protocols.draw.receivers import JOINT_BELOW_ACROMION, LENGTHS_MM, TABLE_HEIGHT_M, Person, reach
+from r2h_batch.protocols.draw.wheelchair import KNEES, LAP_M, POPLITEAL_M, clear_of_lap, off_the_lap
 from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.scene.arrays import arrays_digest, asset, read_arrays
@@ -154,6 +155,27 @@ def test_an_arm_that_rests_in_the_lap_is_refused() -> None:
     assert (low > 0.1).sum() > 5 and clear[low > 0.1].all()
 
 
+@pytest.mark.parametrize(("stature", "chest_depth"), [(1.5, 0.20), (1.8, 0.26)])
+def test_the_lap_ends_at_the_knees_buttock_knee_length_from_the_back(stature: float, chest_depth: float) -> None:
+    """A forearm across the person, level with the lap: refused up to its own thickness before the knees, and no farther."""
+    n, radius, height = 61, 0.04, LAP_M - TABLE_HEIGHT_M
+    ahead = np.linspace(0.2, 0.8, n)  # from the torso's middle
+    of = np.zeros((n, 3))
+    elbow, wrist = (np.stack([ahead, np.full(n, y), np.full(n, height)], 1) for y in (0.1, -0.1))
+    facing, half = np.tile([1.0, 0.0], (n, 1)), np.full((n, 3), 0.2)
+    person = Person(
+        elbow, elbow, wrist, np.tile([0.0, -1.0, 0.0], (n, 1)), of, np.full((n, 2), radius), of, facing, half
+    )
+
+    def every(people: Person, rows: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray, Person]:
+        return np.ones(n, bool), np.tile(np.eye(4, dtype=np.float32), (n, 1, 1)), people
+
+    sizes = (np.full(n, x) for x in (stature, chest_depth, 0.18))
+    fits, T, _ = off_the_lap(every, *sizes)(person, np.arange(n), np.zeros(n, np.int64))
+    knees = 0.356 * stature - chest_depth / 2
+    assert np.array_equal(fits, ahead > knees + radius) and 5 < fits.sum() < n - 5 and len(T) == fits.sum()
+
+
 def test_without_people_trials_are_the_protocols_own() -> None:
     assert load_benchmark("r2h-v1").trials(4).person is None
     both = [load_benchmark("r2h-v1").trials(20), load_benchmark("r2h-v1").trials(20)]
@@ -181,7 +203,7 @@ def test_the_hand_is_watertight_at_every_stature() -> None:
     shape = torch.from_numpy(people.hand_shape[shown])
     for side in (0, 1):
         posed = hand.pose(torch.zeros(25, 48), shape, torch.full((25,), side, dtype=torch.int8))
-        for skin in posed.vertices.numpy():
+        for skin in each(posed.vertices.numpy()):
             mesh = trimesh.Trimesh(skin, hand.faces_by_side[side].numpy(), process=False)
             assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 5e-5
 
@@ -250,7 +272,7 @@ def test_receiving_postures_keep_to_clinical_ranges_of_the_joints() -> None:
     right = np.where(stored["side"][:, None, None] == 1, [[1.0, -1.0, -1.0]], 1.0) * stored["pose"].reshape(-1, 16, 3)
     angles = np.array([angles_from_pose(pose.astype(np.float64).reshape(48), axes) for pose in right])
     for joints, (flexion, abduction) in NORMS.items():
-        for j in joints:
+        for j in each(joints):
             assert angles[:, j, 0].min() >= flexion[0] and angles[:, j, 0].max() <= flexion[1], j
             if abduction is not None:
                 assert abduction[0] <= angles[:, j, 1].min() and angles[:, j, 1].max() <= abduction[1], j

@@ -69,16 +69,19 @@ def test_known_directions_are_kept_unknown_ones_drawn_as_before_and_what_no_arm_
 def test_the_arm_can_have_the_hand(recorded):
     in_body, known, hands, trials = recorded
     joints = hands.model.pose(hands.pose, hands.shape, hands.side).joints.double().numpy()
+    kept = 0
     for i in range(len(trials)):
         k, r = int(trials.hand_index[i]), trials.receiver[i].double().numpy()
         if not known[k] or np.abs(turned(trials, i) - in_body[k]).max() > 1e-6:
             continue
+        kept += 1
         R, p = trials.T_world_hand[i, :3, :3].double().numpy(), trials.T_world_hand[i, :3, 3].double().numpy()
         wrist, middle = (R @ joints[k, j] + p for j in (0, 4))
         assert np.abs(wrist - r[2, :3]).max() < 1e-5
         forearm = (r[2, :3] - r[1, :3]) / np.linalg.norm(r[2, :3] - r[1, :3])
         angle = np.degrees(np.arccos((middle - wrist) @ forearm / np.linalg.norm(middle - wrist)))
         assert angle < 44 + 12  # the root of the middle finger lies up to 12 degrees out of the palm's plane
+    assert kept >= 10
 
 
 def test_a_recorded_arm_is_kept_with_its_lengths_and_without_one_nothing_changes(recorded):

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from made_runs import write_run
+from rounds import each
 from scipy import stats
 
 from r2h_batch.report.statistics import aggregate, breakdown
@@ -41,7 +42,7 @@ def test_wilson_agrees_with_scipy_on_a_grid():
         counts = sorted({0, 1, n // 3, n // 2, n - 1, n} & set(range(n + 1)))
         for confidence in (0.9, 0.95, 0.99):
             low, high = aggregate.wilson_interval(counts, n, confidence)
-            for k, a, b in zip(counts, low, high):
+            for k, a, b in each(zip(counts, low, high)):
                 expected = stats.binomtest(k, n).proportion_ci(confidence, method="wilson")
                 assert a == pytest.approx(expected.low, abs=1e-12)
                 assert b == pytest.approx(expected.high, abs=1e-12)

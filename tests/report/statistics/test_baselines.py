@@ -3,12 +3,14 @@
 import csv
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from made_runs import made_trials, make_header, make_scores
 
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
@@ -42,6 +44,33 @@ def test_rows_of_the_runs_benchmark_preset_and_engine_are_its_baselines_whatever
         match=r"benchmark mine --preset paper; make them with `r2h-batch sweep --benchmark r2h-v1 --method random ",
     ):
         baselines_for({**unknown, "benchmark": {"flags": ["--benchmark mine.yaml"]}})
+
+
+def test_stored_rows_of_another_preset_are_no_baselines_and_those_of_the_same_engine_come_first():
+    headers = {folder.name: load_run(folder, verify=False).header for folder in stored_rows()}
+    moved, planned = headers["v1"], headers["v1-as-planned"]
+    assert moved["digests"]["benchmark"] == planned["digests"]["benchmark"]
+    for header, name in ((moved, "v1"), (planned, "v1-as-planned")):
+        assert baselines_for(header).name == name
+    config = {**moved["configuration"], "name": "strict"}
+    with pytest.raises(FileError, match="are stored for benchmark r2h-v1 --preset strict"):
+        baselines_for({**moved, "configuration": config})
+    # of the same rule, objects and hands, but another limit: comparable, and the same benchmark goes first
+    other = {**moved, "digests": {**moved["digests"], "benchmark": "0"}}
+    assert baselines_for(other).name == "v1"
+    for part in ("objects", "hand_set"):
+        with pytest.raises(FileError, match="no rows of the built-in methods are stored"):
+            baselines_for({**other, "digests": {**other["digests"], part: "0"}})
+
+
+def test_a_benchmark_knows_its_stored_rows_by_digest_simulated_ones_of_the_default_preset():
+    v1, v0 = load_benchmark("r2h-v1"), load_benchmark("r2h-v0")
+    assert v1.baselines().folder.name == "v1" and v0.baselines().folder.name == "v0"
+    assert replace(v1, name="mine").baselines().folder.name == "v1"
+    with pytest.raises(FileError, match="no rows of the built-in methods are stored for benchmark r2h-v1"):
+        replace(v1, receiver="body").baselines()
+    with pytest.raises(FileError, match="stored for benchmark r2h-release"):  # its rows are of another preset
+        load_benchmark("r2h-release").baselines()
 
 
 def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_path, capsys, monkeypatch):

@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 from made_runs import OBJECTS, write_run
+from rounds import each
 
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import split_row
@@ -26,7 +27,7 @@ def test_the_outcome_is_the_first_failure_and_never_a_success_that_was_not_fully
     patterns = np.array(list(product((UNEVALUATED, FAILED, PASSED), repeat=len(CRITERIA))), np.uint8)
     by_name = dict(zip(CRITERIA, patterns.T, strict=True))
     for split, needed in enumerate(([0, 1, 2, 4], [0, 1, 2, 3, 4])):
-        for pattern, code in zip(patterns, first_failures(by_name, np.full(len(patterns), split)), strict=True):
+        for pattern, code in each(zip(patterns, first_failures(by_name, np.full(len(patterns), split)), strict=True)):
             failed = [c for c, state in zip(CRITERIA, pattern) if state == FAILED]
             if failed:
                 assert Outcome(code).name.lower() == failed[0]

@@ -7,6 +7,7 @@ import pytest
 import torch
 from made_runs import NAMES, made_trials, make_header, make_scores
 from problems import default_evaluator
+from rounds import each
 
 from r2h_batch.__main__ import main
 from r2h_batch.report.statistics import thresholds as others
@@ -136,7 +137,7 @@ def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
     run.register("random", {})
     with run.write("random", *run.todo("random")) as writer:
         writer.append(trials=score_rows(trials, scores, names))
-    for radius, width, safe in zip(*changes.values()):
+    for radius, width, safe in each(zip(*changes.values())):
         thresholds = Thresholds(reach_radius_m=radius, w_max_m=width, safe_margin_m=safe)
         again = Evaluator(load_benchmark("r2h-v1"), EvalConfig(thresholds=thresholds))
         outcome = again.score(predictions.T_obj_ee, predictions.T_world_ee, trials).outcome.numpy()

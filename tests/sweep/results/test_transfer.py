@@ -135,3 +135,26 @@ def test_several_persons_of_a_trial_do_not_narrow_its_interval_as_more_trials_wo
         return float(high) - float(low)
 
     assert width(4, 20) >= width(1, 20) > 1.5 * width(1, 80)
+
+
+def test_rates_of_weak_and_firm_grips_and_of_stiff_arms_stand_in_their_own_columns(tmp_path):
+    """Of eight received objects the four of weak grips are dropped but one, and stiff arms take three of four."""
+    n = 8
+    words = {
+        "trial_id": np.arange(n),
+        "release": ["never"] * n,
+        "scenario": ["take"] * n,
+        "person": np.zeros(n, np.int16),
+        "outcome": ["dropped", "dropped", "dropped", "taken", *["taken"] * 4],
+        "person_grip": [0.5, 0.6, 0.7, 0.8, 1.2, 1.4, 1.6, 1.8],
+        "person_arm_n_m": [10.0, 20, 80, 30, 40, 50, 60, 70],
+        "false_release": np.zeros(n, bool),
+    }
+    columns = [pa.array(words[f.name], f.type) if f.name in words else pa.array(np.ones(n), f.type) for f in SCHEMA]
+    file = tmp_path / "made.parquet"
+    pq.write_table(pa.Table.from_arrays(columns, schema=SCHEMA), file)
+    shown = render({"m": file}, [Case("never", "take", 0)]).splitlines()
+    (k,) = (k for k, line in enumerate(shown) if "weak grip" in line)
+    headings, cells = ([c.strip() for c in shown[i].split("|")] for i in (k, k + 2))  # a rule lies between
+    ends = dict(zip(headings, cells, strict=True))
+    assert (ends["weak grip"], ends["firm grip"], ends["stiff arm"]) == ("25.0", "100.0", "75.0")

@@ -1,5 +1,7 @@
 """Capacities of grasps: closed forms, scipy's linprog, and grasps of the held-out set."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -49,6 +51,8 @@ def test_a_load_is_carried_by_the_least_grip_and_a_margin_and_a_pinch_cannot_car
     assert total == pytest.approx(max(SAFETY * least, GRIP_BASE_N + 5 * weight))
     # what is left of the friction, and the load's own part
     assert capacity[2] == pytest.approx((total * friction - weight + weight) / total)
+    slippery, _ = capacity_of(*PINCH, np.array([0, 0, weight, 0, 0, 0.0]), 0.1)
+    assert slippery == pytest.approx(SAFETY * weight / 0.1) and slippery < MOST_GRIP_N
     about = np.array([0, 0, weight, 0.1, 0, 0])
     assert capacity_of(*PINCH, about, friction) == (0.0, pytest.approx(np.zeros(6)))
     assert np.array_equal(
@@ -78,6 +82,12 @@ def test_held_out_grasps_that_carry_the_object_withstand_more_than_its_weight():
     assert (grips.total_n > 0).all() and (grips.total_n <= MOST_GRIP_N).all()
     assert (grips.capacity[:, 2] * grips.total_n >= weight - 1e-6).all()
     assert load_hand() is held_out.grasps.hand
+    every = Withstood.of(objects, load_hand())
+    for k, down in enumerate(GRAVITY):
+        pulled = usual_grips(held_out, objects, rows, np.repeat(down[None], len(rows), axis=0))
+        assert np.array_equal(pulled.total_n, every.total_n[rows, k].astype(np.float64))
+        assert np.array_equal(pulled.capacity, every.capacity[rows, k].astype(np.float64))
+    assert np.ptp(every.capacity[rows], axis=1).max() > 0.01  # directions differ
 
 
 def least_and_most(edges, load, total=None):
@@ -148,3 +158,22 @@ def test_a_turned_object_has_the_capacities_of_its_own_frame():
     found = usual_grips(load_held_out(other), other, rows, down @ R.T)
     assert np.array_equal(found.capacity, own.capacity) and np.array_equal(found.total_n, own.total_n)
     assert found.center == pytest.approx(own.center @ R.T) and found.axes == pytest.approx(np.stack([R] * 3))
+
+
+def test_capacities_of_a_users_object_are_kept_for_its_hand_its_mesh_and_its_mass(monkeypatch):
+    """An empty store: what differs in anything that decides the figures has a key of its own."""
+    keys = []
+
+    def kept(folder, key, make, form):
+        keys.append((folder, key))
+        return {
+            name: np.zeros([1 if n == "holds" else n for n in spec.shape], spec.dtype) for name, spec in form.items()
+        }
+
+    monkeypatch.setattr(programs_of, "cached", kept)
+    (cup,) = load_objects(["cup"])
+    heavy, heavier = (replace(cup, name="own", mass=cup.mass + more) for more in (0.123, 0.124))
+    for hand in (load_hand(), people_hand()):
+        for own in (heavy, heavier):
+            assert Withstood.of([own], hand).capacity.shape == (1, 6, 6)
+    assert len(set(keys)) == 4 and {folder for folder, _ in keys} == {"capacity"}

@@ -9,6 +9,7 @@ import torch
 import trimesh
 from golden import GOLDEN, made_with
 from hand_twins import skinning_twin
+from rounds import each
 from scipy.spatial import cKDTree
 
 from r2h_batch.assets.hand.measure import hull_planes, sample_surface, winding_number
@@ -141,7 +142,7 @@ def test_every_frozen_grasp_touches_and_does_not_cut(grasps) -> None:
 def test_grasps_lie_on_the_receivers_region_and_on_every_part_that_instructions_name(grasps) -> None:
     init_warp()
     for index, model in enumerate(OBJECTS):
-        for intent in intents_of(model):
+        for intent in each(intents_of(model)):
             for side in (0, 1):
                 rows = grasps.rows_of(index, side)
                 held = torch.isin(grasps.part[rows], torch.tensor(intent.labels, dtype=torch.uint8))

@@ -11,6 +11,7 @@ import numpy as np
 import oracle
 import pytest
 import trimesh
+from rounds import each
 
 from r2h_batch.config import HOME_Q
 from r2h_batch.scene.robot import load_robot
@@ -81,7 +82,7 @@ def trajectory(folder, name="trajectory.csv"):
 def test_distances_on_the_exported_geoms_are_those_of_the_planners_bodies(exported, scene):
     rng = np.random.default_rng(0)
     objects = {o.name: i for i, o in enumerate(scene.objects)}
-    for stored, folder in exported.values():
+    for stored, folder in each(exported.values()):
         model, data = load(folder)
         staged = oracle.Staged(
             objects[stored.row["object"]],
@@ -91,7 +92,7 @@ def test_distances_on_the_exported_geoms_are_those_of_the_planners_bodies(export
             stored.row["opening_m"],
         )
         twin = oracle.mujoco_scene(scene, staged)
-        for q in (*stored.q, *(stored.q[-1] + rng.normal(size=(6, 6)) * 0.2)):
+        for q in each((*stored.q, *(stored.q[-1] + rng.normal(size=(6, 6)) * 0.2))):
             ours, theirs = clearances(model, data, q), twin.clearances(q, cap=CAP_M).distance
             for name in CHECKED:
                 if theirs[name] < CAP_M and theirs[name] > 0:
@@ -152,7 +153,7 @@ def _robot_distance(model, data, triangles, q):
 
 def test_the_trajectory_is_the_timed_path_with_all_its_waypoints(exported):
     robot = load_robot()
-    for stored, folder in exported.values():
+    for stored, folder in each(exported.values()):
         header, rows = trajectory(folder)
         assert header == ["time_s", *robot.joints]
         t, q = rows[:, 0], rows[:, 1:]
@@ -182,7 +183,7 @@ def test_a_model_opens_at_home_stays_there_and_plays_with_the_script_beside_it(e
 
 
 def test_contacts_are_those_of_the_checked_pairs(exported):
-    for stored, folder in exported.values():
+    for stored, folder in each(exported.values()):
         model, data = load(folder)
         data.qpos[:] = stored.q[-1]
         mujoco.mj_forward(model, data)

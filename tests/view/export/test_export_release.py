@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
+from rounds import each
 from sweep_command import in_process
 
 from r2h_batch.__main__ import main
@@ -95,7 +96,7 @@ def validate(t):
 
 
 def test_files_keep_what_the_release_demands_of_a_trial(written):
-    for path in (written / "files").glob("oracle_*.json"):
+    for path in each((written / "files").glob("oracle_*.json")):
         t = json.loads(path.read_text())
         validate(t)
         joints = np.array(t["executed_joints"])
