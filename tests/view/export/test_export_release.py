@@ -19,7 +19,18 @@ from r2h_batch.view.export.release import write_release_results
 def written(run, tmp_path_factory):
     """A trial of each split in the release's form."""
     folder = tmp_path_factory.mktemp("release")
-    line = ["--to", "r2handoversim", "--method", "oracle", "--trials", "1", "--out", str(folder / "files")]
+    line = [
+        "--to",
+        "r2handoversim",
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "oracle",
+        "--trials",
+        "1",
+        "--out",
+        str(folder / "files"),
+    ]
     assert main(["export", str(run), *line]) == 0
     return folder
 
@@ -140,7 +151,18 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
 
 def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verdicts(run, written, tmp_path, capsys):
     for method in ("oracle", "random"):
-        line = ["--to", "r2handoversim", "--method", method, "--trials", "1", "--out", str(tmp_path / method)]
+        line = [
+            "--to",
+            "r2handoversim",
+            "--benchmark",
+            "r2h-v1",
+            "--method",
+            method,
+            "--trials",
+            "1",
+            "--out",
+            str(tmp_path / method),
+        ]
         assert main(["export", str(run), *line]) == 0
     both = [r for m in ("oracle", "random") for r in json.loads((tmp_path / m / "results.json").read_text())]
     assert len(both) == 8 and len({r["trial_id"] for r in both}) == 8
