@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from r2h_batch import load_benchmark
 from r2h_batch.data.people import GROUPS, built_in_people
-from r2h_batch.trials.benchmark.benchmark import Benchmark
+from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.types import PERSON, Trials
 
 F64 = NDArray[np.float64]

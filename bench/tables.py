@@ -61,11 +61,11 @@ class Published:
         return ["--method", *METHODS, "--trials", str(trials), *self.flags]
 
 
-_SHIPPED, _OTHERS, _PAPER = Path("r2h_batch/report/compare"), Path("bench/rows"), ("--preset", "paper")
+_SHIPPED, _OTHERS, _PAPER = Path("r2h_batch/report/compare/rows"), Path("bench/rows"), ("--preset", "paper")
 _V0, _V1 = ("--benchmark", "r2h-v0", "--sim", "mujoco"), ("--benchmark", "r2h-v1", "--sim", "mujoco")
 _RELEASE = ("--preset", "release")
 PUBLISHED = (
-    Published("table1-v1", "Table I of r2h-v1", _V1, _SHIPPED / "baselines"),
+    Published("table1-v1", "Table I of r2h-v1", _V1, _OTHERS / "v1"),
     Published(
         "table1-v1-paper-preset",
         "Table I of r2h-v1, planned as the paper does",
@@ -85,8 +85,13 @@ PUBLISHED = (
         _OTHERS / "release-release-preset",
     ),
     Published("table1-v0", "Table I of r2h-v0", _V0, _OTHERS / "v0"),
+    Published("v1-as-planned", "", ("--benchmark", "r2h-v1", "--sim", "none", "--no-poses"), _OTHERS / "v1-as-planned"),
+    Published("r2h-v2", "", ("--benchmark", "r2h-v2", "--sim", "mujoco"), _SHIPPED / "r2h-v2"),
     Published(
-        "as-planned", "", ("--benchmark", "r2h-v1", "--sim", "none", "--no-poses"), _SHIPPED / "baselines_as_planned"
+        "r2h-v2-as-planned",
+        "",
+        ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses"),
+        _SHIPPED / "r2h-v2-as-planned",
     ),
 )
 TABLES = tuple(p for p in PUBLISHED if p.title)

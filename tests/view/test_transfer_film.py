@@ -5,9 +5,9 @@ import pytest
 from needs import needs
 
 from r2h_batch.__main__ import main
-from r2h_batch.report.compare.stored import baselines_for
+from r2h_batch.report.compare.stored import ROWS
 
-VIEW = ["view", str(baselines_for()), "--method", "oracle", "--trial"]
+VIEW = ["view", str(ROWS / "v1"), "--method", "oracle", "--trial"]
 
 
 @needs("gl")
@@ -57,7 +57,7 @@ def test_a_row_that_nobody_receives_has_no_transfer_to_show(tmp_path, capsys):
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results.reception import judge_of_bodies, judged_one
 
-    run = load_run(baselines_for()).only(["oracle"])
+    run = load_run(ROWS / "v1").only(["oracle"])
     judge, (name,) = judge_of_bodies(run, BUILT_IN, "cpu")
     refused = None
     for trial in range(20, 60):

@@ -8,11 +8,11 @@ from r2h_batch.closed_loop.transfer.handed import gripped_of
 from r2h_batch.closed_loop.transfer.held import hold
 from r2h_batch.closed_loop.transfer.model import STEPS, Setting
 from r2h_batch.closed_loop.transfer.worlds_mujoco import Models
-from r2h_batch.report.compare.stored import baselines_for
+from r2h_batch.report.compare.stored import ROWS
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.reevaluation import Judge
 
-ROWS = {
+CASES = {
     "Handover-VA (oracle labels + noise)": {"wineglass": 10, "power_drill": 13},
     "oracle": {"eyeglasses": 18},
 }
@@ -23,10 +23,10 @@ at a quarter of the step."""
 @pytest.fixture(scope="module")
 def rows():
     """Object -> its row, and models at the step, half and a quarter of it."""
-    run = load_run(baselines_for())
+    run = load_run(ROWS / "v1")
     judge = Judge(run)
     scene, found = judge.evaluator.scene, {}
-    for name, ids in ROWS.items():
+    for name, ids in CASES.items():
         stored = {r["trial_id"]: r for r in run.poses(name).to_pylist() if r["trial_id"] in ids.values()}
         for word, i in ids.items():
             poses = (torch.tensor(stored[i][k]).reshape(1, 4, 4) for k in ("T_obj_ee", "T_world_ee"))

@@ -9,7 +9,7 @@ from r2h_batch.closed_loop.transfer.cases import Case, Simulator
 from r2h_batch.closed_loop.transfer.handed import handed_of
 from r2h_batch.closed_loop.transfer.model import STEPS, Setting
 from r2h_batch.judge.reception import reception
-from r2h_batch.report.compare.stored import baselines_for
+from r2h_batch.report.compare.stored import ROWS
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.reevaluation import Judge
 
@@ -22,7 +22,7 @@ PROBES = [Case("probe", "touch", 0), Case("probe", "take", 0)]
 @pytest.fixture(scope="module")
 def received():
     """Received rows of the oracle, from trials that nothing was tuned on, and what simulates them."""
-    run = load_run(baselines_for())
+    run = load_run(ROWS / "v1")
     judge = Judge(run)
     rows = {r["trial_id"]: r for r in run.poses("oracle").to_pylist()}
     grasp, handover = (

@@ -10,6 +10,7 @@ from people_twin import capsule
 
 from r2h_batch import load_benchmark
 from r2h_batch.data.people import built_in_people
+from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.draw.own_torso import (
     ROOM_M,
@@ -22,7 +23,6 @@ from r2h_batch.protocols.draw.own_torso import (
 from r2h_batch.protocols.draw.receivers import Person, reach
 from r2h_batch.protocols.edit import edited
 from r2h_batch.scene.robot import ShapeKind
-from r2h_batch.trials.benchmark.benchmark import Benchmark
 
 NEAR_M = 1e-6
 """Trials are stored in single precision."""

@@ -12,7 +12,7 @@ from r2h_batch.closed_loop.transfer.cases import Simulator
 from r2h_batch.closed_loop.transfer.handed import gripped_of
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.judge.grasp_physics import close_in_physics
-from r2h_batch.report.compare.stored import baselines_for
+from r2h_batch.report.compare.stored import ROWS
 from r2h_batch.report.held import stable_rates
 from r2h_batch.report.table import render, table_of
 from r2h_batch.runs.store import load_run
@@ -25,7 +25,7 @@ FC, VA = "FC-Handover (oracle hand + noise)", "Handover-VA (oracle labels + nois
 
 def test_closing_fingers_and_the_weight_lose_objects_that_stability_passes():
     """Rows of r2h-v1 that ship with the package. A simulation with its own approach and another step agrees."""
-    run = load_run(baselines_for())
+    run = load_run(ROWS / "v1")
     judge = Judge(run)
     evaluator = judge.evaluator
     lost, others = {}, {}
