@@ -9,7 +9,7 @@ SETUP := $(VENV)/.installed
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
-demo: $(SETUP)  ## Table I for two methods over all 16 objects, on a small number of trials
+demo: $(SETUP)  ## Table I for two methods over all 96 objects, on a small number of trials
 	$(BIN)/python -m r2h_batch.sweep --method random oracle --splits S0 S1 --trials 60 --out runs/demo
 
 test: lint  ## linters, types, and all tests but the slow ones; tells what was left out and how to get it

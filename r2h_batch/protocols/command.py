@@ -11,16 +11,18 @@ def show(*, builtin: bool = False) -> int:
     """Print the schema of a benchmark file (JSON Schema).
 
     Args:
-        builtin: print the built-in benchmark as a file (YAML) that you can edit.
+        builtin: print the default benchmark as a file (YAML) that you can edit.
     """
     import json
 
     from r2h_batch.protocols.file_fields import BenchmarkFile
 
     if builtin:
-        from r2h_batch.protocols.file_fields import built_in_text
+        from r2h_batch.protocols.file_fields import text_of
+        from r2h_batch.protocols.load import load_benchmark
 
-        sys.stdout.write(built_in_text())
+        found = load_benchmark()
+        sys.stdout.write(text_of(found.name, found.objects, found.receiver))
     else:
         print(json.dumps(BenchmarkFile.model_json_schema(), indent=1))
     return 0

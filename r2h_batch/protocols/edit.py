@@ -110,7 +110,7 @@ def said_splits(choice: BenchmarkChoice) -> set[str]:
     else:
         file_data = read_benchmark_file(file)
         listed = file_data.trials and not choice.objects
-        if "objects" not in file_data.model_fields_set or listed:
+        if not file_data.objects or listed:
             return set()
         entries = file_data.objects
     own = {e: load_objects([e])[0].split for e in {e.built_in for e in entries} if e}

@@ -16,7 +16,11 @@ from r2h_batch.base.io.read import printable, read_yaml
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.base.validate import rule_of
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
-from r2h_batch.scene.objects import BUILT_IN_NAMES, OBJECT_NAMES, ObjectModel, load_objects
+from r2h_batch.scene.objects import (
+    BUILT_IN_NAMES,
+    INSTANCE_NAMES,
+    ObjectModel,
+)
 from r2h_batch.scene.robot import DEFAULT_ROBOT
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, VERB_WORDS
 
@@ -62,7 +66,7 @@ class WordsEntry(_Entry):
 class ObjectEntry(_Entry):
     """One object: a built-in one by name, or a mesh file with what is to be known of it."""
 
-    built_in: Literal[BUILT_IN_NAMES] | None = Field(  # type: ignore[valid-type]
+    built_in: Literal[(*BUILT_IN_NAMES, *INSTANCE_NAMES)] | None = Field(  # type: ignore[valid-type]
         default=None, description="name of a built-in object"
     )
     file: FilePath | None = Field(
@@ -147,9 +151,9 @@ class BenchmarkFile(_Entry):
         default=DEFAULT_PROTOCOL,
         description="the benchmark that this file changes, whose rule draws the trials: a name of r2h-batch ls benchmarks",
     )
-    receiver: Literal["hand", "body"] = Field(
-        default="hand",
-        description="what planning and Safe see of the person: the hand, or arm and torso too (r2h-v1)",
+    receiver: Literal["hand", "body"] | None = Field(
+        default=None,
+        description="what planning and Safe see of the person: the hand, or arm and torso too; null: as the benchmark does",
     )
     hand_model: FilePath = Field(
         default=BUILT_IN, description="built-in, or a hand.npz (r2h-batch import hand)"
@@ -160,9 +164,9 @@ class BenchmarkFile(_Entry):
         default=BUILT_IN,
         description="built-in, a hands.npz (r2h-batch import hands), or a list of sets to join",
     )
-    objects: Annotated[list[ObjectEntry], Field(min_length=1, max_length=MAX_OBJECTS)] = Field(
-        default=[ObjectEntry(built_in=name) for name in OBJECT_NAMES],
-        description="in this order: object_index",
+    objects: Annotated[list[ObjectEntry], Field(max_length=MAX_OBJECTS)] = Field(
+        default=[],
+        description="in this order: object_index; none: the benchmark's own",
     )
     trials: FilePath | None = Field(
         default=None,
@@ -273,14 +277,20 @@ def _schema_at(model: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
 
 
 ABOUT = """\
-# The built-in benchmark. `r2h-batch benchmark show` prints what every field may hold, `r2h-batch benchmark check FILE` reads
+# The default benchmark. `r2h-batch benchmark show` prints what every field may hold, `r2h-batch benchmark check FILE` reads
 # a file, `r2h-batch sweep --benchmark FILE` scores on it. Fields that are left out have these values. The robot is a UR5e
 # with a 2F-85.
 """
 
 
-def built_in_text() -> str:
-    """YAML that `read_benchmark` reads as the built-in benchmark."""
+def text_of(name: str, objects: Sequence[ObjectModel], receiver: Literal["hand", "body"]) -> str:
+    """YAML that `read_benchmark` reads as a named benchmark.
+
+    Args:
+        name: of the benchmark.
+        objects: its stored objects.
+        receiver: what it sees of the person.
+    """
     import yaml
 
     class Plain(yaml.SafeDumper):
@@ -289,7 +299,8 @@ def built_in_text() -> str:
         def ignore_aliases(self, data: Any) -> bool:
             return True
 
-    file = BenchmarkFile(objects=[_entry_of(o) for o in load_objects()])
+    entries = [_entry_of(o) for o in objects]
+    file = BenchmarkFile(protocol=name, objects=entries, receiver=receiver)
     data = file.model_dump(exclude_none=True)
     return ABOUT + yaml.dump(
         data, Dumper=Plain, sort_keys=False, default_flow_style=None, width=118
@@ -298,5 +309,7 @@ def built_in_text() -> str:
 
 def _entry_of(model: ObjectModel) -> ObjectEntry:
     entry = {k: getattr(model, k) for k in ("split", "instruction", "mass", "part_names")}
+    if model.name in INSTANCE_NAMES:  # its category has roles and words
+        return ObjectEntry.model_validate_json(json.dumps({"built_in": model.name, **entry}))
     about = {"roles": S0_ROLES.get(model.name), "words": asdict(THINGS[model.name])}
     return ObjectEntry.model_validate_json(json.dumps({"built_in": model.name, **entry, **about}))

@@ -104,7 +104,7 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
             people = people_of_word(file.people, folder)
         hand_set, listed, labels = _hands(file, folder, own, people), None, None
         objects = own.objects  # take longer to read than hands: what is wrong there is said first
-        if "objects" in file.model_fields_set:
+        if file.objects:
             objects = objects_of(file.objects, folder, pieces)
         names = [o.name for o in objects]
         if twice := [n for n in names if names.count(n) > 1]:
@@ -112,9 +112,9 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
         if file.trials is not None:
             path_of_trials = path_within(folder, file.trials)
             listed, hand_set, labels = read_trials_file(path_of_trials, objects, hand_set)
-        receiver = own.receiver
-        if "receiver" in file.model_fields_set or (listed is not None and listed.receiver is None):
-            receiver = file.receiver
+        receiver = file.receiver or own.receiver
+        if file.receiver is None and listed is not None and listed.receiver is None:
+            receiver = "hand"
         return replace(
             own, name=_name_of(Path(path)), objects=objects, hand_set=hand_set, thresholds=file.thresholds,
             workplace=_workplace(file, path, own), listed=listed, labels=labels, receiver=receiver, people=people,
