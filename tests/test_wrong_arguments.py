@@ -53,7 +53,7 @@ def scored() -> dict:
 
 
 CALLS = {
-    "load_benchmark": (load_benchmark, lambda _: {"which": "r2h-v0", "pieces": False}),
+    "load_benchmark": (load_benchmark, lambda _: {"benchmark": "r2h-v0", "pieces": False}),
     "Benchmark": (Benchmark, lambda _: {f: getattr(_benchmark(), f) for f in Benchmark.__dataclass_fields__}),
     "Benchmark.trials": (lambda **k: _benchmark().trials(**k), lambda _: {"splits": ("S0",), "trials": 2}),
     "Benchmark.trials_with_ids": (lambda **k: _benchmark().trials_with_ids(**k), lambda _: {"trial_id": torch.arange(2)}),

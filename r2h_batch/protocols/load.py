@@ -12,21 +12,21 @@ from r2h_batch.protocols.registry import BENCHMARK, named_benchmark
 from r2h_batch.protocols.yaml_file import read_benchmark
 
 
-def load_benchmark(which: str | Path = DEFAULT_PROTOCOL, *, pieces: bool = False) -> Benchmark:
+def load_benchmark(benchmark: str | Path = DEFAULT_PROTOCOL, *, pieces: bool = False) -> Benchmark:
     """A benchmark: one value that holds all that decides a verdict.
 
     Args:
-        which: a name of `r2h-batch ls benchmarks`; a benchmark.yaml, or a folder with one; or a function without
+        benchmark: a name of `r2h-batch ls benchmarks`; a benchmark.yaml, or a folder with one; or a function without
             arguments that returns a `Benchmark`: `package.module:function` or `FILE.py:function`.
         pieces: whether meshes of a file get their convex decomposition (up to a minute each).
 
     Raises:
         FileError: there is none, or (one line) its file is wrong.
     """
-    instance_of((str, Path), "a name, or a benchmark.yaml")("which", which)
-    if which in BENCHMARK:
-        return named_benchmark(str(which))
-    text, path = str(which), Path(which)
+    instance_of((str, Path), "a name, or a benchmark.yaml")("benchmark", benchmark)
+    if benchmark in BENCHMARK:
+        return named_benchmark(str(benchmark))
+    text, path = str(benchmark), Path(benchmark)
     if path.suffix.lower() in (".yaml", ".yml") or path.is_dir():
         return read_benchmark(path / "benchmark.yaml" if path.is_dir() else path, pieces=pieces)
     if ":" in text:

@@ -136,7 +136,7 @@ def _is_said(flag: str) -> bool:
     """Whether run.json says elsewhere what a flag says: the rule that drew the trials, what was seen of the person."""
     name, _, value = flag.partition(" ")
     named = name == "--benchmark" and value in BENCHMARK
-    return named or name in ("--protocol", "--receiver")
+    return named or name.removeprefix("--") in ("protocol", "receiver")
 
 
 def _check_flags(header: Mapping[str, Any], given: BenchmarkChoice, where: str) -> str:

@@ -1,6 +1,6 @@
 """The named benchmarks: ours, one file each, and those of other packages (`r2h_batch.plugins`).
 
-@BENCHMARK("r2h-v9")          # in protocols/r2h_v9.py, with an entry in `PROTOCOLS` of base/registry.py
+@BENCHMARK("r2h-v9")          # in a file of its own, r2h_v9, with an entry in `PROTOCOLS` of base/registry.py
 def r2h_v9() -> Benchmark: ...
 
 [project.entry-points."r2h_batch.plugins"]

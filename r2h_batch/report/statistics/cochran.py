@@ -8,7 +8,7 @@ from scipy.special import chdtrc
 from r2h_batch.base.validate import array, check_arguments
 
 FEW_TRIALS = 30
-"""Of no more trials that differ, the p value is that of permutations: chi-squared is too small by half for three of them."""
+"""Up to so many trials that differ, the p value is that of permutations: chi-squared is too small by half for three of them."""
 PERMUTATIONS = 9_999
 
 
