@@ -163,7 +163,7 @@ def auto(mix: Mix, report: Report) -> None:
 
     evaluator = Evaluator(load_benchmark("r2h-v1"), device=mix.device, threads=mix.threads)
     mix = copy.copy(mix)
-    trials = load_benchmark("r2h-v0").trials_with_ids(torch.arange(mix.n))
+    trials = load_benchmark("r2h-v0").trials_with_ids(torch.arange(mix.n)).named(evaluator.scene.objects)
     mix.trials = trials[in_order(trials)].to(mix.device)
     answers = contact.predict(mix.trials, evaluator.scene, seed=0)
     mix.g, mix.h = answers.T_obj_ee.to(mix.device), answers.T_world_ee.to(mix.device)

@@ -162,8 +162,8 @@ def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
     view = replace(view, distance_m=2.2 * view.distance_m)
     some = [(skin(k), color) for mask, color in groups.values() for k in torch.nonzero(mask)[:, 0].tolist()[::SHOWN_OF]]
     images = [frame(stored, some, stored.receiver, size, view)]
-    k = int(found.grasp[i]) - int(batch.first[0])
-    row, receiver = int(found.grasp[i]), np.array(stored.receiver)
+    row = int(batch.grasps.first_of(asked.object_index[i])) + int(found.grasp[i])
+    k, receiver = row - int(batch.first[0]), np.array(stored.receiver)
     table, hand = batch.grasps, skin(k)
     pair = batch.pairs(torch.tensor([0]), torch.tensor([k]), arms)
     wrist = batch.wrists(pair)[0].double().numpy()

@@ -88,7 +88,7 @@ class Examples:
 def collect(evaluator: Evaluator, clouds: Clouds, count: int, objects: Tensor, generator: torch.Generator) -> Examples:
     """`count` proposals on training objects, those kept that pass the pose stage; each also held the other way round."""
     per = -(-count * len(evaluator.scene.objects) // (10 * len(objects))) * 10
-    trials = load_benchmark("r2h-v0").trials_with_ids(FIRST_TRAINING_ID + torch.arange(per * 2))
+    trials = load_benchmark("r2h-v1").trials_with_ids(FIRST_TRAINING_ID + torch.arange(per * 2))
     trials = trials[torch.isin(trials.object_index, objects.int())][:count]
     T_obj_ee, T_world_ee = proposals(evaluator, trials, clouds, generator)
     scores = evaluator.score(T_obj_ee, T_world_ee, trials, stages="pose")

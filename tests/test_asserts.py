@@ -11,7 +11,7 @@ TESTS = Path(__file__).resolve().parent
 pytestmark = pytest.mark.check
 
 FAIL_BY_THEMSELVES = {"raises", "warns", "fail"}
-"""Of pytest: they fail by themselves."""
+"""Functions of pytest that fail by themselves."""
 
 KNOWN: tuple[str, ...] = ()
 """Tests whose asserts all stand in loops or ifs that may be empty. This list only shrinks: mend a test (`rounds.each` demands

@@ -384,7 +384,8 @@ assert code == 2 and "did you mean vase?" in line
 said("results reevaluate run")  # an installed package is the reader's own
 """
 NAMED_VASE = """
-from r2h_batch.protocols.choice import BenchmarkChoice, benchmark_of_run
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.base.errors import FileError
 
 try:  # run.json may come from anybody: the module that it names is not imported

@@ -68,7 +68,8 @@ def test_the_oracle_succeeds_on_another_arm_and_its_paths_are_that_arms(robot):
     start, goal = scores.path[:, 0], scores.path[torch.arange(len(trials)), scores.path_len.long() - 1]
     assert torch.equal(start, torch.tensor([robot.home_q]).expand_as(start))
     assert np.abs(ee_pose(robot, goal.double().numpy())[:, :3, 3] - answer.T_world_ee[:, :3, 3].numpy()).max() < 1e-5
-    usual = Evaluator(load_benchmark("r2h-v1"), KINEMATIC).score(answer.T_obj_ee, answer.T_world_ee, trials)
+    ur5e = Evaluator(load_benchmark("r2h-v1"), KINEMATIC)
+    usual = ur5e.score(answer.T_obj_ee, answer.T_world_ee, trials.named(ur5e.scene.objects))
     assert not torch.equal(usual.path[:, 0], start)
     compiled = torch.compile(evaluator.score, backend="aot_eager", fullgraph=True)
     assert torch.equal(compiled(answer.T_obj_ee, answer.T_world_ee, trials).path, scores.path)
@@ -77,7 +78,8 @@ def test_the_oracle_succeeds_on_another_arm_and_its_paths_are_that_arms(robot):
 @pytest.mark.parametrize("robot", [UR3E, load_robot("panda_hand")], ids=lambda r: r.name)
 def test_each_joint_of_a_given_motion_has_its_own_limit_of_speed(robot: Robot) -> None:
     evaluator, n = Evaluator(load_benchmark("r2h-v1").on(robot), KINEMATIC), len(robot.joints)
-    trials, grasp = load_benchmark("r2h-v1").trials(n)[:n], torch.eye(4).repeat(n, 1, 1)
+    trials = load_benchmark("r2h-v1").on(robot).trials(n)[:n]
+    grasp = torch.eye(4).repeat(n, 1, 1)
     q = torch.tensor(robot.home_q).repeat(n, 2, 1)
     q[:, 1] += 0.05 * torch.eye(n)
     least_s = 0.05 / torch.tensor(robot.max_velocity.tolist())[:, None] * torch.tensor([0.0, 1.0])

@@ -792,9 +792,14 @@ class HandoverEnv(VectorEnv):
         reception_scores = reception(replace(posed, q_goal=self.q[rows]).with_inputs(found))
         self._finish(rows[~reception_scores.received], End.NOT_RECEIVED, Why.NO_GRASP)
         received = reception_scores.received
-        grasps = load_held_out(self.scene.objects, self.scene.hands.model).grasps.posed
-        which = reception_scores.grasp[received].long().cpu()
-        vertices, joints = (x[which].to(self._device) for x in (grasps.vertices, grasps.joints))
+        objects = trials.object_index.cpu()
+        held_out = load_held_out(
+            self.scene.objects, self.scene.hands.model, objects.unique().tolist()
+        )
+        of = objects[received.cpu()].long()
+        which = held_out.first[of] + reception_scores.grasp[received].long().cpu()
+        hands = held_out.grasps.posed
+        vertices, joints = (x[which].to(self._device) for x in (hands.vertices, hands.joints))
         before, there = (
             T[received] for T in (reception_scores.T_world_before, reception_scores.T_world_hand)
         )

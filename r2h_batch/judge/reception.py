@@ -81,7 +81,7 @@ class Reception:
         received: some grasp passes all steps, and the whole way from the waiting hand to it is free.
         known: number of held-out grasps of the object for the receiver's hand.
         count: how many of them pass each of `STEPS` and all before it.
-        grasp: row of the easiest of them in `load_held_out`; -1 where none is received.
+        grasp: number of the easiest of them among the object's in `load_held_out`; -1 where none is received.
         effort: mean square of the arm's angles over their ranges there, the lean over 60 degrees.
         turn_deg: by how much the hand turns from how it waits.
         travel_m: how far the wrist goes.
@@ -138,7 +138,7 @@ def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Re
         raise ValueError("these scores hold no inputs; score again")
     if inputs.trials.receiver is None:
         raise ValueError(
-            "these trials have no receiver's body, which reception needs; use protocol r2h-v1"
+            "these trials have no receiver's body, which reception needs; take a benchmark of people"
         )
     if not len(leans_deg):
         raise ValueError("leans_deg is empty; give (0.0,) for a person who does not lean")
@@ -168,15 +168,18 @@ class _Grasps:
     mass: Float64[Tensor, " o"]
     open_gap_m: float
 
+    def first_of(self, object_index: Tensor) -> Tensor:
+        """Row of each object's first grasp."""
+        return self.held_out.first.to(object_index.device)[object_index.long()]
+
 
 @lru_cache(maxsize=2)
-def _grasps(scene: Scene) -> _Grasps:
-    held_out = load_held_out(scene.objects, scene.hands.model)
+def _grasps(scene: Scene, held_out: HeldOut) -> _Grasps:
     com, mass = (
         torch.from_numpy(np.array([getattr(o, k) for o in scene.objects], np.float64))
         for k in ("com", "mass")
     )
-    withstood = Withstood.of(scene.objects, scene.hands.model)
+    withstood = Withstood.of(scene.objects, scene.hands.model, held_out.loaded)
     grasps = held_out.grasps
     joints = grasps.joints.double()
     _, normal = palm_frame(joints, grasps.side)
@@ -294,7 +297,9 @@ def _batch_of(scores: Scores) -> _Batch:
     evaluator, trials = inputs.evaluator, inputs.trials
     scene, receiver = evaluator.scene, trials.receiver
     assert receiver is not None  # `reception` has asked
-    grasps, device = _grasps(scene), scene.device
+    needed = trials.object_index.unique().tolist()
+    grasps = _grasps(scene, load_held_out(scene.objects, scene.hands.model, needed))
+    device = scene.device
     error = evaluator.config.execution_error
     executed = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, trials)
     evaluated = scores.passed[:, CRITERIA.index("stability")] & scores.q_goal.isfinite().all(1)
@@ -460,7 +465,9 @@ def _result(
         received,
         batch.known.to(torch.int16),
         count.to(torch.int16),
-        torch.where(received, pair["row"], -1).to(torch.int32),
+        torch.where(received, pair["row"] - batch.grasps.first_of(pair["object"]), -1).to(
+            torch.int32
+        ),
         torch.where(received, arms["effort"][trial, k], nan),
         torch.where(received, cosine.clamp(-1.0, 1.0).acos().rad2deg().float(), nan),
         torch.where(received, se3.dot(travel, travel).sqrt(), nan),

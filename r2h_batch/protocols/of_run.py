@@ -39,7 +39,9 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: s
     said = _said(header)
     if not _files(replace(given, receiver="", turn="")):
         given = _found(said, Path(where)) or given
-    if said.robot in ROBOTS and not given.robot:  # a built-in robot is no file
+    if said.benchmark in BENCHMARK and not given.benchmark:  # a name is no file
+        given = replace(given, benchmark=said.benchmark)
+    if said.robot in ROBOTS and not given.robot:  # nor is a built-in robot
         given = replace(given, robot=said.robot)
     if said.turn:  # nor is a turn
         given = replace(given, turn=said.turn)

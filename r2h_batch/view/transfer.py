@@ -128,8 +128,9 @@ def write_transfer_film(
 
 def _hand(found: Reception, handed: Handed, scene: Scene) -> tuple[Array, NDArray[np.int64]]:
     """Vertices (frame gripper, m) and faces of the hand that takes the object."""
-    row = int(found.grasp[0])
-    grasps = load_held_out(scene.objects, scene.hands.model).grasps
+    index = int(handed.object_index[0])
+    held_out = load_held_out(scene.objects, scene.hands.model, [index])
+    grasps, row = held_out.grasps, int(held_out.first[index]) + int(found.grasp[0])
     T_world_hand, T_world_obj = (
         x[0].cpu().double().numpy() for x in (found.T_world_hand, found.T_world_obj)
     )

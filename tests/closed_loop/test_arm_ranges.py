@@ -29,8 +29,8 @@ def test_angles_are_those_of_the_judge_at_the_grasps_that_people_take(evaluator)
     found = reception(posed, leans_deg=(0.0,))
     rows = torch.nonzero(found.received).flatten()
     assert len(rows) >= 8
-    grasps = load_held_out(evaluator.scene.objects, evaluator.scene.hands.model).grasps
-    which = found.grasp[rows].long()
+    held_out = load_held_out(evaluator.scene.objects, evaluator.scene.hands.model)
+    grasps, which = held_out.grasps, held_out.first[trials.object_index[rows].long()] + found.grasp[rows].long()
     hand, side = se3.inverse(grasps.T_obj_hand[which].double()), grasps.side[which].long()
     joints = se3.apply(hand[:, None], grasps.joints[which].double())  # stored in the object's frame
     _, normal = palm_frame(joints, side)

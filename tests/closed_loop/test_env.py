@@ -529,7 +529,8 @@ def test_a_hand_takes_the_object_with_the_fingers_and_on_the_way_that_reception_
     won = e.end == int(End.SUCCESS)
     assert won.sum() >= 4 and (e.overlap_m[won] == 0).all()
     early, deeper = 0, 0
-    grasps = load_held_out(env.scene.objects, env.scene.hands.model).grasps
+    held_out = load_held_out(env.scene.objects, env.scene.hands.model)
+    grasps = held_out.grasps
     for rows, took in zip([r for r in rows_of if len(r)], found, strict=True):
         for row, r in zip(rows.tolist(), range(len(rows)), strict=True):
             if not won[row]:
@@ -539,7 +540,7 @@ def test_a_hand_takes_the_object_with_the_fingers_and_on_the_way_that_reception_
             assert torch.allclose(before[:3, :3], goal[:3, :3])
             assert float((before - goal)[:3, 3].norm()) == pytest.approx(0.1, abs=1e-6)
             early += int(env.hands.taken_s[row] < env.hands._drawn["waits"][row])
-            k = int(took.grasp[r])
+            k = int(held_out.first[env.trials.object_index[row]]) + int(took.grasp[r])
             own = make_hand_set(
                 grasps.hand, *(getattr(grasps, x)[[k]].numpy() for x in ("pose", "shape", "side")), ("own",)
             )

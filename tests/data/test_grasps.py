@@ -114,7 +114,7 @@ def test_labels_of_graspnet_are_the_grasps_that_graspnetAPI_makes_of_them(tmp_pa
         end = points[point] + 0.01 * (depth + 1) * axis
         assert np.abs(approach[row] - axis).max() < 1e-6
         assert np.abs(tips[row] - [end + 0.02 * closing, end - 0.02 * closing]).max() < 1e-6
-    assert edited(BenchmarkChoice(grasps=(f"cup={path}",))).objects
+    assert edited(BenchmarkChoice("r2h-v1", grasps=(f"cup={path}",))).objects
 
 
 def test_our_own_gripper_and_our_own_format_need_no_new_place(tmp_path):

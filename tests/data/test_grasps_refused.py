@@ -93,4 +93,4 @@ def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
         ("cup.yaml:EE", "'EE' is not a gripper, did you mean ee\\?; allowed are acronym-panda"),
     ):
         with one_line(why):
-            edited(BenchmarkChoice(grasps=(str(tmp_path / said),)))
+            edited(BenchmarkChoice("r2h-v1", grasps=(str(tmp_path / said),)))

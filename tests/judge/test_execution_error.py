@@ -23,7 +23,7 @@ BOTH = ExecutionError(camera_m=0.010, camera_deg=2.0, object_m=0.005, object_deg
 
 def evaluator(error):
     """The shared evaluator's scene with these errors, the motion as planned."""
-    twin = copy.copy(default_evaluator())
+    twin = copy.copy(default_evaluator("r2h-v1"))
     twin.config = EvalConfig(execution_error=error, execute=ExecConfig(sim="none"))
     return twin
 
@@ -31,7 +31,7 @@ def evaluator(error):
 @pytest.fixture(scope="module")
 def asked():
     trials = load_benchmark("r2h-v1").trials(24)
-    answer = fc.predict(trials, default_evaluator().scene)
+    answer = fc.predict(trials, default_evaluator("r2h-v1").scene)
     return answer.T_obj_ee, answer.T_world_ee, trials
 
 

@@ -144,7 +144,7 @@ def test_rows_do_not_depend_on_their_batch_their_place_or_the_number_of_lanes(sc
 def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(
     scene: Scene, what: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none"), chunk=48))
+    evaluator = Evaluator(load_benchmark("r2h-v0"), EvalConfig(execute=ExecConfig(sim="none"), chunk=48))
     trials = load_benchmark("r2h-v0").with_objects(scene.objects).trials_with_ids(torch.arange(48))
     poses = oracle.predict(trials, scene, seed=0)
     with planning_form("frontier"), ExitStack() as patched:
@@ -157,7 +157,7 @@ def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(
 
 def test_a_single_row_has_room_for_its_whole_path() -> None:
     """Trial 79 of the method `random`: its clearance needs more than 4,096 intervals at once."""
-    evaluator, trials = default_evaluator().kinematic, load_benchmark("r2h-v1").trials(100)
+    evaluator, trials = default_evaluator("r2h-v1").kinematic, load_benchmark("r2h-v1").trials(100)
     asked = random.predict(trials, evaluator.scene, seed=0)
     row = trials.trial_id == 79
     with planning_form("frontier"):

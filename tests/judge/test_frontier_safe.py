@@ -43,7 +43,7 @@ class Moved:
 @cache
 def moved(method: ModuleType, n: int) -> Moved:
     """Motions as planned of a method's first n trials."""
-    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none"), chunk=n))
+    evaluator = Evaluator(load_benchmark("r2h-v0"), EvalConfig(execute=ExecConfig(sim="none"), chunk=n))
     trials = load_benchmark("r2h-v0").with_objects(evaluator.scene.objects).trials_with_ids(torch.arange(n))
     poses = method.predict(trials, evaluator.scene, seed=0)
     with mock.patch.object(evaluate, "hand_distance", wraps=hand_distance) as asked:

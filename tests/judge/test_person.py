@@ -183,7 +183,7 @@ def test_a_row_alone_has_the_bits_of_its_batch(asked, with_bodies):
 
 def test_without_a_body_it_is_refused(asked):
     T_obj_ee, T_world_ee, trials = asked
-    with pytest.raises(ValueError, match="these trials have none; take protocol r2h-v1"):
+    with pytest.raises(ValueError, match="these trials have none; take a benchmark of people"):
         evaluator("body").score(T_obj_ee, T_world_ee, replace(trials, receiver=None))
     with pytest.raises(ValueError, match="no gradient; score with receiver='hand'"):
         evaluator("body").score(T_obj_ee.clone().requires_grad_(), T_world_ee, trials, stages="pose")

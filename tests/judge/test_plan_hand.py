@@ -19,7 +19,7 @@ SEEN = EstimateConfig(errors="tails", factor=2.0, seed=5)
 
 def evaluator(config=None):
     """The shared evaluator's scene with another configuration."""
-    twin = copy.copy(default_evaluator())
+    twin = copy.copy(default_evaluator("r2h-v1"))
     twin.config = replace(config or EvalConfig(), execute=ExecConfig(sim="none"))
     return twin
 
@@ -27,7 +27,7 @@ def evaluator(config=None):
 @pytest.fixture(scope="module")
 def asked():
     trials = load_benchmark("r2h-v1").trials(24)
-    answer = fc.predict(trials, default_evaluator().scene)
+    answer = fc.predict(trials, default_evaluator("r2h-v1").scene)
     return answer.T_obj_ee, answer.T_world_ee, trials
 
 
@@ -40,7 +40,7 @@ def estimated(asked):
 def test_the_plan_is_that_of_a_trial_whose_hand_stands_where_it_is_seen(asked, estimated):
     T_obj_ee, T_world_ee, trials = asked
     noise = PredictorNoise(target_errors="tails").scaled(2.0)
-    seen = predict_target(trials, default_evaluator().scene, seed=5, noise=noise).T_world_hand
+    seen = predict_target(trials, default_evaluator("r2h-v1").scene, seed=5, noise=noise).T_world_hand
     moved = evaluator().score(T_obj_ee, T_world_ee, replace(trials, T_world_hand=seen))
     true = evaluator().score(*asked)
     for name in ("path", "path_len", "plan_reason", "plan_pair", "q_goal", "t_exec_s"):

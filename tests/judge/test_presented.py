@@ -11,7 +11,7 @@ from r2h_batch.methods import random as random_method
 
 @pytest.mark.check
 def test_angle_and_distance_are_those_of_the_region_and_s0_has_none():
-    evaluator = default_evaluator()
+    evaluator = default_evaluator("r2h-v1")
     trials = load_benchmark("r2h-v1").trials(20)
     asked = random_method.predict(trials, evaluator.scene)
     scores = evaluator.score(asked.T_obj_ee, asked.T_world_ee, trials, stages="pose")

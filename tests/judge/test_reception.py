@@ -294,7 +294,7 @@ def test_the_whole_way_to_the_chosen_grasp_is_free_at_every_sample(scores, steps
     rows = torch.nonzero(found.received)[:, 0].tolist()
     assert len(rows) >= 20
     for i in rows[::14]:
-        row = int(found.grasp[i])
+        row = int(batch.grasps.first_of(scores.inputs.trials.object_index[i])) + int(found.grasp[i])
         k = row - int(batch.first[i])
         opening = float(batch.of_trial["opening"][i])
         T = turned_object(batch, i, arms["turn"][i, k])

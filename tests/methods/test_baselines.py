@@ -113,7 +113,7 @@ def test_ergonomic_delivery_follows_shoulders_and_arm():
         assert np.degrees(np.arccos(hand @ fore)) == pytest.approx(15, abs=1e-2) and hand[2] > fore[2]
         turn = np.arccos(np.clip((np.trace(T_world_obj[:3, :3]) - 1) / 2, -1, 1))
         assert turn == pytest.approx(np.arccos(np.clip(hand @ v, -1, 1)), abs=1e-4)  # the least turn
-    with pytest.raises(ValueError, match="no bodies; take protocol r2h-v1"):
+    with pytest.raises(ValueError, match="no bodies; take a benchmark of people"):
         predict(intent, load_benchmark("r2h-v0").trials(1), at="ergonomic")
 
 

@@ -1,5 +1,6 @@
 """The two bounds: random is what it says, the oracle solves what can be solved, both row by row."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,7 +10,7 @@ from problems import default_evaluator as evaluator
 from scipy import stats
 
 from r2h_batch import load_benchmark
-from r2h_batch.config import EvalConfig, Thresholds
+from r2h_batch.config import Thresholds
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle, random
 from r2h_batch.methods.candidates import candidates_of
@@ -40,7 +41,7 @@ def test_built_in_objects_have_100_stored_candidates_and_a_users_object_gets_its
 
 
 def test_random_draws_every_candidate_alike_and_the_tcp_uniformly_in_the_ball_and_in_orientation():
-    trials, scene = load_benchmark("r2h-v1").trials(12_000, splits=["S0"]), evaluator().scene
+    trials, scene = load_benchmark("r2h-v1").trials(12_000, splits=["S0"]), evaluator("r2h-v1").scene
     predictions = random.predict(trials, scene)
     counts = np.zeros((6, 100), int)
     for i, c in enumerate(candidates_of(scene.objects)[:6]):
@@ -60,19 +61,23 @@ def test_random_draws_every_candidate_alike_and_the_tcp_uniformly_in_the_ball_an
 
 @cache
 def bounds() -> tuple[Trials, Predictions, Predictions]:
-    trials, scene = load_benchmark("r2h-v1").trials(N), evaluator().scene
-    return trials, random.predict(trials, scene), oracle.predict(trials, scene, evaluator=evaluator(), rounds=12)
+    trials, scene = load_benchmark("r2h-v1").trials(N), evaluator("r2h-v1").scene
+    return (
+        trials,
+        random.predict(trials, scene),
+        oracle.predict(trials, scene, evaluator=evaluator("r2h-v1"), rounds=12),
+    )
 
 
 def test_the_oracle_solves_nearly_all_trials_with_their_own_candidates_and_random_few():
     trials, low, high = bounds()
-    found = [evaluator().score(p.T_obj_ee, p.T_world_ee, trials) for p in (low, high)]
+    found = [evaluator("r2h-v1").score(p.T_obj_ee, p.T_world_ee, trials) for p in (low, high)]
     low_rate, high_rate = (s.success.float().view(2, N).mean(1) for s in found)
     assert (high_rate >= 0.97).all(), f"unsolved: {trials.trial_id[~found[1].success].tolist()}"
     assert 0.05 < low_rate[0] < 0.40 and 0.01 < low_rate[1] < 0.25
     missed = ~found[1].success
     assert (found[1].outcome[missed] >= int(Outcome.PLAN)).all()  # what fails, fails as late as it can
-    own = candidates_of(evaluator().scene.objects)
+    own = candidates_of(evaluator("r2h-v1").scene.objects)
     for i, T in zip(trials.object_index.tolist(), high.T_obj_ee.numpy(), strict=True):
         assert (own[i].T_obj_ee == T).all((1, 2)).any()
     rotations(high.T_world_ee)
@@ -80,21 +85,23 @@ def test_the_oracle_solves_nearly_all_trials_with_their_own_candidates_and_rando
 
 def test_answers_depend_on_seed_and_trial_id_alone():
     trials, low, high = bounds()
-    rows, scene = torch.tensor([5, 57, 34, 1]), evaluator().scene
+    rows, scene = torch.tensor([5, 57, 34, 1]), evaluator("r2h-v1").scene
     assert same(random.predict(trials[rows], scene), low[rows])
-    assert same(oracle.predict(trials[rows], scene, evaluator=evaluator(), rounds=12), high[rows])
+    assert same(oracle.predict(trials[rows], scene, evaluator=evaluator("r2h-v1"), rounds=12), high[rows])
     other = random.predict(trials, scene, seed=1)
     assert not (other.T_world_ee[:, :3, 3] == low.T_world_ee[:, :3, 3]).all(1).any()
     assert low.method == "random" and torch.equal(low.trial_id, trials.trial_id)
-    assert len(random.predict(trials[:0], scene)) == len(oracle.predict(trials[:0], scene, evaluator=evaluator())) == 0
+    assert (
+        len(random.predict(trials[:0], scene))
+        == len(oracle.predict(trials[:0], scene, evaluator=evaluator("r2h-v1")))
+        == 0
+    )
 
 
 def test_the_proposal_that_got_farthest_is_kept_over_the_rounds():
     """A ball of 1 mm is hardly ever met, so trials stay unsolved and differ in how far off they are."""
-    hard, trials = (
-        Evaluator(load_benchmark("r2h-v1"), EvalConfig(thresholds=Thresholds(reach_radius_m=0.001))),
-        load_benchmark("r2h-v1").trials(6),
-    )
+    benchmark = replace(load_benchmark("r2h-v1"), thresholds=Thresholds(reach_radius_m=0.001))
+    hard, trials = Evaluator(benchmark), benchmark.trials(6)
     fan = oracle._Fan(trials, hard, 0)
     # no public way to the rank of a proposal: predict() returns the best
     rounds = torch.stack([oracle._how_far(hard.score(*fan.proposals(np.arange(12), r), trials)) for r in range(3)])

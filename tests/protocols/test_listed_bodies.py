@@ -24,7 +24,7 @@ HAND = asset("people", "hand.npz")
 
 def with_bodies(n: int = 5) -> tuple[dict[str, np.ndarray], Trials]:
     """Columns of trials whose receivers are people, and the trials."""
-    benchmark = edited(BenchmarkChoice(people="adults"))
+    benchmark = edited(BenchmarkChoice("r2h-v2", people="adults"))
     trials = benchmark.trials(n)
     names, hands = [o.name for o in benchmark.objects], benchmark.hand_set
     rows = trials.hand_index.long()
@@ -47,12 +47,14 @@ def test_listed_trials_may_have_bodies_and_people_and_are_judged_as_the_protocol
     order = torch.argsort(wanted.trial_id % 2, stable=True)
     wanted = wanted[order]
     for name in ("b.npz", "b.parquet", "b.json"):
-        given = edited(BenchmarkChoice(trials_file=str(tmp_path / name), hand_model=str(HAND), receiver="body"))
+        given = edited(
+            BenchmarkChoice("r2h-v2", trials_file=str(tmp_path / name), hand_model=str(HAND), receiver="body")
+        )
         found = given.trials(5)
         assert found.trial_id.tolist() == wanted.trial_id.tolist() and given.has_bodies
         torch.testing.assert_close(found.receiver, wanted.receiver, rtol=0, atol=0)
         torch.testing.assert_close(found.person[:, :5], wanted.person[:, :5], rtol=0, atol=0)
-    own = Evaluator(edited(BenchmarkChoice(benchmark="r2h-v1", people="adults", receiver="body"))).kinematic
+    own = Evaluator(edited(BenchmarkChoice(benchmark="r2h-v2", people="adults", receiver="body"))).kinematic
     listed = Evaluator(given).kinematic
     answer = random.predict(wanted, own.scene, seed=0)
     a, b = (
@@ -70,7 +72,7 @@ def test_a_csv_says_bodies_number_by_number(tmp_path):
         table |= {f"{name}_{k}": flat[:, k] for k in range(flat.shape[1])}
     lines = [",".join(table), *(",".join(str(v[i]) for v in table.values()) for i in range(4))]
     (tmp_path / "b.csv").write_text("\n".join(lines) + "\n")
-    base = load_benchmark("r2h-v1")
+    base = load_benchmark("r2h-v2")
     found, _, _ = read_trials_file(tmp_path / "b.csv", base.objects, base.hand_set)
     order = np.argsort(wanted.trial_id.numpy() % 2, kind="stable")
     assert found.receiver.numpy() == pytest.approx(columns["receiver"][order], abs=1e-6)
@@ -102,7 +104,7 @@ NO_BODY = {
 
 @pytest.mark.parametrize("words", NO_BODY)
 def test_a_body_that_nobody_has_is_refused_in_one_line(words, tmp_path):
-    base, columns = load_benchmark("r2h-v1"), with_bodies()[0] | NO_BODY[words]()
+    base, columns = load_benchmark("r2h-v2"), with_bodies()[0] | NO_BODY[words]()
     np.savez(tmp_path / "t.npz", **{k: v for k, v in columns.items() if v is not None})
     with one_line(re.escape(words)):
         read_trials_file(tmp_path / "t.npz", base.objects, base.hand_set)
@@ -112,4 +114,4 @@ def test_body_is_asked_of_listed_trials_that_have_none(tmp_path):
     columns, _ = with_bodies()
     np.savez(tmp_path / "t.npz", **{k: v for k, v in columns.items() if k not in ("receiver", "person")})
     with pytest.raises(FileError, match="listed trials without receiver have no body"):
-        edited(BenchmarkChoice(trials_file=str(tmp_path / "t.npz"), receiver="body"))
+        edited(BenchmarkChoice("r2h-v2", trials_file=str(tmp_path / "t.npz"), receiver="body"))

@@ -18,7 +18,8 @@ from refusals import one_line
 from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.protocols.choice import BenchmarkChoice, words_of
-from r2h_batch.protocols.file_fields import built_in_text
+from r2h_batch.protocols.edit import edited
+from r2h_batch.protocols.file_fields import text_of
 from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.runs.store import load_run
@@ -74,7 +75,8 @@ def test_the_protocols_trials_and_the_built_in_benchmark_as_files_give_the_same_
     np.savez(tmp_path / "t.npz", **some_trials())
     score(tmp_path / "a", "--trials", 5)
     score(tmp_path / "b", "--trials-file", tmp_path / "t.npz")
-    (tmp_path / "built_in.yaml").write_text(built_in_text())
+    v1 = load_benchmark("r2h-v1")
+    (tmp_path / "built_in.yaml").write_text(text_of(v1.name, v1.objects, v1.receiver))
     score(tmp_path / "c", "--trials", 5, "--benchmark", tmp_path / "built_in.yaml")
     capsys.readouterr()
     found = rows(tmp_path / "b")
@@ -97,12 +99,12 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
     right = {k: getattr(own, k).numpy()[:3] for k in ("pose", "shape", "side")}
     np.savez(tmp_path / "hands.npz", **right, posture=np.array(["a", "b", "c"]))
     score(tmp_path / "run", "--trials", 4, "--hands", tmp_path / "hands.npz")
-    digest = edited(BenchmarkChoice(hands=str(tmp_path / "hands.npz"))).digest
-    assert f"benchmark: --hands {tmp_path / 'hands.npz'}, digest {digest}" in capsys.readouterr().out
+    digest = edited(BenchmarkChoice("r2h-v1", hands=str(tmp_path / "hands.npz"))).digest
+    assert f"benchmark: --benchmark r2h-v1 --hands {tmp_path / 'hands.npz'}, digest {digest}" in capsys.readouterr().out
     assert main(["results", "verify", str(tmp_path / "run")]) == 0
     run = load_run(tmp_path / "run")
     assert set(run.trials("random")["side"].to_pylist()) == {"right"}
-    assert run.header["benchmark"]["flags"] == [f"--hands {tmp_path / 'hands.npz'}"]
+    assert run.header["benchmark"]["flags"] == ["--benchmark r2h-v1", f"--hands {tmp_path / 'hands.npz'}"]
     assert run.header["digests"]["benchmark"] == digest != load_benchmark("r2h-v1").digest
 
 
@@ -146,7 +148,7 @@ def test_npz_and_parquet_with_rows_of_the_hand_set_or_postures_say_the_same(tmp_
         for key in ("pose", "shape", "side"):
             mine = getattr(hands, key)[trials.hand_index.long()]
             assert (mine == getattr(base.hand_set, key)[wanted.hand_index.long()]).all()
-    given = edited(BenchmarkChoice(trials_file=str(tmp_path / "h.npz")))
+    given = edited(BenchmarkChoice("r2h-v1", trials_file=str(tmp_path / "h.npz")))
     assert given.trials_with_ids(wanted.trial_id[[7, 2]]).T_world_hand.equal(wanted.T_world_hand[[7, 2]])
     assert len(given.trials(3, splits="S1")) == 3
     with pytest.raises(ValueError, match="trial id 99 is not in the list"):
@@ -217,14 +219,14 @@ def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
     own = load_hand_set()
     few = {k: getattr(own, k).numpy()[[0, 399]] for k in ("pose", "shape", "side")}
     np.savez(tmp_path / "two.npz", **few, posture=np.array(["a", "b"]))
-    given = BenchmarkChoice(hand_model=str(tmp_path / "large.npz"), hands=str(tmp_path / "two.npz"))
+    given = BenchmarkChoice("r2h-v1", hand_model=str(tmp_path / "large.npz"), hands=str(tmp_path / "two.npz"))
     found = edited(given)
     assert edited(given).hand_set is found.hand_set  # read once: what is made for a hand is made once
     scene = Evaluator(found).scene
     assert scene.hands.model is found.hand_set.model and len(scene.hands.set) == 2
     rest = own.model.pose(torch.zeros(1, 48)).vertices
     assert torch.allclose(scene.hands.model.pose(torch.zeros(1, 48)).vertices, rest * 1.1, atol=1e-3)
-    assert found.digest != edited(BenchmarkChoice(hands=str(tmp_path / "two.npz"))).digest
+    assert found.digest != edited(BenchmarkChoice("r2h-v1", hands=str(tmp_path / "two.npz"))).digest
     np.savez(tmp_path / "large.npz", **arrays)  # another hand in the file: it is read again
     assert edited(given).digest != found.digest
 

@@ -13,7 +13,6 @@ from made_runs import command, files_of, made_trials, make_header, make_scores, 
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
-from r2h_batch.report.statistics import common
 from r2h_batch.report.statistics.aggregate import RATES
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
@@ -145,10 +144,7 @@ def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):
     assert "no method is complete" in capsys.readouterr().err
 
 
-def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only_when_asked(
-    tmp_path, capsys, monkeypatch
-):
-    monkeypatch.setattr(common, "PROTOCOL_NAMES", ("made",))
+def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only_when_asked(tmp_path, capsys):
     of = {"digests": {"trials": "1" * 16, "objects": "a", "hand_set": "b"}}
     other = {
         **of,

@@ -161,9 +161,9 @@ def test_a_paper_cup_weighs_what_its_board_weighs():
         ("families:", "no family is called ''; there are"),
         ("families:cup y 3", "write families:CATEGORY"),
         ("families:cup,cup", "stands twice"),
-        ("families:cup x 0", "1 to 1000"),
-        ("families:* x 100", "1 to 1000"),
-        ("families:cup x 2 seed 99999999999", "a seed below 2^31"),
+        ("families:cup x 0", "x 0 of one family is 0 objects; at most 1,000 are allowed, so write x 1 to x 1000"),
+        ("families:* x 100", "x 100 of 16 families is 1,600 objects; at most 1,000 are allowed, so write x 1 to x 62"),
+        ("families:cup x 2 seed 99999999999", "the seed is 99999999999; it must be below 2^31"),
     ],
 )
 def test_what_names_no_family_or_too_many_is_refused_in_one_line(text, said):

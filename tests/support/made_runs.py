@@ -7,6 +7,7 @@ import io
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ import torch
 
 from r2h_batch.__main__ import main
 from r2h_batch.base.io.parquet import check_decoded_size
+from r2h_batch.base.registry import is_drawn
+from r2h_batch.base.schedule import trial_ids
 from r2h_batch.runs import store as results
 from r2h_batch.runs.files import sha256_of
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, pose_rows, score_rows
@@ -161,8 +164,10 @@ def store(run: RunFolder, method: str, trials: Trials, scores: Scores, t_method_
 
 def write_run(folder: Path, methods: dict[str, np.ndarray], n_s0: int, n_s1: int, **changes: object) -> results.Run:
     """A stored run in which method -> outcome codes of its n_s0 + n_s1 trials."""
-    trials = made_trials(n_s0, n_s1)
-    run = open_run(folder, make_header(n_s0, n_s1, **changes))
+    trials, header = made_trials(n_s0, n_s1), make_header(n_s0, n_s1, **changes)
+    if is_drawn(header):  # a rule has ids of its own
+        trials = replace(trials, trial_id=torch.from_numpy(trial_ids(header["trials"], 0, len(trials))))
+    run = open_run(folder, header)
     for name, outcome in methods.items():
         store(run, name, trials, make_scores(trials, outcome))
     return results.load_run(folder)

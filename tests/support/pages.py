@@ -189,7 +189,7 @@ class Reader:
         code = piece.text
         for given, few in STEPS.items():
             code = code.replace(given, few)
-        code = re.sub(r"trials=(\d+)", lambda m: f"trials={SMALL.get(m[1], m[1])}", code)
+        code = re.sub(r"(\btrials=|\.trials\()(\d+)", lambda m: m[1] + SMALL.get(m[2], m[2]), code)
         named = re.findall(r"This `(\w+\.py)`", piece.before)
         file = self.folder / (named[0] if named else "block.py")
         file.write_text(code)
@@ -273,10 +273,10 @@ def poses(reader: Reader) -> None:
     """The poses of a reader's own program, for 2 trials of each split, and a motion that stands still."""
     import torch
 
-    from r2h_batch import Evaluator
     from r2h_batch.methods.random import predict
 
-    evaluator, trials = Evaluator(load_benchmark("r2h-v1")), load_benchmark("r2h-v1").trials(2)
+    benchmark = load_benchmark()
+    evaluator, trials = benchmark.evaluator(), benchmark.trials(2)
     answer = predict(trials, evaluator.scene)
     q = torch.tensor(evaluator.scene.robot.home_q, dtype=torch.float32).expand(len(trials), 2, -1)
     reader.names |= {"T_obj_ee": answer.T_obj_ee, "T_world_ee": answer.T_world_ee, "k": 1}

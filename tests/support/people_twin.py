@@ -69,12 +69,13 @@ def reception_of(again: Again, found: Any, index: int) -> Iterator[Finding]:
     yield Finding("counts fall", count, "", "fact", wrong=not fall)
     if not bool(found.received[index]):
         return
-    scene, robot, receiver, grasp = again.scene, again.robot, again.receiver, int(found.grasp[index])
+    scene, robot, receiver = again.scene, again.robot, again.receiver
     assert receiver is not None
-    held_out = load_held_out(scene.objects, scene.hands.model)
+    here = again.true.staged.object_index
+    held_out = load_held_out(scene.objects, scene.hands.model, [here])
+    grasp = int(held_out.first[here]) + int(found.grasp[index])
     own = held_out.grasps[torch.tensor([grasp])]
     thing = int(own.object_index[0])
-    here = again.true.staged.object_index
     yield Finding("object of the grasp", thing, here, "fact", wrong=thing != here)
 
     # closing moves the object by millimetres: close_in_physics begins with the widest gap, and takes seven times as long

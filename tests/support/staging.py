@@ -37,7 +37,8 @@ def staged_objects() -> tuple[ObjectModel, ...]:
 
 @cache
 def staged_evaluator(config: EvalConfig | None = None) -> Evaluator:
-    return Evaluator(load_benchmark("r2h-v1").with_objects(staged_objects()), config)
+    benchmark = load_benchmark("r2h-v1").with_objects(staged_objects())
+    return Evaluator(benchmark if config is None else replace(benchmark, thresholds=config.thresholds), config)
 
 
 @cache

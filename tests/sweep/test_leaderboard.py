@@ -54,7 +54,10 @@ def copied(run, out, *, method=None, header=None):
 def board(out, *submissions, **flags):
     """The exit code, and (place, method, submission) of each line of the page."""
     code = command("leaderboard", *submissions, rows=6, out=out, overwrite=True, **flags)
-    lines = re.findall(r"<tr[^>]*><td>([^<]*)</td><td class=l>([^<]*)</td><td class=l>([^<]*)</td>", out.read_text())
+    lines = re.findall(
+        r"<tr[^>]*><td>([^<]*)</td><td class=l>([^<]*)(?:<small>[^<]*</small>)?</td><td class=l>([^<]*)</td>",
+        out.read_text(),
+    )
     return code, lines
 
 

@@ -161,7 +161,7 @@ def test_errors_in_one_word_are_five_settings_and_the_seed_comes_from_the_comman
     assert (error.camera_m, error.camera_deg, error.camera_drawn, error.object_m, error.seed) == (0.005, 1, "run", 0, 4)
     one_by_one = ["--execution-error.camera-m", "0.005", "--execution-error.camera-deg", "1"]
     drawn = ["--execution-error.camera-drawn", "run"]
-    assert requested(parse([*words[:6], *one_by_one, *drawn])).configuration.execution_error == error
+    assert requested(parse([*words[:8], *one_by_one, *drawn])).configuration.execution_error == error
     path = write(tmp_path, "method: [random]\nexecution_error: 5mm,1deg\n")
     both = parse(["--config", str(path), "--execution-error", "object:2mm,1deg"])
     assert both.settings["execution_error.camera_m"] == 0 and both.settings["execution_error.object_m"] == 0.002

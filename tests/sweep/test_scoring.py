@@ -34,7 +34,7 @@ class Failing(fake_bench.FakeEvaluator):
 
 
 def test_trials_that_the_simulator_failed_on_are_dumped_into_the_run_folder_and_others_are_not(tmp_path):
-    bench = replace(fake_bench.set_up(requested(Options(method=("x",), trials=12, chunk=5))), evaluator=Failing())
+    bench = replace(fake_bench.set_up(requested(Options(method=("random",), trials=12, chunk=5))), evaluator=Failing())
     run = open_run(tmp_path / "run", {**bench.header, "shard_trials": 8})
     run.register("m", {"kind": "test"})
     for shard in run.todo("m"):
@@ -57,7 +57,7 @@ def test_planned_ids_are_those_of_the_protocol_in_any_range(splits):
     from r2h_batch import load_benchmark
 
     plan = jobs.set_up(requested(Options(method=("random",), trials=11, splits=splits)))
-    expected = load_benchmark("r2h-v1").trials(11, splits=[s for s in ("S0", "S1") if s in splits])
+    expected = load_benchmark().trials(11, splits=[s for s in ("S0", "S1") if s in splits])
     assert plan.planned == len(expected)
     assert plan.ids(0, plan.planned).tolist() == expected.trial_id.tolist()
     for first, last in ((0, 0), (3, 4), (5, plan.planned)):

@@ -11,7 +11,7 @@ from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.protocols.edit import FRAMES, frame_of, in_frame
 from r2h_batch.runs.store import load_run
-from r2h_batch.scene.objects import load_objects, object_digest
+from r2h_batch.scene.objects import object_digest
 
 BY_X = """
 import torch
@@ -50,7 +50,7 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     assert command("turn", run / "run", "--method", *words, "--format", "json") == 0
     found = {(t["method"].partition(" ")[0], t["group"]): t for t in json.loads(capsys.readouterr().out)}
     names = load_run(run / "run").trials("mine")["object"].to_pylist()
-    ahead = {o.name: o.com[0] > 0 for o in load_objects()}
+    ahead = {o.name: o.com[0] > 0 for o in load_benchmark().objects}
     assert {m["turn"] for m in found["mine", "S1"]["moves"]} == set(FRAMES) and any(ahead[n] for n in names)
     assert max(abs(m["points"]) for m in found["mine", "S1"]["moves"]) >= 20
     assert all(m["points"] == 0 for m in found["Intent-Handover", "S1"]["moves"])
@@ -82,7 +82,7 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     assert command("turn", run / "run", "--method", *words, "--by", "20, 40,-60") == 0
     for turn in TURNED:
         table = load_run(run / "run-turned" / turn).trials("mine")
-        com = {o.name: (frame_of(turn) @ o.com)[0] > 0 for o in load_objects()}
+        com = {o.name: (frame_of(turn) @ o.com)[0] > 0 for o in load_benchmark().objects}
         solved = np.array(table["outcome"].to_pylist()) == "success"
         assert not solved[[not com[n] for n in table["object"].to_pylist()]].any() and solved.any()
     # a turned run is a run like any other: its rows are what the evaluator says

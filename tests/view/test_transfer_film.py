@@ -53,12 +53,12 @@ def test_a_row_that_nobody_receives_has_no_transfer_to_show(tmp_path, capsys):
     import torch
 
     from r2h_batch.judge.reception import reception
-    from r2h_batch.protocols.choice import BUILT_IN
+    from r2h_batch.protocols.choice import DEFAULT
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results.reception import judge_of_bodies, judged_one
 
     run = load_run(ROWS / "v1").only(["oracle"])
-    judge, (name,) = judge_of_bodies(run, BUILT_IN, "cpu")
+    judge, (name,) = judge_of_bodies(run, DEFAULT, "cpu")
     refused = None
     for trial in range(20, 60):
         _, scores, _ = judged_one(run, name, judge, trial)

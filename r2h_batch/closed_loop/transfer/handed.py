@@ -126,8 +126,8 @@ def handed_of(
         for k in ("T_world_hand", "T_obj_ee", "T_world_obj", "opening_m", "pull", "closing_m")
     }
     index = object_index[rows.numpy()].astype(np.int64)
-    held_out = load_held_out(scene.objects, scene.hands.model)
-    grasp = found.grasp.cpu()[rows].long()
+    held_out = load_held_out(scene.objects, scene.hands.model, np.unique(object_index))
+    grasp = held_out.first[torch.from_numpy(index)] + found.grasp.cpu()[rows].long()
     T_world_obj = numpy["T_world_obj"]
     # objects of revolution may be turned about their axes: the grasp goes with the hand
     T_obj_hand = held_out.grasps.T_obj_hand[grasp].double().numpy()

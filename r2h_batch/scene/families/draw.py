@@ -26,7 +26,8 @@ the second. Corners nearer to a cut than the third lie on it."""
 
 SLIVER_M, CLEARED_MM, NEEDLE_MM = 1e-8, 1e-4, 0.01
 """A triangle lower than the first, as it is stored, is a sliver (trimesh's `nondegenerate_faces`). An instance that has one
-gets rid of all triangles lower than the second; sides shorter than the third are collapsed."""
+gets rid of the triangles lower than the second; sides shorter than the third are collapsed. In about one of 50 instances
+one or two stay, which cannot be removed without a fold; none of the shipped ones has any."""
 HALVINGS = 40
 """A water level is searched in so many halves: to its last bits."""
 
@@ -108,7 +109,7 @@ def _divided(
 def _without_slivers(
     vertices: Vec, faces: NDArray[np.int32], label: NDArray[np.uint8]
 ) -> tuple[Vec, NDArray[np.int32], NDArray[np.uint8]]:
-    """The surface (m) as it is, or without slivers where it has some in single precision."""
+    """The surface (m) as it is, or without the slivers that can be removed where it has some in single precision."""
     if heights(vertices.astype(np.float32), faces).min() >= SLIVER_M:
         return vertices, faces, label
     surface = Surface(1000 * vertices, faces.astype(np.int64), label.astype(np.int64))

@@ -111,7 +111,9 @@ class Surface:
     def neighbours(self, a: int) -> set[int]:
         return {x for k in self.of[a] for x in self.f[k]} - {a}  # type: ignore[union-attr]
 
-    def collapse(self, a: int, b: int, at: Vec, longest: float, least_turn: float) -> bool:
+    def collapse(
+        self, a: int, b: int, at: Vec, longest: float, least_turn: float, rounder: bool = True
+    ) -> bool:
         """Move a and b to one point, unless that would fold, pinch or stretch the surface."""
         pair = self.of[a] & self.of[b]
         if len(pair) != 2:
@@ -141,7 +143,8 @@ class Surface:
                 before = max(_gap(px, py), _gap(py, pz), _gap(pz, px))
                 if worst > longest and worst > before:
                     return False
-                if new[3] / worst**2 < 0.12 and new[3] / worst**2 < old[3] / before**2:
+                flatter = new[3] / worst**2 < 0.12 and new[3] / worst**2 < old[3] / before**2
+                if rounder and flatter:
                     return False
         for k in pair:
             for x in self.f[k]:  # type: ignore[union-attr]
@@ -214,18 +217,18 @@ def heights(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> NDArr
     return np.asarray(double / np.maximum(side, 1e-300))
 
 
-def without_slivers(surface: Surface, least: float, short: float) -> None:
+def without_slivers(surface: Surface, least: float, short: float) -> int:
     """Removes triangles lower than ``least``: a needle's side shorter than ``short`` is collapsed, a cap's longest side is
     flipped into the triangle beyond it, whose label both halves take. Corners stay or move by less than ``short``.
 
-    Raises:
-        ValueError: some are left.
+    Returns:
+        Number of triangles that stay, since neither is possible without a fold in the surface.
     """
+    left = 0
     for _ in range(50):
         vertices, faces, _ = _live(surface)
         low = np.flatnonzero(heights(vertices, faces) < least)
-        if not len(low):
-            return
+        left = len(low)
         live = [k for k, face in enumerate(surface.f) if face is not None]
         changed = False
         for k in (live[i] for i in low):
@@ -234,7 +237,7 @@ def without_slivers(surface: Surface, least: float, short: float) -> None:
                 changed |= _remove_sliver(surface, k, short)
         if not changed:
             break
-    raise ValueError("a sliver cannot be removed: neither can its side be collapsed nor flipped")
+    return left
 
 
 def _live(
@@ -256,8 +259,11 @@ def _remove_sliver(surface: Surface, k: int, short: float) -> bool:
     a, b, c = surface.f[k]  # type: ignore[misc]
     edges = sorted(((a, b), (b, c), (c, a)), key=lambda e: surface.length(*e))
     if surface.length(*edges[0]) < short:
-        p, q = edges[0]
-        return any(surface.collapse(i, j, surface.v[i], np.inf, 0.7) for i, j in ((p, q), (q, p)))
+        # one way or the other; where neighbours are needles too, whatever their shape and normal become
+        ways = (edges[0], edges[0][::-1])
+        return any(surface.collapse(i, j, surface.v[i], np.inf, 0.7) for i, j in ways) or any(
+            surface.collapse(i, j, surface.v[i], np.inf, -np.inf, rounder=False) for i, j in ways
+        )
     p, q = edges[-1]
     pair = surface.sides(p, q)
     if len(pair) != 2:

@@ -96,7 +96,7 @@ def usual_grips(
         grasp: (N,) rows of the grasps.
         down: (N, 3) unit vector of gravity, frame obj. The nearest of `held_out.GRAVITY` counts, as for `grip_n`.
     """
-    every = Withstood.of(objects, held_out.grasps.hand)
+    every = Withstood.of(objects, held_out.grasps.hand, held_out.loaded)
     R = every.axes[held_out.grasps.object_index.numpy()[grasp]]
     gravity = np.einsum("nij,ni,gj->ng", R, down, GRAVITY).argmax(1)
 
@@ -129,17 +129,27 @@ class Withstood:
     axes: Float64[Array, "o 3 3"]
 
     @staticmethod
-    def of(objects: Sequence[ObjectModel], hand: HandModel) -> Withstood:
-        """All held-out grasps of these objects, in the order of `load_held_out(objects, hand)`.
+    def of(
+        objects: Sequence[ObjectModel], hand: HandModel, only: frozenset[int] | None = None
+    ) -> Withstood:
+        """The held-out grasps of these objects (of those in `only`), in the order of `HeldOut`.
 
         Those of built-in objects are stored. Others are computed once, some seconds each, and kept on disk.
         """
-        return _withstood(tuple(objects), hand)
+        return _withstood(
+            tuple(objects), hand, frozenset(range(len(objects))) if only is None else only
+        )
 
 
 @lru_cache(maxsize=8)
-def _withstood(objects: tuple[ObjectModel, ...], hand: HandModel) -> Withstood:
-    each = [_of_object(o if o.turn is None else o.turn.own, hand) for o in objects]
+def _withstood(
+    objects: tuple[ObjectModel, ...], hand: HandModel, only: frozenset[int]
+) -> Withstood:
+    own = [objects[k] if objects[k].turn is None else objects[k].turn.own for k in sorted(only)]
+    each = [
+        *(_of_object(o, hand) for o in own),
+        {k: np.zeros((0, *s.shape[1:]), s.dtype) for k, s in FORM.items()},
+    ]
     columns = {k: np.concatenate([e[k] for e in each]) for k in FORM}
     axes = [np.eye(3) if o.turn is None else np.asarray(o.turn.R_new_own) for o in objects]
     return Withstood(**columns, axes=np.array(axes, np.float64))

@@ -8,25 +8,26 @@ eight times as many; tests/methods/predictors and the import contracts keep them
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 from torch import Tensor
 
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
+from r2h_batch.base.io.progress import progress
 from r2h_batch.data.people import people_hand
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.hand import HandModel, load_hand
 from r2h_batch.scene.objects import (
     ObjectModel,
-    load_objects,
     object_digest,
     stored_arrays_of,
     stored_key,
@@ -66,16 +67,37 @@ class HeldOut:
     """unit axis of each object of revolution, frame obj; 0: the object is none"""
     axis_point: Float32[Tensor, "o 3"]
     """a point of the axis, frame obj, m"""
+    first: Int64[Tensor, " o"]
+    """row of each object's first grasp"""
+    loaded: frozenset[int]
+    """objects whose grasps are here; the others have no rows"""
 
 
 _NO_AXIS = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 """Axis and point of an object that has none, as `HeldOut` holds them."""
 
 
+class _Loaded:
+    """The grasps of some objects on a hand, which grow with the objects that are asked for."""
+
+    def __init__(self) -> None:
+        self.lock = Lock()
+        self.held_out: HeldOut | None = None
+
+
 @lru_cache(maxsize=8)
-def _load(objects: tuple[ObjectModel, ...], hand: HandModel) -> HeldOut:
-    every = [_of_object(o, hand) for o in objects]
-    index = np.repeat(np.arange(len(objects), dtype=np.int32), [len(e["side"]) for e in every])
+def _loaded(objects: tuple[ObjectModel, ...], hand: HandModel) -> _Loaded:
+    return _Loaded()
+
+
+def _load(objects: tuple[ObjectModel, ...], hand: HandModel, only: frozenset[int]) -> HeldOut:
+    every = []
+    with progress("receiving grasps (kept on disk)", len(only), "objects") as advance:
+        for k, o in enumerate(objects):
+            every.append(_of_object(o, hand) if k in only else _no_grasps())
+            advance(int(k in only))
+    number = [len(e["side"]) for e in every]
+    index = np.repeat(np.arange(len(objects), dtype=np.int32), number)
     columns = {
         k: torch.from_numpy(np.concatenate([e[k] for e in every])) for k in (*FIELDS, "grip_n")
     }
@@ -86,11 +108,18 @@ def _load(objects: tuple[ObjectModel, ...], hand: HandModel) -> HeldOut:
         instruction=torch.zeros(len(index), dtype=torch.int32, device="cpu"),
         hand=hand,
     )
-    lines = np.array([revolution_axis(o) or _NO_AXIS for o in objects], np.float32)
-    return HeldOut(grasps, grip, *(torch.from_numpy(lines[:, k].copy()) for k in (0, 1)))
+    of_revolution = [revolution_axis(o) if k in only else None for k, o in enumerate(objects)]
+    lines = np.array([axis or _NO_AXIS for axis in of_revolution], np.float32)
+    axes = (torch.from_numpy(lines[:, k].copy()) for k in (0, 1))
+    first = torch.from_numpy(np.cumsum([0, *number[:-1]]))
+    return HeldOut(grasps, grip, *axes, first, only)
 
 
-def load_held_out(objects: Sequence[ObjectModel], hand: HandModel | None = None) -> HeldOut:
+def load_held_out(
+    objects: Sequence[ObjectModel],
+    hand: HandModel | None = None,
+    only: Iterable[int] | None = None,
+) -> HeldOut:
     """The held-out receiving grasps of these objects, `object_index` counting them in order.
 
     Args:
@@ -98,11 +127,22 @@ def load_held_out(objects: Sequence[ObjectModel], hand: HandModel | None = None)
             of r2h-v1's objects and of the first two instances of each family; others are sampled once, a CPU minute
             each, and kept on disk (`io.cache`).
         hand: whose hands; None: the built-in one.
+        only: indices of the objects that are needed; None: all. Grasps of others are there if an
+            earlier call needed them.
 
     Returns:
         Up to 256 grasps a side and object; none of an object that no hand can hold.
     """
-    return _load(tuple(objects), load_hand() if hand is None else hand)
+    hand, every = load_hand() if hand is None else hand, range(len(objects))
+    needed = frozenset(every if only is None else map(int, only))
+    loaded = _loaded(tuple(objects), hand)
+    with loaded.lock:
+        before = loaded.held_out
+        if before is None or not needed <= before.loaded:
+            known = frozenset() if before is None else before.loaded
+            loaded.held_out = _load(tuple(objects), hand, needed | known)
+        assert loaded.held_out is not None
+        return loaded.held_out
 
 
 @lru_cache(maxsize=256)
@@ -121,6 +161,13 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     return cached("held-out", key, lambda: sample_held_out(model, hand=hand), form)
 
 
+def _no_grasps() -> dict[str, NDArray[Any]]:
+    return {
+        **{k: np.zeros((0, *spec.shape[1:]), spec.dtype) for k, spec in FORM.items()},
+        "grip_n": np.zeros((0, len(GRAVITY)), np.float32),
+    }
+
+
 def stored_of_hand(name: str, hand: HandModel) -> dict[str, NDArray[Any]]:
     """OBJECT/FIELD -> array of a shipped file about this hand's held-out grasps; nothing of another than the built-in hands."""
     if hand is load_hand():
@@ -136,8 +183,7 @@ def sample_held_out(
     try:
         found = sample_receiving(model, hand=hand, per_side=PER_SIDE, series=SERIES)
     except NoHoldError:
-        some = stored_arrays("receiving", "receiving.npz")
-        found = {k: some[f"{load_objects()[0].name}/{k}"][:0] for k in FIELDS}
+        found = {k: v for k, v in _no_grasps().items() if k in FIELDS}
     none = torch.zeros(len(found["side"]), dtype=torch.int32, device="cpu")
     skin = ReceivingGrasps(
         none, **{k: torch.from_numpy(found[k]) for k in FIELDS}, instruction=none, hand=hand

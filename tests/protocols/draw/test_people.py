@@ -14,7 +14,6 @@ from rounds import each
 from r2h_batch import load_benchmark
 from r2h_batch.assets.hand.build_handset import angles_from_pose
 from r2h_batch.base.errors import FileError
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.data.people import (
     GROUPS,
     LENGTHS_M,
@@ -74,8 +73,9 @@ def test_body_and_hand_are_of_one_person_of_the_table(children: Benchmark, trial
     assert np.allclose(lower, people.lengths["radiale_stylion"][who], atol=1e-6)
     assert np.allclose(arm[:, 0, 3], people.lengths["biceps_circumference"][who] / (2 * np.pi), atol=1e-6)
     assert (people.sex[who] == column(trials, "female")).all()
-    # 200 hands a side stand for 500 people: the hand is that of a neighbour in size
-    assert np.abs(column(trials, "hand_length_m") - people.lengths["hand_length"][who]).max() < 0.004
+    # 200 hands a side stand for 500 people: the hand is that of a neighbour in size, of whom the largest have few
+    off_m = np.abs(column(trials, "hand_length_m") - people.lengths["hand_length"][who])
+    assert np.quantile(off_m, 0.98) < 0.003 and off_m.max() < 0.008
     hands = hand_lengths(children.hand_set.model, children.hand_set.shape.numpy())
     assert np.allclose(hands[trials.hand_index], column(trials, "hand_length_m"), atol=1e-6)
 
@@ -95,8 +95,8 @@ def test_seated_children_whom_no_posture_fits_are_drawn_again_and_counted(trials
 
 
 def test_hands_keep_their_sides_when_a_trial_is_drawn_again(children: Benchmark, trials: Trials) -> None:
-    own = load_benchmark("r2h-v1").trials(60)
-    usual = load_benchmark(DEFAULT_PROTOCOL).hand_set.side[own.hand_index.long()]
+    own = load_benchmark().trials(60)
+    usual = load_benchmark().hand_set.side[own.hand_index.long()]
     assert torch.equal(children.hand_set.side[trials.hand_index.long()], usual)
 
 
@@ -325,11 +325,14 @@ def test_a_file_of_people_gives_their_trials(tmp_path: Path) -> None:
 
 WRONG: dict[str, tuple[Callable[[dict[str, str]], object], str]] = {
     "millimetres": (lambda row: row.update(stature="1755"), "stature of person 1 is 1755; a body's is 0.6 to 2.35 m"),
-    "no length": (lambda row: row.update(acromion_radiale="long"), "acromion_radiale of person 1 is 'long'"),
+    "no length": (
+        lambda row: row.update(acromion_radiale="long"),
+        "acromion_radiale of person 1: 'long' is not a plain number",
+    ),
     "missing": (lambda row: row.pop("hand_length"), "has no column hand_length"),
     "hand": (lambda row: row.update(hand_length="0.255"), "hand_length of person 1 is 0.255 m; hands of"),
     "order": (lambda row: row.update(iliac_height="1.44", acromial_height="1.40"), "iliac_height must be less"),
-    "nan": (lambda row: row.update(age="nan"), "age of person 1 is nan; a body's is 0 to 120 years"),
+    "nan": (lambda row: row.update(age="nan"), "age of person 1: 'nan' is not a plain number"),
     "sex": (lambda row: row.update(sex="x"), "sex of person 1 is 'x'; allowed are male, female"),
 }
 

@@ -41,7 +41,7 @@ def test_rows_of_the_runs_benchmark_preset_and_engine_are_its_baselines_whatever
     unknown = {"protocol": "mine", "digests": {"benchmark": "0"}, "configuration": {"name": "paper"}}
     with pytest.raises(
         FileError,
-        match=r"benchmark mine --preset paper; make them with `r2h-batch sweep --benchmark r2h-v1 --method random ",
+        match=r"benchmark mine --preset paper; make them with `r2h-batch sweep --method random ",
     ):
         baselines_for({**unknown, "benchmark": {"flags": ["--benchmark mine.yaml"]}})
 

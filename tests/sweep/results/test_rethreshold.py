@@ -119,7 +119,7 @@ def test_what_cannot_be_rescored_exactly_is_refused_with_what_can(made, capsys, 
 
 @pytest.mark.slow
 def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
-    from r2h_batch import EvalConfig, Evaluator
+    from r2h_batch import Evaluator
     from r2h_batch import load_benchmark as real_trials
     from r2h_batch.config import Thresholds
     from r2h_batch.methods import random as method
@@ -139,8 +139,9 @@ def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
         writer.append(trials=score_rows(trials, scores, names))
     for radius, width, safe in each(zip(*changes.values())):
         thresholds = Thresholds(reach_radius_m=radius, w_max_m=width, safe_margin_m=safe)
-        again = Evaluator(load_benchmark("r2h-v1"), EvalConfig(thresholds=thresholds))
-        outcome = again.score(predictions.T_obj_ee, predictions.T_world_ee, trials).outcome.numpy()
+        again = Evaluator(dataclasses.replace(load_benchmark("r2h-v1"), thresholds=thresholds))
+        same = trials.named(again.scene.objects)
+        outcome = again.score(predictions.T_obj_ee, predictions.T_world_ee, same).outcome.numpy()
         grid = {"reach_radius_m": [radius], "w_max_m": [width], "safe_margin_m": [safe]}
         (point,) = others.rethreshold(load_run(tmp_path), **grid)
         expected = np.stack([np.bincount(outcome[part], minlength=9) for part in (slice(0, n), slice(n, 2 * n))])

@@ -138,7 +138,7 @@ def test_several_persons_of_a_trial_do_not_narrow_its_interval_as_more_trials_wo
 
 
 def test_rates_of_weak_and_firm_grips_and_of_stiff_arms_stand_in_their_own_columns(tmp_path):
-    """Of eight received objects the four of weak grips are dropped but one, and stiff arms take three of four."""
+    """Eight received objects: three of the four weak grips drop theirs, and stiff arms take three of four."""
     n = 8
     words = {
         "trial_id": np.arange(n),

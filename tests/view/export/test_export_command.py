@@ -30,7 +30,10 @@ def refused(arguments, capsys):
 
 def test_what_a_run_does_not_store_is_computed_again_to_the_same_bits(run, tmp_path, capsys):
     bare = tmp_path / "bare"
-    assert sweep.main(["--method", "random", "--trials", "2", "--no-poses", "--out", str(bare)]) == 0
+    assert (
+        sweep.main(["--benchmark", "r2h-v1", "--method", "random", "--trials", "2", "--no-poses", "--out", str(bare)])
+        == 0
+    )
     whole, part = Reader(run), Reader(bare)
     for k in (0, 1, 2, 3):
         one, two = whole.trial(k, "random"), part.trial(k, "random")
@@ -86,7 +89,8 @@ def test_a_users_own_mesh_is_found_or_asked_for_and_comes_along(tmp_path, capsys
     trimesh.creation.box((0.03, 0.06, 0.16)).subdivide().subdivide().export(file)
     folder = tmp_path / "run"
     # six built-in objects of S0 take their turns first: trial 12 is the user's
-    arguments = ["--method", "random", "--splits", "S0", "--trials", "7", "--save-paths", "--out", str(folder)]
+    arguments = ["--benchmark", "r2h-v1", "--method", "random", "--splits", "S0", "--trials", "7"]
+    arguments += ["--save-paths", "--out", str(folder)]
     assert sweep.main([*arguments, "--object-mesh", str(file)]) == 0
     capsys.readouterr()
     command = [folder, "--trial", 12, "--out", tmp_path / "x"]

@@ -17,7 +17,7 @@ from r2h_batch.view.export.trial_files import write_trials
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("trials") / "made" / "here"
-    digest = write_trials(folder, ["S0", "S1"], 12)
+    digest = write_trials(folder, ["S0", "S1"], 12, benchmark=load_benchmark("r2h-v1"))
     return folder, digest
 
 

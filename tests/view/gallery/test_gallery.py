@@ -74,7 +74,8 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
     line = ["--format", "html", "--gallery", "1", "--out", str(both)]
     assert main(["report", *runs, *line]) == 0
     links = [part.partition('"')[0] for part in both.read_text().split('<a href="')[1:]]
-    assert len(links) > 10 and len(set(links)) == len(links) and all((tmp_path / link).is_file() for link in links)
+    # three of them stand above the tables too
+    assert len(links) > 10 and len(set(links)) == len(links) - 3 and all((tmp_path / link).is_file() for link in links)
     assert {link.split("/")[1] for link in links} == {"1", "2"}
     assert f"r2h-batch view {second.folder} --method other --trial" in both.read_text()
 
