@@ -6,11 +6,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+from rounds import each
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
-APART = {"contacts", "people", "transfer", "coverage"}
+APART = {"contacts", "people", "transfer", "coverage", "gates"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
@@ -85,6 +88,34 @@ def test_make_bench_measures_every_json(measured):
     several += [w for line in re.findall(r"for b in ([\w ]+);", recipe) for w in line.split()]
     several += re.findall(r"bench/results/(\w+)\.json", recipe) + ["closed_loop_growth"] * ("--growth" in recipe)
     assert {*several} | LONG == {*measured}
+
+
+OWN_GATE = {"fc": "hand", "handover_va": "ik", "contact": "none", "intent": "none"}
+
+
+def rates_in(name: str):
+    """(method, options, split) -> percent of successes, counted in the rows of bench/rows/NAME."""
+    folder = ROOT / "bench" / "rows" / name
+    for file in sorted((folder / "methods").glob("*.json")):
+        text = file.read_text("utf-8")
+        assert '"/' not in text and str(ROOT) not in (folder / "run.json").read_text("utf-8")
+        source = json.loads(text)["source"]
+        method = source["function"].split(":")[0].rpartition(".")[2]
+        parts = sorted((folder / "shards" / file.stem).glob("*.parquet"))
+        rows = pa.concat_tables([pq.read_table(p, columns=["split", "outcome"]) for p in parts]).to_pylist()
+        for split in ("S0", "S1"):
+            won = [r["outcome"] == "success" for r in rows if r["split"] == split]
+            yield (method, source.get("options", ""), split), 100 * sum(won) / len(won), len(won)
+
+
+def test_the_rates_of_the_gates_are_those_of_their_stored_rows(measured):
+    values, seen = measured["gates"].values, set()
+    for (method, options, split), rate, n in each(rates_in("gates")):
+        gate = options.removeprefix("gate=") or OWN_GATE[method]
+        assert rate == pytest.approx(values[f"gates.{method}.{gate}.{split.lower()}"], abs=1e-9)
+        assert n == values["gates.trials"]
+        seen.add((method, gate, split))
+    assert len(seen) == 4 * 3 * 2
 
 
 def test_what_the_first_page_claims_follows(measured):

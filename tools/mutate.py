@@ -57,6 +57,7 @@ T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluat
 T_GRASP = f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit"
 T_BALL = f"{T_ROWS}::test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit"
 
+GATE, T_GATE = "r2h_batch/methods/gate.py", "tests/methods/test_gate.py"
 DRAWN, T_FAM = "r2h_batch/scene/families/draw.py", "tests/scene/test_families.py"
 T_ONE_MATERIAL = f"{T_FAM}::test_mass_centre_and_inertia_of_one_material_are_those_of_the_surface"
 T_NEW_INSTANCES = f"{T_FAM}::test_new_instances_are_drawn_by_what_the_flag_says"
@@ -889,6 +890,48 @@ MUTATIONS = (
         'if "benchmark" in digests:',
         'if False:',
         (T_OF_RUN,),
+    ),
+    Mutation(
+        "gate: a pose that meets the estimated hand passes",
+        GATE,
+        "return reached & (distance > clearance_m), reached",
+        "return reached, reached",
+        (f"{T_GATE}::test_contacts_gate_leaves_out_poses_whose_gripper_meets_the_estimated_hand",),
+    ),
+    Mutation(
+        "gate: where no pose passes, any is taken though the arm reaches some",
+        GATE,
+        "for more in (usable & reached, usable):",
+        "for more in (usable, usable):",
+        (f"{T_GATE}::test_a_gate_that_nothing_passes_gives_way_to_what_the_arm_reaches_and_then_to_all",),
+    ),
+    Mutation(
+        "gate: Intent-Handover asks it with orientation axis alone",
+        "r2h_batch/methods/intent.py",
+        'if gate not in ("own", "none") and not turns:',
+        "if False:",
+        (f"{T_GATE}::test_intents_gate_chooses_among_grasps_as_each_has_one_pose",),
+    ),
+    Mutation(
+        "gate: Handover-VA goes on from a pose that passes",
+        "r2h_batch/methods/handover_va.py",
+        "todo = todo[~found]",
+        "todo = todo[found]",
+        ("tests/methods/test_baselines.py::test_va_goes_through_grasps_distances_and_turns_as_the_original_program_does",),
+    ),
+    Mutation(
+        "gate: Contact-Handover's least cost is of all poses",
+        "r2h_batch/methods/least_cost_pose.py",
+        "best = least(cost, let_through(passes, reached, every), every)",
+        "best = least(cost, every, every)",
+        (f"{T_GATE}::test_contacts_gate_leaves_out_poses_whose_gripper_meets_the_estimated_hand",),
+    ),
+    Mutation(
+        "gate: FC-Handover takes the first roll",
+        GATE,
+        "at = first_true(let_through(passes, reached, torch.ones_like(passes)))",
+        "at = first_true(torch.ones_like(passes))",
+        (f"{T_GATE}::test_fcs_roll_is_the_first_or_the_first_that_the_arm_reaches",),
     ),
     Mutation(
         'of run: what it saw of the person is forgotten',

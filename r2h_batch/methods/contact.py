@@ -8,7 +8,6 @@ estimated hand; whether the arm reaches it is not asked (`gate`).
 """
 
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 import torch
@@ -20,6 +19,7 @@ from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.methods import blocked as blocked_kernels
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.gate import Gate
 from r2h_batch.methods.least_cost_pose import (
     DIRECTIONS,
     HAND_POINTS,
@@ -37,6 +37,7 @@ from r2h_batch.methods.placing import (
 )
 from r2h_batch.methods.predictors import (
     ContactPredictor,
+    Contacts,
     DepthView,
     Observations,
     PredictorNoise,
@@ -70,11 +71,6 @@ CLEARANCE_M = 0.0
 clearance."""
 
 
-Contacts = Literal["left-out", "all"]
-"""Which weights answer for a built-in object: those that never saw it, or those trained on all
-objects."""
-
-
 def predict(
     trials: Trials,
     scene: Scene,
@@ -93,7 +89,7 @@ def predict(
     rolls: int = ROLLS,
     zone_m: float = ZONE_M,
     hand_points: int = HAND_POINTS,
-    gate: Literal["none", "ik"] = "none",
+    gate: Gate = "none",
     at: Anchor = "object",
     contacts: Contacts = "left-out",
     cameras: int = 0,
@@ -122,9 +118,9 @@ def predict(
         rolls: turns about each direction that are tried.
         zone_m: points of the target hand nearer than this to gripper or object cost.
         hand_points: points of the hand that the cost counts.
-        gate: `ik`: only orientations that the arm reaches.
+        gate: what an orientation must pass (`gate.Gate`).
         at: what stands above the palm.
-        contacts: weights for built-in objects: `left-out` never saw them, `all` did.
+        contacts: which built-in weights answer (`predictors.Contacts`).
         cameras: depth cameras that show the object to the network; 0: it sees the whole solid.
         depth_noise: factor on the cameras' axial noise.
         depth_lost: share of depth points that are lost.
@@ -148,7 +144,7 @@ def predict(
             scene,
             predictor=predictor,
             seen=seen,
-            left_out=contacts == "left-out",
+            contacts=contacts,
             view=view,
             seed=seed,
         )
@@ -161,7 +157,8 @@ def predict(
         row = taken(rows, least_blocked(blocked, table.score[rows], clear, clustered[rows], exists))
         T_world_ee = least_cost_pose(
             scene, part.object_index, table.T_obj_ee[row], table.opening_m[row], target, height_m,
-            directions=directions, rolls=rolls, zone_m=zone_m, hand_points=hand_points, gate=gate, at=at
+            directions=directions, rolls=rolls, zone_m=zone_m, hand_points=hand_points, gate=gate,
+            clearance_m=clearance_m, at=at
         )  # fmt: skip
         return table.T_obj_ee[row], T_world_ee
 

@@ -13,13 +13,12 @@ from torch import Tensor
 from r2h_batch.base import se3
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.gate import Gate, first_fit
 from r2h_batch.methods.placing import (
     HEIGHT_M,
     Anchor,
-    Gate,
     approach_frames,
     candidates_clear_of,
-    first_fit,
     home_x,
     least,
     placed_above_palm,
@@ -70,7 +69,7 @@ def predict(
         seen: answers of your own networks, in place of the stand-ins.
         rolls: turns about the approach axis that are tried.
         clearance_m: what gripper and receiving hand must keep.
-        gate: what a roll must pass (`placing.Gate`).
+        gate: what a roll must pass (`gate.Gate`).
         height_m: how far what `at` names stands above the palm.
         at: what stands above the palm.
 

@@ -5,10 +5,11 @@ Grasps: the method's own top-down grasps of the functional part (`box_grasps.py`
 finger room first. Poses: ICP of a handle-function template gives the utility axis
 (`utility_axis.py`), which points at the palm. Each grasp is tried at five distances in front of the
 palm and in seven turns, added up as the original's program adds them; the first pose that the arm
-reaches is taken. Nothing else is checked, no collision: as published.
+reaches is taken (`gate`). Nothing else is checked, no collision: as published.
 """
 
 import math
+from collections.abc import Callable
 from itertools import accumulate
 from typing import Literal
 
@@ -17,16 +18,17 @@ from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from torch import Tensor
 
 from r2h_batch.base import se3
+from r2h_batch.judge.grasp import close_pads
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.box_grasps import BoxGrasps, box_grasps, depth_steps
 from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.gate import Gate, passing
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP, roles_of
 from r2h_batch.methods.placing import (
     approach_frames,
     check_choice,
     first_true,
     least,
-    reachable,
     rolled,
     taken,
 )
@@ -39,7 +41,6 @@ from r2h_batch.methods.predictors import (
     predict_target,
 )
 from r2h_batch.methods.utility_axis import LABEL_M, Alignment, align_templates
-from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
@@ -63,6 +64,9 @@ ROTATIONS = 7
 DISTANCES, DISTANCE_STEP_M = 5, 0.08
 """Places along the line between the two, the nearest to the receiver first (published)."""
 
+CLEARANCE_M = 0.0
+"""Distance that gripper and estimated hand must keep with gate `hand`: the text asks for none."""
+
 Loops = Literal["original", "one"]
 """original: grasps by score x five distances x seven turns that add up, about the axis of the
 object's class. one: the best grasp, one distance, seven even turns about the handle."""
@@ -81,6 +85,8 @@ def predict(
     seen: Observations | None = None,
     loops: Loops = "original",
     at: BodyPoses = "handle",
+    gate: Gate = "ik",
+    clearance_m: float = CLEARANCE_M,
     voxel_m: float = VOXEL_M,
     crop_m: float = CROP_M,
     azimuth_step: float = AZIMUTH_STEP,
@@ -98,6 +104,8 @@ def predict(
         seen: answers of your own networks, in place of the stand-ins.
         loops: what is tried, in which order.
         at: what is put opposite the palm.
+        gate: what a pose must pass (`gate.Gate`).
+        clearance_m: with gate `hand`: what gripper and estimated hand must keep.
         voxel_m: grid of grasp points.
         crop_m: half side of the box of obstacles about a grasp point.
         azimuth_step: angle between two top-down orientations, rad.
@@ -137,7 +145,15 @@ def predict(
             about_z = (role == WRAP).any(1)
             angles, places = added_turns(rotations), in_front_of(target, distances)
         R_world_obj = presented(axis.R_obj_template, target.palm_normal, angles, about_z)
-        return first_reached(scene.robot, R_world_obj, places, axis, at, grasps, feasible)
+
+        def passes(some: Tensor, grasp: Tensor, T: Tensor) -> tuple[Tensor, Tensor]:
+            opening = close_pads(scene.grasp_tables, grasp, part.object_index[some])[1]
+            hands = target.vertices[some]
+            return passing(
+                scene, T, opening[:, None].expand(T.shape[:2]), hands, clearance_m, gate=gate
+            )
+
+        return first_passing(passes, R_world_obj, places, axis, at, grasps, feasible)
 
     return answers(trials, scene, "handover-va", choose)
 
@@ -172,8 +188,8 @@ def by_score(
     return T, feasible
 
 
-def first_reached(
-    robot: Robot,
+def first_passing(
+    passes: Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]],
     R_world_obj: Float[Tensor, "b r 3 3"],
     places: Float[Tensor, "b d 3"],
     axis: Alignment,
@@ -181,24 +197,37 @@ def first_reached(
     grasps: Float32[Tensor, "b s 4 4"],
     feasible: Bool[Tensor, "b s"],
 ) -> tuple[Float32[Tensor, "b 4 4"], Float32[Tensor, "b 4 4"]]:
-    """Grasp and pose: the first that the arm reaches, grasps outermost, then places, then turns;
-    none: the first of all."""
+    """Grasp and pose: the first that passes, grasps outermost, then places, then turns; none: the
+    first that the arm reaches; none: the first of all.
+
+    Args:
+        passes: (rows, their grasps, their poses (n, d r, 4, 4)) -> which poses pass, and which the
+            arm reaches.
+        R_world_obj: (b, r, 3, 3) how the object is turned.
+        places: (b, d, 3) where it is held, m, world frame.
+        axis: what was aligned.
+        at: what is put there.
+        grasps: (b, s, 4, 4) best first.
+        feasible: (b, s) which of them are tried.
+    """
     d, r = places.shape[1], R_world_obj.shape[1]
     R, place = R_world_obj.repeat(1, d, 1, 1), places.repeat_interleave(r, 1)
     T_obj_ee, T_world_ee = grasps[:, 0].clone(), torch.empty_like(grasps[:, 0])
     todo = torch.arange(len(grasps), dtype=torch.int64, device=grasps.device)
+    some_reached = torch.zeros(len(grasps), dtype=torch.bool, device=grasps.device)
     for k in range(grasps.shape[1]):
         todo = todo[feasible[todo, k]]
         if not len(todo):
             break
         grasp = grasps[todo, k]
         T = carried(R[todo], _point(axis, at, grasp, todo), place[todo], grasp)
-        reached = reachable(robot, T)
-        found = reached.any(1)
-        rows = todo if k == 0 else todo[found]
-        open_rows = torch.ones_like(found) if k == 0 else found
-        T_obj_ee[rows] = grasp[open_rows]
-        T_world_ee[rows] = T[open_rows, first_true(reached)[open_rows]]
+        passed, reached = passes(todo, grasp, T)
+        found, better = passed.any(1), reached.any(1) & ~some_reached[todo]
+        some_reached[todo] |= better
+        taken_now = found | better | (k == 0)
+        rows, chosen = todo[taken_now], first_true(torch.where(found[:, None], passed, reached))
+        T_obj_ee[rows] = grasp[taken_now]
+        T_world_ee[rows] = T[taken_now, chosen[taken_now]]
         todo = todo[~found]
     return T_obj_ee, T_world_ee
 

@@ -25,12 +25,11 @@ from r2h_batch.kernels.methods import approach_hit
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
+from r2h_batch.methods.gate import Gate, first_fit, let_through, passing
 from r2h_batch.methods.placing import (
     HEIGHT_M,
-    Gate,
     approach_frames,
     check_choice,
-    first_fit,
     home_x,
     least,
     placed_above_palm,
@@ -61,7 +60,7 @@ INWARD_DEG = 15.0
 """Published. Inward is towards the thumb here: the paper does not say which way."""
 
 CLEARANCE_M = 0.0
-"""Distance that the gripper and the target hand must keep when rolls are tried: touching is a
+"""Distance that the gripper and the target hand must keep with gate `hand`: touching is a
 collision, no clearance is required."""
 
 BACK_OFF_M = 0.10
@@ -85,6 +84,11 @@ Orientation = Literal["transform", "axis"]
 fixed hand-to-gripper transform). axis: the gripper's approach axis against the hand's direction,
 its roll searched."""
 
+IntentGate = Literal["own", Gate]
+"""`gate.Gate`, or own: nothing with orientation `transform`, the gate `hand` with `axis`. With
+`axis` the gate chooses among the rolls of the best grasp. Otherwise a grasp has one pose, and the
+gate chooses among the grasps."""
+
 
 def predict(
     trials: Trials,
@@ -100,7 +104,7 @@ def predict(
     clearance_m: float = CLEARANCE_M,
     back_off_m: float = BACK_OFF_M,
     orientation: Orientation = "transform",
-    gate: Gate = "hand",
+    gate: IntentGate = "own",
     at: Place = "object",
     select: Select = "published",
 ) -> Predictions:
@@ -116,10 +120,10 @@ def predict(
         rolls: with orientation `axis`: turns about the approach axis that are tried.
         height_m: how far what `at` names stands above the palm.
         inward_deg: turn in the palm's plane towards the thumb, degrees.
-        clearance_m: with orientation `axis`: what gripper and hand must keep.
+        clearance_m: with gate `hand`: what gripper and estimated hand must keep.
         back_off_m: how far behind the TCP the approach ray starts.
         orientation: what is turned (`Orientation`).
-        gate: with orientation `axis`: what a roll must pass.
+        gate: what a pose must pass (`IntentGate`).
         at: what stands above the palm; `ergonomic`: the object goes where the receiver's shoulders
             and arm suggest (r2h-v1).
         select: which rules choose the grasp (`Select`).
@@ -133,6 +137,7 @@ def predict(
     check_choice("orientation", orientation, Orientation)
     check_choice("select", select, Select)
     check_choice("at", at, Place)
+    check_choice("gate", gate, IntentGate)
     if at == "ergonomic" and trials.receiver is None:
         raise ValueError(
             "at is 'ergonomic': these trials have no bodies; take a benchmark of people"
@@ -164,26 +169,41 @@ def predict(
         score = affordance_score(table.T_obj_ee[rows], taking.wrist_to_middle, hand)
         if select in ("A2", "A3"):
             score = torch.zeros_like(score)  # of equals the first
-        row = taken(rows, least(score, fits & exists, exists))
-        T_obj_ee = table.T_obj_ee[row]
-        if at == "ergonomic":
-            assert part.receiver is not None
-            T_world_obj = ergonomic_pose(part.receiver, taking.wrist_to_middle, table_m)
-            return T_obj_ee, se3.matmul(T_world_obj, T_obj_ee.double()).float().contiguous()
-        if orientation == "transform":
-            R = moved_with_the_hand(taking, target, T_obj_ee, inward_deg)[:, None]
-        # the gripper comes against the hand's own direction, turned towards the thumb; home's x is
-        # the roll's zero
-        else:
-            approach = turned_inward(
-                -target.wrist_to_middle, target.palm_normal, target.side, inward_deg
+
+        def posed(T_obj_ee: Tensor) -> Tensor:
+            """The one pose of a grasp of each trial; the rolls of it with orientation `axis`."""
+            if at == "ergonomic":
+                assert part.receiver is not None
+                T_world_obj = ergonomic_pose(part.receiver, taking.wrist_to_middle, table_m)
+                return se3.matmul(T_world_obj, T_obj_ee.double()).float()[:, None]
+            if orientation == "transform":
+                R = moved_with_the_hand(taking, target, T_obj_ee, inward_deg)[:, None]
+            # the gripper comes against the hand's own direction, turned towards the thumb; home's x
+            # is the roll's zero
+            else:
+                approach = turned_inward(
+                    -target.wrist_to_middle, target.palm_normal, target.side, inward_deg
+                )
+                R = rolled(approach_frames(approach, home_x(scene)), roll_angles(rolls))
+            return placed_above_palm(scene, R, T_obj_ee, part.object_index, target, height_m, at)
+
+        turns = orientation == "axis" and at != "ergonomic"
+        allowed = fits & exists
+        if gate not in ("own", "none") and not turns:
+            candidates = table.T_obj_ee[rows]
+            T = torch.cat([posed(candidates[:, k]) for k in range(candidates.shape[1])], 1)
+            passes, reached = passing(
+                scene, T, table.opening_m[rows], target.vertices, clearance_m, gate=gate
             )
-            R = rolled(approach_frames(approach, home_x(scene)), roll_angles(rolls))
-        T_world_ee = placed_above_palm(scene, R, T_obj_ee, part.object_index, target, height_m, at)
-        if orientation == "transform":
-            return T_obj_ee, T_world_ee[:, 0].contiguous()
+            allowed = let_through(passes, reached, allowed)
+        row = taken(rows, least(score, allowed, exists))
+        T_obj_ee = table.T_obj_ee[row]
+        poses = posed(T_obj_ee)
+        if not turns:
+            return T_obj_ee, poses[:, 0].contiguous()
+        chosen = "hand" if gate == "own" else gate
         return T_obj_ee, first_fit(
-            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, gate=gate
+            scene, poses, table.opening_m[row], target.vertices, clearance_m, gate=chosen
         )
 
     return answers(trials, scene, "intent", choose)

@@ -2,7 +2,7 @@
 collision cost with the hand."""
 
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,15 +16,14 @@ from r2h_batch.base.launch import launch_trials
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import pose_cost as kernels
 from r2h_batch.methods.box_grasps import half_sides
+from r2h_batch.methods.gate import Gate, let_through, passing
 from r2h_batch.methods.placing import (
     HOME_X,
     Anchor,
     approach_frames,
-    check_choice,
     home_x,
     least,
     placed_above_palm,
-    reachable,
     roll_angles,
     rolled,
 )
@@ -60,22 +59,44 @@ def least_cost_pose(
     rolls: int = ROLLS,
     zone_m: float = ZONE_M,
     hand_points: int = HAND_POINTS,
-    gate: Literal["none", "ik"] = "ik",
+    gate: Gate = "ik",
+    clearance_m: float = 0.0,
     at: Anchor = "gripper",
 ) -> Float32[Tensor, "b 4 4"]:
-    """T_world_ee with `at` `height_m` above each palm and the least cost; `gate="ik"`: of those
-    that the arm reaches (of all, if it reaches none).
+    """T_world_ee with `at` `height_m` above each palm and the least cost of the poses that pass.
 
     Of equal costs the approach nearest to straight into the palm, then the roll nearest to home.
+
+    Args:
+        scene: objects, hands and robot.
+        object_index: (b,) of the objects.
+        T_obj_ee: (b, 4, 4) their grasps, m.
+        opening_m: (b,) of the gripper.
+        target: the estimated hands.
+        height_m: how far what `at` names stands above the palm.
+        directions: approach directions that are tried.
+        rolls: turns about each.
+        zone_m: points of the hand nearer than this cost.
+        hand_points: points of the hand that the cost counts.
+        gate: what a pose must pass; where none does: `gate.let_through`.
+        clearance_m: distance that gate "hand" demands.
+        at: what stands above the palm.
     """
-    check_choice("gate", gate, Literal["none", "ik"])
     R = approach_fan(target.palm_normal, directions, rolls, home_x(scene))
     T_world_ee = placed_above_palm(scene, R, T_obj_ee, object_index, target, height_m, at)
     points = target.vertices[:, hand_sample(scene, hand_points)].contiguous()
     held = object_index, T_obj_ee, opening_m
     cost = collision_cost(scene, *held, T_world_ee, points, zone_m=zone_m)
-    every = torch.ones_like(cost, dtype=torch.bool)
-    best = least(cost, reachable(scene.robot, T_world_ee) if gate == "ik" else every, every)
+    passes, reached = passing(
+        scene,
+        T_world_ee,
+        opening_m[:, None].expand(cost.shape),
+        target.vertices,
+        clearance_m,
+        gate=gate,
+    )
+    every = torch.ones_like(passes)
+    best = least(cost, let_through(passes, reached, every), every)
     return T_world_ee[torch.arange(len(best), dtype=torch.int64, device=best.device), best]
 
 

@@ -1,5 +1,4 @@
-"""Handover poses: frames and rolls about an approach axis, where they stand above a hand, which of
-them the arm reaches clear of the hand, and the first that fits.
+"""Handover poses: frames and rolls about an approach axis, and where they stand above a hand.
 
 Frames are computed term by term in float64 with sqrt only: a row has the same bits in any batch.
 """
@@ -18,17 +17,12 @@ from torch import Tensor
 from r2h_batch.base import se3
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
-from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.candidates import CandidateTable
 from r2h_batch.methods.predictors import TargetHand
 from r2h_batch.scene.bounds import outer_ball
 from r2h_batch.scene.objects import ObjectModel, has_frozen_frame
-from r2h_batch.scene.robot import Robot, ee_pose
+from r2h_batch.scene.robot import ee_pose
 from r2h_batch.scene.scene import Scene
-
-Gate = Literal["hand", "ik", "none"]
-"""Conditions on a roll. hand: the arm reaches it, and the gripper is clear of the estimated hand;
-ik: the arm reaches it; none: nothing."""
 
 Anchor = Literal["gripper", "object"]
 """Point that stands on the palm's normal: the gripper's TCP, or the centre of the object (`center_of`)."""
@@ -127,12 +121,6 @@ def poses_at(R: Float[Tensor, "b r 3 3"], p: Float[Tensor, "*#b 3"]) -> Float[Te
     return se3.from_rotation(R.double(), p.double().expand(*R.shape[:2], 3)).float().contiguous()
 
 
-def reachable(robot: Robot, T_world_ee: Float[Tensor, "b r 4 4"]) -> Bool[Tensor, "b r"]:
-    """Whether IK has a solution for each pose (world frame). Collisions are not checked."""
-    flat = T_world_ee.reshape(-1, 4, 4).contiguous()
-    return solve_ik(flat, robot=robot).reachable.reshape(T_world_ee.shape[:2])
-
-
 def first_true(passes: Bool[Tensor, "b r"]) -> Int[Tensor, " b"]:
     """Index of the first True of each row; 0 if there is none."""
     return passes.to(torch.int8).argmax(1)
@@ -173,48 +161,6 @@ def candidates_clear_of(
         cap_m=clearance_m + 1e-3
     )  # fmt: skip
     return distance > clearance_m
-
-
-def first_fit(
-    scene: Scene,
-    T_world_ee: Float32[Tensor, "b r 4 4"],
-    opening_m: Float32[Tensor, " b"],
-    hand_vertices: Float32[Tensor, "b v 3"] | None,
-    clearance_m: float = 0.0,
-    *,
-    gate: Gate = "hand",
-) -> Float32[Tensor, "b 4 4"]:
-    """Choose each row's first pose that passes the gate.
-
-    If none passes, it is the first that the arm reaches; if it reaches none, the first one.
-
-    Args:
-        scene: with the hand's model.
-        T_world_ee: (b, r, 4, 4) poses in order of preference.
-        opening_m: (b,) of the gripper.
-        hand_vertices: (b, V, 3) world frame, metres; None: no hand is in the way.
-        clearance_m: distance that gate "hand" demands.
-        gate: what a pose must pass.
-
-    Returns:
-        (b, 4, 4) T_world_ee.
-    """
-    check_choice("gate", gate, Gate)
-    b, r = T_world_ee.shape[:2]
-    if gate == "none":
-        return T_world_ee[:, 0].contiguous()
-    reached = reachable(scene.robot, T_world_ee)
-    passes = reached
-    if hand_vertices is not None and gate == "hand":
-        hand = posed_hand(scene.hands.model, hand_vertices, scene.device)
-        row = torch.arange(b, dtype=torch.int64, device=T_world_ee.device) * r
-        distance = gripper_clearance(
-            scene.robot, hand, T_world_ee.reshape(-1, 4, 4), opening_m.repeat_interleave(r), row, torch.full_like(row, r), r,
-            cap_m=clearance_m + 1e-3
-        )  # fmt: skip
-        passes = reached & (distance > clearance_m)
-    at = torch.where(passes.any(1), first_true(passes), first_true(reached))
-    return T_world_ee[torch.arange(b, dtype=torch.int64, device=at.device), at]
 
 
 def check_choice(name: str, given: str, allowed: Any) -> None:

@@ -75,7 +75,7 @@ def test_of_equally_blocked_grasps_the_best_scored_wins_and_filters_give_way_one
 
 
 @pytest.mark.parametrize("gate", ["none", "ik"])
-def test_contacts_orientation_has_the_least_cost_of_all_or_of_those_the_arm_reaches(gate):
+def test_contacts_orientation_has_the_least_cost_of_all_or_of_those_that_pass_the_gate(gate):
     scene = evaluator().scene
     target = predict_target(trials(), scene, noise=NOISE)
     fan = approach_fan(target.palm_normal, 32, 8).numpy()

@@ -1,7 +1,7 @@
 """Inputs of methods: estimated hands, parts and contacts. With `PredictorNoise().scaled(0)` they
 see the truth."""
 
-from r2h_batch.methods.predictors.contacts import predict_contacts
+from r2h_batch.methods.predictors.contacts import Contacts, predict_contacts
 from r2h_batch.methods.predictors.depth_view import DepthView
 from r2h_batch.methods.predictors.external_predictions import Observations, read_observations
 from r2h_batch.methods.predictors.files import load_predictor
@@ -18,6 +18,7 @@ from r2h_batch.trials.noise import PredictorNoise
 
 __all__ = [
     "ContactPredictor",
+    "Contacts",
     "DepthView",
     "Observations",
     "PredictorNoise",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -22,13 +22,18 @@ from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.methods.predictors.depth_view import DRAWS, DepthView, carved
 from r2h_batch.methods.predictors.external_predictions import Observations
 from r2h_batch.methods.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
-from r2h_batch.methods.predictors.principal_axes import InPrincipalAxes, load_axes_network
+from r2h_batch.methods.predictors.principal_axes import (
+    InPrincipalAxes,
+    load_axes_network,
+    network_without,
+)
 from r2h_batch.methods.predictors.voxnet import load_voxnet
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.objects import (
     OBJECT_NAMES,
     VOXELS,
     ObjectModel,
+    category_of,
     has_frozen_frame,
     is_built_in,
     object_digest,
@@ -40,6 +45,11 @@ from r2h_batch.types import Trials
 CONTACT_THRESHOLD = 0.4
 """Probability from which a point counts as touched (Contact-Handover)."""
 
+Contacts = Literal["left-out", "other-categories", "all"]
+"""Which built-in weights answer for an object. left-out: those that never saw it. other-categories: those that never saw
+an object of its category (`scene.objects.category_of`). all: those trained on everything, on the sixteen objects of r2h-v1
+too."""
+
 _cached: dict[tuple[Any, ...], Tensor] = {}
 
 
@@ -49,7 +59,7 @@ def predict_contacts(
     *,
     predictor: ContactPredictor | None = None,
     seen: Observations | None = None,
-    left_out: bool = True,
+    contacts: Contacts = "left-out",
     view: DepthView | None = None,
     seed: int = 0,
 ) -> Float32[Tensor, "n p"]:
@@ -62,7 +72,7 @@ def predict_contacts(
         scene: objects: `Evaluator.scene`.
         predictor: the network; None: the built-in VoxNet.
         seen: answers of your own network instead.
-        left_out: show a built-in object to the weights that never saw it; False: to those of all.
+        contacts: which of the built-in weights answer (`Contacts`).
         view: the network sees what these cameras leave of the grid, one of `DRAWS` sets; it still
             answers for the whole cloud. None: it sees all.
         seed: key of the draw of the set; a row depends on seed and trial id alone.
@@ -75,26 +85,26 @@ def predict_contacts(
     device = trials.trial_id.device
     index = trials.object_index.long()
     if view is None or not view.cameras:
-        return _of_objects(scene, predictor, left_out, None, 0).to(device)[index, 0]
+        return _of_objects(scene, predictor, contacts, None, 0).to(device)[index, 0]
     (u,) = rng.uniforms(rng.key_of(f"depth views {seed}"), trial_ids(trials.trial_id), 1, purpose=0)
     draw = torch.from_numpy(rng.choice(u, DRAWS)).to(device)
-    return _of_objects(scene, predictor, left_out, view, seed).to(device)[index, draw]
+    return _of_objects(scene, predictor, contacts, view, seed).to(device)[index, draw]
 
 
 def _of_objects(
     scene: Scene,
     predictor: ContactPredictor | None,
-    left_out: bool,
+    contacts: Contacts,
     view: DepthView | None,
     seed: int,
 ) -> Float32[Tensor, "o d p"]:
-    key = (scene.objects, predictor, left_out, view, seed)
+    key = (scene.objects, predictor, contacts, view, seed)
     if key not in _cached:
         if len(_cached) >= 8:
             _cached.clear()
         rows = []
         for i, o in enumerate(scene.objects):
-            network = _network_for(o, left_out) if predictor is None else predictor
+            network = _network_for(o, contacts) if predictor is None else predictor
             if isinstance(network, InPrincipalAxes) and view is None:
                 rows.append(_kept(o, network)[None])
                 continue
@@ -104,13 +114,18 @@ def _of_objects(
     return _cached[key]
 
 
-def _network_for(model: ObjectModel, left_out: bool) -> ContactPredictor:
+def _network_for(model: ObjectModel, contacts: Contacts) -> ContactPredictor:
     """The built-in network for an object: the objects of r2h-v1 and r2h-release are shown to weights that know how these
     lie, in whatever frame; any other to the network that no frame decides."""
     if not has_frozen_frame(model):
-        return load_axes_network()
+        return (
+            network_without(category_of(model))
+            if contacts == "other-categories"
+            else load_axes_network()
+        )
     model = model if model.turn is None else model.turn.own
-    return load_voxnet(model.name if left_out and model.name in OBJECT_NAMES else "")
+    known = category_of(model) if contacts == "other-categories" else model.name
+    return load_voxnet(known if contacts != "all" and known in OBJECT_NAMES else "")
 
 
 CODE = (

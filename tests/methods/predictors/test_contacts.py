@@ -48,7 +48,7 @@ def test_contacts_are_read_at_the_clouds_points_and_do_not_depend_on_the_batch()
     assert found.shape == (len(trials), 2048) and found.dtype == torch.float32
     for row in (0, 5):
         model = scene.objects[int(trials.object_index[row])]
-        seen = predict_contacts(trials[row : row + 1], scene, left_out=False)[0]
+        seen = predict_contacts(trials[row : row + 1], scene, contacts="all")[0]
         for net, wanted in ((load_voxnet(model.name), found[row]), (load_voxnet(), seen)):  # the first never saw it
             with torch.no_grad():
                 field = net(contact_grids([model]))[0]
