@@ -13,7 +13,7 @@ from rounds import each
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
-APART = {"contacts", "people", "transfer", "coverage", "gates"}
+APART = {"contacts", "people", "transfer", "coverage", "gates", "networks"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
@@ -116,6 +116,16 @@ def test_the_rates_of_the_gates_are_those_of_their_stored_rows(measured):
         assert n == values["gates.trials"]
         seen.add((method, gate, split))
     assert len(seen) == 4 * 3 * 2
+
+
+def test_the_rates_of_the_networks_are_those_of_their_stored_rows(measured):
+    values, seen = measured["networks"].values, set()
+    names = {"": "all_categories", "contacts=other-categories": "other_categories"}
+    for (method, options, split), rate, n in each(rates_in("networks")):
+        assert rate == pytest.approx(values[f"networks.{names[options]}.{split.lower()}.sr"], abs=1e-9)
+        assert n == values["networks.trials"] and method == "contact"
+        seen.add((options, split))
+    assert len(seen) == 4
 
 
 def test_what_the_first_page_claims_follows(measured):

@@ -934,6 +934,26 @@ MUTATIONS = (
         (f"{T_GATE}::test_fcs_roll_is_the_first_or_the_first_that_the_arm_reaches",),
     ),
     Mutation(
+        "contacts: other-categories shows an object to the network of all sixteen",
+        "r2h_batch/methods/predictors/contacts.py",
+        'if contacts == "other-categories" and category in OBJECT_NAMES:',
+        "if False:",
+        (
+            "tests/methods/predictors/test_contacts.py"
+            "::test_an_object_can_be_shown_to_a_network_that_never_saw_its_category",
+        ),
+    ),
+    Mutation(
+        "contacts: other-categories shows an object to the network that left the first category out",
+        "r2h_batch/methods/predictors/contacts.py",
+        "return load_voxnet(category)  # each",
+        "return load_voxnet(OBJECT_NAMES[0])  # each",
+        (
+            "tests/methods/predictors/test_contacts.py"
+            "::test_an_object_can_be_shown_to_a_network_that_never_saw_its_category",
+        ),
+    ),
+    Mutation(
         'of run: what it saw of the person is forgotten',
         OF_RUN,
         'receiver=header["configuration"].get("receiver", "hand")',

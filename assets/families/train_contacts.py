@@ -4,9 +4,7 @@
 It learns from training instances of the families only, in the object's own axes
 (``r2h_batch.methods.predictors.principal_axes``). Its report, ``voxnet_axes.json``, says how well it predicts where people
 touch, and the receiver's region: on the shipped instances as they lie and turned, on the sixteen built-in
-objects, and, with ``--left-out``, on categories that it never saw. The networks that left categories out are stored in
-``voxnet_axes_left_out.safetensors``, in float16, and answer for ``contact,contacts=other-categories``; the report's figures of
-them are of the stored weights.
+objects, and, with ``--left-out``, on categories that it never saw.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from scipy.stats import rankdata
 from torch import Tensor
 
@@ -33,14 +31,12 @@ from r2h_batch.methods.predictors.contacts import CONTACT_THRESHOLD, SHIPPED_FIL
 from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.methods.predictors.principal_axes import (
     FLIPS,
-    LEFT_OUT_FILE,
     STORED_FILE,
-    TOGETHER,
     InPrincipalAxes,
     load_axes_network,
     turned_grid,
 )
-from r2h_batch.methods.predictors.voxnet import VoxNet, halved, network_of
+from r2h_batch.methods.predictors.voxnet import VoxNet
 from r2h_batch.scene.arrays import read_arrays
 from r2h_batch.scene.objects import INSTANCE_NAMES, VOXELS, ObjectModel, load_objects, read_object, with_words
 from r2h_batch.scene.solid import solid_occupancy
@@ -169,21 +165,6 @@ def answer(whole: InPrincipalAxes, objects: Sequence[ObjectModel], known: Mappin
     write_npz(HERE / SHIPPED_FILE, answers)
 
 
-def number_of(file: Path) -> int:
-    """Which training instance of its category a file holds."""
-    return int(file.stem.rpartition("_t")[2])
-
-
-def store_left_out(names: Sequence[str], weights: Mapping[str, Tensor]) -> None:
-    """Stores the network that never saw these categories beside those that never saw others."""
-    file = HERE / LEFT_OUT_FILE
-    known = load_file(file) if file.exists() else {}
-    kept = {k: v for k, v in known.items() if not {*k.partition("/")[0].split(TOGETHER)} & {*names}}
-    own = {f"{TOGETHER.join(names)}/{k}": v.contiguous() for k, v in weights.items()}
-    save_file(kept | own, file)
-    file.chmod(0o644)
-
-
 def main() -> None:
     """Writes the weights, the answers for the shipped instances and the report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -192,10 +173,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--left-out", nargs="*", default=[],
-        help="also train and store networks without these categories in turn, several together as A,B,C",
+        help="also train without these categories in turn, several together as A,B,C, for the report alone",
     )  # fmt: skip
     parser.add_argument("--left-out-steps", type=int, default=STEPS)
-    parser.add_argument("--left-out-instances", type=int, help="training instances of a category there; default: all")
     parser.add_argument("--only-left-out", action="store_true", help="keep the stored weights")
     parser.add_argument(
         "--answers", nargs="+", metavar="INSTANCE", help="only the stored network's answers for these anew"
@@ -207,9 +187,6 @@ def main() -> None:
         answer(load_axes_network(), load_objects(args.answers), read_arrays(HERE / SHIPPED_FILE))
         return
     files = sorted(args.training.glob("*_t[0-9][0-9].npz"))
-    few = args.left_out_instances or len(files)
-    if args.only_left_out:
-        files = [f for f in files if number_of(f) < few]
     category = [f.stem.rpartition("_")[0] for f in files]
     data = Examples([with_words(read_object(str(f)), c) for f, c in zip(files, category, strict=True)])
     path = HERE / "voxnet_axes.json"
@@ -237,11 +214,8 @@ def main() -> None:
             parser.error(
                 f"--left-out: no training instance of {unknown[0]!r}; there are {', '.join(sorted(set(category)))}"
             )
-        seen = [i for i, c in enumerate(category) if c not in names and number_of(files[i]) < few]
+        seen = [i for i, c in enumerate(category) if c not in names]
         net, _ = train(data, seen, args.left_out_steps, args.seed)
-        weights = halved(net.state_dict())
-        store_left_out(names, weights)
-        net = network_of(weights)
         for name in names:
             tests = load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == name])
             others = [n for n in names if n != name]

@@ -22,11 +22,7 @@ from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.methods.predictors.depth_view import DRAWS, DepthView, carved
 from r2h_batch.methods.predictors.external_predictions import Observations
 from r2h_batch.methods.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
-from r2h_batch.methods.predictors.principal_axes import (
-    InPrincipalAxes,
-    load_axes_network,
-    network_without,
-)
+from r2h_batch.methods.predictors.principal_axes import InPrincipalAxes, load_axes_network
 from r2h_batch.methods.predictors.voxnet import load_voxnet
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.objects import (
@@ -47,8 +43,8 @@ CONTACT_THRESHOLD = 0.4
 
 Contacts = Literal["left-out", "other-categories", "all"]
 """Which built-in weights answer for an object. left-out: those that never saw it. other-categories: those that never saw
-an object of its category (`scene.objects.category_of`). all: those trained on everything, on the sixteen objects of r2h-v1
-too."""
+an object of its category (`scene.objects.category_of`): the network of r2h-v1 that left this category's object out. all:
+those trained on everything, on the sixteen objects of r2h-v1 too."""
 
 _cached: dict[tuple[Any, ...], Tensor] = {}
 
@@ -117,15 +113,13 @@ def _of_objects(
 def _network_for(model: ObjectModel, contacts: Contacts) -> ContactPredictor:
     """The built-in network for an object: the objects of r2h-v1 and r2h-release are shown to weights that know how these
     lie, in whatever frame; any other to the network that no frame decides."""
+    category = category_of(model)
+    if contacts == "other-categories" and category in OBJECT_NAMES:
+        return load_voxnet(category)  # each object of r2h-v1 is all of its category
     if not has_frozen_frame(model):
-        return (
-            network_without(category_of(model))
-            if contacts == "other-categories"
-            else load_axes_network()
-        )
+        return load_axes_network()
     model = model if model.turn is None else model.turn.own
-    known = category_of(model) if contacts == "other-categories" else model.name
-    return load_voxnet(known if contacts != "all" and known in OBJECT_NAMES else "")
+    return load_voxnet(model.name if contacts != "all" and model.name in OBJECT_NAMES else "")
 
 
 CODE = (

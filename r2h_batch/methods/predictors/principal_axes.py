@@ -15,17 +15,14 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 
 from r2h_batch.methods.predictors.grid import CHANNELS
-from r2h_batch.methods.predictors.voxnet import VoxNet, network_of, read_voxnet, stored_networks
+from r2h_batch.methods.predictors.voxnet import VoxNet, read_voxnet
 
 FILLED = 1.75
 """Longest side of the turned object in its grid, whose side is 2."""
 OCCUPIED = 0.4
 """Share of a voxel, after the turn, from which it counts as full."""
 FLIPS = ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))
-STORED_FILE, LEFT_OUT_FILE = "voxnet_axes.safetensors", "voxnet_axes_left_out.safetensors"
-"""Weights trained on all sixteen categories; and on all but four, of each four (CATEGORIES/WEIGHT, float16)."""
-TOGETHER = "+"
-"""Between the categories that a network has not seen."""
+STORED_FILE = "voxnet_axes.safetensors"
 
 
 def principal_axes(
@@ -122,22 +119,6 @@ def _sampled(
 
 @lru_cache(maxsize=1)
 def load_axes_network() -> InPrincipalAxes:
-    """The network for objects that are not one of the sixteen of r2h-v1: trained on training instances of all families."""
+    """The network for objects that are not one of the sixteen of r2h-v1: trained on training instances of the families."""
     with resources.as_file(resources.files("r2h_batch.assets.families") / STORED_FILE) as path:
         return InPrincipalAxes(read_voxnet(path)).eval()
-
-
-def network_without(category: str | None) -> InPrincipalAxes:
-    """The network for an object of this category that never saw the category: trained on twelve of the sixteen.
-
-    None, or a category that none of the stored networks left out: that of `load_axes_network`, which saw the sixteen alone.
-    """
-    for name in stored_networks("families", LEFT_OUT_FILE):
-        if category in name.split(TOGETHER):
-            return _left_out(name)
-    return load_axes_network()
-
-
-@lru_cache(maxsize=8)
-def _left_out(name: str) -> InPrincipalAxes:
-    return InPrincipalAxes(network_of(stored_networks("families", LEFT_OUT_FILE)[name])).eval()

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,6 @@ from torch import Tensor, nn
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable, read_file
 from r2h_batch.methods.predictors.grid import CHANNELS
-from r2h_batch.scene.arrays import asset
 
 WIDTHS = (8, 20, 40)
 MIDDLE_M, SPREAD_M = 0.1, 0.05
@@ -119,28 +119,23 @@ def load_voxnet(left_out: str = "") -> VoxNet:
     How they were made: `r2h_batch.assets.receiving.train_voxnet`.
     """
     if not left_out:
-        with resources.as_file(asset("receiving", STORED_FILE)) as path:
+        with resources.as_file(_asset(STORED_FILE)) as path:
             return read_voxnet(path)
-    return network_of(stored_networks("receiving", LEFT_OUT_FILE)[left_out])
-
-
-def network_of(weights: Mapping[str, Tensor]) -> VoxNet:
-    """A network with these weights, of whatever precision."""
     net = VoxNet()
-    net.load_state_dict({k: v.float() for k, v in weights.items()})
+    net.load_state_dict({k: v.float() for k, v in _left_out()[left_out].items()})
     return net.eval()
 
 
-@lru_cache(maxsize=2)
-def stored_networks(folder: str, file: str) -> dict[str, dict[str, Tensor]]:
-    """Name -> weights of the networks that a file of the assets holds; none where it has not been
-    built yet."""
-    found: dict[str, dict[str, Tensor]] = {}
-    where = asset(folder, file)
-    if not where.is_file():
-        return found
-    with resources.as_file(where) as path:
+def _asset(name: str) -> Traversable:
+    return resources.files("r2h_batch.assets.receiving") / name
+
+
+@lru_cache(maxsize=1)
+def _left_out() -> dict[str, dict[str, Tensor]]:
+    """Object -> weights of the network that never saw it."""
+    with resources.as_file(_asset(LEFT_OUT_FILE)) as path:
         stored = load(read_file(path, MAX_BYTES))
+    found: dict[str, dict[str, Tensor]] = {}
     for key, value in stored.items():
         name, _, weight = key.partition("/")
         found.setdefault(name, {})[weight] = value
