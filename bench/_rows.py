@@ -10,7 +10,7 @@ from typing import Any
 from _report import ROOT, swept
 
 KEPT = ("run.json", "methods", "shards")
-"""What a run folder is read from again."""
+"""Files of a run folder that are read again."""
 
 
 def kept_rows(name: str, words: Sequence[str], *flags: object) -> Path:

@@ -685,7 +685,9 @@ def markdown(data: Mapping[str, Any]) -> str:
         f"{data['table']['origin']['instances']}. SR in percent; {n['S0']} trials in S0, {n['S1']} in S1. #1: share of bootstrap"
         " draws of categories and their instances in which the method is first. Worst rank: with one category left out. 95 %"
         " intervals: for more trials with these objects; for the mean of all objects, and of all categories; for the mean of some"
-        " new categories, which is the one to read for your own things.",
+        " new categories, which is the one to read for your own things. Contact-Handover's network was trained on other instances"
+        " of these categories. [A row of networks that never saw the category]"
+        "(../baselines.md#categories-that-the-network-has-not-seen) stands beside it there.",
         table_lines(data),
         *scan_lines(data),
         f"The oracle solves at least {data['oracle'][low]:.1f} % in every category.",

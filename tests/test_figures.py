@@ -116,6 +116,11 @@ def test_the_rates_of_the_gates_are_those_of_their_stored_rows(measured):
         assert n == values["gates.trials"]
         seen.add((method, gate, split))
     assert len(seen) == 4 * 3 * 2
+    page = (ROOT / "docs" / "baselines.md").read_text("utf-8")
+    assert "the same: Intent, Contact, FC, Handover-VA." in page
+    for gate in each(("none", "ik", "hand")):
+        means = [values[f"gates.{m}.{gate}.avg"] for m in ("intent", "contact", "fc", "handover_va")]
+        assert means == sorted(means, reverse=True)
 
 
 def test_the_rates_of_the_networks_are_those_of_their_stored_rows(measured):
@@ -126,6 +131,7 @@ def test_the_rates_of_the_networks_are_those_of_their_stored_rows(measured):
         assert n == values["networks.trials"] and method == "contact"
         seen.add((options, split))
     assert len(seen) == 4
+    assert values["networks.other_categories.region_auc"] < 0.5 < values["networks.all_categories.region_auc"]
 
 
 def test_what_the_first_page_claims_follows(measured):

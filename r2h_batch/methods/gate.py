@@ -1,5 +1,5 @@
-"""What a handover pose must pass before a method may choose it: within the arm's reach, clear of the estimated hand, or
-nothing. One rule for all methods (docs/baselines.md)."""
+"""The condition that a handover pose must meet before a method may choose it: the arm reaches it, the gripper is also clear of
+the estimated hand, or nothing. One rule for all methods (docs/baselines.md)."""
 
 from typing import Literal
 
