@@ -9,7 +9,10 @@ import numpy as np
 from _report import Report, arguments
 from _rows import kept_rows, rates_of
 
-WORDS = {"all_categories": "contact", "other_categories": "contact,contacts=other-categories"}
+from r2h_batch.methods.predictors import Contacts, predict_contacts
+
+OPTIONS: dict[str, Contacts] = {"all_categories": "left-out", "other_categories": "other-categories"}
+"""Which categories a network trained on -> the option `contacts`."""
 TRIALS = 500
 FLAGS = ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses")
 MEASURES = (
@@ -18,11 +21,10 @@ MEASURES = (
 )
 
 
-def region_areas(contacts: str) -> list[float]:
+def region_areas(contacts: Contacts) -> list[float]:
     """Area under the curve of the receiver's region, of each object of S1, by the networks of this option."""
     from r2h_batch import load_benchmark
     from r2h_batch.assets.families.train_contacts import area
-    from r2h_batch.methods.predictors import predict_contacts
 
     benchmark = load_benchmark("r2h-v2")
     evaluator = benchmark.evaluator(threads=1)
@@ -37,14 +39,15 @@ def measure(trials: int) -> Report:
     """Sweeps, keeps the rows, and collects the figures."""
     report = Report(MEASURES)
     report.add("networks.trials", trials)
-    words = list(WORDS.values())
-    rates = rates_of(kept_rows("networks", words, "--trials", trials, *FLAGS), words)
-    for name, word in WORDS.items():
-        for split, row in rates[word].items():
+    words = {name: f"contact,contacts={option}" for name, option in OPTIONS.items()}
+    words["all_categories"] = "contact"  # the option's default
+    rates = rates_of(kept_rows("networks", [*words.values()], "--trials", trials, *FLAGS), [*words.values()])
+    for name, option in OPTIONS.items():
+        for split, row in rates[words[name]].items():
             for key in ("sr", "sr_new_categories_low", "sr_new_categories_high", "f_afford"):
                 if row[key] is not None:
                     report.add(f"networks.{name}.{split.lower()}.{key}", row[key])
-        areas = region_areas(word.partition("contacts=")[2] or "left-out")
+        areas = region_areas(option)
         report.add(f"networks.{name}.objects", len(areas))
         report.add(f"networks.{name}.region_auc", float(np.mean(areas)))
     return report

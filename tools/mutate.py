@@ -908,7 +908,7 @@ MUTATIONS = (
     Mutation(
         "gate: Intent-Handover asks it with orientation axis alone",
         "r2h_batch/methods/intent.py",
-        'if gate not in ("own", "none") and not turns:',
+        'if asked != "none" and not turns:',
         "if False:",
         (f"{T_GATE}::test_intents_gate_chooses_among_grasps_as_each_has_one_pose",),
     ),

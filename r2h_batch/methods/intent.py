@@ -188,12 +188,13 @@ def predict(
             return placed_above_palm(scene, R, T_obj_ee, part.object_index, target, height_m, at)
 
         turns = orientation == "axis" and at != "ergonomic"
+        asked: Gate = ("hand" if turns else "none") if gate == "own" else gate
         allowed = fits & exists
-        if gate not in ("own", "none") and not turns:
+        if asked != "none" and not turns:
             candidates = table.T_obj_ee[rows]
             T = torch.cat([posed(candidates[:, k]) for k in range(candidates.shape[1])], 1)
             passes, reached = passing(
-                scene, T, table.opening_m[rows], target.vertices, clearance_m, gate=gate
+                scene, T, table.opening_m[rows], target.vertices, clearance_m, gate=asked
             )
             allowed = let_through(passes, reached, allowed)
         row = taken(rows, least(score, allowed, exists))
@@ -201,9 +202,8 @@ def predict(
         poses = posed(T_obj_ee)
         if not turns:
             return T_obj_ee, poses[:, 0].contiguous()
-        chosen = "hand" if gate == "own" else gate
         return T_obj_ee, first_fit(
-            scene, poses, table.opening_m[row], target.vertices, clearance_m, gate=chosen
+            scene, poses, table.opening_m[row], target.vertices, clearance_m, gate=asked
         )
 
     return answers(trials, scene, "intent", choose)
