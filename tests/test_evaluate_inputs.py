@@ -148,7 +148,11 @@ def wrong_inputs() -> dict[str, tuple]:
             ValueError,
             "T_world_ee",
         ),
-        "one grasp for three trials' poses": ((grasp[:1], handover[:, None].expand(2, 3, 4, 4), trials), ValueError, "T_obj_ee"),
+        "one grasp for three trials' poses": (
+            (grasp[:1], handover[:, None].expand(2, 3, 4, 4), trials),
+            ValueError,
+            "T_obj_ee",
+        ),
     }
 
 

@@ -17,9 +17,7 @@ VERSIONS = built.VERSIONS
 """Modules and distributions that make instances. Another of them draws every one again."""
 
 
-def kept_instance(
-    category: str, series: int, index: int, *, standing: bool = False
-) -> ObjectModel:
+def kept_instance(category: str, series: int, index: int, *, standing: bool = False) -> ObjectModel:
     """The object of an instance (`draw_instance`), from disk where it was drawn before.
 
     A family that another package or a user's file registers is drawn each time: nobody knows which code it depends on.

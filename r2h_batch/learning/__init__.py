@@ -1,0 +1,1 @@
+"""What a method learns from: labelled pairs of new instances."""
