@@ -1,1 +1,1 @@
-"""What a method learns from: labelled pairs of new instances."""
+"""Labelled pairs of new instances, from which methods learn."""

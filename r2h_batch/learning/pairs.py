@@ -6,7 +6,6 @@ that no benchmark uses, so nothing that a method is tested on can be learned.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import torch
@@ -68,7 +67,7 @@ class Seen:
 
 
 class Pairs(IterableDataset[dict[str, Tensor]]):
-    """What `stream` returns. An item is a dict of tensors of N trials with K pairs each; give a DataLoader `batch_size=None`.
+    """A stream of items, each a dict of tensors of N trials with K pairs each (`stream` makes one); give a DataLoader `batch_size=None`.
 
     | key | shape | what |
     |---|---|---|
@@ -141,7 +140,7 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         middles = np.stack([center_of(o) for o in own.objects])
         self._middle = torch.from_numpy(middles).float()
         self._table = candidate_table(evaluator.scene)
-        self.left_out: Self | None = None
+        self.left_out: Pairs | None = None
         if left_out:
             self.left_out = type(self)(
                 benchmark, left_out, (), pairs=pairs, trials=trials, seed=seed, first_item=first_item, items=items,
@@ -186,7 +185,7 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         return [trials[k * n : (k + 1) * n] for k in range(len(indices))]
 
     def _item(self, index: int, trials: Trials) -> dict[str, Tensor]:
-        """What is seen of these trials, pairs of them, and the verdicts.
+        """These trials as methods see them, pairs of them, and the verdicts.
 
         An item is always computed alone, on one thread: torch's sums and sines have other last bits in other shapes.
         """
@@ -195,26 +194,28 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
             n, k, ids = self.trials, self.pairs, trials.trial_id.numpy()
             u = rng.uniforms(self._key, ids, k, purpose=_PICK).T
             pick = torch.from_numpy(rng.choice(u, seen["exists"].sum(1, keepdim=True).numpy()))
-            rows = torch.arange(n)[:, None]
+            rows = torch.arange(n, dtype=torch.int64, device="cpu")[:, None]
             T_obj_ee = seen["candidates"][rows, pick]
-            numbers = rng.uniforms(self._key, ids, k * NUMBERS, purpose=_POSE).T
-            numbers = torch.from_numpy(numbers.reshape(n, k, NUMBERS).copy())
+            numbers = rng.uniforms(self._key, ids, k * NUMBERS, purpose=_POSE).T.reshape(
+                n, k, NUMBERS
+            )
             hand = seen["ball_center"], seen["palm_normal"]
-            T_world_ee = propose(middle, *hand, T_obj_ee, numbers)
+            T_world_ee = propose(middle, *hand, T_obj_ee, torch.from_numpy(numbers))
             scores = self.evaluator.kinematic.score(T_obj_ee, T_world_ee, trials, stages="pose")
             margin = torch.where(scores.evaluated, scores.margin, torch.nan)
         return {
-            "index": torch.tensor(index), "trial_id": trials.trial_id, "object_index": trials.object_index, **seen,
+            "index": torch.tensor(index, dtype=torch.int64, device="cpu"), "trial_id": trials.trial_id, "object_index": trials.object_index, **seen,
             "pick": pick, "T_obj_ee": T_obj_ee, "T_world_ee": T_world_ee, "success": scores.success.view(n, k),
             "labels": reward.labels(scores).view(n, k, -1), "margin": margin.view(n, k, -1),
         }  # fmt: skip
 
     def _seen(self, trials: Trials) -> tuple[dict[str, Tensor], Tensor]:
-        """What methods see of trials, and the middle of what the receiver is to take, frame obj."""
+        """The trials as methods see them, and the middle of what the receiver is to take, frame obj."""
         scene, see, o = self.evaluator.scene, self.see, trials.object_index.long()
         hand = predict_target(trials, scene, seed=self.seed, noise=see.noise)
         parts = predict_parts(trials, scene, seed=self.seed, noise=see.noise)
-        every = torch.linspace(0, hand.bank.vertices.shape[1] - 1, see.hand).long()
+        last = hand.bank.vertices.shape[1] - 1
+        every = torch.linspace(0, last, see.hand, dtype=torch.float64, device="cpu").long()
         skin = hand.bank.vertices[:, every][hand.row]
         cloud, normals = (x[o] for x in self._clouds)
         region = parts.usage[:, : see.cloud]

@@ -42,7 +42,7 @@ def success(scores: Scores) -> Float32[Tensor, " b"]:
 
 @check_tensor_arguments(scores=_scores)
 def labels(scores: Scores) -> Float32[Tensor, "b c"]:
-    """What a network is to say of each criterion: 1 passed, 0 failed, NaN where it was not evaluated.
+    """The answer of each criterion for a network to learn: 1 passed, 0 failed, NaN where it was not evaluated.
 
     `Scores.passed` is False there (Affordance in S0, rows that were not judged): learned as it is, it would say that every
     trial of S0 fails.
