@@ -506,6 +506,13 @@ MUTATIONS = (
         ('tests/learning/test_stream.py::test_items_are_the_same_by_number_for_any_number_of_workers_alone_and_anew',),
     ),
     Mutation(
+        'stream: items share memory, which a worker moves while the next one reads it',
+        'r2h_batch/learning/pairs.py',
+        'return [trials[own] for own in rows]',
+        'return [trials[int(own[0]) : int(own[-1]) + 1] for own in rows]',
+        ('tests/learning/test_stream.py::test_an_items_tensors_have_memory_of_their_own',),
+    ),
+    Mutation(
         'stream: a run that goes on begins anew',
         'r2h_batch/learning/pairs.py',
         'at, end = self.first_item + start, None',

@@ -67,7 +67,9 @@ class Seen:
 
 
 class Pairs(IterableDataset[dict[str, Tensor]]):
-    """A stream of items, each a dict of tensors of N trials with K pairs each (`stream` makes one); give a DataLoader `batch_size=None`.
+    """A stream of items (`stream` makes one), each a dict of tensors of N trials with K pairs each.
+
+    Give a DataLoader `batch_size=None`.
 
     | key | shape | what |
     |---|---|---|
@@ -182,7 +184,9 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         parity = np.array(self._splits)[place % splits]
         ids = torch.from_numpy(self.first_id + 2 * (place // splits) + parity)
         trials = self.benchmark.trials_with_ids(ids)
-        return [trials[k * n : (k + 1) * n] for k in range(len(indices))]
+        # copies: a worker's other thread moves an item's memory when it sends it, and may free what another item reads
+        rows = torch.arange(len(place), dtype=torch.int64, device="cpu").split(n)
+        return [trials[own] for own in rows]
 
     def _item(self, index: int, trials: Trials) -> dict[str, Tensor]:
         """These trials as methods see them, pairs of them, and the verdicts.
@@ -192,19 +196,19 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         with torch.no_grad(), self.evaluator.working():
             seen, middle = self._seen(trials)
             n, k, ids = self.trials, self.pairs, trials.trial_id.numpy()
-            u = rng.uniforms(self._key, ids, k, purpose=_PICK).T
+            u = np.ascontiguousarray(rng.uniforms(self._key, ids, k, purpose=_PICK).T)
             pick = torch.from_numpy(rng.choice(u, seen["exists"].sum(1, keepdim=True).numpy()))
             rows = torch.arange(n, dtype=torch.int64, device="cpu")[:, None]
             T_obj_ee = seen["candidates"][rows, pick]
-            numbers = rng.uniforms(self._key, ids, k * NUMBERS, purpose=_POSE).T.reshape(
-                n, k, NUMBERS
-            )
+            numbers = rng.uniforms(self._key, ids, k * NUMBERS, purpose=_POSE)
+            u = np.ascontiguousarray(numbers.T).reshape(n, k, NUMBERS)
             hand = seen["ball_center"], seen["palm_normal"]
-            T_world_ee = propose(middle, *hand, T_obj_ee, torch.from_numpy(numbers))
+            T_world_ee = propose(middle, *hand, T_obj_ee, torch.from_numpy(u))
             scores = self.evaluator.kinematic.score(T_obj_ee, T_world_ee, trials, stages="pose")
             margin = torch.where(scores.evaluated, scores.margin, torch.nan)
         return {
-            "index": torch.tensor(index, dtype=torch.int64, device="cpu"), "trial_id": trials.trial_id, "object_index": trials.object_index, **seen,
+            "index": torch.tensor(index, dtype=torch.int64, device="cpu"), "trial_id": trials.trial_id,
+            "object_index": trials.object_index, **seen,
             "pick": pick, "T_obj_ee": T_obj_ee, "T_world_ee": T_world_ee, "success": scores.success.view(n, k),
             "labels": reward.labels(scores).view(n, k, -1), "margin": margin.view(n, k, -1),
         }  # fmt: skip
@@ -218,19 +222,21 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         every = torch.linspace(0, last, see.hand, dtype=torch.float64, device="cpu").long()
         skin = hand.bank.vertices[:, every][hand.row]
         cloud, normals = (x[o] for x in self._clouds)
-        region = parts.usage[:, : see.cloud]
+        region = parts.usage[:, : see.cloud].contiguous()
         count = region.sum(1, keepdim=True)
         mean = (cloud * region[..., None]).sum(1) / count.clamp(min=1)
         candidate, exists = self._table.rows(trials.object_index)
         found = {
-            "cloud": cloud, "normals": normals, "part": parts.label[:, : see.cloud], "region": region,
+            "cloud": cloud, "normals": normals, "part": parts.label[:, : see.cloud].contiguous(), "region": region,
             "hand": se3.apply(hand.T[:, None], skin), "T_world_hand": hand.T, "side": hand.side,
             "palm_point": hand.palm_point, "palm_normal": hand.palm_normal, "wrist_to_middle": hand.wrist_to_middle,
             "ball_center": hand.ball_center, "candidates": self._table.T_obj_ee[candidate],
             "opening_m": self._table.opening_m[candidate], "score": self._table.score[candidate], "exists": exists,
         }  # fmt: skip
         if see.contacts:
-            found["contact"] = predict_contacts(trials, scene, seed=self.seed)[:, : see.cloud]
+            found["contact"] = predict_contacts(trials, scene, seed=self.seed)[
+                :, : see.cloud
+            ].contiguous()
         return found, torch.where(count > 0, mean, self._middle[o])
 
 

@@ -42,6 +42,17 @@ def test_items_are_the_same_by_number_for_any_number_of_workers_alone_and_anew(p
     assert len(later) == 2 and all(same(a, b) for a, b in zip(alone[3:], later, strict=True))
 
 
+def test_an_items_tensors_have_memory_of_their_own(pairs):
+    """A DataLoader's worker moves the memory of an item that it sends, in another thread, while it makes the next one."""
+    items = [*islice(pairs, 3)]
+    spans = []
+    for item in each(items):
+        for name, x in each(item.items()):
+            assert x.untyped_storage().nbytes() == x.numel() * x.itemsize, name
+        spans += {x.untyped_storage().data_ptr() for x in item.values()}
+    assert len(set(spans)) == len(spans)
+
+
 def test_labels_and_margins_are_what_score_says_of_these_poses_and_trials(pairs):
     evaluator = pairs.benchmark.evaluator()
     for item in each(islice(pairs, 2)):
