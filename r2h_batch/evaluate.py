@@ -196,7 +196,7 @@ class Evaluator:
     @suggest_names
     def score(
         self,
-        T_obj_ee: Float32[Tensor, "*b 4 4"],
+        T_obj_ee: Float32[Tensor, "*g 4 4"],
         T_world_ee: Float32[Tensor, "*b 4 4"],
         trials: Trials,
         stages: Stages = "all",
@@ -211,10 +211,11 @@ class Evaluator:
 
         Args:
             T_obj_ee: grasps, (B, 4, 4): the ee in the object's frame, m. (N, K, 4, 4) for K candidates
-                of each of N trials. Tensors on the evaluator's device, NumPy arrays or nested
-                lists of float32 or float64; judged in float32.
-            T_world_ee: handover poses: the ee in the world frame, m, of the same shape. Rotations off by at
-                most 1e-3 are orthonormalised.
+                of each of N trials; (N, 4, 4) or (N, 1, 4, 4) where each trial has one grasp for K
+                poses. Tensors on the evaluator's device, NumPy arrays or nested lists of float32 or
+                float64; judged in float32.
+            T_world_ee: handover poses: the ee in the world frame, m, (B, 4, 4) or (N, K, 4, 4).
+                Rotations off by at most 1e-3 are orthonormalised.
             trials: B (or N) trials.
             stages: `all`: the benchmark. `pose`: what needs no path, with the same kernels
                 (Stability, Reach, Affordance; Plan and Safe at the goal posture). A pose that fails

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from problems import assert_same, default_evaluator, make_batch
+from rounds import each
 from staging import BACK, TOOL, Staged, batch_of, hand_at, staged_evaluator
 
 from r2h_batch.types import CRITERIA, Outcome, PlanReason, Trials
@@ -147,6 +148,11 @@ def wrong_inputs() -> dict[str, tuple]:
             ValueError,
             "T_world_ee",
         ),
+        "one grasp for three trials' poses": (
+            (grasp[:1], handover[:, None].expand(2, 3, 4, 4), trials),
+            ValueError,
+            "T_obj_ee",
+        ),
     }
 
 
@@ -155,6 +161,29 @@ def test_wrong_inputs_are_refused_by_name_before_any_work(case, no_work):
     arguments, error, name = wrong_inputs()[case]
     with pytest.raises(error, match=name):
         staged_evaluator().score(*arguments)
+
+
+@every_stage
+@pytest.mark.parametrize("own_axis", [True, False], ids=["(N, 1)", "(N,)"])
+def test_a_trials_grasp_goes_with_all_of_its_poses(own_axis, stages):
+    """The same bits as with copies of the grasp, and a gradient that is the sum of theirs."""
+    T_obj_ee, handover, trials = batch_of([GOOD, GOOD.but(object_index=TOOL)])
+    T_world_ee = handover[:, None].repeat(1, 3, 1, 1)
+    T_world_ee[:, 1, 0, 3] += 0.01
+    T_world_ee[1, 2, 2, 3] += 5.0
+    T_obj_ee[1, 2, 3] += 0.002
+    copies = T_obj_ee[:, None].repeat(1, 3, 1, 1)
+    given = T_obj_ee[:, None] if own_axis else T_obj_ee
+    evaluator = staged_evaluator()
+    found = evaluator.score(given, T_world_ee, trials, stages)
+    assert_same(evaluator.score(copies, T_world_ee, trials, stages), found)
+    assert len(found.trial_id) == 6 and len(set(found.outcome.tolist())) > 1
+    if stages == "pose":
+        one, many = given.clone().requires_grad_(), copies.clone().requires_grad_()
+        for poses in each((one, many)):
+            evaluator.score(poses, T_world_ee, trials, stages).margin.nan_to_num(nan=0.0).sum().backward()
+        assert one.grad is not None and many.grad is not None and many.grad.abs().sum() > 0
+        torch.testing.assert_close(one.grad.reshape(2, 4, 4), many.grad.sum(1))
 
 
 @every_stage

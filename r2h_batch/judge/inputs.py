@@ -28,7 +28,7 @@ def checked_inputs(
     scene: Scene, T_obj_ee: Any, T_world_ee: Any, trials: Trials, stages: Stages
 ) -> tuple[Tensor, Tensor, Trials]:
     """Poses (B, 4, 4) of float32 and B trials; (N, K) candidates become N K rows, each trial K
-    times in turn.
+    times in turn. One grasp of each trial, (N, 4, 4) or (N, 1, 4, 4), goes with all of its K poses.
 
     Poses may be tensors, NumPy arrays or nested lists (`as_numbers`); tensors keep their gradient.
     Raises ValueError, TypeError from shapes, dtypes and devices alone.
@@ -47,6 +47,8 @@ def checked_inputs(
         as_numbers(name, value, rule, device).float()
         for name, value in (("T_obj_ee", T_obj_ee), ("T_world_ee", T_world_ee))
     )
+    if T_world_ee.ndim == 4 and T_obj_ee.shape in ((n, 4, 4), (n, 1, 4, 4)):
+        T_obj_ee = T_obj_ee.reshape(n, 1, 4, 4).expand(n, T_world_ee.shape[1], 4, 4)
     many = T_obj_ee.ndim == 4
     k = T_obj_ee.shape[1] if many else 1
     shape, words = (

@@ -13,7 +13,7 @@ from r2h_batch.scene.objects import ObjectModel
 
 PREFIX = "families:"
 MOST = 1000
-"""Instances of one command, a CPU second each."""
+"""Instances of one command, a CPU second each where the cache does not hold them."""
 FIRST_SERIES = 1000
 """Series of seed 0; smaller ones are shipped or learned from."""
 FORM = re.compile(
@@ -122,8 +122,8 @@ def _checked(found: object, name: str) -> Family:
 def _drawn(
     categories: tuple[str, ...], count: int, seed: int, standing: bool
 ) -> tuple[ObjectModel, ...]:
-    from r2h_batch.scene.families.draw import draw_instance, model_of
+    from r2h_batch.scene.families.kept import kept_instance
 
     jobs = [(c, i) for c in categories for i in range(count)]
     series = FIRST_SERIES + seed
-    return tuple(model_of(draw_instance(c, series, i, standing=standing)) for c, i in jobs)
+    return tuple(kept_instance(c, series, i, standing=standing) for c, i in jobs)

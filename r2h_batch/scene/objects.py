@@ -12,7 +12,7 @@ import inspect
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from importlib import resources
@@ -452,6 +452,17 @@ def _built(
             repair=closed.repair if closed.repair.steps else None,
         )
     )
+
+
+def kept_object(key: str, make: Callable[[], ObjectModel]) -> ObjectModel:
+    """The object of a key: read from disk, else made and kept there. What only a benchmark or a user fills (`SAID`) is not
+    kept.
+
+    Args:
+        key: hex; it must cover everything that the object depends on, with the code.
+        make: makes the object.
+    """
+    return _from_arrays(kept_with_warnings(key, lambda: _as_arrays(make()), _from_arrays))
 
 
 def _as_arrays(model: ObjectModel) -> dict[str, Any]:

@@ -1,13 +1,16 @@
-"""Gradients, rewards, torch.compile, captured calls."""
+"""Gradients, rewards, torch.compile, captured calls; offers the stream of `learning`."""
 
 from typing import TYPE_CHECKING
 
 from r2h_batch.base.package import lazy_names
 
 if TYPE_CHECKING:
+    from r2h_batch.learning.pairs import Seen, stream
     from r2h_batch.training import reward
 
-__all__ = ["reward"]
+__all__ = ["Seen", "reward", "stream"]
 
 if not TYPE_CHECKING:  # else any name would pass
-    __getattr__, __dir__ = lazy_names(__name__, {"reward": "reward"})
+    __getattr__, __dir__ = lazy_names(
+        __name__, {"Seen": ".learning.pairs", "reward": "reward", "stream": ".learning.pairs"}
+    )

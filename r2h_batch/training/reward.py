@@ -40,6 +40,19 @@ def success(scores: Scores) -> Float32[Tensor, " b"]:
     return scores.success.float()
 
 
+@check_tensor_arguments(scores=_scores)
+def labels(scores: Scores) -> Float32[Tensor, "b c"]:
+    """The answer of each criterion for a network to learn: 1 passed, 0 failed, NaN where it was not evaluated.
+
+    `Scores.passed` is False there (Affordance in S0, rows that were not judged): learned as it is, it would say that every
+    trial of S0 fails.
+
+    Args:
+        scores: B rows.
+    """
+    return torch.where(scores.evaluated, scores.passed.float(), torch.nan)
+
+
 @check_tensor_arguments(scores=_scores, limit_m=_limit)
 def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, "b c"]:
     """Margins in m, clipped to +-`limit_m`, never NaN: columns as CRITERIA. A degree counts as 2 mm.

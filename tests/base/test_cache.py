@@ -12,6 +12,7 @@ import pytest
 from r2h_batch.base.io import cache as module
 from r2h_batch.base.io.cache import SEAL, ArraySpec, cache_folder, cached
 from r2h_batch.methods.candidates import CODE as CANDIDATES
+from r2h_batch.scene.families.kept import CODE as INSTANCES
 from r2h_batch.scene.mesh_import.cache import CODE as OBJECTS
 from r2h_batch.trials.holding.held_out import MADE_BY as HELD_OUT
 from r2h_batch.trials.holding.receiving import CODE as RECEIVING
@@ -133,6 +134,11 @@ def test_of_several_processes_one_makes_it_and_the_others_wait(folder):
             ("scene/scene.py", "scene/model.py", "scene/robot.py"),
         ),
         (
+            INSTANCES,
+            ("scene/families/vessels.py", "scene/families/draw.py", "base/rng.py", "scene/objects.py"),
+            ("scene/scene.py", "protocols/family_objects.py"),
+        ),
+        (
             RECEIVING,
             ("trials/holding/sampler.py", "scene/hand.py", "kernels/receiver/close_hand.py"),
             ("scene/scene.py", "trials/holding/held_out.py", "protocols/draw/rule.py"),
@@ -148,7 +154,7 @@ def test_of_several_processes_one_makes_it_and_the_others_wait(folder):
             ("scene/scene.py", "methods/oracle.py", "judge/plan.py"),
         ),
     ],
-    ids=["objects", "receiving", "held_out", "candidates"],
+    ids=["objects", "instances", "receiving", "held_out", "candidates"],
 )
 def test_what_is_kept_is_made_again_after_an_edit_of_the_files_that_make_it_and_of_no_other(made_by, decide, leave):
     files = [f.as_posix() for f in module.code_files(made_by)]

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from importlib import resources
 
 import numpy as np
@@ -15,7 +16,8 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.protocols.family_objects import FIRST_SERIES, family_objects, family_splits
-from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance, filled_to
+from r2h_batch.scene.families import kept
+from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance, filled_to, model_of
 from r2h_batch.scene.families.family import FAMILIES, Draw
 from r2h_batch.scene.families.remesh import Surface, heights, without_slivers
 from r2h_batch.scene.families.shapes import Parts
@@ -107,6 +109,32 @@ def test_new_instances_are_drawn_by_what_the_flag_says():
     assert np.array_equal(second[0].com, drawn.com) and np.array_equal(second[0].inertia, drawn.inertia)
     assert second[0].mass == drawn.mass and second[0].words is not None
     assert family_splits("families:knife,cup x 2") == {"S0", "S1"} and family_splits("families:cup") == {"S0"}
+
+
+def test_an_instance_is_drawn_once_and_then_read_from_disk_with_all_that_it_had(tmp_path, monkeypatch):
+    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path))
+    times = []
+    monkeypatch.setattr(kept, "draw_instance", lambda *a, **k: times.append(a) or draw_instance(*a, **k))
+    drawn = model_of(draw_instance("cup", 1005, 2))
+    for _ in each(range(2)):
+        found = kept.kept_instance("cup", 1005, 2)
+        assert object_digest(found) == object_digest(drawn) and found.category == "cup" and found.repair == drawn.repair
+    assert times == [("cup", 1005, 2)]
+    for other in each([("cup", 1005, 3), ("cup", 1006, 2), ("bowl", 1005, 2)]):
+        assert object_digest(kept.kept_instance(*other)) == object_digest(model_of(draw_instance(*other)))
+    standing = kept.kept_instance("bottle", 1005, 2, standing=True)
+    assert not np.array_equal(standing.com, kept.kept_instance("bottle", 1005, 2).com)
+
+
+def test_an_instance_of_a_family_of_other_code_is_drawn_each_time(tmp_path, monkeypatch):
+    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path))
+    cup = FAMILIES["cup"]
+
+    def make(draw, parts):
+        return cup.make(draw, parts)
+
+    monkeypatch.setattr(kept, "FAMILIES", {"cup": replace(cup, make=make)})
+    assert kept.kept_instance("cup", 1005, 2).category == "cup" and not list(tmp_path.rglob("*.npz"))
 
 
 def test_no_shipped_instance_has_a_sliver():

@@ -14,9 +14,15 @@ def from_box(low: Array, high: Array, point: Array) -> Array:
 
 
 def from_segment(a: Array, b: Array, point: Array) -> Array:
-    """Squared distance of points (n, 3) to the segment a b."""
-    n = len(point)
-    return from_segments(np.tile(a, (n, 1)), np.tile(b, (n, 1)), point.T[:, :, None])[:, 0]
+    """Squared distance of points (n, 3) to the segment a b: the bits of `from_segments`, without a copy of the segment
+    for each point."""
+    d = b - a
+    length = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+    x, y, z = (point[:, i] - a[i] for i in range(3))
+    if length > 0:
+        t = np.clip((x * d[0] + y * d[1] + z * d[2]) / length, 0.0, 1.0)
+        x, y, z = (v - t * d[i] for i, v in enumerate((x, y, z)))
+    return np.asarray(x * x + y * y + z * z)
 
 
 def from_segments(a: Array, b: Array, point: Array) -> Array:

@@ -100,12 +100,14 @@ def arm_is_clear(people: receivers.Person, robot: Robot, at: Workplace) -> NDArr
     low, high = low - TABLE_ROOM_M, high + TABLE_ROOM_M
     clear = np.ones(len(people.wrist), bool)
     for points, thick in receivers.limbs(people):
-        for k in range(points.shape[1]):
-            x = points[:, k]
-            clear &= from_box(low, high, x) >= thick**2
-            clear &= from_segment(tcp, tcp, x) >= TCP_ROOM_M**2
-            for (a, b), r in zip(ends, radius, strict=True):
-                clear &= from_segment(a, b, x) >= (r + thick + ROBOT_ROOM_M) ** 2
+        rows = np.flatnonzero(clear)
+        x = points[rows].reshape(-1, 3)
+        thick = np.repeat(np.broadcast_to(thick, len(clear))[rows], points.shape[1])
+        free = from_box(low, high, x) >= thick**2
+        free &= from_segment(tcp, tcp, x) >= TCP_ROOM_M**2
+        for (a, b), r in zip(ends, radius, strict=True):
+            free &= from_segment(a, b, x) >= (r + thick + ROBOT_ROOM_M) ** 2
+        clear[rows] = free.reshape(-1, points.shape[1]).all(1)
     return clear
 
 

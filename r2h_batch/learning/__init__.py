@@ -1,0 +1,1 @@
+"""Labelled pairs of new instances, from which methods learn."""

@@ -1,0 +1,303 @@
+"""Labelled pairs (grasp candidate, handover pose) of new instances, without end: a torch `IterableDataset`.
+
+Item i is a function of (seed, i): the same bits in any process, for any number of DataLoader workers. Its trials have ids
+that no benchmark uses, so nothing that a method is tested on can be learned.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import IterableDataset, get_worker_info
+
+from r2h_batch.base import rng, se3
+from r2h_batch.base.validate import (
+    boolean,
+    check_arguments,
+    instance_of,
+    integer,
+    optional,
+    sequence_of,
+)
+from r2h_batch.learning.instances import Instances, split, training_objects
+from r2h_batch.learning.proposals import NUMBERS, propose
+from r2h_batch.methods.candidates import candidate_table, without_candidates
+from r2h_batch.methods.placing import center_of
+from r2h_batch.methods.predictors import predict_contacts, predict_parts, predict_target
+from r2h_batch.protocols.benchmark import MOST_TRIALS, Benchmark
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.training import reward
+from r2h_batch.trials.noise import PredictorNoise
+from r2h_batch.types import Trials
+from r2h_batch.verdicts import SPLITS
+
+FIRST_ID = 1 << 40
+"""Trials of streams have ids from here on; those of `Benchmark.trials` end at 2 * `MOST_TRIALS`."""
+IDS_OF_SEED, MOST_SEEDS = 1 << 40, 1 << 20
+"""Ids of one seed: the first half belongs to what is learned from, the second to what is left out."""
+DRAWN_AT_ONCE = 1024
+"""Trials drawn in one call: a trial costs a third of what it costs alone. It decides nothing about them."""
+_PICK, _POSE = 0, 1  # purposes of the random counters
+
+
+@dataclass(frozen=True)
+class Seen:
+    """How much of a trial an item holds.
+
+    Attributes:
+        cloud: points of the object, at most 2048.
+        hand: points of the estimated hand's skin.
+        contacts: whether each point has the probability that people touch it, as Contact-Handover sees it; new instances
+            cost a network's answer each, which is kept on disk.
+        noise: deviations of the error model; None: those that methods are tested with.
+    """
+
+    cloud: int = 96
+    hand: int = 64
+    contacts: bool = False
+    noise: PredictorNoise | None = None
+
+    def __post_init__(self) -> None:
+        integer(1, 2048)("cloud", self.cloud)
+        integer(1)("hand", self.hand)
+        boolean("contacts", self.contacts)
+        optional(instance_of(PredictorNoise, "PredictorNoise(...)"))("noise", self.noise)
+
+
+class Pairs(IterableDataset[dict[str, Tensor]]):
+    """A stream of items (`stream` makes one), each a dict of tensors of N trials with K pairs each.
+
+    Give a DataLoader `batch_size=None`.
+
+    | key | shape | what |
+    |---|---|---|
+    | `index` | () | the item's number |
+    | `trial_id`, `object_index` | (N,) | the trial; its object's place in `objects` |
+    | `cloud`, `normals` | (N, P, 3) | points and outward normals of the object, m, frame obj |
+    | `part`, `region` | (N, P) | part label and receiver's region of each point, with misplaced borders |
+    | `contact` | (N, P) | with `Seen(contacts=True)` only |
+    | `hand` | (N, H, 3) | points of the estimated hand, m, world |
+    | `T_world_hand`, `side` | (N, 4, 4), (N,) | where the estimated hand stands; 0 right, 1 left |
+    | `palm_point`, `palm_normal`, `wrist_to_middle`, `ball_center` | (N, 3) | of the estimated hand, world |
+    | `candidates` | (N, C, 4, 4) | T_obj_ee of the grasp candidates |
+    | `opening_m`, `score`, `exists` | (N, C) | of each candidate; where none exists the first one is repeated |
+    | `pick` | (N, K) | the candidate of each pair |
+    | `T_obj_ee`, `T_world_ee` | (N, K, 4, 4) | grasp and handover pose of each pair |
+    | `success` | (N, K) | whether the pose stage passes |
+    | `labels`, `margin` | (N, K, 5) | of each criterion: 1 passed, 0 failed, NaN not evaluated; margins, NaN too |
+
+    Verdicts are those of the true hand; what is seen is the estimated one.
+
+    Attributes:
+        benchmark: that of the trials: people, robot and limits of the given one, with the new instances.
+        objects: the instances.
+        left_out: the stream of those that `leave_out` names, with people of its own; None where it names none.
+        evaluator: judges the pairs.
+    """
+
+    def __init__(
+        self,
+        benchmark: Benchmark,
+        objects: Instances,
+        left_out: Instances,
+        *,
+        pairs: int,
+        trials: int,
+        seed: int,
+        first_item: int,
+        items: int | None,
+        first_id: int,
+        see: Seen,
+    ) -> None:
+        """As `stream`, with instances.
+
+        Args:
+            benchmark: whose people, robot and limits it has.
+            objects: instances.
+            left_out: further ones, of `left_out`.
+            pairs: K.
+            trials: N.
+            seed: key of all draws.
+            first_item: number of the first item.
+            items: number of items; None: no end.
+            first_id: the first trial id.
+            see: how much an item holds.
+        """
+        own = benchmark.with_objects(objects)
+        evaluator = own.evaluator(threads=1)
+        if none := without_candidates(evaluator.scene):
+            held = tuple(o for i, o in enumerate(objects) if i not in none)
+            own = benchmark.with_objects(held)
+            evaluator = own.evaluator(threads=1)
+        self.benchmark, self.objects, self.evaluator = own, own.objects, evaluator
+        self.pairs, self.trials, self.seed, self.see = pairs, trials, seed, see
+        self.first_item, self.items, self.first_id = first_item, items, first_id
+        self._splits = [k for k, s in enumerate(SPLITS) if any(o.split == s for o in own.objects)]
+        self._key = rng.key_of(f"stream {seed}")
+        self._clouds = tuple(
+            _clouds(own.objects, name, see.cloud) for name in ("points", "normals")
+        )
+        middles = np.stack([center_of(o) for o in own.objects])
+        self._middle = torch.from_numpy(middles).float()
+        self._table = candidate_table(evaluator.scene)
+        self.left_out: Pairs | None = None
+        if left_out:
+            self.left_out = type(self)(
+                benchmark, left_out, (), pairs=pairs, trials=trials, seed=seed, first_item=first_item, items=items,
+                first_id=first_id + IDS_OF_SEED // 2, see=see,
+            )  # fmt: skip
+
+    def __iter__(self) -> Iterator[dict[str, Tensor]]:
+        """The items in their order; of W workers each yields every W-th, so that a DataLoader gives the same order."""
+        worker = get_worker_info()
+        start, step = (0, 1) if worker is None else (worker.id, worker.num_workers)
+        at, end = self.first_item + start, None
+        if self.items is not None:
+            end = self.first_item + self.items
+        many = max(1, DRAWN_AT_ONCE // self.trials)
+        while end is None or at < end:
+            indices = [i for i in range(at, at + many * step, step) if end is None or i < end]
+            for i, drawn in zip(indices, self._drawn(indices), strict=True):
+                yield self._item(i, drawn)
+            at += many * step
+
+    def item(self, index: int) -> dict[str, Tensor]:
+        """One item by its number.
+
+        Args:
+            index: 0, 1, 2, ...
+        """
+        index = integer(0)("index", index)
+        return self._item(index, *self._drawn([index]))
+
+    def _drawn(self, indices: Sequence[int]) -> list[Trials]:
+        """The trials of each of these items."""
+        n, splits = self.trials, len(self._splits)
+        place = np.concatenate([np.arange(i * n, (i + 1) * n, dtype=np.int64) for i in indices])
+        if 2 * place[-1] >= IDS_OF_SEED // 2:
+            most = IDS_OF_SEED // 4 // n
+            raise ValueError(
+                f"item {indices[-1]} is beyond the {most} of a seed; take another seed"
+            )
+        parity = np.array(self._splits)[place % splits]
+        ids = torch.from_numpy(self.first_id + 2 * (place // splits) + parity)
+        trials = self.benchmark.trials_with_ids(ids)
+        # copies: a worker's other thread moves an item's memory when it sends it, and may free what another item reads
+        rows = torch.arange(len(place), dtype=torch.int64, device="cpu").split(n)
+        return [trials[own] for own in rows]
+
+    def _item(self, index: int, trials: Trials) -> dict[str, Tensor]:
+        """These trials as methods see them, pairs of them, and the verdicts.
+
+        An item is always computed alone, on one thread: torch's sums and sines have other last bits in other shapes.
+        """
+        with torch.no_grad(), self.evaluator.working():
+            seen, middle = self._seen(trials)
+            n, k, ids = self.trials, self.pairs, trials.trial_id.numpy()
+            u = np.ascontiguousarray(rng.uniforms(self._key, ids, k, purpose=_PICK).T)
+            pick = torch.from_numpy(rng.choice(u, seen["exists"].sum(1, keepdim=True).numpy()))
+            rows = torch.arange(n, dtype=torch.int64, device="cpu")[:, None]
+            T_obj_ee = seen["candidates"][rows, pick]
+            numbers = rng.uniforms(self._key, ids, k * NUMBERS, purpose=_POSE)
+            u = np.ascontiguousarray(numbers.T).reshape(n, k, NUMBERS)
+            hand = seen["ball_center"], seen["palm_normal"]
+            T_world_ee = propose(middle, *hand, T_obj_ee, torch.from_numpy(u))
+            scores = self.evaluator.kinematic.score(T_obj_ee, T_world_ee, trials, stages="pose")
+            margin = torch.where(scores.evaluated, scores.margin, torch.nan)
+        return {
+            "index": torch.tensor(index, dtype=torch.int64, device="cpu"), "trial_id": trials.trial_id,
+            "object_index": trials.object_index, **seen,
+            "pick": pick, "T_obj_ee": T_obj_ee, "T_world_ee": T_world_ee, "success": scores.success.view(n, k),
+            "labels": reward.labels(scores).view(n, k, -1), "margin": margin.view(n, k, -1),
+        }  # fmt: skip
+
+    def _seen(self, trials: Trials) -> tuple[dict[str, Tensor], Tensor]:
+        """The trials as methods see them, and the middle of what the receiver is to take, frame obj."""
+        scene, see, o = self.evaluator.scene, self.see, trials.object_index.long()
+        hand = predict_target(trials, scene, seed=self.seed, noise=see.noise)
+        parts = predict_parts(trials, scene, seed=self.seed, noise=see.noise)
+        last = hand.bank.vertices.shape[1] - 1
+        every = torch.linspace(0, last, see.hand, dtype=torch.float64, device="cpu").long()
+        skin = hand.bank.vertices[:, every][hand.row]
+        cloud, normals = (x[o] for x in self._clouds)
+        region = parts.usage[:, : see.cloud].contiguous()
+        count = region.sum(1, keepdim=True)
+        mean = (cloud * region[..., None]).sum(1) / count.clamp(min=1)
+        candidate, exists = self._table.rows(trials.object_index)
+        found = {
+            "cloud": cloud, "normals": normals, "part": parts.label[:, : see.cloud].contiguous(), "region": region,
+            "hand": se3.apply(hand.T[:, None], skin), "T_world_hand": hand.T, "side": hand.side,
+            "palm_point": hand.palm_point, "palm_normal": hand.palm_normal, "wrist_to_middle": hand.wrist_to_middle,
+            "ball_center": hand.ball_center, "candidates": self._table.T_obj_ee[candidate],
+            "opening_m": self._table.opening_m[candidate], "score": self._table.score[candidate], "exists": exists,
+        }  # fmt: skip
+        if see.contacts:
+            found["contact"] = predict_contacts(trials, scene, seed=self.seed)[
+                :, : see.cloud
+            ].contiguous()
+        return found, torch.where(count > 0, mean, self._middle[o])
+
+
+@check_arguments(
+    benchmark=instance_of(Benchmark, "load_benchmark(NAME or FILE)"),
+    leave_out=sequence_of(str, "categories or names of instances", least=0),
+    pairs=integer(1),
+    trials=integer(1, DRAWN_AT_ONCE),
+    seed=integer(0, MOST_SEEDS - 1),
+    first_item=integer(0),
+    items=optional(integer(1)),
+    first_id=integer(0, 1 << 61),
+    see=optional(instance_of(Seen, "Seen(...)")),
+)
+def stream(
+    benchmark: Benchmark,
+    families: str | Sequence[ObjectModel] = "* x 8 seed 5",
+    *,
+    leave_out: Sequence[str] = (),
+    pairs: int = 16,
+    trials: int = 64,
+    seed: int = 0,
+    first_item: int = 0,
+    items: int | None = None,
+    first_id: int = FIRST_ID,
+    see: Seen | None = None,
+) -> Pairs:
+    """Labelled pairs to learn from: what methods see, candidates, poses, labels and margins (`Pairs` names the tensors).
+
+    Instances are drawn once (0.7 s of a core each) and then read from disk.
+
+    Args:
+        benchmark: its people, robot, workplace and limits are those of the trials; its objects are refused.
+        families: `CATEGORY,... x COUNT seed SEED` of new instances, as behind `--objects families:`; or your own objects.
+        leave_out: categories (`cup`), instances (`cup_s1005_03`) or patterns (`*_03`) that are not learned from;
+            `Pairs.left_out` is the stream of these.
+        pairs: pairs of each trial.
+        trials: trials of an item.
+        seed: another one has other trials and pairs.
+        first_item: number of the first item; a run that goes on gives the number after its last one.
+        items: number of items; None: no end.
+        first_id: the first trial id of seed 0; ids that a benchmark draws are refused.
+        see: how much of a trial an item holds; None: `Seen()`.
+
+    Raises:
+        FileError: families has no such form.
+        ValueError: an object is one that methods are tested with, an id is the benchmark's own, `leave_out` names nothing.
+    """
+    if first_id < 2 * MOST_TRIALS:
+        raise ValueError(
+            f"first_id is {first_id}; ids below {2 * MOST_TRIALS:,} are those that methods are tested on, leave it out or"
+            f" take {FIRST_ID} or more"
+        )
+    objects, left_out = split(training_objects(benchmark, families), leave_out)
+    first_id += first_id % 2 + IDS_OF_SEED * seed
+    return Pairs(
+        benchmark, objects, left_out, pairs=pairs, trials=trials, seed=seed, first_item=first_item, items=items,
+        first_id=first_id, see=see or Seen(),
+    )  # fmt: skip
+
+
+def _clouds(objects: Instances, name: str, count: int) -> Tensor:
+    """The first points of each cloud (O, P, 3): themselves a sample of the surface by area."""
+    return torch.from_numpy(np.stack([getattr(o, name)[:count] for o in objects]))

@@ -1,0 +1,175 @@
+"""The stream of labelled pairs: the same items for any workers, labels that are the evaluator's, nothing that is tested."""
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+import torch
+from rounds import each
+from torch.utils.data import DataLoader
+
+from r2h_batch import load_benchmark, reward
+from r2h_batch.learning.instances import split, training_objects
+from r2h_batch.learning.pairs import FIRST_ID, IDS_OF_SEED, Pairs, Seen
+from r2h_batch.methods.handover_va import predict_parts, predict_target
+from r2h_batch.scene.objects import load_objects, turned
+from r2h_batch.training import stream
+from r2h_batch.types import CRITERIA
+
+FAMILIES = "cup,hammer x 2 seed 5"
+SIZES = {"pairs": 3, "trials": 6}
+
+
+@pytest.fixture(scope="module")
+def pairs() -> Pairs:
+    return stream(load_benchmark(), FAMILIES, items=5, **SIZES)
+
+
+def same(a: dict, b: dict) -> bool:
+    assert a.keys() == b.keys()
+    return all(torch.equal(a[k].nan_to_num(nan=-9.0), b[k].nan_to_num(nan=-9.0)) for k in a)
+
+
+@pytest.mark.check
+def test_items_are_the_same_by_number_for_any_number_of_workers_alone_and_anew(pairs):
+    alone = [pairs.item(i) for i in range(5)]
+    assert [int(x["index"]) for x in alone] == [0, 1, 2, 3, 4] and not same(alone[0], alone[1])
+    for workers in each([0, 1, 2]):
+        found = list(DataLoader(pairs, batch_size=None, num_workers=workers))
+        assert len(found) == 5 and all(same(a, b) for a, b in zip(alone, found, strict=True))
+    later = list(stream(load_benchmark(), FAMILIES, first_item=3, items=2, **SIZES))
+    assert len(later) == 2 and all(same(a, b) for a, b in zip(alone[3:], later, strict=True))
+
+
+def test_an_items_tensors_have_memory_of_their_own(pairs):
+    """A DataLoader's worker moves the memory of an item that it sends, in another thread, while it makes the next one."""
+    items = [*islice(pairs, 3)]
+    spans = []
+    for item in each(items):
+        for name, x in each(item.items()):
+            assert x.untyped_storage().nbytes() == x.numel() * x.itemsize, name
+        spans += {x.untyped_storage().data_ptr() for x in item.values()}
+    assert len(set(spans)) == len(spans)
+
+
+def test_labels_and_margins_are_what_score_says_of_these_poses_and_trials(pairs):
+    evaluator = pairs.benchmark.evaluator()
+    for item in each(islice(pairs, 2)):
+        trials = pairs.benchmark.trials_with_ids(item["trial_id"])
+        scores = evaluator.score(item["T_obj_ee"], item["T_world_ee"], trials, stages="pose")
+        assert torch.equal(scores.success.view(6, 3), item["success"])
+        assert torch.equal(
+            torch.where(scores.evaluated, scores.passed.float(), -1).view(6, 3, 5), item["labels"].nan_to_num(nan=-1.0)
+        )
+        evaluated = scores.evaluated.view(6, 3, 5)
+        assert torch.equal(item["margin"].isnan(), ~evaluated)
+        assert torch.equal(item["margin"][evaluated], scores.margin.view(6, 3, 5)[evaluated])
+        free = torch.tensor([pairs.objects[int(o)].split == "S0" for o in item["object_index"]])
+        assert (
+            torch.equal(item["labels"][..., CRITERIA.index("affordance")].isnan().all(1), free)
+            and 0 < int(free.sum()) < 6
+        )
+
+
+def test_what_is_seen_is_what_the_methods_are_given(pairs):
+    item, scene = pairs.item(1), pairs.evaluator.scene
+    trials = pairs.benchmark.trials_with_ids(item["trial_id"])
+    hand, parts = predict_target(trials, scene), predict_parts(trials, scene)
+    assert torch.equal(item["T_world_hand"], hand.T_world_hand) and torch.equal(item["palm_normal"], hand.palm_normal)
+    assert not torch.equal(hand.T_world_hand, trials.T_world_hand)
+    assert torch.equal(item["region"], parts.usage[:, :96]) and torch.equal(item["part"], parts.label[:, :96])
+    near = torch.cdist(item["hand"], hand.vertices, compute_mode="donot_use_mm_for_euclid_dist").amin(2)
+    assert item["hand"].shape == (6, 64, 3) and near.max() < 1e-5
+    for n in each(range(6)):
+        model = pairs.objects[int(item["object_index"][n])]
+        assert torch.equal(item["cloud"][n], torch.from_numpy(model.points[:96].copy()))
+        chosen = item["candidates"][n][item["pick"][n]]
+        assert torch.equal(chosen, item["T_obj_ee"][n]) and item["exists"][n][item["pick"][n]].all()
+
+
+def test_poses_bring_the_objects_middle_to_the_palm_from_behind(pairs):
+    items = [pairs.item(i) for i in range(5)]
+    passes = torch.cat([x["success"].flatten() for x in items]).float().mean()
+    reach = torch.cat([x["labels"][..., CRITERIA.index("reach")].flatten() for x in items])
+    assert 0.2 < passes < 0.8 and reach.nanmean() > 0.95
+    T = torch.cat([x["T_world_ee"].reshape(-1, 4, 4) for x in items])
+    torch.testing.assert_close(T[:, :3, :3] @ T[:, :3, :3].mT, torch.eye(3).expand(len(T), 3, 3), atol=1e-5, rtol=0.0)
+    assert torch.linalg.det(T[:, :3, :3]).min() > 0.999
+
+
+def test_seeds_and_what_is_left_out_share_no_trial_and_no_object_with_what_is_learned():
+    kept = stream(load_benchmark(), FAMILIES, leave_out=("*_01",), items=3, **SIZES)
+    other = stream(load_benchmark(), FAMILIES, seed=1, items=3, **SIZES)
+    assert kept.left_out is not None and kept.left_out.left_out is None
+    assert [o.name for o in kept.objects] == ["cup_s1005_00", "hammer_s1005_00"]
+    assert [o.name for o in kept.left_out.objects] == ["cup_s1005_01", "hammer_s1005_01"]
+    ids = [{int(i) for x in s for i in x["trial_id"]} for s in (kept, kept.left_out, other)]
+    assert len(ids[0] | ids[1] | ids[2]) == 3 * 18 and min(ids[0]) >= FIRST_ID
+    tools = stream(load_benchmark(), FAMILIES, leave_out=("cup",), items=1, **SIZES)
+    assert {o.category for o in tools.objects} == {"hammer"} and (tools.item(0)["trial_id"] % 2 == 1).all()
+    assert len(set(tools.item(0)["trial_id"].tolist())) == 6
+
+
+def test_contacts_are_seen_where_they_are_asked_for():
+    see = Seen(cloud=32, hand=8, contacts=True)
+    item = stream(load_benchmark(), "hammer x 1 seed 5", see=see, **SIZES).item(0)
+    assert (
+        item["contact"].shape == item["region"].shape == (6, 32)
+        and 0 <= item["contact"].min() < item["contact"].max() <= 1
+    )
+
+
+def test_objects_that_methods_are_tested_with_are_refused_under_any_name_and_turned():
+    (cup,) = load_objects(["cup_03"])
+    new = training_objects(load_benchmark(), FAMILIES)
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    for model in each([cup, replace(cup, name="mine"), turned(cup, quarter)]):
+        with pytest.raises(ValueError, match="which is cup_03 of the objects that methods are tested with"):
+            stream(load_benchmark(), [*new, model])
+    with pytest.raises(ValueError, match=f"which is {new[0].name} of the objects"):
+        stream(load_benchmark().with_objects(new[:1]), new)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"first_id": 1000}, "ids below 2,000,000,000 are those that methods are tested on"),
+        ({"leave_out": ("cups",)}, "leave_out has 'cups', which names no instance; there are cup, hammer"),
+        ({"leave_out": ("*",)}, "leave_out names all instances"),
+        ({"families": "cupp x 2"}, "no family is called 'cupp'"),
+        ({"families": []}, "families names no objects"),
+        ({"pairs": 0}, "pairs"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_wrong_arguments_are_refused_in_one_line(given, said):
+    with pytest.raises(ValueError, match=said) as error:
+        stream(load_benchmark(), **{"families": FAMILIES, **given})
+    assert "\n" not in str(error.value)
+
+
+def test_an_item_beyond_the_ids_of_a_seed_is_refused(pairs):
+    with pytest.raises(ValueError, match=r"beyond the .* of a seed; take another seed"):
+        pairs.item(IDS_OF_SEED)
+
+
+def test_a_split_goes_by_category_name_or_pattern():
+    objects = training_objects(load_benchmark(), FAMILIES)
+    for pattern, left in each([("cup", [0, 1]), ("hammer_s1005_01", [3]), ("*_00", [0, 2])]):
+        kept, out = split(objects, [pattern])
+        assert [objects.index(o) for o in out] == left and set(kept) | set(out) == set(objects)
+
+
+def test_labels_say_nothing_of_a_criterion_that_was_not_evaluated(pairs):
+    item = pairs.item(0)
+    trials = pairs.benchmark.trials_with_ids(item["trial_id"])
+    T_obj_ee = item["T_obj_ee"].clone()
+    T_obj_ee[0, 0] = torch.nan
+    scores = pairs.evaluator.score(T_obj_ee, item["T_world_ee"], trials, stages="pose")
+    labels = reward.labels(scores)
+    assert (
+        labels[0].isnan().all()
+        and torch.equal(labels.isnan(), ~scores.evaluated)
+        and set(labels[scores.evaluated].tolist()) == {0.0, 1.0}
+    )
