@@ -429,8 +429,8 @@ MUTATIONS = (
     Mutation(
         "reception: where the robot was asked to go, not where it went",
         TAKEN,
-        "executed = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, trials)",
-        "executed = inputs.T_obj_ee, inputs.T_world_ee",
+        "executed = executed_poses(evaluator.config, scene.objects, *asked, trials)",
+        "executed = asked",
         ("tests/judge/test_execution_error.py::test_reception_is_asked_where_the_robot_brings_the_object",),
     ),
     Mutation(
