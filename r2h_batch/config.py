@@ -250,7 +250,12 @@ class ObjectErrors(_Checked):
         return any((self.translation_m, self.rotation_deg, self.gross))
 
 
-OBJECT_ERRORS = {"none": (0.0, 0.0), "lab": (0.002, 1.0), "field": (0.005, 4.0), "rgb": (0.010, 8.0)}
+OBJECT_ERRORS = {
+    "none": (0.0, 0.0),
+    "lab": (0.002, 1.0),
+    "field": (0.005, 4.0),
+    "rgb": (0.010, 8.0),
+}
 """Level -> `translation_m` and `rotation_deg` of `ObjectErrors` [choice]. lab: a calibrated cell and a known model; field: a
 depth camera; rgb: a colour camera alone. Publications of pose estimators give areas under recall curves (AR, ADD), which are
 no lengths."""

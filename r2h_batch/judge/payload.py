@@ -56,9 +56,7 @@ def payload(scores: Scores, *, grip_n: float = GRIP_N, friction: float = FRICTIO
     if (inputs := scores.inputs) is None:
         raise ValueError("these scores hold no inputs; score again")
     scene, config = inputs.evaluator.scene, inputs.evaluator.config
-    poses = executed_poses(
-        config, scene.objects, inputs.T_obj_ee, inputs.T_world_ee, inputs.trials
-    )
+    poses = executed_poses(config, scene.objects, inputs.T_obj_ee, inputs.T_world_ee, inputs.trials)
     attached = attach(se3.orthonormalise(poses[0]), scores.grasp_shift_m).double().cpu().numpy()
     down = -poses[1][:, 2, :3].double().cpu().numpy()  # in ee
     objects = [scene.objects[i] for i in inputs.trials.object_index.tolist()]

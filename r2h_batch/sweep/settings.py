@@ -187,7 +187,9 @@ def object_error_settings(text: str) -> dict[str, Any]:
     found = re.fullmatch(rf"{number}mm,{number}deg", text, re.ASCII)
     if not found and text not in OBJECT_ERRORS:
         allowed = f"allowed are {', '.join(OBJECT_ERRORS)}, or such as 5mm,4deg"
-        raise UsageError(f"--object-errors is {text!r}{nearest(text, list(OBJECT_ERRORS))}; {allowed}")
+        raise UsageError(
+            f"--object-errors is {text!r}{nearest(text, list(OBJECT_ERRORS))}; {allowed}"
+        )
     size = (float(found[1]) / 1000, float(found[2])) if found else OBJECT_ERRORS[text]
     try:
         errors = ObjectErrors(*size)
@@ -217,7 +219,9 @@ def described() -> list[tuple[str, str]]:
         words = _attributes(owner).get(key, "").rstrip(".")
         more = f"; or {flag_of(short[name])}" if name in short else ""
         rows.append((f"{flag_of(name)} {_values(kind)}", f"{words} ({_defaults(name)}){more}"))
-    levels = ", ".join(f"{k} ({1000 * m:g} mm, {d:g} degrees)" for k, (m, d) in OBJECT_ERRORS.items() if m)
+    levels = ", ".join(
+        f"{k} ({1000 * m:g} mm, {d:g} degrees)" for k, (m, d) in OBJECT_ERRORS.items() if m
+    )
     rows.append(
         (
             f"{flag_of('object_errors')} TEXT",
