@@ -30,8 +30,9 @@ METHODS = ("fc", "handover-va", "contact", "intent", "oracle", "random")
 
 HEAD = """# Errors of the object's pose
 
-Methods are told where the object is. Here they are told wrongly ([definition](../choices.md#errors-estimates-candidates)); the judge and the
-trials stay true. `python bench/object_errors.py` measured {trials} trials of each split of r2h-v2, motion as planned
+Methods are told where the object is. Here they are told wrongly
+([definition](../choices.md#errors-estimates-candidates)); the judge and the trials stay
+true. `python bench/object_errors.py` measured {trials} trials of each split of r2h-v2, motion as planned
 (bench/results/object_errors.json; commit {commit}, load {load:g} at the start). Every column has the same trials and answers.
 For your method: `r2h-batch sweep --method mine.py:predict --sim none --object-errors field --out runs/field`.
 
@@ -40,8 +41,8 @@ The 95 % interval of a rate reaches up to {half:.0f} points to each side.
 
 {rates}
 
-Gross: {gross:g} % of the trials, without other errors. *half turn*: 180 degrees about one axis of the object's box. *symmetry*: any
-angle about the axis about which turns change the surface least.
+Gross: {gross:g} % of the trials, without other errors. *half turn*: 180 degrees about one axis of the object's box. *symmetry*:
+any angle about the axis about which turns change the surface least.
 
 - Stability takes most of the loss: it comes first in the order, so the other criteria are asked of fewer trials.
 - The oracle searches in the world that it sees. With an error that it does not know, it is no upper bound.

@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
-APART = {"contacts", "people", "transfer", "coverage"}
+APART = {"contacts", "people", "transfer", "coverage", "object_errors"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""

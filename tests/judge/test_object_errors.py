@@ -22,10 +22,10 @@ FIELD = ObjectErrors(*OBJECT_ERRORS["field"])
 WILD = ObjectErrors(0.005, 4.0, gross=0.3, seed=3)
 
 
-def evaluator(errors, more=ExecutionError()):
+def evaluator(errors):
     """The shared evaluator's scene with these errors, the motion as planned."""
     twin = copy.copy(default_evaluator("r2h-v1"))
-    twin.config = EvalConfig(object_errors=errors, execution_error=more, execute=ExecConfig(sim="none"))
+    twin.config = EvalConfig(object_errors=errors, execute=ExecConfig(sim="none"))
     return twin
 
 
