@@ -125,7 +125,7 @@ def again_of(judge: Judge, trials: Any, row: dict[str, Any]) -> Again:
     """The twin of a row, with the poses that the robot carried out and the hand that the planner saw."""
     scene, config = judge.evaluator.scene, judge.evaluator.config
     asked = [torch.tensor(np.array(row[k], np.float32)).view(1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
-    T_obj_ee, T_world_ee = executed_poses(config.execution_error, asked[0], asked[1], trials)
+    T_obj_ee, T_world_ee = executed_poses(config, scene.objects, asked[0], asked[1], trials)
     seen = None
     if config.plan.hand == "estimated":
         estimate = config.estimate

@@ -53,6 +53,7 @@ HALF_DEGREE = math.radians(0.5)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, allow_inf_nan=False, description="metres")]
 Degrees = Annotated[float, Field(ge=0, le=180, description="degrees")]
+Share = Annotated[float, Field(ge=0, le=1, description="a share")]
 GoalClearance = Annotated[float, Field(ge=0, le=0.006, description="metres")]
 Opening = Annotated[
     float, Field(gt=0, le=OPEN_GAP_M, description="metres; the open gripper's pads have this gap")
@@ -224,6 +225,43 @@ class ExecutionError(_Checked):
 
 
 @dataclass(frozen=True)
+class ObjectErrors(_Checked):
+    """How far the object's frame that methods see is from the true one (`judge.object_errors`), drawn in every trial; the
+    same for all methods. 0: they see the truth.
+
+    Attributes:
+        translation_m: standard deviation per axis of where methods see the middle of the object's box, m.
+        rotation_deg: standard deviation per axis of how they see the object turned about it, degrees.
+        gross: share of the trials in which the object is also seen wrongly turned, 0 to 1.
+        gross_turn: that turn. half: 180 degrees about one of the three axes of the object's box; symmetry: any angle about
+            the axis about which turns change its surface least.
+        seed: of the random numbers.
+    """
+
+    translation_m: Length = 0.0
+    rotation_deg: Degrees = 0.0
+    gross: Share = 0.0
+    gross_turn: Literal["half", "symmetry"] = "half"
+    seed: int = 0
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is off."""
+        return any((self.translation_m, self.rotation_deg, self.gross))
+
+
+OBJECT_ERRORS = {
+    "none": (0.0, 0.0),
+    "lab": (0.002, 1.0),
+    "field": (0.005, 4.0),
+    "rgb": (0.010, 8.0),
+}
+"""Level -> `translation_m` and `rotation_deg` of `ObjectErrors` [choice]. lab: a calibrated cell and a known model; field: a
+depth camera; rgb: a colour camera alone. Publications of pose estimators give areas under recall curves (AR, ADD), which are
+no lengths."""
+
+
+@dataclass(frozen=True)
 class ExecConfig(_Checked):
     """The time law and the simulator.
 
@@ -281,6 +319,7 @@ class EvalConfig(_Checked):
         receiver: what planning and Safe see of the person: the hand, or arm and torso too.
         estimate: the hand that a planner may see.
         execution_error: what a real robot adds to the poses.
+        object_errors: how far the object's frame that methods see is from the true one.
         candidates: grasps that methods choose from; no verdict depends on it. filtered: those that
             the gripper can hold; as-generated: all that the sampler proposes; narrow: of the
             filtered ones those across which the whole object fits into the open gripper.
@@ -301,6 +340,7 @@ class EvalConfig(_Checked):
     receiver: Literal["hand", "body"] = "hand"
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
     execution_error: ExecutionError = field(default_factory=ExecutionError)
+    object_errors: ObjectErrors = field(default_factory=ObjectErrors)
     candidates: Literal["filtered", "as-generated", "narrow"] = "filtered"
     width: Literal["pads", "whole"] = "pads"
     reach: Literal["solid", "hull"] = "solid"

@@ -4,7 +4,7 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 
 | stage | file | result |
 |---|---|---|
-| inputs | `inputs`, `execution_error` | poses and trials that fit; poses as a robot with errors reaches them |
+| inputs | `inputs`, `object_errors`, `execution_error` | poses and trials that fit; poses as a robot with errors reaches them |
 | grasp | `attach`, `grasp_physics` | the object in the gripper: invalid rows, Stability's margin, poses of all bodies |
 | IK | `ik` | every branch of the arm that reaches the handover pose |
 | plan | `plan` | a path without collision to one of the branches |
@@ -35,7 +35,7 @@ from r2h_batch.base.launch.repeated import RepeatedCalls
 from r2h_batch.base.launch.threads import on_threads, one_torch_thread
 from r2h_batch.base.summary import html_table
 from r2h_batch.base.validate import instance_of, optional, suggest_names
-from r2h_batch.config import EvalConfig, ExecutionError
+from r2h_batch.config import EvalConfig, ExecutionError, ObjectErrors
 from r2h_batch.judge import metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
 from r2h_batch.judge.compile import compile_stages
@@ -185,11 +185,16 @@ class Evaluator:
 
     @cached_property
     def kinematic(self) -> "Evaluator":
-        """The same evaluator with the motion taken as planned (`sim="none"`) and no execution
-        error: for methods that score while they search."""
+        """The same evaluator with the motion taken as planned (`sim="none"`) and without errors of execution or of the
+        object's pose: for methods that score while they search. They believe what they see."""
         twin = copy.copy(self)
         execute = replace(self.config.execute, sim="none")
-        twin.config = replace(self.config, execute=execute, execution_error=ExecutionError())
+        twin.config = replace(
+            self.config,
+            execute=execute,
+            execution_error=ExecutionError(),
+            object_errors=ObjectErrors(),
+        )
         twin.called = True  # the poses of a search are no mistakes
         return twin
 
@@ -310,11 +315,12 @@ class Evaluator:
             )
         instance_of(Trials, "benchmark.trials(...), or r2h_batch.Trials")("trials", trials)
         check_benchmark(self.benchmark, trials)
-        if self.config.execution_error.any:
-            raise ValueError(
-                "execution_error changes poses, and motions are judged as they are; score motions"
-                " with an Evaluator without it"
-            )
+        for section in ("execution_error", "object_errors"):
+            if getattr(self.config, section).any:
+                raise ValueError(
+                    f"{section} changes poses, and motions are judged as they are; score motions"
+                    " with an Evaluator without it"
+                )
         trace = checked_trace(q, time_s, length, len(trials), self.scene)
         plan = trace
         if planned_q is not None:
@@ -409,11 +415,12 @@ class Evaluator:
         """
         check_stages(stages)
         device, stability = torch.device(self.scene.device), self.config.stability
-        if device.type == "cuda" and self.config.execution_error.any:
-            raise ValueError(
-                "execution_error is drawn on the host and cannot be captured; perturb the poses with"
-                " judge.execution_error.executed_poses before the call"
-            )
+        for section in ("execution_error", "object_errors"):
+            if device.type == "cuda" and getattr(self.config, section).any:
+                raise ValueError(
+                    f"{section} is drawn on the host and cannot be captured; perturb the poses with"
+                    " judge.execution_error.executed_poses before the call"
+                )
         if device.type == "cuda" and self.config.ik.solver != "fused":
             raise ValueError(
                 "ik.solver='pytorch-kinematics' waits for the device and cannot be captured; use 'fused'"
@@ -449,7 +456,7 @@ class Evaluator:
         """The batch in chunks that bound the memory; results do not depend on the chunk boundaries."""
         n = len(trials)
         T_obj_ee, T_world_ee = executed_poses(
-            self.config.execution_error, T_obj_ee, T_world_ee, trials
+            self.config, self.scene.objects, T_obj_ee, T_world_ee, trials
         )
         if stages == "all":  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()

@@ -51,6 +51,7 @@ T_RELEASE = (
     "tests/judge/test_reception.py::test_the_gripper_lets_go_where_samples_of_opening_and_backing_off_keep_off_the_hand"
 )
 TAKEN = "r2h_batch/judge/reception.py"
+SEEN, T_OBJECT = "r2h_batch/judge/object_errors.py", "tests/judge/test_object_errors.py"
 T_COSTS = "tests/judge/test_reception.py::test_turn_and_travel_are_those_of_the_hand_from_how_it_waits"
 T_WHOLE = "tests/judge/test_reception.py::test_whole_ways_are_free_where_every_sample_of_hand_and_arm_is"
 T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed"
@@ -430,9 +431,54 @@ MUTATIONS = (
     Mutation(
         "reception: where the robot was asked to go, not where it went",
         TAKEN,
-        "executed = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, trials)",
-        "executed = inputs.T_obj_ee, inputs.T_world_ee",
+        "executed = executed_poses(evaluator.config, scene.objects, *asked, trials)",
+        "executed = asked",
         ("tests/judge/test_execution_error.py::test_reception_is_asked_where_the_robot_brings_the_object",),
+    ),
+    Mutation(
+        "object errors: the answer's frame moves the wrong way",
+        SEEN,
+        "se3.matmul(T_obj_seen, T_obj_ee.double())",
+        "se3.matmul(se3.inverse(T_obj_seen), T_obj_ee.double())",
+        (f"{T_OBJECT}::test_the_grasp_that_is_taken_is_that_of_a_twin_in_float64",),
+    ),
+    Mutation(
+        "object errors: turns about the origin of the frame",
+        SEEN,
+        "np.stack([box_middle(o) for o in objects])",
+        "np.stack([0 * box_middle(o) for o in objects])",
+        (f"{T_OBJECT}::test_the_grasp_that_is_taken_is_that_of_a_twin_in_float64",),
+    ),
+    Mutation(
+        "object errors: gross errors in every trial",
+        SEEN,
+        "hit < errors.gross",
+        "hit < 1",
+        (f"{T_OBJECT}::test_gross_errors_come_as_often_as_asked_about_each_axis_and_any_angle_of_the_symmetry",),
+    ),
+    Mutation(
+        "object errors: drawn by the place in the batch",
+        SEEN,
+        "ids, key = trial_ids(trials.trial_id), rng",
+        "ids, key = np.arange(len(trials)), rng",
+        (f"{T_OBJECT}::test_a_trial_meets_the_same_error_alone_in_any_order_and_in_shards_and_another_with_another_seed",),
+    ),
+    Mutation(
+        "object errors: the oracle knows them",
+        "r2h_batch/evaluate.py",
+        "            object_errors=ObjectErrors(),\n",
+        "",
+        (f"{T_OBJECT}::test_a_method_that_searches_with_the_evaluator_believes_what_it_sees",),
+    ),
+    Mutation(
+        "object errors: a sweep forgets its seed",
+        "r2h_batch/sweep/request.py",
+        "told = replace(config.object_errors, seed=options.seed)",
+        "told = config.object_errors",
+        (
+            "tests/sweep/test_options.py::"
+            "test_a_level_of_object_errors_is_two_settings_and_gross_errors_are_settings_of_their_own",
+        ),
     ),
     Mutation(
         "reception: half of the hand's turn",

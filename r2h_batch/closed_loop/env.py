@@ -259,16 +259,17 @@ class HandoverEnv(VectorEnv):
                 object.
 
         Raises:
-            ValueError: the scores hold no inputs, or their Evaluator has an execution error.
+            ValueError: the scores hold no inputs, or their Evaluator has errors of execution or of the object's pose.
             ImportError, TypeError: there is no such release policy, or it is no class.
         """
         if (inputs := scores.inputs) is None:
             raise ValueError("these scores hold no inputs; score again")
         self.evaluator, n = inputs.evaluator, len(scores)
-        if self.evaluator.config.execution_error.any:
-            raise ValueError(
-                "a closed loop has no execution_error; score with an Evaluator without it"
-            )
+        for section in ("execution_error", "object_errors"):
+            if getattr(self.evaluator.config, section).any:
+                raise ValueError(
+                    f"a closed loop has no {section}; score with an Evaluator without it"
+                )
         for name, word, allowed in (("action", action, Action), ("output", output, Output)):
             if word not in get_args(allowed):
                 words = ", ".join(get_args(allowed))

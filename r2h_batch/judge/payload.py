@@ -55,11 +55,10 @@ def payload(scores: Scores, *, grip_n: float = GRIP_N, friction: float = FRICTIO
     """
     if (inputs := scores.inputs) is None:
         raise ValueError("these scores hold no inputs; score again")
-    error = inputs.evaluator.config.execution_error
-    poses = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, inputs.trials)
+    scene, config = inputs.evaluator.scene, inputs.evaluator.config
+    poses = executed_poses(config, scene.objects, inputs.T_obj_ee, inputs.T_world_ee, inputs.trials)
     attached = attach(se3.orthonormalise(poses[0]), scores.grasp_shift_m).double().cpu().numpy()
     down = -poses[1][:, 2, :3].double().cpu().numpy()  # in ee
-    scene = inputs.evaluator.scene
     objects = [scene.objects[i] for i in inputs.trials.object_index.tolist()]
     com = np.array([o.com for o in objects], np.float64).reshape(-1, 3)
     mass = np.array([o.mass for o in objects], np.float64)

@@ -300,8 +300,8 @@ def _batch_of(scores: Scores) -> _Batch:
     needed = trials.object_index.unique().tolist()
     grasps = _grasps(scene, load_held_out(scene.objects, scene.hands.model, needed))
     device = scene.device
-    error = evaluator.config.execution_error
-    executed = executed_poses(error, inputs.T_obj_ee, inputs.T_world_ee, trials)
+    asked = inputs.T_obj_ee, inputs.T_world_ee
+    executed = executed_poses(evaluator.config, scene.objects, *asked, trials)
     evaluated = scores.passed[:, CRITERIA.index("stability")] & scores.q_goal.isfinite().all(1)
     eye = torch.eye(4, dtype=torch.float32, device=device)
     T_obj_ee, T_world_ee = (

@@ -7,7 +7,7 @@ from functools import partial
 from math import floor, log10
 from typing import Any
 
-from r2h_batch.config import ExecutionError
+from r2h_batch.config import ExecutionError, ObjectErrors
 from r2h_batch.report.held import stable_rates
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import (
@@ -304,8 +304,9 @@ def _origin(header: Mapping[str, Any]) -> dict[str, str]:
         origin["paths planned against"] = f"the {hand} hand"
     if (candidates := configuration.get("candidates", "filtered")) != "filtered":
         origin["grasp candidates"] = str(candidates).replace("-", " ")
-    if (error := configuration.get("execution_error", none := asdict(ExecutionError()))) != none:
-        origin["execution error"] = ", ".join(f"{k} {v}" for k, v in error.items() if v)
+    for section, kind in (("execution_error", ExecutionError), ("object_errors", ObjectErrors)):
+        if (error := configuration.get(section, none := asdict(kind()))) != none:
+            origin[section.replace("_", " ")] = ", ".join(f"{k} {v}" for k, v in error.items() if v)
     if (averages := configuration.get("averages", "trials")) != "trials":
         origin["averages"] = f"{averages} of a split count the same"
     return origin

@@ -297,6 +297,11 @@ class Options(Flags):
         """Whether it gives a setting of the executed errors."""
         return any(name.startswith("execution_error.") for name in self.settings)
 
+    @property
+    def object_errors(self) -> bool:
+        """Whether it gives a setting of the errors with which methods see the object."""
+        return any(name.startswith("object_errors.") for name in self.settings)
+
 
 def help_text(prog: str) -> str:
     """The flags that everybody needs, and the names of the other groups: one screen."""
@@ -391,13 +396,18 @@ EXCLUDED = (
     ),
     (
         "receiver_motion",
-        ("motions", "trials_from", "execution_error", "robustness"),
+        ("motions", "trials_from", "execution_error", "object_errors", "robustness"),
         "plays handovers from poses without errors",
     ),
     (
         "execution_error",
         ("motions", "trials_from"),
         "changes poses, and motions are judged as they are",
+    ),
+    (
+        "object_errors",
+        ("motions", "trials_from"),
+        "changes grasps, and motions are judged as they are",
     ),
 )
 """Options that exclude others, and why."""
@@ -550,9 +560,9 @@ def load_config(path: Path) -> Options:
 
 
 def _check_names(where: str, kind: str, names: Iterable[Any]) -> None:
-    from r2h_batch.sweep.settings import ERRORS, SHORT, elsewhere, settings
+    from r2h_batch.sweep.settings import IN_ONE_WORD, SHORT, elsewhere, settings
 
-    allowed = [*(f.name for f in fields(Flags)), *settings(), *SHORT, ERRORS]
+    allowed = [*(f.name for f in fields(Flags)), *settings(), *SHORT, *IN_ONE_WORD]
     for name in names:
         if name not in allowed:
             if how := elsewhere(str(name)):
@@ -572,8 +582,8 @@ def _without_config(
     arguments: Sequence[str], prog: str
 ) -> tuple[list[str], str | None, dict[str, bool], dict[str, Any]]:
     """The command line with each `--set NAME=VALUE` and each synonym as a flag, without `--config FILE`;
-    FILE; what --set says of options that are true or false; the settings of --execution-error."""
-    from r2h_batch.sweep.settings import ERRORS, SHORT, elsewhere, error_settings, flag_of
+    FILE; what --set says of options that are true or false; the settings of --execution-error and --object-errors."""
+    from r2h_batch.sweep.settings import IN_ONE_WORD, SHORT, elsewhere, flag_of
 
     rest, path = list(arguments), None
     flags: list[str] = []
@@ -581,6 +591,7 @@ def _without_config(
     errors: dict[str, Any] = {}
     switches = [name for name, (kind, _) in _flags().items() if kind is bool]
     short = {flag_of(name): flag_of(full) for name, full in SHORT.items()}
+    in_one_word = {flag_of(name): settings_of for name, settings_of in IN_ONE_WORD.items()}
     while rest:
         argument = rest.pop(0)
         name, equals, value = argument.partition("=")
@@ -591,7 +602,7 @@ def _without_config(
         if name in short:
             flags.append(short[name] + equals + value)
             continue
-        if name not in ("--config", "--set", flag_of(ERRORS)):
+        if name not in ("--config", "--set", *in_one_word):
             flags.append(argument)
             continue
         value = value if equals else rest.pop(0) if rest else ""
@@ -600,8 +611,8 @@ def _without_config(
                 raise UsageError("--config names no file")
             path = value
             continue
-        if name == flag_of(ERRORS):
-            errors = error_settings(value)
+        if name in in_one_word:
+            errors |= in_one_word[name](value)
             continue
         if value == "help":
             sys.stdout.write(full_help(prog))
@@ -616,8 +627,8 @@ def _without_config(
                     f"--set is {setting!r}; it must be NAME=VALUE, and --help-all has the names"
                 )
             _check_names("--set", "option", [option])
-            if option == ERRORS:
-                errors = error_settings(value)
+            if option in IN_ONE_WORD:
+                errors |= IN_ONE_WORD[option](value)
             elif option not in switches:
                 flags.append(f"{flag_of(SHORT.get(option, option))}={value}")
             elif value in ("true", "false"):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function
-from r2h_batch.config import EstimateConfig, EvalConfig, ExecutionError
+from r2h_batch.config import EstimateConfig, EvalConfig, ExecutionError, ObjectErrors
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs import provenance
 from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, spelled_out
@@ -283,13 +283,24 @@ def _configuration(options: Options, config: EvalConfig, *, pieces: bool) -> Eva
     if pieces and config.name == "release" and "plan.object_collision" not in options.settings:
         plan = replace(plan, object_collision="pieces")
     # settings that no verdict uses stay at their defaults: runs that differ in them can be compared
-    seen, error = EstimateConfig(), ExecutionError()
+    seen, error, told = EstimateConfig(), ExecutionError(), ObjectErrors()
     if plan.hand == "estimated":
         seen = EstimateConfig(config.estimate.errors, options.predictor_noise, options.seed)
     if config.execution_error.any:
         error = replace(config.execution_error, seed=options.seed)
+    if config.object_errors.any:
+        told = replace(config.object_errors, seed=options.seed)
+        if not told.gross:
+            told = replace(told, gross_turn=ObjectErrors.gross_turn)
     execute = replace(config.execute, sim=config.execute.engine(options.device))
-    return replace(config, plan=plan, execute=execute, estimate=seen, execution_error=error)
+    return replace(
+        config,
+        plan=plan,
+        execute=execute,
+        estimate=seen,
+        execution_error=error,
+        object_errors=told,
+    )
 
 
 def _stored(options: Options) -> list[str]:

@@ -2,13 +2,13 @@
 `--plan.edge-check moveit`, `--set plan.edge_check=moveit`, and in a file `plan: {edge_check: moveit}`."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import cache, reduce
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from r2h_batch.base.errors import UsageError, nearest
-from r2h_batch.config import MADE_BY, EvalConfig, ExecutionError
+from r2h_batch.config import MADE_BY, OBJECT_ERRORS, EvalConfig, ExecutionError, ObjectErrors
 
 SHORT = {
     "sim": "execute.sim",
@@ -21,9 +21,6 @@ SHORT = {
 }
 """Synonyms: short names of settings."""
 
-ERRORS = "execution_error"
-"""The synonym for all settings of a section: `execution_error=5mm,1deg`."""
-
 ELSEWHERE = {
     "thresholds": "the benchmark has them; write thresholds into a benchmark.yaml",
     "workplace": "the benchmark has it; write home and table into a benchmark.yaml",
@@ -31,6 +28,7 @@ ELSEWHERE = {
     "estimate.factor": "say --predictor-noise",
     "estimate.seed": "say --seed",
     "execution_error.seed": "say --seed",
+    "object_errors.seed": "say --seed",
     "chunk": "say --chunk",
     "name": "say --preset",
 }
@@ -105,8 +103,8 @@ def given_in_file(data: dict[str, Any]) -> dict[str, Any]:
         if name in sections and isinstance(data[name], dict):
             for key, value in data.pop(name).items():
                 found[known(f"{name}.{key}", "field")] = value
-        elif name == ERRORS and isinstance(data[name], str):
-            found |= error_settings(data.pop(name))
+        elif name in IN_ONE_WORD and isinstance(data[name], str):
+            found |= IN_ONE_WORD[name](data.pop(name))
         elif full in settings():
             found[full] = data.pop(name)
     return {k: tuple(v) if isinstance(v, list) else v for k, v in found.items() if v != UNSAID}
@@ -171,7 +169,40 @@ def error_settings(text: str) -> dict[str, Any]:
         error = ExecutionError(camera[0], camera[1], drawn, held[0], held[1])
     except ValueError as refused:
         raise UsageError(f"--execution-error: {refused}") from None
-    return {f"{ERRORS}.{f.name}": getattr(error, f.name) for f in fields(error) if f.name != "seed"}
+    return {
+        f"execution_error.{f.name}": getattr(error, f.name)
+        for f in fields(error)
+        if f.name != "seed"
+    }
+
+
+def object_error_settings(text: str) -> dict[str, Any]:
+    """The settings that `--object-errors` stands for: a level of `OBJECT_ERRORS`, or such as `5mm,4deg`. Gross errors are
+    settings of their own.
+
+    Raises:
+        UsageError: it is of another form, or an angle is above 180 degrees.
+    """
+    number = r"(\d+\.?\d*|\.\d+)"
+    found = re.fullmatch(rf"{number}mm,{number}deg", text, re.ASCII)
+    if not found and text not in OBJECT_ERRORS:
+        allowed = f"allowed are {', '.join(OBJECT_ERRORS)}, or such as 5mm,4deg"
+        raise UsageError(
+            f"--object-errors is {text!r}{nearest(text, list(OBJECT_ERRORS))}; {allowed}"
+        )
+    size = (float(found[1]) / 1000, float(found[2])) if found else OBJECT_ERRORS[text]
+    try:
+        errors = ObjectErrors(*size)
+    except ValueError as refused:
+        raise UsageError(f"--object-errors: {refused}") from None
+    return {f"object_errors.{k}": getattr(errors, k) for k in ("translation_m", "rotation_deg")}
+
+
+IN_ONE_WORD: dict[str, Callable[[str], dict[str, Any]]] = {
+    "execution_error": error_settings,
+    "object_errors": object_error_settings,
+}
+"""Synonyms for several settings of a section: its name -> what a text such as `5mm,1deg` stands for."""
 
 
 # ---- help
@@ -188,9 +219,19 @@ def described() -> list[tuple[str, str]]:
         words = _attributes(owner).get(key, "").rstrip(".")
         more = f"; or {flag_of(short[name])}" if name in short else ""
         rows.append((f"{flag_of(name)} {_values(kind)}", f"{words} ({_defaults(name)}){more}"))
+    levels = ", ".join(
+        f"{k} ({1000 * m:g} mm, {d:g} degrees)" for k, (m, d) in OBJECT_ERRORS.items() if m
+    )
     rows.append(
         (
-            f"{flag_of(ERRORS)} TEXT",
+            f"{flag_of('object_errors')} TEXT",
+            f"how far off methods see the object, per axis: none, {levels}, or such as 7mm,3deg; all methods, also oracle and "
+            "files of poses. Gross errors: --object-errors.gross",
+        )
+    )
+    rows.append(
+        (
+            f"{flag_of('execution_error')} TEXT",
             "all five execution_error settings at once. 5mm,1deg: camera and object err in every trial; camera:5mm,1deg or "
             "object:5mm,1deg: one of both errs; bias:5mm,1deg: one error of the camera for all trials",
         )

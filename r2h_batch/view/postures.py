@@ -63,7 +63,7 @@ def postures_at(evaluator: Evaluator, trial: Trials, answer: Predictions) -> Pos
     rows = torch.zeros(BRANCHES + 1, dtype=torch.int64, device=scene.device)
     trials, T_obj_ee, T_world_ee = trial[rows], answer.T_obj_ee[rows], answer.T_world_ee[rows]
     with evaluator.working():
-        poses = executed_poses(config.execution_error, T_obj_ee, T_world_ee, trials)
+        poses = executed_poses(config, scene.objects, T_obj_ee, T_world_ee, trials)
         held = attach_object(scene, *poses, trials, config)
         # the branches that `Evaluator` judges
         solve = solve_ik

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow.compute as pc
@@ -20,7 +20,7 @@ from pydantic import TypeAdapter
 
 from r2h_batch.base import se3
 from r2h_batch.base.errors import FileError, UsageError
-from r2h_batch.config import EvalConfig, ExecutionError, Workplace
+from r2h_batch.config import EvalConfig, ExecutionError, ObjectErrors, Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.protocols.benchmark import Benchmark, trials_digest
@@ -44,6 +44,9 @@ SAME_M = 1e-6
 """Margins that differ by no more than this are the same: float32 of numbers below 10 m."""
 UNJUDGED = ("invalid_input", "missing")
 POSES = ("T_obj_ee", "T_world_ee")
+
+
+Section = TypeVar("Section")
 
 
 @dataclass(frozen=True)
@@ -282,9 +285,11 @@ def _stored(
     trial: Trials, answer: Predictions, objects: Sequence[Any], hand_set: Any, robot: Robot,
     workplace: Workplace,
 ) -> StoredTrial:  # fmt: skip
-    stored = header["configuration"].get("execution_error", {})
-    error = TypeAdapter(ExecutionError).validate_python(stored)
-    poses = executed_poses(error, answer.T_obj_ee, answer.T_world_ee, trial)
+    config = EvalConfig(
+        execution_error=_section(header, "execution_error", ExecutionError),
+        object_errors=_section(header, "object_errors", ObjectErrors),
+    )
+    poses = executed_poses(config, objects, answer.T_obj_ee, answer.T_world_ee, trial)
     T_obj_ee, T_world_ee = map(_orthonormal, poses)
     attached = T_obj_ee.copy()
     attached[:3, 3] += T_obj_ee[:3, 1] * np.float32(row["grasp_shift_m"])
@@ -298,6 +303,11 @@ def _stored(
         time_s, executed_q, objects[int(trial.object_index[0])], hand_set, robot, workplace, receiver,
         planned_q=None if plan is None else np.array(plan, np.float64),
     )  # fmt: skip
+
+
+def _section(header: dict[str, Any], name: str, kind: type[Section]) -> Section:
+    """A section of the run's configuration; its defaults in a run that is older than the section."""
+    return TypeAdapter(kind).validate_python(header["configuration"].get(name, {}))
 
 
 def _rows(table: Any, trial_id: int) -> list[dict[str, Any]]:

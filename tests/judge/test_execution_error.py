@@ -28,6 +28,12 @@ def evaluator(error):
     return twin
 
 
+def poses_with(error, T_obj_ee, T_world_ee, trials):
+    """The poses that a robot with these errors carries out."""
+    objects = default_evaluator("r2h-v1").scene.objects
+    return executed_poses(EvalConfig(execution_error=error), objects, T_obj_ee, T_world_ee, trials)
+
+
 @pytest.fixture(scope="module")
 def asked():
     trials = load_benchmark("r2h-v1").trials(24)
@@ -40,7 +46,7 @@ def drawn(error, trials):
     hand = trials.T_world_hand.double().numpy()
     hand[:, :3, :3] = np.eye(3)
     eye = torch.eye(4).expand(len(trials), 4, 4)
-    held, camera = (T.double().numpy() for T in executed_poses(error, eye, torch.from_numpy(hand).float(), trials))
+    held, camera = (T.double().numpy() for T in poses_with(error, eye, torch.from_numpy(hand).float(), trials))
     camera = np.linalg.inv(hand) @ camera
     return [(Rotation.from_matrix(T[:, :3, :3]).as_rotvec(), T[:, :3, 3]) for T in (camera, held)]
 
@@ -49,7 +55,7 @@ def drawn(error, trials):
 def test_a_run_with_errors_is_one_of_the_poses_that_the_robot_carries_out(asked):
     T_obj_ee, T_world_ee, trials = asked
     off = evaluator(BOTH).score(*asked)
-    moved = evaluator(ExecutionError()).score(*executed_poses(BOTH, T_obj_ee, T_world_ee, trials), trials)
+    moved = evaluator(ExecutionError()).score(*poses_with(BOTH, T_obj_ee, T_world_ee, trials), trials)
     for name in ("outcome", "margin", "path", "q_goal"):
         assert torch.equal(getattr(off, name).nan_to_num(), getattr(moved, name).nan_to_num())
     assert not torch.equal(off.margin.nan_to_num(), evaluator(ExecutionError()).score(*asked).margin.nan_to_num())
@@ -59,7 +65,7 @@ def test_a_run_with_errors_is_one_of_the_poses_that_the_robot_carries_out(asked)
 def test_reception_is_asked_where_the_robot_brings_the_object(asked):
     T_obj_ee, T_world_ee, trials = asked
     off = reception(evaluator(BOTH).score(*asked))
-    moved = reception(evaluator(ExecutionError()).score(*executed_poses(BOTH, T_obj_ee, T_world_ee, trials), trials))
+    moved = reception(evaluator(ExecutionError()).score(*poses_with(BOTH, T_obj_ee, T_world_ee, trials), trials))
     meant = reception(evaluator(ExecutionError()).score(*asked))
     for f in fields(off):
         assert torch.equal(getattr(off, f.name).nan_to_num(), getattr(moved, f.name).nan_to_num()), f.name
@@ -80,7 +86,7 @@ def test_errors_have_the_sizes_that_were_asked_and_are_independent():
 def test_the_camera_turns_the_gripper_about_the_hand_and_the_object_moves_in_the_gripper(asked):
     T_obj_ee, T_world_ee, trials = asked
     (turn, shift), (held_turn, held_shift) = drawn(BOTH, trials)
-    held, pose = (T.double().numpy() for T in executed_poses(BOTH, T_obj_ee, T_world_ee, trials))
+    held, pose = (T.double().numpy() for T in poses_with(BOTH, T_obj_ee, T_world_ee, trials))
     hand, before = trials.T_world_hand[:, :3, 3].double().numpy(), T_world_ee.double().numpy()
     R = Rotation.from_rotvec(turn)
     assert np.allclose(pose[:, :3, 3], hand + shift + R.apply(before[:, :3, 3] - hand), atol=1e-6)
@@ -92,8 +98,8 @@ def test_the_camera_turns_the_gripper_about_the_hand_and_the_object_moves_in_the
 
 def test_a_trial_meets_the_same_errors_in_any_batch_and_a_bias_is_that_of_all(asked):
     rows = torch.tensor([7, 3])
-    whole = executed_poses(BOTH, *asked)
-    few = executed_poses(BOTH, *(x[rows] for x in asked))
+    whole = poses_with(BOTH, *asked)
+    few = poses_with(BOTH, *(x[rows] for x in asked))
     assert all(torch.equal(a[rows], b) for a, b in zip(whole, few, strict=True))
     bias = drawn(replace(BOTH, camera_drawn="run"), asked[2])[0]
     assert np.ptp(bias[0], 0).max() < 1e-5 and np.ptp(bias[1], 0).max() < 1e-6 and abs(bias[1]).max() > 1e-3

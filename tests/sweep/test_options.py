@@ -6,9 +6,10 @@ import re
 from typing import Literal, get_args, get_origin, get_type_hints
 
 import pytest
+from rounds import each
 
 from r2h_batch.base.errors import UsageError
-from r2h_batch.config import MADE_BY, EvalConfig
+from r2h_batch.config import MADE_BY, EvalConfig, ObjectErrors
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.sweep.options import Flags, Options, check, load_config, parse
@@ -167,6 +168,29 @@ def test_errors_in_one_word_are_five_settings_and_the_seed_comes_from_the_comman
     assert both.settings["execution_error.camera_m"] == 0 and both.settings["execution_error.object_m"] == 0.002
 
 
+def test_a_level_of_object_errors_is_two_settings_and_gross_errors_are_settings_of_their_own(tmp_path):
+    line = ["--method", "random", "--out", "x", "--seed", "4"]
+
+    def errors(*words):
+        return requested(parse([*line, *words])).configuration.object_errors
+
+    sizes = {"lab": (0.002, 1.0), "field": (0.005, 4.0), "rgb": (0.010, 8.0), "7mm,3deg": (0.007, 3.0)}
+    for level, (m, deg) in each(sizes.items()):
+        assert errors("--object-errors", level) == ObjectErrors(m, deg, seed=4)
+    assert errors("--object-errors", "none") == errors("--object-errors.gross-turn", "symmetry") == ObjectErrors()
+    gross = ["--object-errors.gross", "0.1", "--object-errors.gross-turn", "symmetry"]
+    assert errors(*gross) == ObjectErrors(gross=0.1, gross_turn="symmetry", seed=4)
+    assert errors("--set", "object_errors=rgb", "object_errors.gross=0.1") == ObjectErrors(0.01, 8.0, 0.1, seed=4)
+    both = errors("--object-errors=lab", "--execution-error", "5mm,1deg")
+    assert both == ObjectErrors(0.002, 1.0, seed=4)
+    path = write(tmp_path, "method: [random]\nobject_errors: field\nobject_errors.gross: 0.2\n")
+    assert errors("--config", str(path)) == ObjectErrors(0.005, 4.0, 0.2, seed=4)
+    with pytest.raises(UsageError, match="motions are judged as they are; leave --motions out"):
+        parse(["--motions", "m.npz", "--out", "x", "--object-errors", "lab"])
+    with pytest.raises(UsageError, match="leave --object-errors out"):
+        parse([*line, "--receiver-motion", "moves", "--object-errors", "lab"])
+
+
 @pytest.mark.parametrize(
     ("words", "part"),
     [
@@ -179,6 +203,10 @@ def test_errors_in_one_word_are_five_settings_and_the_seed_comes_from_the_comman
         (["--set", "thresholds.w_max_m=1"], "write thresholds into a benchmark.yaml"),
         (["--estimate.seed", "3"], "say --seed"),
         (["--execution-error", "5mm"], "it must be such as 5mm,1deg"),
+        (["--object-errors", "feild"], "'feild', did you mean field?; allowed are none, lab, field, rgb, or such as"),
+        (["--object-errors", "5mm,200deg"], "--object-errors: "),
+        (["--object-errors.gross", "2"], "--object-errors.gross is 2.0; it must be 1 or less"),
+        (["--object-errors.seed", "2"], "say --seed"),
     ],
 )
 def test_a_setting_that_cannot_be_is_one_line(words, part):

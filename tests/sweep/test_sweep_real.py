@@ -6,7 +6,9 @@ import pytest
 import torch
 from sweep_command import WITH_HOME, command, in_process
 
+from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
 from r2h_batch.trials.predictions import write_predictions
 from r2h_batch.types import Predictions
 
@@ -89,3 +91,33 @@ def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
     assert len(times["auto"]) >= 2
     assert all(0.02 < a - b < 0.3 for a, b in zip(times["none"], times["auto"], strict=True))  # 1 mm before the end
     assert found["auto"][2]["outcome"].equals(found["none"][2]["outcome"])
+
+
+def test_object_errors_are_those_of_one_sweep_in_shards_of_files_and_again_and_others_are_not_paired(tmp_path):
+    line = ["--benchmark", "r2h-v1", "--method", "random", "--trials", 6, "--sim", "none"]
+    off = [*line, "--object-errors", "rgb", "--object-errors.gross", "0.5"]
+
+    def swept(name, *words):
+        done = in_process(*words, "--out", tmp_path / name)
+        assert done.returncode == 0, done.stderr
+        return load_run(tmp_path / name)
+
+    def rows(run):
+        table = run.trials(run.methods[0]).sort_by("trial_id")
+        return table.drop_columns([c for c in ("t_plan_s", "t_method_s", "method") if c in table.column_names])
+
+    true, wrong = swept("true", *line), swept("off", *off)
+    parts = swept("parts", *off, "--shard-trials", 5, "--chunk", 3)
+    assert rows(wrong).equals(rows(parts)) and not rows(wrong).equals(rows(true))
+    answers = [run.poses("random").sort_by("trial_id") for run in (true, wrong)]
+    assert answers[0].equals(answers[1])  # methods answer as before: they believe what they see
+    said = wrong.header["configuration"]["object_errors"]
+    assert said == {"translation_m": 0.01, "rotation_deg": 8.0, "gross": 0.5, "gross_turn": "half", "seed": 0}
+    with pytest.raises(ValueError, match=r"differ in configuration \(object_errors\): their trials cannot be paired"):
+        common_trials([true, wrong])
+    poses = answers[1].to_pydict()
+    T = [torch.tensor(poses[k]).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
+    write_predictions(tmp_path / "p.npz", Predictions(torch.tensor(poses["trial_id"]), *T, method="file"))
+    of_file = [*off[:2], "--predictions", tmp_path / "p.npz", *off[4:]]
+    assert rows(swept("file", *of_file)).equals(rows(wrong))
+    assert reevaluate(wrong, "random", 12, Judge(wrong)).equal == 12

@@ -89,7 +89,7 @@ def gripped_of(scores: Scores, trial_id: NDArray[np.int64]) -> Gripped:
     rows = scores.passed[:, CRITERIA.index("stability")]
     evaluator, trials = inputs.evaluator, inputs.trials
     executed = executed_poses(
-        evaluator.config.execution_error, inputs.T_obj_ee, inputs.T_world_ee, trials
+        evaluator.config, evaluator.scene.objects, inputs.T_obj_ee, inputs.T_world_ee, trials
     )
     device = rows.device
     T_obj_ee, T_world_ee = (se3.orthonormalise(T.to(device)[rows]) for T in executed)

@@ -47,7 +47,7 @@ COMPARED = {
 }
 """Columns that are judged again; poses are what they are judged from."""
 
-LATER_OPTIONS = ("receiver", "estimate", "candidates", "execution_error")
+LATER_OPTIONS = ("receiver", "estimate", "candidates", "execution_error", "object_errors")
 """Options of `EvalConfig` that older runs do not name, because the option did not exist then. Today's default is what
 those runs did."""
 
