@@ -30,7 +30,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import r2h_batch
+import r2h_batch as package
 
 HERE, ROOT = Path(__file__).resolve(), Path(__file__).resolve().parents[1]
 MEASURES = (
@@ -52,7 +52,8 @@ ROWS = {
 """The figures, and how many rows each is divided by."""
 MORE = {"gradient.1": 1, "gradient.512": 512, "trial.moved": 8}
 """Figures that --figures can name."""
-VALUES = hasattr(r2h_batch, "load_benchmark")
+BATCH: Any = package  # of either commit
+VALUES = hasattr(BATCH, "load_benchmark")
 """Whether benchmarks are values here; commits before 0.3's last have protocols and a default of r2h-v1."""
 LEAST_S = 0.1
 """A figure of a round takes at least so much process time: calls are repeated."""
@@ -105,21 +106,21 @@ def collision(evaluator: Any, T_obj_ee: Any, T_world_ee: Any, trials: Any) -> Ca
 @cache
 def judge_of(sim: str) -> Any:
     """An evaluator whose motions are taken as planned ("none"), or simulated by default."""
-    from r2h_batch import EvalConfig, Evaluator
+    from r2h_batch import EvalConfig
     from r2h_batch.config import ExecConfig
 
     config = EvalConfig(execute=ExecConfig(sim="none")) if sim == "none" else None
-    return Evaluator(r2h_batch.load_benchmark("r2h-v1"), config) if VALUES else Evaluator(config)
+    return BATCH.Evaluator(BATCH.load_benchmark("r2h-v1"), config) if VALUES else BATCH.Evaluator(config)
 
 
 @cache
 def first_trials(protocol: str) -> Any:
     """The trials of bench/mix.npz, or those of another protocol with their numbers."""
     if VALUES:
-        benchmark = r2h_batch.load_benchmark(protocol)
+        benchmark = BATCH.load_benchmark(protocol)
         trials = benchmark.trials(512).named(benchmark.objects)  # one evaluator judges those of both
     else:
-        trials = r2h_batch.make_trials(("S0", "S1"), 512, protocol=protocol)
+        trials = BATCH.make_trials(("S0", "S1"), 512, protocol=protocol)
     return trials[trials.trial_id.argsort()]
 
 
