@@ -58,7 +58,7 @@ ARMS = {
     "arx5": Listed("ARX5", "robosuite-models:arx5/robot.xml", "--base base --flange right_hand --yes"),
     "spot": Listed("Spot's arm", "robosuite:spot_arm/robot.xml", "--base base --flange right_hand --yes"),
     "baxter": Listed(
-        "Baxter, left arm", "example-robot-data:baxter.urdf", "--base left_arm_mount --flange left_gripper_base"
+        "Baxter, left arm", "example-robot-data:baxter.urdf", "--base left_arm_mount --flange left_gripper_base_link"
     ),
     "pr2": Listed("PR2, right arm", "robosuite-models:pr2/robot.xml", "--base right_arm --flange right_hand --yes"),
     "tiago_pro": Listed(

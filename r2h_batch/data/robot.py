@@ -33,13 +33,22 @@ from r2h_batch.data.robot_chain import (
     read_chain,
     read_fingers,
 )
-from r2h_batch.data.robot_home import NO_TURN, first_home, free_home, homes, turn_of, turned
+from r2h_batch.data.robot_home import (
+    NO_TURN,
+    first_home,
+    free_home,
+    homes,
+    no_home,
+    turn_of,
+    turned,
+)
 from r2h_batch.data.robot_links import Meshes, check_meshes, files_of, link_of
 from r2h_batch.data.robot_model import Geom, read_model
 from r2h_batch.data.robot_pads import Window, find_pads
 from r2h_batch.data.robot_pairs import checked_pairs, touching
 from r2h_batch.data.robot_shapes import (
     BOX,
+    CAPSULE,
     Hull,
     Shape,
     Target,
@@ -82,8 +91,13 @@ SYMMETRIC_M, PARALLEL_RAD = 1e-4, 5e-3
 """By how much the fingers may close differently, and the pads turn."""
 MOST_TURN_RAD = np.radians(2.0)
 """By how much the pads of a linkage may turn that is parallel in the data sheet and not quite in the file."""
+ROUNDED, MOST_EXCESS = 1.001, 1.25
+"""By how much the largest moment of a link may be above the sum of the others: as rounding makes it, and as files of
+vendors have it."""
 BALL_M = 1e-3
 """Radius of a last link of which the file shows nothing: the gripper hides it."""
+BONE_M = 1e-3
+"""Radius of the rods that stand for the links before their meshes are read."""
 POSTURES = 8000
 """Random postures in which links are looked for in contact."""
 SMALL_EFFORT_NM, STIFF, SOFT = 40.0, 10_000.0, 2_000.0
@@ -143,12 +157,14 @@ def import_robot(
         raise FileError(
             f"{shown}: {n} joints move {flange}; allowed are {LEAST_JOINTS} or {MOST_JOINTS}"
         )
-    if not chain.links[-1].geoms:  # of others something is missing
-        name_of, how = printable(chain.links[-1].name), "it collides as a ball of 1 mm at its joint"
+    for k in (0, n):  # of others something is missing
+        if chain.links[k].geoms:
+            continue
+        name_of, how = printable(chain.links[k].name), "it collides as a ball of 1 mm at its joint"
         warnings.warn(f"{shown}: the file shows nothing of link {name_of}: {how}", stacklevel=2)
         ball = Geom("sphere", np.array([BALL_M, 0.0, 0.0]), np.eye(4), seen=True)
-        bare_last = replace(chain.links[-1], geoms=(ball,))
-        chain = replace(chain, links=(*chain.links[:-1], bare_last))
+        balls = [replace(x, geoms=(ball,)) if i == k else x for i, x in enumerate(chain.links)]
+        chain = replace(chain, links=tuple(balls))
     if chain.assumed:
         what = f"{shown}: no torque limit of {printable(', '.join(chain.assumed))[:120]}"
         how = f"twice what holds the stretched arm with {HELD_KG:g} kg, at least {LEAST_NM:g} N m"
@@ -173,7 +189,7 @@ def import_robot(
     )
     dynamics = _dynamics(chain, bare, shown)
     names: tuple[str, ...] = tuple(_word(part.name) for part in chain.links)
-    if offset is None and (way := _turn(bare, chain, names, start)):
+    if offset is None and (way := _turn(bare, chain, names, start, shown)):
         where = f"{shown}: the z of --flange {printable(flange)} does not point away from the arm"
         if not turn:
             how = f"--offset={way} turns it there, --yes takes that, --offset={NO_TURN} keeps it"
@@ -212,7 +228,10 @@ def import_robot(
         bare = replace(
             bare, links=(*names, bare.links[-1]), object_pairs=frozen(np.arange(n + 1), np.int32)
         )
+    table = Workplace().scaled(bare.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
     first_q = start or first_home(bare, shown)  # before the minutes that fitting takes
+    if not start:
+        free_home(_bones(bare), table, shown)
     hulls: list[Shape | Hull] = []
     where: list[int] = []
     rows: dict[str, Any] = {}
@@ -230,7 +249,6 @@ def import_robot(
     pairs = checked_pairs(robot, POSTURES)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
     robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
-    table = Workplace().scaled(robot.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
     if not start:
         robot = replace(robot, home_q=free_home(robot, table, shown))
     elif met := touching(robot, np.array(robot.home_q), table):
@@ -265,13 +283,36 @@ def import_robot(
     return Imported(robot, report, tuple(seen))
 
 
-def _turn(bare: Robot, chain: Chain, names: tuple[str, ...], start: tuple[float, ...]) -> str:
+def _turn(
+    bare: Robot, chain: Chain, names: tuple[str, ...], start: tuple[float, ...], shown: str
+) -> str:
     """The `--offset` that the flange needs; "": none, or none helps. With the gripper that a robot has by default."""
     n = len(chain.joints)
     if bare.family != "ur":
         own = frozen(np.arange(n + 1), np.int32)
         bare = replace(bare, links=(*names, bare.links[-1]), object_pairs=own)
-    return turn_of(bare, chain, any_way=not start and next(homes(bare), None) is None)
+    none = not start and next(homes(bare), None) is None
+    way = turn_of(bare, chain, any_way=none)
+    if none and not way:
+        raise no_home(bare, shown)
+    return way
+
+
+def _bones(robot: Robot) -> Robot:
+    """The arm as thin rods from joint to joint, of which the table alone is asked for: what its links cannot keep clear
+    of, no body can."""
+    found: list[Shape | Hull] = []
+    for T in (*robot.T_parent_joint, robot.T_wrist3_flange):
+        way = T[:3, 3]
+        length = float(np.linalg.norm(way))
+        z = way / length if length > BONE_M else np.array([0.0, 0.0, 1.0])
+        x = np.linalg.svd(z[None])[2][1]
+        R = np.stack([x, np.cross(z, x), z], 1)
+        found.append(Shape(CAPSULE, way / 2, R, np.array([BONE_M, max(length / 2, 1e-4)])))
+    where = range(len(found))
+    arm = _primitives_of(found, [*where], [f"rod_{k}" for k in where])
+    none = frozen(np.zeros((0, 2)), np.int32)
+    return replace(robot, arm=arm, self_pairs=none, digest=f"{robot.digest}, rods")
 
 
 def _word(name: str) -> str:
@@ -520,16 +561,25 @@ def _frame(shape: Shape) -> Array:
 
 def _dynamics(chain: Chain, robot: Robot, shown: str) -> Any:
     """Masses from the URDF; servos by the UR5e's rule."""
-    moving = chain.links[1:]
+    moving, inertia, mended = chain.links[1:], [], []
     for link in moving:
-        moments = np.linalg.eigvalsh(link.inertia)
-        if link.mass <= 0 or moments[0] <= 0 or moments[2] > 1.001 * (moments[0] + moments[1]):
+        moments, axes = np.linalg.eigh(link.inertia)
+        most = moments[0] + moments[1]
+        if link.mass <= 0 or moments[0] <= 0 or moments[2] > MOST_EXCESS * most:
             what = f"mass {link.mass:g} kg, moments {moments} kg m^2"
             raise FileError(f"{shown}: link {printable(link.name)} is not a body: {what}")
+        if moments[2] > ROUNDED * most:  # no body has such moments, and the simulator takes none
+            mended.append(link.name)
+            inertia.append((axes * [moments[0], moments[1], most]) @ axes.T)
+        else:
+            inertia.append(link.inertia)
+    if mended:
+        what = f"{shown}: the largest moment of {printable(', '.join(mended))[:120]} is above the sum of the others"
+        warnings.warn(f"{what}, as of no body: taken as the sum", stacklevel=3)
     return replace(
         robot.dynamics,
         mass=frozen([link.mass for link in moving]),
         com=frozen([link.com for link in moving]),
-        inertia=frozen([link.inertia for link in moving]),
+        inertia=frozen(inertia),
         stiffness=frozen(np.where(chain.effort < SMALL_EFFORT_NM, SOFT, STIFF)),
     )

@@ -16,7 +16,7 @@ from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, ee_pose, frozen, load_ro
 
 Array = NDArray[np.float64]
 
-STARTS, FEW_STARTS = 64, 24
+STARTS, FEW_STARTS = 64, 16
 """From how many postures one is looked for with the gripper at its usual place, and at each other place."""
 _TURNED, _DOWN, _TILTED = (0.0, np.pi / 2, -np.pi / 2, np.pi), 0.0, (np.pi / 4, np.pi / 2)
 PLACES = (
@@ -27,7 +27,7 @@ PLACES = (
 """Turn of the gripper about the vertical, rad; distance from the base, in parts of the usual one; height above the
 usual place, in parts of the reach; turn forward from straight down, rad. In this order they are tried."""
 SAME_RAD = 0.05
-STEPS, MOST_STEP_RAD, DIFFERENCE_RAD = 60, 0.5, 1e-6
+STEPS, MOST_STEP_RAD, DIFFERENCE_RAD = 50, 0.5, 1e-6
 """Of the search for a posture."""
 ACROSS = np.cos(np.radians(60.0))
 """Cosine between two directions below which one points across the other."""
@@ -73,10 +73,15 @@ def first_home(robot: Robot, shown: str) -> tuple[float, ...]:
     """
     found = next(homes(robot), None)
     if found is None:
-        where = f"at {np.round(usual_place(robot)[:3, 3], 3).tolist()} m of --base or near it, pointing down or forward"
-        how = "turn --flange by --offset until its z points away from the arm, or give --home"
-        raise FileError(f"{shown}: no posture has the gripper {where}; {how}")
+        raise no_home(robot, shown)
     return found
+
+
+def no_home(robot: Robot, shown: str) -> FileError:
+    """What is said of an arm that has none."""
+    where = f"at {np.round(usual_place(robot)[:3, 3], 3).tolist()} m of --base or near it, pointing down or forward"
+    how = "turn --flange by --offset until its z points away from the arm, or give --home"
+    return FileError(f"{shown}: no posture has the gripper {where}; {how}")
 
 
 def free_home(robot: Robot, table: Workplace, shown: str) -> tuple[float, ...]:

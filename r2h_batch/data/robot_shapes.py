@@ -101,7 +101,6 @@ def exposed_surface(shapes: list[Any], spacing: float) -> tuple[Array, Array]:
 
 def lattice(triangles: Array, spacing: float) -> Array:
     """Points on triangles (F, 3, 3), corners and edges included, at most `spacing` apart along the edges."""
-    triangles = divided(triangles, spacing, SLIVER)  # a lattice on a sliver has too many points
     steps = _steps(triangles, spacing)
     points = []
     for n in np.unique(steps):
@@ -110,26 +109,6 @@ def lattice(triangles: Array, spacing: float) -> Array:
         weights = np.stack([i[keep], j[keep], n - i[keep] - j[keep]], axis=1) / n
         points.append(np.einsum("pk,fkd->fpd", weights, triangles[steps == n]).reshape(-1, 3))
     return np.concatenate(points)
-
-
-def divided(triangles: Array, longest: float, times: float = 0.0) -> Array:
-    """The same surface: triangles with an edge above `longest` that are more than `times` as long as high are
-    halved across their longest edge until none is left."""
-    found = []
-    while len(triangles):
-        edges = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
-        most = edges.max(1)
-        parallelogram = np.linalg.norm(
-            np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-        )
-        large = (most > longest) & (most**2 > times * parallelogram)
-        found.append(triangles[~large])
-        # edge k leads from corner k - 1 to corner k; the corner across comes first
-        order = (edges[large].argmax(1)[:, None] + np.array([1, 2, 3])) % 3
-        a, b, c = np.take_along_axis(triangles[large], order[..., None], 1).transpose(1, 0, 2)
-        middle = (b + c) / 2
-        triangles = np.concatenate([np.stack([a, b, middle], 1), np.stack([a, middle, c], 1)])
-    return np.concatenate(found) if found else triangles
 
 
 def _steps(triangles: Array, spacing: float) -> NDArray[np.int64]:
@@ -162,11 +141,7 @@ def disc(center: Array, normal: Array, radius: float, spacing: float) -> Array:
     return center + np.outer(u[keep], axes[1]) + np.outer(v[keep], axes[2])
 
 
-SLIVER = 8.0
-"""How many times as long as high a triangle may be before `lattice` divides it."""
 PROTRUSION_SPACING_M = 0.4e-3
-PIECE_M = 10.0e-3
-"""Longest edge of the pieces that are asked for whether one shape holds them."""
 DENSE_M, MOST_DENSE = 0.5e-3, 600_000
 """Cell of a mesh's face samples, and about how many there may be: the cells of a larger mesh are larger."""
 REPORT_M, MOST_REPORTED = 1.0e-3, 100_000
@@ -195,10 +170,9 @@ class Target:
         # hulls hold what their planes cut the triangles into
         spacing = 2e-3 if all(s.kind == HULL for s in shapes) else PROTRUSION_SPACING_M
         # a shape is convex: it holds the triangles whose corners it holds
-        pieces = divided(self.triangles, PIECE_M)
-        corners = pieces.reshape(-1, 3)
+        corners = self.triangles.reshape(-1, 3)
         inside = [(s.signed_distance(corners).reshape(-1, 3) <= 0).all(1) for s in shapes]
-        left = pieces[~np.any(inside, axis=0)]
+        left = self.triangles[~np.any(inside, axis=0)]
         worst = [float(_least(shapes, corners).max())]
         if len(left):
             parts = few_at_once(left, spacing)
