@@ -14,10 +14,9 @@ APART = {"contacts", "people", "transfer", "coverage"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
-OF_OTHERS = {"release", "vendors", "registry_arms"}
-"""Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, VENDORS=;
-PACKAGES=folder, which pip fills from PyPI). Whoever lacks the files cannot measure again, so their pages name the commit that
-was measured."""
+OF_OTHERS = {"release", "vendors"}
+"""Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, VENDORS=).
+Whoever lacks the files cannot measure again, so their pages name the commit that was measured."""
 BY_HAND = OF_OTHERS | LONG
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.base.command_line import counted
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
@@ -241,7 +240,7 @@ def import_robot(
         found, row = bodies_of(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
         rows[names[k]] = row
         took = f"overshoot {row['mean_mm']:.1f} mm, {time.perf_counter() - began:.1f} s"
-        LOG.info(f"{name}: link {k + 1} of {n + 1}: {counted(len(found), 'bodies')}, {took}")
+        LOG.info(f"{name}: link {k + 1} of {n + 1}: {len(found)} bodies, {took}")
         hulls, where = [*hulls, *found], [*where, *[k] * len(found)]
     numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
     arm = _primitives_of(hulls, where, numbered)
