@@ -20,9 +20,10 @@ def load_mix(scene: Scene, n: int | None = None) -> tuple[Poses, torch.Tensor]:
     with np.load(MIX, allow_pickle=False) as mix:
         ids, by_oracle = (torch.from_numpy(mix[k]) for k in ("trial_id", "by_oracle"))
         T_obj_ee, T_world_ee = (torch.from_numpy(mix[k]) for k in ("T_obj_ee", "T_world_ee"))
-    trials = replace(load_benchmark("r2h-v0").with_objects(scene.objects), hand_set=scene.hands.set).trials_with_ids(
-        ids
-    )
+    mix = replace(load_benchmark("r2h-v0").with_objects(scene.objects), hand_set=scene.hands.set)
+    trials = mix.trials_with_ids(ids).named(
+        scene.objects
+    )  # of no benchmark: any evaluator of these objects may judge them
     whole = repeated((T_obj_ee, T_world_ee, trials), len(ids) if n is None else n)
     return on(whole, str(scene.device)), by_oracle[torch.arange(len(whole[2])) % len(ids)]
 

@@ -67,7 +67,7 @@ def answers(trials: int, *only: str) -> tuple[list[str], int, Any]:
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results.reevaluation import Judge
 
-    run = load_run(ROOT / "r2h_batch" / "report" / "compare" / "baselines").only(only)
+    run = load_run(ROOT / "bench" / "rows" / "v1").only(only)
     judge = Judge(run)
     grasps: list[torch.Tensor] = []
     places: list[torch.Tensor] = []

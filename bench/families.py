@@ -484,7 +484,7 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
     ]
     n, few = (data["table"]["rows"][0][k] for k in ("n", "few"))
     parts = [
-        f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned. In brackets: the 95 % interval for the"
+        f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned (`--sim none`). In brackets: the 95 % interval for the"
         f" mean of all categories of objects; then where the mean of {few} new categories lies (read this one for your own"
         " things). The last column compares methods over all trials: *better* holds for new categories (t test over categories),"
         " *better here* for these objects alone (McNemar). Both tests are corrected for all pairs of the four methods (Holm).",

@@ -276,7 +276,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All figures of the page, and its picture."""
     from r2h_batch.sweep.results.reception import render
 
-    bound, tables = judged(ROOT / "r2h_batch" / "report" / "compare" / "baselines", options.trials)
+    bound, tables = judged(ROOT / "bench" / "rows" / "v1", options.trials)
     torch.set_num_threads(1)
     return {
         "trials": options.trials,

@@ -6,7 +6,7 @@
 
 The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. Only when all are done do files change:
 
-    r2h_batch/report/compare/baselines*, bench/rows/*    the rows of each table, with poses
+    r2h_batch/report/compare/rows/*, bench/rows/*    the rows of each table, with poses
     docs/results/table1*.{csv,json}               the tables, with intervals, counts, versions and digests
     docs/results/table1-v1.md                     what a reader needs of them
     docs/results/sensitivity.{md,json}            what each choice is worth
@@ -276,7 +276,7 @@ def v1_page(published: Published, data: dict) -> str:
     run, made = load_run(ROOT / published.rows), data["provenance"]
     parts = [
         f"# {published.title}",
-        "See how often the built-in methods succeed on the default benchmark, why they fail, how long motions take, and how"
+        "See how often the built-in methods succeed on r2h-v1 (16 objects, adults), why they fail, how long motions take, and how"
         f" certain the rates are. `{made['command']}` made the rows in `{made['rows']}` (commit {made['commit'][:12]})."
         f" `{published.name}.json` has counts and all intervals.",
         "A cell has the values for S0 / S1. Rates are percent.",

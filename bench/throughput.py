@@ -45,9 +45,8 @@ def freeze(evaluator: Evaluator) -> None:
     from r2h_batch.methods import oracle, random
 
     scene = evaluator.scene
-    trials = replace(load_benchmark("r2h-v0").with_objects(scene.objects), hand_set=scene.hands.set).trials_with_ids(
-        torch.arange(MIX_TRIALS)
-    )
+    mix = replace(load_benchmark("r2h-v0").with_objects(scene.objects), hand_set=scene.hands.set)
+    trials = mix.trials_with_ids(torch.arange(MIX_TRIALS)).named(scene.objects)
     by_oracle = torch.zeros(MIX_TRIALS, dtype=torch.bool)
     by_oracle[torch.from_numpy(np.random.default_rng(0).permutation(MIX_TRIALS)[: MIX_TRIALS // 2])] = True
     best = oracle.predict(trials[by_oracle], scene, seed=0, evaluator=evaluator)

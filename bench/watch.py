@@ -30,7 +30,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from r2h_batch import load_benchmark
+import r2h_batch
 
 HERE, ROOT = Path(__file__).resolve(), Path(__file__).resolve().parents[1]
 MEASURES = (
@@ -52,6 +52,8 @@ ROWS = {
 """The figures, and how many rows each is divided by."""
 MORE = {"gradient.1": 1, "gradient.512": 512, "trial.moved": 8}
 """Figures that --figures can name."""
+VALUES = hasattr(r2h_batch, "load_benchmark")
+"""Whether benchmarks are values here; commits before 0.3's last have protocols and a default of r2h-v1."""
 LEAST_S = 0.1
 """A figure of a round takes at least so much process time: calls are repeated."""
 
@@ -106,14 +108,18 @@ def judge_of(sim: str) -> Any:
     from r2h_batch import EvalConfig, Evaluator
     from r2h_batch.config import ExecConfig
 
-    return Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")) if sim == "none" else None)
+    config = EvalConfig(execute=ExecConfig(sim="none")) if sim == "none" else None
+    return Evaluator(r2h_batch.load_benchmark("r2h-v1"), config) if VALUES else Evaluator(config)
 
 
 @cache
 def first_trials(protocol: str) -> Any:
     """The trials of bench/mix.npz, or those of another protocol with their numbers."""
-
-    trials = load_benchmark(protocol).trials(512)
+    if VALUES:
+        benchmark = r2h_batch.load_benchmark(protocol)
+        trials = benchmark.trials(512).named(benchmark.objects)  # one evaluator judges those of both
+    else:
+        trials = r2h_batch.make_trials(("S0", "S1"), 512, protocol=protocol)
     return trials[trials.trial_id.argsort()]
 
 
@@ -168,18 +174,8 @@ def measured(figure: str, calls: dict[str, Any]) -> float:
         return of_a_process([str(HERE), "--once", "pose.1"])
     if figure == "sweep":
         with tempfile.TemporaryDirectory() as out:
-            words = [
-                "-m",
-                "r2h_batch.sweep",
-                "--benchmark",
-                "r2h-v1",
-                "--method",
-                "random",
-                "--trials",
-                str(n // 2),
-                "--sim",
-                "none",
-            ]
+            words = ["-m", "r2h_batch.sweep", *(("--benchmark", "r2h-v1") if VALUES else ())]
+            words += ["--method", "random", "--trials", str(n // 2), "--sim", "none"]
             return of_a_process([*words, "--out", f"{out}/run"]) / n
     if figure not in calls:
         call = work(figure)

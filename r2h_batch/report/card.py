@@ -24,7 +24,7 @@ Verdicts on robot-to-human handovers by r2h_batch {r2h_batch}, protocol {protoco
 | | |
 |---|---|
 | {rows} | a row for each trial: outcome, five criteria with margins (m), reasons, times (s) |
-| column `poses` (format 3: poses/) | the scored poses: T_obj_ee and T_world_ee, 4 x 4 row by row, m |
+| column `poses` | the scored poses: T_obj_ee and T_world_ee, 4 x 4 row by row, m |
 | run.json, methods/ | configuration, digests of code and data, what answered |
 | {results}, {table_file} | the table as numbers and as text |
 

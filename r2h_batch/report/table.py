@@ -68,14 +68,14 @@ _SKIPPED = " and ".join(
 FOOTNOTES = (
     "SR and F_*: percent of all N planned trials of the split; a trial counts once, at its first failure in the order"
     f" {', '.join(name.capitalize() for name in CRITERIA)}. With invalid and missing they add up to 100.",
-    "T_plan: mean over the trials in which planning ran, amortised (batch wall time / B), without the method's own"
-    " time; T_exec: mean over the trials whose arm came to rest at its goal; T_tot = T_plan + T_exec; the counts are in"
+    "T_plan: mean over the trials in which planning ran of the batch's wall time divided by its trials (no latency), without"
+    " the method's own time; T_exec: mean over the trials whose arm came to rest at its goal; T_tot = T_plan + T_exec; the counts are in"
     " the last table.",
     f"Avg: mean of the two splits, {_SKIPPED} (not evaluated) taken as 0.",
-    "Presented: percent of S1's trials, failed ones too, whose receiver's region faces the palm (seen from the TCP, 90 degrees"
-    " at most) and lies within the ball's radius of c_h; no part of SR.",
-    "Intervals: 95 %. Wilson (MOVER in Avg) speaks about more trials with these objects; the object-clustered interval (t, of"
-    " log odds) about the mean of all objects of the same kind.",
+    "Presented (information only, no part of SR): percent of S1's trials, failed ones too, whose receiver's region faces the palm"
+    " (seen from the TCP, 90 degrees at most) and is within reach (the ball's radius).",
+    "Intervals: 95 %. One is for more trials with these objects (Wilson; MOVER in Avg). The object-clustered one (t, of log"
+    " odds) is for the mean of all objects of the same kind.",
 )
 
 CATEGORY_NOTE = (

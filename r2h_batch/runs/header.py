@@ -22,15 +22,12 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.read import read_json as read_any_json
 from r2h_batch.base.validate import rule_of
-from r2h_batch.runs.columns import TABLES, schema_of_kind
+from r2h_batch.runs.columns import schema_of_kind
 from r2h_batch.runs.files import RunError, in_the_way
 from r2h_batch.runs.rows import OUTCOME_NAMES
 
 FORMAT = 4
 """Version of the folder: fields of its JSON files and the form of its shards."""
-
-READ_FORMATS = (3, FORMAT)
-"""Versions that are read."""
 
 IDENTITY = (
     *("format", "protocol", "trials", "configuration", "digests"),
@@ -42,7 +39,7 @@ TIMING = ("t_plan_s", "t_method_s")
 """Columns of the trials that depend on the machine: no digest covers them. They hold one value a
 chunk, so a dictionary stores them in less than a bit a trial."""
 
-FOLDERS = ("shards", "methods", "quarantine", ".claims", *TABLES, "manifest")
+FOLDERS = ("shards", "methods", "quarantine", ".claims")
 """Folders of a run; a link in the place of one is refused."""
 
 MAX_JSON_BYTES = 32 << 20  # a run.json with 100,000 objects fits
@@ -269,9 +266,9 @@ def read_header(folder: Path) -> dict[str, Any]:
         near = f"; did you mean {printable(found)}?" if (found := _near(folder)) else ""
         raise RunError(f"{printable(folder)}: no run.json, so it is not a run folder{near}")
     data = read_json(path)
-    if data.get("format") not in READ_FORMATS:
+    if data.get("format") != FORMAT:
         shown = f"{printable(data.get('format'))!r:.40}"
-        words = f"this version reads the formats {', '.join(map(str, READ_FORMATS))}"
+        words = f"this version reads format {FORMAT}"
         raise RunError(f"{path}: format {shown}; {words}")
     header = check_header(data, path)
     if header["hash"] != run_hash(header):

@@ -7,7 +7,6 @@ from typing import Any
 
 from r2h_batch.base.io.read import printable
 from r2h_batch.runs.files import RunError
-from r2h_batch.runs.format3 import FORMAT_3, Format3Shard, receipts_of
 from r2h_batch.runs.header import Method, Shard, checked, read_json, shard_at, shard_count
 from r2h_batch.runs.shard import StoredShard, stored_files
 
@@ -36,7 +35,7 @@ class Entry:
     source: dict[str, str]
     command: list[str]
     order: int
-    shards: dict[int, StoredShard | Format3Shard] = field(default_factory=dict)
+    shards: dict[int, StoredShard] = field(default_factory=dict)
 
     def quarantine_path(self, shard: Shard) -> Path:
         """The note about a shard that failed for good."""
@@ -49,9 +48,7 @@ class Entry:
     @property
     def data_files(self) -> str:
         """The pattern of the files that hold the rows, in the run folder."""
-        return (
-            f"{'trials' if self.header['format'] == FORMAT_3 else 'shards'}/{self.slug}/*.parquet"
-        )
+        return f"shards/{self.slug}/*.parquet"
 
     @property
     def complete(self) -> bool:
@@ -60,16 +57,10 @@ class Entry:
 
     def listed(self) -> "Entry":
         """The method with the shards that its folder holds now."""
-        shards: dict[int, StoredShard | Format3Shard] = {}
-        if self.header["format"] == FORMAT_3:
-            for number, path in receipts_of(self.folder, self.header, self.slug).items():
-                if shard := shard_at(self.header, number):
-                    where = (path, self.folder, self.slug, self.header, self.name)
-                    shards[number] = Format3Shard(*where, shard)
-        else:
-            for number, path in stored_files(self.header, self.folder, self.slug).items():
-                if shard := shard_at(self.header, number):
-                    shards[number] = StoredShard(path, self.header, self.name, shard)
+        shards: dict[int, StoredShard] = {}
+        for number, path in stored_files(self.header, self.folder, self.slug).items():
+            if shard := shard_at(self.header, number):
+                shards[number] = StoredShard(path, self.header, self.name, shard)
         return replace(self, shards=shards)
 
 

@@ -99,11 +99,6 @@ class StoredShard:
     shard: Shard
 
     @property
-    def files(self) -> tuple[Path, ...]:
-        """All files of the shard."""
-        return (self.path,)
-
-    @property
     def kinds(self) -> tuple[str, ...]:
         """The kinds of tables that the shard holds, as `TABLES` names them."""
         return self._footer[1]

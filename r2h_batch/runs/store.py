@@ -1,14 +1,12 @@
 """A stored run, to be read: its methods, their shards, tables and digests.
 
-    run.json                           the run: protocol, digests, configuration, versions
-    ids.csv                            what the owner of listed trials calls them: trial_id, id, variant
-    imported-SHA/                      trials that were read from somebody's files, as a benchmark
-    methods/METHOD.json                a method, and where its answers come from
-    shards/METHOD/000017-SHA.parquet   a shard (`runs.shard`): it is stored when the file exists
-    quarantine/METHOD/000017.json      a shard that failed three times, and its errors
-    .claims/METHOD-000017              who works on a shard, and how many processes died at it
-
-Folders of format 3 are read by `runs/format3.py`.
+run.json                           the run: protocol, digests, configuration, versions
+ids.csv                            what the owner of listed trials calls them: trial_id, id, variant
+imported-SHA/                      trials that were read from somebody's files, as a benchmark
+methods/METHOD.json                a method, and where its answers come from
+shards/METHOD/000017-SHA.parquet   a shard (`runs.shard`): it is stored when the file exists
+quarantine/METHOD/000017.json      a shard that failed three times, and its errors
+.claims/METHOD-000017              who works on a shard, and how many processes died at it
 """
 
 import csv

@@ -17,7 +17,6 @@ from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import is_drawn
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.runs.files import RunError, claim
-from r2h_batch.runs.format3 import FORMAT_3, Format3Shard
 from r2h_batch.runs.header import Shard, shard_at
 from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.shard import ANSWERED, StoredShard, damage, number_of, shard_files
@@ -43,21 +42,15 @@ def problems_of(
         whole: decode every column in the child process; else open the footers alone.
     """
     found: list[Problem] = []
-    sound: list[StoredShard | Format3Shard] = []
-    for entry in entries:
-        old = entry.header["format"] == FORMAT_3
-        for stored in _format_3(entry, found) if old else _named(entry, number, found):
-            sound.append(stored)
-    files = [p for s in sound for p in s.files if p.suffix == ".parquet"]
+    sound = [stored for entry in entries for stored in _named(entry, number, found)]
+    files = [stored.path for stored in sound]
     try:
         refused = refused_parquet(files, whole=whole)
     except FileError as error:
         raise RunError(str(error)) from None
     for stored in sound:
-        wrong = [(p, refused[p]) for p in stored.files if p in refused]
-        if not wrong and (what := _wrong_rows(stored)):
-            wrong = [(stored.path, what)]
-        found += [Problem(stored.method, stored.shard, path, what) for path, what in wrong]
+        if what := refused.get(stored.path) or _wrong_rows(stored):
+            found.append(Problem(stored.method, stored.shard, stored.path, what))
     return found
 
 
@@ -80,21 +73,7 @@ def _named(entry: Entry, number: int | None, found: list[Problem]) -> Iterable[S
             yield StoredShard(path, entry.header, entry.name, shard)
 
 
-def _format_3(entry: Entry, found: list[Problem]) -> Iterable[Format3Shard]:
-    for stored in entry.listed().shards.values():
-        assert isinstance(stored, Format3Shard)
-        try:
-            what = stored.damage()
-        except RunError as error:
-            what = str(error)
-        if not what:
-            yield stored
-        else:
-            path, _, what = what.partition(": ")
-            found.append(Problem(entry.name, stored.shard, Path(path), what))
-
-
-def _wrong_rows(stored: StoredShard | Format3Shard) -> str:
+def _wrong_rows(stored: StoredShard) -> str:
     """The fault of a shard's receipt or trials; empty if it has none.
 
     A digest finds damage; this finds rows of other trials that somebody stored under a digest to
@@ -145,8 +124,6 @@ def first_problem(folder: Path, entries: Sequence[Entry], *, whole: bool = False
     for problem in problems_of(entries, whole=whole):
         if problem.shard is not None:
             how = f"`r2h-batch results verify {folder}` marks it, the sweep redoes it"
-            if entries[0].header["format"] == FORMAT_3:
-                how = "restore it from a copy"
             return f"{printable(problem.file)}: {problem.what}; {how}"
     return ""
 
@@ -155,16 +132,13 @@ def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
     """Rename everything that cannot be trusted to FILE.bad, so that the sweep scores it again.
 
     A shard that looks wrong is looked at again under its claim: meanwhile another part of the
-    sweep may have stored it. Nothing is renamed in a folder of format 3: no sweep scores into it.
+    sweep may have stored it.
 
     Returns:
         One line for each file.
     """
     entries = {e.name: e for e in read_methods(folder, header)}
     seen = problems_of(entries.values())
-    if header["format"] == FORMAT_3:
-        how = "restore it from a copy"
-        return [f"{printable(p.file)}: {p.what}; {how}" for p in seen]
     lines = [_set_aside(p) for p in seen if p.shard is None]
     for method, shard in dict.fromkeys((p.method, p.shard) for p in seen if p.shard is not None):
         with claim(entries[method].claim_path(shard.index)) as own:

@@ -55,7 +55,7 @@ def submit(
     for entry in stored.entries:
         files.append(f"methods/{entry.slug}.json")
         for shard in entry.shards.values():
-            files += [str(file.relative_to(entry.folder)) for file in shard.files]
+            files.append(str(shard.path.relative_to(entry.folder)))
     digests = {m: stored.digest(m) for m in stored.methods}
     about = {"format": 1, "rows": digests, "versions": stored.header["versions"]}
     about["built_in"] = [method for method, found in judged.items() if found.built_in]

@@ -39,7 +39,7 @@ MACHINE_FACTS = ("t_plan_s", "versions", "git_commit", "digests", "configuration
 ENGINES = ("none", "mujoco", "mjwarp")
 FAMILIES = "r2h-v2"
 CASES = (*ENGINES, "pose", FAMILIES)
-FAMILIES_METHODS, FAMILIES_TRIALS = ("handover-va", "contact", "intent"), 16
+FAMILIES_TRIALS = 16
 
 
 def compute(case: str, folder: Path) -> dict[str, dict[str, str]]:
@@ -53,7 +53,7 @@ def _families(folder: Path) -> dict[str, dict[str, str]]:
     """Rows of methods in r2h-v2, with who the receivers are; motion as planned."""
     line = [
         "--method",
-        *FAMILIES_METHODS,
+        *METHODS,
         "--benchmark",
         FAMILIES,
         "--trials",
@@ -61,7 +61,7 @@ def _families(folder: Path) -> dict[str, dict[str, str]]:
         "--sim",
         "none",
     ]
-    return _rows(FAMILIES, line, FAMILIES_METHODS, folder, TIMES)
+    return _rows(FAMILIES, line, METHODS, folder, TIMES)
 
 
 def sweep_digests(

@@ -50,6 +50,10 @@ class ArraySpec:
     gaps: bool = False
     """whether NaN is allowed"""
 
+    def none(self) -> NDArray[Any]:
+        """The array of an entry that holds nothing."""
+        return np.zeros([0 if isinstance(n, str) else n for n in self.shape], self.dtype)
+
 
 def matches(arrays: Mapping[str, NDArray[Any]], specs: Mapping[str, ArraySpec]) -> bool:
     """Whether arrays have the names, types and shapes of the specification, finite values, and

@@ -21,8 +21,8 @@ from uuid import uuid4
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable
 
-RUN_FOLDERS = ("shards", "methods", "quarantine", "trials", "details", "poses", "paths", "failures", "manifest")  # fmt: skip
-"""Folders that a run folder may contain; those from `trials` on only in format 3."""
+RUN_FOLDERS = ("shards", "methods", "quarantine")
+"""Folders that a run folder may contain."""
 
 
 def run_folder_of(path: Path) -> Path | None:

@@ -145,11 +145,8 @@ class Withstood:
 def _withstood(
     objects: tuple[ObjectModel, ...], hand: HandModel, only: frozenset[int]
 ) -> Withstood:
-    own = [objects[k] if objects[k].turn is None else objects[k].turn.own for k in sorted(only)]
-    each = [
-        *(_of_object(o, hand) for o in own),
-        {k: np.zeros((0, *s.shape[1:]), s.dtype) for k, s in FORM.items()},
-    ]
+    own = [o if o.turn is None else o.turn.own for k, o in enumerate(objects) if k in only]
+    each = [*(_of_object(o, hand) for o in own), {k: s.none() for k, s in FORM.items()}]
     columns = {k: np.concatenate([e[k] for e in each]) for k in FORM}
     axes = [np.eye(3) if o.turn is None else np.asarray(o.turn.R_new_own) for o in objects]
     return Withstood(**columns, axes=np.array(axes, np.float64))

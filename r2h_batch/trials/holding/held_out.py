@@ -110,9 +110,9 @@ def _load(objects: tuple[ObjectModel, ...], hand: HandModel, only: frozenset[int
     )
     of_revolution = [revolution_axis(o) if k in only else None for k, o in enumerate(objects)]
     lines = np.array([axis or _NO_AXIS for axis in of_revolution], np.float32)
-    axes = (torch.from_numpy(lines[:, k].copy()) for k in (0, 1))
+    axis, point = (torch.from_numpy(lines[:, k].copy()) for k in (0, 1))
     first = torch.from_numpy(np.cumsum([0, *number[:-1]]))
-    return HeldOut(grasps, grip, *axes, first, only)
+    return HeldOut(grasps, grip, axis, point, first, only)
 
 
 def load_held_out(
@@ -163,7 +163,7 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
 
 def _no_grasps() -> dict[str, NDArray[Any]]:
     return {
-        **{k: np.zeros((0, *spec.shape[1:]), spec.dtype) for k, spec in FORM.items()},
+        **{k: spec.none() for k, spec in FORM.items()},
         "grip_n": np.zeros((0, len(GRAVITY)), np.float32),
     }
 
