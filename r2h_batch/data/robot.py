@@ -189,11 +189,11 @@ def import_robot(
     dynamics = _dynamics(chain, bare, shown)
     names: tuple[str, ...] = tuple(_word(part.name) for part in chain.links)
     if offset is None and (way := _turn(bare, chain, names, start, shown)):
-        where = f"{shown}: the z of --flange {printable(flange)} does not point away from the arm"
+        across = f"{shown}: the z of --flange {printable(flange)} does not point away from the arm"
         if not turn:
             how = f"--offset={way} turns it there, --yes takes that, --offset={NO_TURN} keeps it"
-            raise FileError(f"{where}: {how}")
-        LOG.info(f"{where}: taken with --offset={way}")
+            raise FileError(f"{across}: {how}")
+        LOG.info(f"{across}: taken with --offset={way}")
         again = import_robot(
             path, name=name, base=base, flange=flange_given, packages=packages, fingers=fingers, visuals=visuals,
             srdf=srdf, home=home, offset=turned(way), pads=pads,

@@ -28,7 +28,7 @@ PLACES = (
 usual place, in parts of the reach; turn forward from straight down, rad. In this order they are tried."""
 SAME_RAD = 0.05
 STEPS, MOST_STEP_RAD, DIFFERENCE_RAD = 50, 0.5, 1e-6
-"""Of the search for a posture."""
+"""Steps of the search for a posture, the largest one, and that of its differences."""
 ACROSS = np.cos(np.radians(60.0))
 """Cosine between two directions below which one points across the other."""
 LEAST_M = 1e-3
@@ -78,7 +78,7 @@ def first_home(robot: Robot, shown: str) -> tuple[float, ...]:
 
 
 def no_home(robot: Robot, shown: str) -> FileError:
-    """What is said of an arm that has none."""
+    """The refusal of an arm without a posture to start from."""
     where = f"at {np.round(usual_place(robot)[:3, 3], 3).tolist()} m of --base or near it, pointing down or forward"
     how = "turn --flange by --offset until its z points away from the arm, or give --home"
     return FileError(f"{shown}: no posture has the gripper {where}; {how}")
