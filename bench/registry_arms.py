@@ -1,4 +1,4 @@
-"""Arms out of packages of PyPI, imported unedited: the second table in docs/robots.md.
+"""Arms out of packages of PyPI, imported unedited. No page cites its figures yet.
 
     python bench/registry_arms.py --fetch --packages FOLDER --out OUT --json bench/results/registry_arms.json
 
@@ -119,9 +119,9 @@ def tried(name: str, packages: Path, out: Path, trials: int) -> dict[str, Any]:
         "reach_mm": 1e3 * report["reach_m"],
         "offset": report.get("offset", ""),
     }
-    words = ("--benchmark", "r2h-v1", "--method", "oracle", "--trials", trials, "--sim", "none", "--quiet")
+    flags = ("--benchmark", "r2h-v1", "--method", "oracle", "--trials", trials, "--sim", "none", "--quiet")
     try:
-        run = swept(out / f"{name}_run", "--robot", out / name, *words)
+        run = swept(out / f"{name}_run", "--robot", out / name, *flags)
     except SystemExit:  # what it refuses it has said
         return found | {"oracle_percent": 0.0}
     (row,) = (record(row) for row in table_of(load_run(run)).rows if row.split == "Avg")
