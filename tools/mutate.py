@@ -290,6 +290,45 @@ MUTATIONS = (
         (T_ISO,),
     ),
     Mutation(
+        "robots: home is the first posture, whatever overlaps",
+        "r2h_batch/data/robot_home.py",
+        "if not found:\n            return home",
+        "if True:\n            return home",
+        ("tests/data/test_robot_home.py::test_home_is_the_first_posture_without_overlap",),
+    ),
+    Mutation(
+        "robots: the proposed turn points into the arm",
+        "r2h_batch/data/robot_home.py",
+        "key=lambda turn: (-along(turn), turn)",
+        "key=lambda turn: (along(turn), turn)",
+        (
+            "tests/data/test_robot_home.py::test_a_flange_whose_z_points_across_is_refused_with_the_turn_and_yes_takes_it",
+        ),
+    ),
+    Mutation(
+        "robots: bodies of another mesh are taken from the cache",
+        "r2h_batch/data/robot_bodies.py",
+        "+ np.ascontiguousarray(array).tobytes())",
+        ")",
+        ("tests/data/test_robot_fitting.py::test_bodies_of_a_mesh_are_kept_by_its_digest",),
+    ),
+    Mutation(
+        "robots: a triangle counts as held if one shape holds a corner of it",
+        "r2h_batch/data/robot_shapes.py",
+        "<= 0).all(1) for s in shapes]",
+        "<= 0).any(1) for s in shapes]",
+        (
+            "tests/data/test_robot_fitting.py::test_what_sticks_out_of_hulls_is_measured_between_the_corners_of_triangles_too",
+        ),
+    ),
+    Mutation(
+        "robots: a module of a package may download",
+        "r2h_batch/data/robot_packages.py",
+        '"GIT_ALLOW_PROTOCOL": "none", ',
+        "",
+        ("tests/data/test_robot_packages.py::test_what_is_not_there_is_said_in_one_line",),
+    ),
+    Mutation(
         "robots: pairs of links are left out however near they come",
         "r2h_batch/data/robot_pairs.py",
         "NEAR_M = 0.010",

@@ -5,22 +5,22 @@ The gripper is the 2F-85, or that of the same URDF.
 """
 
 import re
+import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.config import Workplace
+from r2h_batch.data.robot_bodies import bodies_of
 from r2h_batch.data.robot_chain import (
     HELD_KG,
     LEAST_NM,
@@ -32,18 +32,27 @@ from r2h_batch.data.robot_chain import (
     read_chain,
     read_fingers,
 )
-from r2h_batch.data.robot_links import Link, Meshes, check_meshes, files_of, link_of
+from r2h_batch.data.robot_home import (
+    NO_TURN,
+    first_home,
+    free_home,
+    homes,
+    no_home,
+    turn_of,
+    turned,
+)
+from r2h_batch.data.robot_links import Meshes, check_meshes, files_of, link_of
 from r2h_batch.data.robot_model import Geom, read_model
 from r2h_batch.data.robot_pads import Window, find_pads
 from r2h_batch.data.robot_pairs import checked_pairs, touching
 from r2h_batch.data.robot_shapes import (
     BOX,
+    CAPSULE,
     Hull,
     Shape,
     Target,
     box_of,
     boxes_of,
-    fit_hulls,
     mouths_for,
 )
 from r2h_batch.data.robot_srdf import compared, home_of, read_srdf
@@ -54,7 +63,6 @@ from r2h_batch.scene.robot import (
     Robot,
     ShapeKind,
     check_robot,
-    ee_pose,
     frozen,
     hull_size,
     load_robot,
@@ -72,13 +80,6 @@ Array = NDArray[np.float64]
 
 LEAST_JOINTS, MOST_JOINTS = 6, 7
 """Number of an arm's joints: the kernels take any number, these have been tried."""
-MOST_OVERSHOOT_MM = 3.0
-"""Mean distance from a link's bodies to its mesh above which it gets one body more."""
-MOST_OUTSIDE_MM = 0.1
-"""How much of a link's mesh the file's own shapes may leave outside."""
-MOST_HULLS = 6
-"""Most hulls of a link, as long as each link after it can have one of the bodies that the kernels
-hold."""
 PALM_BOXES = 8
 """Most boxes of an imported gripper's palm: no hulls, as closing needs the depth of overlaps."""
 FINGER_BOXES, MAX_PARTS = 3, 31
@@ -89,8 +90,13 @@ SYMMETRIC_M, PARALLEL_RAD = 1e-4, 5e-3
 """By how much the fingers may close differently, and the pads turn."""
 MOST_TURN_RAD = np.radians(2.0)
 """By how much the pads of a linkage may turn that is parallel in the data sheet and not quite in the file."""
+ROUNDED, MOST_EXCESS = 1.001, 1.25
+"""By how much the largest moment of a link may be above the sum of the others: as rounding makes it, and as files of
+vendors have it."""
 BALL_M = 1e-3
 """Radius of a last link of which the file shows nothing: the gripper hides it."""
+BONE_M = 1e-3
+"""Radius of the rods that stand for the links before their meshes are read."""
 POSTURES = 8000
 """Random postures in which links are looked for in contact."""
 SMALL_EFFORT_NM, STIFF, SOFT = 40.0, 10_000.0, 2_000.0
@@ -119,6 +125,7 @@ def import_robot(
     home: Sequence[float] | str = (),
     offset: Array | None = None,
     pads: Window | None = None,
+    turn: bool = False,
 ) -> Imported:
     """A robot with a gripper at its flange, and the figures of its import.
 
@@ -134,12 +141,14 @@ def import_robot(
         home: the posture at the start, rad, or the name of a state of the SRDF; by default it is chosen.
         offset: (4, 4) the flange in the frame of that link or site; None: there.
         pads: where the pads are on the meshes of the fingers; None: boxes of the file, or flats that are found.
+        turn: turn a flange whose z does not point away from the arm, where no `offset` is given.
 
     Raises:
         FileError: one line that says what the file has and what is allowed.
     """
     beside, model = None if srdf is None else read_srdf(srdf), read_model(path)
     own = fingers is not None
+    flange_given = flange
     model, flange = at_flange(model, flange, np.eye(4) if offset is None else offset, bare=own)
     chain = read_chain(model, base, flange, bare=own)
     shown, n = model.shown, len(chain.joints)
@@ -147,12 +156,14 @@ def import_robot(
         raise FileError(
             f"{shown}: {n} joints move {flange}; allowed are {LEAST_JOINTS} or {MOST_JOINTS}"
         )
-    if not chain.links[-1].geoms:  # of others something is missing
-        name_of, how = printable(chain.links[-1].name), "it collides as a ball of 1 mm at its joint"
+    for k in (0, n):  # of others something is missing
+        if chain.links[k].geoms:
+            continue
+        name_of, how = printable(chain.links[k].name), "it collides as a ball of 1 mm at its joint"
         warnings.warn(f"{shown}: the file shows nothing of link {name_of}: {how}", stacklevel=2)
         ball = Geom("sphere", np.array([BALL_M, 0.0, 0.0]), np.eye(4), seen=True)
-        bare_last = replace(chain.links[-1], geoms=(ball,))
-        chain = replace(chain, links=(*chain.links[:-1], bare_last))
+        balls = [replace(x, geoms=(ball,)) if i == k else x for i, x in enumerate(chain.links)]
+        chain = replace(chain, links=tuple(balls))
     if chain.assumed:
         what = f"{shown}: no torque limit of {printable(', '.join(chain.assumed))[:120]}"
         how = f"twice what holds the stretched arm with {HELD_KG:g} kg, at least {LEAST_NM:g} N m"
@@ -176,6 +187,18 @@ def import_robot(
         digest=f"{name}, being imported",
     )
     dynamics = _dynamics(chain, bare, shown)
+    names: tuple[str, ...] = tuple(_word(part.name) for part in chain.links)
+    if offset is None and (way := _turn(bare, chain, names, start, shown)):
+        across = f"{shown}: the z of --flange {printable(flange)} does not point away from the arm"
+        if not turn:
+            how = f"--offset={way} turns it there, --yes takes that, --offset={NO_TURN} keeps it"
+            raise FileError(f"{across}: {how}")
+        LOG.info(f"{across}: taken with --offset={way}")
+        again = import_robot(
+            path, name=name, base=base, flange=flange_given, packages=packages, fingers=fingers, visuals=visuals,
+            srdf=srdf, home=home, offset=turned(way), pads=pads,
+        )  # fmt: skip
+        return again._replace(report=again.report | {"offset": way})
     hand = None if fingers is None else read_fingers(model, flange, fingers)
     parts = chain.links if hand is None else (*chain.links, hand.palm)
     moving = () if hand is None else hand.parts
@@ -189,7 +212,6 @@ def import_robot(
     if fingers is not None and hand is not None:
         gripper, palm, told = gripper_of(hand, fingers, n, meshes, pads)
         bare = replace(bare, **gripper)
-    names: tuple[str, ...] = tuple(_word(part.name) for part in chain.links)
     mouths: list[list[Array]] = [[]] * (n + 1)
     if bare.family == "ur":
         usual = np.array(bare.home_q)  # before the minutes that fitting takes
@@ -205,23 +227,31 @@ def import_robot(
         bare = replace(
             bare, links=(*names, bare.links[-1]), object_pairs=frozen(np.arange(n + 1), np.int32)
         )
-    home_q = start or _home(bare, shown)  # before the minutes that fitting takes
+    table = Workplace().scaled(bare.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
+    first_q = start or first_home(bare, shown)  # before the minutes that fitting takes
+    if not start:
+        free_home(_bones(bare), table, shown)
     hulls: list[Shape | Hull] = []
     where: list[int] = []
     rows: dict[str, Any] = {}
     for k, link in enumerate(links):
         LOG.info(f"{name}: link {k + 1} of {n + 1}: {printable(link.name)}")
-        found, rows[names[k]] = _bodies(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
+        began = time.perf_counter()
+        found, row = bodies_of(link, mouths[k], MAX_BODIES - len(hulls) - (n - k))
+        rows[names[k]] = row
+        took = f"overshoot {row['mean_mm']:.1f} mm, {time.perf_counter() - began:.1f} s"
+        LOG.info(f"{name}: link {k + 1} of {n + 1}: {len(found)} bodies, {took}")
         hulls, where = [*hulls, *found], [*where, *[k] * len(found)]
     numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
     arm = _primitives_of(hulls, where, numbered)
-    robot = replace(bare, arm=arm, dynamics=dynamics, home_q=home_q)
+    robot = replace(bare, arm=arm, dynamics=dynamics, home_q=first_q)
     pairs = checked_pairs(robot, POSTURES)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
     robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
-    table = Workplace().scaled(robot.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
-    if met := touching(robot, np.array(robot.home_q), table):
-        how = "give another posture with --home"
+    if not start:
+        robot = replace(robot, home_q=free_home(robot, table, shown))
+    elif met := touching(robot, np.array(robot.home_q), table):
+        how = "give another posture with --home, or none: one is looked for"
         raise FileError(f"{shown}: {', '.join(met)} overlap at {list(robot.home_q)} rad; {how}")
     _check(robot, shown)
     of_joints = (robot.lower, robot.upper, robot.max_velocity, robot.max_torque)
@@ -252,6 +282,38 @@ def import_robot(
     return Imported(robot, report, tuple(seen))
 
 
+def _turn(
+    bare: Robot, chain: Chain, names: tuple[str, ...], start: tuple[float, ...], shown: str
+) -> str:
+    """The `--offset` that the flange needs; "": none, or none helps. With the gripper that a robot has by default."""
+    n = len(chain.joints)
+    if bare.family != "ur":
+        own = frozen(np.arange(n + 1), np.int32)
+        bare = replace(bare, links=(*names, bare.links[-1]), object_pairs=own)
+    none = not start and next(homes(bare), None) is None
+    way = turn_of(bare, chain, any_way=none)
+    if none and not way:
+        raise no_home(bare, shown)
+    return way
+
+
+def _bones(robot: Robot) -> Robot:
+    """The arm as thin rods from joint to joint, of which the table alone is asked for: what its links cannot keep clear
+    of, no body can."""
+    found: list[Shape | Hull] = []
+    for T in (*robot.T_parent_joint, robot.T_wrist3_flange):
+        way = T[:3, 3]
+        length = float(np.linalg.norm(way))
+        z = way / length if length > BONE_M else np.array([0.0, 0.0, 1.0])
+        x = np.linalg.svd(z[None])[2][1]
+        R = np.stack([x, np.cross(z, x), z], 1)
+        found.append(Shape(CAPSULE, way / 2, R, np.array([BONE_M, max(length / 2, 1e-4)])))
+    where = range(len(found))
+    arm = _primitives_of(found, [*where], [f"rod_{k}" for k in where])
+    none = frozen(np.zeros((0, 2)), np.int32)
+    return replace(robot, arm=arm, self_pairs=none, digest=f"{robot.digest}, rods")
+
+
 def _word(name: str) -> str:
     """A name of the file as a robot file may hold it; pairs of links are named LINK/BODY."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:64]
@@ -264,33 +326,6 @@ def _check(robot: Robot, shown: str) -> None:
         check_robot(robot)
     except ValueError as error:
         raise FileError(f"{shown}: {' '.join(str(error).split())[:200]}") from None
-
-
-def _bodies(
-    link: Link, mouths: list[Array], most: int
-) -> tuple[list[Shape | Hull], dict[str, Any]]:
-    """The file's own cylinders, boxes and capsules where they are the link, or cover its mesh as hulls
-    must; else as few hulls of its mesh as overshoot it little enough. And its figures."""
-    shapes = list(link.shapes)
-    if shapes and link.meshed == 0 and len(shapes) <= most:
-        row = {"primitives": len(shapes), "mean_mm": 0.0, "worst_protrusion_mm": 0.0}
-        return [*shapes], row | {"from": "shapes of the file"}
-    apart = bool(link.meshed) and len(shapes) < min(most, MOST_HULLS)
-    mesh = Target(link.triangles[: link.meshed] if apart else link.triangles, mouths)
-    shapes = shapes if apart else []
-    given, more = list(link.collides), {}
-    if given and not shapes:
-        over, outside = mesh.mean_overshoot_mm(given), 1e3 * mesh.protrusion(given)
-        if over <= MOST_OVERSHOOT_MM and outside <= MOST_OUTSIDE_MM and len(given) <= most:
-            return [*given], mesh.report(given) | {"from": "collision shapes of the file"}
-        words = f"{len(given)} collision shapes overshoot by {over:.1f} mm and leave {outside:.1f} mm of the mesh outside"
-        more = {"not_used": words}
-    hulls = fit_hulls(
-        mesh,
-        lambda h: mesh.mean_overshoot_mm(h) < MOST_OVERSHOOT_MM,
-        min(most, MOST_HULLS) - len(shapes),
-    )
-    return [*hulls, *shapes], mesh.report(hulls) | {"primitives": len(hulls) + len(shapes)} | more
 
 
 def _primitives_of(
@@ -525,63 +560,25 @@ def _frame(shape: Shape) -> Array:
 
 def _dynamics(chain: Chain, robot: Robot, shown: str) -> Any:
     """Masses from the URDF; servos by the UR5e's rule."""
-    moving = chain.links[1:]
+    moving, inertia, mended = chain.links[1:], [], []
     for link in moving:
-        moments = np.linalg.eigvalsh(link.inertia)
-        if link.mass <= 0 or moments[0] <= 0 or moments[2] > 1.001 * (moments[0] + moments[1]):
+        moments, axes = np.linalg.eigh(link.inertia)
+        most = moments[0] + moments[1]
+        if link.mass <= 0 or moments[0] <= 0 or moments[2] > MOST_EXCESS * most:
             what = f"mass {link.mass:g} kg, moments {moments} kg m^2"
             raise FileError(f"{shown}: link {printable(link.name)} is not a body: {what}")
+        if moments[2] > ROUNDED * most:  # no body has such moments, and the simulator takes none
+            mended.append(link.name)
+            inertia.append((axes * [moments[0], moments[1], most]) @ axes.T)
+        else:
+            inertia.append(link.inertia)
+    if mended:
+        what = f"{shown}: the largest moment of {printable(', '.join(mended))[:120]} is above the sum of the others"
+        warnings.warn(f"{what}, as of no body: taken as the sum", stacklevel=3)
     return replace(
         robot.dynamics,
         mass=frozen([link.mass for link in moving]),
         com=frozen([link.com for link in moving]),
-        inertia=frozen([link.inertia for link in moving]),
+        inertia=frozen(inertia),
         stiffness=frozen(np.where(chain.effort < SMALL_EFFORT_NM, SOFT, STIFF)),
     )
-
-
-def _home(robot: Robot, shown: str) -> tuple[float, ...]:
-    """The UR5e's posture at the start with the TCP moved in and down, or out and up, as the reach
-    differs; the gripper points straight down.
-
-    Raises:
-        FileError: the arm has no such posture; often the flange's z points across.
-    """
-    usual = load_robot(DEFAULT_ROBOT)
-    goal = ee_pose(usual, usual.home_q)
-    goal[:3, 3] *= robot.reach_m / usual.reach_m
-
-    def off(q: Array) -> Array:
-        return np.asarray((ee_pose(robot, q) - goal)[:3].ravel())
-
-    if robot.family != "ur":
-        return _middle_home(robot, off, goal[:3, 3], shown)
-    found = least_squares(off, usual.home_q, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    if np.abs(off(found.x)).max() > 1e-6:
-        raise _no_home(goal[:3, 3], shown)
-    return tuple(np.round(found.x, 4).tolist())
-
-
-def _middle_home(
-    robot: Robot, off: Callable[[Array], Array], goal: Array, shown: str
-) -> tuple[float, ...]:
-    """Home nearest to the middle of the limits, of the postures that 64 starts lead to."""
-    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
-    starts = qmc.Halton(len(lower), scramble=False).random(65)[1:]
-    best, least = None, np.inf
-    for start in lower + (upper - lower) * starts:
-        found = least_squares(
-            off, start, bounds=(lower - 1e-9, upper + 1e-9), xtol=1e-14, ftol=1e-14, gtol=1e-14
-        )
-        away = float(np.square((found.x - (lower + upper) / 2) / (upper - lower)).sum())
-        if np.abs(off(found.x)).max() < 1e-6 and away < least:
-            best, least = found.x, away
-    if best is None:
-        raise _no_home(goal, shown)
-    return tuple(np.round(best, 4).tolist())
-
-
-def _no_home(place: Array, shown: str) -> FileError:
-    where = f"at {np.round(place, 3).tolist()} m of --base, pointing down"
-    how = "turn --flange by --offset until its z points away from the arm, or give --home"
-    return FileError(f"{shown}: no posture has the gripper {where}; {how}")

@@ -60,6 +60,12 @@ class Meshes:
                 f" {MAX_NAME} characters"
             )
         files = {name: _file_of(model, name, packages) for name in names}
+        collada = [name for name in names if name.lower().endswith(".dae")]
+        if collada and not reads_collada():
+            how = "pip install 'r2h_batch[import]', or convert it"
+            raise FileError(
+                f"{self.shown}: {printable(collada[0])[:120]}: COLLADA needs an extra; {how}"
+            )
         try:
             meshes = load_robot_meshes(list(files.values()), "the robot's meshes")
         except ValueError as error:

@@ -167,7 +167,7 @@ def parsed(path: Path) -> Element:
         how = "expand it with: xacro FILE > robot.urdf"
         raise FileError(f"{shown}: is a xacro program, which is not run here; {how}")
     try:  # prefixes that a file does not declare, such as drake:, say nothing that is read here
-        text = re.sub(r"(</?|\s)[A-Za-z]+:(?=[A-Za-z_]+[\s=/>])", r"\1", text)
+        text = re.sub(r"(</?|\s)[A-Za-z]\w*:(?=[A-Za-z_][\w.-]*[\s=/>])", r"\1", text)
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, RecursionError) as error:
         raise FileError(f"{shown}: is not XML: {printable(error)[:100]}") from None

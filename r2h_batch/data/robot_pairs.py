@@ -113,26 +113,39 @@ def _collide(model: mujoco.MjModel, data: mujoco.MjData, q: NDArray[np.float64])
     mujoco.mj_collision(model, data)
 
 
-def touching(robot: Robot, q: NDArray[np.float64], table: Workplace | None = None) -> list[str]:
+class Touching:
     """Checked pairs of links, and links and table, that overlap at a posture, gripper open or closed."""
-    model = mujoco.MjModel.from_xml_string(mjcf(robot, table))
-    data = mujoco.MjData(model)
-    _collide(model, data, q)
-    names = [*robot.links, "table"]
-    checked = {tuple(sorted(pair)) for pair in robot.self_pairs.tolist()}
-    checked |= {(k, len(robot.links)) for k in range(robot.table_from, len(robot.links))}
-    met: dict[tuple[int, ...], set[str]] = {}
-    for contact in data.contact:
-        parts = [model.geom(g).name for g in contact.geom]
-        pair = tuple(sorted(names.index(part.split("/")[0]) for part in parts))
-        if contact.dist <= 0 and pair in checked:
-            openings = {part.partition("@")[2] for part in parts}
-            met.setdefault(pair, set()).update({"0", "1"} if openings == {""} else openings - {""})
-    when = {"0": " (gripper open)", "1": " (gripper closed)"}
-    return [
-        f"{names[a]} and {names[b]}{when.get(''.join(sorted(how)), '')}"
-        for (a, b), how in sorted(met.items())
-    ]
+
+    def __init__(self, robot: Robot, table: Workplace | None = None) -> None:
+        self.model = mujoco.MjModel.from_xml_string(mjcf(robot, table))
+        self.data = mujoco.MjData(self.model)
+        self.names = [*robot.links, "table"]
+        self.checked = {tuple(sorted(pair)) for pair in robot.self_pairs.tolist()}
+        self.checked |= {(k, len(robot.links)) for k in range(robot.table_from, len(robot.links))}
+
+    def __call__(self, q: NDArray[np.float64]) -> list[str]:
+        """Words for each such pair."""
+        names = self.names
+        _collide(self.model, self.data, q)
+        met: dict[tuple[int, ...], set[str]] = {}
+        for contact in self.data.contact:
+            parts = [self.model.geom(g).name for g in contact.geom]
+            pair = tuple(sorted(names.index(part.split("/")[0]) for part in parts))
+            if contact.dist <= 0 and pair in self.checked:
+                openings = {part.partition("@")[2] for part in parts}
+                met.setdefault(pair, set()).update(
+                    {"0", "1"} if openings == {""} else openings - {""}
+                )
+        when = {"0": " (gripper open)", "1": " (gripper closed)"}
+        return [
+            f"{names[a]} and {names[b]}{when.get(''.join(sorted(how)), '')}"
+            for (a, b), how in sorted(met.items())
+        ]
+
+
+def touching(robot: Robot, q: NDArray[np.float64], table: Workplace | None = None) -> list[str]:
+    """`Touching` at one posture."""
+    return Touching(robot, table)(q)
 
 
 def _geom(name: str, kind: int, T: NDArray[np.float64], size: NDArray[np.float64]) -> str:

@@ -76,6 +76,15 @@ def union_distance(shapes: list[Any], points: Array) -> Array:
     return np.min([s.signed_distance(points) for s in shapes], axis=0)
 
 
+def _least(shapes: list[Any], points: Array) -> Array:
+    """`union_distance` where it is above 0; elsewhere the distance to one of the shapes that hold a point."""
+    found = np.asarray(shapes[0].signed_distance(points))
+    for shape in shapes[1:]:
+        out = np.flatnonzero(found > 0)
+        found[out] = np.minimum(found[out], shape.signed_distance(points[out]))
+    return found
+
+
 def exposed_surface(shapes: list[Any], spacing: float) -> tuple[Array, Array]:
     """Points and areas of the union's outer surface: those of each shape that lie inside no other shape."""
     points, areas = [], []
@@ -133,6 +142,12 @@ def disc(center: Array, normal: Array, radius: float, spacing: float) -> Array:
 
 
 PROTRUSION_SPACING_M = 0.4e-3
+DENSE_M, MOST_DENSE = 0.5e-3, 600_000
+"""Cell of a mesh's face samples, and about how many there may be: the cells of a larger mesh are larger."""
+REPORT_M, MOST_REPORTED = 1.0e-3, 100_000
+"""The same for the samples of bodies that the figures of a report are of."""
+NEAREST_WITHIN = 0.02
+"""Relative error of a distance to the nearest face sample: exact ones take ten times as long far from the mesh."""
 POINTS_AT_ONCE = 1_000_000
 """Most points of a lattice that is looked at for what sticks out: some 100 MB."""
 
@@ -142,28 +157,41 @@ class Target:
 
     def __init__(self, triangles: Array, mouths: list[Array]) -> None:
         self.triangles = triangles
-        self.dense = thinned(lattice(triangles, 1.0e-3), 0.5e-3)
+        self.cell = max(DENSE_M, float(np.sqrt(_area(triangles) / MOST_DENSE)))
+        parts = few_at_once(triangles, 2 * self.cell)
+        self.dense = np.concatenate([thinned(lattice(t, 2 * self.cell), self.cell) for t in parts])
         self.surface = np.concatenate([self.dense, *mouths])
-        self.tree = cKDTree(self.surface)
-        self.bare = cKDTree(self.dense) if mouths else self.tree
+        self.tree = _tree(self.surface)
+        self.bare = _tree(self.dense) if mouths else self.tree
         self.mouth_first = len(self.dense)
 
     def protrusion(self, shapes: list[Any]) -> float:
         """How far the mesh sticks out of the shapes (m): of all its corners and a finer lattice than the fit has seen."""
         # hulls hold what their planes cut the triangles into
         spacing = 2e-3 if all(s.kind == HULL for s in shapes) else PROTRUSION_SPACING_M
-        parts = few_at_once(self.triangles, spacing)
-        return max(float(union_distance(shapes, lattice(p, spacing)).max()) for p in parts)
+        # a shape is convex: it holds the triangles whose corners it holds
+        corners = self.triangles.reshape(-1, 3)
+        inside = [(s.signed_distance(corners).reshape(-1, 3) <= 0).all(1) for s in shapes]
+        left = self.triangles[~np.any(inside, axis=0)]
+        worst = [float(_least(shapes, corners).max())]
+        if len(left):
+            parts = few_at_once(left, spacing)
+            worst += [float(_least(shapes, lattice(p, spacing)).max()) for p in parts]
+        return max(worst)
 
     def mean_overshoot_mm(self, shapes: list[Any]) -> float:
         """The mean, on samples 3 mm apart."""
         points, areas = exposed_surface(shapes, 3.0e-3)
-        return 1e3 * float((self.tree.query(points)[0] * areas).sum() / areas.sum())
+        return 1e3 * float((_away(self.tree, points)[0] * areas).sum() / areas.sum())
 
     def report(self, shapes: list[Any]) -> dict[str, Any]:
         """The committed figures, on dense samples."""
-        points, areas = exposed_surface(shapes, 1.0e-3)
-        overshoot, nearest = self.tree.query(points)
+        low, high = box_of(self.triangles)
+        sides = high - low
+        around = 2 * float(sides @ np.roll(sides, 1))
+        spacing = max(REPORT_M, float(np.sqrt(around / MOST_REPORTED)))
+        points, areas = exposed_surface(shapes, spacing)
+        overshoot, nearest = _away(self.tree, points)
         order = np.argsort(overshoot)
         share = np.cumsum(areas[order]) / areas.sum()
         return {
@@ -172,12 +200,28 @@ class Target:
             "p95_mm": 1e3 * float(overshoot[order][np.searchsorted(share, 0.95)]),
             "max_mm": 1e3 * float(overshoot.max()),
             "mean_without_mouths_mm": 1e3
-            * float((self.bare.query(points)[0] * areas).sum() / areas.sum()),
+            * float((_away(self.bare, points)[0] * areas).sum() / areas.sum()),
             "worst_protrusion_mm": 1e3 * self.protrusion(shapes),
             "surface_m2": float(areas.sum()),
             "mouth_share": float(areas[nearest >= self.mouth_first].sum() / areas.sum()),
             "face_samples": len(self.dense),
         }
+
+
+def _area(triangles: Array) -> float:
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return float(np.linalg.norm(across, axis=1).sum()) / 2
+
+
+def _tree(points: Array) -> cKDTree:
+    """Samples lie on grids: without medians a tree of them is made and asked several times faster."""
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
+
+
+def _away(tree: cKDTree, points: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Distance of points from the nearest sample, and its number."""
+    found = tree.query(points, eps=NEAREST_WITHIN)
+    return found[0], found[1]
 
 
 # Sleeves of the visual meshes that the next link closes: centre, normal, radius in the link frame.
@@ -258,10 +302,16 @@ SEARCH_CELL_M = 6.0e-3
 """The search for cuts sees one corner per cube of this size."""
 FRACTIONS = (0.25, 0.4, 0.5, 0.6, 0.75)
 """Where a part may be cut, in parts of its extent."""
+LEAST_M3 = 1.0e-12
+"""Volume of a hull below which a part is flat."""
 CORNERS = 96
 """Most corners of a hull. The kernels read 16 at a time."""
 LOSS_M = 1.0e-4
 """Corners that lie this little outside the others' hull are left out; the hull grows by what they lie outside."""
+
+
+Cuts = dict[int, tuple[Array, list[tuple[float, tuple[Array, float]]]]]
+"""id of a part -> the part, and what planes (normal, height) that cut it save"""
 
 
 @dataclass(frozen=True)
@@ -300,23 +350,39 @@ class Hull:
 
 def fit_hulls(target: Target, good: Callable[[list[Hull]], bool], most: int) -> list[Hull]:
     """Hulls that hold all of a mesh: as few as are `good`, at most `most`."""
-    parts = [target.triangles]
+    parts: list[Array] = [target.triangles]
+    known: Cuts = {}
     while True:
         hulls = [_hull(part.reshape(-1, 3)) for part in parts]
         if good(hulls) or len(parts) == most:
             return hulls
+        before = len(parts)
         parts = _cut(
             parts,
             _hull_volume,
             lambda x: (*np.eye(3), *np.linalg.svd(x - x.mean(0), full_matrices=False)[2]),
+            lambda half: _hull_volume(half.reshape(-1, 3)) > LEAST_M3,
+            known,
         )
+        if len(parts) == before:
+            return hulls
 
 
 def boxes_of(triangles: Array, most: int) -> list[Shape]:
-    """`most` boxes along the axes that hold all of a mesh (F, 3, 3)."""
-    parts = [triangles]
+    """At most `most` boxes along the axes that hold all of a mesh (F, 3, 3)."""
+    parts: list[Array] = [triangles]
+    known: Cuts = {}
     while len(parts) < most:
-        parts = _cut(parts, lambda x: float(np.prod(np.ptp(x, 0))), lambda _: np.eye(3))
+        cut = _cut(
+            parts,
+            lambda x: float(np.prod(np.ptp(x, 0))),
+            lambda _: np.eye(3),
+            lambda half: len(half) > 0,
+            known,
+        )
+        if len(cut) == len(parts):
+            break
+        parts = cut
     boxes = []
     for part in parts:
         low, high = part.min((0, 1)), part.max((0, 1))
@@ -328,16 +394,20 @@ def _cut(
     parts: list[Array],
     volume: Callable[[Array], float],
     normals: Callable[[Array], Iterable[Array]],
+    fits: Callable[[Array], bool],
+    known: Cuts,
 ) -> list[Array]:
-    """The parts (F, 3, 3) with the one cut in two, by a plane with one of `normals`, that saves most `volume`."""
-    cuts = [
-        (gain, i, plane)
-        for i, part in enumerate(parts)
-        for gain, plane in _cuts(part, volume, normals)
-    ]
-    _, at, (axis, height) = max(cuts, key=lambda cut: cut[0])
-    halves = [_above(parts[at], s * axis, s * height) for s in (1.0, -1.0)]
-    return [*parts[:at], *halves, *parts[at + 1 :]]
+    """The parts (F, 3, 3) with the one cut in two, by a plane with one of `normals`, that saves most `volume`
+    and leaves two parts that `fits` takes; the parts as they are where no plane does."""
+    for part in parts:  # a part is kept with its cuts: another array may get its id
+        if id(part) not in known:
+            known[id(part)] = part, _cuts(part, volume, normals)
+    cuts = [(gain, i, plane) for i, part in enumerate(parts) for gain, plane in known[id(part)][1]]
+    for _, at, (axis, height) in sorted(cuts, key=lambda cut: -cut[0]):
+        halves = [_above(parts[at], s * axis, s * height) for s in (1.0, -1.0)]
+        if all(map(fits, halves)):
+            return [*parts[:at], *halves, *parts[at + 1 :]]
+    return parts
 
 
 def _cuts(
@@ -381,6 +451,8 @@ def _above(triangles: Array, axis: Array, height: float) -> Array:
 
 
 def _hull_volume(points: Array) -> float:
+    if len(points) < 4:
+        return 0.0
     try:
         return float(ConvexHull(points).volume)
     except QhullError:  # they lie in a plane

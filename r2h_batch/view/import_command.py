@@ -2,7 +2,9 @@
 robot and draws it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
 
 from r2h_batch.base.command_line import Command, check_range
 from r2h_batch.base.errors import UsageError
@@ -32,6 +34,7 @@ def robot(
     out: Path,
     urdf: Path | None = None,
     mjcf: Path | None = None,
+    source: Annotated[str, tyro.conf.arg(name="from", metavar="PACKAGE:NAME")] = "",
     srdf: Path | None = None,
     gripper: Literal["2f85"] = "2f85",
     fingers: str = "",
@@ -41,6 +44,7 @@ def robot(
     name: str = "",
     payload: float | None = None,
     package: tuple[str, ...] = (),
+    yes: bool = False,
 ) -> int:
     """Write an arm with a gripper as a folder for --robot: robot.yaml, robot.npz, report.json, home.png.
 
@@ -50,6 +54,8 @@ def robot(
         out: A new or empty folder.
         urdf: The arm. Its meshes are .obj, .stl, .ply, .glb or .dae, beside it or in a --package.
         mjcf: The arm as MuJoCo's XML, in place of --urdf. Meshes and includes lie in its folder.
+        source: The arm's file in an installed package, in place of --urdf and --mjcf: how its path ends
+            (example-robot-data:tiago.urdf), or a module that tells it (robot_descriptions:panda_description).
         srdf: Names postures, and pairs of links that never collide. The report compares these pairs with
             the command's own.
         gripper: The gripper at the flange.
@@ -61,16 +67,19 @@ def robot(
         name: Name of the robot in tables; by default the folder's and the gripper's.
         payload: Payload of the arm in its data sheet, gripper included, kg.
         package: NAME=FOLDER: the folder that package://NAME/ means; not needed where the file lies in NAME.
+        yes: Take the proposed turn of a flange whose z does not point away from the arm.
     """
     from dataclasses import replace
 
     from r2h_batch.base.io.write import write_json
     from r2h_batch.data.robot import import_robot
+    from r2h_batch.data.robot_packages import file_from
     from r2h_batch.scene.offscreen import RenderError
     from r2h_batch.scene.robot import write_robot
 
-    if (urdf is None) == (mjcf is None):
-        raise UsageError("give the arm as --urdf FILE or as --mjcf FILE")
+    if [urdf is None, mjcf is None, not source].count(False) != 1:
+        raise UsageError("give the arm as --urdf FILE, as --mjcf FILE or as --from PACKAGE:NAME")
+    file = file_from(source) if source else urdf or mjcf or Path()
     if payload is not None:
         check_range("--payload", payload, 0.01, 1e4, " kg")
     check_output_folder(out, overwrite=None)
@@ -81,14 +90,14 @@ def robot(
     if fingers and not (one and other):
         raise UsageError(f"--fingers {fingers}: write LINK,LINK")
     found = import_robot(
-        urdf or mjcf or Path(), name=name or f"{out.name}_{'jaws' if fingers else gripper}", base=base, flange=flange,
+        file, name=name or f"{out.name}_{'jaws' if fingers else gripper}", base=base, flange=flange,
         packages=folders, fingers=(one, other) if fingers else None, srdf=srdf, home=_posture(home),
-        offset=_pose("--offset", offset), pads=_window(pads, fingers),
+        offset=_pose("--offset", offset), pads=_window(pads, fingers), turn=yes,
     )  # fmt: skip
     count = missed(found.robot)
     arm = replace(found.robot, ik_missed=(TARGETS, count), payload_kg=payload)
     report = found.report | {"ik_targets": TARGETS, "ik_missed": count}
-    if mjcf is not None:
+    if file.suffix.lower() == ".xml":
         how = "2 rad/s a joint; edit max_velocity_rad_s of robot.yaml"
         report["speeds"] = f"an MJCF has none: {how}"
     write_robot(out, arm)

@@ -174,7 +174,7 @@ def test_the_command_writes_a_robot_and_tells_what_it_is(arm, tmp_path, capsys, 
     seen = (image < 250).any(2)
     assert image.shape == (640, 1280, 3) and min(seen[:, :640].mean(), seen[:, 640:].mean()) > 0.02
     assert main([*line, str(tmp_path / "x"), "--urdf", "a.urdf", "--mjcf", "a.xml"]) == 2
-    assert "--urdf FILE or as --mjcf FILE" in capsys.readouterr().err
+    assert "--urdf FILE, as --mjcf FILE or as --from PACKAGE:NAME" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

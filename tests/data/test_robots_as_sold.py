@@ -385,8 +385,8 @@ def test_a_last_link_that_the_file_does_not_show_is_a_ball_of_1_mm_and_other_suc
 
 
 def test_a_flange_that_no_posture_points_down_is_refused_before_bodies_are_fitted(tmp_path, monkeypatch):
-    monkeypatch.setattr(robot_import, "fit_hulls", lambda *_: pytest.fail("a body was fitted"))
-    with one_line(r"no posture has the gripper at \[.*\] m of --base, pointing down; turn --flange by --offset"):
+    monkeypatch.setattr(robot_import, "bodies_of", lambda *_: pytest.fail("a body was fitted"))
+    with one_line(r"no posture has the gripper at \[.*\] m of --base or near it, pointing down or forward; turn"):
         path, far = write_urdf(tmp_path), turned(z=3.0)
         robot_import.import_robot(path, name="m", base="base", flange="flange", packages={}, offset=far)
 

@@ -1,0 +1,204 @@
+"""Arms out of packages of PyPI, imported unedited. No page cites its figures yet.
+
+    python bench/registry_arms.py --fetch --packages FOLDER --out OUT --json bench/results/registry_arms.json
+
+`--fetch` installs the packages of ARMS, in the versions that stand there and without what they need, into FOLDER with
+pip. The bench runs `r2h-batch import robot --from PACKAGE:NAME` on each arm, and sweeps the oracle on each robot that is
+written. Anybody can repeat it: it needs no other files. `--only NAME ...` tries these alone; what OUT holds is not tried
+again. The cache of bodies is off.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from _report import ROOT, Report, markdown_table, swept
+
+from r2h_batch.report.table import record, table_of
+from r2h_batch.runs.store import load_run
+
+MEASURES = (
+    "bench/registry_arms.py",
+    *(f"r2h_batch/data/robot{part}.py" for part in ("", "_bodies", "_chain", "_home", "_links", "_model", "_pairs", "_shapes")),
+)  # fmt: skip
+VERSIONS = {
+    "example-robot-data": "6.0.0", "robosuite": "1.5.2", "robosuite-models": "1.0.0", "pybullet": "3.2.7",
+    "dm-control": "1.0.50", "mani-skill": "3.0.1", "gymnasium-robotics": "1.4.2",
+}  # fmt: skip
+
+
+class Listed(NamedTuple):
+    """An arm of a package, and the flags that import it."""
+
+    arm: str
+    source: str
+    flags: str
+
+
+ARMS = {
+    "ur3": Listed("UR3", "example-robot-data:ur3_robot.urdf", "--base base_link --flange tool0"),
+    "ur10": Listed("UR10", "example-robot-data:ur10_robot.urdf", "--base base_link --flange tool0"),
+    "xarm6": Listed("xArm6", "pybullet:xarm6_robot.urdf", "--base link_base --flange link6"),
+    "j2s6s200": Listed(
+        "Kinova j2s6s200", "example-robot-data:kinova.urdf",
+        "--base j2s6s200_link_base --flange j2s6s200_end_effector --yes",
+    ),
+    "jaco7": Listed("Kinova j2s7s300", "robosuite:robots/jaco/robot.xml", "--base base --flange right_hand"),
+    "yumi": Listed("YuMi, right arm", "robosuite-models:yumi/robot.xml", "--base right_arm --flange right_hand"),
+    "fetch": Listed(
+        "Fetch", "mani-skill:fetch/fetch.urdf", "--base torso_lift_link --flange gripper_link --yes"
+    ),
+    "arx5": Listed("ARX5", "robosuite-models:arx5/robot.xml", "--base base --flange right_hand --yes"),
+    "spot": Listed("Spot's arm", "robosuite:spot_arm/robot.xml", "--base base --flange right_hand --yes"),
+    "baxter": Listed(
+        "Baxter, left arm", "example-robot-data:baxter.urdf", "--base left_arm_mount --flange left_gripper_base_link"
+    ),
+    "pr2": Listed("PR2, right arm", "robosuite-models:pr2/robot.xml", "--base right_arm --flange right_hand --yes"),
+    "tiago_pro": Listed(
+        "TIAGo Pro, left arm", "example-robot-data:tiago_pro.urdf", "--base torso_lift_link --flange arm_left_tool_link"
+    ),
+    "baxter_right": Listed(
+        "Baxter, right arm", "robosuite:robots/baxter/robot.xml", "--base right_arm_mount --flange right_hand"
+    ),
+    "fetch_mjcf": Listed(
+        "Fetch", "gymnasium-robotics:fetch/reach.xml", "--base robot0:torso_lift_link --flange robot0:gripper_link --yes"
+    ),
+    "talos": Listed(
+        "TALOS, left arm", "example-robot-data:talos_left_arm.urdf",
+        "--base arm_left_1_link --flange wrist_left_ft_tool_link --yes",
+    ),
+    "tiago": Listed("TIAGo", "example-robot-data:tiago.urdf", "--base torso_lift_link --flange arm_tool_link --yes"),
+    "jaco6": Listed("Jaco", "dm-control:jaco_arm.xml", "--base b_base --flange wristsite"),
+    "so101": Listed("SO-101", "example-robot-data:so101.urdf", "--base base_link --flange gripper_frame_link --yes"),
+}  # fmt: skip
+
+
+def fetch(folder: Path) -> None:
+    """Installs the packages, without what they need."""
+    named = [f"{name}=={version}" for name, version in VERSIONS.items()]
+    line = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder), *named]
+    subprocess.run(line, check=True)
+
+
+def imported(listed: Listed, folder: Path, env: dict[str, str]) -> tuple[int, dict[str, Any], str]:
+    """Exit code, times on the clock and of the processor, and the last line of the command."""
+    line = [sys.executable, "-m", "r2h_batch", "import", "robot", "--from", listed.source, *listed.flags.split()]
+    start, busy = time.perf_counter(), busy_s()
+    done = subprocess.run([*line, "--out", str(folder)], capture_output=True, text=True, check=False, cwd=ROOT, env=env)
+    spent = {"seconds": time.perf_counter() - start, "cpu_seconds": busy_s() - busy}
+    said = (done.stdout + done.stderr).strip().splitlines()
+    return done.returncode, spent, said[-1] if said else ""
+
+
+def busy_s() -> float:
+    """Processor seconds of all commands so far and of what they started."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def tried(name: str, packages: Path, out: Path, trials: int) -> dict[str, Any]:
+    """One arm: times, overshoot, misses, success of the oracle; or the refusal."""
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(packages)]), "R2H_BATCH_CACHE": "off"}
+    code, spent, said = imported(ARMS[name], out / name, env)
+    if code:
+        words = said.split(": ", 2) if said.startswith("import: ") else ["", "", said]
+        return spent | {
+            "refused": words[-1].replace(str(packages.resolve()), "FOLDER").replace(str(packages), "FOLDER")
+        }
+    report = json.loads((out / name / "report.json").read_text())
+    found: dict[str, Any] = spent | {
+        "overshoot_mm": max(row["mean_mm"] for row in report["links"].values()),
+        "missed": report.get("ik_missed", 0),
+        "reach_mm": 1e3 * report["reach_m"],
+        "offset": report.get("offset", ""),
+    }
+    flags = ("--benchmark", "r2h-v1", "--method", "oracle", "--trials", trials, "--sim", "none", "--quiet")
+    try:
+        run = swept(out / f"{name}_run", "--robot", out / name, *flags)
+    except SystemExit:  # what it refuses it has said
+        return found | {"oracle_percent": 0.0}
+    (row,) = (record(row) for row in table_of(load_run(run)).rows if row.split == "Avg")
+    return found | {"oracle_percent": row["sr"]}
+
+
+FORMS = {"reach_mm": ",.0f", "overshoot_mm": ".1f", "missed": ",", "oracle_percent": ".0f", "cpu_seconds": ".0f"}
+"""How the table shows a figure."""
+
+
+def tables(found: dict[str, dict[str, Any]]) -> tuple[str, str]:
+    """Markdown tables of the arms that were imported, and of the refusals."""
+    rows, refused = [], []
+    for name, got in found.items():
+        arm, source, flags = ARMS[name]
+        if "refused" in got:
+            refused.append([arm, f"`{source}`", got["refused"], f"{got['seconds']:.1f}"])
+        else:
+            turned = f", turned by `{got['offset']}`" if got["offset"] else ""
+            rows.append([arm, f"`--from {source} {flags}`{turned}", *(f"{got[k]:{f}}" for k, f in FORMS.items())])
+    heads = ["arm", "flags", "reach, mm", "overshoot, mm", "IK missed", "oracle, %", "seconds of the processor"]
+    return (
+        markdown_table(heads, rows, left=True),
+        markdown_table(["arm", "from", "reason", "seconds"], refused, left=True),
+    )
+
+
+def main() -> None:
+    """Tries every arm and writes the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--packages", type=Path, required=True, help="folder of the packages, as pip --target fills it")
+    parser.add_argument("--fetch", action="store_true", help="fill it first")
+    parser.add_argument("--only", nargs="+", default=[*ARMS], choices=[*ARMS], help="names of ARMS")
+    parser.add_argument("--trials", type=int, default=20, help="of each split, for the oracle")
+    parser.add_argument("--out", type=Path, required=True, help="robots and figures; what is there is not tried again")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    os.environ["MUJOCO_GL"] = os.environ.get("MUJOCO_GL", "osmesa")  # of the commands: they draw home.png
+    if options.fetch:
+        fetch(options.packages)
+    result = Report(MEASURES)
+    there = {
+        d.metadata["Name"].lower().replace("_", "-"): d.version
+        for d in metadata.distributions(path=[str(options.packages)])
+    }
+    for package, version in VERSIONS.items():
+        if there.get(package, "").split("-")[0] != version:
+            parser.error(
+                f"--packages {options.packages}: has {package} {there.get(package)}, not {version}; give --fetch"
+            )
+        result.add(f"registry_arms.version.{package}", version)
+    found: dict[str, dict[str, Any]] = {}
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name in options.only:
+        kept = options.out / f"{name}.json"
+        if not kept.exists():
+            kept.write_text(json.dumps(tried(name, options.packages, options.out, options.trials)))
+        found[name] = json.loads(kept.read_text())
+        for key, value in found[name].items():
+            result.add(f"registry_arms.{name}.{key}", value)
+    through = [n for n in found if "refused" not in found[n]]
+    passed = [n for n in through if found[n]["oracle_percent"] >= 97]
+    table, refusals = tables(found)
+    result.add("registry_arms.tried", len(found))
+    result.add("registry_arms.through", len(through))
+    result.add("registry_arms.passed", len(passed))
+    result.add("registry_arms.refused", len(found) - len(through))
+    result.add("registry_arms.most_cpu_s", max((found[n]["cpu_seconds"] for n in through), default=0.0))
+    result.add(
+        "registry_arms.most_refused_s", max((g["seconds"] for g in found.values() if "refused" in g), default=0.0)
+    )
+    result.add("registry_arms.trials", options.trials)
+    result.add("registry_arms.packages", ", ".join(f"{k} {v}" for k, v in VERSIONS.items()))
+    result.add("registry_arms.table", table)
+    result.add("registry_arms.refusals", refusals)
+    result.write(options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""Where an imported arm starts: free postures, flanges that are turned, what a refusal says."""
+
+import numpy as np
+import pytest
+from refusals import one_line
+from robot_files import write_urdf
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.config import Workplace
+from r2h_batch.data import robot as importer
+from r2h_batch.data import robot_home, robot_shapes
+from r2h_batch.data.robot import import_robot
+from r2h_batch.data.robot_home import free_home, homes, usual_place
+from r2h_batch.scene.robot import DEFAULT_ROBOT, ee_pose, load_robot
+
+ACROSS = {'<joint name="f" type="fixed"><parent link="l7"/><child link="flange"/><origin xyz="0 0 0.07"/>': (
+    '<joint name="f" type="fixed"><parent link="l7"/><child link="flange"/><origin xyz="0 0 0.07" rpy="0 -1.5707963 0"/>'
+)}  # fmt: skip
+
+
+def made(path, **more):
+    return import_robot(path, **{"name": "made", "base": "base", "flange": "flange", "packages": {}} | more)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(importer, "POSTURES", 500)
+        patch.setattr(robot_shapes, "PROTRUSION_SPACING_M", 2e-3)
+        yield
+
+
+def test_postures_have_the_tcp_where_they_say_and_lie_within_limits():
+    robot = load_robot("panda_hand")
+    places = [usual_place(robot)[:3, 3] + [0, 0, up * robot.reach_m] for up in (0.0, 0.15)]
+    found = list(homes(robot))
+    for q in each_of(found, 12):
+        at = ee_pose(robot, np.array(q))
+        assert (robot.lower <= q).all() and (q <= robot.upper).all()
+        tilt = np.degrees(np.arccos(np.clip(-at[2, 2], -1, 1)))
+        assert min(abs(tilt - x) for x in (0, 45, 90)) < 0.05
+    first = ee_pose(robot, np.array(found[0]))
+    assert np.abs(first[:3, 3] - places[0]).max() < 2e-4 and first[2, 2] == pytest.approx(-1, abs=1e-6)
+
+
+def each_of(found, least):
+    assert len(found) >= least
+    return found
+
+
+def test_a_ur_starts_in_the_posture_of_a_ur():
+    usual = load_robot(DEFAULT_ROBOT)
+    assert next(homes(usual)) == pytest.approx(usual.home_q, abs=1e-4)
+
+
+def test_home_is_the_first_posture_without_overlap(monkeypatch):
+    robot, seen = load_robot("panda_hand"), []
+
+    class Look:
+        def __init__(self, *_):
+            pass
+
+        def __call__(self, q):
+            seen.append(tuple(q))
+            return ["l3 and gripper"] if len(seen) < 4 else []
+
+    monkeypatch.setattr(robot_home, "Touching", Look)
+    assert free_home(robot, Workplace(), "arm.urdf") == seen[-1] and len(set(seen)) == 4
+    monkeypatch.setattr(Look, "__call__", lambda *_: ["l3 and gripper", "l1 and table"])
+    with one_line(
+        r"arm.urdf: \d+ postures .* were tried: links overlap in each, most often l3 and gripper; give one with"
+    ):
+        free_home(robot, Workplace(), "arm.urdf")
+
+
+def test_a_flange_whose_z_points_across_is_refused_with_the_turn_and_yes_takes_it(tmp_path, monkeypatch):
+    path = write_urdf(tmp_path, **ACROSS)
+    with monkeypatch.context() as patch:
+        patch.setattr(importer, "bodies_of", lambda *_: pytest.fail("a body was fitted"))
+        with one_line(
+            "the z of --flange .*: --offset=0,0,0,0,1.5708,0 turns it there, --yes takes that, --offset=0,0,0,0,0,0 keeps"
+        ):
+            made(path)
+    straight = made(write_urdf(tmp_path)).robot
+    turned = made(write_urdf(tmp_path, **ACROSS), turn=True)
+    assert turned.report["offset"] == "0,0,0,0,1.5708,0"
+    one, other = straight.T_wrist3_flange, turned.robot.T_wrist3_flange
+    assert np.abs(one[:3, 2] - other[:3, 2]).max() < 1e-6 and np.abs(one[:3, 3] - other[:3, 3]).max() < 1e-9
+
+
+def test_offsets_turn_z_as_their_table_says():
+    for offset, (axis, sign) in robot_home.TURNS.items():
+        R = robot_home.turned(offset)[:3, :3]
+        given = Rotation.from_euler("xyz", [float(x) for x in offset.split(",")[3:]]).as_matrix()
+        assert np.abs(R - given).max() < 1e-3 and R[:, 2].tolist() == [sign * float(k == axis) for k in range(3)]
+
+
+def test_a_largest_moment_above_the_sum_of_the_others_is_the_sum(tmp_path):
+    old = 'ixx="0.01" ixy="0" ixz="0" iyy="0.012" iyz="0" izz="0.008"'
+    with pytest.warns(UserWarning, match="is above the sum of the others, as of no body: taken as the sum"):
+        robot = made(write_urdf(tmp_path, **{old: old.replace("0.012", "0.02")})).robot
+    moments = np.linalg.eigvalsh(robot.dynamics.inertia)
+    assert moments[:, 2] == pytest.approx(moments[:, 0] + moments[:, 1], rel=1e-6) and moments[0, 2] == pytest.approx(
+        0.018
+    )
+    with one_line("is not a body: mass 1.5 kg"):
+        made(write_urdf(tmp_path, **{old: old.replace("0.012", "0.03")}))

@@ -1,0 +1,66 @@
+"""`--from PACKAGE:NAME`: files of installed packages, modules that tell them, and no download."""
+
+import sys
+
+import pytest
+from refusals import one_line
+
+from r2h_batch.base.errors import UsageError
+from r2h_batch.data.robot_packages import file_from
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """A package of arms and a package of modules, as pip writes them."""
+    info = tmp_path / "some_arms-2.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: some-arms\nVersion: 2.0\n")
+    names = ("arms/a/arm.urdf", "arms/b/arm.urdf", "arms/b/hand.xml", "arms/readme.md")
+    (info / "RECORD").write_text("".join(f"{name},,\n" for name in names))
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("<robot/>")
+    told = tmp_path / "told_arms"
+    told.mkdir()
+    (told / "__init__.py").write_text("")
+    (told / "elbow_description.py").write_text(f"print('hello')\nURDF_PATH = {str(tmp_path / 'arms/a/arm.urdf')!r}\n")
+    (told / "plain.py").write_text("X = 1\n")
+    clone = "import os\nassert os.environ['GIT_ALLOW_PROTOCOL'] != 'none', 'it would download'\n"
+    (told / "far_description.py").write_text(clone)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def test_a_file_is_found_by_how_its_path_ends(installed):
+    assert file_from("some-arms:hand.xml") == installed / "arms/b/hand.xml" == file_from("some_arms:hand")
+    assert file_from("some-arms:b/arm.urdf") == file_from("some-arms:b/arm") == installed / "arms/b/arm.urdf"
+
+
+def test_a_module_tells_its_file_in_a_process_of_its_own(installed):
+    assert file_from("told_arms:elbow") == file_from("told_arms:elbow_description") == installed / "arms/a/arm.urdf"
+    assert "told_arms.elbow_description" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("some-arms:arm.urdf", "2 files end so; give more of the path: arms/a/arm.urdf, arms/b/arm.urdf"),
+        ("some-arms:rm.urdf", "no file that ends so; of its 3 .urdf and .xml: arm"),
+        ("no-such-arms:x", "no such package here; install it in this environment: pip install --no-deps no-such-arms"),
+        (
+            "told_arms:far",
+            "its files are not here, and nothing is downloaded; fetch them first: python -c 'import told_arms.far",
+        ),
+        ("told_arms:plain", "has neither URDF_PATH nor MJCF_PATH"),
+        ("../x:y", "no such package"),
+    ],
+)
+def test_what_is_not_there_is_said_in_one_line(installed, source, words):
+    with one_line(words):
+        file_from(source)
+
+
+@pytest.mark.parametrize("source", ["arm.urdf", ":x", "x:"])
+def test_a_source_without_both_names_is_refused(source):
+    with pytest.raises(UsageError, match="write PACKAGE:NAME"):
+        file_from(source)
