@@ -10,8 +10,6 @@ from functools import lru_cache
 import numpy as np
 import torch
 from jaxtyping import Float32, Float64
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
@@ -91,6 +89,10 @@ def symmetry_axis(model: ObjectModel) -> int:
     """The axis (0, 1, 2) of the object's box about which turns change its surface least: the mean distance from a turned
     point to the nearest of the cloud, as in ADD-S (Xiang et al. 2018)."""
     cloud = model.points.astype(np.float64) - box_middle(model)
+    # only gross errors of symmetric things need SciPy: a first verdict starts without it
+    from scipy.spatial import cKDTree
+    from scipy.spatial.transform import Rotation
+
     tree, some = cKDTree(cloud), cloud[:: max(1, len(cloud) // COMPARED_POINTS)]
     angles = np.radians(COMPARED_DEG)
     turns = [[Rotation.from_rotvec(angle * axis) for angle in angles] for axis in np.eye(3)]

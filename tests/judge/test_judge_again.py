@@ -5,7 +5,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import torch
 from judge_twin import Again
@@ -22,16 +21,17 @@ from r2h_batch.judge.reception import reception
 from r2h_batch.methods import oracle
 from r2h_batch.report.compare.stored import ROWS
 from r2h_batch.runs.rows import TrialNames
+from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.scoring import judged_tables
 from r2h_batch.types import Predictions, Trials
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
-POSES = next((ROWS / "v1" / "poses").glob("FC*/*.parquet"))
+SHIPPED = load_run(ROWS / "v1")
 
 
 def again(place: int) -> Again:
     """A shipped answer of FC, scored now, and the second judge of its row."""
-    row = pq.read_table(POSES).slice(place, 1)
+    row = SHIPPED.poses(SHIPPED.named("fc")).slice(place, 1)
     trial_id = torch.tensor(row["trial_id"].to_numpy())
     T = [torch.tensor(np.array(row[k].to_pylist(), np.float32)).view(1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
     every = load_benchmark("r2h-v1").trials(int(trial_id) // 2 + 1)
