@@ -127,7 +127,7 @@ def test_safetensors_and_a_python_function_take_the_networks_place(tmp_path, mon
     stored = resources.files("r2h_batch.assets.receiving") / "voxnet.safetensors"
     (tmp_path / "own.safetensors").write_bytes(stored.read_bytes())
     own = load_predictor(str(tmp_path / "own.safetensors"))
-    assert torch.equal(predict_contacts(trials, scene, predictor=own), predict_contacts(trials, scene, left_out=False))
+    assert torch.equal(predict_contacts(trials, scene, predictor=own), predict_contacts(trials, scene, contacts="all"))
     weights = load_voxnet().state_dict()
     del weights["out.bias"]
     save_file({k: v.contiguous() for k, v in weights.items()}, tmp_path / "less.safetensors")
