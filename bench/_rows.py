@@ -1,4 +1,4 @@
-"""Rows behind a page: swept, kept in bench/rows, and counted."""
+"""Rows behind a page: swept, kept in bench/options, and counted: rows of options are no baselines."""
 
 import json
 import os
@@ -14,12 +14,12 @@ KEPT = ("run.json", "methods", "shards")
 
 
 def kept_rows(name: str, words: Sequence[str], *flags: object) -> Path:
-    """Sweeps these methods and keeps their rows in bench/rows/NAME; the folder.
+    """Sweeps these methods and keeps their rows in bench/options/NAME; the folder.
 
     All paths are relative to the checkout, so that no row says where it was made.
     """
     os.chdir(ROOT)
-    run, rows = swept(Path("runs") / name, "--method", *words, *flags), Path("bench/rows") / name
+    run, rows = swept(Path("runs") / name, "--method", *words, *flags), Path("bench/options") / name
     shutil.rmtree(rows, ignore_errors=True)
     rows.mkdir(parents=True)
     for part in KEPT:

@@ -1,7 +1,7 @@
 """Every rule-based method with every gate: docs/baselines.md.
 
 `python bench/gates.py --json bench/results/gates.json` sweeps every method with every gate and keeps the rows in
-bench/rows/gates (r2h-v2, motion as planned). A row that names no gate is the method's row of Table I.
+bench/options/gates (r2h-v2, motion as planned). A row that names no gate is the method's row of Table I.
 """
 
 from _report import Report, arguments

@@ -2,7 +2,7 @@
 
 `python bench/networks.py --json bench/results/networks.json` sweeps `contact` with the network that trained on other instances of
 all sixteen categories, and with those of r2h-v1 that left the object's category out (`contacts=other-categories`), and keeps the
-rows in bench/rows/networks (r2h-v2, motion as planned).
+rows in bench/options/networks (r2h-v2, motion as planned).
 """
 
 import numpy as np

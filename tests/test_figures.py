@@ -94,8 +94,8 @@ OWN_GATE = {"fc": "hand", "handover_va": "ik", "contact": "none", "intent": "non
 
 
 def rates_in(name: str):
-    """(method, options, split) -> percent of successes, counted in the rows of bench/rows/NAME."""
-    folder = ROOT / "bench" / "rows" / name
+    """(method, options, split) -> percent of successes, counted in the rows of bench/options/NAME."""
+    folder = ROOT / "bench" / "options" / name
     for file in sorted((folder / "methods").glob("*.json")):
         text = file.read_text("utf-8")
         assert '"/' not in text and str(ROOT) not in (folder / "run.json").read_text("utf-8")
