@@ -1,4 +1,4 @@
-"""What methods lose where they see the object off its place: docs/results/object_errors.md.
+"""Success that methods lose where they see the object off its place: docs/results/object_errors.md.
 
 `python bench/object_errors.py` lets every method answer once and judges its answers, motion as planned, with the object's
 frame seen true, at each level of `--object-errors`, and with gross errors. `--render` writes the page again from the JSON.

@@ -138,8 +138,8 @@ def test_the_help_of_a_sweep_names_the_default_of_every_option_that_has_one() ->
     assert "default: runs/" in told["out"] and "default" not in told["quiet"]
 
 
-OTHERS = {"--rule", "--bar", "--head", "--tyro-", "--always", "--dirty", "--abbrev", "--exclude"}
-"""Colours of a page, flags of Ray, tyro and git."""
+OTHERS = {"--rule", "--bar", "--head", "--tyro-", "--always", "--dirty", "--abbrev", "--exclude", "--no-deps"}
+"""Colours of a page, flags of Ray, tyro, git and pip."""
 FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*(?:\.[a-z][a-z0-9-]*)?")
 
 

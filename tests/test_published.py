@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from rounds import each
 
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.runs import provenance
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
@@ -61,11 +62,15 @@ def test_all_published_rows_are_judged_the_same_by_this_code(tables, name):
 def test_everything_was_made_from_one_clean_commit_with_the_verdicts_of_today(tables):
     made = made_from()
     assert made["golden"] == tables.golden_digest(), "verdicts moved: run `make tables` on a clean commit"
-    sources = [load_run(ROOT / p.rows).header["git_commit"] for p in tables.PUBLISHED]
-    sources.append(json.loads((RESULTS / "sensitivity.json").read_text())["commit"])
-    assert {*sources} == {made["commit"]} and re.fullmatch("[0-9a-f]{40}", made["commit"])
-    codes = {load_run(ROOT / p.rows).header["digests"]["code"] for p in tables.PUBLISHED}
-    assert codes == {json.loads((RESULTS / "sensitivity.json").read_text())["code"]}
+    headers = [load_run(ROOT / p.rows).header for p in tables.PUBLISHED]
+    default = [h for h in headers if h["protocol"] == DEFAULT_PROTOCOL]  # swept when it was frozen
+    others = [h for h in headers if h["protocol"] != DEFAULT_PROTOCOL]
+    sensitivity = json.loads((RESULTS / "sensitivity.json").read_text())
+    assert {h["git_commit"] for h in others} == {made["commit"], sensitivity["commit"]} == {made["commit"]}
+    assert {h["digests"]["code"] for h in others} == {sensitivity["code"]}
+    for key in (lambda h: h["git_commit"], lambda h: h["digests"]["code"], lambda h: h["digests"]["benchmark"]):
+        assert len({key(h) for h in default}) == 1 < len(default)
+    assert all(re.fullmatch("[0-9a-f]{40}", h["git_commit"]) for h in headers)
     for name, digest in made["pictures"].items():
         assert hashlib.sha256((ROOT / "docs" / name).read_bytes()).hexdigest() == digest, name
 

@@ -307,10 +307,10 @@ class FakeServer:
 def test_a_strip_of_s1_draws_region_and_ball_and_the_camera_is_never_behind_the_receiver(published):
     for method, trial in (("fc", 3), ("random", 59), ("fc", 67)):
         drawing = Drawing(published.trial(trial, method))
-        image, _ = images(drawing, (160, 128), 2)[0]
+        image, _ = images(drawing, (320, 256), 2)[0]  # the whole person is in it: a toothbrush is some pixels
         r, g, b = (image[..., k].astype(int) for k in range(3))
-        assert int(((r > 140) & (b < 90) & (g > 70) & (g < r)).sum()) > 3, trial  # orange: the region
-        assert int(((g > r + 12) & (g > b + 12)).sum()) > 30, trial  # green: the ball
+        assert int(((r > 140) & (b < 90) & (g > 70) & (g < r)).sum()) > 6, trial  # orange: the region
+        assert int(((g > r + 12) & (g > b + 12)).sum()) > 120, trial  # green: the ball
     for method, trial, _ in FAILURES:
         drawing = Drawing(published.trial(trial, method))
         for view in (view_of([drawing], 1.2), view_of([drawing], 1.2, close=True)):
