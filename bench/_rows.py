@@ -1,4 +1,5 @@
-"""Rows behind a page: swept, kept in bench/options, and counted: rows of options are no baselines."""
+"""Rows behind a page: swept, kept in bench/options, and counted: rows of options are no baselines; rates with their intervals
+over categories of objects."""
 
 import json
 import os
@@ -25,6 +26,37 @@ def kept_rows(name: str, words: Sequence[str], *flags: object) -> Path:
     for part in KEPT:
         (shutil.copytree if (run / part).is_dir() else shutil.copy)(run / part, rows / part)
     return rows
+
+
+def rate_of(row: Mapping[str, Any]) -> str:
+    """A table row's SR with the 95 % interval for the mean of all categories of objects, as README's Table I has it."""
+    low, high = row["sr_new_categories_low"], row["sr_new_categories_high"]
+    return f"{row['sr']:.1f} [{low:.0f}, {high:.0f}]"
+
+
+def rate_over_categories(won: str, trials: Mapping[str, Any]) -> str:
+    """The same of flags "0" and "1", one for each trial: mean of the splits.
+
+    Args:
+        won: a flag a trial.
+        trials: `split` and `category` of the trials.
+    """
+    import numpy as np
+
+    from r2h_batch.report.statistics.aggregate import clustered_rate, mean_rate
+
+    flags = np.array([flag == "1" for flag in won])
+    split, category = np.array(trials["split"]), np.array(trials["category"])
+    found = []
+    for s in sorted({*trials["split"]}):
+        kinds, place = np.unique(category[split == s], return_inverse=True)
+        own = clustered_rate(
+            np.bincount(place, flags[split == s], len(kinds)), np.bincount(place, minlength=len(kinds))
+        )
+        assert own is not None, f"{s} has one category"
+        found.append(own)
+    rate = mean_rate(found)
+    return f"{rate.percent:.1f} [{rate.low:.0f}, {rate.high:.0f}]"
 
 
 def rates_of(folder: Path, words: Sequence[str]) -> dict[str, dict[str, Mapping[str, Any]]]:

@@ -1,8 +1,8 @@
 """Which methods keep their rank when the hand moves, and what a closed loop costs: docs/results/moving.md.
 
-`python bench/closed_loop.py` plays the shipped baselines of r2h-v1 in closed loop and measures the cost on the oracle's poses
-(process time on one thread, a second run of the same episodes). `--growth N` plays N episodes in one process, for memory, and
-writes closed_loop_growth.json.
+`python bench/closed_loop.py` plays the shipped baselines of the default benchmark in closed loop and measures the cost on the
+oracle's poses (process time on one thread, a second run of the same episodes). `--growth N` plays N episodes in one process,
+for memory, and writes closed_loop_growth.json.
 `--render` writes the page again from the JSON.
 """
 
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 from _report import ROOT, Report, core_ms, made_by, markdown_table, memory_over, page_from
+from _rows import rate_over_categories
 
 PAGE = ROOT / "docs" / "results" / "moving.md"
 STORED = ROOT / "bench" / "results" / "closed_loop.json"
@@ -33,13 +34,13 @@ SIZES = (16, 80)
 HEAD = """# Receivers that move
 
 See how often each method succeeds when the hand moves ([definitions](../receivers.md#receivers-that-move)). `python
-bench/closed_loop.py --trials {n}` played the shipped poses of the first {n} trials of each split of r2h-v1
+bench/closed_loop.py --trials {n}` played the shipped poses of the first {n} trials of each split of {benchmark}
 (bench/results/closed_loop.json, commit {commit}).
 
 ## Successes
 
-Percent of all trials, with 95 % Wilson intervals. A column names hand and policy. In `moves` the hand leaves
-the pose that the method saw.
+Percent of all trials, mean of the splits, with 95 % intervals for the mean of all categories of objects. A column names hand
+and policy. In `moves` the hand leaves the pose that the method saw.
 
 {table}
 
@@ -52,7 +53,7 @@ of successes, and the least distance between robot and hand.
 
 - Short motions have an advantage: some end before the hand moves.
 - With `still` a few trials succeed that fail in SR. Their object is slow and within reach at home or on the way.
-- These figures ignore arm and torso.
+- Arm and torso count, as in SR.
 
 ## Cost
 
@@ -64,10 +65,10 @@ of successes, and the least distance between robot and hand.
 
 def answers(trials: int, *only: str) -> tuple[list[str], int, Any]:
     """The shipped baselines, or some of them, how many trials each has, and the scores of all: method by method."""
-    from r2h_batch.runs.store import load_run
+    from r2h_batch import load_benchmark
     from r2h_batch.sweep.results.reevaluation import Judge
 
-    run = load_run(ROOT / "bench" / "rows" / "v1").only(only)
+    run = load_benchmark().baselines().only(only)
     judge = Judge(run)
     grasps: list[torch.Tensor] = []
     places: list[torch.Tensor] = []
@@ -159,6 +160,8 @@ def growth(trials: int) -> dict[str, Any]:
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All figures of the page."""
+    from r2h_batch import load_benchmark
+
     trials = options.trials
     names, n, scores = answers(trials)
     rows = {name: slice(k * n, (k + 1) * n) for k, name in enumerate(names)}
@@ -169,14 +172,16 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             methods[name]["cases"][f"{motion}, {policy}"] = summary(episodes, r)
             print(name, motion, policy, methods[name]["cases"][f"{motion}, {policy}"]["ends"], flush=True)
     torch.set_num_threads(1)
-    return {"trials": trials, "methods": methods, "cost": cost(scores[rows["oracle"]]), **made_by(MEASURES)}
-
-
-def _rate(hits: str) -> str:
-    from r2h_batch.report.statistics.aggregate import wilson_interval
-
-    low, high = wilson_interval(hits.count("1"), len(hits))
-    return f"{100 * hits.count('1') / len(hits):.1f} [{100 * float(low):.0f}, {100 * float(high):.0f}]"
+    benchmark, asked = load_benchmark(), scores.inputs.trials[:n]
+    own = [benchmark.objects[i].category for i in asked.object_index.tolist()]
+    return {
+        "trials": trials,
+        "benchmark": benchmark.name,
+        "asked": {"split": asked.splits, "category": own},
+        "methods": methods,
+        "cost": cost(scores[rows["oracle"]]),
+        **made_by(MEASURES),
+    }
 
 
 def markdown(data: dict[str, Any]) -> str:
@@ -185,7 +190,8 @@ def markdown(data: dict[str, Any]) -> str:
 
     methods, short = data["methods"], short_names(list(data["methods"]))
     cases = [f"{m}, {p}" for m, p in CASES]
-    rows = [[short[name], _rate(m["sr"]), *(_rate(m["cases"][c]["won"]) for c in cases)] for name, m in methods.items()]
+    rate = partial(rate_over_categories, trials=data["asked"])
+    rows = [[short[name], rate(m["sr"]), *(rate(m["cases"][c]["won"]) for c in cases)] for name, m in methods.items()]
     ends = []
     for c in cases:
         own = [m["cases"][c] for name, m in methods.items() if "Handover" in name]
@@ -206,6 +212,7 @@ def markdown(data: dict[str, Any]) -> str:
     costs = [[r["trials"], f"{r['s_a_trial']:.2f}", f"{r['whole']:.2f}"] for r in data["cost"]]
     return HEAD.format(
         n=data["trials"],
+        benchmark=data["benchmark"],
         commit=str(data["commit"])[:12],
         table=markdown_table(["Method", "SR", *cases], rows),
         ends=markdown_table(head, ends),

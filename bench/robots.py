@@ -3,7 +3,8 @@
 `python bench/robots.py --sections ik trials collision plan table --out FOLDER` measures these and leaves the others as they are
 in the JSON; each says on which commit it was measured.
 
-table: sweeps all methods on r2h-v1 with each robot, motion as planned, persons placed for the robot (the same FOLDER goes on).
+table: sweeps all methods on the default benchmark with each robot, motion as planned, persons placed for the robot (the same
+FOLDER goes on).
 ik: postures drawn uniformly within the joint ranges, so every target can be reached; process time of one thread;
 pytorch-kinematics' PseudoInverseIK, by restarts, on the first of them.
 trials: whole trials, half the oracle's answers and half random's, motion as planned; process time of one thread, robots by turns.
@@ -26,6 +27,7 @@ from typing import Any
 import numpy as np
 import torch
 from _report import ROOT, made_by, markdown_table, page_from, swept
+from _rows import rate_of
 from _twins import Batch, dense, ompl_solve, oracle, recheck, solve
 from ik import pseudo_inverse
 from plan import free_rows
@@ -66,12 +68,12 @@ KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 HEAD = """# The same methods on four robots
 
 See how often the methods succeed on each built-in robot. `python bench/robots.py` measured {trials} trials of each split of
-r2h-v1, motion as planned, [persons](../robots.md#persons-and-table) placed for the robot (bench/results/robots.json;
+{benchmark}, motion as planned, [persons](../robots.md#persons-and-table) placed for the robot (bench/results/robots.json;
 commit {commits}). For your robot run `r2h-batch sweep --robot DIR --method fc handover-va contact intent oracle`.
 
 ## Success rates
 
-Percent of all trials, mean of the splits, with 95 % intervals (MOVER).
+Percent of all trials, mean of the splits, with 95 % intervals for the mean of all categories of objects.
 
 {rates}
 
@@ -79,10 +81,10 @@ Percent of all trials, mean of the splits, with 95 % intervals (MOVER).
 
 {checks}
 
-- Trial: {rows} trials of r2h-v1 in a call, half answered by the oracle and half by random, one thread, median of {repeats} runs.
-  [Speed](speed.md#speed) has other trials (r2h-v0, 1,024 in a call).
+- Trial: {rows} trials in a call, half answered by the oracle and half by random, one thread, median of {repeats} runs.
 - Wrong postures: verdicts on collisions that MuJoCo C contradicts. Postures within 0.1 mm of contact are left out.
-- Paths: problems with a free start and a free goal. Penetrating: paths that MuJoCo C finds to collide.
+- Paths: problems with a free start and a free goal beside the hand, without arm and torso. Penetrating: paths that MuJoCo C finds
+  to collide.
 - IK: {targets:,} postures drawn uniformly within the joint ranges. Missed: targets without a posture.
 """
 
@@ -122,8 +124,6 @@ def table(robot: str, trials: int, folder: Path) -> dict[str, dict[str, Any]]:
         folder,
         "--robot",
         robot,
-        "--benchmark",
-        "r2h-v1",
         "--method",
         *METHODS,
         "--trials",
@@ -140,7 +140,7 @@ class Answered:
     """A robot's evaluator, and trials that it can judge: half with the oracle's answers, half with random's."""
 
     def __init__(self, robot: Robot, count: int) -> None:
-        benchmark = load_benchmark("r2h-v1").on(robot)
+        benchmark = load_benchmark().on(robot)
         self.evaluator = Evaluator(benchmark, KINEMATIC)
         trials = benchmark.trials(count // 2)
         scene = self.evaluator.scene
@@ -172,7 +172,7 @@ def whole_trials(answered: dict[str, Answered]) -> dict[str, dict[str, float]]:
 
 def collisions(robot: Robot, count: int, per_trial: int = 250) -> dict[str, int]:
     """Own verdicts on postures, half near a hand and half anywhere, against MuJoCo C's distances."""
-    rng, scene = np.random.default_rng(11), Scene(load_benchmark("r2h-v1").on(robot))
+    rng, scene = np.random.default_rng(11), Scene(load_benchmark().on(robot))
     found = {"postures": 0, "borderline": 0, "disagreements": 0, "colliding": 0}
     for _ in range(count // (40 * per_trial)):
         stages, base = oracle.random_stages(scene, rng, 40)
@@ -242,7 +242,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     if "ik" in asked:
         data |= {"targets": options.targets, "some": options.reference_targets}
     if "table" in asked:
-        data["trials"] = options.trials
+        data |= {"trials": options.trials, "benchmark": load_benchmark().name}
     made = made_by(MEASURES)
     data["measured"].update({key: {"commit": made["commit"]} for key in asked})
     return data | (made if {*asked} == {*SECTIONS} else {})
@@ -253,10 +253,7 @@ def markdown(data: dict[str, Any]) -> str:
     robots = data["robots"]
     methods = list(next(iter(robots.values()))["table"])
 
-    def rate(row: dict[str, Any]) -> str:
-        return f"{row['sr']:.1f} [{row['sr_low']:.0f}, {row['sr_high']:.0f}]"
-
-    rates = [[m, *(rate(r["table"][m]) for r in robots.values())] for m in methods]
+    rates = [[m, *(rate_of(r["table"][m]) for r in robots.values())] for m in methods]
     lines: dict[str, Callable[[dict[str, Any]], str]] = {
         "trial, us of one core": lambda r: f"{r['trials']['us']:.0f}",
         "wrong postures": lambda r: "{disagreements} of {postures:,}".format(**r["collision"]),
@@ -267,6 +264,7 @@ def markdown(data: dict[str, Any]) -> str:
     }
     return HEAD.format(
         trials=data["trials"],
+        benchmark=data["benchmark"],
         commits=", ".join(sorted({str(made["commit"])[:12] for made in data["measured"].values()})),
         rates=markdown_table(["Method", *robots], rates),
         checks=markdown_table(["", *robots], [[k, *(f(r) for r in robots.values())] for k, f in lines.items()]),

@@ -1,7 +1,7 @@
 """How methods bear errors of execution, and what weight their grasps carry: docs/results/robustness.{md,png}.
 
-`python bench/robustness.py --out FOLDER` sweeps all methods on r2h-v1, the motion as planned, without errors and with four
-(`--set robustness=true`; the same FOLDER goes on). The grasps without errors are then looked at in closed form
+`python bench/robustness.py --out FOLDER` sweeps all methods on the default benchmark, the motion as planned, without errors and
+with four (`--set robustness=true`; the same FOLDER goes on). The grasps without errors are then looked at in closed form
 (`judge.payload`), and every so manieth of them is closed in a simulator (`judge.grasp_physics`) under 1, 2 and 3 times the
 object's weight, at its handover pose, for 1.8 s. `--render` writes the page again from the JSON.
 """
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from _report import ROOT, made_by, markdown_table, page_from, swept
+from _rows import rate_of
 
 METHODS = ("fc", "handover-va", "contact", "intent", "oracle", "random")
 PAGE = ROOT / "docs" / "results" / "robustness.md"
@@ -35,15 +36,15 @@ TURNED_DEG = 10.0
 HEAD = """# Robustness: errors of execution, and weight
 
 Compare methods under [errors of execution](../choices.md#errors-estimates-candidates). `python bench/robustness.py`
-measured {trials} trials of each split of r2h-v1, motion as planned (bench/results/robustness.json; commit {commit}). For
-your method run `r2h-batch sweep --benchmark r2h-v1 --method mine.py:predict --set robustness=true --out runs/robust`.
+measured {trials} trials of each split of {benchmark}, motion as planned (bench/results/robustness.json; commit {commit}). For
+your method run `r2h-batch sweep --method mine.py:predict --set robustness=true --out runs/robust`.
 
 ![SR over the execution error](robustness.png)
 
 ## Success rates
 
-Percent of all trials, mean of the splits, with 95 % intervals (MOVER). Area: mean SR over the errors from 0 to 20 mm,
-with its 95 % t interval over objects.
+Percent of all trials, mean of the splits, with 95 % intervals for the mean of all categories of objects. Area: mean SR over
+the errors from 0 to 20 mm, with its 95 % t interval over categories.
 
 {rates}
 
@@ -76,7 +77,7 @@ def grasps_of(folder: Path, method: str, evaluator: Any) -> Any:
     run = load_run(folder)
     rows = [row for table in run.shards("poses", run.named(method)) for row in table.to_pylist()]
     poses = [torch.tensor([row[k] for row in rows]).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
-    trials = load_benchmark("r2h-v1").trials_with_ids(torch.tensor([row["trial_id"] for row in rows]))
+    trials = load_benchmark().trials_with_ids(torch.tensor([row["trial_id"] for row in rows]))
     return evaluator.score(*poses, trials, stages="pose")
 
 
@@ -130,13 +131,12 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """The sweeps, and both views of the grasps."""
     from r2h_batch import Evaluator, load_benchmark
     from r2h_batch.report.robustness import LEVELS, figure, render, robustness
+    from r2h_batch.report.table import record, table_of
     from r2h_batch.runs.store import load_run
 
     out, trials = options.out, options.trials
     swept(
         out,
-        "--benchmark",
-        "r2h-v1",
         "--method",
         *METHODS,
         "--trials",
@@ -146,9 +146,15 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "--set",
         "robustness=true",
     )
-    found = robustness([load_run(out / level) for level in LEVELS])
+    runs = [load_run(out / level) for level in LEVELS]
+    found = robustness(runs)
+    rates: dict[str, list[str]] = {}
+    for run in runs:
+        for row in table_of(run).rows:
+            if row.split == "Avg":
+                rates.setdefault(row.method.partition(" (")[0], []).append(rate_of(record(row)))
     figure(found).savefig(PAGE.with_suffix(".png"), dpi=110)
-    evaluator = Evaluator(load_benchmark("r2h-v1"))
+    evaluator = Evaluator(load_benchmark())
     weight, simulated = {}, {}
     for curve in found.curves:
         name = curve.method.partition(" (")[0]
@@ -156,6 +162,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         weight[name], simulated[name] = closed_forms(scores), in_physics(scores, options.physics)
     return {
         "trials": trials,
+        "benchmark": load_benchmark().name,
+        "rates": rates,
         "curves": json.loads(render(found, "json"))["curves"],
         "tables": render(found),
         "payload": weight,
@@ -187,7 +195,7 @@ def markdown(data: dict[str, Any]) -> str:
     rates = [
         [
             m,
-            *(f"{r['percent']:.1f} [{r['low']:.0f}, {r['high']:.0f}]" for r in c["sr"]),
+            *data["rates"][m],
             "{value:.1f} +-{half:.1f}".format(**c["area"]),
         ]
         for m, c in curves.items()
@@ -195,6 +203,7 @@ def markdown(data: dict[str, Any]) -> str:
     more = (~closed & simulated).sum(0)
     return HEAD.format(
         trials=data["trials"],
+        benchmark=data["benchmark"],
         commit=str(data["commit"])[:12],
         rates=markdown_table(["Method", *levels, "area"], rates),
         grip=GRIP_N,
