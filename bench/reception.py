@@ -313,7 +313,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=500, help="of each split")
+    parser.add_argument("--trials", type=int, default=200, help="of each split")
     page_from(parser, STORED, PAGE, measure, markdown)
 
 

@@ -219,7 +219,7 @@ def markdown(data: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "robustness")
-    parser.add_argument("--trials", type=int, default=200, help="of each split")
+    parser.add_argument("--trials", type=int, default=100, help="of each split")
     parser.add_argument(
         "--physics", type=int, default=24, help="grasps of each method that are closed in the simulator"
     )
