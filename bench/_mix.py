@@ -1,13 +1,12 @@
-"""The frozen mix: 1,024 trials of r2h-v0, S0 and S1 by turns, half with the poses of `oracle`, half with those of `random`."""
+"""The frozen mix: 1,024 trials of the default benchmark, S0 and S1 by turns, half with the poses of `oracle`, half with those
+of `random`."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from r2h_batch import load_benchmark
-from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
 MIX = Path(__file__).with_name("mix.npz")
@@ -15,17 +14,14 @@ Poses = tuple[torch.Tensor, torch.Tensor, Trials]
 """T_obj_ee, T_world_ee and the trials that they answer."""
 
 
-def load_mix(scene: Scene, n: int | None = None) -> tuple[Poses, torch.Tensor]:
-    """Its first n rows on the scene's device (more than it has: the mix again), and which poses are the oracle's."""
+def load_mix(device: str = "cpu", n: int | None = None) -> tuple[Poses, torch.Tensor]:
+    """Its first n rows (more than it has: the mix again), and which poses are the oracle's."""
     with np.load(MIX, allow_pickle=False) as mix:
         ids, by_oracle = (torch.from_numpy(mix[k]) for k in ("trial_id", "by_oracle"))
         T_obj_ee, T_world_ee = (torch.from_numpy(mix[k]) for k in ("T_obj_ee", "T_world_ee"))
-    mix = replace(load_benchmark("r2h-v0").with_objects(scene.objects), hand_set=scene.hands.set)
-    trials = mix.trials_with_ids(ids).named(
-        scene.objects
-    )  # of no benchmark: any evaluator of these objects may judge them
+    trials = load_benchmark().trials_with_ids(ids)
     whole = repeated((T_obj_ee, T_world_ee, trials), len(ids) if n is None else n)
-    return on(whole, str(scene.device)), by_oracle[torch.arange(len(whole[2])) % len(ids)]
+    return on(whole, device), by_oracle[torch.arange(len(whole[2])) % len(ids)]
 
 
 def repeated(poses: Poses, n: int) -> Poses:

@@ -116,7 +116,7 @@ def main() -> None:
     args = options()
     torch.set_num_threads(1)
     report = Report(MEASURES)
-    scene = Scene(load_benchmark("r2h-v1"), config=EvalConfig(), device="cpu")
+    scene = Scene(load_benchmark(), config=EvalConfig(), device="cpu")
     problems, q = configurations(scene, args.trials, args.per_trial)
     count = q.shape[0] * q.shape[1]
     report.add("collision.configs", count)

@@ -28,7 +28,6 @@ from r2h_batch.judge.motion.execute import Executed, execute
 from r2h_batch.judge.motion.time_law import servo_law
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.scene.robot import ee_pose
-from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Scores, Trials
 
 MEASURES = (
@@ -49,16 +48,14 @@ class Mix:
 
     def __init__(self, n: int, device: str, threads: int | None) -> None:
         self.device, self.threads, self.n = device, threads, n
-        g, h, trials = load_mix(Scene(load_benchmark("r2h-v1")), n)[0]
+        g, h, trials = load_mix(n=n)[0]
         rows = in_order(trials)
         self.g, self.h, self.trials = on((g[rows], h[rows], trials[rows]), device)
 
     def score(self, config: ExecConfig) -> tuple[Scores, Executed, dict[str, Any]]:
         """Scores, the executed motion, what execute was given, process seconds under `seconds`, and under `rows` which
         rows were simulated in the whole scene (True) and with the arm alone (False)."""
-        evaluator = Evaluator(
-            load_benchmark("r2h-v1"), EvalConfig(execute=config), device=self.device, threads=self.threads
-        )
+        evaluator = Evaluator(load_benchmark(), EvalConfig(execute=config), device=self.device, threads=self.threads)
         seen: dict[str, Any] = {}
 
         def watched(scene: Any, body_poses: Any, path: Any, length: Any, motion: Any, c: Any, **k: Any) -> Executed:
@@ -161,9 +158,9 @@ def auto(mix: Mix, report: Report) -> None:
     """`model="auto"` against the whole scene, in MuJoCo C: as many trials as asked for, answered by the method `contact`."""
     from r2h_batch.methods import contact
 
-    evaluator = Evaluator(load_benchmark("r2h-v1"), device=mix.device, threads=mix.threads)
+    evaluator = Evaluator(load_benchmark(), device=mix.device, threads=mix.threads)
     mix = copy.copy(mix)
-    trials = load_benchmark("r2h-v0").trials_with_ids(torch.arange(mix.n)).named(evaluator.scene.objects)
+    trials = load_benchmark().trials_with_ids(torch.arange(mix.n))
     mix.trials = trials[in_order(trials)].to(mix.device)
     answers = contact.predict(mix.trials, evaluator.scene, seed=0)
     mix.g, mix.h = answers.T_obj_ee.to(mix.device), answers.T_world_ee.to(mix.device)
@@ -201,7 +198,7 @@ def batches(mix: Mix, report: Report) -> None:
     for engine in ("mujoco", "mjwarp"):
         n = min(mix.n, 256)
         evaluator = Evaluator(
-            load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim=engine)), device=mix.device, threads=mix.threads
+            load_benchmark(), EvalConfig(execute=ExecConfig(sim=engine)), device=mix.device, threads=mix.threads
         )
         whole = evaluator.score(mix.g[:n], mix.h[:n], mix.trials[:n])
         order = torch.randperm(n, generator=torch.Generator().manual_seed(0))

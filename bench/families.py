@@ -537,9 +537,9 @@ def order_lines(data: Mapping[str, Any]) -> str:
     lines = []
     for name, own in data["orders"].items():
         lines.append(line(f"{name} ({own['n']})", own["sr"], decided_words(own["decided"])))
-    sensitivity = json.loads((ROOT / "docs" / "results" / "sensitivity.json").read_text())
+    choices = json.loads((ROOT / "docs" / "results" / "table1-v1-choices.json").read_text())
     words = {"fc": "FC", "handover-va": "VA", "contact": "Contact", "intent": "Intent"}
-    for v in sensitivity["variants"]:
+    for v in choices["variants"]:
         if v["name"] in OF_V1:
             sr = {words[m]: v["rates"][m]["Avg"]["sr"] for m in words}
             decided = [
@@ -550,11 +550,11 @@ def order_lines(data: Mapping[str, Any]) -> str:
                 if other != who
             ]
             name = "" if v["name"] == "base" else f", {v['name']}"
-            lines.append(line(f"r2h-v1{name} ({2 * sensitivity['trials']})", sr, decided_words(decided)))
+            lines.append(line(f"r2h-v1{name} ({2 * choices['trials']})", sr, decided_words(decided)))
     robots = json.loads((ROOT / "bench" / "results" / "robots.json").read_text())
     for robot, own in robots["robots"].items():
         sr = {SHORT[m]: row["sr"] for m, row in own["table"].items() if m in SHORT}
-        lines.append(line(f"r2h-v1, {robot} ({2 * robots['trials']})", sr, "not tested"))
+        lines.append(line(f"{robots['benchmark']}, {robot} ({2 * robots['trials']})", sr, "not tested"))
     return markdown_table(["objects, configuration (trials)", "1", "2", "3", "4", "significant"], lines)
 
 

@@ -117,10 +117,10 @@ def rendered(text: str, values: Mapping[str, Any]) -> str:
 
 
 def of_sensitivity() -> dict[str, Any]:
-    """Success rates of docs/results/sensitivity.json, which `make tables` measures: sensitivity.VARIANT.METHOD.sr of both splits
-    (.s0, .s1), with `_` for what is not a word; and sensitivity.trials."""
+    """Success rates of docs/results/sensitivity.json (bench/sensitivity.py): sensitivity.VARIANT.METHOD.sr of both splits
+    (.s0, .s1), with `_` for what is not a word; sensitivity.trials, sensitivity.benchmark."""
     data = json.loads((ROOT / "docs" / "results" / "sensitivity.json").read_text())
-    found = {"sensitivity.trials": data["trials"]}
+    found = {"sensitivity.trials": data["trials"], "sensitivity.benchmark": data["benchmark"]["name"]}
     for variant in data["variants"]:
         for method, rates in variant["rates"].items():
             name = re.sub(r"\W", "_", f"{variant['name']}.{method}").replace(f"_{method}", f".{method}")

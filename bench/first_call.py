@@ -34,8 +34,8 @@ def first_call_s(stages: Literal["pose", "all"], cores: tuple[int, ...], cache: 
 
     with np.load(ROOT / "bench" / "mix.npz") as mix:
         T_obj_ee, T_world_ee = (torch.from_numpy(mix[k])[:1] for k in ("T_obj_ee", "T_world_ee"))
-    trials = load_benchmark("r2h-v0").trials(1, splits="S0")
-    evaluator = Evaluator(load_benchmark("r2h-v0"), EvalConfig(execute=ExecConfig(sim="none")))
+    trials = load_benchmark().trials(1, splits="S0")
+    evaluator = Evaluator(load_benchmark(), EvalConfig(execute=ExecConfig(sim="none")))
     begin = time.perf_counter()
     evaluator.score(T_obj_ee, T_world_ee, trials, stages=stages)
     return time.perf_counter() - begin

@@ -65,26 +65,22 @@ class Bench:
 
     @cached_property
     def evaluator(self) -> Evaluator:
-        return Evaluator(load_benchmark("r2h-v0"), KINEMATIC, device=self.device)
+        return Evaluator(load_benchmark(), KINEMATIC, device=self.device)
 
     @cached_property
     def on_cpu(self) -> Evaluator:
-        return Evaluator(load_benchmark("r2h-v0"), KINEMATIC)
+        return Evaluator(load_benchmark(), KINEMATIC)
 
     @cached_property
     def mix(self) -> Poses:
         """The frozen mix of bench/throughput.py, on the CPU."""
-        return load_mix(self.on_cpu.scene, min(self.trials, 1024))[0]
+        return load_mix(n=min(self.trials, 1024))[0]
 
     @cached_property
     def random(self) -> Poses:
         """RANDOM_TRIALS trials with the poses of the method `random`, on the CPU."""
         scene = self.on_cpu.scene
-        trials = (
-            load_benchmark("r2h-v0")
-            .with_objects(scene.objects)
-            .trials_with_ids(torch.arange(min(self.trials, RANDOM_TRIALS)))
-        )
+        trials = load_benchmark().trials_with_ids(torch.arange(min(self.trials, RANDOM_TRIALS)))
         answer = random.predict(trials, scene, seed=0)
         return answer.T_obj_ee, answer.T_world_ee, trials
 
@@ -137,9 +133,9 @@ FIRST_CALL = [sys.executable, __file__, "--first-call"]
 
 
 def first_call(device: str) -> int:
-    evaluator = Evaluator(load_benchmark("r2h-v0"), device=device)
-    trials = load_benchmark("r2h-v0").trials(4, splits=("S0", "S1"))
-    answer = random.predict(trials, Evaluator(load_benchmark("r2h-v0")).scene, seed=0)
+    evaluator = Evaluator(load_benchmark(), device=device)
+    trials = load_benchmark().trials(4, splits=("S0", "S1"))
+    answer = random.predict(trials, Evaluator(load_benchmark()).scene, seed=0)
     batch = on((answer.T_obj_ee, answer.T_world_ee, trials), device)
     captured, plain = evaluator.capture(8)(*batch).margin.cpu(), evaluator.score(*batch, "pose").margin.cpu()
     same = captured.numpy().tobytes() == plain.numpy().tobytes()
@@ -225,7 +221,7 @@ def throughput(bench: Bench) -> None:
     for chunk in CHUNKS[: None if bench.cuda else 1]:
         n = chunk if bench.cuda else bench.trials
         batch = bench.repeated(bench.mix, n)
-        evaluator = Evaluator(load_benchmark("r2h-v0"), replace(KINEMATIC, chunk=chunk), device=bench.device)
+        evaluator = Evaluator(load_benchmark(), replace(KINEMATIC, chunk=chunk), device=bench.device)
         for block in BLOCKS[: None if bench.cuda else 1]:
             with mock.patch.multiple(launch, BLOCK_DIM=block, UNEVEN_BLOCK_DIM=block):
                 rate = n / bench.seconds(partial(evaluator.score, *batch))
@@ -238,7 +234,7 @@ def both_forms(bench: Bench) -> None:
     """The same rows in both forms of postures, straight lines, clearances and Safe: by levels, or one thread a trial."""
     n = FORM_ROWS if bench.cuda else bench.trials
     batch = bench.repeated(bench.mix, n)
-    evaluator = Evaluator(load_benchmark("r2h-v0"), replace(KINEMATIC, chunk=n), device=bench.device)
+    evaluator = Evaluator(load_benchmark(), replace(KINEMATIC, chunk=n), device=bench.device)
     rates: dict[str, float] = {}
     outcomes = []
     for form in FORMS:
@@ -266,7 +262,7 @@ def search(bench: Bench) -> None:
     problem, and a launch takes as long as its longest problem."""
     n = FORM_ROWS if bench.cuda else bench.trials
     batch = bench.repeated(bench.random, n)
-    evaluator = Evaluator(load_benchmark("r2h-v0"), replace(KINEMATIC, chunk=n), device=bench.device)
+    evaluator = Evaluator(load_benchmark(), replace(KINEMATIC, chunk=n), device=bench.device)
     spent = dict.fromkeys(SEARCHED, 0.0)
     problems: list[int] = []
     over_trials = planner.over_trials
@@ -322,7 +318,7 @@ def worlds(bench: Bench) -> None:
 
     kind = "cuda" if bench.cuda else "cpu"
     config = EvalConfig(execute=ExecConfig(sim="mjwarp", model="arm"), chunk=max(WORLDS))
-    evaluator = Evaluator(load_benchmark("r2h-v0"), config, device=bench.device)
+    evaluator = Evaluator(load_benchmark(), config, device=bench.device)
     for count in WORLDS if bench.cuda else (4,):
         batch = bench.repeated(bench.mix, count if bench.cuda else 2)
         with mock.patch.dict(sim_mjwarp.MAX_WORLDS, {kind: count}):

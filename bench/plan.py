@@ -166,8 +166,8 @@ def main() -> None:
     parser.add_argument("--resolution-rad", type=float, default=1 / 64, help="OMPL's edge resolution")
     options = parser.parse_args()
     report = Report(MEASURES)
-    scene = Evaluator(load_benchmark("r2h-v1"), device=options.device).scene
-    (T_obj_ee, T_world_ee, trials), _ = load_mix(scene)
+    scene = Evaluator(load_benchmark(), device=options.device).scene
+    (T_obj_ee, T_world_ee, trials), _ = load_mix(options.device)
     whole = Batch(trials, T_obj_ee, T_world_ee)
     rows, checkers, goals = free_rows(scene, solve(scene, whole), options.problems)
     batch = whole.rows(torch.tensor(rows))

@@ -1,9 +1,12 @@
-"""Effect of each choice: the four methods with one choice changed at a time, docs/results/sensitivity.{md,json}.
+"""Effect of each choice on the default benchmark: the four methods with one choice changed at a time, docs/results/sensitivity.
 
-`make tables` measures it (bench/tables.py). Motion as planned (`--sim none`); each variant is one sweep. The paired test
-(`r2h-batch compare`) says which methods are apart in each, and the ranks how often their order is that of the base.
+`python bench/sensitivity.py --out FOLDER` measures it and writes JSON and page (the same FOLDER goes on); `make tables` does too,
+and measures some of the choices on r2h-v1 for its page (docs/results/table1-v1-choices.json). Motion as planned (`--sim none`);
+each variant is one sweep. The paired test (`r2h-batch compare`) says which methods are apart in each, and the ranks how often
+their order is that of the base.
 """
 
+import argparse
 import json
 import re
 import shlex
@@ -11,12 +14,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from _report import markdown_table, swept
+from _report import ROOT, markdown_table, swept
 
 METHODS = ("fc", "handover-va", "contact", "intent")
 TITLES = {"fc": "FC-Handover", "handover-va": "Handover-VA", "contact": "Contact-Handover", "intent": "Intent-Handover"}
 COLUMNS = ("sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
-BASE = ("--benchmark", "r2h-v1")
+V1 = ("--benchmark", "r2h-v1")
+V1_CHOICES = (
+    *("base", "protocol r2h-v0", "plan-hand estimated", "candidates as generated", "error x 2", "receiver with a body"),
+    *("preset paper", "preset release", "contact,at=gripper", "intent,at=gripper", "fc,height_m=0.12", "fc,at=gripper"),
+)
+"""Variants that docs/results/table1-v1.md and families.md name."""
+STORED = ROOT / "docs" / "results" / "sensitivity.json"
+TRIALS = 60
+"""Of each split."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +47,9 @@ class Variant:
         return [f"{m},{said}" for m, said in self.options]
 
 
-def variants() -> list[Variant]:
-    """The base first; then the protocol, what methods and planner know, how it is judged, and each method's own choices."""
+def variants(base: tuple[str, ...] = ()) -> list[Variant]:
+    """The base (of the default benchmark, or as these flags say) first; then the protocol, what methods and planner know, how it
+    is judged, and each method's own choices."""
     own = [
         ("handover-va", "loops=one"),
         ("handover-va", "at=gripper"),
@@ -55,21 +67,27 @@ def variants() -> list[Variant]:
         ("fc", "at=gripper"),
         ("fc", "at=gripper,height_m=0.12"),
     ]
+    if base:
+        others = [Variant("protocol r2h-v0", ("--benchmark", "r2h-v0"))]
+        receiver = Variant("receiver with a body", (*base, "--receiver", "body"))
+    else:
+        others = [Variant("protocol r2h-v1", V1), Variant("adults alone", ("--people", "adults"))]
+        receiver = Variant("arm and torso do not count", ("--receiver", "hand"))
     return [
-        Variant("base"),
-        Variant("protocol r2h-v0", ("--benchmark", "r2h-v0")),
-        Variant("plan-hand estimated", (*BASE, "--plan-hand", "estimated")),
-        Variant("candidates as generated", (*BASE, "--candidates", "as-generated")),
-        Variant("errors of frames", (*BASE, "--hand-errors", "frames")),
-        Variant("errors with tails", (*BASE, "--hand-errors", "tails")),
-        Variant("no error", (*BASE, "--predictor-noise", "0")),
-        Variant("error x 2", (*BASE, "--predictor-noise", "2")),
-        Variant("receiver with a body", (*BASE, "--receiver", "body")),
-        Variant("edges sampled", (*BASE, "--edge-check", "moveit")),
-        Variant("width of the whole object", (*BASE, "--width", "whole")),
-        Variant("reach of the hull", (*BASE, "--reach", "hull")),
-        Variant("preset paper", (*BASE, "--preset", "paper")),
-        Variant("preset release", (*BASE, "--preset", "release")),
+        Variant("base", base),
+        *others,
+        Variant("plan-hand estimated", (*base, "--plan-hand", "estimated")),
+        Variant("candidates as generated", (*base, "--candidates", "as-generated")),
+        Variant("errors of frames", (*base, "--hand-errors", "frames")),
+        Variant("errors with tails", (*base, "--hand-errors", "tails")),
+        Variant("no error", (*base, "--predictor-noise", "0")),
+        Variant("error x 2", (*base, "--predictor-noise", "2")),
+        receiver,
+        Variant("edges sampled", (*base, "--edge-check", "moveit")),
+        Variant("width of the whole object", (*base, "--width", "whole")),
+        Variant("reach of the hull", (*base, "--reach", "hull")),
+        Variant("preset paper", (*base, "--preset", "paper")),
+        Variant("preset release", (*base, "--preset", "release")),
         Variant("protocol r2h-release", ("--benchmark", "r2h-release")),
         *(Variant(f"{m},{said}", (), ((m, said),)) for m, said in own),
     ]
@@ -115,6 +133,7 @@ def kept_pairs(order: Sequence[str], base: Sequence[str]) -> int:
 def markdown(data: dict) -> str:
     """The page: SR of each variant, and its change against the base."""
     variants_, base = data["variants"], data["variants"][0]
+    name = data["benchmark"]["name"]
     lines: list[list[object]] = []
     own_lines: list[list[object]] = []
     for v in variants_:
@@ -129,7 +148,7 @@ def markdown(data: dict) -> str:
     parts = [
         "# How far each choice changes the rates",
         "See how far one choice changes the success rates. Each line differs from the base in one choice"
-        f" (`{' '.join(BASE)}`, default preset, motion as planned, {data['trials']} trials a split; `make tables`, commit"
+        f" ({name}, default preset, motion as planned, {data['trials']} trials a split; `python bench/sensitivity.py`, commit"
         f" {data['commit'][:12]}). `sensitivity.json` has first failures, splits and the test of each pair.",
         "SR is the mean of the splits in percent, with its change in brackets. Pairs: of the six pairs of methods, how many keep"
         " the order of the base.",
@@ -141,15 +160,15 @@ def markdown(data: dict) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def measure(place: Path, trials: int) -> dict:
-    """Sweeps every variant into a folder of `place`; what docs/results/sensitivity.json holds."""
+def measure(place: Path, trials: int, base: tuple[str, ...] = (), names: Sequence[str] = ()) -> dict:
+    """Sweeps every variant, or those with these names, into a folder of `place`; what the JSON holds."""
     from r2h_batch.runs.store import load_run
 
     found: list[dict] = []
     base_rates: dict = {}
     header: dict = {}
-    for variant in variants():
-        line = ["--method", *variant.methods, "--trials", str(trials), "--sim", "none", *(variant.flags or BASE)]
+    for variant in (v for v in variants(base) if v.name in names or not names):
+        line = ["--method", *variant.methods, "--trials", str(trials), "--sim", "none", *(variant.flags or base)]
         folder = swept(place / re.sub("[ ,=]", "-", variant.name), *line)
         mine = rates_of(folder)
         base_rates, header = base_rates or mine, header or load_run(folder).header
@@ -165,4 +184,20 @@ def measure(place: Path, trials: int) -> dict:
             "pairs": pairs_of([folder]) if len(mine) == len(METHODS) else {},
         })  # fmt: skip
     origin = {"commit": header["git_commit"], "code": header["digests"]["code"], "device": header["device"]["name"]}
+    origin |= {"benchmark": {"name": header["protocol"], "digest": header["digests"]["benchmark"]}}
     return {"trials": trials, **origin, "variants": found}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "sensitivity")
+    parser.add_argument("--trials", type=int, default=TRIALS, help="of each split")
+    parser.add_argument("--render", action="store_true", help="the page again from the JSON")
+    options = parser.parse_args()
+    if not options.render:
+        STORED.write_text(json.dumps(measure(options.out, options.trials), indent=1) + "\n")
+    STORED.with_suffix(".md").write_text(markdown(json.loads(STORED.read_text())))
+
+
+if __name__ == "__main__":
+    main()

@@ -55,8 +55,6 @@ def sweep(out: Path, given: argparse.Namespace, part: str = "1/1", *more: str) -
         sys.executable,
         "-m",
         "r2h_batch.sweep",
-        "--benchmark",
-        "r2h-v1",
         "--method",
         "random",
         "--sim",
@@ -202,8 +200,8 @@ def calls(given: argparse.Namespace, report: Report) -> None:
 
 def memory_of_calls(kind: str, calls: int) -> dict[str, float]:
     """Resident memory in MiB after each of `COUNTS` calls, and milliseconds a call."""
-    judge = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")), threads=1)
-    trials = load_benchmark("r2h-v1").trials(50)
+    judge = Evaluator(load_benchmark(), EvalConfig(execute=ExecConfig(sim="none")), threads=1)
+    trials = load_benchmark().trials(50)
     answer = random_method.predict(trials, judge.scene, seed=0)
     moved = answer.T_world_ee.clone().requires_grad_(kind == "gradient")
     seen, start = {}, time.perf_counter()

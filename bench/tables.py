@@ -9,7 +9,8 @@ The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. 
     r2h_batch/report/compare/rows/*, bench/rows/*    the rows of each table, with poses
     docs/results/table1*.{csv,json}               the tables, with intervals, counts, versions and digests
     docs/results/table1-v1.md                     what a reader needs of them
-    docs/results/sensitivity.{md,json}            what each choice is worth
+    docs/results/sensitivity.{md,json}            what each choice is worth (default benchmark)
+    docs/results/table1-v1-choices.json           what some of them are worth on r2h-v1
     docs/results/findings.md, README.md    what follows from the tables
     docs/results/{moving,reception,ranks,families}.md      from the JSON of their benches, which run by themselves
     docs/*.png, docs/pictures/*.png               pictures of runs
@@ -43,6 +44,7 @@ from _report import ROOT, markdown_table, swept
 
 RESULTS = Path("docs/results")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
+CHOICES = "table1-v1-choices.json"
 KEPT = ("run.json", "methods", "shards")
 """Files of a run folder that are stored and read again."""
 
@@ -223,7 +225,7 @@ MOVING = {
     "contact,at=gripper": "Contact: the gripper stands 15 cm above the palm",
     "intent,at=gripper": "Intent: the gripper stands 15 cm above the palm",
 }
-"""Variants of docs/results/sensitivity.json that the page of r2h-v1 names, and what they change."""
+"""Variants of docs/results/table1-v1-choices.json that the page of r2h-v1 names, and what they change."""
 
 
 def truth_about_v1() -> str:
@@ -245,9 +247,9 @@ def truth_about_v1() -> str:
             (move,) = [m for m in tests[title, "S1"]["moves"] if m["turn"] == word]
             cells.append(f"{move['points']:+.1f}")
         lines.append(cells)
-    sensitivity = json.loads((ROOT / "docs" / "results" / "sensitivity.json").read_text())
-    base = sensitivity["variants"][0]["rates"]
-    for variant in sensitivity["variants"]:
+    choices = json.loads((ROOT / RESULTS / CHOICES).read_text())
+    base = choices["variants"][0]["rates"]
+    for variant in choices["variants"]:
         if variant["name"] in MOVING:
             own = variant["rates"]
             points = {m: own[m]["Avg"]["sr"] - base[m]["Avg"]["sr"] for m in titles}
@@ -264,7 +266,7 @@ def truth_about_v1() -> str:
         f" {worst['high']:+.1f} points); Intent-Handover has {intent['rate']:.1f} and {intent['rate'] + other['points']:.1f} %"
         f" ({contact['n']} trials of S1, motion as planned; [families](families.md)). r2h-v1 stays as it is; r2h-v2 asks methods"
         " about objects that no network here has seen.",
-        "Points of SR by one changed choice ([all of them](sensitivity.md)); empty: the choice is another method's.",
+        "Points of SR by one changed choice ([those of r2h-v2](sensitivity.md)); empty: the choice is another method's.",
         markdown_table(["changed", *titles.values()], lines),
     ])  # fmt: skip
 
@@ -343,7 +345,8 @@ def install(place: Path, commit: str) -> None:
                 shutil.copytree(place / p.name / name, target / name)
             elif (place / p.name / name).exists():
                 shutil.copy(place / p.name / name, target / name)
-    shutil.copy(place / "sensitivity.json", ROOT / RESULTS)
+    for name in ("sensitivity.json", CHOICES):
+        shutil.copy(place / name, ROOT / RESULTS)
     write(render_all())
     draw({"commit": commit, "golden": golden_digest()})
 
@@ -367,7 +370,7 @@ def main() -> None:
     parser.add_argument("--render", action="store_true", help="the pages again from the stored rows")
     parser.add_argument("--pictures", action="store_true", help="the pictures again from the stored rows")
     parser.add_argument(
-        "--trials", type=int, default=500, help="of each split and table; sensitivity takes 2/5 of them"
+        "--trials", type=int, default=500, help="of each split and table; choices of r2h-v1 take 2/5 of them"
     )
     given = parser.parse_args()
     os.chdir(ROOT)
@@ -383,8 +386,12 @@ def main() -> None:
     begin, commit = time.perf_counter(), clean_commit()
     place = Path("runs") / f"tables-{commit[:12]}-{given.trials}"
     runs = [swept(place / p.name, *p.line(given.trials)) for p in PUBLISHED]
-    data = sensitivity.measure(place / "sensitivity", given.trials * 2 // 5)
-    (place / "sensitivity.json").write_text(json.dumps(data, indent=1) + "\n")
+    data = {
+        "sensitivity.json": sensitivity.measure(place / "sensitivity", sensitivity.TRIALS),
+        CHOICES: sensitivity.measure(place / "choices", given.trials * 2 // 5, sensitivity.V1, sensitivity.V1_CHOICES),
+    }
+    for name, measured in data.items():
+        (place / name).write_text(json.dumps(measured, indent=1) + "\n")
     if clean_commit() != commit or {load_run(run).header["git_commit"] for run in runs} != {commit}:
         sys.exit("tables: files changed while the sweeps ran; run the command again")
     install(place, commit)

@@ -3,8 +3,8 @@
 python bench/throughput.py [--trials N] [--device cpu|cuda:0] [--json FILE]
 python bench/throughput.py --freeze
 
-The mix is frozen in bench/mix.npz: the first 1,024 trials of r2h-v0, S0 and S1 by turns, half of them (drawn by chance)
-with the predictions of the method `oracle`, half with those of `random`. --freeze makes it again with today's methods.
+The mix is frozen in bench/mix.npz: the first 1,024 trials of the default benchmark, S0 and S1 by turns, half of them (drawn by
+chance) with the predictions of the method `oracle`, half with those of `random`. --freeze makes it again with today's methods.
 mix_is_current says whether today's trials are still those the mix was made for. Cold: one process' first call, kernels
 compiled or loaded from Warp's cache, whichever it is. Warm: the median of several further calls.
 core_s_per_trial is process time, so other work on the machine counts little. stage.*_share are shares of the process
@@ -14,7 +14,6 @@ time of one more warm call, taken around the stages of evaluate.py; other = what
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -45,8 +44,7 @@ def freeze(evaluator: Evaluator) -> None:
     from r2h_batch.methods import oracle, random
 
     scene = evaluator.scene
-    mix = replace(load_benchmark("r2h-v0").with_objects(scene.objects), hand_set=scene.hands.set)
-    trials = mix.trials_with_ids(torch.arange(MIX_TRIALS)).named(scene.objects)
+    trials = load_benchmark().trials_with_ids(torch.arange(MIX_TRIALS))
     by_oracle = torch.zeros(MIX_TRIALS, dtype=torch.bool)
     by_oracle[torch.from_numpy(np.random.default_rng(0).permutation(MIX_TRIALS)[: MIX_TRIALS // 2])] = True
     best = oracle.predict(trials[by_oracle], scene, seed=0, evaluator=evaluator)
@@ -83,14 +81,14 @@ def main() -> None:
 
     start = time.perf_counter()
     config = EvalConfig(execute=ExecConfig(sim=options.sim))
-    evaluator = Evaluator(load_benchmark("r2h-v1"), config, device=options.device, threads=options.threads)
+    evaluator = Evaluator(load_benchmark(), config, device=options.device, threads=options.threads)
     if options.freeze:
         freeze(evaluator)
         return
-    (T_obj_ee, T_world_ee, trials), by_oracle = load_mix(evaluator.scene, options.trials)
+    (T_obj_ee, T_world_ee, trials), by_oracle = load_mix(options.device, options.trials)
     with np.load(MIX, allow_pickle=False) as mix:
-        whole, _ = load_mix(evaluator.scene)
-        current = trials_digest(whole[2].to("cpu")) == str(mix["digest"])
+        whole, _ = load_mix()
+        current = trials_digest(whole[2]) == str(mix["digest"])
     report.add("throughput.setup_s", time.perf_counter() - start)
     report.add("throughput.trials", options.trials)
     report.add("throughput.sim", options.sim)

@@ -2,7 +2,7 @@
 
 python bench/training_loop.py [--device cpu|cuda:0] [--largest N] [--json FILE]
 
-Candidates: the frozen mix of bench/throughput.py (bench/mix.npz: 1,024 trials of r2h-v0, half with the oracle's poses, half
+Candidates: the frozen mix of bench/throughput.py (bench/mix.npz: 1,024 trials of r2h-v2, half with the oracle's poses, half
 with random ones), repeated; `perturbed`: the oracle's half moved by 1 cm (grasp), 3 cm and 10 degrees (handover), normal
 distributions, as a generator in training proposes them; `distinct`: 4,096 of the mix, each moved by 1 mm of its own.
 Figures of a size come from one call after another, the median of several; core_us is process time (other work on the machine
@@ -63,7 +63,7 @@ class Clock:
 
 def candidates(evaluator: Evaluator, name: str) -> Poses:
     """The 1,024 (perturbed: 512) candidates of a mix."""
-    mix, by_oracle = load_mix(evaluator.scene)
+    mix, by_oracle = load_mix(str(evaluator.scene.device))
     if name == "mix":
         return mix
     device, g = str(evaluator.scene.device), torch.Generator().manual_seed(0)
@@ -111,7 +111,7 @@ def main() -> None:
     report, clock = Report(MEASURES), Clock(options.device)
     largest = options.largest or (65536 if options.device == "cpu" else 1 << 20)
     evaluator = Evaluator(
-        load_benchmark("r2h-v1"),
+        load_benchmark(),
         EvalConfig(execute=ExecConfig(sim="none")),
         device=options.device,
         threads=options.threads,

@@ -1,7 +1,7 @@
 """Contact-Handover when depth cameras show its network the object.
 
-`python bench/views.py --out FOLDER` sweeps the method on r2h-v1, motion as planned, with the whole solid and with cameras (the
-same FOLDER goes on). `--render` prints the table of the JSON.
+`python bench/views.py --out FOLDER` sweeps the method on the default benchmark, motion as planned, with the whole solid and
+with cameras (the same FOLDER goes on). `--render` prints the table of the JSON.
 """
 
 import argparse
@@ -60,14 +60,14 @@ def measure(out: Path, trials: int) -> dict[str, Any]:
     from r2h_batch.report.table import record, table_of
     from r2h_batch.runs.store import load_run
 
-    evaluator = Evaluator(load_benchmark("r2h-v1"))
-    made = load_benchmark("r2h-v1").trials(2 * trials)
+    evaluator = Evaluator(load_benchmark())
+    made = load_benchmark().trials(2 * trials)
     truth = [contact_map(o) >= CONTACT_THRESHOLD for o in evaluator.scene.objects]
     rows, whole = {}, None
     for number, (name, options) in enumerate(VIEWS.items()):
         folder = out / str(number)
         method = f"contact,{options}" if options else "contact"
-        swept(folder, "--benchmark", "r2h-v1", "--method", method, "--trials", trials, "--sim", "none", "--quiet")
+        swept(folder, "--method", method, "--trials", trials, "--sim", "none", "--quiet")
         of = {row.split: record(row) for row in table_of(load_run(folder)).rows}
         found = {k: of["S1" if "S1" in heading else "Avg"][k] for k, heading in COLUMNS.items()}
         spec = {k: float(v) for k, _, v in (word.partition("=") for word in options.split(",") if word)}

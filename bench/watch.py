@@ -7,11 +7,11 @@ of this environment. Each side has one process that stays, so kernels are compil
 round measures each figure once on both sides, and the side that goes first changes from round to round. Figures are process
 time (of all threads), which other work on the machine changes less than wall time, and what matters is the ratio of a round:
 both sides had the same minute. The table has the medians, and the ratio's median with an interval that holds it with 95 %
-probability (order statistics: the rounds need not be normally distributed). `pose.N`, `gradient.N`: a call of N rows; a
-gradient with its way back. `person.1`: the call of one row before a receiver with arm and torso, as r2h-v1 has them.
-`trial.*`: whole trials, planned and measured for collisions; `plan`, `ik`, `reception`, `closed_loop`: these stages alone, a
-trial; `collision`: a random posture. `start`: a new process, from start to first verdict. `sweep`: a new process that sweeps
-and stores. A figure that a side cannot measure is left out.
+probability (order statistics: the rounds need not be normally distributed). All rows are of the default benchmark, so receivers
+have arms and torsos. `pose.N`, `gradient.N`: a call of N rows; a gradient with its way back. `trial.*`: whole trials, planned
+and measured for collisions; `plan`, `ik`, `reception`, `closed_loop`: these stages alone, a trial; `collision`: a random
+posture. `start`: a new process, from start to first verdict. `sweep`: a new process that sweeps and stores. A figure that a
+side cannot measure is left out.
 
 All of it takes --minutes. Compiling comes first; where it leaves too little, three rounds are measured all the same.
 """
@@ -46,15 +46,13 @@ MEASURES = (
     "r2h_batch/sweep",
 )
 ROWS = {
-    "pose.1": 1, "person.1": 1, "pose.16": 16, "pose.64": 64, "pose.4096": 4096, "trial.kinematic": 256, "plan": 256,
+    "pose.1": 1, "pose.16": 16, "pose.64": 64, "pose.4096": 4096, "trial.kinematic": 256, "plan": 256,
     "collision": 8192, "ik": 4096, "reception": 4, "closed_loop": 1, "start": 1, "sweep": 64,
 }  # fmt: skip
 """The figures, and how many rows each is divided by."""
 MORE = {"gradient.1": 1, "gradient.512": 512, "trial.moved": 8}
 """Figures that --figures can name."""
 BATCH: Any = package  # of either commit
-VALUES = hasattr(BATCH, "load_benchmark")
-"""Whether benchmarks are values here; commits before 0.3's last have protocols and a default of r2h-v1."""
 LEAST_S = 0.1
 """A figure of a round takes at least so much process time: calls are repeated."""
 
@@ -110,17 +108,13 @@ def judge_of(sim: str) -> Any:
     from r2h_batch.config import ExecConfig
 
     config = EvalConfig(execute=ExecConfig(sim="none")) if sim == "none" else None
-    return BATCH.Evaluator(BATCH.load_benchmark("r2h-v1"), config) if VALUES else BATCH.Evaluator(config)
+    return BATCH.Evaluator(BATCH.load_benchmark("r2h-v2"), config)
 
 
 @cache
-def first_trials(protocol: str) -> Any:
-    """The trials of bench/mix.npz, or those of another protocol with their numbers."""
-    if VALUES:
-        benchmark = BATCH.load_benchmark(protocol)
-        trials = benchmark.trials(512).named(benchmark.objects)  # one evaluator judges those of both
-    else:
-        trials = BATCH.make_trials(("S0", "S1"), 512, protocol=protocol)
+def first_trials() -> Any:
+    """The trials of bench/mix.npz, in the order of their numbers."""
+    trials = BATCH.load_benchmark("r2h-v2").trials(512)
     return trials[trials.trial_id.argsort()]
 
 
@@ -135,8 +129,7 @@ def work(figure: str) -> Callable[[], object]:
         rows = torch.arange(n) % len(mix["trial_id"])
         T_obj_ee, T_world_ee = (torch.from_numpy(mix[k])[rows] for k in ("T_obj_ee", "T_world_ee"))
     stage = figure.partition(".")[0]
-    people = "r2h-v1" if stage in ("person", "reception", "closed_loop") else "r2h-v0"
-    trials = first_trials(people)[rows]
+    trials = first_trials()[rows]
     if figure in ("plan", "collision"):
         made = plan if figure == "plan" else collision
         return made(evaluator, T_obj_ee, T_world_ee, trials)
@@ -148,7 +141,7 @@ def work(figure: str) -> Callable[[], object]:
         return lambda: solve_ik(T_world_ee)
     if stage == "trial":
         return lambda: evaluator.score(T_obj_ee, T_world_ee, trials)
-    if stage in ("pose", "person"):
+    if stage == "pose":
         return lambda: evaluator.score(T_obj_ee, T_world_ee, trials, stages="pose")
 
     def gradient() -> None:
@@ -175,8 +168,8 @@ def measured(figure: str, calls: dict[str, Any]) -> float:
         return of_a_process([str(HERE), "--once", "pose.1"])
     if figure == "sweep":
         with tempfile.TemporaryDirectory() as out:
-            words = ["-m", "r2h_batch.sweep", *(("--benchmark", "r2h-v1") if VALUES else ())]
-            words += ["--method", "random", "--trials", str(n // 2), "--sim", "none"]
+            words = ["-m", "r2h_batch.sweep", "--benchmark", "r2h-v2", "--method", "random"]
+            words += ["--trials", str(n // 2), "--sim", "none"]
             return of_a_process([*words, "--out", f"{out}/run"]) / n
     if figure not in calls:
         call = work(figure)
@@ -299,6 +292,10 @@ def main() -> None:
             folder = Path(made)
             files = subprocess.run(["git", "-C", str(ROOT), "archive", options.base], capture_output=True, check=True)
             subprocess.run(["tar", "-x", "-C", made], input=files.stdout, check=True)
+        if not (folder / "r2h_batch" / "protocols").is_dir():
+            sys.exit(
+                f"watch: {options.base} has no load_benchmark; take a later commit, or run that commit's own bench/watch.py"
+            )
         sides = [Side(folder.resolve()), Side(ROOT)]
         try:
             times = by_turns(sides, options.figures, begin + 60 * options.minutes)

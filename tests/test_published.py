@@ -65,9 +65,10 @@ def test_everything_was_made_from_one_clean_commit_with_the_verdicts_of_today(ta
     headers = [load_run(ROOT / p.rows).header for p in tables.PUBLISHED]
     default = [h for h in headers if h["protocol"] == DEFAULT_PROTOCOL]  # swept when it was frozen
     others = [h for h in headers if h["protocol"] != DEFAULT_PROTOCOL]
-    sensitivity = json.loads((RESULTS / "sensitivity.json").read_text())
-    assert {h["git_commit"] for h in others} == {made["commit"], sensitivity["commit"]} == {made["commit"]}
-    assert {h["digests"]["code"] for h in others} == {sensitivity["code"]}
+    choices, sensitivity = (json.loads((RESULTS / f"{n}.json").read_text()) for n in ("table1-v1-choices", "sensitivity"))
+    assert {h["git_commit"] for h in others} == {made["commit"], choices["commit"]} == {made["commit"]}
+    assert {h["digests"]["code"] for h in others} == {choices["code"]}
+    assert {h["digests"]["benchmark"] for h in default} == {sensitivity["benchmark"]["digest"]}
     for key in (lambda h: h["git_commit"], lambda h: h["digests"]["code"], lambda h: h["digests"]["benchmark"]):
         assert len({key(h) for h in default}) == 1 < len(default)
     assert all(re.fullmatch("[0-9a-f]{40}", h["git_commit"]) for h in headers)

@@ -29,13 +29,16 @@ def test_a_variants_flags_and_options_are_a_sweeps():
 
     found = {}
     for v in sensitivity.variants():
-        request = requested(parse(["--benchmark", "r2h-v1", "--method", *v.methods, *(v.flags or sensitivity.BASE)]))
+        request = requested(parse(["--method", *v.methods, *v.flags]))
         jobs.resolve(request.methods, request.loop)
         assert request.methods.names == tuple(v.methods), v.name
         found[v.name] = (request.methods, request.trials, request.configuration)
     # each says something that no other says
     same = [(a, b) for a in found for b in found if a < b and found[a] == found[b]]
     assert same == [] and len(found) == len(sensitivity.variants()) > 20
+    of_v1 = sensitivity.variants(sensitivity.V1)
+    assert {*sensitivity.V1_CHOICES} <= {v.name for v in of_v1}
+    assert all(v.flags[:2] == sensitivity.V1 for v in each(of_v1) if v.flags and not v.name.startswith("protocol"))
 
 
 def test_readmes_table_is_exchanged_and_says_who_is_better_from_both_sides():
