@@ -65,7 +65,9 @@ def test_everything_was_made_from_one_clean_commit_with_the_verdicts_of_today(ta
     headers = [load_run(ROOT / p.rows).header for p in tables.PUBLISHED]
     default = [h for h in headers if h["protocol"] == DEFAULT_PROTOCOL]  # swept when it was frozen
     others = [h for h in headers if h["protocol"] != DEFAULT_PROTOCOL]
-    choices, sensitivity = (json.loads((RESULTS / f"{n}.json").read_text()) for n in ("table1-v1-choices", "sensitivity"))
+    choices, sensitivity = (
+        json.loads((RESULTS / f"{n}.json").read_text()) for n in ("table1-v1-choices", "sensitivity")
+    )
     assert {h["git_commit"] for h in others} == {made["commit"], choices["commit"]} == {made["commit"]}
     assert {h["digests"]["code"] for h in others} == {choices["code"]}
     assert {h["digests"]["benchmark"] for h in default} == {sensitivity["benchmark"]["digest"]}
