@@ -226,7 +226,7 @@ def _mean(values: Iterable[float]) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=60, help="of each split")
+    parser.add_argument("--trials", type=int, default=50, help="of each split")
     parser.add_argument("--growth", type=int, metavar="N", help="memory over N episodes, and nothing else")
     grown = parser.parse_known_args()[0].growth
     if grown:
