@@ -21,11 +21,16 @@ def kept_rows(name: str, words: Sequence[str], *flags: object) -> Path:
     """
     os.chdir(ROOT)
     run, rows = swept(Path("runs") / name, "--method", *words, *flags), Path("bench/options") / name
+    keep(run, rows)
+    return rows
+
+
+def keep(run: Path, rows: Path) -> None:
+    """Copies the files of a run that are read again; poses, paths and details stay behind."""
     shutil.rmtree(rows, ignore_errors=True)
     rows.mkdir(parents=True)
     for part in KEPT:
         (shutil.copytree if (run / part).is_dir() else shutil.copy)(run / part, rows / part)
-    return rows
 
 
 def rate_of(row: Mapping[str, Any]) -> str:

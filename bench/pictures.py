@@ -25,7 +25,7 @@ def browser() -> str:
 
 
 def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
-    """Draws all of them into `out`, from rows of r2h-v1 and of r2h-release; file -> sha256."""
+    """Draws all of them into `out`, from rows of the default benchmark and of r2h-release; file -> sha256."""
     from r2h_batch.__main__ import main
 
     def command(*words: object) -> None:
@@ -37,8 +37,6 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         command("report", run, "--format", "html", "--out", folder / "page.html")
         screenshot(folder / "page.html", out / "report.png", 1280, 1262)
         gallery = (
-            "--benchmark",
-            "r2h-v1",
             "--method",
             "fc",
             "handover-va",
@@ -58,8 +56,6 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         for name in ("protocol", "failures"):
             shutil.copy(folder / "figures" / f"{name}.png", out / f"figure_{name}.png")
         words = (
-            "--benchmark",
-            "r2h-v1",
             "--method",
             "handover-va",
             "fc",
@@ -196,8 +192,8 @@ def grasps(png: Path) -> None:
     from r2h_batch.methods.predictors import PredictorNoise, predict_receiving, retrieve_receiving
     from r2h_batch.verdicts import Outcome
 
-    evaluator = Evaluator(load_benchmark("r2h-v1")).kinematic
-    scene, trials = evaluator.scene, load_benchmark("r2h-v1").trials_with_ids(torch.tensor(HELD))
+    evaluator = Evaluator(load_benchmark()).kinematic
+    scene, trials = evaluator.scene, load_benchmark().trials_with_ids(torch.tensor(HELD))
     exact = PredictorNoise().scaled(0)
     figure = Figure(figsize=(1.7 * len(trials), 1.95 * len(HOLDING)), layout="constrained")
     axes = figure.subplots(len(HOLDING), len(trials), squeeze=False)

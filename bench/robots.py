@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import torch
 from _report import ROOT, made_by, markdown_table, page_from, swept
-from _rows import rate_of
+from _rows import keep, rate_of
 from _twins import Batch, dense, ompl_solve, oracle, recheck, solve
 from ik import pseudo_inverse
 from plan import free_rows
@@ -132,6 +132,7 @@ def table(robot: str, trials: int, folder: Path) -> dict[str, dict[str, Any]]:
         "none",
         "--quiet",
     )
+    keep(folder, ROOT / "bench" / "options" / "robots" / robot)
     rows = table_of(load_run(folder)).rows
     return {row.method.partition(" (")[0]: record(row) for row in rows if row.split == "Avg"}
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from _report import ROOT, made_by, markdown_table, page_from, swept
-from _rows import rate_of
+from _rows import keep, rate_of
 
 METHODS = ("fc", "handover-va", "contact", "intent", "oracle", "random")
 PAGE = ROOT / "docs" / "results" / "robustness.md"
@@ -29,6 +29,8 @@ MEASURES = (
     "r2h_batch/methods",
     "r2h_batch/report/robustness.py",
 )
+ROWS = "bench/options/robustness"
+"""Its rows, a folder a level."""
 WEIGHTS = (1, 2, 3)
 TURNED_DEG = 10.0
 """An object that turns farther than this in the closed gripper has turned [choice]."""
@@ -43,8 +45,9 @@ your method run `r2h-batch sweep --method mine.py:predict --set robustness=true 
 
 ## Success rates
 
-Percent of all trials, mean of the splits, with 95 % intervals for the mean of all categories of objects. Area: mean SR over
-the errors from 0 to 20 mm, with its 95 % t interval over categories.
+Percent of all trials, mean of the splits, with 95 % intervals for the mean of all categories of objects. (Bars of the picture
+are for more trials with these objects.) Area: mean SR over the errors from 0 to 20 mm, with its 95 % t interval over
+categories.
 
 {rates}
 
@@ -154,6 +157,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             if row.split == "Avg":
                 rates.setdefault(row.method.partition(" (")[0], []).append(rate_of(record(row)))
     figure(found).savefig(PAGE.with_suffix(".png"), dpi=110)
+    for level in LEVELS:
+        keep(out / level, ROOT / ROWS / level)
     evaluator = Evaluator(load_benchmark())
     weight, simulated = {}, {}
     for curve in found.curves:

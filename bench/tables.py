@@ -14,6 +14,7 @@ The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. 
     docs/results/findings.md, README.md    what follows from the tables
     docs/results/{moving,reception,ranks,families}.md      from the JSON of their benches, which run by themselves
     docs/*.png, docs/pictures/*.png               pictures of runs
+    docs/results/sources.md                       which rows, or which command, are behind each figure
     docs/results/made_from.json                   commit, golden's digest, digests of the pictures
 
 tests/test_published.py holds all of this to the present code.
@@ -40,6 +41,7 @@ import pictures
 import ranks
 import reception
 import sensitivity
+import sources
 from _report import ROOT, markdown_table, swept
 
 RESULTS = Path("docs/results")
@@ -331,6 +333,7 @@ def render_all() -> dict[Path, str]:
     measured = ranks.read("families")
     files[RESULTS / "families.md"] = families.markdown(measured)
     files[Path("README.md")] = families.readme((ROOT / "README.md").read_text(), measured)
+    files[Path(sources.HERE)] = sources.page(PUBLISHED)
     return files
 
 
@@ -353,8 +356,8 @@ def install(place: Path, commit: str) -> None:
 
 def draw(made: dict[str, object]) -> None:
     """Every picture from the stored rows; their digests go into made_from.json."""
-    rows = {p.name: p.rows for p in TABLES}
-    drawn = pictures.draw(rows["table1-v1"], rows["table1-release"], Path("docs"))
+    rows = {p.name: p.rows for p in PUBLISHED}
+    drawn = pictures.draw(rows["r2h-v2"], rows["table1-release"], Path("docs"))
     made = made | {"pictures": drawn}
     (ROOT / RESULTS / "made_from.json").write_text(json.dumps(made, indent=1) + "\n")
 

@@ -56,7 +56,7 @@ SHARES: Registry[Share] = Registry(
         "presented": Share("Presented", "Presented (not in SR).", ("presented",), _presented),
         "body_met": Share(
             "Body met",
-            "Motions that meet the receiver's arm or torso (in Safe with --receiver body only).",
+            "Motions that meet the receiver's arm or torso (part of Safe with --receiver body, as in r2h-v2).",
             ("body_m",),
             _body_met,
         ),

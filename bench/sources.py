@@ -1,0 +1,96 @@
+"""What is behind each published figure, its rows or the command that makes them: docs/results/sources.md.
+
+`python bench/tables.py --render` writes it. Pages, commits and seconds are looked up; only where rows are, and what a command is
+called where `make bench` does not say it, stands here.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from _report import ROOT, markdown_table
+
+HERE = "docs/results/sources.md"
+ROWS = {
+    "closed_loop": "`won` of the JSON: each trial",
+    "coverage": "counts of the JSON",
+    "gates": "`bench/options/gates`",
+    "networks": "`bench/options/networks`",
+    "robots": "`bench/options/robots`",
+    "robustness": "`bench/options/robustness`",
+}
+"""JSON -> where its rows are; the others are made by the command alone."""
+COMMANDS = {
+    "closed_loop_growth": "bench/closed_loop.py --growth 2000",
+    "families": "bench/families.py --rows FOLDER --scans FOLDER",
+    "long": "bench/soak.py long",
+    "release": "bench/release.py --release CHECKOUT",
+    "vendors": "bench/vendors.py --files FOLDER",
+}
+"""JSON -> its command, if it is not bench/NAME.py."""
+
+PAGE = """# What is behind each figure
+
+Find the rows of a published figure, or the command that makes it. A folder of rows is a run: `r2h-batch report FOLDER` prints
+its table, and `r2h-batch results reevaluate FOLDER` judges its rows again if it holds poses. Rows of the default benchmark are
+part of the package.
+
+## Tables
+
+Each table has its command in its JSON (`docs/results/NAME.json`, `provenance`).
+
+{tables}
+
+## Benches
+
+`python COMMAND` makes the JSON `bench/results/NAME.json`, and the pages show its figures. The last two columns say how long it
+took and on which commit. Where no rows are named the command makes them. A command of more than 120 s without rows is a gap: its
+rows are not stored.
+{benches}
+
+`docs/results/sensitivity.json` and `table1-v1-choices.json` have the command of each variant. One takes at most two minutes.
+"""
+
+
+def folders(published: Any) -> list[list[object]]:
+    """A line for each stored table: name, folder of its rows, rows, commit, pages that name it."""
+    from r2h_batch.runs.store import load_run
+
+    lines: list[list[object]] = []
+    for p in published:
+        run = load_run(ROOT / p.rows, verify=False)
+        n = sum(len(run.trials(m, ["trial_id"])) for m in run.methods)
+        flags = " ".join(p.flags)
+        lines.append([p.name, f"`{p.rows.as_posix()}`", f"`{flags}`", f"{n:,}", run.header["git_commit"][:12]])
+    return lines
+
+
+def shown(name: str, pages: list[Path]) -> str:
+    """A bench's pages, as links from the page of sources."""
+    found = []
+    for page in pages:
+        path = page.relative_to(ROOT)
+        to = path.name if path.parent.name == "results" else f"../{path.relative_to('docs').as_posix()}"
+        found.append(f"[{path.stem}]({to})")
+    return ", ".join(found)
+
+
+def page(published: Any) -> str:
+    """docs/results/sources.md."""
+    import figures
+
+    measured = figures.stored()
+    texts = {p: p.read_text("utf-8") for p in figures.pages() if p != ROOT / HERE and p.is_relative_to(ROOT / "docs")}
+    of_bench: dict[str, list[Path]] = {name: [] for name in measured}
+    for path, text in texts.items():
+        for name in figures.cited(text, measured):
+            of_bench.setdefault(name, []).append(path)
+    benches = []
+    for name, own in sorted(of_bench.items()):
+        made = json.loads((ROOT / "bench" / "results" / f"{name}.json").read_text())
+        command = f"`{COMMANDS.get(name, f'bench/{name}.py')}`"
+        benches.append([name, shown(name, own), command, ROWS.get(name, ""), made["seconds"], made["commit"][:12]])
+    return PAGE.format(
+        tables=markdown_table(["table", "rows", "flags", "number", "commit"], folders(published)),
+        benches=markdown_table(["JSON", "pages", "command", "rows", "s", "commit"], benches),
+    )
