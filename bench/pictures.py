@@ -50,6 +50,7 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         command("report", run, *gallery)
         only = "<style>body > :not(section), section:not(:has(.gallery)) { display: none !important }</style></body>"
         page = (folder / "gallery.html").read_text(encoding="utf-8").replace("</body>", only)
+        page = page.replace("<details", "<details open")
         (folder / "gallery.html").write_text(page, encoding="utf-8")
         screenshot(folder / "gallery.html", out / "gallery.png", 940, 790)
         command("figures", run, "--method", "fc", "random", "handover-va", "--out", folder / "figures")

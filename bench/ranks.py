@@ -34,13 +34,14 @@ def read(name: str) -> Any:
 
 
 def columns() -> dict[str, dict[str, float]]:
-    """Column -> method -> percent; SR first."""
+    """Column -> method -> percent; SR first. Reception counts where it is of the same benchmark."""
     robust, moving = read("robustness"), read("closed_loop")
     curves = {c["method"].partition(" (")[0]: [x["percent"] for x in c["sr"]] for c in robust["curves"]}
     found = {"SR": {m: x[0] for m, x in curves.items()}}
     found |= {level: {m: x[k] for m, x in curves.items()} for k, level in LEVELS.items()}
-    head, _, *rows = lines_of(read("reception")["tables"], "Received, by step")
-    for name in ("of all", "and success"):
+    received = read("reception")
+    head, _, *rows = lines_of(received["tables"], "Received, by step")
+    for name in ("of all", "and success") if received.get("benchmark") == robust["benchmark"] else ():
         found[f"received {name}".replace("of all", "").strip()] = {
             r[0]: float(r[head.index(name)]) for r in rows if r[0] in curves
         }
