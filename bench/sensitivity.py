@@ -27,7 +27,7 @@ V1_CHOICES = (
 """Variants that docs/results/table1-v1.md and families.md name."""
 STORED = ROOT / "docs" / "results" / "sensitivity.json"
 TRIALS = 60
-"""Of each split."""
+"""Trials of each split."""
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
-"""What is behind each published figure, its rows or the command that makes them: docs/results/sources.md.
+"""The list of rows, or commands that make them, behind each published figure: docs/results/sources.md.
 
 `python bench/tables.py --render` writes it. Pages, commits and seconds are looked up; only where rows are, and what a command is
 called where `make bench` does not say it, stands here.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +42,9 @@ Each table has its command in its JSON (`docs/results/NAME.json`, `provenance`).
 
 ## Benches
 
-`python COMMAND` makes the JSON `bench/results/NAME.json`, and the pages show its figures. The last two columns say how long it
-took and on which commit. Where no rows are named the command makes them. A command of more than 120 s without rows is a gap: its
-rows are not stored.
+`python COMMAND` makes a JSON of `bench/results`, and the pages show its figures. `make stale` lists how long each took and on
+which commit. Where no rows are named the command makes them. A command of more than 120 s without rows is a gap: its rows are
+not stored.
 {benches}
 
 `docs/results/sensitivity.json` and `table1-v1-choices.json` have the command of each variant. One takes at most two minutes.
@@ -53,7 +52,7 @@ rows are not stored.
 
 
 def folders(published: Any) -> list[list[object]]:
-    """A line for each stored table: name, folder of its rows, rows, commit, pages that name it."""
+    """A line for each stored table: name, folder of its rows, rows, commit."""
     from r2h_batch.runs.store import load_run
 
     lines: list[list[object]] = []
@@ -87,10 +86,9 @@ def page(published: Any) -> str:
             of_bench.setdefault(name, []).append(path)
     benches = []
     for name, own in sorted(of_bench.items()):
-        made = json.loads((ROOT / "bench" / "results" / f"{name}.json").read_text())
         command = f"`{COMMANDS.get(name, f'bench/{name}.py')}`"
-        benches.append([name, shown(name, own), command, ROWS.get(name, ""), made["seconds"], made["commit"][:12]])
+        benches.append([name, shown(name, own), command, ROWS.get(name, "")])
     return PAGE.format(
-        tables=markdown_table(["table", "rows", "flags", "number", "commit"], folders(published)),
-        benches=markdown_table(["JSON", "pages", "command", "rows", "s", "commit"], benches),
+        tables=markdown_table(["table", "rows", "flags", "number", "commit"], folders(published), left=True),
+        benches=markdown_table(["JSON", "pages", "command", "rows"], benches, left=True),
     )
