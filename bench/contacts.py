@@ -102,7 +102,7 @@ def gripped_rows(run: Any, judge: Any) -> tuple[dict[str, Any], Any]:
         scores = evaluator.score(*poses, asked, stages="pose")
         found[name] = gripped_of(scores, ids)
         if name == "oracle":
-            received = handed_of(reception(scores), ids, asked.object_index.cpu().numpy(), evaluator.scene)
+            received = handed_of(reception(scores), ids, asked, evaluator.scene)
     return found, received
 
 

@@ -50,8 +50,8 @@ rows of the first {trials} trials of each split of {benchmark}, and the upper bo
 
 Percent of the `n` trials with a held object and a goal posture. A step's column counts trials in which some grasp
 passes this step and all steps before it. `received`: the whole way to one of the 8 easiest of these grasps is free too.
-`of all` and `and success` are percent of all trials: received, and received with success. Their brackets are 95 % intervals for
-the mean of all categories of objects.
+`of all` and `and success` are percent of all trials: received, and received with success. Brackets: the 95 % interval for the mean
+of all categories of objects.
 
 {steps}
 
@@ -272,15 +272,15 @@ def markdown(data: dict[str, Any]) -> str:
     )
     for row in steps + known + easiest:
         row[0] = row[0].replace("oracle,fo..ption", BOUND)
-    percent = {name.partition(" (")[0]: own for name, own in data["rates"].items()}
-    steps = [steps[0], *([*row[:-2], *percent[row[0]]] for row in steps[2:])]
+    percent = {name.partition(" (")[0]: own for name, own in data.get("rates", {}).items()}  # none before r2h-v2
+    steps = [steps[0], *([*row[:-2], *percent.get(row[0], row[-2:])] for row in steps[2:])]
     picked = [known[0].index(k) for k in ("K=8", "K=64", "60 deg")]
     head = ["Method", "K=8", "K=64", "turn <= 60", *easiest[0][1:]]
     both = [[a[0], *(a[i] for i in picked), *b[1:]] for a, b in zip(known[2:], easiest[2:], strict=True)]
     text = HEAD.format(
         commit=str(data["commit"])[:12],
         trials=data["trials"],
-        benchmark=data["benchmark"],
+        benchmark=data.get("benchmark", "r2h-v1"),
         caption=data["caption"],
         known=KNOWN,
         steps=markdown_table(steps[0], steps[1:]),

@@ -182,7 +182,7 @@ def rows_of(run: Any, judge: Any, name: str, trials: int) -> tuple[Any, dict[int
         won = {r["trial_id"]: r["outcome"] == "success" for r in table}
         won = {i: won[i] for i in ids.tolist()}
     found = reception(scores)
-    return handed_of(found, ids, asked.object_index.cpu().numpy(), evaluator.scene), won, len(ids)
+    return handed_of(found, ids, asked, evaluator.scene), won, len(ids)
 
 
 def stored_poses(run: Any, name: str, ids: Any) -> dict[str, Any]:

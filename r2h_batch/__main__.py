@@ -45,6 +45,10 @@ COMMANDS = {
         "protocols.command:COMMANDS",
         "Show what a benchmark file may say, or check one.",
     ),
+    "train": (
+        "learning.command:COMMANDS",
+        "Train a method on new instances with the evaluator's labels.",
+    ),
     "view": (
         "view.command:view",
         "Look at trials in three dimensions, or write one as a page, a film or strips.",

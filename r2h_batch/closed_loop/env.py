@@ -807,8 +807,7 @@ class HandoverEnv(VectorEnv):
         some = rows[received]
         if self._transfers is not None:
             ids = self._drawn.trial_id[rows].cpu().numpy()
-            index = self.trials.object_index[rows].cpu().numpy()
-            handed = handed_of(reception_scores, ids, index, self.scene)
+            handed = handed_of(reception_scores, ids, self.trials[rows], self.scene)
             self._offered |= {row: handed[j : j + 1] for j, row in enumerate(some.tolist())}
         self._take(some, Taken(before, there, vertices, joints))
 

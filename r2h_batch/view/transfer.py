@@ -101,7 +101,7 @@ def write_transfer_film(
     found, scene = reception(scores), judge.evaluator.scene
     inputs = scores.inputs
     assert inputs is not None
-    handed = handed_of(found, trial_id, inputs.trials.object_index.cpu().numpy(), scene)
+    handed = handed_of(found, trial_id, inputs.trials, scene)
     if not len(handed):
         raise RunError(
             f"trial {trial} of {name!r}: nobody receives the object, so there is no transfer"

@@ -85,6 +85,19 @@ def test_an_entry_of_another_key_or_with_other_arrays_is_made_again(folder):
     assert dict(np.load(file))[SEAL] == good[SEAL]
 
 
+def test_an_entry_with_infinite_numbers_is_read_and_not_made_again(folder):
+    """Held-out grasps that friction cannot carry have infinite grips; on disk they were sampled anew by each process."""
+    made = []
+
+    def make():
+        made.append(1)
+        return {"x": np.array([1.0, np.inf]), "n": np.array(["a"])}
+
+    form = {"x": ArraySpec("float64", ("n",)), "n": ArraySpec("text", (1,))}
+    for _ in range(2):
+        assert cached("things", KEY, make, form)["x"].tolist() == [1.0, np.inf] and len(made) == 1
+
+
 @pytest.mark.parametrize("there", ["pipe", "link", "folder"])
 def test_what_stands_in_the_locks_place_is_neither_followed_nor_waited_for(folder, tmp_path, there):
     lock, precious = folder / "things" / f"{KEY}.lock", tmp_path / "precious"

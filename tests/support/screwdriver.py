@@ -33,5 +33,5 @@ def screwdrivers(n: int = 3, below_m: float = 0.06, index: int = 0) -> Handed:
     return Handed(
         np.arange(n, dtype=np.int64), np.full(n, index, np.int64), rows(T), np.full(n, gap), rows(down), rows(slip),
         rows([0.6, 0.6, 0.6, 0.01, 0.01, 0.01]), np.full(n, 20.0), rows([-0.2, 0.0, 0.98]), rows(slip[:3, 3]),
-        rows([0.0, 0.0, 1.0]), np.full(n, float(model.mass) * 9.81), rows(R_world), np.zeros(n),
+        rows([0.0, 0.0, 1.0]), np.full(n, float(model.mass) * 9.81), rows(R_world), np.zeros(n), np.full(n, np.nan),
     )  # fmt: skip

@@ -110,9 +110,9 @@ class BatchedSimulator:
     ) -> tuple[Transferred, Doubtful]:
         """The first n rows of one case."""
         handed = standing.handed
-        persons = persons_of(handed, case)
-        worlds = WarpWorlds(batch, standing, torch.from_numpy(persons.arm_n_m))
         setting, seed = self.exact.setting, self.exact.seed
+        persons = persons_of(handed, case, setting)
+        worlds = WarpWorlds(batch, standing, torch.from_numpy(persons.arm_n_m))
         made = transferred(
             worlds, standing.com_closed, handed, case, persons, setting, seed
         ).transfers

@@ -90,15 +90,15 @@ class Simulator:
             return self.holding(gripped)
 
     def _one(self, handed: Handed, closed: list[Any], case: Case) -> Transferred:
-        persons = persons_of(handed, case)
+        persons = persons_of(handed, case, self.setting)
         worlds = self.worlds(closed, persons.arm_n_m, self.robot, self.setting)
         com_closed = torch.from_numpy(np.array([c.com_closed for c in closed]))
         return transferred(worlds, com_closed, handed, case, persons, self.setting, self.seed)
 
 
-def persons_of(handed: Handed, case: Case) -> Persons:
+def persons_of(handed: Handed, case: Case, setting: Setting) -> Persons:
     """The persons who take the objects of N handovers."""
-    return draw_persons(SCENARIOS[case.scenario], handed.trial_id, case.person)
+    return draw_persons(SCENARIOS[case.scenario], handed, case.person, setting)
 
 
 def transferred(

@@ -19,7 +19,8 @@ from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.holding.capacity import usual_grips
 from r2h_batch.trials.holding.held_out import G, load_held_out
-from r2h_batch.types import CRITERIA, ScoreInputs, Scores
+from r2h_batch.types import CRITERIA, ScoreInputs, Scores, Trials
+from r2h_batch.verdicts import PERSON
 
 Array = NDArray[np.float64]
 
@@ -64,6 +65,7 @@ class Handed(Gripped):
         weight_n: (N,) weight of the object, N.
         R_world_gripper: (N, 3, 3) orientation of the gripper.
         closing_m: (N,) how far the closing gripper has moved the object to where it is.
+        age: (N,) of the receivers, years; NaN: the benchmark does not say.
     """
 
     T_gripper_slip: Float64[Array, "n 4 4"]
@@ -75,6 +77,7 @@ class Handed(Gripped):
     weight_n: Float64[Array, " n"]
     R_world_gripper: Float64[Array, "n 3 3"]
     closing_m: Float64[Array, " n"]
+    age: Float64[Array, " n"]
 
 
 def gripped_of(scores: Scores, trial_id: NDArray[np.int64]) -> Gripped:
@@ -110,14 +113,14 @@ def gripped_of(scores: Scores, trial_id: NDArray[np.int64]) -> Gripped:
 
 
 def handed_of(
-    found: Reception, trial_id: NDArray[np.int64], object_index: NDArray[np.int64], scene: Scene
+    found: Reception, trial_id: NDArray[np.int64], trials: Trials, scene: Scene
 ) -> Handed:
     """The rows of a reception in which the object is received.
 
     Args:
         found: B rows.
         trial_id: (B,) numbers of the trials.
-        object_index: (B,) their objects, rows of `scene.objects`.
+        trials: these B trials.
         scene: the robot, objects and hands of the reception.
     """
     rows = torch.nonzero(found.received.cpu())[:, 0]
@@ -125,7 +128,11 @@ def handed_of(
         k: getattr(found, k).cpu()[rows].double().numpy()
         for k in ("T_world_hand", "T_obj_ee", "T_world_obj", "opening_m", "pull", "closing_m")
     }
+    object_index = trials.object_index.cpu().numpy()
     index = object_index[rows.numpy()].astype(np.int64)
+    age = np.full(len(rows), np.nan)
+    if trials.person is not None:
+        age = trials.person[:, PERSON.index("age_years")].cpu()[rows].double().numpy()
     held_out = load_held_out(scene.objects, scene.hands.model, np.unique(object_index))
     grasp = held_out.first[torch.from_numpy(index)] + found.grasp.cpu()[rows].long()
     T_world_obj = numpy["T_world_obj"]
@@ -157,6 +164,7 @@ def handed_of(
         mass * G,
         T_world_gripper[:, :3, :3],
         numpy["closing_m"],
+        age,
     )
 
 

@@ -69,7 +69,7 @@ class LoopTransfers:
             seed: which person of the trial, with the sensor's noise that `results transfer` gives that person.
         """
         scenario = SCENARIOS["take"]
-        persons = draw_persons(scenario, handed.trial_id, seed)
+        persons = draw_persons(scenario, handed, seed, self.models.setting)
         with warnings_unwritten():
             closed = self.models.close(handed)
         worlds = MujocoWorlds([closed], persons.arm_n_m, self.scene.robot, self.models.setting)

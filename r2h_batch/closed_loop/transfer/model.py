@@ -69,6 +69,8 @@ class Setting:
         torsion_m: radius of the pads' patches that withstand turning about the normal.
         skin_friction: of the hand, relative to 0.6, which the capacities were made with.
         mass: factor of the object's mass, which robot and person know.
+        load_time: factor of the time in which persons grip and take the weight.
+        grip, arm_n_m, pull_n, pause_s: factors of what persons are drawn with (`person.Persons`).
     """
 
     steps: int = STEPS
@@ -76,6 +78,11 @@ class Setting:
     torsion_m: float = TORSION_M
     skin_friction: float = 1.0
     mass: float = 1.0
+    load_time: float = 1.0
+    grip: float = 1.0
+    arm_n_m: float = 1.0
+    pull_n: float = 1.0
+    pause_s: float = 1.0
 
 
 def transfer_spec(robot: Robot, model: ObjectModel, setting: Setting) -> mujoco.MjSpec:

@@ -15,7 +15,6 @@ from r2h_batch.closed_loop.transfer.model import TICK_S
 from r2h_batch.closed_loop.transfer.person import (
     BEGIN_S,
     FINGER_S,
-    GRIP_S,
     KEEP_S,
     LOST_DEG,
     LOST_M,
@@ -136,7 +135,7 @@ class Book:
         free = run & touched & (self.apart >= FREE_TICKS) & ~self.released
         self.released = self.released | free
         self.released_s[free] = t - (FREE_TICKS - 1) * TICK_S
-        gripped = hands.scenario.grips and t >= BEGIN_S + GRIP_S
+        gripped = hands.scenario.grips & (t >= BEGIN_S + hands.load_s)
         gone = run & gripped & ((slip > LOST_M) | (turn_cos < _COS_LOST)) & ~self.lost
         self.lost = self.lost | gone
         self.lost_s[gone] = t

@@ -4,7 +4,7 @@ A hand grips, takes the weight, pulls, waits, grips firmer and pulls again, and 
 input of the simulation, chosen from the sources of docs/transfer.md, and no finding.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import TypeAlias
 
@@ -22,8 +22,14 @@ from r2h_batch.trials.holding.capacity import AXES_SHARE, GRIP_BASE_N, GRIP_PER_
 
 BEGIN_S = 0.15
 """Before that nobody touches the object, and policies tare."""
-GRIP_S, LOADS_FROM, LOAD_S = 0.3, 0.5, 0.3
-"""The grip grows for so long. From this share of it on the arm takes the weight, for so long."""
+PRELOAD_S, LOAD_S, LOAD_S_PER_N = 0.15, 0.3, 0.046
+"""The grip grows first alone, for `PRELOAD_S`; then the arm takes the weight while the grip grows on (people's rise side by
+side: Johansson and Westling 1990). Either lasts `LOAD_S`, and longer for each newton of weight: with the sample of
+Handovers@RPL, 0.8 kg taken from 10 to 90 % in 0.53 s [choice]."""
+OLDER_FROM, OLDER_BY, OLDER_GRIP, OLDER_PAUSE_S = 50.0, 76.5, 2.0, 0.1
+"""The grip grows firmer from this age, years, to so many times as firm at that age, and no further (Cole, Rotella and Harper
+1999; twice, at 68 to 85 years: Cole and Beck 1994). The pause grows by so much (adjustments come 100 ms later: Cole, Rotella
+and Harper 1999; to count them as a pause is a choice)."""
 PULL_M_S, EARLY_PULL_M_S = 0.15, 0.3
 PATIENCE_S, REST_S, BACK_FASTER, FIRMER, PULLS = 0.5, 0.4, 3.0, 1.25, 2
 """At the largest pull the person waits, then rests and lets the pull back, so many times as fast. Then the person grips
@@ -54,7 +60,8 @@ class Scenario:
         grip: factor of the usual grip and of its growth with the load.
         arm_n_m: stiffness of the arm, N/m (Mussa-Ivaldi et al. 1985: 100 to 400 at the hand).
         pull_n: largest pull, N.
-        pause_s: between taking the weight and the pull, s.
+        pause_s: between taking the weight and the pull, s, before an older person's is added.
+        age: years, where the benchmark does not say it.
         most_grip_n: largest sum of normal forces, N: 40 N a side, as reception allows a digit.
     """
 
@@ -65,6 +72,7 @@ class Scenario:
     arm_n_m: Range = (100.0, 600.0)
     pull_n: Range = (5.0, 25.0)
     pause_s: Range = (0.0, 0.5)
+    age: Range = (18.0, 85.0)
     most_grip_n: float = 80.0
 
 
@@ -75,7 +83,7 @@ SCENARIOS = {
     "pull-early": Scenario(early=True, pause_s=(0.0, 0.0)),
     "weak": Scenario(grip=(0.2, 0.5), pull_n=(3.0, 8.0), most_grip_n=30.0),
 }
-"""By their names in commands. weak: a child's or an old person's grip [choice]."""
+"""By their names in commands. weak: a hand without strength [choice]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,20 +94,32 @@ class Persons:
     arm_n_m: Float64[NDArray[np.float64], " n"]
     pull_n: Float64[NDArray[np.float64], " n"]
     pause_s: Float64[NDArray[np.float64], " n"]
+    age: Float64[NDArray[np.float64], " n"]
 
 
-def draw_persons(scenario: Scenario, trial_id: NDArray[np.int64], person: int) -> Persons:
+def draw_persons(scenario: Scenario, handed: Handed, person: int, setting: Setting) -> Persons:
     """The persons of trials: the same draw for every method, policy and batch.
 
     Args:
         scenario: whose ranges.
-        trial_id: (N,) numbers of the trials.
+        handed: N handovers. Ages that their benchmark says are not drawn.
         person: which person of each trial, 0, 1, ...
+        setting: has factors of the ranges.
     """
-    names = [f.name for f in fields(Persons)]
-    u = rng.uniforms(KEY, trial_id, len(names), purpose=1, attempt=person)
-    ranges = [getattr(scenario, name) for name in names]
-    return Persons(*(low + (high - low) * x for (low, high), x in zip(ranges, u, strict=True)))
+    factors = {
+        "grip": setting.grip,
+        "arm_n_m": setting.arm_n_m,
+        "pull_n": setting.pull_n,
+        "pause_s": setting.pause_s,
+        "age": 1.0,
+    }
+    u = rng.uniforms(KEY, handed.trial_id, len(factors), purpose=1, attempt=person)
+    drawn = {}
+    for (name, factor), x in zip(factors.items(), u, strict=True):
+        low, high = getattr(scenario, name)
+        drawn[name] = factor * (low + (high - low) * x)
+    drawn["age"] = np.where(np.isnan(handed.age), drawn["age"], handed.age)
+    return Persons(**drawn)
 
 
 KEY = rng.key_of("transfer: persons and sensors")
@@ -139,6 +159,8 @@ class Hands:
         does: (N,) int64 `Does`.
         grip_n: (N,) sum of the normal forces of the grip now, N.
         support: (N, 3) the part of the arm's force that carries the weight, N.
+        load_s: (N,) how long the arm takes to carry the weight, s.
+        ready_s: (N,) when grip and load have grown, from the beginning of the grip, s.
     """
 
     def __init__(
@@ -161,10 +183,13 @@ class Hands:
             return torch.from_numpy(x).to(device)
 
         self.scenario = scenario
-        self.grip, self.arm_n_m, self.pull_n, self.pause_s = (
-            here(getattr(persons, f.name)) for f in fields(Persons)
-        )
+        older = ((persons.age - OLDER_FROM) / (OLDER_BY - OLDER_FROM)).clip(0.0, 1.0)
+        self.arm_n_m, self.pull_n = here(persons.arm_n_m), here(persons.pull_n)
+        self.grip = here(persons.grip * (1.0 + (OLDER_GRIP - 1.0) * older))
+        self.pause_s = here(persons.pause_s + OLDER_PAUSE_S * older)
         self.weight = here(handed.weight_n * setting.mass)
+        self.load_s = setting.load_time * (LOAD_S + LOAD_S_PER_N * self.weight)
+        self.ready_s = PRELOAD_S + self.load_s
         self.up, self.along = here(-handed.down), here(handed.pull)
         self.usual = here(handed.total_n) * self.grip
         self.withstands = here(handed.capacity) * (AXES_SHARE * setting.skin_friction)
@@ -205,7 +230,7 @@ class Hands:
         """Goes on to the next state where it is time."""
         since_s = self.since * TICK_S
         most_m = self.pull_n / self.arm_n_m
-        ready_s = 0.0 if self.scenario.early else LOADS_FROM * GRIP_S + LOAD_S
+        ready_s = 0.0 if self.scenario.early else self.ready_s + self.pause_s
         now, again = self.does, self.pulls < PULLS
         to = now.clone()
 
@@ -213,7 +238,7 @@ class Hands:
             to[(now == int(state)) & when] = int(after)
 
         go(Does.WAITS, since_s >= BEGIN_S - 1e-9, Does.GRIPS)
-        go(Does.GRIPS, since_s >= ready_s + self.pause_s, Does.PULLS)
+        go(Does.GRIPS, since_s >= ready_s, Does.PULLS)
         go(Does.PULLS, self.pull_m >= most_m, Does.PERSISTS)
         go(Does.PERSISTS, (since_s >= PATIENCE_S) & again, Does.RESTS)
         go(Does.PERSISTS, (since_s >= PATIENCE_S) & ~again, Does.GAVE_UP)
@@ -239,14 +264,14 @@ class Hands:
         back = (self.pull_m - BACK_FASTER * step).clamp(min=0.0)
         self.pull_m = torch.where(pulls, further, torch.where(rests, back, self.pull_m))
 
-    def _ramp(self, after_s: float, over_s: float) -> Float64[Tensor, " n"]:
-        """0 to 1 while a person's grip is `after_s` to `after_s + over_s` old."""
+    def _ramp(self, after_s: float) -> Float64[Tensor, " n"]:
+        """0 to 1 while a person's grip is `after_s` to `after_s + load_s` old."""
         gripping = self.does >= int(Does.GRIPS)
-        age = torch.full_like(self.grip_n, self.tick * TICK_S - BEGIN_S - after_s)
-        return torch.where(gripping, (age / over_s).clamp(0.0, 1.0), 0.0)
+        since_s = self.tick * TICK_S - BEGIN_S - after_s
+        return torch.where(gripping, (since_s / self.load_s).clamp(0.0, 1.0), 0.0)
 
     def _target(self, lost: Bool[Tensor, " n"]) -> Float64[Tensor, "n 3"]:
-        load = torch.where(lost, 0.0, self._ramp(LOADS_FROM * GRIP_S, LOAD_S))
+        load = torch.where(lost, 0.0, self._ramp(PRELOAD_S))
         self.support = self.up * (load * self.weight)[:, None]
         return self.support / self.arm_n_m[:, None] + self.along * self.pull_m[:, None]
 
@@ -256,7 +281,7 @@ class Hands:
         self.felt = self.felt + FELT_SHARE * (force - self.felt)
         follows = (GRIP_BASE_N + GRIP_PER_WEIGHT * self.felt) * self.grip
         firm = (torch.maximum(self.usual, follows) * self.firm).clamp(max=self.scenario.most_grip_n)
-        self.grip_n = torch.where(lost, 0.0, self._ramp(0.0, GRIP_S) * firm)
+        self.grip_n = torch.where(lost, 0.0, self._ramp(0.0) * firm)
         return (self.withstands * self.grip_n[:, None]).clamp(min=LEAST_FRICTION)
 
     def _finger(self, seen: Seen) -> Float64[Tensor, "n 6"]:

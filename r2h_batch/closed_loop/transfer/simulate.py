@@ -25,8 +25,8 @@ GRIPPER_S = 0.06
 BACK = (0.2, 0.15, 0.10)
 """The robot backs off once the fingers have opened for so long (s), at this speed (m/s) and by so far (m): they stay
 hooked in headphones otherwise."""
-MOST_TICKS = 720
-"""No transfer lasts longer: 6 s."""
+MOST_TICKS = 1200
+"""No transfer lasts longer: 10 s. A soft arm that pulls a heavy object twice has given up before."""
 POLL_TICKS = 32
 """On another device than the CPU the host asks this often whether all transfers are over."""
 _UNIFORMS = 4

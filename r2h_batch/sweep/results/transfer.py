@@ -39,7 +39,7 @@ from r2h_batch.sweep.results.reevaluation import Judge
 from r2h_batch.sweep.scoring import progress
 
 _FLOAT, _YES = pa.float32(), pa.bool_()
-_PERSON = ("grip", "arm_n_m", "pull_n", "pause_s")
+_PERSON = ("grip", "arm_n_m", "pull_n", "pause_s", "age")
 SCHEMA = pa.schema(
     [
         pa.field("trial_id", pa.int64(), nullable=False),
@@ -225,8 +225,7 @@ def _rows(
         assert inputs is not None
         got = found.received.cpu().numpy()
         yield int((~got).sum()), not_received(trial_id[~got], won, cases)
-        index = inputs.trials.object_index.cpu().numpy()
-        handed = handed_of(found, trial_id, index, objects)
+        handed = handed_of(found, trial_id, inputs.trials, objects)
         for rows, made in transfer([handed], cases):
             yield len(rows), table_of(rows, made, won)
 

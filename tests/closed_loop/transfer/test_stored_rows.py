@@ -30,7 +30,7 @@ def received():
     )
     asked, evaluator = judge.trials(TRIALS), judge.evaluator
     found = reception(evaluator.kinematic.score(grasp, handover, asked, stages="pose"))
-    handed = handed_of(found, TRIALS, asked.object_index.cpu().numpy(), evaluator.scene)
+    handed = handed_of(found, TRIALS, asked, evaluator.scene)
     return handed, evaluator.scene
 
 

@@ -17,7 +17,7 @@ from r2h_batch.closed_loop.transfer import person, release
 from r2h_batch.closed_loop.transfer.cases import Case, Processes, Simulator, processes
 from r2h_batch.closed_loop.transfer.handed import Handed
 from r2h_batch.closed_loop.transfer.in_loop import LoopTransfers
-from r2h_batch.closed_loop.transfer.model import STEPS, Setting
+from r2h_batch.closed_loop.transfer.model import STEPS, TICK_S, Setting
 from r2h_batch.closed_loop.transfer.outcome import Book, undecided
 from r2h_batch.closed_loop.transfer.person import draw_persons
 from r2h_batch.closed_loop.transfer.worlds import Seen
@@ -49,7 +49,7 @@ def test_the_pull_is_the_force_along_the_pull_alone():
     """The arm's force on the hand, beyond what carries the weight, seen by a book that is told of it."""
     handed = screwdrivers(1)
     hands = person.Hands(
-        handed, person.SCENARIOS["take"], draw_persons(person.SCENARIOS["take"], handed.trial_id, 0), Setting()
+        handed, person.SCENARIOS["take"], draw_persons(person.SCENARIOS["take"], handed, 0, Setting()), Setting()
     )
     one = torch.ones(1, dtype=torch.bool)
     still = torch.zeros((1, 3), dtype=torch.float64)
@@ -70,7 +70,7 @@ def falls(slips_mm: list[float], opens_at: int | None = None) -> tuple[str, floa
     """Outcome and slip of a touch in which the object slips like this, tick by tick, and stays at the last one."""
     handed = screwdrivers(1)
     scenario = person.SCENARIOS["touch"]
-    hands = person.Hands(handed, scenario, draw_persons(scenario, handed.trial_id, 0), Setting())
+    hands = person.Hands(handed, scenario, draw_persons(scenario, handed, 0, Setting()), Setting())
     one, still = torch.ones(1, dtype=torch.bool), torch.zeros((1, 3), dtype=torch.float64)
     slip = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
     seen = Seen(still, still, still, still, torch.eye(3, dtype=torch.float64)[None], slip, still, one, one)
@@ -114,9 +114,66 @@ def test_the_person_of_a_closed_loop_depends_on_the_seed():
     for seed in (0, 1, 2):
         loop.begin(seed, handed, seed)
         found.append(loop.rows[seed].running.hands.arm_n_m.item())
-        drawn = draw_persons(person.SCENARIOS["take"], handed.trial_id, seed)
+        drawn = draw_persons(person.SCENARIOS["take"], handed, seed, Setting())
         assert found[-1] == drawn.arm_n_m[0]
     assert len(set(found)) == 3
+
+
+def hands_of(handed: Handed, setting: Setting | None = None, scenario: str = "take") -> person.Hands:
+    setting, doing = setting or Setting(), person.SCENARIOS[scenario]
+    return person.Hands(handed, doing, draw_persons(doing, handed, 0, setting), setting)
+
+
+def test_a_heavier_object_takes_the_person_longer_and_the_sample_of_handovers_takes_as_long_as_measured():
+    handed = screwdrivers(3)
+    light, sample, heavy = (replace(handed, weight_n=np.full(3, w)) for w in (0.0, 0.8 * 9.81, 15.0))
+    times = [hands_of(h).load_s for h in (light, sample, heavy)]
+    assert torch.allclose(times[0], torch.full((3,), 0.3, dtype=torch.float64))
+    assert torch.allclose(0.8 * times[1], torch.full((3,), 0.53, dtype=torch.float64), atol=2e-3)  # 10 to 90 %
+    assert (times[2] > times[1]).all()
+    assert torch.allclose(hands_of(heavy).ready_s, times[2] + person.PRELOAD_S)
+
+
+def test_grip_and_load_grow_side_by_side_for_as_long_as_the_weight_takes():
+    hands = hands_of(replace(screwdrivers(1), weight_n=np.full(1, 10.0)))
+    (over_s,) = hands.load_s.tolist()
+    assert over_s == pytest.approx(0.3 + 0.46)
+    still, no = torch.zeros((1, 3), dtype=torch.float64), torch.zeros(1, dtype=torch.bool)
+    slip = torch.tensor([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    seen = Seen(still, still, still, still, torch.eye(3, dtype=torch.float64)[None], slip, still, ~no, ~no)
+    grip, load = [], []
+    for _ in range(140):
+        hands.act(seen, no, no)
+        grip.append(hands.grip_n.item())
+        load.append(hands.support.norm().item() / 10.0)
+    for at_s in each((0.05, 0.14, 0.3, 0.6, 1.0)):
+        tick = round((person.BEGIN_S + at_s) / TICK_S)
+        since_s = tick * TICK_S - person.BEGIN_S
+        assert grip[tick] / grip[-1] == pytest.approx(min(since_s / over_s, 1.0))
+        assert load[tick] == pytest.approx(min(max(since_s - person.PRELOAD_S, 0.0) / over_s, 1.0), abs=1e-9)
+
+
+def test_older_people_grip_twice_as_firmly_and_pause_longer_and_an_age_that_is_said_is_not_drawn():
+    handed = screwdrivers(4)
+    drawn = draw_persons(person.SCENARIOS["take"], handed, 0, Setting())
+    assert ((drawn.age >= 18) & (drawn.age <= 85)).all() and len(set(drawn.age)) == 4
+    said = replace(handed, age=np.array([8.0, 50.0, 63.25, 90.0]))
+    hands = hands_of(said)
+    own = draw_persons(person.SCENARIOS["take"], said, 0, Setting())
+    assert own.age.tolist() == said.age.tolist() and np.array_equal(own.grip, drawn.grip)
+    assert (hands.grip.numpy() / own.grip).tolist() == pytest.approx([1.0, 1.0, 1.5, 2.0])
+    assert (hands.pause_s.numpy() - own.pause_s).tolist() == pytest.approx([0.0, 0.0, 0.05, 0.1])
+
+
+def test_a_setting_scales_what_persons_are_drawn_with():
+    handed = screwdrivers(3)
+    one = draw_persons(person.SCENARIOS["take"], handed, 0, Setting())
+    for name in each(("grip", "arm_n_m", "pull_n", "pause_s")):
+        two = draw_persons(person.SCENARIOS["take"], handed, 0, Setting(**{name: 2.0}))
+        for f in fields(one):
+            times = 2.0 if f.name == name else 1.0
+            assert np.array_equal(getattr(two, f.name), times * getattr(one, f.name)), (name, f.name)
+    assert torch.allclose(hands_of(handed, Setting(load_time=2.0)).load_s, 2 * hands_of(handed).load_s)
 
 
 def test_under_a_mere_touch_a_timer_lets_go_and_never_does_not():
