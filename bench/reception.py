@@ -50,8 +50,7 @@ rows of the first {trials} trials of each split of {benchmark}, and the upper bo
 
 Percent of the `n` trials with a held object and a goal posture. A step's column counts trials in which some grasp
 passes this step and all steps before it. `received`: the whole way to one of the 8 easiest of these grasps is free too.
-`of all` and `and success` are percent of all trials: received, and received with success. Brackets: the 95 % interval for the mean
-of all categories of objects.
+`of all` and `and success` are percent of all trials: received, and received with success.{brackets}
 
 {steps}
 
@@ -69,6 +68,8 @@ A trial with 256 grasps takes {ms:.1f} ms of one core (the oracle's poses).
 KNOWN = """\
 `K=8`: percent received if only 8 grasps a side were tried. `turn <= 60`: percent received if the hand may turn by at most 60
 degrees. The other columns describe the easiest grasp (RULA: strain of the posture)."""
+
+BRACKETS = "\nBrackets: the 95 % interval for the mean of all categories of objects."
 
 GROWTH = """
 {trials:,} trials in one process take {last} MiB of memory, a tenth of them {first} MiB.
@@ -282,6 +283,7 @@ def markdown(data: dict[str, Any]) -> str:
         trials=data["trials"],
         benchmark=data.get("benchmark", "r2h-v1"),
         caption=data["caption"],
+        brackets=BRACKETS if percent else "",
         known=KNOWN,
         steps=markdown_table(steps[0], steps[1:]),
         effort=markdown_table(head, both),
