@@ -108,6 +108,48 @@ SHARD, T_SHARD = "r2h_batch/runs/shard.py", "tests/runs/test_shard.py"
 
 MUTATIONS = (
     Mutation(
+        "the pendant counts in the frame of ROS 2",
+        "r2h_batch/view/lab/frames.py",
+        "np.diag([-1.0, -1.0, 1.0, 1.0])",
+        "np.diag([1.0, 1.0, 1.0, 1.0])",
+        ("tests/view/lab/test_lab.py::test_the_pendants_numbers_are_those_of_the_controllers_own_kinematics",),
+    ),
+    Mutation(
+        "URScript's TCP stands at the flange",
+        "r2h_batch/view/lab/paths.py",
+        "T, step_s = robot.T_flange_ee,",
+        "T, step_s = np.eye(4),",
+        ("tests/view/lab/test_lab.py::test_ros_2_and_urscript_say_the_same_path",),
+    ),
+    Mutation(
+        "a slower path keeps the run's velocities",
+        "r2h_batch/view/lab/paths.py",
+        "/ (slower * 2 * ahead)",
+        "/ (2 * ahead)",
+        ("tests/view/lab/test_lab.py::test_a_path_starts_at_home_ends_at_the_goal_and_keeps_to_the_speed",),
+    ),
+    Mutation(
+        "sheets are fitted to the page",
+        "r2h_batch/view/lab/sheets.py",
+        "room / 2000",
+        "room / 1900",
+        ("tests/view/lab/test_lab.py::test_sheets_are_in_true_size",),
+    ),
+    Mutation(
+        "a robot's outcomes are paired by their place",
+        "r2h_batch/sweep/study/real.py",
+        "tried = [(judged[i], row) for i, row in rows.items() if row[\"outcome\"]]",
+        "tried = [(a, row) for a, row in zip(judged.values(), rows.values()) if row[\"outcome\"]]",
+        ("tests/sweep/study/test_real.py::test_trials_are_paired_by_their_ids",),
+    ),
+    Mutation(
+        "the rank violation forgets its sign",
+        "r2h_batch/sweep/study/real.py",
+        "(s[:, None] < s[None]) != (r[:, None] < r[None])",
+        "(s[:, None] < s[None]) == (r[:, None] < r[None])",
+        ("tests/sweep/study/test_real.py::test_the_rank_violation_is_simplers",),
+    ),
+    Mutation(
         "reach: sign of the margin",
         METRICS,
         "limit=e.config.thresholds.reach_radius_m, below=True",
