@@ -29,6 +29,10 @@ COMMANDS = {
         "view.export.command:export",
         "Write trials of a run as files of the authors' release.",
     ),
+    "real": (
+        "view.lab.command:COMMANDS",
+        "Write trials for a real arm: paths, sheets, objects, a table to fill in.",
+    ),
     "submit": (
         "sweep.submission:submit",
         "Write a finished run as one checked file for a leaderboard.",
