@@ -99,7 +99,10 @@ def ranged(simulator: Any, handed: Any) -> dict[str, Any]:
     from r2h_batch.closed_loop.transfer.model import Setting
 
     cases = [Case(r, "take", 0) for r in ORDERED]
-    changes = {"as drawn": {}, **{f"{w} x {f:g}": {k: f} for w, k in PERSON.items() for f in (0.5, 2.0)}}
+    changes: dict[str, dict[str, Any]] = {
+        "as drawn": {},
+        **{f"{w} x {f:g}": {k: f} for w, k in PERSON.items() for f in (0.5, 2.0)},
+    }
     found: dict[str, Any] = {"rows": len(handed), "settings": {}}
     orders: dict[str, list[set[str]]] = {number: [] for number in NUMBERS}
     for words, change in changes.items():
