@@ -29,6 +29,10 @@ COMMANDS = {
         "view.export.command:export",
         "Write trials of a run as files of the authors' release.",
     ),
+    "real": (
+        "view.lab.command:COMMANDS",
+        "Write trials for a real arm: paths, sheets, objects, a table to fill in.",
+    ),
     "submit": (
         "sweep.submission:submit",
         "Write a finished run as one checked file for a leaderboard.",
@@ -44,6 +48,10 @@ COMMANDS = {
     "benchmark": (
         "protocols.command:COMMANDS",
         "Show what a benchmark file may say, or check one.",
+    ),
+    "train": (
+        "learning.command:COMMANDS",
+        "Train a method on new instances with the evaluator's labels.",
     ),
     "view": (
         "view.command:view",

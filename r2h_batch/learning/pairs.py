@@ -4,17 +4,15 @@ Item i is a function of (seed, i): the same bits in any process, for any number 
 that no benchmark uses, so nothing that a method is tested on can be learned.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
-from r2h_batch.base import rng, se3
+from r2h_batch.base import rng
 from r2h_batch.base.validate import (
-    boolean,
     check_arguments,
     instance_of,
     integer,
@@ -22,14 +20,13 @@ from r2h_batch.base.validate import (
     sequence_of,
 )
 from r2h_batch.learning.instances import Instances, split, training_objects
-from r2h_batch.learning.proposals import NUMBERS, propose
-from r2h_batch.methods.candidates import candidate_table, without_candidates
-from r2h_batch.methods.placing import center_of
-from r2h_batch.methods.predictors import predict_contacts, predict_parts, predict_target
+from r2h_batch.learning.regions import MOST_REGIONS, with_regions
+from r2h_batch.methods.candidates import without_candidates
+from r2h_batch.methods.ranker.observe import Seen, observe
+from r2h_batch.methods.ranker.proposals import NUMBERS, propose
 from r2h_batch.protocols.benchmark import MOST_TRIALS, Benchmark
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.training import reward
-from r2h_batch.trials.noise import PredictorNoise
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
@@ -40,30 +37,6 @@ IDS_OF_SEED, MOST_SEEDS = 1 << 40, 1 << 20
 DRAWN_AT_ONCE = 1024
 """Trials drawn in one call: a trial costs a third of what it costs alone. It decides nothing about them."""
 _PICK, _POSE = 0, 1  # purposes of the random counters
-
-
-@dataclass(frozen=True)
-class Seen:
-    """How much of a trial an item holds.
-
-    Attributes:
-        cloud: points of the object, at most 2048.
-        hand: points of the estimated hand's skin.
-        contacts: whether each point has the probability that people touch it, as Contact-Handover sees it; new instances
-            cost a network's answer each, which is kept on disk.
-        noise: deviations of the error model; None: those that methods are tested with.
-    """
-
-    cloud: int = 96
-    hand: int = 64
-    contacts: bool = False
-    noise: PredictorNoise | None = None
-
-    def __post_init__(self) -> None:
-        integer(1, 2048)("cloud", self.cloud)
-        integer(1)("hand", self.hand)
-        boolean("contacts", self.contacts)
-        optional(instance_of(PredictorNoise, "PredictorNoise(...)"))("noise", self.noise)
 
 
 class Pairs(IterableDataset[dict[str, Tensor]]):
@@ -104,6 +77,7 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         left_out: Instances,
         *,
         pairs: int,
+        poses: int,
         trials: int,
         seed: int,
         first_item: int,
@@ -118,6 +92,7 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
             objects: instances.
             left_out: further ones, of `left_out`.
             pairs: K.
+            poses: pairs of one candidate.
             trials: N.
             seed: key of all draws.
             first_item: number of the first item.
@@ -132,20 +107,14 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
             own = benchmark.with_objects(held)
             evaluator = own.evaluator(threads=1)
         self.benchmark, self.objects, self.evaluator = own, own.objects, evaluator
-        self.pairs, self.trials, self.seed, self.see = pairs, trials, seed, see
+        self.pairs, self.poses, self.trials, self.seed, self.see = pairs, poses, trials, seed, see
         self.first_item, self.items, self.first_id = first_item, items, first_id
         self._splits = [k for k, s in enumerate(SPLITS) if any(o.split == s for o in own.objects)]
         self._key = rng.key_of(f"stream {seed}")
-        self._clouds = tuple(
-            _clouds(own.objects, name, see.cloud) for name in ("points", "normals")
-        )
-        middles = np.stack([center_of(o) for o in own.objects])
-        self._middle = torch.from_numpy(middles).float()
-        self._table = candidate_table(evaluator.scene)
         self.left_out: Pairs | None = None
         if left_out:
             self.left_out = type(self)(
-                benchmark, left_out, (), pairs=pairs, trials=trials, seed=seed, first_item=first_item, items=items,
+                benchmark, left_out, (), pairs=pairs, poses=poses, trials=trials, seed=seed, first_item=first_item, items=items,
                 first_id=first_id + IDS_OF_SEED // 2, see=see,
             )  # fmt: skip
 
@@ -194,16 +163,11 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         An item is always computed alone, on one thread: torch's sums and sines have other last bits in other shapes.
         """
         with torch.no_grad(), self.evaluator.working():
-            seen, middle = self._seen(trials)
-            n, k, ids = self.trials, self.pairs, trials.trial_id.numpy()
-            u = np.ascontiguousarray(rng.uniforms(self._key, ids, k, purpose=_PICK).T)
-            pick = torch.from_numpy(rng.choice(u, seen["exists"].sum(1, keepdim=True).numpy()))
+            seen, middle = observe(trials, self.evaluator.scene, self.see, seed=self.seed)
+            pick, T_world_ee = self.chosen(trials, seen, middle)
+            n, k = pick.shape
             rows = torch.arange(n, dtype=torch.int64, device="cpu")[:, None]
             T_obj_ee = seen["candidates"][rows, pick]
-            numbers = rng.uniforms(self._key, ids, k * NUMBERS, purpose=_POSE)
-            u = np.ascontiguousarray(numbers.T).reshape(n, k, NUMBERS)
-            hand = seen["ball_center"], seen["palm_normal"]
-            T_world_ee = propose(middle, *hand, T_obj_ee, torch.from_numpy(u))
             scores = self.evaluator.kinematic.score(T_obj_ee, T_world_ee, trials, stages="pose")
             margin = torch.where(scores.evaluated, scores.margin, torch.nan)
         return {
@@ -213,37 +177,34 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
             "labels": reward.labels(scores).view(n, k, -1), "margin": margin.view(n, k, -1),
         }  # fmt: skip
 
-    def _seen(self, trials: Trials) -> tuple[dict[str, Tensor], Tensor]:
-        """The trials as methods see them, and the middle of what the receiver is to take, frame obj."""
-        scene, see, o = self.evaluator.scene, self.see, trials.object_index.long()
-        hand = predict_target(trials, scene, seed=self.seed, noise=see.noise)
-        parts = predict_parts(trials, scene, seed=self.seed, noise=see.noise)
-        last = hand.bank.vertices.shape[1] - 1
-        every = torch.linspace(0, last, see.hand, dtype=torch.float64, device="cpu").long()
-        skin = hand.bank.vertices[:, every][hand.row]
-        cloud, normals = (x[o] for x in self._clouds)
-        region = parts.usage[:, : see.cloud].contiguous()
-        count = region.sum(1, keepdim=True)
-        mean = (cloud * region[..., None]).sum(1) / count.clamp(min=1)
-        candidate, exists = self._table.rows(trials.object_index)
-        found = {
-            "cloud": cloud, "normals": normals, "part": parts.label[:, : see.cloud].contiguous(), "region": region,
-            "hand": se3.apply(hand.T[:, None], skin), "T_world_hand": hand.T, "side": hand.side,
-            "palm_point": hand.palm_point, "palm_normal": hand.palm_normal, "wrist_to_middle": hand.wrist_to_middle,
-            "ball_center": hand.ball_center, "candidates": self._table.T_obj_ee[candidate],
-            "opening_m": self._table.opening_m[candidate], "score": self._table.score[candidate], "exists": exists,
-        }  # fmt: skip
-        if see.contacts:
-            found["contact"] = predict_contacts(trials, scene, seed=self.seed)[
-                :, : see.cloud
-            ].contiguous()
-        return found, torch.where(count > 0, mean, self._middle[o])
+    def chosen(
+        self, trials: Trials, seen: Mapping[str, Tensor], middle: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The pairs of some trials: the candidate (N, K) and T_world_ee (N, K, 4, 4) of each.
+
+        Args:
+            trials: N trials.
+            seen: what methods see of them.
+            middle: (N, 3) what is brought to the palm, frame obj.
+        """
+        n, k, ids = len(trials), self.pairs, trials.trial_id.numpy()
+        u = np.ascontiguousarray(rng.uniforms(self._key, ids, k // self.poses, purpose=_PICK).T)
+        drawn = rng.choice(u, seen["exists"].sum(1, keepdim=True).numpy())
+        pick = torch.from_numpy(drawn).repeat_interleave(self.poses, dim=1)
+        rows = torch.arange(n, dtype=torch.int64, device="cpu")[:, None]
+        T_obj_ee = seen["candidates"][rows, pick]
+        numbers = rng.uniforms(self._key, ids, k * NUMBERS, purpose=_POSE)
+        u = np.ascontiguousarray(numbers.T).reshape(n, k, NUMBERS)
+        hand = seen["ball_center"], seen["palm_normal"]
+        return pick, propose(middle, *hand, T_obj_ee, torch.from_numpy(u))
 
 
 @check_arguments(
     benchmark=instance_of(Benchmark, "load_benchmark(NAME or FILE)"),
     leave_out=sequence_of(str, "categories or names of instances", least=0),
     pairs=integer(1),
+    poses=integer(1),
+    regions=integer(0, MOST_REGIONS),
     trials=integer(1, DRAWN_AT_ONCE),
     seed=integer(0, MOST_SEEDS - 1),
     first_item=integer(0),
@@ -257,7 +218,9 @@ def stream(
     *,
     leave_out: Sequence[str] = (),
     pairs: int = 16,
-    trials: int = 64,
+    poses: int = 1,
+    regions: int = 0,
+    trials: int = 256,
     seed: int = 0,
     first_item: int = 0,
     items: int | None = None,
@@ -274,6 +237,9 @@ def stream(
         leave_out: categories (`cup`), instances (`cup_s1005_03`) or patterns (`*_03`) that are not learned from;
             `Pairs.left_out` is the stream of these.
         pairs: pairs of each trial.
+        poses: pairs of one candidate; a divisor of `pairs`.
+        regions: how many more times each instance is there, each time with a receiver's region at random: a part, a half,
+            all but a part.
         trials: trials of an item.
         seed: another one has other trials and pairs.
         first_item: number of the first item; a run that goes on gives the number after its last one.
@@ -290,14 +256,13 @@ def stream(
             f"first_id is {first_id}; ids below {2 * MOST_TRIALS:,} are those that methods are tested on, leave it out or"
             f" take {FIRST_ID} or more"
         )
+    if pairs % poses:
+        raise ValueError(f"poses is {poses}; it must divide pairs, which is {pairs}")
     objects, left_out = split(training_objects(benchmark, families), leave_out)
+    if regions:
+        objects, left_out = (with_regions(own, regions) for own in (objects, left_out))
     first_id += first_id % 2 + IDS_OF_SEED * seed
     return Pairs(
-        benchmark, objects, left_out, pairs=pairs, trials=trials, seed=seed, first_item=first_item, items=items,
+        benchmark, objects, left_out, pairs=pairs, poses=poses, trials=trials, seed=seed, first_item=first_item, items=items,
         first_id=first_id, see=see or Seen(),
     )  # fmt: skip
-
-
-def _clouds(objects: Instances, name: str, count: int) -> Tensor:
-    """The first points of each cloud (O, P, 3): themselves a sample of the surface by area."""
-    return torch.from_numpy(np.stack([getattr(o, name)[:count] for o in objects]))

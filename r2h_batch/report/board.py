@@ -20,6 +20,7 @@ from r2h_batch.report.statistics.common import Common
 from r2h_batch.report.statistics.paired import BOUNDS, compare, holm, mcnemar, pair_up
 from r2h_batch.report.statistics.tally import tally
 from r2h_batch.report.text import NA, short_names
+from r2h_batch.report.trained import trained_on
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, SPLITS
 
@@ -93,6 +94,7 @@ class Standing:
         judged: how its rows were judged again; None for a baseline.
         against: baseline -> the comparison with it.
         digest: sha256 of its rows.
+        trained: what it says that it was trained on; empty where it says nothing.
         codes: split -> `CODE` characters for each trial in order: 1 or 0 for success, and a hash of its verdict and margins.
     """
 
@@ -108,6 +110,7 @@ class Standing:
     against: Mapping[str, Against]
     digest: str
     codes: Mapping[str, str]
+    trained: str = ""
 
     def successes(self, trials: Mapping[str, int]) -> dict[str, NDArray[np.bool_]]:
         """Split -> success of the first so many of its trials."""
@@ -193,6 +196,7 @@ def _standing(
         against,
         run.digest(method),
         _codes(run, method),
+        trained_on(run.entry(method).source),
     )
 
 
@@ -335,6 +339,7 @@ def _line(
         if math.isnan(common)
         else {"text": f"{common:.1f}", "value": common},
         "method": s.method,
+        "trained": s.trained,
         "submission": s.submission,
         "sr": [_sr(s.sr.get(name)) for name in (*SPLITS, "Avg")],
         "n": " + ".join(str(s.trials.get(split, 0)) for split in SPLITS),

@@ -38,6 +38,7 @@ from r2h_batch.report.text import (
     tex_number,
     tex_table,
 )
+from r2h_batch.report.trained import sentences
 from r2h_batch.report.transfers import HEADINGS as FUNNEL
 from r2h_batch.report.transfers import NOTE as TRANSFERS
 from r2h_batch.report.transfers import Funnel, funnels
@@ -109,6 +110,7 @@ class Table:
         scans: the lines of the same methods on the reader's own objects, by split and method.
         funnels: from success to taken, of the methods with stored transfers.
         bounds: methods that are bounds (random, oracle): none of their cells is best.
+        trained: what methods that learned were trained on, a sentence each.
     """
 
     rows: tuple[Row, ...]
@@ -119,6 +121,7 @@ class Table:
     scans: Mapping[tuple[str, str], Row] = field(default_factory=dict)
     funnels: tuple[Funnel, ...] = ()
     bounds: tuple[str, ...] = ()
+    trained: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -138,6 +141,7 @@ class Table:
             *families,
             *(scans if own else []),
             *self.misses,
+            *self.trained,
             *marks,
         )
 
@@ -224,7 +228,17 @@ def table_of(
     misses |= dict.fromkeys(planned)
     beside = {} if scans is None else _beside(run, scans)
     bounds = tuple(e.name for e in run.entries if e.source.get("function") in BOUNDS)
-    return Table(rows, origin, alike, tuple(misses), turned(run), beside, funnels(run), bounds)
+    return Table(
+        rows,
+        origin,
+        alike,
+        tuple(misses),
+        turned(run),
+        beside,
+        funnels(run),
+        bounds,
+        sentences(run),
+    )
 
 
 def _without(row: Row, share: str) -> Row:

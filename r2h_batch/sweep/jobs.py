@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from fnmatch import fnmatchcase
 from functools import partial
 from importlib import import_module
 from itertools import groupby
@@ -22,8 +23,10 @@ from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.base.registry import METHOD_NAMES, METHODS
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.user_code import HOW, UserFunction, load_function, user_files
+from r2h_batch.base.validate import describe_value
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.trials_file import Labels
+from r2h_batch.report.trained import KEY as TRAINED_ON
 from r2h_batch.runs import provenance
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import SEEN_BY, base_of, options_of, own_name, text_of_options
@@ -51,6 +54,9 @@ DIGEST_TRIALS = 10_000
 """Trials of each split that the digest of the trial list covers: the generator counts, so these
 stand for all."""
 
+
+NAMED = 4
+"""Objects of `TRAINED_ON` that tables name."""
 
 CPU_CHUNK = 256
 """Trials scored at once on a CPU: a stop signal is heard between two chunks. On a GPU the evaluator's own
@@ -384,6 +390,8 @@ def _method_job(
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)
     title = f"{base} ({method_options})" if method_options and not own_name(name) else base
     source = {"kind": "method", "function": method.found.spec}
+    if told := _trained_on(name, method, evaluator):
+        source[TRAINED_ON] = told
     if method_options:
         source["options"] = method_options
     if built_in:
@@ -439,6 +447,29 @@ def _method_job(
         return coverage.answer(trials, answer)
 
     return Job(title, source, covered, warm=True, lines=coverage.lines)
+
+
+def _trained_on(name: str, method: _Method, evaluator: "Evaluator") -> str:
+    """The objects that `TRAINED_ON` of a method's module names; empty where it names none.
+
+    It is a sequence of names or patterns of objects (`cup_s1005_*`), or a function of the method's options that returns one.
+
+    Raises:
+        UsageError: it is neither, or one of the judged objects is among them.
+    """
+    told = getattr(method.found.module, "TRAINED_ON", ())
+    told = told(**method.options) if callable(told) else told
+    if isinstance(told, str) or not all(isinstance(t, str) for t in told):
+        raise UsageError(
+            f"--method {name}: TRAINED_ON is {describe_value(told)}; write names or patterns of objects, such as ['cup_s1005_*']"
+        )
+    for model in evaluator.scene.objects:
+        if any(fnmatchcase(model.name, pattern) for pattern in told):
+            raise UsageError(
+                f"--method {name}: was trained on {model.name}, says its TRAINED_ON; judge it on other objects"
+            )
+    few = ", ".join(told[:NAMED])
+    return f"{few} and {len(told) - NAMED} more objects" if len(told) > NAMED else few
 
 
 class NotBuiltIn(UsageError):

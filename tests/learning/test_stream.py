@@ -11,10 +11,12 @@ from torch.utils.data import DataLoader
 
 from r2h_batch import load_benchmark, reward
 from r2h_batch.learning.instances import split, training_objects
-from r2h_batch.learning.pairs import FIRST_ID, IDS_OF_SEED, Pairs, Seen
+from r2h_batch.learning.pairs import FIRST_ID, IDS_OF_SEED, Pairs
+from r2h_batch.learning.regions import with_regions
+from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.handover_va import predict_parts, predict_target
 from r2h_batch.scene.objects import load_objects, turned
-from r2h_batch.training import stream
+from r2h_batch.training import Seen, stream
 from r2h_batch.types import CRITERIA
 
 FAMILIES = "cup,hammer x 2 seed 5"
@@ -140,6 +142,7 @@ def test_objects_that_methods_are_tested_with_are_refused_under_any_name_and_tur
         ({"families": "cupp x 2"}, "no family is called 'cupp'"),
         ({"families": []}, "families names no objects"),
         ({"pairs": 0}, "pairs"),
+        ({"pairs": 6, "poses": 4}, "poses is 4; it must divide pairs, which is 6"),
         ({"seed": -1}, "seed"),
     ],
 )
@@ -173,3 +176,30 @@ def test_labels_say_nothing_of_a_criterion_that_was_not_evaluated(pairs):
         and torch.equal(labels.isnan(), ~scores.evaluated)
         and set(labels[scores.evaluated].tolist()) == {0.0, 1.0}
     )
+
+
+def test_pairs_of_one_candidate_share_it_and_have_poses_of_their_own():
+    item = stream(load_benchmark(), FAMILIES, pairs=6, poses=3, trials=6).item(0)
+    pick = item["pick"].view(6, 2, 3)
+    assert (pick == pick[..., :1]).all() and (pick[:, 0] != pick[:, 1]).any()
+    assert (torch.pdist(item["T_world_ee"][:, :3].flatten(1)) > 1e-3).all()
+
+
+def test_regions_at_random_are_new_objects_of_s1_with_the_grasps_of_the_old_ones():
+    plain = training_objects(load_benchmark(), FAMILIES)
+    found = with_regions(plain, 3)
+    assert found[:4] == plain and len(found) == 16 and len({o.name for o in found}) == 16
+    again = with_regions(plain, 3)
+    shares = []
+    for new, same_one in each(zip(found[4:], again[4:], strict=True)):
+        assert new.split == "S1" and np.array_equal(new.receiver_face, same_one.receiver_face)
+        assert np.array_equal(new.vertices, next(o for o in plain if new.name.startswith(o.name)).vertices)
+        shares.append(float(new.receiver_face[new.point_face].mean()))
+        assert new.receiver_face.any() and not new.receiver_face.all()
+    assert 0.15 <= min(shares) < 0.4 < 0.6 < max(shares) <= 0.85
+    pairs = stream(load_benchmark(), FAMILIES, regions=3, **SIZES)
+    assert [o.name for o in pairs.objects] == [o.name for o in found]
+    grasps = candidates_of(pairs.objects)
+    for i in each(range(4, 16)):
+        own = next(k for k, o in enumerate(plain) if found[i].name.startswith(o.name))
+        assert np.array_equal(grasps[i].T_obj_ee, grasps[own].T_obj_ee)

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from problems import default_evaluator
 
+from r2h_batch.__main__ import main
 from r2h_batch.base.errors import UsageError
+from r2h_batch.report.board import page, section_of, standings_of_baselines
 from r2h_batch.runs.provenance import file_digest
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
@@ -112,3 +114,47 @@ def test_a_sweep_says_in_which_convention_answers_pass(tmp_path, capsys):
     assert "T_world_ee inverted" in said[0]
     log = (tmp_path / "run" / "log.txt").read_text()
     assert said[0].partition(": ")[2] in log
+
+
+LEARNED = "from r2h_batch.methods.random import predict\n\nTRAINED_ON = {}\n"
+
+
+def test_what_a_method_was_trained_on_stands_in_tables_comparisons_and_leaderboards(tmp_path, capsys):
+    (tmp_path / "taught.py").write_text(LEARNED.format("('cup_s1005_*', 'mug')"))
+    words = [
+        "--method",
+        f"{tmp_path}/taught.py:predict",
+        "random",
+        "--trials",
+        "12",
+        "--sim",
+        "none",
+        "--benchmark",
+        "r2h-v1",
+    ]
+    assert sweep.main([*words, "--out", str(tmp_path / "run")]) == 0
+    said = "trained on cup_s1005_*, mug. None of them is tested here."
+    assert " ".join(capsys.readouterr().out.split()).count(said) == 1
+    assert main(["compare", str(tmp_path / "run")]) == 0
+    assert said in " ".join(capsys.readouterr().out.split())
+    run = load_run(tmp_path / "run")
+    standings = standings_of_baselines(run)
+    assert sorted(s.trained for s in standings) == ["", "cup_s1005_*, mug"]
+    text = page([section_of(run, [])], least=1)
+    assert text.count("trained on cup_s1005_*, mug") == 1
+
+
+@pytest.mark.parametrize(
+    ("told", "said"),
+    [
+        ("('cu*',)", "was trained on cup, says its TRAINED_ON"),
+        ("'cup'", "TRAINED_ON is 'cup'; write names or patterns of objects"),
+        ("(3,)", "TRAINED_ON is"),
+        ("lambda **options: ['hammer']", "was trained on hammer"),
+    ],
+)
+def test_a_method_is_not_judged_on_what_it_was_trained_on(bench, tmp_path, told, said):
+    (tmp_path / "cheat.py").write_text(LEARNED.format(told))
+    with pytest.raises(UsageError, match=re.escape(said)) as error:
+        names(bench, names=(f"{tmp_path}/cheat.py:predict",))
+    assert "\n" not in str(error.value)

@@ -56,6 +56,7 @@ def compare(
     from r2h_batch.report.statistics.aggregate import rate_of
     from r2h_batch.report.statistics.common import common_trials
     from r2h_batch.report.statistics.shares import hits_on
+    from r2h_batch.report.trained import sentences
     from r2h_batch.report.turn import turned
 
     check_seed(seed)
@@ -90,7 +91,8 @@ def compare(
     ]
     known = [f"{NOTE}: {'; '.join(held)}"]
     marked = (test.sentence for test in turns if test.marked)
-    notes = (*common.notes, *paired.notes, *marked, *(known if held else ()))
+    learned = [line for r in stored for line in sentences(r)]
+    notes = (*common.notes, *paired.notes, *marked, *learned, *(known if held else ()))
     shares = {
         n: {
             key: rate_of(*hits)

@@ -23,18 +23,19 @@ def ratings(file: Path, /) -> int:
     return 0
 
 
-def real(run: Path, file: Path, /, *, trials: int) -> int:
-    """Compare your own robot with a run: a CSV with columns method, real_sr (percent: 85 or 85%),
-    real_t_tot_s.
+def real(run: Path, file: Path, /, *, trials: int | None = None) -> int:
+    """Compare your own robot with a run, trial by trial: the table that `real export` wrote, filled in.
 
     Args:
-        run: a run folder with the same methods.
-        file: one row for each method, by the sweep's word (fc) or the table's name.
-        trials: trials of each method on the robot.
+        run: a run folder with the same methods and trials.
+        file: a CSV with columns trial_id, method, outcome (success, failure), failed_criterion, seconds; rows without an outcome
+            are left out. Or, without ids, a row for each method: method, real_sr (percent: 85 or 85%), real_t_tot_s.
+        trials: only for a file without ids: trials of each method on the robot.
     """
-    from r2h_batch.sweep.study.report import real_report
+    from r2h_batch.sweep.study.real import real_report
 
-    check_range("--trials", trials, 1, MOST_TRIALS)
+    if trials is not None:
+        check_range("--trials", trials, 1, MOST_TRIALS)
     sys.stdout.write(real_report(run, file, trials))
     return 0
 

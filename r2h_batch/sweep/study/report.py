@@ -1,5 +1,4 @@
-"""A real robot beside a run, ratings and their tests (rank correlations with intervals, Friedman and
-Wilcoxon), as texts."""
+"""Ratings and their tests (Friedman and Wilcoxon) as texts, and rank correlations with intervals."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations, permutations
@@ -11,12 +10,11 @@ from scipy import stats
 
 from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.report.text import aligned
-from r2h_batch.sweep.study.table_file import LINE, NAME, PERCENT, number, read_table
+from r2h_batch.sweep.study.table_file import LINE, NAME, number, read_table
 
 SCALE = np.arange(1, 6)
 DRAWS = 10_000
 
-REAL_COLUMNS = {"method": NAME, "real_sr": PERCENT, "real_t_tot_s": number(0, 1e5)}
 RATING_COLUMNS = {
     **dict.fromkeys(("participant", "method", "dimension"), NAME),
     "rating": number(1, 5, whole=True),
@@ -35,48 +33,6 @@ def read_counts(path: Path) -> dict[tuple[str, str], np.ndarray]:
     dimension, n1..n5."""
     rows = read_table(path, COUNT_COLUMNS)
     return {(r["method"], r["dimension"]): np.array([r[f"n{k}"] for k in SCALE]) for r in rows}
-
-
-def real_report(run: Path, file: Path, trials: int) -> str:
-    """A robot's measured rates and times against those of a run, and how their orders agree.
-
-    Args:
-        run: the run folder.
-        file: CSV with the columns of `REAL_COLUMNS`.
-        trials: trials of each method on the robot.
-    """
-    from r2h_batch.report.table import table_of
-    from r2h_batch.runs.store import load_run
-
-    stored = load_run(run)
-    # the last row of a method stays: Avg, or its only split
-    rows = {row.method: row for row in table_of(stored).rows}
-    lines: dict[str, list[str]] = {}
-    sim, real = [], []
-    for line in read_table(file, REAL_COLUMNS):
-        name = stored.named(line["method"])
-        if name in lines:
-            raise FileError(f"{file}: line {line[LINE]}: {name} is there twice; once is enough")
-        if name not in rows:
-            raise FileError(f"{file}: line {line[LINE]}: {name} is not complete in {run}")
-        rate, total = rows[name].rates["sr"], rows[name].times["t_tot_s"].value
-        sr = rate.percent if rate else 0.0
-        t = float("nan") if total is None else total
-        real_sr, real_t = line["real_sr"], line["real_t_tot_s"]
-        rates = [f"{sr:.1f}", f"{real_sr:.1f}", f"{real_sr - sr:+.1f}"]
-        lines[name] = [name, *rates, f"{t:.2f}", f"{real_t:.2f}", f"{real_t - t:+.2f}"]
-        sim.append(sr)
-        real.append(real_sr)
-    head = ["Method", "sim SR", "real SR", "delta", "sim T", "real T", "delta"]
-    text = aligned(head, list(lines.values()), 1) + "\n"
-    if len(lines) > 2:
-        c = spearman(sim, real, counts=(rows[next(iter(lines))].n, trials))
-        low, high = c.measured
-        text += (
-            f"\nSpearman's rank correlation of the success rates: {c.rho:+.2f}, p = {c.p:.2f}; 95 % if the same methods"
-            f" were measured again: {low:+.2f} to {high:+.2f}\n"
-        )
-    return text
 
 
 def read_ratings(path: Path) -> dict[str, Ratings]:

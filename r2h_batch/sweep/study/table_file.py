@@ -1,7 +1,7 @@
 """Tables that people fill in, as CSV. An error names the line and the column."""
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,6 +58,32 @@ PERCENT = Column(
 0.85 can mean 85 % or 0.85 %."""
 
 
+def words(allowed: Sequence[str]) -> Column:
+    """One of these words."""
+
+    def read(cell: str) -> str:
+        if cell not in allowed:
+            raise ValueError
+        return cell
+
+    return Column(", ".join(allowed), read)
+
+
+def optional(column: Column) -> Column:
+    """A cell of this column, or an empty one, which reads as None."""
+    return Column(f"{column.allowed}, or nothing", lambda cell: column.read(cell) if cell else None)
+
+
+def columns_of(path: Path) -> tuple[str, ...]:
+    """Names of the columns of a CSV file.
+
+    Raises:
+        FileError: it is no readable CSV.
+    """
+    records = _records(path)
+    return tuple(name.strip() for name in records[0][1]) if records else ()
+
+
 def read_table(path: Path, columns: Mapping[str, Column]) -> list[dict[str, Any]]:
     """Read a CSV file in UTF-8: commas between the cells, points in numbers, comments after #.
 
@@ -71,15 +97,7 @@ def read_table(path: Path, columns: Mapping[str, Column]) -> list[dict[str, Any]
     Raises:
         FileError: in one line, with the file, the line, the column and what is allowed.
     """
-    try:
-        text = read_file(path, MAX_BYTES).decode("utf-8-sig")
-        # comments become empty lines, so that the reader counts the lines of the file
-        lines = ["" if line.startswith("#") else line for line in text.splitlines()]
-        reader = csv.reader(lines, strict=True)
-        records = [(reader.line_num, cells) for cells in reader if any(map(str.strip, cells))]
-    except (UnicodeDecodeError, csv.Error) as error:
-        why = printable(error)[:200]
-        raise FileError(f"{path}: no readable CSV ({why}); save it as 'CSV UTF-8'") from None
+    records = _records(path)
     names = [name.strip() for name in records[0][1]] if records else []
     for c in columns:
         if names.count(c) != 1:
@@ -106,3 +124,16 @@ def read_table(path: Path, columns: Mapping[str, Column]) -> list[dict[str, Any]
                 ) from None
         rows.append(row)
     return rows
+
+
+def _records(path: Path) -> list[tuple[int, list[str]]]:
+    """Lines that have something, with their numbers in the file."""
+    try:
+        text = read_file(path, MAX_BYTES).decode("utf-8-sig")
+        # comments become empty lines, so that the reader counts the lines of the file
+        lines = ["" if line.startswith("#") else line for line in text.splitlines()]
+        reader = csv.reader(lines, strict=True)
+        return [(reader.line_num, cells) for cells in reader if any(map(str.strip, cells))]
+    except (UnicodeDecodeError, csv.Error) as error:
+        why = printable(error)[:200]
+        raise FileError(f"{path}: no readable CSV ({why}); save it as 'CSV UTF-8'") from None

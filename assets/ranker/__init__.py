@@ -1,0 +1,1 @@
+"""Weights of method `learned`, as `r2h-batch train rank` wrote them."""

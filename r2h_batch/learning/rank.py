@@ -1,0 +1,321 @@
+"""Trains the ranker of method `learned`: labels of the stream, then rounds of pairs that it likes itself."""
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.write import atomic_path
+from r2h_batch.base.launch.threads import one_torch_thread
+from r2h_batch.base.validate import integer, sequence_of
+from r2h_batch.learning.mining import mine
+from r2h_batch.learning.pairs import Pairs, stream
+from r2h_batch.methods.ranker import features
+from r2h_batch.methods.ranker.network import Ranker, save_weights
+from r2h_batch.methods.ranker.search import scored_by
+from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.verdicts import CRITERIA
+
+WEIGHTS, CHECKPOINT, LESSONS = "rank.safetensors", "checkpoint.pt", "lessons-{}.pt"
+TRIALS, PAIRS, POSES = 256, 16, 4
+"""Trials of an item; pairs of a trial; pairs of one candidate."""
+RATE, DECAY, WARM_UP, LEAST_RATE = 2e-3, 1e-3, 100, 0.02
+CRITERIA_WEIGHT = 0.3
+BLIND = 0.25
+"""Share of the trials whose region is hidden while it learns."""
+BATCH, MINED_BATCH = 64, 24
+"""Trials of a step; how many of them are mined, where some are."""
+EVERY = 100
+"""Steps between two lines and two checkpoints."""
+
+Told = Callable[[str], None]
+Logged = Callable[[Mapping[str, float], int], None]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The choices that decide the weights, with the benchmark and the code.
+
+    Attributes:
+        families: instances, as `training.stream` reads them.
+        leave_out: categories or instances that are not learned from.
+        regions: more of each instance with a region at random.
+        seed: of trials, pairs, weights and batches.
+        items: items of 256 trials drawn at random.
+        steps: of the optimiser on them.
+        rounds: rounds of mined pairs.
+        mined_items: items of each.
+        mined_steps: steps after each.
+    """
+
+    families: str = "* x 5 seed 5"
+    leave_out: tuple[str, ...] = ()
+    regions: int = 2
+    seed: int = 0
+    items: int = 12
+    steps: int = 800
+    rounds: int = 2
+    mined_items: int = 4
+    mined_steps: int = 250
+
+    def __post_init__(self) -> None:
+        for name in ("items", "steps", "mined_items", "mined_steps"):
+            integer(1)(name, getattr(self, name))
+        for name in ("regions", "rounds", "seed"):
+            integer(0)(name, getattr(self, name))
+        sequence_of(str, "categories or names of instances", least=0)("leave_out", self.leave_out)
+
+    @property
+    def all_steps(self) -> int:
+        """Steps from the first to the last."""
+        return self.steps + self.rounds * self.mined_steps
+
+
+@dataclass(frozen=True)
+class Lessons:
+    """Features and labels of N trials: G candidates of each, K pairs, K / G of each candidate."""
+
+    cloud: Tensor
+    candidate: Tensor
+    pair: Tensor
+    truth: Tensor
+    """(N, K, 6) success and criteria: 1, 0, NaN not evaluated"""
+
+    @classmethod
+    def of(cls, items: Iterable[Mapping[str, Tensor]], poses: int) -> "Lessons":
+        """The lessons of a stream's items.
+
+        Args:
+            items: with `features.SEE`.
+            poses: pairs of one candidate.
+        """
+        rows = []
+        for item in items:
+            pick = item["pick"][:, ::poses]
+            grasp = item["T_obj_ee"][:, ::poses]
+            opening = item["opening_m"].gather(1, item["pick"])
+            rows.append(
+                (
+                    features.cloud_in_gripper(item, grasp).half(),
+                    features.of_candidate(item, grasp, pick),
+                    features.of_pair(item, item["T_obj_ee"], item["T_world_ee"], opening),
+                    torch.cat([item["success"][..., None].float(), item["labels"]], -1),
+                )
+            )
+        return cls(*(torch.cat(column) for column in zip(*rows, strict=True)))
+
+    def __len__(self) -> int:
+        return len(self.truth)
+
+    def logits(self, net: Ranker, rows: Tensor, blind: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits and truth (n K, 6) of some trials.
+
+        Args:
+            net: the ranker.
+            rows: (n,) trials.
+            blind: (n,) bool: whose region is hidden.
+        """
+        cloud, candidate, pair = features.hidden(
+            self.cloud[rows].float(), self.candidate[rows], self.pair[rows], blind
+        )
+        poses = pair.shape[1] // candidate.shape[1]
+        code = net.code(cloud).repeat_interleave(poses, 1)
+        found = net(code, candidate.repeat_interleave(poses, 1), pair)
+        return found.flatten(0, 1), self.truth[rows].flatten(0, 1)
+
+
+class Training:
+    """A network and its optimiser on the way through a recipe; the same bits whether it was interrupted or not."""
+
+    def __init__(self, recipe: Recipe, pairs: Pairs, out: Path, tell: Told, log: Logged) -> None:
+        """Begins, or goes on where `out` has a checkpoint.
+
+        Args:
+            recipe: what to do.
+            pairs: the stream.
+            out: folder of the checkpoint.
+            tell: prints a line.
+            log: takes numbers at a step.
+        """
+        self.recipe, self.pairs, self.out, self.tell, self.log = recipe, pairs, out, tell, log
+        self.random = torch.Generator().manual_seed(recipe.seed)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(recipe.seed)
+            self.net = Ranker()
+        self.adam = torch.optim.AdamW(self.net.parameters(), lr=RATE, weight_decay=DECAY)
+        self.step, self.shown = 0, 0.0
+        self.spent: dict[str, float] = {}
+        self.lessons: list[Lessons] = []
+        if (path := out / CHECKPOINT).exists():
+            kept = torch.load(path, weights_only=True)
+            if kept["recipe"] != plain(recipe, pairs):
+                raise FileError(
+                    f"{path}: is of another recipe or benchmark; give another --out, or the same flags"
+                )
+            self.net.load_state_dict(kept["net"])
+            self.adam.load_state_dict(kept["adam"])
+            self.random.set_state(kept["random"])
+            self.step, self.shown, self.spent = kept["step"], kept["shown"], kept["spent"]
+            tell(f"{path}: goes on at step {self.step}")
+
+    def keep(self) -> None:
+        """Write the checkpoint."""
+        with atomic_path(self.out / CHECKPOINT) as temporary:
+            state = {
+                "recipe": plain(self.recipe, self.pairs), "net": self.net.state_dict(), "adam": self.adam.state_dict(),
+                "random": self.random.get_state(), "step": self.step, "shown": self.shown, "spent": self.spent,
+            }  # fmt: skip
+            torch.save(state, temporary)
+
+    def run(self) -> Ranker:
+        """The network at the end of the recipe."""
+        recipe = self.recipe
+        with one_torch_thread("cpu"):
+            for number in range(1 + recipe.rounds):
+                self._learn_from(number)
+                end = recipe.steps + number * recipe.mined_steps
+                start = time.process_time()
+                while self.step < end:
+                    self.learn()
+                    if self.step % EVERY == 0 or self.step == end:
+                        self._spend("train", start)
+                        start = time.process_time()
+                        self.keep()
+                        self.tell(f"step {self.step} of {recipe.all_steps}: loss {self.shown:.4f}")
+                        self.log({"loss": self.shown}, self.step)
+        return self.net.eval()
+
+    def _spend(self, what: str, start: float) -> None:
+        self.spent[what] = self.spent.get(what, 0.0) + time.process_time() - start
+
+    def _learn_from(self, number: int) -> None:
+        """Labels of round `number`, drawn or read again: 0 at random, then mined."""
+        path, recipe, start = self.out / LESSONS.format(number), self.recipe, time.process_time()
+        done = recipe.steps + (number - 1) * recipe.mined_steps
+        if path.exists() and self.step >= (done if number else 1):
+            found = Lessons(**torch.load(path, weights_only=True))
+        else:
+            items: Iterable[Mapping[str, Tensor]]
+            if number == 0:
+                items = (self.pairs.item(i) for i in range(recipe.items))
+                found = Lessons.of(items, POSES)
+            else:
+                first = recipe.items + (number - 1) * recipe.mined_items
+                mined = mine(
+                    self.pairs, scored_by(self.net.eval()), first=192, second=96, first_item=first, items=recipe.mined_items
+                )  # fmt: skip
+                found = Lessons.of(mined, 1)
+            with atomic_path(path) as temporary:
+                torch.save(vars(found), temporary)
+            if number == 0:
+                x = torch.cat(
+                    [found.candidate.repeat_interleave(POSES, 1), found.pair], -1
+                ).flatten(0, 1)
+                self.net.mean.copy_(x.mean(0))
+                self.net.std.copy_(x.std(0).clamp(min=1e-3))
+        self.net.train()
+        self.lessons.append(found)
+        self._spend("mine" if number else "labels", start)
+        passed = found.truth.nanmean((0, 1)).tolist()
+        words = ", ".join(
+            f"{n} {100 * p:.1f}" for n, p in zip(("success", *CRITERIA), passed, strict=True)
+        )
+        what = f"mined, round {number}" if number else "at random"
+        self.tell(f"{found.truth.shape[0] * found.truth.shape[1]} pairs {what}: {words} %")
+        self.log({f"passed/{what}": passed[0]}, self.step)
+
+    def learn(self) -> None:
+        """One step of the optimiser."""
+        part = self.step / self.recipe.all_steps
+        rate = max(LEAST_RATE, 0.5 + 0.5 * math.cos(math.pi * part))
+        for group in self.adam.param_groups:
+            group["lr"] = RATE * min(1.0, (self.step + 1) / WARM_UP) * rate
+        mined = self.lessons[1:]
+        sizes = [BATCH - (MINED_BATCH if mined else 0)] + [MINED_BATCH // max(1, len(mined))] * len(
+            mined
+        )
+        found = []
+        for own, size in zip(self.lessons, sizes, strict=True):
+            rows = torch.randint(
+                len(own), (size,), generator=self.random, dtype=torch.int64, device="cpu"
+            )
+            blind = (
+                torch.rand(size, generator=self.random, dtype=torch.float32, device="cpu") < BLIND
+            )
+            found.append(own.logits(self.net, rows, blind))
+        z, truth = (torch.cat(column) for column in zip(*found, strict=True))
+        bce, known = nn.functional.binary_cross_entropy_with_logits, ~truth[:, 1:].isnan()
+        loss = bce(z[:, 0], truth[:, 0])
+        loss = loss + CRITERIA_WEIGHT * bce(z[:, 1:][known], truth[:, 1:][known])
+        self.adam.zero_grad(set_to_none=True)
+        loss.backward()
+        self.adam.step()
+        self.shown = loss.item() if self.step == 0 else 0.98 * self.shown + 0.02 * loss.item()
+        self.step += 1
+
+
+def plain(recipe: Recipe, pairs: Pairs) -> dict[str, Any]:
+    """A recipe and its benchmark as JSON.
+
+    Args:
+        recipe: any.
+        pairs: its stream.
+    """
+    return {
+        **asdict(recipe),
+        "leave_out": list(recipe.leave_out),
+        "benchmark": pairs.benchmark.digest,
+    }
+
+
+def train_ranker(
+    benchmark: Benchmark,
+    recipe: Recipe,
+    out: Path,
+    *,
+    tell: Told = print,
+    log: Logged = lambda numbers, step: None,
+) -> Path:
+    """Train a ranker from nothing, or go on where the folder has a checkpoint.
+
+    Args:
+        benchmark: whose people, robot and limits it learns for; its objects are never learned from.
+        recipe: what to do.
+        out: folder of checkpoint, labels and weights.
+        tell: prints a line.
+        log: takes numbers at a step.
+
+    Returns:
+        The file of weights, which says what it was trained on.
+    """
+    start = time.process_time()
+    pairs = stream(
+        benchmark, recipe.families, leave_out=recipe.leave_out, pairs=PAIRS, poses=POSES, regions=recipe.regions,
+        trials=TRIALS, seed=recipe.seed, see=features.SEE,
+    )  # fmt: skip
+    training = Training(recipe, pairs, out, tell, log)
+    training.spent["instances"] = training.spent.get("instances", 0.0) + time.process_time() - start
+    net = training.run()
+    seconds = {k: round(v, 1) for k, v in training.spent.items()}
+    path = out / WEIGHTS
+    about = plain(recipe, pairs) | {"trained_on": trained_on(benchmark, pairs)}
+    save_weights(net, path, about)
+    tell(f"{path}: CPU seconds {', '.join(f'{k} {v}' for k, v in seconds.items())}")
+    return path
+
+
+def trained_on(benchmark: Benchmark, pairs: Pairs) -> dict[str, Any]:
+    """The benchmark and the instances that were learned from, by name.
+
+    Args:
+        benchmark: the benchmark that was learned for.
+        pairs: the stream.
+    """
+    own = [o.name for o in pairs.objects if "_region" not in o.name]
+    return {"benchmark": benchmark.name, "objects": own}

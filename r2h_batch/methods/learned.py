@@ -1,0 +1,123 @@
+"""A ranker that learned from the evaluator's labels: of pairs (candidate, handover pose) at random, and near the best of them
+if a second round is asked for, the one that a network likes best.
+
+It sees what Handover-VA and Contact-Handover see: cloud, candidates, estimated hand, and the receiver's region with misplaced
+borders. It asks no judge, and solves no IK.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from r2h_batch.base import rng
+from r2h_batch.methods.batches import answers
+from r2h_batch.methods.candidates import check_candidates
+from r2h_batch.methods.placing import check_choice
+from r2h_batch.methods.predictors import Observations, PredictorNoise
+from r2h_batch.methods.ranker.features import SEE
+from r2h_batch.methods.ranker.network import Ranker, about_weights, read_weights
+from r2h_batch.methods.ranker.observe import Seen, observe
+from r2h_batch.methods.ranker.search import liked, scored_by
+from r2h_batch.scene.scene import Scene
+from r2h_batch.types import Predictions, Trials
+
+TITLE, STAND_IN = "Learned", "ranker, labels"
+
+FIRST, SECOND, TOP = 384, 0, 8
+"""Pairs at random; pairs near the best; how many count as the best. A second round is no better on training trials."""
+WEIGHTS = "ranker.safetensors"
+
+Region = Literal["seen", "hidden"]
+"""Whether the method is told which part the receiver wants; hidden: it does not know S1 from S0 either."""
+
+PER_CANDIDATE = ("candidates", "opening_m", "score", "exists")
+
+
+def predict(
+    trials: Trials,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    noise: PredictorNoise | None = None,
+    seen: Observations | None = None,
+    weights: str = "",
+    region: Region = "seen",
+    first: int = FIRST,
+    second: int = SECOND,
+) -> Predictions:
+    """One grasp and handover pose a trial.
+
+    Args:
+        trials: N trials.
+        scene: objects, hands and robot: `Evaluator.scene`.
+        seed: key of the draws; a row depends on seed and trial id alone.
+        noise: errors of what the method sees; None: `PredictorNoise()`.
+        seen: answers of your own networks, in place of the stand-ins.
+        weights: a file that `r2h-batch train rank` wrote; empty: the shipped weights.
+        region: `seen`, or `hidden`: the receiver's region is not told.
+        first: pairs that are drawn at random.
+        second: pairs near the best of them; 0: none.
+
+    Returns:
+        `T_obj_ee` (N, 4, 4) and `T_world_ee` (N, 4, 4), m.
+    """
+    check_choice("region", region, Region)
+    check_candidates(scene, trials.object_index)
+    net = _net(weights)
+    key = rng.key_of(f"learned {seed}")
+    see = Seen(cloud=SEE.cloud, hand=SEE.hand, noise=noise)
+
+    def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
+        # each trial alone: torch's sums have other last bits in other shapes
+        found = [_chosen(part[n : n + 1]) for n in range(len(part))]
+        T_obj_ee, T_world_ee = (torch.stack(column) for column in zip(*found, strict=True))
+        return T_obj_ee, T_world_ee
+
+    def _chosen(trial: Trials) -> tuple[Tensor, Tensor]:
+        told, middle = observe(trial, scene, see, seed=seed, seen=seen, region=region == "seen")
+        count = int(told["exists"].sum())
+        own = {k: v[:, :count] if k in PER_CANDIDATE else v for k, v in told.items()}
+        pick, T, good = liked(
+            own, middle, trial.trial_id, scored_by(net), key, first=first, second=second, top=TOP
+        )
+        best = int(good[0].argmax())
+        return own["candidates"][0, pick[0, best]], T[0, best]
+
+    return answers(trials, scene, "learned", choose)
+
+
+def trained_on(weights: str = "", **_: object) -> list[str]:
+    """Names of the objects that a ranker learned from.
+
+    Args:
+        weights: as of `predict`.
+    """
+    with _file(weights) as path:
+        told = about_weights(path).get("trained_on")
+    objects = told.get("objects", []) if isinstance(told, dict) else []
+    return [str(name) for name in objects]
+
+
+TRAINED_ON = trained_on
+"""A sweep writes it beside the method, and compares it with the judged objects."""
+
+
+def _net(weights: str) -> Ranker:
+    """The ranker of a file; empty: the shipped one."""
+    with _file(weights) as path:
+        return read_weights(path)
+
+
+@contextmanager
+def _file(weights: str) -> Iterator[Path]:
+    """A file of weights; empty: the shipped ones."""
+    if weights:
+        yield Path(weights).absolute()
+    else:
+        with resources.as_file(resources.files("r2h_batch.assets.ranker") / WEIGHTS) as path:
+            yield path

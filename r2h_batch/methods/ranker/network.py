@@ -1,0 +1,123 @@
+"""The ranker: a small PointNet on each candidate's cloud, and an MLP on the pair. Its weights are a .safetensors file."""
+
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+from jaxtyping import Float32
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load, save
+from torch import Tensor, nn
+
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable, read_file
+from r2h_batch.base.io.write import atomic_path
+from r2h_batch.methods.ranker.features import CANDIDATE, CLOUD, PAIR
+from r2h_batch.verdicts import CRITERIA
+
+MAX_BYTES = 1 << 20
+"""Largest file of weights."""
+WIDTH, CODE, POINT = 192, 96, 48
+CUT = 6.0
+"""Features count up to so many deviations."""
+
+
+class Ranker(nn.Module):
+    """Logits of a pair: success first, then each criterion of `CRITERIA`."""
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.each = nn.Sequential(nn.Linear(CLOUD, POINT), nn.SiLU(), nn.Linear(POINT, CODE))
+        numbers = CANDIDATE + PAIR
+        self.register_buffer("mean", torch.zeros(numbers, dtype=torch.float32, device="cpu"))
+        self.register_buffer("std", torch.ones(numbers, dtype=torch.float32, device="cpu"))
+        layers: list[nn.Module] = []
+        for wide in (CODE + numbers, WIDTH, WIDTH):
+            layers += [nn.Linear(wide, WIDTH), nn.SiLU()]
+        self.head = nn.Sequential(*layers, nn.Linear(WIDTH, 1 + len(CRITERIA)))
+
+    def code(self, cloud: Float32[Tensor, "*b p 8"]) -> Float32[Tensor, "*b 96"]:
+        """A candidate's cloud in 96 numbers.
+
+        Args:
+            cloud: of `features.cloud_in_gripper`.
+        """
+        found: Tensor = self.each(cloud).amax(-2)
+        return found
+
+    def forward(
+        self,
+        code: Float32[Tensor, "*b 96"],
+        candidate: Float32[Tensor, "*b 9"],
+        pair: Float32[Tensor, "*b 58"],
+    ) -> Float32[Tensor, "*b 6"]:
+        """The logits.
+
+        Args:
+            code: of `code`.
+            candidate: of `features.of_candidate`.
+            pair: of `features.of_pair`.
+        """
+        x = torch.cat([candidate, pair], -1)
+        x = ((x - self.mean) / self.std).clamp(-CUT, CUT)
+        found: Tensor = self.head(torch.cat([code, x], -1))
+        return found
+
+
+def save_weights(net: Ranker, path: Path, about: Mapping[str, object]) -> None:
+    """Write a network's weights, and how they were made.
+
+    Args:
+        net: any ranker.
+        path: a .safetensors file.
+        about: what `about_weights` returns again; JSON.
+    """
+    weights = {k: v.detach().contiguous() for k, v in net.state_dict().items()}
+    data = save(weights, {"about": json.dumps(dict(about), sort_keys=True)})
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+@lru_cache(maxsize=16)
+def read_weights(path: Path) -> Ranker:
+    """A ranker with the weights of a .safetensors file.
+
+    Args:
+        path: as `save_weights` or `r2h-batch train rank` writes it.
+
+    Raises:
+        FileError: no such file, or weights of another network.
+    """
+    net = Ranker()
+    try:
+        found = load(read_file(path, MAX_BYTES))
+    except SafetensorError as error:
+        raise FileError(f"{path}: not a readable .safetensors file ({printable(error)})") from error
+    wanted = net.state_dict()
+    shapes = {k: (v.dtype, v.shape) for k, v in found.items()}
+    if shapes != {k: (v.dtype, v.shape) for k, v in wanted.items()}:
+        raise FileError(
+            f"{path}: holds weights of another network; give a file that r2h-batch train rank wrote with this version"
+        )
+    if not all(bool(v.isfinite().all()) for v in found.values()):
+        raise FileError(f"{path}: holds NaN or infinite numbers; train it again, or copy it again")
+    net.load_state_dict(found)
+    return net.eval()
+
+
+def about_weights(path: Path) -> dict[str, object]:
+    """How weights were made: what `save_weights` was told.
+
+    Args:
+        path: a .safetensors file.
+    """
+    read_weights(path)  # says what is wrong with the file
+    with safe_open(str(path), framework="pt") as file:
+        told = (file.metadata() or {}).get("about", "{}")
+    found: dict[str, object] = json.loads(told)
+    return found
