@@ -23,7 +23,7 @@ MEASURES = (
     "r2h_batch/trials/holding/capacity.py",
 )
 PERSON = {"stiffness": "arm_n_m", "grip": "grip", "pull": "pull_n", "pause": "pause_s", "load time": "load_time"}
-"""What of the person is halved and doubled: fields of `Setting`."""
+"""Fields of `Setting` that are halved and doubled, by the words of the page."""
 ORDERED = ("timer", "threshold", "load-share", "probe")
 NUMBERS = ("taken", "pull_n", "transfer_s")
 SURE = 0.05
@@ -94,7 +94,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def ranged(simulator: Any, handed: Any) -> dict[str, Any]:
-    """What policies reach with one range of the person halved or doubled, and which orders hold in all of them."""
+    """Outcomes, pulls and times of policies with one range of the person halved or doubled, and the orders that hold in all."""
     from r2h_batch.closed_loop.transfer.cases import Case, Simulator
     from r2h_batch.closed_loop.transfer.model import Setting
 
@@ -142,7 +142,7 @@ def surely(more: int, less: int) -> bool:
 
 
 def ranges_text(found: dict[str, Any]) -> str:
-    """What each policy reaches in each setting."""
+    """A row for each setting, a cell for each policy."""
     cells = []
     for words, by in found["settings"].items():
         texts = [
