@@ -51,6 +51,7 @@ T_RELEASE = (
     "tests/judge/test_reception.py::test_the_gripper_lets_go_where_samples_of_opening_and_backing_off_keep_off_the_hand"
 )
 TAKEN = "r2h_batch/judge/reception.py"
+T_RAYS = "tests/observe/test_rays.py"
 SEEN, T_OBJECT = "r2h_batch/judge/object_errors.py", "tests/judge/test_object_errors.py"
 T_COSTS = "tests/judge/test_reception.py::test_turn_and_travel_are_those_of_the_hand_from_how_it_waits"
 T_WHOLE = "tests/judge/test_reception.py::test_whole_ways_are_free_where_every_sample_of_hand_and_arm_is"
@@ -1388,6 +1389,69 @@ MUTATIONS = (
         'if own["configuration"]["name"] == "default"\n        and (',
         'if (',
         (T_BASELINES,),
+    ),
+    Mutation(
+        "cameras: half a pixel",
+        "kernels/observe/rays.py",
+        "corner_in[i, c][0]) + 0.5 * float(stride)",
+        "corner_in[i, c][0])",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
+        "cameras: a transposed rotation",
+        "kernels/observe/rays.py",
+        "    d = rotation(T) * (ray * scale)",
+        "    d = wp.transpose(rotation(T)) * (ray * scale)",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
+        "cameras: depth along the ray",
+        "kernels/observe/rays.py",
+        "depth_out[i, p] = best * scale",
+        "depth_out[i, p] = best",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
+        "cameras: swapped",
+        "kernels/observe/rays.py",
+        "    T = camera_in[c]",
+        "    T = camera_in[cameras - 1 - c]",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
+        "cameras: a left hand is a right one's skin",
+        "r2h_batch/observe/rays.py",
+        "self._mesh(self._skin[h], self._faces[int(side[h])])",
+        "self._mesh(self._skin[int(needed[0])], self._faces[int(side[h])])",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
+        "cameras: the gripper is closed",
+        "r2h_batch/observe/robot_mesh.py",
+        "drive = drive_from_gap(robot, robot.open_gap_m)",
+        "drive = drive_from_gap(robot, 0.0)",
+        (f"{T_RAYS}::test_the_robot_at_home_is_mujocos_with_an_open_gripper",),
+    ),
+    Mutation(
+        "moments: drawn by row",
+        "r2h_batch/observe/moment.py",
+        "u = rng.uniforms(key, ids[rows], 3",
+        "u = rng.uniforms(key, rows, 3",
+        (f"{T_RAYS}::test_moments_and_images_have_the_same_bits_alone_in_sevens_and_permuted",),
+    ),
+    Mutation(
+        "moments: on the hand's side",
+        "r2h_batch/observe/moment.py",
+        "np.where(hand_y > 0, -1.0, 1.0)",
+        "np.where(hand_y > 0, 1.0, -1.0)",
+        (f"{T_RAYS}::test_objects_rest_on_the_table_away_from_the_hand_and_touch_nobody",),
+    ),
+    Mutation(
+        "clouds: one pixel late",
+        "r2h_batch/observe/seen.py",
+        "torch.searchsorted(nth, take + 1)",
+        "torch.searchsorted(nth, take + 2)",
+        (f"{T_RAYS}::test_clouds_take_every_pixel_once_and_mask_the_rest",),
     ),
 )  # fmt: skip
 

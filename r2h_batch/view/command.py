@@ -9,6 +9,7 @@ from r2h_batch.base.command_line import check_range
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_file
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
+from r2h_batch.verdicts import SPLITS
 
 FILMS = (".mp4", ".webm", ".gif")
 STRIPS = (".png", ".jpg", ".jpeg", ".pdf", ".svg")
@@ -25,6 +26,8 @@ def view(
     html: Path | None = None,
     video: Path | None = None,
     strips: Path | None = None,
+    sees: Path | None = None,
+    rig: str = "cell-v1",
     size: tuple[int, int] | None = None,
     frames: int = 5,
     fps: int = 25,
@@ -49,6 +52,8 @@ def view(
         video: write the trial as a film (.mp4, .webm, .gif), methods beside each other.
         strips: write the trial as pictures along its motion (.png, .jpg, .pdf, .svg), a row for
             each method.
+        sees: write what depth cameras see of the trial before the robot moves (.png, .jpg, .pdf, .svg).
+        rig: sees: the cameras; a name, or a TOML file.
         size: width and height of one picture in pixels; 960 720 in films, 480 400 in strips.
         frames: strips: pictures of each method.
         fps: films: pictures a second.
@@ -61,6 +66,14 @@ def view(
         overwrite: replace files that are there.
         benchmark: where its files are now, if they are not where the sweep found them.
     """
+    if sees is not None:
+        if trial is None or html or video or strips or one_of_each or method:
+            raise UsageError(
+                "--sees needs --trial ID, and no method or other output: cameras see the trial before any method"
+            )
+        return _sees(run, trial, rig, sees, benchmark, overwrite=overwrite)
+    if rig != "cell-v1":
+        raise UsageError("--rig names the cameras of --sees; add --sees FILE.png")
     outputs: Any = ((html, "--html", ()), (video, "--video", FILMS), (strips, "--strips", STRIPS))
     pictures = bool(video or strips)
     for file, flag, _ in outputs:
@@ -170,4 +183,25 @@ def view(
     if strips is not None:
         write_strips(drawings, strips, n=frames, size=size or (480, 400))
         print(strips)
+    return 0
+
+
+def _sees(
+    run: Path, trial: int, rig: str, out: Path, benchmark: BenchmarkChoice, *, overwrite: bool
+) -> int:
+    """`view --sees`."""
+    check_output_file(out, overwrite=overwrite, flag="--sees", endings=STRIPS)
+    from r2h_batch.observe.rig import load_rig
+
+    cameras = load_rig(rig)
+    from r2h_batch.view.sees import write_sees
+    from r2h_batch.view.stored import Reader
+
+    reader = Reader(run, benchmark)
+    planned = reader.run.header["trials"].get(SPLITS[trial % 2], 0)
+    if not 0 <= trial // 2 < planned:
+        counts = ", ".join(f"{n} of {s}" for s, n in reader.run.header["trials"].items())
+        raise UsageError(f"--trial is {trial}; {run} has {counts} (ids of S0 are even, of S1 odd)")
+    write_sees(reader, trial, cameras, out)
+    print(out)
     return 0

@@ -316,3 +316,31 @@ def test_a_strip_of_s1_draws_region_and_ball_and_the_camera_is_never_behind_the_
         for view in (view_of([drawing], 1.2), view_of([drawing], 1.2, close=True)):
             facing = drawing.stored.receiver[3:5, 3]
             assert view.axes[2, :2] @ facing / np.linalg.norm(view.axes[2, :2]) < 0.51
+
+
+def test_a_picture_of_what_cameras_see_has_a_row_for_each_camera(run, tmp_path, capsys):
+    from PIL import Image
+
+    def drawn(file, *more):
+        return main(["view", str(run), "--trial", "4", "--sees", str(tmp_path / file), *more])
+
+    rig = tmp_path / "one.toml"
+    rig.write_text(
+        'name = "one"\n[[cameras]]\nname = "post"\nposition = [-0.1, 0.75, 0.8]\ntarget = [0.42, -0.02, 0.15]\n'
+    )
+    assert drawn("two.png") == 0 and drawn("one.png", "--rig", str(rig)) == 0
+    two, one = (np.asarray(Image.open(tmp_path / f"{name}.png").convert("RGB")) for name in ("two", "one"))
+    assert two.shape[0] > 1.5 * one.shape[0] and two.shape[1] == one.shape[1]
+    blue = np.abs(two.astype(int) - (0x2A, 0x70, 0xB2)).sum(2) < 12  # the object, in both windows and in the cloud
+    assert blue[: len(blue) // 2].sum() > 200 and blue[len(blue) // 2 :].sum() > 200
+    capsys.readouterr()
+    for words, line in (
+        (["--trial", "4"], "--rig names the cameras of --sees"),
+        (["--sees", str(tmp_path / "x.png")], "--sees needs --trial ID"),
+        (["--trial", "100000", "--sees", str(tmp_path / "x.png")], "--trial is 100000"),
+        (["--trial", "4", "--sees", str(tmp_path / "x.png"), "--rig", "cell"], "did you mean cell-v1"),
+    ):
+        more = ["--rig", "mine.toml"] if "names" in line else []
+        assert main(["view", str(run), *words, *more]) == 2
+        error = capsys.readouterr().err
+        assert line in error and error.count("\n") == 1

@@ -43,7 +43,7 @@ class Drawn(NamedTuple):
     up: str
     cross: tuple[float, float] | None = None
     ball: tuple[float, float, float] | None = None
-    arrow: tuple[Array, Array] | None = None
+    arrow: tuple[tuple[float, float], tuple[float, float]] | None = None
     pads: tuple[tuple[float, float], tuple[float, float]] | None = None
     """middle and half sides of a pad's face"""
 
@@ -79,7 +79,7 @@ def hand_sheet(stored: StoredTrial) -> Drawn:
         "y",
         (cross[0], cross[1]),
         (float(ball[0]), float(ball[1]), float(limits["reach_radius_m"])),
-        (palm[:2], normal[:2]),
+        ((float(palm[0]), float(palm[1])), (float(normal[0]), float(normal[1]))),
     )
 
 
@@ -206,7 +206,7 @@ def _marks(axes: "Axes", drawn: Drawn) -> None:
         axes.add_patch(Circle((c[0], c[1]), r, fill=False, ec="#009e73", ls="--", lw=1.0))
     if drawn.arrow is not None:
         start, along = drawn.arrow
-        end = start + 0.08 * along
+        end = (start[0] + 0.08 * along[0], start[1] + 0.08 * along[1])
         axes.annotate(
             "", end, start, arrowprops={"arrowstyle": "->", "color": "#009e73", "lw": 1.5}
         )

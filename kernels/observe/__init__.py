@@ -1,0 +1,1 @@
+"""Cameras: rays on the meshes of a scene, errors of the sensor."""

@@ -1,0 +1,272 @@
+"""Depth and labels by rays on the meshes of a scene, and which body a point is near to.
+
+The bodies of a trial: table (box), robot at home (one mesh), object and hand (a mesh each), forearm and upper arm (capsules),
+torso (a box that stands upright). Frames: world, object, hand. Labels: `LABELS` of observe/seen.py.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
+
+FAR_M = wp.constant(1.0e6)
+TABLE = wp.constant(1)
+ROBOT = wp.constant(2)
+OBJECT = wp.constant(3)
+HAND = wp.constant(4)
+FOREARM = wp.constant(5)
+UPPER_ARM = wp.constant(6)
+TORSO = wp.constant(7)
+
+
+@wp.struct
+class Bodies:
+    """All that stands in the cell. A ball (centre, radius) holds each mesh."""
+
+    table_center: wp.vec3
+    table_half: wp.vec3
+    robot: wp.uint64
+    object_mesh: wp.array(dtype=wp.uint64)
+    object_ball: wp.array(dtype=wp.vec4)
+    hand_mesh: wp.array(dtype=wp.uint64)
+    hand_ball: wp.array(dtype=wp.vec4)
+    person: wp.int32  # whether trials have an arm and a torso
+
+
+@wp.func
+def first_three(v: wp.vec4):
+    return wp.vec3(v[0], v[1], v[2])
+
+
+@wp.func
+def rotation(T: wp.mat44):
+    return wp.mat33(T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2], T[2, 0], T[2, 1], T[2, 2])
+
+
+@wp.func
+def origin(T: wp.mat44):
+    return wp.vec3(T[0, 3], T[1, 3], T[2, 3])
+
+
+@wp.func
+def into(T: wp.mat44, p: wp.vec3):
+    """A point of the world in the frame of T."""
+    return wp.transpose(rotation(T)) * (p - origin(T))
+
+
+@wp.func
+def misses_ball(o: wp.vec3, d: wp.vec3, ball: wp.vec4, best: float):
+    """Whether a ray (unit direction) passes a ball, or meets it behind `best`."""
+    m = first_three(ball) - o
+    t = wp.dot(m, d)
+    r = ball[3]
+    return wp.dot(m, m) - t * t > r * r or t + r < 0.0 or t - r > best
+
+
+@wp.func
+def box_hit(o: wp.vec3, d: wp.vec3, half: wp.vec3):
+    """How far along a ray a box about the origin begins; FAR_M where it is missed."""
+    near = float(0.0)
+    far = float(FAR_M)
+    for k in range(3):
+        if wp.abs(d[k]) < 1.0e-12:
+            if wp.abs(o[k]) > half[k]:
+                near = 2.0 * FAR_M
+        else:
+            a = (-half[k] - o[k]) / d[k]
+            b = (half[k] - o[k]) / d[k]
+            near = wp.max(near, wp.min(a, b))
+            far = wp.min(far, wp.max(a, b))
+    return wp.where(near <= far and near > 0.0, near, FAR_M)
+
+
+@wp.func
+def ball_hit(o: wp.vec3, d: wp.vec3, c: wp.vec3, r: float):
+    """The same of a ball. From the ray's point nearest to the centre, so that no large squares cancel."""
+    m = c - o
+    t = wp.dot(m, d)
+    across = m - t * d
+    h = r * r - wp.dot(across, across)
+    if h < 0.0:
+        return FAR_M
+    t = t - wp.sqrt(h)
+    return wp.where(t > 0.0, t, FAR_M)
+
+
+@wp.func
+def capsule_hit(o: wp.vec3, d: wp.vec3, a: wp.vec3, b: wp.vec3, r: float):
+    """The same of the points within r of the segment from a to b."""
+    t = wp.min(ball_hit(o, d, a, r), ball_hit(o, d, b, r))
+    length = wp.length(b - a)
+    if length < 1.0e-9:
+        return t
+    axis = (b - a) / length
+    # across the axis: a circle
+    across_d = d - wp.dot(d, axis) * axis
+    across_o = a - o - wp.dot(a - o, axis) * axis
+    dd = wp.dot(across_d, across_d)
+    if dd < 1.0e-12:
+        return t
+    middle = wp.dot(across_o, across_d) / dd
+    off = across_o - middle * across_d
+    h = r * r - wp.dot(off, off)
+    if h >= 0.0:
+        s = middle - wp.sqrt(h / dd)
+        along = wp.dot(o + s * d - a, axis)
+        if s > 0.0 and along > 0.0 and along < length:
+            t = wp.min(t, s)
+    return t
+
+
+@wp.func
+def upright(p: wp.vec3, x: float, y: float):
+    """A vector in axes turned about z, the first along (x, y)."""
+    return wp.vec3(x * p[0] + y * p[1], -y * p[0] + x * p[1], p[2])
+
+
+@wp.kernel
+def cast(
+    first: int, cameras: int, columns: int, rows: int, stride: int, focal: float, principal: wp.vec2, far: float,
+    bodies: Bodies,
+    camera_in: wp.array(dtype=wp.mat44),  # one a camera, OpenCV axes
+    corner_in: wp.array2d(dtype=wp.vec2i),  # (n, cameras) the window's lowest pixel on the sensor
+    sensor: wp.vec2i,  # its columns and rows
+    object_in: wp.array(dtype=int), T_world_obj_in: wp.array(dtype=wp.mat44),
+    hand_in: wp.array(dtype=int), T_world_hand_in: wp.array(dtype=wp.mat44),
+    receiver_in: wp.array2d(dtype=wp.vec4),  # (n, 5) `Trials.receiver`
+    depth_out: wp.array2d(dtype=float), label_out: wp.array2d(dtype=wp.uint8),
+):  # fmt: skip
+    """Depth along the camera's z axis (m) and what is seen, 0 and 0 for nothing, of each pixel's middle.
+
+    A row of the output is a trial: its cameras one after the other, each `rows` x `columns` rays, `stride` pixels apart.
+    """
+    i, p = wp.tid()
+    i += first
+    pixels = columns * rows
+    c = p / pixels
+    x = float((p % pixels) % columns * stride + corner_in[i, c][0]) + 0.5 * float(stride)
+    y = float((p % pixels) / columns * stride + corner_in[i, c][1]) + 0.5 * float(stride)
+    depth_out[i, p] = 0.0
+    label_out[i, p] = wp.uint8(0)
+    if x < 0.0 or y < 0.0 or x > float(sensor[0]) or y > float(sensor[1]):
+        return
+    T = camera_in[c]
+    ray = wp.vec3((x - principal[0]) / focal, (y - principal[1]) / focal, 1.0)
+    scale = 1.0 / wp.length(ray)
+    o = origin(T)
+    d = rotation(T) * (ray * scale)
+    best = float(far)
+    what = int(0)
+    t = box_hit(o - bodies.table_center, d, bodies.table_half)
+    if t < best:
+        best = t
+        what = TABLE
+    robot = wp.mesh_query_ray(bodies.robot, o, d, best)
+    if robot.result:
+        best = robot.t
+        what = ROBOT
+    k = object_in[i]
+    M = T_world_obj_in[i]
+    lo = into(M, o)
+    ld = wp.transpose(rotation(M)) * d
+    if not misses_ball(lo, ld, bodies.object_ball[k], best):
+        thing = wp.mesh_query_ray(bodies.object_mesh[k], lo, ld, best)
+        if thing.result:
+            best = thing.t
+            what = OBJECT
+    k = hand_in[i]
+    M = T_world_hand_in[i]
+    lo = into(M, o)
+    ld = wp.transpose(rotation(M)) * d
+    if not misses_ball(lo, ld, bodies.hand_ball[k], best):
+        skin = wp.mesh_query_ray(bodies.hand_mesh[k], lo, ld, best)
+        if skin.result:
+            best = skin.t
+            what = HAND
+    if bodies.person == 1:
+        shoulder = first_three(receiver_in[i, 0])
+        elbow = first_three(receiver_in[i, 1])
+        wrist = first_three(receiver_in[i, 2])
+        t = capsule_hit(o, d, elbow, wrist, receiver_in[i, 1][3])
+        if t < best:
+            best = t
+            what = FOREARM
+        t = capsule_hit(o, d, shoulder, elbow, receiver_in[i, 0][3])
+        if t < best:
+            best = t
+            what = UPPER_ARM
+        fx = receiver_in[i, 3][3]
+        fy = receiver_in[i, 4][3]
+        from_middle = upright(o - first_three(receiver_in[i, 3]), fx, fy)
+        t = box_hit(from_middle, upright(d, fx, fy), first_three(receiver_in[i, 4]))
+        if t < best:
+            best = t
+            what = TORSO
+    if what > 0:
+        depth_out[i, p] = best * scale
+        label_out[i, p] = wp.uint8(what)
+
+
+@wp.func
+def to_box(p: wp.vec3, half: wp.vec3):
+    """Distance to a box about the origin; 0 inside."""
+    away = wp.vec3(
+        wp.max(wp.abs(p[0]) - half[0], 0.0), wp.max(wp.abs(p[1]) - half[1], 0.0), wp.max(wp.abs(p[2]) - half[2], 0.0)
+    )
+    return wp.length(away)
+
+
+@wp.func
+def to_capsule(p: wp.vec3, a: wp.vec3, b: wp.vec3, r: float):
+    """Distance to a capsule; 0 or less inside."""
+    along = b - a
+    t = wp.clamp(wp.dot(p - a, along) / wp.max(wp.dot(along, along), 1.0e-12), 0.0, 1.0)
+    return wp.length(p - a - t * along) - r
+
+
+@wp.func
+def mesh_near(mesh: wp.uint64, ball: wp.vec4, p: wp.vec3, within: float):
+    """Whether a mesh's surface is within this of a point."""
+    if wp.length(p - first_three(ball)) > ball[3] + within:
+        return False
+    return wp.mesh_query_point_no_sign(mesh, p, within).result
+
+
+@wp.kernel
+def near(
+    first: int, within: float, resting: int,
+    bodies: Bodies,
+    object_in: wp.array(dtype=int), T_world_obj_in: wp.array(dtype=wp.mat44),
+    hand_in: wp.array(dtype=int), T_world_hand_in: wp.array(dtype=wp.mat44),
+    receiver_in: wp.array2d(dtype=wp.vec4),
+    points_in: wp.array2d(dtype=wp.vec3),  # (n, k) world
+    label_out: wp.array2d(dtype=wp.uint8),
+):  # fmt: skip
+    """A body that is within this (m) of each point; 0: none is. `resting`: points of the object, which touches the table."""
+    i, j = wp.tid()
+    i += first
+    p = points_in[i, j]
+    found = int(0)
+    if resting == 0:
+        if to_box(p - bodies.table_center, bodies.table_half) <= within:
+            found = TABLE
+        if mesh_near(
+            bodies.object_mesh[object_in[i]], bodies.object_ball[object_in[i]], into(T_world_obj_in[i], p), within
+        ):
+            found = OBJECT
+    if wp.mesh_query_point_no_sign(bodies.robot, p, within).result:
+        found = ROBOT
+    if mesh_near(bodies.hand_mesh[hand_in[i]], bodies.hand_ball[hand_in[i]], into(T_world_hand_in[i], p), within):
+        found = HAND
+    if bodies.person == 1:
+        shoulder = first_three(receiver_in[i, 0])
+        elbow = first_three(receiver_in[i, 1])
+        if to_capsule(p, elbow, first_three(receiver_in[i, 2]), receiver_in[i, 1][3]) <= within:
+            found = FOREARM
+        if to_capsule(p, shoulder, elbow, receiver_in[i, 0][3]) <= within:
+            found = UPPER_ARM
+        from_middle = upright(p - first_three(receiver_in[i, 3]), receiver_in[i, 3][3], receiver_in[i, 4][3])
+        if to_box(from_middle, first_three(receiver_in[i, 4])) <= within:
+            found = TORSO
+    label_out[i, j] = wp.uint8(found)

@@ -1,0 +1,138 @@
+"""Look at trials: the moment, the windows, the images."""
+
+import torch
+from jaxtyping import Float32, Float64, UInt8
+from torch import Tensor
+
+from r2h_batch.base.errors import UsageError
+from r2h_batch.base.validate import check_arguments, instance_of, integer
+from r2h_batch.observe.moment import moments
+from r2h_batch.observe.rays import bodies_of
+from r2h_batch.observe.rig import Rig
+from r2h_batch.observe.seen import LABELS, Images, Observation
+from r2h_batch.observe.windows import (
+    NEAREST_M,
+    intrinsics,
+    middles,
+    projected,
+    window_corners,
+)
+from r2h_batch.scene.scene import Scene
+from r2h_batch.types import Trials
+
+CAMERA_CLEAR_M = 0.10
+"""A camera that is nearer to a body is refused [choice]: stereo of 50 mm sees nothing there."""
+WHOLE_STRIDE = 8
+"""Pixels between the rays of a whole image."""
+
+
+@check_arguments(
+    scene=instance_of(Scene),
+    trials=instance_of(Trials),
+    rig=instance_of(Rig, "load_rig(NAME or FILE)"),
+    seed=integer(),
+)
+def observe(scene: Scene, trials: Trials, rig: Rig, *, seed: int = 0) -> Observation:
+    """Look at trials with the cameras of a rig, at the moment, without errors.
+
+    A trial's bits do not depend on the other trials of the call.
+
+    Args:
+        scene: what is seen.
+        trials: N trials of its objects and hands.
+        rig: C cameras.
+        seed: of the moments.
+
+    Raises:
+        UserError: an object finds no place (`moments`).
+        UsageError: a camera stands in a body, or an object is in no camera's image.
+    """
+    return look(scene, trials, rig, moments(scene, trials, seed=seed))
+
+
+def look(
+    scene: Scene, trials: Trials, rig: Rig, T_world_obj: Float32[Tensor, "n 4 4"]
+) -> Observation:
+    """As `observe`, at moments of the caller's.
+
+    Args:
+        scene: what is seen.
+        trials: N trials of its objects and hands.
+        rig: C cameras.
+        T_world_obj: (N, 4, 4) float32, where the objects lie, m.
+
+    Raises:
+        UsageError: a camera stands in a body, or an object is in no camera's image.
+    """
+    _check_cameras(scene, trials, rig, T_world_obj)
+    about = middles(scene, trials, T_world_obj)
+    _check_in_view(scene, trials, rig, about)
+    palm = scene.palm(trials.hand_index, trials.T_world_hand)[0].double()
+    cameras = rig.T_world_camera.to(T_world_obj.device)
+    return Observation(
+        _window(scene, trials, rig, T_world_obj, about, rig.object_px),
+        _window(scene, trials, rig, T_world_obj, palm, rig.hand_px),
+        cameras[None].expand(len(trials), -1, -1, -1).contiguous(),
+    )
+
+
+def whole_images(
+    scene: Scene, trials: Trials, rig: Rig, T_world_obj: Float32[Tensor, "n 4 4"]
+) -> tuple[Float32[Tensor, "n c h w"], UInt8[Tensor, "n c h w"]]:
+    """Depth (m) and labels of the cameras' whole sensors, a ray for every eighth pixel each way.
+
+    Args:
+        scene: what is seen.
+        trials: N trials of its objects and hands.
+        rig: C cameras.
+        T_world_obj: (N, 4, 4) float32, where the objects lie, m.
+    """
+    corner = torch.zeros(
+        (len(trials), len(rig.cameras), 2), dtype=torch.int32, device=T_world_obj.device
+    )
+    return bodies_of(scene).cast(
+        trials, T_world_obj, rig.T_world_camera.to(T_world_obj.device), corner, focal_px=rig.focal_px,
+        sensor_px=rig.sensor_px, columns=rig.width // WHOLE_STRIDE, rows=rig.height // WHOLE_STRIDE, stride=WHOLE_STRIDE,
+    )  # fmt: skip
+
+
+def _window(
+    scene: Scene, trials: Trials, rig: Rig, T_world_obj: Tensor, about: Float64[Tensor, "n 3"], side: int
+) -> Images:  # fmt: skip
+    corner = window_corners(rig, about, side)
+    depth, label = bodies_of(scene).cast(
+        trials, T_world_obj, rig.T_world_camera.to(T_world_obj.device), corner, focal_px=rig.focal_px,
+        sensor_px=rig.sensor_px, columns=side, rows=side,
+    )  # fmt: skip
+    return Images(depth, label, intrinsics(rig, corner))
+
+
+def _check_cameras(scene: Scene, trials: Trials, rig: Rig, T_world_obj: Tensor) -> None:
+    """Refuses a camera that stands in a body, or nearly."""
+    if not len(trials):
+        return
+    centers = rig.T_world_camera[None, :, :3, 3].expand(len(trials), -1, -1).to(T_world_obj.device)
+    near = bodies_of(scene).near(
+        trials, T_world_obj, centers, within_m=CAMERA_CLEAR_M, resting=False
+    )
+    if bool((near > 0).any()):
+        row, camera = (near > 0).nonzero()[0].tolist()
+        what = LABELS[int(near[row, camera])].replace("_", " ")
+        raise UsageError(
+            f"rig {rig.name}: camera {rig.cameras[camera].name!r} is within {CAMERA_CLEAR_M:g} m of the {what} in trial"
+            f" {int(trials.trial_id[row])}; move it away"
+        )
+
+
+def _check_in_view(scene: Scene, trials: Trials, rig: Rig, about: Float64[Tensor, "n 3"]) -> None:
+    """Refuses rigs of which no camera has an object's middle in its image."""
+    at, z = projected(rig, about)
+    sensor = torch.tensor(rig.sensor_px, dtype=torch.float64, device=at.device)
+    inside = ((at >= 0) & (at < sensor)).all(2) & (z > NEAREST_M)
+    if not bool(inside.any(1).all()):
+        row = int((~inside.any(1)).nonzero()[0])
+        name = scene.objects[int(trials.object_index[row])].name
+        raise UsageError(
+            f"rig {rig.name}: object {name} of trial {int(trials.trial_id[row])} is in no camera's image; turn a camera"
+            " towards the table"
+        )

@@ -1,0 +1,345 @@
+"""Moments, depth and labels (r2h_batch.observe) against float64 NumPy that knows nothing of Warp."""
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from problems import default_evaluator
+from rounds import each
+from scipy.spatial import cKDTree
+
+from r2h_batch import load_benchmark
+from r2h_batch.base.errors import UserError
+from r2h_batch.observe import LABELS, load_rig, look, moments, observe, whole_images
+from r2h_batch.observe.moment import (
+    PLACE_X,
+    PLACE_Y,
+    TOUCH_M,
+    resting_rotation,
+)
+from r2h_batch.observe.rays import bodies_of
+from r2h_batch.observe.rig import CELL_V1
+from r2h_batch.observe.robot_mesh import robot_at_home
+from r2h_batch.scene.dynamics import Payload
+from r2h_batch.scene.model import TrialScene
+
+RIG = load_rig("cell-v1")
+
+
+@cache
+def cell(benchmark="r2h-v2", count=4):
+    """Scene, trials and moments of a benchmark."""
+    scene, trials = default_evaluator(benchmark).scene, load_benchmark(benchmark).trials(count)
+    return scene, trials, moments(scene, trials)
+
+
+@cache
+def seen():
+    return look(*cell()[:2], RIG, cell()[2])
+
+
+def triangles(scene, trials, T_world_obj, i):
+    """Corners (F, 3, 3) float64 in the world of all meshes of a trial, and each one's label; the robot from MuJoCo's model."""
+    found, labels = [], []
+    o, h = int(trials.object_index[i]), int(trials.hand_index[i])
+    model, T = scene.objects[o], T_world_obj[i].double().numpy()
+    found.append(model.vertices[model.faces] @ T[:3, :3].T + T[:3, 3])
+    labels += [LABELS.index("object")] * len(model.faces)
+    T, hands = trials.T_world_hand[i].double().numpy(), scene.hands
+    faces = hands.model.faces.numpy()
+    found.append(hands.vertices[h].double().numpy()[faces] @ T[:3, :3].T + T[:3, 3])
+    labels += [LABELS.index("hand")] * len(faces)
+    robot = robot_of_mujoco()
+    found.append(robot)
+    labels += [LABELS.index("robot")] * len(robot)
+    return np.concatenate(found), np.array(labels)
+
+
+@cache
+def robot_of_mujoco():
+    """Corners (F, 3, 3) of what MuJoCo shows of the robot at home with an open gripper."""
+    scene = cell()[0]
+    own = scene.model([0])
+    model, data = own.model, mujoco.MjData(own.model)
+    eye = np.eye(4)
+    held = TrialScene(Payload.of(scene.objects[0], eye), 0, 0, eye, scene.robot.open_gap_m)
+    data.qpos[:] = own.start(held, scene.config.workplace.home_q)
+    mujoco.mj_kinematics(model, data)
+    others = {model.body(name).id for name in ("hand", "object", "table")}
+    corners = []
+    for g in range(model.ngeom):
+        if model.geom_group[g] != 2 or int(model.geom_bodyid[g]) in others:
+            continue
+        R, p = data.geom_xmat[g].reshape(3, 3), data.geom_xpos[g]
+        if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX:
+            signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+            sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+            faces = [f for a, b, c, d in sides for f in ((a, b, c), (a, c, d))]
+            own_corners = (signs * model.geom_size[g])[np.array(faces)]
+        else:
+            m = model.geom_dataid[g]
+            v, nv = model.mesh_vertadr[m], model.mesh_vertnum[m]
+            f, nf = model.mesh_faceadr[m], model.mesh_facenum[m]
+            own_corners = model.mesh_vert[v : v + nv].astype(np.float64)[model.mesh_face[f : f + nf]]
+        corners.append(own_corners @ R.T + p)
+    return np.concatenate(corners)
+
+
+def first_hit(origin, direction, corners):
+    """Moeller and Trumbore 1997: distance along the ray to the first triangle, and its row."""
+    a, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    p = np.cross(direction, e2)
+    det = (e1 * p).sum(1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = origin - a
+        u = (s * p).sum(1) / det
+        q = np.cross(s, e1)
+        v = q @ direction / det
+        t = (e2 * q).sum(1) / det
+    hit = (np.abs(det) > 1e-14) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+    t = np.where(hit, t, np.inf)
+    return t.min(), int(t.argmin())
+
+
+def march(origin, direction, distance, far=4.0):
+    """Sphere tracing of a distance function."""
+    t = 0.0
+    for _ in range(2000):
+        d = distance(origin + t * direction)
+        if d < 1e-9:
+            return t
+        t += d
+        if t > far:
+            break
+    return np.inf
+
+
+def person_parts(receiver):
+    """Label -> distance function of arm and torso (float64)."""
+    s, e, w, m, half = receiver.astype(np.float64)
+
+    def capsule(a, b, r):
+        def distance(x):
+            along = b - a
+            return np.linalg.norm(x - a - np.clip((x - a) @ along / (along @ along), 0, 1) * along) - r
+
+        return distance
+
+    axes = np.array([[m[3], half[3], 0], [-half[3], m[3], 0], [0, 0, 1]])
+
+    def torso(x):
+        return np.linalg.norm(np.maximum(np.abs(axes @ (x - m[:3])) - half[:3], 0))
+
+    return {"forearm": capsule(e[:3], w[:3], e[3]), "upper_arm": capsule(s[:3], e[:3], s[3]), "torso": torso}
+
+
+def expected(scene, trials, T_world_obj, i, K, T_world_camera, column, row):
+    """Depth and label of a pixel, in float64."""
+    ray = np.array([(column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1], 1.0])
+    length = np.linalg.norm(ray)
+    R, origin = T_world_camera[:3, :3], T_world_camera[:3, 3]
+    direction = R @ (ray / length)
+    corners, labels = triangles(scene, trials, T_world_obj, i)
+    t, at = first_hit(origin, direction, corners)
+    best = [(t, int(labels[at]))]
+    center, half = (np.array(x) for x in (scene.config.workplace.table_center, scene.config.workplace.table_half))
+    best.append((march(origin, direction, lambda x: np.linalg.norm(np.maximum(np.abs(x - center) - half, 0))), 1))
+    for name, distance in person_parts(trials.receiver[i].numpy()).items():
+        best.append((march(origin, direction, distance), LABELS.index(name)))
+    t, label = min(best)
+    return (t / length, label) if np.isfinite(t) and t < 4.0 else (0.0, 0)
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("which", ["object", "hand"])
+def test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes(which):
+    scene, trials, T = cell()
+    images = getattr(seen(), which)
+    drawn = np.random.default_rng(0)
+    side, wrong, labels = images.depth_m.shape[-1], 0, set()
+    cameras = RIG.T_world_camera.double().numpy()
+    for _ in each(range(60)):
+        i, c = drawn.integers(len(trials)), drawn.integers(2)
+        u, v = (int(x) for x in drawn.integers(side // 4, 3 * side // 4, 2))
+        depth, label = expected(scene, trials, T, i, images.K[i, c].double().numpy(), cameras[c], u, v)
+        labels.add(label)
+        found = float(images.depth_m[i, c, v, u]), int(images.label[i, c, v, u])
+        if found[1] != label:  # a silhouette
+            wrong += 1
+            continue
+        assert found[0] == pytest.approx(depth, abs=1e-5)
+    assert wrong <= 1
+    assert LABELS.index(which) in labels and len(labels) >= 3
+
+
+def test_whole_images_show_table_robot_and_person_where_float64_rays_do():
+    scene, trials, T = cell()
+    depth, label = whole_images(scene, trials, RIG, T)
+    K = np.array([[RIG.focal_px, 0, 640], [0, RIG.focal_px, 360], [0, 0, 1]])
+    drawn, wrong, labels = np.random.default_rng(1), 0, set()
+    cameras = RIG.T_world_camera.double().numpy()
+    for _ in each(range(60)):
+        i, c, u, v = (int(drawn.integers(n)) for n in (len(trials), 2, 160, 90))
+        # the middle of a block of eight pixels
+        z, shows = expected(scene, trials, T, i, K, cameras[c], 8 * u + 3.5, 8 * v + 3.5)
+        labels.add(shows)
+        wrong += shows != int(label[i, c, v, u])
+        if shows == int(label[i, c, v, u]):
+            assert float(depth[i, c, v, u]) == pytest.approx(z, abs=1e-5)
+    assert wrong <= 2
+    assert {LABELS.index(k) for k in ("table", "robot", "torso")} <= labels
+
+
+def test_the_robot_at_home_is_mujocos_with_an_open_gripper():
+    scene = cell()[0]
+    vertices, faces = robot_at_home(scene.robot, tuple(scene.config.workplace.home_q))
+    ours, theirs = vertices[faces].astype(np.float64).mean(1), robot_of_mujoco().mean(1)
+    far = [cKDTree(a).query(b)[0] for a, b in ((ours, theirs), (theirs, ours))]
+    assert len(ours) == len(theirs) and max(d.max() for d in far) < 0.02
+    assert np.quantile(far[0], 0.99) < 1e-5  # a box may be cut along its other diagonal
+
+
+def test_labels_of_left_and_right_cameras_differ_as_the_cameras_do():
+    one = look(*cell()[:2], RIG.only("right"), cell()[2])
+    assert torch.equal(one.object.depth_m[:, 0], seen().object.depth_m[:, 1])
+    assert not torch.equal(one.object.depth_m[:, 0], seen().object.depth_m[:, 0])
+
+
+def test_moments_and_images_have_the_same_bits_alone_in_sevens_and_permuted():
+    scene, trials, T = cell(count=10)
+    whole = observe(scene, trials, RIG)
+    order = torch.from_numpy(np.random.default_rng(2).permutation(len(trials)))
+    parts = [order[k : k + 7] for k in range(0, len(order), 7)] + [torch.tensor([3])]
+    for rows in each(parts):
+        assert torch.equal(moments(scene, trials[rows]), T[rows])
+        part = observe(scene, trials[rows], RIG)
+        for one, all_of in ((part.object, whole.object), (part.hand, whole.hand)):
+            for name in ("depth_m", "label", "K"):
+                assert torch.equal(getattr(one, name), getattr(all_of, name)[rows])
+        for one, every in zip(part.cloud(300), whole.cloud(300), strict=True):
+            assert torch.equal(one, every[rows])
+
+
+@pytest.mark.parametrize("benchmark", ["r2h-v2", "r2h-v1"])
+def test_objects_rest_on_the_table_away_from_the_hand_and_touch_nobody(benchmark):
+    scene, trials, T = cell(benchmark, 12)
+    for i in each(range(len(trials))):
+        model, pose = scene.objects[int(trials.object_index[i])], T[i].double().numpy()
+        v = model.vertices @ pose[:3, :3].T + pose[:3, 3]
+        assert v[:, 2].min() == pytest.approx(0.0, abs=1e-6)
+        middle = 0.5 * (v.min(0) + v.max(0))
+        assert PLACE_X[0] - 1e-6 <= middle[0] <= PLACE_X[1] + 1e-6
+        assert PLACE_Y[0] - 1e-6 <= abs(middle[1]) <= PLACE_Y[1] + 1e-6
+        assert middle[1] * float(trials.T_world_hand[i, 1, 3]) <= 0
+        assert v[:, 0].max() <= 0.45 and np.abs(v[:, 1]).max() <= 0.6
+        # the centre of mass is over the hull of what touches the table
+        com = pose[:3, :3] @ model.com + pose[:3, 3]
+        low = v[v[:, 2] < 6e-4][:, :2] - com[:2]
+        angles = np.sort(np.arctan2(low[:, 1], low[:, 0]))
+        assert np.diff([*angles, angles[0] + 2 * np.pi]).max() < np.pi
+        robot = robot_of_mujoco().reshape(-1, 3)
+        nearest = min(np.linalg.norm(robot - p, axis=1).min() for p in v[:: max(1, len(v) // 200)])
+        assert nearest > TOUCH_M
+
+
+def test_frames_of_the_default_benchmark_rest_on_a_table():
+    objects = cell()[0].objects
+    for model in each(objects):
+        assert np.array_equal(resting_rotation(model), np.eye(3))
+
+
+def test_a_point_near_a_body_is_found_and_one_beyond_is_not():
+    scene, trials, T = cell()
+    table = scene.config.workplace
+    top = table.table_center[2] + table.table_half[2]
+    points = torch.tensor([[[-0.3, 0.5, top + 0.009], [-0.3, 0.5, top + 0.011]]]).expand(len(trials), -1, -1)
+    found = bodies_of(scene).near(trials, T, points, within_m=0.01, resting=False)
+    assert (found == torch.tensor([1, 0])).all()
+    shoulder = trials.receiver[:, 0, :3]
+    found = bodies_of(scene).near(trials, T, shoulder[:, None], within_m=0.01, resting=True)
+    assert (found > 4).all()
+
+
+def test_clouds_lie_on_the_surface_of_the_object_and_of_the_hand():
+    import trimesh
+
+    scene, trials, T = cell()
+    for label, count in each([("object", 300), ("hand", 300)]):
+        cloud, mask = seen().cloud(count, label=label)
+        for i in each(range(len(trials))):
+            corners, labels = triangles(scene, trials, T, i)
+            own = corners[labels == LABELS.index(label)]
+            mesh = trimesh.Trimesh(**trimesh.triangles.to_kwargs(own))
+            points = cloud[i][mask[i]][:50].double().numpy()
+            if not len(points):
+                continue
+            away = trimesh.proximity.ProximityQuery(mesh).on_surface(points)[1]
+            # float32 rays that graze a face end up to 0.1 mm beside its edge
+            assert np.quantile(away, 0.95) < 1e-5 and away.max() < 2e-4
+
+
+def test_clouds_take_every_pixel_once_and_mask_the_rest():
+    cloud, mask = seen().cloud(20_000)
+    images = seen().object
+    count = ((images.label == 3) & (images.depth_m > 0)).sum((1, 2, 3))
+    assert torch.equal(mask.sum(1), count)
+    assert (cloud[~mask] == 0).all()
+    for i in each(range(len(cloud))):
+        assert len(torch.unique(cloud[i][mask[i]], dim=0)) == int(count[i])
+
+
+BAD = {
+    "two cameras are called": ('[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n' * 2, "'a'"),
+    "object_px": ('object_px = 7\n[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n', "16"),
+    "a window is no larger": (
+        'object_px = 800\n[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n',
+        "1280 x 720",
+    ),
+    "looks up or down": ('[[cameras]]\nname = "a"\nposition = [0, 0, 1]\ntarget = [0, 0, 0]\n', "1 cm"),
+    "cameras": ("width = 640\n", "needed"),
+    "focus": ('focus = 3\n[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n', "focus"),
+}
+
+
+@pytest.mark.parametrize("words", BAD)
+def test_a_rig_that_cannot_be_is_refused_in_one_line(words, tmp_path):
+    file = tmp_path / "rig.toml"
+    text, more = BAD[words]
+    file.write_text(f'name = "mine"\n{text}')
+    with pytest.raises(UserError) as refused:
+        load_rig(file)
+    message = str(refused.value)
+    assert words in message and more in message and "\n" not in message
+
+
+def test_unknown_rigs_name_the_nearest_one():
+    with pytest.raises(UserError, match=r"rig 'cell-v2', did you mean cell-v1\?; allowed are cell-v1"):
+        load_rig("cell-v2")
+    with pytest.raises(UserError, match="no such file"):
+        load_rig("none.toml")
+    with pytest.raises(UserError, match="camera 'middle' is not in rig cell-v1; it has left, right"):
+        RIG.only("middle")
+
+
+def rig_at(position, target):
+    camera = CELL_V1.cameras[0].model_copy(update={"position": position, "target": target})
+    return CELL_V1.model_copy(update={"name": "moved", "cameras": (camera,)})
+
+
+def test_a_camera_in_a_body_and_an_object_out_of_view_are_refused_in_one_line():
+    scene, trials, _ = cell()
+    with pytest.raises(UserError, match=r"rig moved: camera 'left' is within 0\.1 m of the table in trial 0; move it"):
+        observe(scene, trials, rig_at((0.0, 0.5, -0.02), (0.4, 0, 0.1)))
+    with pytest.raises(UserError, match="is in no camera's image; turn a camera"):
+        observe(scene, trials, rig_at((-0.1, 0.75, 0.8), (-1.0, 2.0, 0.8)))
+
+
+def test_a_rig_file_sees_what_the_rig_of_its_numbers_sees(tmp_path):
+    cameras = "".join(
+        f'[[cameras]]\nname = "{c.name}"\nposition = {list(c.position)}\ntarget = {list(c.target)}\n'
+        for c in CELL_V1.cameras
+    )
+    (tmp_path / "mine.toml").write_text(f'name = "cell-v1"\n{cameras}')
+    assert load_rig(tmp_path / "mine.toml").digest == CELL_V1.digest
