@@ -83,7 +83,8 @@ HEAD = """# Transfers: who takes the object, and when the gripper lets go
 
 See what a release policy changes ([definitions, and what may not be claimed](../transfer.md)). `python bench/transfer.py`
 simulated {trials} trials of each split of r2h-v1 with one person each (bench/results/transfer.json, commit {commit}). The
-model and `probe` were fitted on 44 other trials. For your method run `r2h-batch results transfer runs/mine`.
+model and `probe` were fitted on 44 other trials. For your method run `r2h-batch results transfer runs/mine`. These persons
+did not yet [feel weight](../transfer.md#people-who-feel-weight): they took every object in 0.3 s, and had no age.
 
 ## From success to taken
 
@@ -95,7 +96,7 @@ Percent of all trials, with the default policy `load-share`. `taken and success`
 
 Percent of the received trials. Brackets: 95 % (Wilson) over trials, each with a person of its own. `kept`: under a mere touch.
 Medians are of the taken trials: the largest force along the pull, and the time from the beginning of the grip until the gripper
-is free.
+is free. Of their orders only [those that survive other persons](persons.md) may be claimed.
 
 {policies}
 

@@ -91,6 +91,7 @@ T_BASELINES = (
     "tests/report/statistics/test_baselines.py"
     "::test_a_benchmark_knows_its_stored_rows_by_digest_simulated_ones_of_the_default_preset"
 )
+PERSON, T_TRANSFER = "r2h_batch/closed_loop/transfer/person.py", "tests/closed_loop/transfer/test_transfer.py"
 TRANSFERS, TURN = "r2h_batch/sweep/results/transfer.py", "r2h_batch/sweep/turn.py"
 T_GRIPS = (
     "tests/sweep/results/test_transfer.py"
@@ -969,6 +970,48 @@ MUTATIONS = (
         'got & (arm > np.median(arm[got]))',
         'got & (arm < np.median(arm[got]))',
         (T_GRIPS,),
+    ),
+    Mutation(
+        'person: the weight does not take longer',
+        PERSON,
+        '(LOAD_S + LOAD_S_PER_N * self.weight)',
+        '(LOAD_S + 0.0 * self.weight)',
+        (f"{T_TRANSFER}::test_a_heavier_object_takes_the_person_longer_and_the_sample_of_handovers_takes_as_long_as_measured",),
+    ),
+    Mutation(
+        'person: the load waits until the grip has grown',
+        PERSON,
+        'self._ramp(PRELOAD_S)',
+        'self._ramp(LOAD_S)',
+        (f"{T_TRANSFER}::test_grip_and_load_grow_side_by_side_for_as_long_as_the_weight_takes",),
+    ),
+    Mutation(
+        'person: age makes no grip firmer',
+        PERSON,
+        '(1.0 + (OLDER_GRIP - 1.0) * older)',
+        '(1.0 + 0.0 * older)',
+        (f"{T_TRANSFER}::test_older_people_grip_twice_as_firmly_and_pause_longer_and_an_age_that_is_said_is_not_drawn",),
+    ),
+    Mutation(
+        "person: the benchmark's age is not heard",
+        PERSON,
+        'np.where(np.isnan(handed.age), drawn["age"], handed.age)',
+        'drawn["age"]',
+        (f"{T_TRANSFER}::test_older_people_grip_twice_as_firmly_and_pause_longer_and_an_age_that_is_said_is_not_drawn",),
+    ),
+    Mutation(
+        'person: a study doubles nothing',
+        PERSON,
+        'drawn[name] = factor * (low + (high - low) * x)',
+        'drawn[name] = low + (high - low) * x',
+        (f"{T_TRANSFER}::test_a_setting_scales_what_persons_are_drawn_with",),
+    ),
+    Mutation(
+        'cache: entries with infinite numbers are made again',
+        'r2h_batch/base/io/cache.py',
+        'np.isnan(a).any()',
+        'not np.isfinite(a).all()',
+        ("tests/base/test_cache.py::test_an_entry_with_infinite_numbers_is_read_and_not_made_again",),
     ),
     Mutation(
         'transfer: one that ends badly costs no reward',

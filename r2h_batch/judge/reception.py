@@ -38,7 +38,7 @@ from r2h_batch.trials.holding.capacity import (
     Withstood,
 )
 from r2h_batch.trials.holding.held_out import GRAVITY, G, HeldOut, load_held_out
-from r2h_batch.types import CRITERIA, ScoreInputs, Scores
+from r2h_batch.types import CRITERIA, ScoreInputs, Scores, Trials
 
 STEPS = ("arm", "free", "way", "clear", "release", "hold")
 """Steps that a grasp must pass, in this order. arm: joint ranges allow it. free: the hand is clear
@@ -144,6 +144,7 @@ def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Re
         raise ValueError("leans_deg is empty; give (0.0,) for a person who does not lean")
     rows = range(0, max(len(scores), 1), TRIALS_AT_ONCE)
     with inputs.evaluator.working():
+        _needed_grasps(inputs.evaluator.scene, inputs.trials)  # of all rows: hands are posed once
         parts = [_reception(scores[i : i + TRIALS_AT_ONCE], leans_deg) for i in rows]
     return Reception(
         **{k: torch.cat([getattr(p, k) for p in parts]) for k in Reception.__dataclass_fields__}
@@ -171,6 +172,11 @@ class _Grasps:
     def first_of(self, object_index: Tensor) -> Tensor:
         """Row of each object's first grasp."""
         return self.held_out.first.to(object_index.device)[object_index.long()]
+
+
+def _needed_grasps(scene: Scene, trials: Trials) -> HeldOut:
+    """The held-out grasps of the objects of these trials, at least."""
+    return load_held_out(scene.objects, scene.hands.model, trials.object_index.unique().tolist())
 
 
 @lru_cache(maxsize=2)
@@ -297,9 +303,7 @@ def _batch_of(scores: Scores) -> _Batch:
     evaluator, trials = inputs.evaluator, inputs.trials
     scene, receiver = evaluator.scene, trials.receiver
     assert receiver is not None  # `reception` has asked
-    needed = trials.object_index.unique().tolist()
-    grasps = _grasps(scene, load_held_out(scene.objects, scene.hands.model, needed))
-    device = scene.device
+    grasps, device = _grasps(scene, _needed_grasps(scene, trials)), scene.device
     asked = inputs.T_obj_ee, inputs.T_world_ee
     executed = executed_poses(evaluator.config, scene.objects, *asked, trials)
     evaluated = scores.passed[:, CRITERIA.index("stability")] & scores.q_goal.isfinite().all(1)
