@@ -16,7 +16,7 @@ pytestmark = pytest.mark.check
 APART = {"contacts", "people", "persons", "transfer", "coverage", "gates", "networks", "object_errors", "observe"}
 APART |= {"closed_loop", "reception", "robots", "robustness"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
-LONG = {"families", "judge_again"}
+LONG = {"families", "judge_again", "learn"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
 OF_OTHERS = {"release", "vendors"}
 """Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, VENDORS=).
