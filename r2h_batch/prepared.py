@@ -1,4 +1,4 @@
-"""What an `Evaluator` is besides its stages: the scene and settings that it is built from, copies and pickles, threads,
+"""An `Evaluator` besides its stages: the scene and settings that it is built from, copies and pickles, threads,
 chunks that bound the memory, captured calls, hints about mistaken conventions. `evaluate.py` has the stages.
 """
 
@@ -87,7 +87,7 @@ class Prepared(ABC):
         self._begin()
 
     def _begin(self) -> None:
-        """What belongs to this object alone: its number for torch.compile, and what calls keep."""
+        """The state of this object alone: its number for torch.compile, and what calls keep."""
         self.handle = torch_op.register(self)
         self._small_calls, self._small_gradients = (
             RepeatedCalls(SIZES_KEPT),

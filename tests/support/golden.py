@@ -138,9 +138,7 @@ def _candidates() -> dict[str, dict[str, str]]:
     from r2h_batch import load_benchmark
 
     with np.load(POSES) as mix:
-        ids, T_obj_ee, T_world_ee = (
-            torch.from_numpy(mix[k]) for k in ("trial_id", "T_obj_ee", "T_world_ee")
-        )
+        ids, T_obj_ee, T_world_ee = (torch.from_numpy(mix[k]) for k in ("trial_id", "T_obj_ee", "T_world_ee"))
     scores = default_evaluator().score(
         T_obj_ee, T_world_ee, load_benchmark("r2h-v0").trials_with_ids(ids), stages="pose"
     )
