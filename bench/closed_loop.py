@@ -25,6 +25,7 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
     "r2h_batch/closed_loop",
 )
 CASES = (("still", "planned"), ("moves", "planned"), ("moves", "stop"), ("moves", "servo"), ("moves", "replan"))

@@ -37,6 +37,7 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
 )
 ASK = ("speed", "models", "auto", "parity", "tracking", "batches")
 TIP_M = np.array([0.0, 0.0, 0.02, 1.0])  # fingertips in the ee frame

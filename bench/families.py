@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 STORED, PAGE = ROOT / "bench" / "results" / "families.json", ROOT / "docs" / "results" / "families.md"
 MEASURES = (
     *("bench/families.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
-    *("r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py"),
+    *("r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py", "r2h_batch/prepared.py"),
 )
 METHODS = ("fc", "handover-va", "contact", "intent")
 BOUNDS = ("random", "oracle")

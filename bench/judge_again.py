@@ -69,6 +69,7 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/closed_loop",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
 )
 
 

@@ -21,6 +21,7 @@ MEASURES = (
     "r2h_batch/protocols",
     "r2h_batch/scene",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
     "r2h_batch/methods",
     "r2h_batch/trials",
 )

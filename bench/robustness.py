@@ -26,6 +26,7 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
     "r2h_batch/methods",
     "r2h_batch/report/robustness.py",
 )

@@ -37,6 +37,7 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
     "r2h_batch/runs",
     "r2h_batch/sweep",
 )

@@ -34,6 +34,7 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
 )
 REPEATS = 5
 MIX_TRIALS = 1024

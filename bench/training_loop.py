@@ -33,6 +33,7 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
 )
 SIZES = (1, 64, 4096, 65536)
 

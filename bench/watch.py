@@ -41,6 +41,7 @@ MEASURES = (
     "r2h_batch/base",
     "r2h_batch/closed_loop",
     "r2h_batch/evaluate.py",
+    "r2h_batch/prepared.py",
     "r2h_batch/judge",
     "r2h_batch/scene",
     "r2h_batch/sweep",

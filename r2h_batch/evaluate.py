@@ -13,29 +13,22 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 | verdict | `metrics`, `scores` | five criteria with margins, one outcome |
 
 `_score_planned` runs all stages. `_score_pose` has the goal posture (`goal`) in place of a path, and
-`_score_trace` has a motion that the caller gives. The rest of this file is inputs, chunks and memory.
+`_score_trace` has a motion that the caller gives. `prepared.py` has the rest: construction, copies, chunks of rows, memory.
 """
 
-import copy
 import time
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
-from r2h_batch.base.launch import cpu_threads
-from r2h_batch.base.launch.memory import in_chunks, rows_at_once
-from r2h_batch.base.launch.repeated import RepeatedCalls
-from r2h_batch.base.launch.threads import on_threads, one_torch_thread
-from r2h_batch.base.summary import html_table
-from r2h_batch.base.validate import instance_of, optional, suggest_names
-from r2h_batch.config import EvalConfig, ExecutionError, ObjectErrors
+from r2h_batch.base.launch.memory import in_chunks
+from r2h_batch.base.validate import instance_of, suggest_names
+from r2h_batch.config import EvalConfig
 from r2h_batch.judge import metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
 from r2h_batch.judge.compile import compile_stages
@@ -48,29 +41,23 @@ from r2h_batch.judge.distance import (
     person_distance,
     person_distance_at,
 )
-from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.goal import Goal, failed_clearance, judge_goals, weaken_singular_reason
-from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
+from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
-    KnownInputs,
     Stages,
     check_benchmark,
     check_indices,
     check_receiver,
-    check_stages,
     checked_inputs,
     warn_of_doubts,
     warn_of_no_gradient,
-    warn_of_payload,
 )
 from r2h_batch.judge.presented import presented
 from r2h_batch.judge.scores import motion_scores, pose_fields, pose_scores, verdict
-from r2h_batch.protocols.benchmark import Benchmark
-from r2h_batch.protocols.load import load_benchmark
+from r2h_batch.prepared import Prepared
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.scene import BodyPoses, Scene
+from r2h_batch.scene.scene import BodyPoses
 from r2h_batch.training import torch_op
-from r2h_batch.training.capture import Captured
 from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
 
 if TYPE_CHECKING:
@@ -80,21 +67,8 @@ if TYPE_CHECKING:
 # Stages of paths, motions and gradients are imported where they are called: with their kernels and
 # MuJoCo they would take a fifth of the time to the first verdict on a pose.
 
-POSE_CHUNK_CUDA = 1 << 16
-"""Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
-
-ROW_BYTES, MOVED_ROW_BYTES = 32 << 10, 192 << 10
-"""Working memory of a row with a path, and of one whose motion is recorded, without the trees of the
-planner's search."""
-
-SORTED_ROWS = 256
-"""CPU batches of this size or more are sorted by object, then by hand. Neighbouring rows then share
-cached data and branches. This is five to ten per cent faster, and another five where candidates share
-trials."""
-
-SMALL_ROWS, SIZES_KEPT = 255, 8
-"""CPU pose calls up to SMALL_ROWS rows are recorded and replayed (`base.launch.repeated`). Each thread
-keeps recordings of at most SIZES_KEPT batch sizes."""
+SMALL_ROWS = 255
+"""CPU pose calls up to SMALL_ROWS rows are recorded and replayed (`base.launch.repeated`)."""
 
 
 class JudgedPoses(NamedTuple):
@@ -107,7 +81,7 @@ class JudgedPoses(NamedTuple):
     changes: "Changes | None" = None  # only if a pose requires a gradient
 
 
-class Evaluator:
+class Evaluator(Prepared):
     """Judges predicted handovers on one device. Build it once: it holds the scene's tables and
     compiled kernels.
 
@@ -121,82 +95,6 @@ class Evaluator:
     Raises:
         TypeError, ValueError: one of these is something else.
     """
-
-    called = moved = (
-        False  # True after the first call of poses, of motions was checked for common mistakes
-    )
-
-    @suggest_names
-    def __init__(
-        self,
-        benchmark: Benchmark | None = None,
-        config: EvalConfig | None = None,
-        *,
-        device: str | torch.device = "cpu",
-        threads: int | None = None,
-    ) -> None:
-        how = "load_benchmark(NAME or FILE)"
-        if isinstance(benchmark, EvalConfig):
-            how += ", and Evaluator(config=EvalConfig(...)) for a configuration"
-        optional(instance_of(Benchmark, how))("benchmark", benchmark)
-        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))(
-            "config", config
-        )
-        cpu_threads(threads)
-        self.scene = Scene(benchmark or load_benchmark(), device, config=config)
-        warn_of_payload(self.scene)
-        self.config = self.scene.config
-        self.threads = threads
-        if self.scene.device != "cpu":
-            build_tables(self.scene.robot, self.config.workplace.home_q, self.scene.device)
-        self.handle = torch_op.register(self)
-        self._small_calls, self._small_gradients = (
-            RepeatedCalls(SIZES_KEPT),
-            RepeatedCalls(SIZES_KEPT),
-        )
-        self._known_inputs = KnownInputs()
-
-    @property
-    def benchmark(self) -> Benchmark:
-        """The benchmark that is judged."""
-        return self.scene.benchmark
-
-    def __getstate__(self) -> dict[str, Any]:
-        """The state of a copy or pickle: all but the handle and what calls keep. Copies share the scene's tables, which
-        nobody changes; another process builds its own (`Scene.__reduce__`), rows are bitwise
-        equal."""
-        own = ("handle", "kinematic", "_small_calls", "_small_gradients", "_known_inputs")
-        return {k: v for k, v in self.__dict__.items() if k not in own}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self.handle = torch_op.register(self)
-        self._small_calls, self._small_gradients = (
-            RepeatedCalls(SIZES_KEPT),
-            RepeatedCalls(SIZES_KEPT),
-        )
-        self._known_inputs = KnownInputs()
-
-    @contextmanager
-    def working(self) -> Iterator[None]:
-        """A context in which kernels use `threads` CPU threads and torch uses one."""
-        with one_torch_thread(self.scene.device), on_threads(self.threads):
-            yield
-
-    @cached_property
-    def kinematic(self) -> "Evaluator":
-        """The same evaluator with the motion taken as planned (`sim="none"`) and without errors of execution or of the
-        object's pose: for methods that score while they search. They believe what they see."""
-        twin = copy.copy(self)
-        execute = replace(self.config.execute, sim="none")
-        twin.config = replace(
-            self.config,
-            execute=execute,
-            execution_error=ExecutionError(),
-            object_errors=ObjectErrors(),
-        )
-        twin.called = True  # the poses of a search are no mistakes
-        return twin
 
     @suggest_names
     def score(
@@ -352,146 +250,6 @@ class Evaluator:
             if words := self.motion_hint(scores, T_obj_ee, trials, q, time_s, length):
                 warnings.warn(words, stacklevel=3)
         return scores.with_inputs(ScoreInputs(T_obj_ee.clone(), T_world_ee, trials, self))
-
-    def hint(
-        self, scores: Scores, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials
-    ) -> str | None:
-        """One line where all rows fail alike and pass in another convention (`judge.conventions`); else None.
-
-        Args:
-            scores: verdicts of the B rows.
-            T_obj_ee: (B, 4, 4) the grasps, m.
-            T_world_ee: (B, 4, 4) the handover poses, m.
-            trials: B trials.
-        """
-        from r2h_batch.judge.conventions import pose_hint
-
-        def judge(T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
-            with self.working():
-                return self._score(T_obj_ee, T_world_ee, trials, "pose")
-
-        return pose_hint(scores, T_obj_ee.detach(), T_world_ee.detach(), trials, judge)
-
-    def motion_hint(
-        self,
-        scores: Scores,
-        T_obj_ee: Float32[Tensor, "b 4 4"],
-        trials: Trials,
-        q: Float[Tensor, "b w j"],
-        time_s: Float[Tensor, "b w"] | Float[Tensor, " w"],
-        length: Int[Tensor, " b"] | None = None,
-    ) -> str | None:
-        """As `hint`, of motions; the arguments are those of `score_motion`."""
-        from r2h_batch.judge.conventions import motion_hint
-
-        def judge(rows: Tensor, q: Tensor, time_s: Tensor) -> Scores:
-            few = None if length is None else torch.as_tensor(length)[rows]
-            twin = copy.copy(self)
-            twin.moved = True
-            return twin.score_motion(T_obj_ee[rows], q, time_s, trials[rows], length=few)
-
-        return motion_hint(scores, torch.as_tensor(q), torch.as_tensor(time_s), judge)
-
-    def __repr__(self) -> str:
-        engine = self.config.execute.engine(torch.device(self.scene.device).type)
-        return f"Evaluator({self.scene.about}; preset {self.config.name}, sim {engine})"
-
-    def _repr_html_(self) -> str:
-        limits = vars(self.config.thresholds).items()
-        return html_table(
-            repr(self), ("limit", "value"), [(name, f"{value:g}") for name, value in limits]
-        )
-
-    def capture(self, b: int, *, stages: Stages = "pose") -> Captured:
-        """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on
-        CUDA one graph.
-
-        Args:
-            b: rows of each call.
-            stages: `pose`, or `all` on a CPU.
-
-        Raises:
-            ValueError: CUDA cannot capture this configuration; the message says what to change.
-        """
-        check_stages(stages)
-        device, stability = torch.device(self.scene.device), self.config.stability
-        for section in ("execution_error", "object_errors"):
-            if device.type == "cuda" and getattr(self.config, section).any:
-                raise ValueError(
-                    f"{section} is drawn on the host and cannot be captured; perturb the poses with"
-                    " judge.execution_error.executed_poses before the call"
-                )
-        if device.type == "cuda" and self.config.ik.solver != "fused":
-            raise ValueError(
-                "ik.solver='pytorch-kinematics' waits for the device and cannot be captured; use 'fused'"
-            )
-        if device.type == "cuda" and self.config.plan.hand == "estimated":
-            raise ValueError(
-                "plan.hand='estimated' is drawn on the host and cannot be captured; use 'true'"
-            )
-        if device.type == "cuda" and (stages != "pose" or stability == "physics"):
-            raise ValueError(
-                f"stages is {stages!r}, stability {stability!r}: planning and physics wait for the "
-                "device and cannot be captured; capture stages='pose' with stability='geometric'"
-            )
-        return Captured(partial(self._score_checked, stages=stages), device, b)
-
-    def _score_checked(
-        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages
-    ) -> Scores:
-        """`score` of tensors whose shapes are known to fit."""
-        with self.working():
-            check_indices(self.scene, trials)
-            check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
-            return self._score(T_obj_ee, T_world_ee, trials, stages)
-
-    def _score(
-        self,
-        T_obj_ee: Tensor,
-        T_world_ee: Tensor,
-        trials: Trials,
-        stages: Stages,
-        keep_motion: bool = False,
-    ) -> Scores:
-        """The batch in chunks that bound the memory; results do not depend on the chunk boundaries."""
-        n = len(trials)
-        T_obj_ee, T_world_ee = executed_poses(
-            self.config, self.scene.objects, T_obj_ee, T_world_ee, trials
-        )
-        if stages == "all":  # a path's margins have no gradient here
-            T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
-        score_chunk = (
-            self._score_pose
-            if stages == "pose"
-            else partial(self._score_planned, keep_motion=keep_motion)
-        )
-        order = None
-        if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
-            pairs = trials.object_index.long() * len(self.scene.hands.set) + trials.hand_index
-            order = torch.argsort(pairs, stable=True)
-            T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
-
-        def chunk(first: int, last: int) -> Scores:
-            if last - first == n:
-                return score_chunk(T_obj_ee, T_world_ee, trials)
-            return score_chunk(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
-
-        chunks = in_chunks(n, self.rows_at_once(stages), chunk)
-        scores = chunks[0] if len(chunks) == 1 else Scores.concatenate(chunks)
-        return scores if order is None else scores[torch.argsort(order)]
-
-    def rows_at_once(self, stages: Stages = "all") -> int:
-        """How many rows are judged together: `EvalConfig.chunk`, on CUDA more where there is memory
-        for it.
-
-        A call with more rows is judged in chunks; a smaller call does not use the whole GPU.
-        """
-        check_stages(stages)
-        chunk, device = self.config.chunk, self.scene.device
-        if stages == "pose":  # without paths a row needs a quarter of the memory
-            return max(chunk, POSE_CHUNK_CUDA) if device != "cpu" else 4 * chunk
-        moves = self.config.execute.engine(torch.device(device).type) != "none"
-        return rows_at_once(device, chunk, MOVED_ROW_BYTES if moves else ROW_BYTES)
 
     def _score_planned(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool

@@ -12,8 +12,9 @@ from pretend_cuda import pretending
 from r2h_batch import load_benchmark
 from r2h_batch.base.launch.memory import CUDA_ROWS, in_chunks
 from r2h_batch.config import EvalConfig, ExecConfig
-from r2h_batch.evaluate import POSE_CHUNK_CUDA, Evaluator
+from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random
+from r2h_batch.prepared import POSE_CHUNK_CUDA
 
 WORDS = {
     "torch": torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB"),

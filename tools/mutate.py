@@ -548,7 +548,7 @@ MUTATIONS = (
     ),
     Mutation(
         "object errors: the oracle knows them",
-        "r2h_batch/evaluate.py",
+        "r2h_batch/prepared.py",
         "            object_errors=ObjectErrors(),\n",
         "",
         (f"{T_OBJECT}::test_a_method_that_searches_with_the_evaluator_believes_what_it_sees",),

@@ -60,13 +60,15 @@ def suggest_names(function: Callable[P, R]) -> Callable[P, R]:
     parameters = inspect.signature(function).parameters.values()
     names = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
     known, shown = frozenset(names), [name for name in names if name != "self"]
-    called = function.__qualname__.removesuffix(".__init__")
+    method = function.__qualname__
 
     @wraps(function)
     def named(*args: P.args, **kwargs: P.kwargs) -> R:
         for name in kwargs:  # a loop: torch.compile can trace it
             if name not in known:
-                check_keywords(called, kwargs, shown)
+                # whoever calls a constructor wrote the class's name, which may inherit it
+                made = type(args[0]).__name__ if method.endswith(".__init__") else method
+                check_keywords(made, kwargs, shown)
         return function(*args, **kwargs)
 
     return named

@@ -9,10 +9,39 @@ from torch import Tensor
 
 from r2h_batch.base.validate import instance_of, integer
 from r2h_batch.base.validate_tensors import check_tensor
+from r2h_batch.config import EvalConfig
+from r2h_batch.judge.inputs import Stages, check_stages
 from r2h_batch.types import Scores, Trials
 
 _WARM_UP = 3
 """Calls before a graph is captured: they load kernels and tables, and fill torch's caches."""
+
+
+def check_capture(config: EvalConfig, device: torch.device, stages: Stages) -> None:
+    """Raises ValueError for what CUDA cannot capture, since it waits for the host: planning, physics,
+    numbers drawn there."""
+    check_stages(stages)
+    if device.type != "cuda":
+        return
+    for section in ("execution_error", "object_errors"):
+        if getattr(config, section).any:
+            raise ValueError(
+                f"{section} is drawn on the host and cannot be captured; perturb the poses with"
+                " judge.execution_error.executed_poses before the call"
+            )
+    if config.ik.solver != "fused":
+        raise ValueError(
+            "ik.solver='pytorch-kinematics' waits for the device and cannot be captured; use 'fused'"
+        )
+    if config.plan.hand == "estimated":
+        raise ValueError(
+            "plan.hand='estimated' is drawn on the host and cannot be captured; use 'true'"
+        )
+    if stages != "pose" or config.stability == "physics":
+        raise ValueError(
+            f"stages is {stages!r}, stability {config.stability!r}: planning and physics wait for the "
+            "device and cannot be captured; capture stages='pose' with stability='geometric'"
+        )
 
 
 class Captured:

@@ -20,12 +20,11 @@ from typing import Any
 import numpy as np
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden.json"
-MIX = Path(__file__).resolve().parents[2] / "bench" / "mix.npz"
+POSES = Path(__file__).with_name("golden_poses.npz")
 
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
 KINEMATIC_TRIALS = 64
 SIMULATED_TRIALS = 8
-CANDIDATES = 512
 TIMES = ("t_plan_s", "t_method_s", "planned_q")
 """Times; and motions, which only files have."""
 NOT_COMPARED = (
@@ -132,16 +131,14 @@ def _rounded(file: Path) -> bytes:
 
 
 def _candidates() -> dict[str, dict[str, str]]:
-    """`stages="pose"` over the first rows of the frozen mix of the benches."""
+    """`stages="pose"` over the candidates of `golden_poses.npz`, of r2h-v0: half of oracle, half of random."""
     import torch
     from problems import default_evaluator
 
     from r2h_batch import load_benchmark
 
-    with np.load(MIX) as mix:
-        ids, T_obj_ee, T_world_ee = (
-            torch.from_numpy(mix[k][:CANDIDATES]) for k in ("trial_id", "T_obj_ee", "T_world_ee")
-        )
+    with np.load(POSES) as mix:
+        ids, T_obj_ee, T_world_ee = (torch.from_numpy(mix[k]) for k in ("trial_id", "T_obj_ee", "T_world_ee"))
     scores = default_evaluator().score(
         T_obj_ee, T_world_ee, load_benchmark("r2h-v0").trials_with_ids(ids), stages="pose"
     )

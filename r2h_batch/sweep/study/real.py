@@ -34,7 +34,7 @@ OUTCOME_COLUMNS: dict[str, Column] = {
     "failed_criterion": optional(words(CRITERIA)),
     "seconds": optional(number(0, 1e5)),
 }
-"""What somebody fills in for each trial; an empty outcome is a trial that was not run."""
+"""Cells that somebody fills in for each trial; an empty outcome is a trial that was not run."""
 TRIAL_COLUMNS = {"trial_id": number(0, 2**63 - 1, whole=True), "method": NAME, **OUTCOME_COLUMNS}
 OF_RATES = 3
 """Fewer methods have no rank correlation."""
@@ -202,7 +202,7 @@ def _seconds(p: Pairs) -> str:
 
 
 def _by_criterion(found: Mapping[str, Pairs]) -> str:
-    """Of the run's failures at each criterion: what the robot did."""
+    """A table of what the robot did, for each outcome of the run."""
     counts = Counter(pair for p in found.values() for pair in p.failed)
     lines = []
     for outcome in ("success", *CRITERIA):

@@ -29,7 +29,7 @@ RULER_M = 0.1
 
 
 class Drawn(NamedTuple):
-    """What a sheet shows, in metres.
+    """The drawing of one sheet, in metres.
 
     Attributes:
         shapes: (points (N, 2), faces (F, 3), colour) each; a shape is the shadow of a mesh.

@@ -1,4 +1,4 @@
-"""What a laboratory gets: frames and TCP against Denavit and Hartenberg's closed form, paths, sheets in true size, the folder."""
+"""A laboratory's files: frames and TCP against Denavit and Hartenberg's closed form, paths, sheets in true size, the folder."""
 
 import csv
 import json
@@ -25,7 +25,7 @@ ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
 
 
 def controller_flange(q):
-    """What a UR5e's controller computes: T_base_tool0 by Denavit and Hartenberg."""
+    """T_base_tool0 as a UR5e's controller computes it, by Denavit and Hartenberg."""
     T = np.eye(4)
     for theta, d, a, alpha in each(zip(q, D, A, ALPHA, strict=True)):
         c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
