@@ -14,6 +14,7 @@ from rounds import each
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
 APART = {"contacts", "people", "persons", "transfer", "coverage", "gates", "networks", "object_errors", "observe"}
+APART |= {"meshes"}
 APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "learn"}
