@@ -61,6 +61,7 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.assets.objects.build_inner_balls
 	$(BIN)/python -m r2h_batch.assets.families.build_families --training build/families --count 4
 	$(BIN)/python -m r2h_batch.assets.families.train_contacts --training build/families --left-out-steps 270 --left-out hammer,bottle,toothbrush screwdriver,scissors,binoculars power_drill,pliers,knife,trigger_sprayer
+	$(BIN)/python -m r2h_batch.assets.families.train_unseen
 	$(BIN)/python -m r2h_batch.assets.receiving.build_receiving
 	$(BIN)/python -m r2h_batch.assets.receiving.build_held_out
 	$(BIN)/python -m r2h_batch.assets.receiving.train_voxnet

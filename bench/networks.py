@@ -1,9 +1,14 @@
-"""Contact-Handover by what its network trained on: docs/baselines.md.
+"""Contact-Handover by what its predictor learned from: docs/baselines.md.
 
 `python bench/networks.py --json bench/results/networks.json` sweeps `contact` with the network that trained on other instances of
-all sixteen categories, and with those of r2h-v1 that left the object's category out (`contacts=other-categories`), and keeps the
-rows in bench/options/networks (r2h-v2, motion as planned).
+all sixteen categories, and with the predictors that never saw the object's category (`contacts=other-categories`), and keeps the
+rows in bench/options/networks (r2h-v2, motion as planned). `--scans FOLDER` also measures how well both find the regions of the
+meshes of S1 in a folder (NAME.yaml beside each names its region).
 """
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from _report import Report, arguments
@@ -13,6 +18,8 @@ from r2h_batch.methods.predictors import Contacts, predict_contacts
 
 OPTIONS: dict[str, Contacts] = {"all_categories": "left-out", "other_categories": "other-categories"}
 """Which categories a network trained on -> the option `contacts`."""
+WORDS = {"all_categories": "contact", "other_categories": "contact,contacts=other-categories"}
+"""The same -> the word of the sweep."""
 TRIALS = 500
 FLAGS = ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses")
 MEASURES = (
@@ -21,41 +28,87 @@ MEASURES = (
 )
 
 
-def region_areas(contacts: Contacts) -> list[float]:
-    """Area under the curve of the receiver's region, of each object of S1, by the networks of this option."""
-    from r2h_batch import load_benchmark
+def region_areas(contacts: Contacts, objects: str = "") -> dict[str, float]:
+    """Object of S1 -> area under the curve of the receiver's region: of r2h-v2's, or of those that `--objects` names."""
     from r2h_batch.assets.families.train_contacts import area
+    from r2h_batch.protocols.choice import BenchmarkChoice
+    from r2h_batch.protocols.edit import edited
 
-    benchmark = load_benchmark("r2h-v2")
-    evaluator = benchmark.evaluator(threads=1)
-    trials = benchmark.trials(len(benchmark.objects), splits=["S1"])
-    maps = predict_contacts(trials, evaluator.scene, contacts=contacts).numpy()
+    benchmark = edited(BenchmarkChoice(benchmark="r2h-v2", objects=objects))
+    scene = benchmark.evaluator(threads=1).scene
+    trials = benchmark.trials(len(scene.objects), splits=["S1"])
+    maps = predict_contacts(trials, scene, contacts=contacts).numpy()
     by_object = dict(zip(trials.object_index.tolist(), maps, strict=True))
-    objects = evaluator.scene.objects
-    return [area(found, objects[o].receiver_face[objects[o].point_face]) for o, found in sorted(by_object.items())]
+    found = {scene.objects[k]: answer for k, answer in sorted(by_object.items())}
+    return {o.name: area(answer, o.receiver_face[o.point_face]) for o, answer in found.items()}
 
 
-def measure(trials: int) -> Report:
+def grouped(values: Mapping[str, float]) -> dict[str, list[float]]:
+    """Category -> the values of its instances."""
+    found: dict[str, list[float]] = {}
+    for name, value in values.items():
+        found.setdefault(name.rpartition("_")[0], []).append(value)
+    return found
+
+
+def rates_by_category(folder: Path, word: str) -> dict[str, float]:
+    """Category -> success of its trials, percent."""
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(folder)
+    (name,) = (e.name for e, w in zip(run.entries, WORDS.values(), strict=True) if w == word)
+    won: dict[str, list[float]] = {}
+    for row in run.trials(name, ["object", "outcome"]).to_pylist():
+        won.setdefault(row["object"].rpartition("_")[0], []).append(100.0 * (row["outcome"] == "success"))
+    return {category: float(np.mean(of)) for category, of in won.items()}
+
+
+def measure(trials: int, scans: str) -> Report:
     """Sweeps, keeps the rows, and collects the figures."""
     report = Report(MEASURES)
     report.add("networks.trials", trials)
-    words = {name: f"contact,contacts={option}" for name, option in OPTIONS.items()}
-    words["all_categories"] = "contact"  # the option's default
-    rates = rates_of(kept_rows("networks", [*words.values()], "--trials", trials, *FLAGS), [*words.values()])
+    folder = kept_rows("networks", [*WORDS.values()], "--trials", trials, *FLAGS)
+    rates = rates_of(folder, [*WORDS.values()])
     for name, option in OPTIONS.items():
-        for split, row in rates[words[name]].items():
+        for split, row in rates[WORDS[name]].items():
             for key in ("sr", "sr_new_categories_low", "sr_new_categories_high", "f_afford"):
                 if row[key] is not None:
                     report.add(f"networks.{name}.{split.lower()}.{key}", row[key])
         areas = region_areas(option)
         report.add(f"networks.{name}.objects", len(areas))
-        report.add(f"networks.{name}.region_auc", float(np.mean(areas)))
+        report.add(f"networks.{name}.region_auc", float(np.mean([*areas.values()])))
+        for category, values in grouped(areas).items():
+            report.add(f"networks.{name}.region_auc_of.{category}", float(np.mean(values)))
+        for category, rate in rates_by_category(folder, WORDS[name]).items():
+            report.add(f"networks.{name}.sr_of.{category}", rate)
+        if scans:
+            found = region_areas(option, scans)
+            report.add(f"networks.{name}.scans.objects", len(found))
+            report.add(f"networks.{name}.scans.region_auc", float(np.mean([*found.values()])))
+            for mesh, value in found.items():
+                report.add(f"networks.{name}.scans.region_auc_of.{mesh}", value)
+    learned = json.loads((ROOT / "assets/families/unseen.json").read_text("utf-8"))
+    report.add("networks.unseen.training_categories", learned["training_categories"])
+    report.add("networks.unseen.instances_of_other_things", learned["instances_of_other_things"])
+    for pool, found in learned["left_out"].items():
+        report.add(f"networks.tried.{pool}.region_auc", learned["mean_region"][pool])
+        for category, values in found.items():
+            if "region" in values:
+                report.add(f"networks.tried.{pool}.region_auc_of.{category}", values["region"])
+    axes = json.loads((ROOT / "assets/families/voxnet_axes.json").read_text("utf-8"))["left_out"]
+    old = {c: v["as it lies"]["region"] for c, v in axes.items() if "region" in v["as it lies"]}
+    report.add("networks.tried.voxnet.region_auc", float(np.mean([*old.values()])))
+    for category, value in old.items():
+        report.add(f"networks.tried.voxnet.region_auc_of.{category}", value)
     return report
 
 
 if __name__ == "__main__":
     parser = arguments(__doc__)
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each split")
+    parser.add_argument(
+        "--scans", default="", help="your own objects, as --objects of a sweep: a folder of meshes and their regions"
+    )
     options = parser.parse_args()
     target = options.json and options.json.resolve()
-    measure(options.trials).write(target)
+    measure(options.trials, options.scans).write(target)

@@ -23,6 +23,7 @@ from r2h_batch.methods.predictors.depth_view import DRAWS, DepthView, carved
 from r2h_batch.methods.predictors.external_predictions import Observations
 from r2h_batch.methods.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
 from r2h_batch.methods.predictors.principal_axes import InPrincipalAxes, load_axes_network
+from r2h_batch.methods.predictors.unseen import FromShape, load_unseen
 from r2h_batch.methods.predictors.voxnet import load_voxnet
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.objects import (
@@ -43,8 +44,8 @@ CONTACT_THRESHOLD = 0.4
 
 Contacts = Literal["left-out", "other-categories", "all"]
 """Which built-in weights answer for an object. left-out: those that never saw it. other-categories: those that never saw
-an object of its category (`scene.objects.category_of`): the network of r2h-v1 that left this category's object out. all:
-those trained on everything, on the sixteen objects of r2h-v1 too."""
+an object of its category (`scene.objects.category_of`), whatever its frame: `predictors.unseen`. all: those trained on
+everything, on the sixteen objects of r2h-v1 too."""
 
 _cached: dict[tuple[Any, ...], Tensor] = {}
 
@@ -101,7 +102,7 @@ def _of_objects(
         rows = []
         for i, o in enumerate(scene.objects):
             network = _network_for(o, contacts) if predictor is None else predictor
-            if isinstance(network, InPrincipalAxes) and view is None:
+            if isinstance(network, Slow) and view is None:
                 rows.append(_kept(o, network)[None])
                 continue
             grids = grids_of(scene, i, view, seed)
@@ -112,20 +113,26 @@ def _of_objects(
 
 def _network_for(model: ObjectModel, contacts: Contacts) -> ContactPredictor:
     """The built-in network for an object: the objects of r2h-v1 and r2h-release are shown to weights that know how these
-    lie, in whatever frame; any other to the network that no frame decides."""
-    category = category_of(model)
-    if contacts == "other-categories" and category in OBJECT_NAMES:
-        return load_voxnet(category)  # each object of r2h-v1 is all of its category
-    if not has_frozen_frame(model):
+    lie, in whatever frame; any other to the network that no frame decides. `other-categories` shows all to networks of which
+    that is true."""
+    frozen, own = has_frozen_frame(model), model if model.turn is None else model.turn.own
+    if contacts == "other-categories":
+        return load_unseen(
+            own.name if frozen else category_of(model)
+        )  # r2h-v1 has one object of each
+    if not frozen:
         return load_axes_network()
-    model = model if model.turn is None else model.turn.own
+    model = own
     return load_voxnet(model.name if contacts != "all" and model.name in OBJECT_NAMES else "")
 
 
 CODE = (
     *("r2h_batch.methods.predictors.contacts", "r2h_batch.methods.predictors.grid"),
     *("r2h_batch.methods.predictors.principal_axes", "r2h_batch.methods.predictors.voxnet"),
+    *("r2h_batch.methods.predictors.shape_features", "r2h_batch.methods.predictors.unseen"),
 )
+Slow = InPrincipalAxes | FromShape
+"""Networks that take 0.4 s of a core or more for an object, and say which weights they have (`digest`)."""
 VERSIONS = ("numpy", "torch")
 """Modules and distributions that make a prediction. Another of them makes every one again."""
 
@@ -140,8 +147,8 @@ def shipped_answers() -> Mapping[str, NDArray[Any]]:
     return stored_arrays("families", SHIPPED_FILE)
 
 
-def _kept(model: ObjectModel, network: InPrincipalAxes) -> Float32[Tensor, " p"]:
-    """The network's answer for an object: shipped, or kept on disk. It sees each in four turned grids, 0.4 s of a core."""
+def _kept(model: ObjectModel, network: Slow) -> Float32[Tensor, " p"]:
+    """The network's answer for an object: shipped, or kept on disk."""
     shipped = shipped_answers()
     known = model.name in shipped and is_built_in(model)
     if known and shipped["network"].item() == network.digest:
