@@ -133,9 +133,7 @@ def test_the_rates_of_the_networks_are_those_of_their_stored_rows(measured):
         assert n == values["networks.trials"] and method == "contact"
         seen.add((options, split))
     assert len(seen) == 4
-    assert 0.7 < values["networks.other_categories.region_auc"] < values["networks.all_categories.region_auc"]
-    tried = [values[f"networks.tried.{k}.region_auc"] for k in ("without_other_things", "without_look_alikes")]
-    assert tried[0] < tried[1] < values["networks.other_categories.region_auc"]
+    assert values["networks.other_categories.region_auc"] < 0.5 < values["networks.all_categories.region_auc"]
 
 
 def test_what_the_first_page_claims_follows(measured):

@@ -1,4 +1,4 @@
-"""Things that are none of the sixteen categories, for networks that learn where people hold what they take (millimetres).
+"""Things outside of the sixteen categories, for networks that learn where people hold what they take (millimetres).
 
 Each is a family, drawn as those of `r2h_batch.scene.families`, with the part that a person takes: a handle where there is one
 that a hand closes around, else the body of a container, else a half of a flat thing. None is judged in a protocol.
@@ -79,7 +79,7 @@ def loop(part: Parts, points: Sequence[Sequence[float]], wide: float, thick: flo
 
 
 def hollow(profile: Sequence[tuple[float, float]], wall: float, floor: float) -> Manifold:
-    """What is inside a turned vessel whose outer (r, z) profile goes upwards."""
+    """The inside of a turned vessel whose outer (r, z) profile goes upwards."""
     inner = [(max(1.0, r - wall), z) for r, z in profile if z > floor]
     top = profile[-1]
     return revolve([(0, floor), (inner[0][0], floor), *inner, (top[0] - wall, top[1] + 5), (0, top[1] + 5)], 36)

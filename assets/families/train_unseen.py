@@ -2,7 +2,7 @@
 ``python -m r2h_batch.assets.families.train_unseen``.
 
 Each of four groups of the sixteen categories is left out in turn (`r2h_batch.methods.predictors.unseen.LEFT_OUT`). The trees
-of a group learn from the shipped instances of the other twelve categories and from things that are none of the sixteen
+of a group learn from the shipped instances of the other twelve categories and from things outside of the sixteen
 (`other_things`), all categories alike. ``unseen.json`` says how well they find where people touch, and the receiver's region,
 on the categories that they never saw; also without the other things, and without those that look like a left-out category.
 """
@@ -150,7 +150,7 @@ POOLS = ("all", "without_look_alikes", "without_other_things")
 
 
 def pool(name: str, group: Sequence[str], examples: Sequence[Example]) -> list[Example]:
-    """What the trees of a group learn from: all but the group; also without what looks like one; also without all things."""
+    """The examples for the trees of a group: all but the group; also without what looks like one; also without all things."""
     dropped = {
         "all": set(),
         "without_look_alikes": {thing for c in group for thing in LIKE.get(c, ())},

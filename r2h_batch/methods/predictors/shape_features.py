@@ -1,4 +1,4 @@
-"""What a solid looks like from each of its points, in numbers that no frame changes: how thick it is there and around, how long
+"""Shape of a solid as each of its points sees it, in numbers that no frame changes: how thick it is there and around, how long
 and flat its surroundings are, how far its ends are, and how this end differs from the other one.
 
 The main axes have no sign here: a point's own end is the one on its side of the centre. So what is learned of one end of a thing
@@ -58,7 +58,7 @@ def shape_features(
         log(longest[0]), sd[1] / sd[2], sd[0] / sd[2], log(volume / (40 * max(sd[0] * sd[1] * sd[2], 1e-12))),
         log(float(deep.mean()) + LEAST_M), log(float(deep.max()) + LEAST_M),
     ):  # fmt: skip
-        out.add(torch.full((len(place),), value))
+        out.add(torch.full((len(place),), value, dtype=torch.float32, device=place.device))
     for values in around:
         out.add(torch.argsort(torch.argsort(values, stable=True)) / len(place))
     far = (place - centre).norm(dim=1)
@@ -70,9 +70,9 @@ def shape_features(
 def depth(full: Bool[Tensor, "n n n"]) -> Float32[Tensor, "n n n"]:
     """Distance of each voxel's centre to the nearest empty voxel's, in voxels; outside of the grid all is empty."""
     n = full.shape[0] + 2
-    squared = torch.zeros(n, n, n, device=full.device)
+    squared = torch.zeros(n, n, n, dtype=torch.float32, device=full.device)
     squared[1:-1, 1:-1, 1:-1] = torch.where(full, 1e6, 0.0)
-    i = torch.arange(n, device=full.device).float()
+    i = torch.arange(n, dtype=torch.float32, device=full.device)
     apart = (i[:, None] - i[None]) ** 2
     for axis in range(3):  # Felzenszwalb and Huttenlocher 2012: the squared distance is separable
         rows = squared.movedim(axis, -1)
@@ -83,7 +83,7 @@ def depth(full: Bool[Tensor, "n n n"]) -> Float32[Tensor, "n n n"]:
 
 def blurred(fields: Float32[Tensor, "c n n n"], deviation: float) -> Float32[Tensor, "c n n n"]:
     """Sums over all voxels, weighed by exp(-r^2 / 2 s^2) of their distance r; s in voxels."""
-    i = torch.arange(fields.shape[-1], device=fields.device).float()
+    i = torch.arange(fields.shape[-1], dtype=torch.float32, device=fields.device)
     weight = torch.exp(-0.5 * ((i[:, None] - i[None]) / deviation) ** 2)
     for axis in (1, 2, 3):
         fields = (fields.movedim(axis, -1) @ weight).movedim(-1, axis)
@@ -129,7 +129,7 @@ def _around(
         if near == NEAR_M[0]:
             continue
         second = sums[5:11] / mass
-        covariance = torch.empty(len(here), 3, 3, device=here.device)
+        covariance = torch.empty(len(here), 3, 3, dtype=torch.float32, device=here.device)
         for k, (a, b) in enumerate(_PAIRS):
             covariance[:, a, b] = covariance[:, b, a] = second[k] - mean[:, a] * mean[:, b]
         spread, axes = torch.linalg.eigh(covariance)

@@ -1,8 +1,8 @@
-"""Contact predictors that never saw some categories: boosted trees that read what a solid looks like from each of its points
+"""Contact predictors for categories that they never saw. They are boosted trees that read the shape as each point sees it
 (`shape_features`).
 
 Four groups of the sixteen categories are left out in turn. The trees of a group learned from instances of the other twelve
-categories and of things that are none of the sixteen (`r2h_batch.assets.families.other_things`).
+categories and of things outside of the sixteen (`r2h_batch.assets.families.other_things`).
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ class FromShape(nn.Module):
     def of_features(self, features: Float32[Tensor, "p f"]) -> Float32[Tensor, " p"]:
         """Probability of contact of points with these features."""
         total = self.trees["start"].expand(len(features)).clone()
-        every = torch.arange(len(features))
+        every = torch.arange(len(features), dtype=torch.int64, device=features.device)
         tables = (self.trees[k] for k in ("feature", "threshold", "left", "right", "value"))
         for feature, threshold, left, right, value in zip(*tables, strict=True):
-            node = torch.zeros(len(features), dtype=torch.int64)
+            node = torch.zeros(len(features), dtype=torch.int64, device=features.device)
             while True:
                 below = features[every, feature[node]] <= threshold[node]
                 after = torch.where(below, left[node], right[node])
