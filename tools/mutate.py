@@ -1324,8 +1324,8 @@ MUTATIONS = (
     Mutation(
         "contacts: other-categories forgets the category",
         "r2h_batch/methods/predictors/contacts.py",
-        'load_unseen(own.name if frozen else category_of(model))',
-        'load_unseen(None)',
+        'own.name if frozen else category_of(model)\n',
+        'None\n',
         ('tests/methods/predictors/test_contacts.py::test_an_object_can_be_shown_to_a_network_that_never_saw_its_category',),
     ),
     Mutation(
