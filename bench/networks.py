@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from _report import Report, arguments
 from _rows import kept_rows, rates_of
+from _source import ROOT
 
 from r2h_batch.methods.predictors import Contacts, predict_contacts
 
