@@ -133,7 +133,7 @@ def test_the_rates_of_the_networks_are_those_of_their_stored_rows(measured):
         assert n == values["networks.trials"] and method == "contact"
         seen.add((options, split))
     assert len(seen) == 4
-    assert values["networks.other_categories.region_auc"] < 0.5 < values["networks.all_categories.region_auc"]
+    assert 0.5 < values["networks.other_categories.region_auc"] < values["networks.all_categories.region_auc"]
 
 
 def test_what_the_first_page_claims_follows(measured):
