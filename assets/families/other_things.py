@@ -47,7 +47,8 @@ def thing(
 ) -> Callable[[Make], Family]:
     """A family of S1 whose receiver takes the part `take` (and `more`)."""
     return family(
-        category, "S1", parts=tuple(parts), rests=tuple(rests), receiver=(take, *more), take=take.replace("_", " ")
+        category, "S1", parts=tuple(parts), rests=tuple(rests), receiver=(take, *more), take=take.replace("_", " "),
+        listed=False,
     )  # fmt: skip
 
 
@@ -499,7 +500,7 @@ def file(draw: Draw, part: Parts) -> Shape:
 
 
 @thing("torch", ("handle", "head"), "handle", rests=("roll",))
-def torch_(draw: Draw, part: Parts) -> Shape:
+def torch(draw: Draw, part: Parts) -> Shape:
     """A flashlight, microphone, shower head or maraca: a wider end."""
     solid, r = grip(draw, part, (85, 150), (11, 17))
     wide, long = draw("head_radius", 20, 34), draw("head", 25, 65)
@@ -886,8 +887,8 @@ def cordless_vacuum(draw: Draw, part: Parts) -> Shape:
 # Flat and thick things: a person takes one half, or nearly all of it.
 
 
-def halved(category: str, low: Sequence[float], high: Sequence[float], edge: float) -> None:
-    """Registers a box whose receiver takes what lies before a cut across its length."""
+def halved(category: str, low: Sequence[float], high: Sequence[float], edge: float) -> Family:
+    """A box whose receiver takes what lies before a cut across its length."""
 
     @thing(category, ("half", "rest"), "half")
     def make(draw: Draw, part: Parts) -> Shape:
@@ -897,11 +898,13 @@ def halved(category: str, low: Sequence[float], high: Sequence[float], edge: flo
         cut = ("rest", (1, 0, 0), draw("held", -0.15, 0.25) * a)
         return Shape(part.divided("half", solid, cut), of(("half", "rest"), 700))
 
+    return make
 
-halved("book", (150, 105, 12), (230, 160, 40), 1)
-halved("phone", (110, 55, 8), (170, 85, 14), 6)
-halved("remote", (120, 34, 14), (210, 52, 26), 8)
-halved("packet", (90, 50, 30), (170, 80, 60), 3)
+
+book = halved("book", (150, 105, 12), (230, 160, 40), 1)
+phone = halved("phone", (110, 55, 8), (170, 85, 14), 6)
+remote = halved("remote", (120, 34, 14), (210, 52, 26), 8)
+packet = halved("packet", (90, 50, 30), (170, 80, 60), 3)
 
 
 @thing("plate", ("half", "rest"), "half", rests=("upright",))
@@ -970,15 +973,69 @@ def light_bulb(draw: Draw, part: Parts) -> Shape:
     return Shape(part("bulb", ball + neck) + socket, of(("bulb", "socket"), 500))
 
 
-THINGS = (
-    *("jar", "spray_can", "carton", "thermos", "pump_dispenser", "tube", "pitcher", "kettle", "watering_can", "bucket"),
-    *("extinguisher", "decanter", "spice_mill", "pan", "spatula", "ladle", "fork", "whisk", "rolling_pin", "peeler"),
-    *("masher", "brush", "hairbrush", "trowel", "saw", "wrench", "axe", "file", "torch", "magnifier", "racket"),
-    *("paint_roller", "dumbbell", "kettlebell", "iron", "umbrella", "tongs", "corkscrew", "hair_dryer", "glue_gun"),
-    *("cordless_vacuum", "book", "phone", "remote", "packet", "plate", "stapler", "camera", "light_bulb"),
-    *("lopper", "secateurs", "garlic_press", "callipers", "spade", "key", "scraper", "bell"),
-)
-"""Their names."""
+THINGS: dict[str, Family] = {
+    thing.category: thing
+    for thing in (
+        jar,
+        spray_can,
+        carton,
+        thermos,
+        pump_dispenser,
+        tube,
+        pitcher,
+        kettle,
+        watering_can,
+        bucket,
+        extinguisher,
+        decanter,
+        spice_mill,
+        pan,
+        spatula,
+        ladle,
+        fork,
+        whisk,
+        rolling_pin,
+        peeler,
+        masher,
+        brush,
+        hairbrush,
+        trowel,
+        saw,
+        wrench,
+        axe,
+        file,
+        torch,
+        magnifier,
+        racket,
+        paint_roller,
+        dumbbell,
+        kettlebell,
+        iron,
+        umbrella,
+        tongs,
+        corkscrew,
+        hair_dryer,
+        glue_gun,
+        cordless_vacuum,
+        book,
+        phone,
+        remote,
+        packet,
+        plate,
+        stapler,
+        camera,
+        light_bulb,
+        lopper,
+        secateurs,
+        garlic_press,
+        callipers,
+        spade,
+        key,
+        scraper,
+        bell,
+    )
+}
+"""By their names."""
 
 LIKE = {
     "hammer": ("axe", "masher"),

@@ -83,7 +83,7 @@ def make_examples(path: Path) -> dict[str, Example]:
             model = (
                 load_objects([name])[0]
                 if name in INSTANCE_NAMES
-                else model_of(draw_instance(category, TRAINING, int(name[-2:])))
+                else model_of(draw_instance(THINGS[category], TRAINING, int(name[-2:])))
             )
             made = example_of(model, category)
             stored |= {f"{name}/features": made.features, f"{name}/contact": made.contact}

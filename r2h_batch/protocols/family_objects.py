@@ -34,7 +34,7 @@ def family_objects(text: str) -> tuple[ObjectModel, ...]:
         FileError: not of this form, an unknown category, more than `MOST` instances, or no manifold3d.
     """
     families, count, seed, standing = _asked(text)
-    return _drawn(tuple(f.category for f in families), count, seed, standing)
+    return _drawn(families, count, seed, standing)
 
 
 def family_splits(text: str) -> set[str]:
@@ -120,10 +120,10 @@ def _checked(found: object, name: str) -> Family:
 
 @lru_cache(maxsize=4)
 def _drawn(
-    categories: tuple[str, ...], count: int, seed: int, standing: bool
+    families: tuple[Family, ...], count: int, seed: int, standing: bool
 ) -> tuple[ObjectModel, ...]:
     from r2h_batch.scene.families.kept import kept_instance
 
-    jobs = [(c, i) for c in categories for i in range(count)]
+    jobs = [(family, i) for family in families for i in range(count)]
     series = FIRST_SERIES + seed
-    return tuple(kept_instance(c, series, i, standing=standing) for c, i in jobs)
+    return tuple(kept_instance(family, series, i, standing=standing) for family, i in jobs)

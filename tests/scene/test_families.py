@@ -113,17 +113,17 @@ def test_new_instances_are_drawn_by_what_the_flag_says():
 
 def test_an_instance_is_drawn_once_and_then_read_from_disk_with_all_that_it_had(tmp_path, monkeypatch):
     monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path))
-    times = []
+    times, (cup, bowl, bottle) = [], (FAMILIES[c] for c in ("cup", "bowl", "bottle"))
     monkeypatch.setattr(kept, "draw_instance", lambda *a, **k: times.append(a) or draw_instance(*a, **k))
     drawn = model_of(draw_instance("cup", 1005, 2))
     for _ in each(range(2)):
-        found = kept.kept_instance("cup", 1005, 2)
+        found = kept.kept_instance(cup, 1005, 2)
         assert object_digest(found) == object_digest(drawn) and found.category == "cup" and found.repair == drawn.repair
-    assert times == [("cup", 1005, 2)]
-    for other in each([("cup", 1005, 3), ("cup", 1006, 2), ("bowl", 1005, 2)]):
+    assert times == [(cup, 1005, 2)]
+    for other in each([(cup, 1005, 3), (cup, 1006, 2), (bowl, 1005, 2)]):
         assert object_digest(kept.kept_instance(*other)) == object_digest(model_of(draw_instance(*other)))
-    standing = kept.kept_instance("bottle", 1005, 2, standing=True)
-    assert not np.array_equal(standing.com, kept.kept_instance("bottle", 1005, 2).com)
+    standing = kept.kept_instance(bottle, 1005, 2, standing=True)
+    assert not np.array_equal(standing.com, kept.kept_instance(bottle, 1005, 2).com)
 
 
 def test_an_instance_of_a_family_of_other_code_is_drawn_each_time(tmp_path, monkeypatch):
@@ -133,8 +133,7 @@ def test_an_instance_of_a_family_of_other_code_is_drawn_each_time(tmp_path, monk
     def make(draw, parts):
         return cup.make(draw, parts)
 
-    monkeypatch.setattr(kept, "FAMILIES", {"cup": replace(cup, make=make)})
-    assert kept.kept_instance("cup", 1005, 2).category == "cup" and not list(tmp_path.rglob("*.npz"))
+    assert kept.kept_instance(replace(cup, make=make), 1005, 2).category == "cup" and not list(tmp_path.rglob("*.npz"))
 
 
 def test_no_shipped_instance_has_a_sliver():

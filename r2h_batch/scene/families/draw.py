@@ -56,17 +56,20 @@ class Instance:
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 
-def draw_instance(category: str, series: int, index: int, *, standing: bool = False) -> Instance:
-    """Instance `index` of a series of a category.
+def draw_instance(
+    family: Family | str, series: int, index: int, *, standing: bool = False
+) -> Instance:
+    """Instance `index` of a series of a family.
 
     Args:
-        category: a name of `FAMILIES`.
+        family: itself, or a name of `FAMILIES`.
         series: 0 for the shipped test instances, 1 for training, others for users (`--seed`).
         index: 0, 1, 2, ...
         standing: fillings stand at the bottom of the upright vessel. False: they are smeared over it, as in the shipped
             instances, so that a vessel that is 30 % full has its centre of mass at half its height.
     """
-    family, draw, parts = FAMILIES[category], Draw(category, series, index), Parts()
+    family = FAMILIES[family] if isinstance(family, str) else family
+    draw, parts = Draw(family.category, series, index), Parts()
     shape = family.make(draw, parts)
     solid = shape.solid.simplify(SMOOTH_MM).refine_to_length(EDGE_MM)
     found = solid.to_mesh64()
@@ -84,7 +87,7 @@ def draw_instance(category: str, series: int, index: int, *, standing: bool = Fa
     placed, faces, label = _without_slivers((turned - middle) / 1000, faces, label)
     tag = {SHIPPED: "", TRAINING: "t"}.get(series, f"s{series}_")
     return Instance(
-        f"{category}_{tag}{index:02d}", family, placed, faces, label,
+        f"{family.category}_{tag}{index:02d}", family, placed, faces, label,
         round(1e-9 * mass, 4), (R @ com - middle) / 1000, 1e-15 * (R @ inertia @ R.T), rest, draw.parameters,
     )  # fmt: skip
 

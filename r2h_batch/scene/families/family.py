@@ -75,9 +75,9 @@ class Shape:
     """the part that holds water, z up, and the share of its solid that is full"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Family:
-    """A category: which split it is handed over in, its parts, and what the receiver takes."""
+    """A category: which split it is handed over in, its parts, and what the receiver takes. Equal to itself alone."""
 
     category: str
     split: str
@@ -125,6 +125,7 @@ def family(
     take: str = "",
     words: Thing | None = None,
     roles: Mapping[str, str] | None = None,
+    listed: bool = True,
 ) -> Callable[[Make], Family]:
     """A decorator: the generator below it is registered as a family, and its name stands for that.
 
@@ -137,6 +138,7 @@ def family(
         take: those parts in words.
         words: how people ask for it; None: those of the built-in object of this name, else the names of category and parts.
         roles: as `Family.roles`; None: those of the built-in object of this name.
+        listed: False: lists and `families:*` leave it out. `families:package.module:NAME` draws it.
 
     Raises:
         ValueError: one line: the name, the split and its region, or a part that is not there.
@@ -156,7 +158,8 @@ def family(
     def registered(make: Make) -> Family:
         own = S0_ROLES.get(category) if roles is None else roles
         made = Family(category, split, parts, make, rests, receiver, take, words, own)
-        FAMILIES.add(category, made)
+        if listed:
+            FAMILIES.add(category, made)
         return made
 
     return registered

@@ -8,7 +8,7 @@ from functools import cache
 
 from r2h_batch.base.io.cache import code_digest
 from r2h_batch.scene.families.draw import draw_instance, model_of
-from r2h_batch.scene.families.family import FAMILIES
+from r2h_batch.scene.families.family import Family
 from r2h_batch.scene.mesh_import import cache as built
 from r2h_batch.scene.objects import ObjectModel, kept_object
 
@@ -17,19 +17,20 @@ VERSIONS = built.VERSIONS
 """Modules and distributions that make instances. Another of them draws every one again."""
 
 
-def kept_instance(category: str, series: int, index: int, *, standing: bool = False) -> ObjectModel:
+def kept_instance(
+    family: Family, series: int, index: int, *, standing: bool = False
+) -> ObjectModel:
     """The object of an instance (`draw_instance`), from disk where it was drawn before.
 
     A family that another package or a user's file registers is drawn each time: nobody knows which code it depends on.
     """
 
     def drawn() -> ObjectModel:
-        return model_of(draw_instance(category, series, index, standing=standing))
+        return model_of(draw_instance(family, series, index, standing=standing))
 
-    family = FAMILIES[category]
     if not family.make.__module__.startswith(f"{__package__}."):
         return drawn()
-    named = f"instance {category} {series} {index} {standing} {_code()}"
+    named = f"instance {family.category} {series} {index} {standing} {_code()}"
     found = kept_object(hashlib.sha256(named.encode()).hexdigest(), drawn)
     return replace(found, words=family.words, roles=family.roles, category=family.category)
 
