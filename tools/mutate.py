@@ -820,8 +820,8 @@ MUTATIONS = (
     Mutation(
         'instances: all of a category are kept as one',
         'r2h_batch/scene/families/kept.py',
-        'f"instance {category} {series} {index} {standing} {_code()}"',
-        'f"instance {category} {series} {standing} {_code()}"',
+        'f"instance {family.category} {series} {index} {standing} {_code()}"',
+        'f"instance {family.category} {series} {standing} {_code()}"',
         ('tests/scene/test_families.py::test_an_instance_is_drawn_once_and_then_read_from_disk_with_all_that_it_had',),
     ),
     Mutation(
