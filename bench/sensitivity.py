@@ -26,7 +26,7 @@ V1_CHOICES = (
 )
 """Variants that docs/results/table1-v1.md and families.md name."""
 STORED = ROOT / "docs" / "results" / "sensitivity.json"
-TRIALS = 60
+TRIALS = 200
 """Trials of each split."""
 
 
