@@ -43,6 +43,7 @@ T_ISO = "tests/closed_loop/test_env.py::test_times_too_near_and_shares_of_the_al
 T_SEEN = (
     "tests/closed_loop/test_env.py::test_what_is_seen_is_late_noisy_and_sometimes_old_and_the_truth_only_on_request"
 )
+T_SEEDS = "tests/closed_loop/test_env.py::test_each_row_plays_with_its_own_seed_as_where_all_rows_have_it"
 ANY_ARM, RECEPTION = "kernels/ik/any_arm.py", "kernels/judge/reception.py"
 T_SEVEN = "tests/test_seven_joints.py::test_it_reaches_what_it_can_reach_and_says_only_what_is_proven"
 T_PANDA = "tests/test_robots.py::test_a_redundant_arm_gets_eight_postures_a_target_for_few_steps"
@@ -304,6 +305,27 @@ MUTATIONS = (
         "np.radians(motion.turn_deg)",
         "np.radians(20.0)",
         ("tests/closed_loop/test_moving.py::test_the_turn_of_a_hand_that_moves_has_the_root_mean_square_that_is_asked",),
+    ),
+    Mutation(
+        "all rows see with the first row's seed",
+        ENV,
+        "        for seed, own in rows_of_seeds(self._seen_seeds):",
+        "        for seed, own in rows_of_seeds(self._seen_seeds[[0] * self.num_envs]):",
+        (T_SEEDS,),
+    ),
+    Mutation(
+        "all receivers move by the first row's seed",
+        ENV,
+        "self._drawn, self.motion, self._moved_seeds)",
+        "self._drawn, self.motion, self._moved_seeds[[0] * self.num_envs])",
+        (T_SEEDS,),
+    ),
+    Mutation(
+        "all persons are of the first row's seed",
+        ENV,
+        "self._offered.pop(row), int(self._seen_seeds[row])",
+        "self._offered.pop(row), int(self._seen_seeds[0])",
+        ("tests/closed_loop/test_env.py::test_the_person_who_takes_is_of_the_rows_seed",),
     ),
     Mutation(
         "closed loop: a hand withdraws again and again",

@@ -21,11 +21,20 @@ from jaxtyping import Bool, Float32, Float64, Int8
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
-from r2h_batch.base.validate import describe_value, integer, optional, validate_fields
+from r2h_batch.base.validate import (
+    boolean,
+    describe_value,
+    instance_of,
+    integer,
+    optional,
+    suggest_names,
+    text,
+    validate_fields,
+)
 from r2h_batch.base.validate_tensors import as_numbers
 from r2h_batch.closed_loop.arm import ee_and_jacobian, joint_speeds, twist_between
 from r2h_batch.closed_loop.fingers import OwnHands
-from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion, Taken
+from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion, Taken, rows_of_seeds
 from r2h_batch.closed_loop.registered import register
 from r2h_batch.closed_loop.relative import CAP_M, Passed, RelativeDistance
 from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
@@ -72,6 +81,8 @@ HAND_N, HAND_KG, HAND_N_M = 280.0, 0.6, 75e3
 
 MOST = 1e3
 """No number that is seen is larger."""
+
+MOST_SEED = (1 << 63) - 1
 
 NEXT_EPISODE = 1 << 40
 """Added to a trial's number for the draws of its next episode."""
@@ -229,6 +240,7 @@ class HandoverEnv(VectorEnv):
     depends on the seed and the trial alone. The next one has the next handover of `scores`, noise and motion drawn anew.
     """
 
+    @suggest_names
     def __init__(
         self,
         scores: Scores,
@@ -264,6 +276,12 @@ class HandoverEnv(VectorEnv):
         """
         if (inputs := scores.inputs) is None:
             raise ValueError("these scores hold no inputs; score again")
+        for name, switch in (("privileged", privileged), ("autoreset", autoreset)):
+            boolean(name, switch)
+        optional(text)("release", release)
+        instance_of((str, ReceiverMotion), "the name of a motion, or ReceiverMotion(...)")(
+            "motion", motion
+        )
         self.evaluator, n = inputs.evaluator, len(scores)
         for section in ("execution_error", "object_errors"):
             if getattr(self.evaluator.config, section).any:
@@ -321,6 +339,8 @@ class HandoverEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._every = torch.arange(self.num_envs, dtype=torch.int64, device=self._device)
+        self._seen_seeds = np.full(self.num_envs, self.config.seed, object)
+        self._moved_seeds = np.full(self.num_envs, self.motion.seed, object)
         self._hold(self._every)
         self._begun = False
 
@@ -377,36 +397,58 @@ class HandoverEnv(VectorEnv):
     def reset(
         self,
         *,
-        seed: int | list[int | None] | None = None,
+        seed: int | Sequence[int] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begins episodes: all, or those of the option `reset_mask` (B,) bool.
 
-        `seed` (one number) is that of noise and receivers from now on. Without one, the first call begins the first
-        episodes, and a later one the next.
+        `seed` is that of noise, receivers and persons who take the object, from now on: one number for all rows, or a number
+        for each. A row with a number of its own plays as it does where all rows have that number. A seed begins the first
+        episodes of all rows. Without one, the first call does, and a later one begins the next.
+
+        Raises:
+            TypeError, ValueError: the seed is no whole number from 0 and no list of B of them, or it comes with a
+                `reset_mask` that leaves rows out.
         """
         if options is not None and not isinstance(options, Mapping):
             raise TypeError(
                 f"options are {describe_value(options)}; they must be a mapping or None"
             )
         mask = None if options is None else options.get("reset_mask")
-        if seed is not None:
-            one = next((s for s in seed if s is not None), 0) if _is_list(seed) else seed
-            number = integer(0, what=" (or a list of such)")("seed", one)
-            self.config = replace(self.config, seed=number)
-            self.motion = replace(self.motion, seed=number)
-            self._np_random = np.random.default_rng(number)
         if mask is not None:
             mask = np.asarray(mask)
             if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
                 found = f"{mask.dtype} {mask.shape}"
                 raise ValueError(f"reset_mask is {found}; it must be bool ({self.num_envs},)")
+        if seed is not None:
+            if mask is not None and not mask.all():
+                raise ValueError(
+                    "seed comes with a reset_mask that leaves rows out; a seed begins all rows, so leave one of the two out"
+                )
+            self._seed(seed)
         if seed is not None or not self._begun:
             return self._given(self.begin()), self._info(None)
         if mask is None:
             mask = np.ones(self.num_envs, np.bool_)
         self._next(torch.from_numpy(mask).to(self._device))
         return self._given(self._observe()), self._info(None)
+
+    def _seed(self, seed: object) -> None:
+        """Takes the seeds of `reset`."""
+        numbers: list[int] = []
+        if _is_list(seed):
+            if len(seed) != self.num_envs:
+                raise ValueError(
+                    f"seed has {len(seed)} entries; it must be one number, or {self.num_envs}, one for each row"
+                )
+            rule = integer(0, MOST_SEED, what=" (a number for each row)")
+            numbers = [rule(f"seed[{row}]", number) for row, number in enumerate(seed)]
+        else:
+            numbers = [
+                integer(0, MOST_SEED, what=" (or a list of such)")("seed", seed)
+            ] * self.num_envs
+        self._seen_seeds = self._moved_seeds = np.array(numbers, object)
+        self._np_random = np.random.default_rng(numbers[0])
 
     def begin(self) -> dict[str, Tensor]:
         """The first episodes of all rows; observations as tensors, whatever `output` is."""
@@ -476,7 +518,7 @@ class HandoverEnv(VectorEnv):
         if (own := self._distance.own) is not None:
             own.put(rows, self._skin(rows))
             self._joints[rows] = self.scene.hands.joints.to(self._device)[self._index[rows]]
-        hands = MovingHands.of(self.scene, self._drawn, self.motion)
+        hands = MovingHands.of(self.scene, self._drawn, self.motion, self._moved_seeds)
         self.hands = hands if self.hands is None else hands.keeping(self.hands, ~mask)
         T = self.hands.pose(self.times)
         self.T_world_hand = torch.where(mask[:, None, None], T, self.T_world_hand)
@@ -842,7 +884,7 @@ class HandoverEnv(VectorEnv):
         assert transfers is not None
         begun = transfers.begun(self.num_envs).to(rows.device)[rows]
         for row in rows[there & ~begun].tolist():
-            transfers.begin(row, self._offered.pop(row), self.config.seed)
+            transfers.begin(row, self._offered.pop(row), int(self._seen_seeds[row]))
         over: dict[int, Transferred] = {}
         for row in rows[begun].tolist():
             opens = self._lets_go and bool(self._opens[row])
@@ -925,12 +967,15 @@ class HandoverEnv(VectorEnv):
     def _error(self, purpose: int, share: float) -> Tensor:
         """Errors of the seen hands in their own frames, (b, 4, 4)."""
         noise = PredictorNoise().scaled(self.config.noise * share)
-        key = rng.key_of(f"seen in a closed loop {self.config.seed}")
-        eye = torch.eye(4, dtype=torch.float32, device=self._device).expand(self.num_envs, 4, 4)
-        return perturbed(
-            eye, self._pivot, trial_ids(self._drawn.trial_id), key, purpose=purpose,
-            rotation_deg=noise.target_rotation_deg, translation_m=noise.target_translation_m,
-        )  # fmt: skip
+        found = torch.eye(4, dtype=torch.float32, device=self._device).repeat(self.num_envs, 1, 1)
+        ids = trial_ids(self._drawn.trial_id)
+        for seed, own in rows_of_seeds(self._seen_seeds):
+            rows = torch.from_numpy(own).to(self._device)
+            found[rows] = perturbed(
+                found[rows], self._pivot[rows], ids[own], rng.key_of(f"seen in a closed loop {seed}"), purpose=purpose,
+                rotation_deg=noise.target_rotation_deg, translation_m=noise.target_translation_m,
+            )  # fmt: skip
+        return found
 
     def _observe(self) -> dict[str, Tensor]:
         """The policy's observations now."""
@@ -942,12 +987,16 @@ class HandoverEnv(VectorEnv):
             back = torch.minimum(self.k_of, torch.full_like(frame, late))
             T = kept[len(kept) - 1 - back, self._every].double()
             ids, lost = self._drawn.trial_id, torch.zeros_like(new)
-            key = rng.key_of(f"drop-outs {c.seed}")
+            keys = [
+                (rng.key_of(f"drop-outs {s}"), own) for s, own in rows_of_seeds(self._seen_seeds)
+            ]
             for number in torch.unique(
                 frame[new]
             ).tolist():  # one, where all episodes began together
                 own = new & (frame == number)
-                (u,) = rng.uniforms(key, trial_ids(ids), 1, purpose=0, attempt=number)
+                u = np.empty(self.num_envs)
+                for key, of in keys:
+                    (u[of],) = rng.uniforms(key, trial_ids(ids)[of], 1, purpose=0, attempt=number)
                 gone = torch.from_numpy(u < c.dropout).to(self._device) & (number > 0)
                 error = se3.matmul(
                     self._bias.double(), self._error(1 + number % 60_000, FRAME_SHARE).double()
@@ -1017,6 +1066,7 @@ class SingleHandoverEnv(gymnasium.Env[Any, Any]):
         if env.output != "numpy" or env.autoreset:
             raise ValueError('a single environment needs output="numpy" and autoreset=False')
         self.vector, self.render_mode, self.metadata = env, env.render_mode, env.metadata
+        self._over = False
         self.observation_space = env.single_observation_space
         self.action_space = env.single_action_space
 
@@ -1025,13 +1075,22 @@ class SingleHandoverEnv(gymnasium.Env[Any, Any]):
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         super().reset(seed=seed)
         observation, info = self.vector.reset(seed=seed)
+        self._over = False
         return _first(observation), _first(info)
 
     def step(
         self, action: np.ndarray
     ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """As `HandoverEnv.step`, of the one row.
+
+        Raises:
+            ResetNeeded: `reset` was never called, or the episode has ended.
+        """
+        if self._over:
+            raise ResetNeeded("the episode has ended; call reset before the next step")
         observation, reward, ended, late, info = self.vector.step(np.asarray(action)[None])
         found = _first(observation), float(reward[0]), bool(ended[0]), bool(late[0])
+        self._over = found[2] or found[3]
         return *found, _first(info)
 
     def render(self) -> Any:

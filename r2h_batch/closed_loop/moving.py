@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -280,8 +281,19 @@ class MovingHands:
     _drawn: dict[str, Tensor] = field(repr=False)
 
     @staticmethod
-    def of(scene: Scene, trials: Trials, motion: ReceiverMotion) -> "MovingHands":
+    def of(
+        scene: Scene,
+        trials: Trials,
+        motion: ReceiverMotion,
+        seeds: NDArray[np.object_] | None = None,
+    ) -> "MovingHands":
         """The hands of these trials.
+
+        Args:
+            scene: whose hands.
+            trials: B trials.
+            motion: of all of them.
+            seeds: (B,) of the draws; None: the motion's for all.
 
         Raises:
             ValueError: hands that reach need a receiver's arm (r2h-v1); an imported motion must be that
@@ -299,7 +311,7 @@ class MovingHands:
         every, place = torch.unique(hand, return_inverse=True)
         radius = farthest(skin[every], scene.hands.joints[every])[place]
         T = trials.T_world_hand.double()
-        drawn = {k: v.to(device) for k, v in _draws(trials, motion).items()}
+        drawn = {k: v.to(device) for k, v in _draws(trials, motion, seeds).items()}
         way: Strokes | Replayed
         if motion.kind == "replay":
             way = _replayed(scene, trials, motion, drawn["waits"], radius)
@@ -518,22 +530,40 @@ def _lengths(person: Float64[Tensor, "b 5 4"]) -> tuple[Tensor, Tensor, Tensor]:
     return shoulder, upper + lower, (upper - lower).abs() + 0.05
 
 
-def _draws(trials: Trials, motion: ReceiverMotion) -> dict[str, Tensor]:
+def rows_of_seeds(seeds: NDArray[np.object_]) -> list[tuple[int, NDArray[np.int64]]]:
+    """Each seed with the rows that have it.
+
+    Args:
+        seeds: (B,) whole numbers of any size.
+    """
+    own: dict[int, list[int]] = {}
+    for row, seed in enumerate(seeds.tolist()):
+        own.setdefault(seed, []).append(row)
+    return [(seed, np.array(rows, np.int64)) for seed, rows in own.items()]
+
+
+def _draws(
+    trials: Trials, motion: ReceiverMotion, seeds: NDArray[np.object_] | None
+) -> dict[str, Tensor]:
     """Random times and targets of each trial's receiver."""
     ids = trials.trial_id.cpu().numpy().astype(np.int64)
-    key = (_KEY[0] ^ (motion.seed & 0xFFFFFFFF), _KEY[1])
+    seeds = np.full(len(ids), motion.seed, object) if seeds is None else seeds
     spans = {
         "waits": WAITS_S, "reacts": REACTS_S, "stroke": STROKE_S, "pause": PAUSE_S,
         "afraid": AFRAID_M, "away": AWAY_S, "take_after": TAKE_AFTER_S, "take": TAKE_S,
     }  # fmt: skip
-    u = rng.uniforms(key, ids, len(spans), purpose=_PURPOSE_TIMES)
+    u, z = np.empty((len(spans), len(ids))), np.empty((6, len(ids)))
+    for seed, rows in rows_of_seeds(seeds):
+        key = (_KEY[0] ^ (seed & 0xFFFFFFFF), _KEY[1] ^ (seed >> 32 & 0xFFFFFFFF))
+        u[:, rows] = rng.uniforms(key, ids[rows], len(spans), purpose=_PURPOSE_TIMES)
+        z[:, rows] = normals(key, ids[rows], 6, purpose=_PURPOSE_PLACE)
     drawn = {
         k: torch.from_numpy(a + (b - a) * x)
         for (k, (a, b)), x in zip(spans.items(), u, strict=True)
     }
-    z = torch.from_numpy(normals(key, ids, 6, purpose=_PURPOSE_PLACE).T)
-    drawn["shift"] = motion.shift_m * z[:, :3]
-    drawn["turn"] = float(np.radians(motion.turn_deg)) / 3.0**0.5 * z[:, 3:]
+    where = torch.from_numpy(z.T.copy())
+    drawn["shift"] = motion.shift_m * where[:, :3]
+    drawn["turn"] = float(np.radians(motion.turn_deg)) / 3.0**0.5 * where[:, 3:]
     return drawn
 
 

@@ -1,5 +1,6 @@
 """Handovers in closed loop as Gymnasium makes them: `gymnasium.make_vec("r2h_batch/Handover-v1", num_envs=64)`."""
 
+import inspect
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,8 +9,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
-from r2h_batch.base.validate import instance_of, integer, optional, text
+from r2h_batch.base.registry import DEFAULT_PROTOCOL, PRESET_NAMES
+from r2h_batch.base.validate import (
+    check_keywords,
+    instance_of,
+    integer,
+    one_of,
+    optional,
+    sequence_of,
+    text,
+)
 from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.config import EvalConfig
@@ -73,6 +82,8 @@ class DrawnHandoverEnv(HandoverEnv):
         return drawing, view_of([drawing], SIZE[0] / SIZE[1])
 
 
+_INNER = ("self", "scores", "more")
+"""Names of parameters that a caller of `make_vec` does not give."""
 _DRAWS: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
 
@@ -116,13 +127,18 @@ def make_vector(
         ValueError: there are not as many handovers, no such benchmark or method.
         TypeError: config is no LoopConfig.
     """
+    names = inspect.signature(HandoverEnv.__init__).parameters
+    own = [k for k in (*inspect.signature(make_vector).parameters, *names) if k not in _INNER]
+    check_keywords("make_vec", more, list(dict.fromkeys(own)))
     integer(1)("num_envs", num_envs)
+    integer(0)("seed", seed)
     optional(integer(1))("trials", trials)
     text("method", method)
     optional(instance_of(LoopConfig, "LoopConfig(rate_hz=..., latency_s=...)"))("config", config)
     if not isinstance(benchmark, Benchmark):
         benchmark = load_benchmark(DEFAULT_PROTOCOL if benchmark is None else benchmark)
-    chosen = (splits,) if isinstance(splits, str) else tuple(splits)
+    chosen = (splits,) if isinstance(splits, str) else sequence_of(str)("splits", splits)
+    one_of(*PRESET_NAMES)("preset", preset)
     plan = dict.fromkeys(chosen, trials or max(LEAST_TRIALS, num_envs))
     how = EvalConfig.preset(preset)
     how = benchmark.config(replace(how, execute=replace(how.execute, sim="none")))

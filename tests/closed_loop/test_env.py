@@ -22,6 +22,7 @@ from r2h_batch.closed_loop.env import End, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.moving import ReceiverMotion, Taken
 from r2h_batch.closed_loop.policies import POLICIES, Planned, Replan
 from r2h_batch.closed_loop.relative import CAP_M
+from r2h_batch.closed_loop.transfer import in_loop
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError, Thresholds
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import hand_distance_at
@@ -402,6 +403,24 @@ def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, s
     check_env(SingleHandoverEnv(one), skip_render_check=True)
     seen, _ = one.reset(seed=5)
     assert one.observation_space.contains(seen)
+    single, over = SingleHandoverEnv(one), False
+    single.reset(seed=5)
+    while not over:
+        _, _, ended, late, _ = single.step(np.zeros(6, np.float32))
+        over = ended or late
+    with pytest.raises(ResetNeeded, match="the episode has ended; call reset"):
+        single.step(np.zeros(6, np.float32))
+    single.reset()
+    single.step(np.zeros(6, np.float32))
+    for wrong, error, words in (
+        ({"actoin": "twist"}, TypeError, "has no argument 'actoin', did you mean action"),
+        ({"privileged": "yes"}, TypeError, "privileged is 'yes'"),
+        ({"autoreset": 3}, TypeError, "autoreset is 3"),
+        ({"motion": 5}, TypeError, "motion is 5; it must be a str or ReceiverMotion"),
+        ({"motion": "takes", "release": 5}, TypeError, "release is 5"),
+    ):
+        with pytest.raises(error, match=words):
+            envs.HandoverEnv(scores, **wrong)
     with pytest.raises(ValueError, match="has 16 handovers"):
         SingleHandoverEnv(envs.HandoverEnv(scores))
     with pytest.raises(ValueError, match='needs output="numpy" and autoreset=False'):
@@ -451,13 +470,41 @@ def test_actions_pass_the_checks_of_score_and_a_step_before_reset_is_named(score
     for seed, error in ((-1, ValueError), ("7", TypeError), (1.5, TypeError), (True, TypeError)):
         with pytest.raises(error, match=r"seed is .*; it must be a whole number"):
             env.reset(seed=seed)
-    whole = [env.reset(seed=seed)[0]["T_world_hand"] for seed in (7, np.int64(7), [7, 8], np.array([7, 8]))]
+    whole = [env.reset(seed=seed)[0]["T_world_hand"] for seed in (7, np.int64(7), [7] * 8, np.full(8, 7))]
     assert all(np.array_equal(whole[0], x) for x in whole)
+    for seeds, words in (
+        ([7, 8], "seed has 2 entries; it must be one number, or 8"),
+        ([7] * 7 + [-1], r"seed\[7\] is -1"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            env.reset(seed=seeds)
+    with pytest.raises(TypeError, match=r"seed\[1\] is None; it must be a whole number"):
+        env.reset(seed=[7, None] * 4)
+    with pytest.raises(ValueError, match="a seed begins all rows"):
+        env.reset(seed=7, options={"reset_mask": np.arange(8) < 2})
     with pytest.raises(TypeError, match=r"options are \[\]; they must be a mapping or None"):
         env.reset(options=[])
     for copy_of in (pickle.dumps, copy.deepcopy):
         with pytest.raises(TypeError, match="make it where it runs"):
             copy_of(env)
+
+
+def test_each_row_plays_with_its_own_seed_as_where_all_rows_have_it(scores):
+    """Frames, drop-outs and the motion: receivers wait for 2 to 6 s."""
+    some, seeds = scores[scores.success][:3], [5, 2**40 + 5, 6]
+    env = envs.HandoverEnv(some, "moves", config=LoopConfig(dropout=0.3), privileged=True)
+
+    def seen(seed):
+        first, _ = env.reset(seed=seed)
+        frames = [first] + [env.step(np.zeros((3, 6), np.float32))[0] for _ in range(130)]
+        return {k: np.stack([f[k] for f in frames], 1) for k in ("T_world_hand", "true_T_world_hand", "age")}
+
+    own, apart = seen(seeds), [seen(seed) for seed in seeds]
+    for k, values in own.items():
+        for row in range(3):
+            assert np.array_equal(values[row], apart[row][k][row])
+            others = [apart[j][k][row] for j in range(3) if j != row]
+            assert not any(np.array_equal(values[row], x) for x in others)
 
 
 def test_rows_begin_anew_one_by_one_and_an_episode_does_not_depend_on_when(scores):
@@ -745,6 +792,20 @@ def test_an_episode_may_end_with_the_transfer_and_says_how_it_went(takeable):
     apart = HandoverEnv(takeable[1:2], "takes", action=Planned.action, release="load-share")
     alone = run(apart, Planned)
     assert alone.end[0] == e.end[1] and alone.time_s[0] == e.time_s[1]
+
+
+def test_the_person_who_takes_is_of_the_rows_seed(takeable, monkeypatch):
+    drawn, draw = [], in_loop.draw_persons
+    monkeypatch.setattr(in_loop, "draw_persons", lambda *a: drawn.append(draw(*a)) or drawn[-1])
+    same = takeable[torch.zeros(4, dtype=torch.int64)]
+    for seeds, different in (([0, 1, 2, 3], True), ([0] * 4, False)):
+        drawn.clear()
+        env = HandoverEnv(same, "takes", action=Planned.action, release="load-share")
+        seen, _ = env.reset(seed=seeds)
+        policy = Planned(env)
+        while running(env) and len(drawn) < 2:
+            seen, *_ = env.step(policy(seen))
+        assert len(drawn) >= 2 and len({float(d.grip[0]) for d in drawn}) == (len(drawn) if different else 1)
 
 
 def test_an_action_opens_the_gripper_and_one_that_never_does_keeps_it(takeable):

@@ -29,6 +29,16 @@ def test_a_vector_of_them_is_made_by_name_and_plays():
     assert ended >= 2 and info["margins"]["stability"].shape == (2,)
     with pytest.raises(ValueError, match=r"random holds the object in . of 2 trials, and num_envs is 40"):
         gymnasium.make_vec(ID, num_envs=40, vectorization_mode="vector_entry_point", method="random", trials=1)
+    for wrong, error, words in (
+        ({"sweep": ("--help",)}, TypeError, r"make_vec\(\) has no argument 'sweep'.*; it has num_envs, method"),
+        ({"actoin": "twist"}, TypeError, "has no argument 'actoin', did you mean action"),
+        ({"config": {"rate_hz": 10}}, TypeError, "config is .*; it must be a LoopConfig"),
+        ({"seed": -1}, ValueError, "seed is -1"),
+        ({"splits": 5}, TypeError, "splits is 5"),
+        ({"preset": "fast"}, ValueError, "preset is 'fast'; allowed are default, paper, release"),
+    ):
+        with pytest.raises(error, match=words):
+            gymnasium.make_vec(ID, num_envs=1, vectorization_mode="vector_entry_point", **wrong)
     with pytest.raises(UsageError, match="no-such"):
         gymnasium.make_vec(ID, num_envs=1, vectorization_mode="vector_entry_point", method="no-such")
 
