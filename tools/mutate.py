@@ -819,6 +819,24 @@ MUTATIONS = (
         ('tests/sweep/test_method_jobs.py::test_a_method_is_not_judged_on_what_it_was_trained_on',),
     ),
     Mutation(
+        "weights: another file of them is the same method",
+        "r2h_batch/sweep/jobs.py",
+        '{str(v): Path(v) for v in named if v}',
+        "{}",
+        (
+            "tests/sweep/test_method_jobs.py::test_the_learned_method_says_what_it_learned_from_and_its_weights_are_part_of_what_it_is",
+        ),
+    ),
+    Mutation(
+        "weights: a foreign run's file is opened",
+        "r2h_batch/sweep/jobs.py",
+        "if own := given & {*METHODS[word].files}:",
+        "if own := given & set():",
+        (
+            "tests/sweep/test_method_jobs.py::test_the_learned_method_says_what_it_learned_from_and_its_weights_are_part_of_what_it_is",
+        ),
+    ),
+    Mutation(
         'trained on: tables do not say it',
         'r2h_batch/report/table.py',
         '            *self.trained,\n',

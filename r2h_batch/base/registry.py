@@ -87,6 +87,7 @@ class Method(NamedTuple):
 
     name: str
     sees: tuple[str, ...] = ()  # fields of `predictors.Observations` that it is shown
+    files: tuple[str, ...] = ()  # options that name a file of the user's
 
 
 _OURS = (
@@ -96,6 +97,7 @@ _OURS = (
     Method("handover-va", ("parts", "target")),
     Method("contact", ("receiving", "target", "contacts")),
     Method("intent", ("receiving", "target")),
+    Method("learned", ("parts", "target"), ("weights",)),
 )
 METHOD_NAMES = tuple(entry.name for entry in _OURS)
 METHODS: Registry[Any] = Registry("method", {entry.name: entry for entry in _OURS})

@@ -1,5 +1,6 @@
-"""A ranker that learned from the evaluator's labels: of pairs (candidate, handover pose) at random, and near the best of them
-if a second round is asked for, the one that a network likes best.
+"""Learned: of random pairs of candidate and handover pose the one that a network likes best, trained on verdicts.
+
+A second round, if one is asked for, looks near the best pairs. The labels were the evaluator's, of new instances.
 
 It sees what Handover-VA and Contact-Handover see: cloud, candidates, estimated hand, and the receiver's region with misplaced
 borders. It asks no judge, and solves no IK.
@@ -26,7 +27,7 @@ from r2h_batch.methods.ranker.search import liked, scored_by
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
-TITLE, STAND_IN = "Learned", "ranker, labels"
+TITLE, STAND_IN = "Learned", "ranker, oracle labels"
 
 FIRST, SECOND, TOP = 384, 0, 8
 """Pairs at random; pairs near the best; how many count as the best. A second round is no better on training trials."""

@@ -395,7 +395,8 @@ def _method_job(
     if method_options:
         source["options"] = method_options
     if built_in:
-        files = {"": Path(str(module.__file__))}
+        named = (method.options.get(k) for k in METHODS[base_of(name)].files)
+        files = {"": Path(str(module.__file__))} | {str(v): Path(v) for v in named if v}
     else:  # modules, `METHOD_FILES`, and files that its options name
         texts = [v for v in method.options.values() if isinstance(v, str)]
         files = method.found.files() | {v: Path(v) for v in texts if Path(v).is_file()}
@@ -505,6 +506,9 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         named, allowed = str(errors)[:40], ", ".join(get_args(Errors))
         raise UsageError(f"run.json names the error model {named!r}; allowed are {allowed}")
     method_options = source.get("options", "")
+    given = {part.partition("=")[0].strip() for part in method_options.split(",")}
+    if own := given & {*METHODS[word].files}:
+        raise NotBuiltIn(f"{', '.join(own)} came from a file of its own, which is not opened")
     noise_factor = predictors.get("noise_factor", 1.0)
     name = f"{word},{method_options}" if method_options else word
     methods = Methods(

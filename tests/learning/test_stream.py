@@ -15,6 +15,8 @@ from r2h_batch.learning.pairs import FIRST_ID, IDS_OF_SEED, Pairs
 from r2h_batch.learning.regions import with_regions
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.handover_va import predict_parts, predict_target
+from r2h_batch.methods.placing import center_of
+from r2h_batch.methods.ranker.proposals import TILT_DEG
 from r2h_batch.scene.objects import load_objects, turned
 from r2h_batch.training import Seen, stream
 from r2h_batch.types import CRITERIA
@@ -98,6 +100,25 @@ def test_poses_bring_the_objects_middle_to_the_palm_from_behind(pairs):
     T = torch.cat([x["T_world_ee"].reshape(-1, 4, 4) for x in items])
     torch.testing.assert_close(T[:, :3, :3] @ T[:, :3, :3].mT, torch.eye(3).expand(len(T), 3, 3), atol=1e-5, rtol=0.0)
     assert torch.linalg.det(T[:, :3, :3]).min() > 0.999
+    tilts, heights = [], []
+    for item in each(items):
+        region, normal = item["region"].float(), item["palm_normal"].double()[:, None]
+        whole = torch.from_numpy(np.stack([center_of(pairs.objects[o]) for o in item["object_index"].tolist()]))
+        mean = (item["cloud"] * region[..., None]).sum(1) / region.sum(1, keepdim=True).clamp(min=1)
+        middle = torch.where(region.sum(1, keepdim=True) > 0, mean.double(), whole)
+        T_world_obj = item["T_world_ee"].double() @ torch.linalg.inv(item["T_obj_ee"].double())
+        at = (T_world_obj[..., :3, :3] @ middle[:, None, :, None])[..., 0] + T_world_obj[..., :3, 3]
+        off = at - item["ball_center"].double()[:, None]
+        heights.append((off * normal).sum(-1))
+        assert (off - heights[-1][..., None] * normal).norm(dim=-1).max() < 1e-5
+        outward = item["ball_center"].double()[:, None] * torch.tensor([1.0, 1.0, 0.0])
+        mix = torch.linspace(0, 1, 201).double()[:, None, None, None]
+        about = mix * outward / outward.norm(dim=-1, keepdim=True) - (1 - mix) * normal
+        cos = (about / about.norm(dim=-1, keepdim=True) * item["T_world_ee"][..., :3, 2]).sum(-1).amax(0)
+        tilts.append(torch.rad2deg(cos.clamp(max=1).acos()))
+    h, tilt = torch.cat(heights), torch.cat(tilts)
+    assert -0.03 - 1e-6 < h.min() < -0.01 and 0.05 < h.max() < 0.07 + 1e-6
+    assert 40 < tilt.max() < TILT_DEG + 0.5
 
 
 def test_seeds_and_what_is_left_out_share_no_trial_and_no_object_with_what_is_learned():

@@ -50,9 +50,10 @@ def compute(case: str, folder: Path) -> dict[str, dict[str, str]]:
 
 def _families(folder: Path) -> dict[str, dict[str, str]]:
     """Rows of methods in r2h-v2, with who the receivers are; motion as planned."""
+    methods = (*METHODS, "learned")  # trained for this benchmark
     line = [
         "--method",
-        *METHODS,
+        *methods,
         "--benchmark",
         FAMILIES,
         "--trials",
@@ -60,7 +61,7 @@ def _families(folder: Path) -> dict[str, dict[str, str]]:
         "--sim",
         "none",
     ]
-    return _rows(FAMILIES, line, METHODS, folder, TIMES)
+    return _rows(FAMILIES, line, methods, folder, TIMES)
 
 
 def sweep_digests(

@@ -39,6 +39,23 @@ def test_a_users_network_is_named_and_reaches_contact_alone(bench, tmp_path, mon
     assert json.loads(given[1].source["predictors"])["contact"] == contact
 
 
+def test_the_learned_method_says_what_it_learned_from_and_its_weights_are_part_of_what_it_is(bench, tmp_path):
+    weights = (DOCS.parent / "assets" / "ranker" / "ranker.safetensors").read_bytes()
+    (tmp_path / "mine.safetensors").write_bytes(weights)
+    words = ("learned", f"learned,weights={tmp_path}/mine.safetensors")
+    shipped, mine = jobs.make_jobs(Methods(words), [], bench)
+    assert shipped.name == "Learned (ranker, oracle labels + noise)" and "weights=" in mine.name
+    assert shipped.source["trained on"] == mine.source["trained on"]
+    assert shipped.source["trained on"].endswith(" and 76 more objects")
+    (tmp_path / "mine.safetensors").write_bytes(weights[:-4] + b"\0\0\0\0")
+    (other,) = jobs.make_jobs(Methods(words[1:]), [], bench)
+    assert len({j.source["sha256"] for j in (shipped, mine, other)}) == 3
+    header = {"seed": 0, "predictors": {"noise_factor": 1.0}}
+    assert jobs.job_of_run(header, shipped.source, bench.evaluator).name == shipped.name
+    with pytest.raises(jobs.NotBuiltIn, match="weights came from a file of its own, which is not opened"):
+        jobs.job_of_run(header, mine.source, bench.evaluator)
+
+
 def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "howto" / "method.md").read_text(), re.S)
     assert len([line for line in code.splitlines() if line]) <= 15

@@ -32,14 +32,14 @@ class Ranker(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.each = nn.Sequential(nn.Linear(CLOUD, POINT), nn.SiLU(), nn.Linear(POINT, CODE))
+        self.each = nn.Sequential(_linear(CLOUD, POINT), nn.SiLU(), _linear(POINT, CODE))
         numbers = CANDIDATE + PAIR
         self.register_buffer("mean", torch.zeros(numbers, dtype=torch.float32, device="cpu"))
         self.register_buffer("std", torch.ones(numbers, dtype=torch.float32, device="cpu"))
         layers: list[nn.Module] = []
         for wide in (CODE + numbers, WIDTH, WIDTH):
-            layers += [nn.Linear(wide, WIDTH), nn.SiLU()]
-        self.head = nn.Sequential(*layers, nn.Linear(WIDTH, 1 + len(CRITERIA)))
+            layers += [_linear(wide, WIDTH), nn.SiLU()]
+        self.head = nn.Sequential(*layers, _linear(WIDTH, 1 + len(CRITERIA)))
 
     def code(self, cloud: Float32[Tensor, "*b p 8"]) -> Float32[Tensor, "*b 96"]:
         """A candidate's cloud in 96 numbers.
@@ -67,6 +67,11 @@ class Ranker(nn.Module):
         x = ((x - self.mean) / self.std).clamp(-CUT, CUT)
         found: Tensor = self.head(torch.cat([code, x], -1))
         return found
+
+
+def _linear(inputs: int, outputs: int) -> nn.Linear:
+    """A layer that the caller's defaults of torch do not change."""
+    return nn.Linear(inputs, outputs, dtype=torch.float32, device="cpu")
 
 
 def save_weights(net: Ranker, path: Path, about: Mapping[str, object]) -> None:
