@@ -2,7 +2,8 @@
 network against exact maps, and what 96 objects cost: docs/results/families.md.
 
 `python bench/families.py --rows FOLDER` sweeps into the folder, or goes on there, and measures; motions as planned (`--sim
-none`). `--render` writes the page again from bench/results/families.json.
+none`). `--counted` counts the spreads again, from the rows that ship with the package. `--render` writes
+the page again from bench/results/families.json.
 """
 
 import argparse
@@ -30,6 +31,8 @@ from scipy.special import stdtrit
 if TYPE_CHECKING:
     from r2h_batch.config import EvalConfig
 
+SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2-as-planned"
+"""Rows of Table I."""
 STORED, PAGE = ROOT / "bench" / "results" / "families.json", ROOT / "docs" / "results" / "families.md"
 MEASURES = (
     *("bench/families.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
@@ -69,6 +72,9 @@ MOST_CATEGORIES = 1000
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Everything on the page; each part is kept in the folder of the rows as soon as it is known."""
     place, trials = options.rows, options.trials
+    if options.counted:
+        kept = json.loads(STORED.read_text())
+        return {**kept, "spreads": spreads(SHIPPED)}
     if options.kept:
         kept: dict[str, Any] = json.loads((place / "found.json").read_text())
         if not is_frozen(kept):
@@ -83,7 +89,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         (place / "found.json").write_text(json.dumps(found, indent=1) + "\n")
         print(", ".join(parts), "measured", flush=True)
 
-    keep(table=table(v2), compared=compared([v2]), oracle=by_category(v2, "oracle"), spreads=spreads(v2))
+    keep(**of_rows(v2))
     keep(turned={"r2h-v2": turned(v2, min(trials, SOME))})
     v1 = swept(place / "v1", "--method", *METHODS, "--trials", min(trials, SOME), *V1)
     keep(turned=found["turned"] | {"r2h-v1": turned(v1, min(trials, SOME))})
@@ -98,6 +104,14 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         keep(scans=table(swept(place / "scans", "--method", *METHODS, *few, *V2, *words)))
     keep(regions=regions())
     return found | {"contacts_cpu_s": contact_seconds(), "sizes": sizes()} | origin(v2)
+
+
+def of_rows(v2: Path) -> dict[str, Any]:
+    """Table I, pairs, rates of the oracle and spreads of the rows of Table I, in the order of this bench's methods."""
+    found = table(v2)
+    place = {name: k for k, name in enumerate(SHORT.values())} | {name: len(SHORT) for name in BOUNDS}
+    found["rows"] = sorted(found["rows"], key=lambda r: (r["split"] == "Avg", r["split"], place[short(r["method"])]))
+    return {"table": found, "compared": compared([v2]), "oracle": by_category(v2, "oracle"), "spreads": spreads(v2)}
 
 
 def origin(v2: Path) -> dict[str, Any]:
@@ -162,56 +176,73 @@ def by_category(folder: Path, method: str) -> dict[str, float]:
 
 
 def spreads(folder: Path) -> dict[str, Any]:
-    """Standard deviations between categories, between instances of one, and of single trials: of each method's SR and of
-    each pair's difference, in points, with the trials' noise removed. The differences are Table I's: splits count the same."""
+    """Standard deviations between categories (s_c), between instances of one (s_i), and of an instance's rate by its trials
+    (s_t), in points: of each method's SR and of each pair's difference. Splits have Table I's weights."""
     from r2h_batch.report.statistics.paired import pair_up
     from r2h_batch.runs.store import load_run
 
-    run = load_run(folder).only(METHODS)
-    paired = pair_up([run])
-    place = paired.clusters[1]
-    n = paired.trials.sum(0)
-    rate = paired.hits.sum(0) / n
-    table_one = (paired.hits.sum(2) / paired.trials.sum(1)[:, None]).mean(0)
-    only = paired.only.sum(0) / n.sum()
-    found: dict[str, Any] = {"methods": {}, "pairs": {}}
+    paired = pair_up([load_run(folder).only(METHODS)])
+    place, trials, hits = paired.clusters[1], paired.trials, paired.hits
+    weights = trials.sum(1) / trials.sum()
     names = [SHORT[name.partition(" (")[0]] for name in paired.names]
+    found: dict[str, Any] = {"methods": {}, "pairs": {}}
+
+    def over_splits(rate: Callable[[int], np.ndarray], noise: Callable[[int], float]) -> dict[str, float]:
+        """Both splits' parts: that of a mean over C categories of which each split has its share."""
+        parts, counts = [], []
+        for k in range(len(trials)):
+            asked = trials[k] > 0
+            parts.append(parts_of(rate(k)[asked], noise(k), trials[k][asked], place[asked]))
+            counts.append(len(np.unique(place[asked])))
+        more = [w**2 * sum(counts) / c for w, c in zip(weights, counts, strict=True)]
+        return {key: 100 * sum(m * own[key] for m, own in zip(more, parts, strict=True)) ** 0.5 for key in parts[0]}
+
+    def rates(more: np.ndarray) -> Callable[[int], np.ndarray]:
+        return lambda k: more[k] / np.maximum(trials[k], 1)
+
+    means = hits.sum(2) / trials.sum(1)[:, None]  # (2, M)
     for i, name in enumerate(names):
-        mean = float(rate[i].mean())
-        found["methods"][name] = parts_of(rate[i], mean * (1 - mean), n, place)
+        found["methods"][name] = over_splits(rates(hits[:, i]), lambda k, i=i: means[k, i] * (1 - means[k, i]))
     for i, a in enumerate(names):
-        for j, b in enumerate(names[:i]):
-            more = float(table_one[i] - table_one[j])
-            noise = float(only[i, j] + only[j, i]) - more**2
-            own = parts_of(rate[i] - rate[j], noise, n, place)
-            found["pairs"][f"{a} - {b}"] = {"difference": 100 * more, **own, "needs": needed(100 * more, own)}
+        for j, b in list(enumerate(names))[i + 1 :]:
+            more = means[:, i] - means[:, j]
+            differ = (paired.only[:, i, j] + paired.only[:, j, i]) / trials.sum(1)
+            own = over_splits(rates(hits[:, i] - hits[:, j]), lambda k, d=differ, m=more: float(d[k] - m[k] ** 2))
+            difference = 100 * float(weights @ more)
+            found["pairs"][f"{a} - {b}"] = {"difference": difference, **own, "needs": needed(difference, own)}
     return found
 
 
 def parts_of(value: np.ndarray, noise: float, n: np.ndarray, place: np.ndarray) -> dict[str, float]:
-    """Standard deviations between categories (s_c), between instances (s_i) and of a trial (s_t), in points."""
+    """Variances of a split: between categories (s_c), between instances of one (s_i), and of an instance's value by its
+    trials (s_t); those of the trials are taken off the others.
+
+    Args:
+        value: (K,) mean over the trials of each instance.
+        noise: variance of a single trial's value.
+        n: (K,) trials of each instance.
+        place: (K,) number of each instance's category.
+    """
     kinds = np.unique(place)
     groups = [value[place == c] for c in kinds]
     sizes = np.array([len(g) for g in groups])
     trial = noise * float(np.mean(1 / n))
     inner = float(np.mean([g.var(ddof=1) for g in groups]))
-    instance = max(inner - trial, 0.0)
     outer = float(np.var([g.mean() for g in groups], ddof=1))
-    category = max(outer - inner * float(np.mean(1 / sizes)), 0.0)
-    return {k: 100 * v**0.5 for k, v in (("s_c", category), ("s_i", instance), ("s_t", noise))}
+    return {"s_c": max(outer - inner * float(np.mean(1 / sizes)), 0.0), "s_i": max(inner - trial, 0.0), "s_t": trial}
 
 
-def half_width(own: Mapping[str, float], categories: int, instances: int, trials: int) -> float:
-    """Half of the 95 % interval of a mean over so many categories, instances of each, and trials of each."""
-    variance = own["s_c"] ** 2 + own["s_i"] ** 2 / instances + own["s_t"] ** 2 / (instances * trials)
-    return float(stdtrit(categories - 1, 0.975)) * (variance / categories) ** 0.5
+def half_width(own: Mapping[str, float], categories: int, instances: int) -> float:
+    """Half of the 95 % interval of a mean over so many categories of two splits, and instances of each."""
+    variance = own["s_c"] ** 2 + (own["s_i"] ** 2 + own["s_t"] ** 2) / instances
+    return float(stdtrit(categories - 2, 0.975)) * (variance / categories) ** 0.5
 
 
-def needed(difference: float, own: Mapping[str, float], trials: int = 10) -> dict[str, int | None]:
+def needed(difference: float, own: Mapping[str, float]) -> dict[str, int | None]:
     """Instances of a category -> the fewest categories whose interval leaves out 0; None beyond a thousand."""
     found: dict[str, int | None] = {}
     for m in (1, 6, 20):
-        enough = (c for c in range(2, MOST_CATEGORIES + 1) if half_width(own, c, m, trials) < abs(difference))
+        enough = (c for c in range(4, MOST_CATEGORIES + 1) if half_width(own, c, m) < abs(difference))
         found[str(m)] = next(enough, None)
     return found
 
@@ -603,14 +634,14 @@ def spread_lines(data: Mapping[str, Any]) -> tuple[str, str]:
     methods = [
         [
             m, *(f"{own[k]:.1f}" for k in ("s_c", "s_i", "s_t")),
-            *(f"{half_width(own, c, i, 10):.1f}" for c, i in ((16, 1), (16, 6), (16, 20), (32, 6))),
+            *(f"{half_width(own, c, i):.1f}" for c, i in ((16, 1), (16, 6), (16, 20), (32, 6))),
         ]
         for m, own in data["spreads"]["methods"].items()
     ]  # fmt: skip
     pairs = [
         [
             name, f"{own['difference']:+.1f}", *(f"{own[k]:.1f}" for k in ("s_c", "s_i", "s_t")),
-            f"{half_width(own, 16, 6, 10):.1f}", *(own["needs"][m] or "> 1,000" for m in ("1", "6", "20")),
+            f"{half_width(own, 16, 6):.1f}", *(own["needs"][m] or "> 1,000" for m in ("1", "6", "20")),
         ]
         for name, own in data["spreads"]["pairs"].items()
     ]  # fmt: skip
@@ -662,8 +693,7 @@ def network_lines(data: Mapping[str, Any]) -> str:
     share = 100 * data["exact"]["network"]["S1"]["sr"] / data["exact"]["exact"]["S1"]["sr"]
     area = 100 * report["unseen_instances"][frames[0]]["region"] / report["exact_maps"]["region"]
     parts.append(
-        f"In S1 the network reaches {share:.0f} % of the SR that exact maps give, and {area:.0f} % of their area. The aim was"
-        " 90 % of both."
+        f"In S1 the network reaches {share:.0f} % of the SR that exact maps give, and {area:.0f} % of their area."
     )
     return "\n\n".join(parts)
 
@@ -730,13 +760,15 @@ def markdown(data: Mapping[str, Any]) -> str:
         "No data set was at hand that says where people take these things. `r2h-batch import objects --from hoh` reads one"
         " ([your data](../your_data.md)); the declared regions were not compared with it.",
         "## How many instances",
-        "SR is measured on C categories, m instances of each, and t = 10 trials of each instance. Half of its 95 % interval is"
-        " `t_{C-1} sqrt((s_c^2 + s_i^2 / m + s_t^2 / (m t)) / C)`. s_c: spread between categories, s_i: between instances of one,"
-        " s_t: of single trials, in points, from r2h-v2's rows. Columns C x m: half widths.",
+        "SR is measured on C categories, of which S0 has 6 in 16 and S1 the others, on m instances of each, and on as many"
+        " trials of each instance as in Table I (14 in S0, 8 in S1). Splits count the same, as in Table I. Half of the 95 %"
+        " interval of Avg is `t_{C-2} sqrt((s_c^2 + (s_i^2 + s_t^2) / m) / C)`. s_c: spread between categories, s_i: between"
+        " instances of one, s_t: of an instance's SR by its trials, in points, from r2h-v2's rows. Columns C x m: half widths.",
         spread,
-        "For the difference of two methods: the points measured, their spreads, the half width at 16 x 6, and the fewest"
-        " categories at which its 95 % interval would leave out 0, with m instances of each. Among several pairs Holm's"
-        " correction asks for more.",
+        "For the difference of two methods: the points measured, their spreads, the half width at 16 x 6 (that of the"
+        " [interval](#table-i-of-r2h-v2) above, but for what few categories that are alike add there), and the fewest categories"
+        " at which its 95 % interval would leave out 0, with m instances of each. Among several pairs Holm's correction asks"
+        " for more.",
         needs,
         *cost_lines(data),
     ]
@@ -795,6 +827,9 @@ if __name__ == "__main__":
     parser.add_argument("--rows", type=Path, default=ROOT / "runs" / "families", help="folder of the sweeps")
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each split of Table I")
     parser.add_argument("--kept", action="store_true", help="write what earlier calls measured, without measuring more")
+    parser.add_argument(
+        "--counted", action="store_true", help="count the spreads again from the shipped rows, without a sweep"
+    )
     parser.add_argument("--splits", nargs="+", default=["S0", "S1"], help="of your own meshes")
     parser.add_argument("--scans", type=Path, help="folder of your own meshes, for the last column")
     page_from(parser, STORED, PAGE, measure, markdown)

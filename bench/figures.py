@@ -129,11 +129,47 @@ def of_sensitivity() -> dict[str, Any]:
     return found
 
 
+def of_families(data: Mapping[str, Any]) -> dict[str, Any]:
+    """families.failures.RATE: the largest share of a method's trials of r2h-v2 whose first failure it is, mean of the splits,
+    percent; families.axes.region, .region_turned: areas of the contact network on unseen instances."""
+    found = {f"families.failures.{k}": max(own.values()) for k, own in data["orders"]["r2h-v2"]["failures"].items()}
+    network = json.loads((ROOT / "assets/families/voxnet_axes.json").read_text())
+    lies, turned = network["unseen_instances"].values()
+    found |= {"families.axes.region": lies["region"], "families.axes.region_turned": turned["region"]}
+    return found | {
+        f"families.axes.left_out.{name}": own["as it lies"]["region"]
+        for name, own in network["left_out"].items()
+        if "region" in own["as it lies"]
+    }
+
+
+def of_assets() -> dict[str, Any]:
+    """Figures of reports in assets/, of training and of measured hands: voxnet.*, hand_errors.*, people_report.*."""
+    left_out = json.loads((ROOT / "assets/receiving/voxnet.json").read_text())
+    found = {
+        f"voxnet.{part}.{k}": left_out[f"{key}_mean"][k]
+        for part, key in (("left_out", "left_out"), ("all", "stored_weights"))
+        for k in ("auc", "iou", "touched_share")
+    }
+    areas = [own["auc"] for own in left_out["left_out_figures"].values()]
+    found |= {"voxnet.left_out.least_auc": min(areas), "voxnet.left_out.most_auc": max(areas)}
+    kept = json.loads((ROOT / "assets/receiving/hand_errors_report.json").read_text())["kept"]
+    found |= {
+        f"hand_errors.{name}.{p}": v for name in ("turn_deg", "shift_mm") for p, v in zip((50, 90, 99, 999), kept[name])
+    }
+    found["hand_errors.beyond_90_deg_percent"] = kept["beyond_90_deg_percent"]
+    shapes = json.loads((ROOT / "assets/people/report.json").read_text())["shapes"]
+    held = [part["skin_held_share"] for own in shapes.values() for part in own.values()]
+    return found | {"people_report.held_least": min(held), "people_report.held_most": max(held)}
+
+
 def all_values(measured: Iterable[Measured]) -> dict[str, Any]:
     """Figures of all JSON files."""
-    found = of_sensitivity()
+    found = of_sensitivity() | of_assets()
     for one in measured:
         found |= one.values
+        if one.name == "families":
+            found |= of_families(one.data)
     return found
 
 

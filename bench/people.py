@@ -355,7 +355,8 @@ adults' mean shape.
 
 ## Why Handover-VA fails more often on a larger hand
 
-Hands that others cut from Anny cost the method 13 points. Here the bodies are those of r2h-v1, and one thing changes at a time.
+Hands as Anny rests them cost the method {hand_points:.0f} points of SR against the stand-in hand. Here the bodies are those of
+r2h-v1, and one thing changes at a time.
 Plans that fail more, of {hands_n} trials:
 
 {causes}
@@ -392,8 +393,8 @@ the months of these years, as our ages are uniform. No published table of the ot
 ## What the shapes hold
 
 Capsules and box hold the skin of a person but for a few percent. `outside`: how far the rest stands out. `overshoot`: from
-the shape's surface to the nearest vertex of the body. So Safe and the planner keep clear of 96 to 98 % of the skin: the rest can
-be grazed by a path that passes, by as much as `outside` says.
+the shape's surface to the nearest vertex of the body. So Safe and the planner keep clear of the share `held` of a part's skin:
+the rest can be grazed by a path that passes, by as much as `outside` says.
 
 {shapes}
 
@@ -419,6 +420,8 @@ def markdown(data: dict[str, Any]) -> str:
     ]
     fails = {hand: m["outcomes"].get("plan", 0) for hand, found in data["hands"].items() for m in found.values()}
     causes = [[what, f"{fails[after] - fails[before]:+d}"] for what, before, after in CAUSES]
+    _, before, after = CAUSES[-1]  # all of it
+    first, last = (next(iter(data["hands"][hand].values())) for hand in (before, after))
     dimensions = [
         [
             name.replace("_", " "),
@@ -474,6 +477,7 @@ def markdown(data: dict[str, Any]) -> str:
         ),
         cost=markdown_table(["", V1, "adults", "ratio"], costs),
         hands_n=next(m["n"] for found in data["hands"].values() for m in found.values()),
+        hand_points=_sr(first) - _sr(last),
         causes=markdown_table(["Change", "plans that fail"], causes),
         hands=markdown_table(["Hand", "SR", "Plan fails", *(p.replace("_", " ") for p in pairs)], hands),
         dimensions=markdown_table(["", "men", "men, ANSUR II", "women", "women, ANSUR II"], dimensions),

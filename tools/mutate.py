@@ -1369,6 +1369,20 @@ MUTATIONS = (
         ('tests/methods/predictors/test_contacts.py::test_an_object_can_be_shown_to_a_network_that_never_saw_its_category',),
     ),
     Mutation(
+        "spreads: splits count by their categories",
+        "bench/families.py",
+        "more = [w**2 * sum(counts) / c for w, c in zip(weights, counts, strict=True)]",
+        "more = [c / sum(counts) for w, c in zip(weights, counts, strict=True)]",
+        ("tests/test_rates.py::test_rates_of_table_one_are_counted_in_the_rows_that_ship",),
+    ),
+    Mutation(
+        "spreads: noise of the trials stays in the spread of instances",
+        "bench/families.py",
+        "max(inner - trial, 0.0)",
+        "max(inner, 0.0)",
+        ("tests/test_rates.py::test_rates_of_table_one_are_counted_in_the_rows_that_ship",),
+    ),
+    Mutation(
         "unseen: the trees of the next group answer",
         "r2h_batch/methods/predictors/unseen.py",
         'return FromShape(stored[str(k)])',
