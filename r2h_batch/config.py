@@ -142,7 +142,11 @@ class Workplace(_Checked):
     table_half: Annotated[tuple[HalfLength, ...], Field(min_length=3, max_length=3)] = TABLE_HALF
 
     def scaled(self, factor: float) -> "Workplace":
-        """The same with a table `factor` times as long and wide, as high as before."""
+        """The same with a table `factor` times as long and wide, as high as before.
+
+        Args:
+            factor: above 0.
+        """
         (x, y, z), (a, b, c) = self.table_center, self.table_half
         return replace(
             self,
@@ -299,7 +303,11 @@ class ExecConfig(_Checked):
     dwell_s: Positive = 0.5
 
     def engine(self, device: str) -> EngineName:
-        """The engine that `sim` means on a device (`cpu`, `cuda:0`)."""
+        """The engine that `sim` means on a device.
+
+        Args:
+            device: cpu or cuda:N.
+        """
         if self.sim != "auto":
             return self.sim
         return "mujoco" if device == "cpu" else "mjwarp"

@@ -40,7 +40,12 @@ class Logger:
             raise ImportError(words) from None
 
     def log(self, numbers: Mapping[str, float], step: int = 0) -> None:
-        """Store numbers by name at a step."""
+        """Store numbers by name at a step.
+
+        Args:
+            numbers: a number for each name.
+            step: count of training steps, sweeps or the like; the x axis of the logger's charts.
+        """
         self._log({k: float(v) for k, v in numbers.items()}, step)
 
     def __enter__(self) -> Self:

@@ -32,14 +32,22 @@ _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 
 
 def key_of(name: str) -> tuple[int, int]:
-    """A key of two 32-bit words: the first eight bytes of the name's sha256."""
+    """A key of two 32-bit words: the first eight bytes of the name's sha256.
+
+    Args:
+        name: of a protocol or purpose; any text.
+    """
     word = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
     return word & 0xFFFFFFFF, word >> 32
 
 
 def philox4x32(counter: NDArray[np.uint64], key: tuple[int, int]) -> NDArray[np.uint64]:
-    """Ten rounds on counters (4, ...) of 32-bit words (held in uint64): 4 random words per counter,
-    same shape."""
+    """Ten rounds of Philox on counters: 4 random 32-bit words (held in uint64) per counter, same shape.
+
+    Args:
+        counter: (4, ...) 32-bit words, held in uint64.
+        key: two 32-bit words, such as `key_of(NAME)`.
+    """
     c0, c1, c2, c3 = counter
     for i in range(10):
         k0, k1 = (np.uint64((k + i * w) & 0xFFFFFFFF) for k, w in zip(key, _WEYL, strict=True))
@@ -117,11 +125,16 @@ def accepted(
     propose: Callable[[NDArray[np.int64], Any], tuple[NDArray[np.bool_], Any]],
     *outputs: NDArray[Any],
 ) -> None:
-    """Rejection sampling of n rows at once: fills `outputs` (n, ...) with each row's first accepted
-    proposal.
+    """Rejection sampling of n rows at once: fills `outputs` with each row's first accepted proposal.
 
-    `propose(rows, attempt)` returns which of these rows it accepts and, for the accepted ones, a
-    tuple of values; `attempt` is one number or one for each row. Raises `NothingFits`.
+    Args:
+        n: number of rows.
+        propose: `propose(rows, attempt)` returns which of these rows it accepts and, for the accepted ones, a tuple
+            of values; `attempt` is one number or one for each row.
+        outputs: (n, ...) arrays, one for each value.
+
+    Raises:
+        NothingFits: a row accepts none of its proposals.
     """
     todo = np.arange(n)
     for attempt in range(MAX_ATTEMPTS):

@@ -107,7 +107,11 @@ def soft_success(
 
 
 def in_metres(margin: Float[Tensor, "*b c"]) -> Float[Tensor, "*b c"]:
-    """Margins (..., C), each in its criterion's unit, as lengths: a degree counts as `verdicts.UNITS` says."""
+    """Margins (..., C), each in its criterion's unit, as lengths: a degree counts as `verdicts.UNITS` says.
+
+    Args:
+        margin: (..., C) each in its criterion's unit.
+    """
     if all(entry.unit == "m" for entry in REGISTRY):
         return margin
     worth = [UNITS[entry.unit].worth_m for entry in REGISTRY]
@@ -125,6 +129,11 @@ class _WithGradient(torch.autograd.Function):
 
 
 def with_gradient(value: Float[Tensor, "*b"], change: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """`value`, bit for bit, with the gradient of `change`."""
+    """`value`, bit for bit, with the gradient of `change`.
+
+    Args:
+        value: any shape.
+        change: same shape; its value does not count.
+    """
     out: Tensor = _WithGradient.apply(value, change)
     return out

@@ -400,11 +400,13 @@ class HandoverEnv(VectorEnv):
         seed: int | Sequence[int] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begins episodes: all, or those of the option `reset_mask` (B,) bool.
+        """Begins episodes: all, or those of a mask.
 
-        `seed` is that of noise, receivers and persons who take the object, from now on: one number for all rows, or a number
-        for each. A row with a number of its own plays as it does where all rows have that number. A seed begins the first
-        episodes of all rows. Without one, the first call does, and a later one begins the next.
+        Args:
+            seed: of noise, receivers and persons who take the object, from now on: one number for all rows, or a number for
+                each. A row with a number of its own plays as it does where all rows have that number. A seed begins the
+                first episodes of all rows. None: the first call does, and a later one begins the next.
+            options: `reset_mask`, (B,) bool: the rows that begin anew; without it all.
 
         Raises:
             TypeError, ValueError: the seed is no whole number from 0 and no list of B of them, or it comes with a
@@ -575,7 +577,11 @@ class HandoverEnv(VectorEnv):
         return self._given(observation), reward, over, late, self._info(before)
 
     def advance(self, actions: Any) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
-        """As `step`, without `info` and with tensors, whatever `output` is."""
+        """As `step`, without `info` and with tensors, whatever `output` is.
+
+        Args:
+            actions: (B, ...) of `single_action_space`, finite float32 or float64 on the env's device.
+        """
         if not self._begun:
             raise ResetNeeded("HandoverEnv.step was called before reset; call reset first")
         shape = (self.num_envs, *(self.single_action_space.shape or ()))
@@ -690,9 +696,14 @@ class HandoverEnv(VectorEnv):
     # --- the robot -----------------------------------------------------------------------------------------------
 
     def moved(self, actions: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Postures (rad) of `rows` at the end of one step with actions (B rows), as near to the
+        """Postures (R, J; rad) of `rows` at the end of one step with their actions, as near to the
         actions as limits of speed, acceleration and joints allow, and the joint speeds (rad/s). An
-        asked posture that they allow is reached bit for bit."""
+        asked posture that they allow is reached bit for bit.
+
+        Args:
+            actions: (B, ...) of `single_action_space`.
+            rows: (R,) int64.
+        """
         dt, q, old, target = self.step_s, self.q[rows], self.qd[rows].double(), actions[rows]
         if self.action == "velocity":
             v = target.double()
@@ -725,7 +736,11 @@ class HandoverEnv(VectorEnv):
     def keeps_off(self, actions: Tensor) -> Bool[Tensor, " b"]:
         """Whether the step of these actions, and the way to a stop after it, are free of table,
         robot and object: a robot knows these. The receiver is not looked at. An arm that stands
-        where it is False meets nothing."""
+        where it is False meets nothing.
+
+        Args:
+            actions: (B, ...) of `single_action_space`.
+        """
         rows = torch.nonzero(self.ends == int(End.RUNNING)).flatten()
         q, v = self.moved(actions.to(self._device), rows)
         stop = q + (v * self._fastest(v) / (2.0 * self.brake)).float()
@@ -929,7 +944,12 @@ class HandoverEnv(VectorEnv):
         return self.hands.people(self.T_world_hand)
 
     def bodies(self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor) -> BodyPoses:
-        """Bodies of some trials with their hands there, for the scene's functions."""
+        """Bodies of some trials with their hands there, for the scene's functions.
+
+        Args:
+            T_world_hand: (R, 4, 4) palms in the world, metres.
+            rows: (R,) int64 trials of the env.
+        """
         trials = self.trials
         return self.scene.body_poses(
             trials.object_index[rows], trials.hand_index[rows], self._attached[rows], T_world_hand.contiguous(),
@@ -937,7 +957,12 @@ class HandoverEnv(VectorEnv):
         )  # fmt: skip
 
     def obstacles(self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor) -> BodyPoses:
-        """The same for a planner: with arm and torso where `receiver="body"`."""
+        """The same for a planner: with arm and torso where `receiver="body"`.
+
+        Args:
+            T_world_hand: (R, 4, 4) palms in the world, metres.
+            rows: (R,) int64 trials of the env.
+        """
         bodies = self.bodies(T_world_hand, rows)
         if not self._sees_person:
             return bodies
@@ -1082,6 +1107,9 @@ class SingleHandoverEnv(gymnasium.Env[Any, Any]):
         self, action: np.ndarray
     ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """As `HandoverEnv.step`, of the one row.
+
+        Args:
+            action: (A,) of `action_space`.
 
         Raises:
             ResetNeeded: `reset` was never called, or the episode has ended.

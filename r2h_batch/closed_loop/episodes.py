@@ -20,8 +20,10 @@ AT_ONCE = 256
 
 
 def policy_of(spec: str) -> tuple[Any, str]:
-    """A policy by its name, or the user's (`package.module:function` or `FILE.py:function`), and a text that says what
-    decides its actions.
+    """A policy by its name, or the user's, and a text that says what decides its actions.
+
+    Args:
+        spec: a name of `POLICIES`, `package.module:function` or `FILE.py:function`.
 
     Raises:
         ImportError: the module or function does not exist.
@@ -69,6 +71,9 @@ class Loop:
     @staticmethod
     def of(identity: str) -> "Loop":
         """The loop with that identity.
+
+        Args:
+            identity: the text that `Loop.identity` gives.
 
         Raises:
             ValueError: it cannot be made from the text alone: the policy is not built in, the motion was imported,

@@ -34,7 +34,11 @@ FOLLOW = 0.15
 @POLICIES("planned")
 class Planned:
     """The motion that was planned before the episode, blind. Each segment keeps its time law; the next one begins
-    with a step, so that every waypoint is a sample."""
+    with a step, so that every waypoint is a sample.
+
+    Args:
+        env: whose trials it moves; `env.scores` has their plans.
+    """
 
     action = "posture"
 
@@ -65,7 +69,11 @@ class Planned:
         return torch.where(far >= v * v / a, far / v + v / a, 2 * (far / a).sqrt())
 
     def posture(self, time_s: Float64[Tensor, " b"]) -> Float32[Tensor, "b j"]:
-        """Where the plan has the arm at a time of each row's own."""
+        """Joint angles (B, J; rad) of the plan at a time of each row's own.
+
+        Args:
+            time_s: (B,) seconds since the row's episode began.
+        """
         v, a = self.speed, self.acceleration
         k = (self.begin[:, 1:] <= time_s[:, None] + 1e-9).sum(1).clamp(max=self.far.shape[1] - 1)
         row = torch.arange(len(k), dtype=torch.int64, device=k.device)
@@ -82,7 +90,11 @@ class Planned:
 
 @POLICIES("stop")
 class StopAndWait(Planned):
-    """The planned motion, which stands while the hand that it sees is nearer than `STOP_M`."""
+    """The planned motion, which stands while the hand that it sees is nearer than `STOP_M`.
+
+    Args:
+        env: whose trials it moves; `env.scores` has their plans.
+    """
 
     action = "posture"
     RAMP_S = 0.25
@@ -103,7 +115,15 @@ class Servo(Planned):
     """The planned motion with a goal that follows the hand: the posture of the handover pose beside the hand that
     it sees, found by damped least squares from the planned goal on. The path bends with it, in proportion to how
     far it has come. Slows down from `slow_m` to the hand that it sees, stands from `stop_m` on, and where it
-    would not keep off table, robot and object."""
+    would not keep off table, robot and object.
+
+    Args:
+        env: whose trials it moves; `env.scores` has their plans.
+        slow_m: distance, one number or (B,).
+        stop_m: distance, one number or (B,).
+        follow: share of the way to where the hand is seen that the goal goes in a step, against noise; one number
+            or (B,).
+    """
 
     action = "posture"
     GOAL_RAD = 0.1
@@ -117,8 +137,6 @@ class Servo(Planned):
         stop_m: float | Float64[Tensor, " b"] = STOP_M,
         follow: float | Float64[Tensor, " b"] = FOLLOW,
     ) -> None:
-        """`follow`: share of the way to where the hand is seen that the goal goes in a step, against noise. Numbers
-        may differ from row to row."""
         super().__init__(env)
         self.env, self.robot = env, env.scene.robot
         self.slow_m, self.stop_m, self.follow = (
@@ -155,7 +173,11 @@ class Servo(Planned):
 class Replan:
     """Plans twice a second, with the judge's planner from where the arm is to the handover pose beside the hand that it
     sees, while that hand has moved since the last plan or there is none; goes from waypoint to waypoint. Without a
-    path it stands. Slows down as `Servo` does."""
+    path it stands. Slows down as `Servo` does.
+
+    Args:
+        env: whose trials it moves.
+    """
 
     action = "velocity"
     MOVED_M, MOVED_RAD = 0.01, 0.07
@@ -221,5 +243,9 @@ class Replan:
 
 
 def kind_of_action(policy: Callable[..., Any]) -> str:
-    """A policy's kind of action: its `action`, else joint velocities."""
+    """A policy's kind of action; joint velocities where it says none.
+
+    Args:
+        policy: a class or function; its attribute `action`, if any.
+    """
     return str(getattr(policy, "action", "velocity"))

@@ -109,7 +109,11 @@ def stacked(
     candidates: Sequence[Candidates],
 ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
     """T_obj_ee of all candidates (K, 4, 4), and of each object the first row and the number of
-    rows."""
+    rows.
+
+    Args:
+        candidates: those of each object.
+    """
     count = np.array([len(c) for c in candidates], np.int64)
     return np.concatenate([c.T_obj_ee for c in candidates]), np.cumsum(count) - count, count
 

@@ -116,7 +116,12 @@ def turned_inward(
 
 
 def poses_at(R: Float[Tensor, "b r 3 3"], p: Float[Tensor, "*#b 3"]) -> Float[Tensor, "b r 4 4"]:
-    """(b, r, 4, 4) float32 transforms with these rotations at p: (b, 3) or (b, r, 3), metres."""
+    """Transforms (B, R, 4, 4) float32 with these rotations and positions.
+
+    Args:
+        R: (B, R, 3, 3) rotations.
+        p: (B, 3) or (B, R, 3) positions in the same frame, metres.
+    """
     p = p if p.ndim == 3 else p[:, None]
     return se3.from_rotation(R.double(), p.double().expand(*R.shape[:2], 3)).float().contiguous()
 

@@ -248,8 +248,10 @@ class Benchmark:
     def on(self, robot: Robot, persons: Literal["for-robot", "as-for-ur5e"] = "for-robot") -> Self:
         """The same benchmark for another robot, which starts at its own home.
 
-        With `persons` "for-robot" the table's sides are as long as that robot's reach asks for: it
-        is to the UR5e's as the reaches are.
+        Args:
+            robot: such as `load_robot(NAME)`.
+            persons: where persons stand. "for-robot": the table grows with the robot's reach, and they with it.
+                "as-for-ur5e": where they stand for the UR5e.
         """
         instance_of(Robot, "such as load_robot(NAME)")("robot", robot)
         one_of("for-robot", "as-for-ur5e")("persons", persons)
@@ -263,6 +265,9 @@ class Benchmark:
     def with_objects(self, objects: Sequence[ObjectModel]) -> Self:
         """The same benchmark with other objects.
 
+        Args:
+            objects: in the order of `Trials.object_index`.
+
         Raises:
             ValueError: none, or two of one name; or trials are listed, which index other objects.
         """
@@ -273,6 +278,9 @@ class Benchmark:
     def with_people(self, people: People) -> Self:
         """The same benchmark with other receivers, and hands of theirs.
 
+        Args:
+            people: such as `built_in_people(WORD)`; the hand set is made of them.
+
         Raises:
             ValueError: its receivers have no body.
         """
@@ -280,11 +288,13 @@ class Benchmark:
         return replace(self, people=people, hand_set=people_hand_set(people))
 
     def config(self, base: EvalConfig | None = None) -> EvalConfig:
-        """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home, and what it
-        sees of the receiver.
+        """The configuration `base` with the benchmark's limits, table and home, and what it sees of the receiver.
 
-        Raises ValueError where `base` has other limits or another place of its own: nobody could
-        tell which were meant.
+        Args:
+            base: how one judges: planning, motion, engine. None: `EvalConfig()`.
+
+        Raises:
+            ValueError: `base` has other limits or another place of its own: nobody could tell which were meant.
         """
         optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("base", base)
         base = self.robot.fitted(base or EvalConfig())

@@ -133,7 +133,11 @@ class Run:
                 raise RunError(f"{path}: {words}") from None
 
     def trial_id(self, word: str) -> int:
-        """The number of a trial from its number or its owner's text."""
+        """The number of a trial from its number or its owner's text.
+
+        Args:
+            word: digits, or the text that the trials' owner gave.
+        """
         if word.isascii() and word.isdigit():
             return int(word)
         for number, (text_of_owner, _) in self.labels.items():
@@ -180,6 +184,10 @@ class Run:
     def row(self, trial: int, method: str) -> dict[str, Any]:
         """One row of `trials` with its details, where they are stored.
 
+        Args:
+            trial: its id.
+            method: its name in the run.
+
         Raises:
             RunError: there is no such trial or method.
         """
@@ -210,7 +218,11 @@ class Run:
         return pandas.concat(tables, ignore_index=True) if tables else pandas.DataFrame()
 
     def entry(self, method: str) -> Entry:
-        """The method of this name."""
+        """The method of this name.
+
+        Args:
+            method: its name in the run.
+        """
         text("method", method)
         for entry in self.entries:
             if entry.name == method:
@@ -219,7 +231,11 @@ class Run:
         raise RunError(f"{self.folder}: no method {method!r}; it has {names}")
 
     def named(self, word: str) -> str:
-        """The full name of a method from that name or from the sweep's word (fc)."""
+        """The full name of a method.
+
+        Args:
+            word: the full name, or the sweep's word (fc).
+        """
         text("word", word)
         names = [e.name for e in self.entries]
         if word in names:
@@ -235,14 +251,22 @@ class Run:
         raise RunError(f"{self.folder}: no method {word!r}{nearest(word, names)}; it has {has}")
 
     def only(self, words: Sequence[str]) -> "Run":
-        """The same run with these methods alone (see `named`), in stored order; empty: all."""
+        """The same run with these methods alone, in stored order.
+
+        Args:
+            words: full names or words of the sweep (see `named`); empty: all.
+        """
         if not sequence_of(str, "names of methods", least=0)("words", words):
             return self
         names = {self.named(w) for w in words}
         return replace(self, entries=tuple(e for e in self.entries if e.name in names))
 
     def view_command(self, method: str) -> str:
-        """The command that shows trials of a method: `r2h-batch view RUN --method WORD --trial`."""
+        """The command that shows trials of a method: `r2h-batch view RUN --method WORD --trial`.
+
+        Args:
+            method: its name in the run.
+        """
         entry = self.entry(method)
         run = next(r for r in self.runs if r.folder == entry.folder)
         name = next(e.name for e in run.entries if e.slug == entry.slug)
@@ -253,41 +277,78 @@ class Run:
         return shlex.join(["r2h-batch", "view", str(entry.folder), "--method", name, "--trial"])
 
     def planned(self, method: str) -> dict[str, int]:
-        """Split -> trials that a method was asked."""
+        """Split -> trials that a method was asked.
+
+        Args:
+            method: its name in the run.
+        """
         return dict(self.entry(method).header["trials"])
 
     def missing(self, method: str) -> list[Shard]:
-        """Shards of a method that are planned and not stored."""
+        """Shards of a method that are planned and not stored.
+
+        Args:
+            method: its name in the run.
+        """
         entry = self.entry(method)
         return [s for s in shards_of(entry.header) if s.index not in entry.shards]
 
     def quarantined(self, method: str) -> list[Shard]:
-        """Missing shards of a method that failed three times in the last attempt."""
+        """Missing shards of a method that failed three times in the last attempt.
+
+        Args:
+            method: its name in the run.
+        """
         entry = self.entry(method)
         return [s for s in self.missing(method) if entry.quarantine_path(s).exists()]
 
     def trials(self, method: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """One row per trial in planned order: all or some columns of `TRIAL_SCHEMA`."""
+        """One row per trial in planned order, of `TRIAL_SCHEMA`.
+
+        Args:
+            method: its name in the run.
+            columns: names of `TRIAL_SCHEMA`; None: all.
+        """
         return self._read("trials", method, columns)
 
     def details(self, method: str) -> pa.Table:
-        """Goal, grasp and witness of the scored trials, `DETAIL_SCHEMA`."""
+        """Goal, grasp and witness of the scored trials, `DETAIL_SCHEMA`.
+
+        Args:
+            method: its name in the run.
+        """
         return self._read("details", method)
 
     def poses(self, method: str) -> pa.Table:
-        """The scored poses, `POSE_SCHEMA`; missing trials have no row."""
+        """The scored poses, `POSE_SCHEMA`; missing trials have no row.
+
+        Args:
+            method: its name in the run.
+        """
         return self._read("poses", method)
 
     def paths(self, method: str) -> pa.Table:
-        """Waypoints and times of the trials with a path, `PATH_SCHEMA`."""
+        """Waypoints and times of the trials with a path, `PATH_SCHEMA`.
+
+        Args:
+            method: its name in the run.
+        """
         return self._read("paths", method)
 
     def episodes(self, method: str) -> pa.Table:
-        """How closed loops ended, `EPISODE_SCHEMA`."""
+        """How closed loops ended, `EPISODE_SCHEMA`.
+
+        Args:
+            method: its name in the run.
+        """
         return self._read("episodes", method)
 
     def failures(self, method: str) -> pa.Table:
-        """The inputs that repeat a failed simulation, `FAILURE_SCHEMA`."""
+        """The inputs that repeat a failed simulation, `FAILURE_SCHEMA`.
+
+        Args:
+            method: its name in the run.
+        """
         return self._read("failures", method)
 
     def _read(self, kind: str, method: str, columns: Sequence[str] | None = None) -> pa.Table:
@@ -301,7 +362,13 @@ class Run:
         self, kind: str, method: str, columns: Sequence[str] | None = None
     ) -> Iterator[pa.Table]:
         """The tables of a kind, one shard at a time, for runs that do not fit into memory. Later
-        columns that an older run lacks are null."""
+        columns that an older run lacks are null.
+
+        Args:
+            kind: trials, details, poses, paths, episodes or failures.
+            method: its name in the run.
+            columns: names of the kind's schema; None: all.
+        """
         entry, names = self.entry(method), list(columns or schema_of_kind(kind).names)
         for stored in entry.shards.values():
             if kind not in stored.kinds:
@@ -316,7 +383,13 @@ class Run:
             yield table.select(names)
 
     def shard(self, kind: str, method: str, index: int) -> pa.Table:
-        """The table of a kind of one shard, without later columns that an older run lacks."""
+        """The table of a kind of one shard, without later columns that an older run lacks.
+
+        Args:
+            kind: trials, details, poses, paths, episodes or failures.
+            method: its name in the run.
+            index: of the shard.
+        """
         stored = self.entry(method).shards.get(index)
         if stored is None or kind not in stored.kinds:
             raise RunError(f"{self.folder}: shard {index} of {method!r} has no {kind}")
@@ -334,7 +407,11 @@ class Run:
 
     def digest(self, method: str) -> str:
         """sha256 (hex) over all rows of a method without `TIMING`: equal for any shards and
-        workers. Later columns that an older run lacks are not part of its digest."""
+        workers. Later columns that an older run lacks are not part of its digest.
+
+        Args:
+            method: its name in the run.
+        """
         columns = [c for c in TRIAL_SCHEMA.names if c not in TIMING]
         hashes: dict[tuple[str, str], Any] = defaultdict(hashlib.sha256)
         entry = self.entry(method)

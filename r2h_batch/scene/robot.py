@@ -199,7 +199,11 @@ class Robot:
         return hash(self.digest)
 
     def fitted(self, config: EvalConfig) -> EvalConfig:
-        """The configuration with this robot's home and speed where it has the UR5e's."""
+        """The configuration with this robot's home and speed where it has the UR5e's.
+
+        Args:
+            config: what it says of home and speed stays where it is not the UR5e's.
+        """
         return config.for_robot(self.home_q, float(self.max_velocity.min()))
 
     @cached_property

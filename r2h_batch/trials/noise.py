@@ -60,7 +60,11 @@ class PredictorNoise:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "target_errors"}
 
     def scaled(self, factor: float) -> PredictorNoise:
-        """All deviations and the errors of frames times a factor; 0 is exact: the oracle."""
+        """All deviations and the errors of frames times a factor; 0 is exact: the oracle.
+
+        Args:
+            factor: 0 or more.
+        """
         if not (np.isfinite(factor) and factor >= 0):
             raise ValueError(
                 f"the predictors' noise factor is {factor}; it must be 0 (oracle) or more, 1 is the default"

@@ -39,12 +39,18 @@ SIZE = (640, 480)
 
 
 class DrawnHandoverEnv(HandoverEnv):
-    """A `HandoverEnv` that draws its handovers (extra `view`)."""
+    """A `HandoverEnv` that draws its handovers (extra `view`).
+
+    Args:
+        scores: as of `HandoverEnv`.
+        args: its other positional arguments.
+        render_mode: None or rgb_array.
+        more: its arguments by name.
+    """
 
     def __init__(
         self, scores: Scores, *args: Any, render_mode: str | None = None, **more: Any
     ) -> None:
-        """As `HandoverEnv`; `render_mode`: None or rgb_array."""
         super().__init__(scores, *args, **more)
         self.metadata = {**self.metadata, **_DRAWS, "render_fps": self.config.rate_hz}
         if render_mode not in (None, *_DRAWS["render_modes"]):
@@ -160,8 +166,11 @@ def make_vector(
 
 
 def make_single(**how: Any) -> SingleHandoverEnv:
-    """One handover at a time as a plain Gymnasium environment. Arguments as of `make_vector`, without
-    num_envs and autoreset."""
+    """One handover at a time as a plain Gymnasium environment.
+
+    Args:
+        how: as of `make_vector`, without num_envs and autoreset.
+    """
     return SingleHandoverEnv(make_vector(1, autoreset=False, **how))
 
 

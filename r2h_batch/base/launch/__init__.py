@@ -133,15 +133,23 @@ def launch_trials(
     first: int = 0,
     uneven: bool = False,
 ) -> None:
-    """Runs `kernel` for trials first..first+n-1; they are wp.tid() + its parameter `first`; `width`
-    > 1: of a second index.
+    """Runs `kernel` for trials first..first+n-1.
 
-    `inputs`, `outputs`: by the kernel's parameter names without `_in`, `_out`; tensors and NumPy
-    arrays as they are. Every name and kind is checked against the kernel before anything runs
-    (`r2h_batch.base.launch.arguments.bind`). `uneven`: some trials take a hundred times as long as
-    others. Warp runs a CPU kernel as one serial loop but releases the interpreter lock, so threads
-    over pieces use all cores. `chunk` (trials of a piece; None: trials cost alike) only says who
-    computes a trial: results do not depend on it.
+    Every name and kind is checked against the kernel before anything runs (`r2h_batch.base.launch.arguments.bind`). Warp
+    runs a CPU kernel as one serial loop but releases the interpreter lock, so threads over pieces use all cores. Who
+    computes a trial does not change its result.
+
+    Args:
+        kernel: over trials, which are `wp.tid()` plus its parameter `first`.
+        n: number of trials.
+        inputs: by the kernel's parameter names without `_in`; tensors or NumPy arrays.
+        outputs: the same, without `_out`; they are written in place.
+        device: cpu or cuda:N, where all of them lie.
+        threads: of a CPU; None: as `cpu_threads` says.
+        chunk: trials of a piece that one CPU thread takes; None: trials cost alike.
+        width: numbers of the kernel's second index; 1: it has none.
+        first: the first trial.
+        uneven: some trials take a hundred times as long as others.
     """
     if device == "cpu":
         _launch_on_cpu(kernel, n, inputs, outputs, threads, chunk, width, first)
@@ -246,7 +254,12 @@ def _launch_on_cpu(
 def load(kernels: Sequence[Any], device: str) -> None:
     """Compiles the kernels' modules for the device, or loads them, as `launch_trials` of uneven rows
     does at its first row. Those that a CPU lacks are compiled on all cores at once, in this order; a
-    line says so."""
+    line says so.
+
+    Args:
+        kernels: each module is loaded once.
+        device: cpu or cuda:N.
+    """
     init_warp()
     modules = list({kernel.module.name: kernel.module for kernel in kernels}.values())
     for module in modules:
@@ -268,8 +281,15 @@ def load(kernels: Sequence[Any], device: str) -> None:
 def launch(
     kernel: Any, dim: int, *, inputs: Mapping[str, Any], outputs: Mapping[str, Any], device: str
 ) -> None:
-    """Runs a kernel that has no parameter `first` once, on Warp's own stream; arguments as in
-    `launch_trials`."""
+    """Runs a kernel that has no parameter `first` once, on Warp's own stream.
+
+    Args:
+        kernel: a Warp kernel.
+        dim: number of threads.
+        inputs: by the kernel's parameter names without `_in`; tensors or NumPy arrays.
+        outputs: the same, without `_out`; they are written in place.
+        device: cpu or cuda:N, where all of them lie.
+    """
     repeated.refuse()
     _room_for(kernel.module)
     wp.launch(kernel, dim=dim, inputs=bind(kernel, inputs, outputs, device), device=device)

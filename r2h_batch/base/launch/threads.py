@@ -42,8 +42,11 @@ def on_threads(threads: int | None) -> Iterator[None]:
 
 
 def cpu_threads(threads: int | None = None) -> int:
-    """The number of worker threads: as given, as `on_threads` says, or one per core this process may
-    use."""
+    """The number of worker threads of a launch on the CPU.
+
+    Args:
+        threads: 1 or more; None: as `on_threads` says, else one per core this process may use.
+    """
     threads = _threads.get() if threads is None else threads
     if threads is not None:
         return integer(1)("threads", threads)

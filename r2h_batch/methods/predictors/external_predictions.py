@@ -114,7 +114,11 @@ class Observations:
         return {k: v.source for k, v in vars(self).items() if v is not None}
 
     def check_trials(self, trial_id: NDArray[np.int64]) -> None:
-        """Raise `FileError` if a planned trial has no prediction."""
+        """Raise `FileError` if a planned trial has no prediction.
+
+        Args:
+            trial_id: (N,) int64, the planned ones.
+        """
         for kind, part in vars(self).items():
             ids = None if part is None else part.trial_id
             if ids is not None and len(missing := np.setdiff1d(trial_id, ids)):
@@ -125,7 +129,12 @@ class Observations:
                 )
 
     def check_parts(self, trials: Trials, objects: Sequence[ObjectModel]) -> None:
-        """Raise `FileError` if a trial's labels name parts that its object does not have."""
+        """Raise `FileError` if a trial's labels name parts that its object does not have.
+
+        Args:
+            trials: the planned ones.
+            objects: those that `Trials.object_index` counts.
+        """
         if self.parts is None or "label" not in self.parts.arrays:
             return
         count = np.array([len(o.part_names) for o in objects])[trials.object_index.cpu().numpy()]

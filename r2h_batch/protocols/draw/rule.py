@@ -87,7 +87,11 @@ class Rule:
     bodies: bool = False
 
     def draw(self, benchmark: Benchmark, trial_id: NDArray[np.int64]) -> Trials:
-        """The trials of these ids (N,), in this order, on the CPU.
+        """The trials of these ids, in this order, on the CPU.
+
+        Args:
+            benchmark: its objects, hands, people, robot and workplace.
+            trial_id: (N,) int64, 0 or more.
 
         Raises:
             ValueError: a trial's split has no object, or no hand fits table and home.

@@ -170,7 +170,11 @@ def clustered_rate(success: np.ndarray, total: np.ndarray, few: int | None = Non
 @check_arguments(rates=sequence_of(Rate))
 def mean_rate(rates: Sequence[Rate]) -> Rate:
     """Unweighted mean of independent rates, with an interval made of theirs (MOVER, Zou and Donner
-    2008)."""
+    2008).
+
+    Args:
+        rates: in percent; one or more.
+    """
     c = 1 / len(rates)
     percent = c * sum(r.percent for r in rates)
     below = c * np.sqrt(sum((r.percent - r.low) ** 2 for r in rates))
@@ -202,7 +206,12 @@ def split_row(counted: Tally, split: str, few: int = FEW) -> Row:
 
 @check_arguments(counted=_TALLY, split=one_of(*SPLITS))
 def object_rows(counted: Tally, split: str) -> dict[str, Row]:
-    """Object -> the table line of its trials in a split, as `split_row`; in the order of `Tally.objects`."""
+    """Object -> the table line of its trials in a split, as `split_row`; in the order of `Tally.objects`.
+
+    Args:
+        counted: outcomes of one method (`tally`).
+        split: S0 or S1.
+    """
     cells: dict[str, list[dict[str, Any]]] = {name: [] for name in counted.objects}
     for cell in counted.of_split(split).by("object", "outcome"):
         cells[cell["object"]].append(cell)
@@ -267,7 +276,13 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]], few: in
 
 def over_objects(counted: Tally, split: str, few: int = FEW) -> Row:
     """As `split_row`, but every object of the split counts the same, whatever its trials: rates
-    and times are means over the objects' own. Counts and intervals are those of the trials."""
+    and times are means over the objects' own. Counts and intervals are those of the trials.
+
+    Args:
+        counted: outcomes of one method (`tally`).
+        split: S0 or S1.
+        few: as of `split_row`.
+    """
     whole = split_row(counted, split, few)
     rows = list(object_rows(counted, split).values())
 
@@ -314,6 +329,9 @@ def average_row(rows: Sequence[Row]) -> Row:
 
     A criterion that a split skips counts as 0 there. A rate is None if a split has no trials; that of a criterion
     for some objects is the mean of the splits that have such objects.
+
+    Args:
+        rows: a method's lines, one for each split.
     """
 
     def rate(name: str) -> Rate | None:

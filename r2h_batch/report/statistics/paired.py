@@ -215,7 +215,11 @@ def mcnemar(only_a: int, only_b: int) -> float:
 
 @check_arguments(p=array("fiu", 1, "p values, from 0 to 1", low=0, high=1))
 def holm(p: Sequence[float]) -> np.ndarray:
-    """(P,) p values adjusted for P tests (Holm 1979)."""
+    """(P,) p values adjusted for P tests (Holm 1979).
+
+    Args:
+        p: (P,) p values, from 0 to 1.
+    """
     values = np.asarray(p, np.float64)
     order = np.argsort(values)
     # The i-th smallest of P values (i from 0) is compared with alpha / (P - i). The adjusted values

@@ -60,7 +60,11 @@ class Point:
     concerned: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
 
     def rate(self, method: str) -> float:
-        """Success rate in percent, the mean over the planned splits as in the paper's Avg."""
+        """Success rate in percent, the mean over the planned splits as in the paper's Avg.
+
+        Args:
+            method: its name in the run.
+        """
         counts = self.counts[method]
         planned = [row for row in counts if row.sum()]
         return float(np.mean([100 * row[Outcome.SUCCESS] / row.sum() for row in planned]))

@@ -110,7 +110,11 @@ def _load(
 
 def labels_of(mesh: trimesh.Trimesh) -> tuple[NDArray[np.int64], tuple[str, ...]] | None:
     """(F,) part of each face and the parts' names, as the named groups of its file said; None where
-    they said none."""
+    they said none.
+
+    Args:
+        mesh: as read from its file, before it is closed.
+    """
     return mesh.metadata.get(LABELS)
 
 

@@ -26,7 +26,11 @@ Hull = tuple[NDArray[np.float32], NDArray[np.int32]]
 
 
 def convex_hull(points: NDArray[np.float64]) -> Hull:
-    """The convex hull, its vertices rounded to float32; no vertex is left out."""
+    """The convex hull, its vertices rounded to float32; no vertex is left out.
+
+    Args:
+        points: (N, 3) metres.
+    """
     rounded = trimesh.convex.convex_hull(points).vertices.astype(np.float32)
     hull = trimesh.convex.convex_hull(rounded.astype(np.float64))
     return hull.vertices.astype(np.float32), hull.faces.astype(np.int32)
@@ -38,9 +42,13 @@ def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> 
 
     A slightly simpler surface is cut by planes (`cut_apart`), parts are joined again where that
     costs the least (`merge_hulls`), and these pieces are grown until no point of the surface is more than
-    0.05 mm outside all of them (`inflate_to_cover`: each triangle, cut to 3 mm, lies in one). `fine`: as
-    those of the built-in objects, by CoACD alone (fixed seed), thirty times the time; those leave
-    up to 0.1 mm outside.
+    0.05 mm outside all of them (`inflate_to_cover`: each triangle, cut to 3 mm, lies in one).
+
+    Args:
+        solid: a closed surface, metres.
+        label: its name in warnings.
+        fine: pieces as those of the built-in objects, by CoACD alone (fixed seed), thirty times the time; they leave up to
+            0.1 mm outside.
     """
     needed = "coacd" if fine else "manifold3d"
     if importlib.util.find_spec(needed) is None:

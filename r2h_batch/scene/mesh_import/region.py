@@ -38,7 +38,14 @@ def carried(closed: Closed) -> NDArray[np.int64]:
 def part_of_faces(
     face_part: NDArray[np.integer] | None, names: Sequence[str], closed: Closed, label: str
 ) -> NDArray[np.uint8]:
-    """(F,) labels of the closed surface's faces, all 0 where none were given."""
+    """(F,) uint8 labels of the closed surface's faces, all 0 where none were given.
+
+    Args:
+        face_part: (G,) part of each face of the given mesh, in the order of its file, or None.
+        names: of the parts.
+        closed: the given mesh and its closed surface.
+        label: the object's name in errors.
+    """
     if face_part is None:
         return np.zeros(len(closed.mesh.faces), np.uint8)
     given, count = np.asarray(face_part), len(closed.given.faces)
@@ -62,7 +69,16 @@ def receiver_region(
     names: Sequence[str],
     label: str,
 ) -> NDArray[np.bool_]:
-    """(F,) bool: the faces of the region."""
+    """(F,) bool: the faces of the region.
+
+    Args:
+        solid: the surface that is judged.
+        receiver: names of parts, a file or an array of faces, or boxes; None is refused.
+        closed: the given mesh and its closed surface.
+        parts: (F,) labels, as `part_of_faces` gives them.
+        names: of the parts.
+        label: the object's name in errors.
+    """
     if receiver is None:
         raise ObjectMeshError(
             f"{label}: an S1 object needs the receiver's region: {WAYS}, or an .npy file of faces; r2h-batch import region FILE"
@@ -92,7 +108,13 @@ def receiver_region(
 def region_boxes(
     receiver: Receiver, names: Sequence[str], label: str
 ) -> NDArray[np.float64] | None:
-    """The boxes that a region is said by (`ObjectModel.receiver_boxes`); None where something else says it."""
+    """The boxes that a region is said by (`ObjectModel.receiver_boxes`); None where something else says it.
+
+    Args:
+        receiver: as of `receiver_region`.
+        names: of the parts.
+        label: the object's name in errors.
+    """
     if receiver is None or (isinstance(receiver, (str, Path)) and Path(receiver).suffix != ".npy"):
         return None
     given = _region_array(receiver, names, label)

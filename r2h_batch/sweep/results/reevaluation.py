@@ -135,7 +135,11 @@ class Judge:
         self.form: Form = "one_thread" if header["device"]["kind"] == "cpu" else "frontier"
 
     def trials(self, trial_id: Any) -> Trials:
-        """The trials with these ids, on the evaluator's device."""
+        """The trials with these ids, on the evaluator's device.
+
+        Args:
+            trial_id: (N,) whole numbers.
+        """
         ids = torch.from_numpy(np.array(trial_id, np.int64))
         return self.benchmark.trials_with_ids(ids).to(self.evaluator.scene.device)
 
@@ -143,8 +147,15 @@ class Judge:
         self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any, motions: Motions | None = None,
         stored: Sequence[str] = (),
     ) -> dict[str, pa.Table]:  # fmt: skip
-        """Tables of (N,) trials answered with (N, 4, 4) poses, or with grasps and motions, and of
-        the kinds `stored`: as the sweep stores them."""
+        """Tables of answered trials, as the sweep stores them: `trials` and the kinds of `stored`.
+
+        Args:
+            trial_id: (N,) whole numbers.
+            T_obj_ee: (N, 4, 4) grasps, metres.
+            T_world_ee: (N, 4, 4) handover poses, metres.
+            motions: motions to judge in place of planned ones.
+            stored: further kinds: details, poses, paths.
+        """
         scene, trials = self.evaluator.scene, self.trials(trial_id)
         grasp, handover = (
             torch.from_numpy(np.array(T, np.float32)).to(scene.device)
@@ -176,7 +187,12 @@ def _loop_of(identity: Any, run: Run) -> tuple["Loop | None", str]:
 
 def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
     """The `EvalConfig` of a run.json; `RunError` where this version has other fields, or one is out
-    of bounds."""
+    of bounds.
+
+    Args:
+        data: the entry `configuration`.
+        where: the folder, for the error.
+    """
     kind = TypeAdapter(EvalConfig)
     try:
         config = kind.validate_json(json.dumps(data), strict=True)
@@ -207,7 +223,11 @@ def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
 
 
 def check_poses(run: Run) -> None:
-    """`RunError` if the run holds no poses."""
+    """`RunError` if the run holds no poses.
+
+    Args:
+        run: what `load_run(FOLDER)` gives.
+    """
     if "poses" not in run.header["stored"]:
         words = "stored without poses; sweep again without no_poses into another --out"
         raise RunError(f"{run.folder}: {words}")
