@@ -47,7 +47,7 @@ def named(path: str) -> Any:
 
 
 def functions(path: str, thing: Any) -> Iterator[tuple[str, Callable[..., Any], str]]:
-    """What can be called of a module, class or function: its path, itself, its words. A class may say its constructor's."""
+    """Callables of a module, class or function: path, itself, its words. A class may say its constructor's."""
     if isinstance(thing, ModuleType):
         for name, value in vars(thing).items():
             if getattr(value, "__module__", None) == thing.__name__ and not name.startswith("_"):

@@ -61,7 +61,7 @@ def test_each_page_that_a_bench_writes_is_what_its_json_gives():
 
 
 def by_hand(text):
-    """What a person wrote of a page: without blocks of figures, README's Table I and code."""
+    """The text of a page that a person wrote: without blocks of figures, README's Table I and code."""
     import families
     import figures
 
