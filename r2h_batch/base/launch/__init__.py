@@ -174,6 +174,9 @@ def over_trials(
 ) -> Callable[..., Any]:
     """`launch_trials` with the inputs as keywords: `over_trials(kernel, n, device)(cap=cap_m, q=q)`.
 
+    Not `wp.from_torch` and `wp.launch(inputs=, outputs=)`: with these the closing of one gripper takes two (descriptors
+    alone) to four times as long, kernel included.
+
     Args:
         kernel: over trials.
         n: number of trials.
