@@ -255,7 +255,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             return bodies.cast(trials, T, camera, corner, **how)
 
         ours()
-        (depth, label), seconds = clock(ours)
+        (depth, label, _), seconds = clock(ours)
         own = depth[:, 0].numpy(), label[:, 0].numpy()
         found: dict[str, Any] = {"rays": {"per_s": n / seconds}}
         for name in ("mujoco_warp", "opengl", "multiray"):

@@ -53,6 +53,8 @@ T_RELEASE = (
 )
 TAKEN = "r2h_batch/judge/reception.py"
 T_RAYS = "tests/observe/test_rays.py"
+SENSOR, T_SENSOR = "kernels/observe/sensor.py", "tests/observe/test_sensor.py"
+T_SENSOR_TWIN = f"{T_SENSOR}::test_measured_depth_is_that_of_a_float64_twin"
 SEEN, T_OBJECT = "r2h_batch/judge/object_errors.py", "tests/judge/test_object_errors.py"
 T_COSTS = "tests/judge/test_reception.py::test_turn_and_travel_are_those_of_the_hand_from_how_it_waits"
 T_WHOLE = "tests/judge/test_reception.py::test_whole_ways_are_free_where_every_sample_of_hand_and_arm_is"
@@ -1549,6 +1551,97 @@ MUTATIONS = (
         "torch.searchsorted(nth, take + 1)",
         "torch.searchsorted(nth, take + 2)",
         (f"{T_RAYS}::test_clouds_take_every_pixel_once_and_mask_the_rest",),
+    ),
+    Mutation(
+        "sensor: noise grows with depth, not with its square",
+        SENSOR,
+        "sensor.stereo * z * z *",
+        "sensor.stereo * z *",
+        (f"{T_SENSOR}::test_noise_of_depth_grows_with_its_square_as_stereo_has_it_and_has_no_bias",),
+    ),
+    Mutation(
+        "sensor: every pixel has a stereo error of its own",
+        SENSOR,
+        "side = sensor.stereo_px",
+        "side = int(1)",
+        (f"{T_SENSOR}::test_noise_is_shared_by_squares_of_two_pixels_and_by_nothing_else",),
+    ),
+    Mutation(
+        "sensor: errors by the window's pixel",
+        SENSOR,
+        "place = random_words(k0, k1, trial, y * width + x, PLACE)",
+        "place = random_words(k0, k1, trial, v * width + u, PLACE)",
+        (T_SENSOR_TWIN,),
+    ),
+    Mutation(
+        "sensor: errors by the row of the batch",
+        SENSOR,
+        "    trial = trial_in[i]\n    fate",
+        "    trial = wp.int64(i)\n    fate",
+        (f"{T_SENSOR}::test_a_pixel_has_the_same_error_in_every_window_that_shows_it_and_in_any_batch",),
+    ),
+    Mutation(
+        "sensor: the upper half of a trial's id is dropped",
+        SENSOR,
+        "b = wp.uint32(t >> wp.uint64(32))",
+        "b = wp.uint32(0)",
+        (f"{T_SENSOR}::test_a_pixel_has_the_same_error_in_every_window_that_shows_it_and_in_any_batch",),
+    ),
+    Mutation(
+        "sensor: all cameras have the first one's errors",
+        SENSOR,
+        "k0 = wp.uint32(key_in[c, 0])",
+        "k0 = wp.uint32(key_in[0, 0])",
+        (T_SENSOR_TWIN,),
+    ),
+    Mutation(
+        "sensor: flying pixels lie in the middle",
+        SENSOR,
+        "(far - near) * uniform(fate.c)",
+        "(far - near) * 0.5",
+        (f"{T_SENSOR}::test_shares_of_lost_and_flying_pixels_at_edges_are_the_stated_ones_and_flying_ones_lie_anywhere_between",),
+    ),
+    Mutation(
+        "sensor: steep surfaces are measured",
+        SENSOR,
+        "if z <= 0.0 or steep:",
+        "if z <= 0.0:",
+        (f"{T_SENSOR}::test_surfaces_steeper_than_eighty_degrees_are_lost_and_others_are_not",),
+    ),
+    Mutation(
+        "sensor: a pixel looks beside itself along rows only",
+        SENSOR,
+        "wp.clamp(v + down, 0, rows - 1)",
+        "v",
+        (T_SENSOR_TWIN,),
+    ),
+    Mutation(
+        "sensor: calibration is drawn by camera alone",
+        "r2h_batch/observe/sensor.py",
+        "ids, sensor = trial_ids(trial_id), self.rig.sensor",
+        "ids, sensor = 0 * trial_ids(trial_id), self.rig.sensor",
+        (f"{T_SENSOR}::test_calibration_errors_have_the_stated_deviations_in_the_cameras_frame_and_differ_by_camera_and_trial",),
+    ),
+    Mutation(
+        "sensor: eroded masks grow",
+        "r2h_batch/observe/sensor.py",
+        '{"eroded": -1, "grown": 1}',
+        '{"eroded": 1, "grown": 1}',
+        (f"{T_SENSOR}::test_masks_shrink_and_grow_by_two_pixels",),
+    ),
+    Mutation(
+        "sensor: what leaves a mask keeps its label",
+        SENSOR,
+        "            shown = 0\n",
+        "            shown = own\n",
+        (f"{T_SENSOR}::test_masks_shrink_and_grow_by_two_pixels",),
+    ),
+    Mutation(
+        "cameras: a side of the table faces up",
+        "kernels/observe/rays.py",
+        "    return wp.abs(d[k])",
+        "    return wp.abs(d[2])",
+        (f"{T_SENSOR}::test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do",),
     ),
 )  # fmt: skip
 

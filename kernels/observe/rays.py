@@ -1,4 +1,4 @@
-"""Depth and labels by rays on the meshes of a scene, and which body a point is near to.
+"""Depth, labels and how a surface faces the ray, by rays on the meshes of a scene; which body a point is near to.
 
 The bodies of a trial: table (box), robot at home (one mesh), object and hand (a mesh each), forearm and upper arm (capsules),
 torso (a box that stands upright). Frames: world, object, hand. Labels: `LABELS` of observe/seen.py.
@@ -82,6 +82,17 @@ def box_hit(o: wp.vec3, d: wp.vec3, half: wp.vec3):
 
 
 @wp.func
+def box_facing(p: wp.vec3, d: wp.vec3, half: wp.vec3):
+    """|cosine| of a ray's angle to the normal of the side of a box about the origin on which p lies."""
+    k = int(0)
+    if wp.abs(wp.abs(p[1]) - half[1]) < wp.abs(wp.abs(p[0]) - half[0]):
+        k = 1
+    if wp.abs(wp.abs(p[2]) - half[2]) < wp.abs(wp.abs(p[k]) - half[k]):
+        k = 2
+    return wp.abs(d[k])
+
+
+@wp.func
 def ball_hit(o: wp.vec3, d: wp.vec3, c: wp.vec3, r: float):
     """The same of a ball. From the ray's point nearest to the centre, so that no large squares cancel."""
     m = c - o
@@ -120,6 +131,14 @@ def capsule_hit(o: wp.vec3, d: wp.vec3, a: wp.vec3, b: wp.vec3, r: float):
 
 
 @wp.func
+def capsule_facing(p: wp.vec3, d: wp.vec3, a: wp.vec3, b: wp.vec3, r: float):
+    """The same of a capsule on whose surface p lies."""
+    along = b - a
+    t = wp.clamp(wp.dot(p - a, along) / wp.max(wp.dot(along, along), 1.0e-12), 0.0, 1.0)
+    return wp.abs(wp.dot(p - a - t * along, d)) / r
+
+
+@wp.func
 def upright(p: wp.vec3, x: float, y: float):
     """A vector in axes turned about z, the first along (x, y)."""
     return wp.vec3(x * p[0] + y * p[1], -y * p[0] + x * p[1], p[2])
@@ -135,9 +154,10 @@ def cast(
     object_in: wp.array(dtype=int), T_world_obj_in: wp.array(dtype=wp.mat44),
     hand_in: wp.array(dtype=int), T_world_hand_in: wp.array(dtype=wp.mat44),
     receiver_in: wp.array2d(dtype=wp.vec4),  # (n, 5) `Trials.receiver`
-    depth_out: wp.array2d(dtype=float), label_out: wp.array2d(dtype=wp.uint8),
+    depth_out: wp.array2d(dtype=float), label_out: wp.array2d(dtype=wp.uint8), facing_out: wp.array2d(dtype=float),
 ):  # fmt: skip
-    """Depth along the camera's z axis (m) and what is seen, 0 and 0 for nothing, of each pixel's middle.
+    """Depth along the camera's z axis (m), what is seen, and |cosine| of the ray's angle to the surface's normal, of each
+    pixel's middle; 0 for nothing.
 
     A row of the output is a trial: its cameras one after the other, each `rows` x `columns` rays, `stride` pixels apart.
     """
@@ -149,6 +169,7 @@ def cast(
     y = float((p % pixels) / columns * stride + corner_in[i, c][1]) + 0.5 * float(stride)
     depth_out[i, p] = 0.0
     label_out[i, p] = wp.uint8(0)
+    facing_out[i, p] = 0.0
     if x < 0.0 or y < 0.0 or x > float(sensor[0]) or y > float(sensor[1]):
         return
     T = camera_in[c]
@@ -158,14 +179,17 @@ def cast(
     d = rotation(T) * (ray * scale)
     best = float(far)
     what = int(0)
+    facing = float(0.0)
     t = box_hit(o - bodies.table_center, d, bodies.table_half)
     if t < best:
         best = t
         what = TABLE
+        facing = box_facing(o + t * d - bodies.table_center, d, bodies.table_half)
     robot = wp.mesh_query_ray(bodies.robot, o, d, best)
     if robot.result:
         best = robot.t
         what = ROBOT
+        facing = wp.abs(wp.dot(d, robot.normal))
     k = object_in[i]
     M = T_world_obj_in[i]
     lo = into(M, o)
@@ -175,6 +199,7 @@ def cast(
         if thing.result:
             best = thing.t
             what = OBJECT
+            facing = wp.abs(wp.dot(ld, thing.normal))
     k = hand_in[i]
     M = T_world_hand_in[i]
     lo = into(M, o)
@@ -184,6 +209,7 @@ def cast(
         if skin.result:
             best = skin.t
             what = HAND
+            facing = wp.abs(wp.dot(ld, skin.normal))
     if bodies.person == 1:
         shoulder = first_three(receiver_in[i, 0])
         elbow = first_three(receiver_in[i, 1])
@@ -192,20 +218,26 @@ def cast(
         if t < best:
             best = t
             what = FOREARM
+            facing = capsule_facing(o + t * d, d, elbow, wrist, receiver_in[i, 1][3])
         t = capsule_hit(o, d, shoulder, elbow, receiver_in[i, 0][3])
         if t < best:
             best = t
             what = UPPER_ARM
+            facing = capsule_facing(o + t * d, d, shoulder, elbow, receiver_in[i, 0][3])
         fx = receiver_in[i, 3][3]
         fy = receiver_in[i, 4][3]
         from_middle = upright(o - first_three(receiver_in[i, 3]), fx, fy)
-        t = box_hit(from_middle, upright(d, fx, fy), first_three(receiver_in[i, 4]))
+        ahead = upright(d, fx, fy)
+        half = first_three(receiver_in[i, 4])
+        t = box_hit(from_middle, ahead, half)
         if t < best:
             best = t
             what = TORSO
+            facing = box_facing(from_middle + t * ahead, ahead, half)
     if what > 0:
         depth_out[i, p] = best * scale
         label_out[i, p] = wp.uint8(what)
+        facing_out[i, p] = facing
 
 
 @wp.func

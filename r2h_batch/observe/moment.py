@@ -169,7 +169,7 @@ def _free_and_seen(scene: Scene, trials: Trials, T: Array) -> NDArray[np.bool_]:
     touched = bodies.near(trials, T_world_obj, points, within_m=TOUCH_M, resting=True).amax(1) > 0
     side = CELL_V1.object_px // STRIDE
     corners = window_corners(CELL_V1, middles(scene, trials, T_world_obj), CELL_V1.object_px)
-    _, label = bodies.cast(
+    _, label, _ = bodies.cast(
         trials, T_world_obj, CELL_V1.T_world_camera.to(T_world_obj.device), corners, focal_px=CELL_V1.focal_px,
         sensor_px=CELL_V1.sensor_px, columns=side, rows=side, stride=STRIDE,
     )  # fmt: skip

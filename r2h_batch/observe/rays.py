@@ -138,8 +138,10 @@ class Bodies:
         columns: int,
         rows: int,
         stride: int = 1,
-    ) -> tuple[Float32[Tensor, "n c h w"], UInt8[Tensor, "n c h w"]]:
-        """Depth along each camera's z axis, m, and labels (`LABELS`); 0 and 0 where nothing is.
+    ) -> tuple[Float32[Tensor, "n c h w"], UInt8[Tensor, "n c h w"], Float32[Tensor, "n c h w"]]:
+        """Depth along each camera's z axis, m, labels (`LABELS`), and |cosine| of the ray's angle to the surface's normal.
+
+        All three are 0 where nothing is.
 
         Args:
             trials: N trials.
@@ -156,7 +158,7 @@ class Bodies:
         n, cameras = corner_px.shape[:2]
         pixels = cameras * columns * rows
         run = over_trials(
-            kernels.cast, n, self.scene.device, sizes={"depth": pixels, "label": pixels},
+            kernels.cast, n, self.scene.device, sizes=dict.fromkeys(("depth", "label", "facing"), pixels),
             width=pixels, chunk=1,
         )  # fmt: skip
         made = run(
@@ -166,7 +168,7 @@ class Bodies:
             **self.placed(trials, T_world_obj),
         )  # fmt: skip
         shape = (n, cameras, rows, columns)
-        return made["depth"].view(shape), made["label"].view(shape)
+        return made["depth"].view(shape), made["label"].view(shape), made["facing"].view(shape)
 
 
 @lru_cache(maxsize=2)

@@ -42,6 +42,46 @@ class Camera(_Part):
     target: _Point
 
 
+_Length = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+_Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
+class Sensor(_Part):
+    """Errors of a stereo depth camera and of its calibration (docs/observe.md has their sources).
+
+    Attributes:
+        baseline_m: between its two eyes, m.
+        disparity_px: deviation of a measured disparity; the depth z has the deviation z^2 disparity_px / (focal_px baseline_m).
+        disparity_side_px: side of the squares of pixels that share such an error.
+        lateral_px: deviation each way of where a pixel looks, pixels.
+        edge_m: a step of depth of this among a pixel and its eight neighbours is an edge, m.
+        edge_lost: share of the pixels at edges that measure nothing.
+        edge_flying: share of them that measure a depth between the nearer and the farther side.
+        steepest_deg: a surface whose normal is turned further from the ray is not measured, degrees.
+        lost: share of all pixels that measure nothing.
+        step_m: depths are multiples of it, m.
+        calibration_m: deviation each way of where a camera is believed to stand, m.
+        calibration_deg: of how it is believed to be turned, about each of its axes, degrees.
+        mask_px: how far masks grow or shrink where labels are asked to, pixels.
+        mask_missed: share of masks that are not there where labels are asked to miss some.
+    """
+
+    baseline_m: Annotated[float, Field(ge=0.001, le=1)] = 0.050
+    disparity_px: Annotated[float, Field(ge=0, le=10)] = 0.08
+    disparity_side_px: Annotated[int, Field(ge=1, le=64)] = 2
+    lateral_px: Annotated[float, Field(ge=0, le=10)] = 0.5
+    edge_m: _Length = 0.02
+    edge_lost: _Share = 0.3
+    edge_flying: _Share = 0.3
+    steepest_deg: Annotated[float, Field(ge=0, le=90)] = 80.0
+    lost: _Share = 0.005
+    step_m: Annotated[float, Field(ge=1e-5, le=0.1)] = 0.0001
+    calibration_m: _Length = 0.002
+    calibration_deg: Annotated[float, Field(ge=0, le=10)] = 0.2
+    mask_px: Annotated[int, Field(ge=0, le=16)] = 2
+    mask_missed: _Share = 0.05
+
+
 class Rig(_Part):
     """Cameras of one kind. Pixels are square, there is no distortion, the principal point is the sensor's middle.
 
@@ -53,6 +93,7 @@ class Rig(_Part):
         object_px: side of the window about the object, pixels.
         hand_px: side of the window about the hand, pixels.
         cameras: one to eight.
+        sensor: their errors.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,40}$")]
@@ -62,6 +103,7 @@ class Rig(_Part):
     object_px: _Window = 192
     hand_px: _Window = 128
     cameras: Annotated[tuple[Camera, ...], Field(min_length=1, max_length=8)]
+    sensor: Sensor = Sensor()
 
     @property
     def sensor_px(self) -> tuple[int, int]:

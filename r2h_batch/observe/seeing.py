@@ -1,15 +1,20 @@
 """Look at trials: the moment, the windows, the images."""
 
+from typing import Literal
+
 import torch
 from jaxtyping import Float32, Float64, UInt8
 from torch import Tensor
 
 from r2h_batch.base.errors import UsageError
-from r2h_batch.base.validate import check_arguments, instance_of, integer
+from r2h_batch.base.validate import check_arguments, instance_of, integer, number, one_of, optional
+from r2h_batch.config import OBJECT_ERRORS, ObjectErrors
+from r2h_batch.observe.estimates import believed_objects, believed_receiver, image_keys
 from r2h_batch.observe.moment import moments
 from r2h_batch.observe.rays import bodies_of
 from r2h_batch.observe.rig import Rig
 from r2h_batch.observe.seen import LABELS, Images, Observation
+from r2h_batch.observe.sensor import MASKS, MOST_NOISE, Errors, Masks
 from r2h_batch.observe.windows import (
     NEAREST_M,
     intrinsics,
@@ -20,6 +25,8 @@ from r2h_batch.observe.windows import (
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
+Level = Literal["none", "lab", "field", "rgb"]
+"""A key of `OBJECT_ERRORS`."""
 CAMERA_CLEAR_M = 0.10
 """A camera that is nearer to a body is refused [choice]: stereo of 50 mm sees nothing there."""
 WHOLE_STRIDE = 8
@@ -31,35 +38,64 @@ WHOLE_STRIDE = 8
     trials=instance_of(Trials),
     rig=instance_of(Rig, "load_rig(NAME or FILE)"),
     seed=integer(),
+    noise=number(0, MOST_NOISE),
+    labels=one_of(*MASKS),
+    model=optional(one_of(*OBJECT_ERRORS)),
 )
-def observe(scene: Scene, trials: Trials, rig: Rig, *, seed: int = 0) -> Observation:
-    """Look at trials with the cameras of a rig, at the moment, without errors.
+def observe(
+    scene: Scene,
+    trials: Trials,
+    rig: Rig,
+    *,
+    seed: int = 0,
+    noise: float = 1.0,
+    labels: Masks = "exact",
+    model: Level | None = None,
+) -> Observation:
+    """Look at trials with the cameras of a rig, at the moment.
 
     A trial's bits do not depend on the other trials of the call.
 
     Args:
         scene: what is seen.
         trials: N trials of its objects and hands.
-        rig: C cameras.
-        seed: of the moments.
+        rig: C cameras, and their sensor.
+        seed: of the moments and of the errors.
+        noise: factor on the sensor's errors, 0 (exact) to 5.
+        labels: exact, or masks of object and hand that are eroded, grown or at times missed.
+        model: None: objects are not known; else the level of the error (`OBJECT_ERRORS`, times `noise`) with which the
+            objects' poses are.
 
     Raises:
         UserError: an object finds no place (`moments`).
         UsageError: a camera stands in a body, or an object is in no camera's image.
     """
-    return look(scene, trials, rig, moments(scene, trials, seed=seed))
+    T_world_obj = moments(scene, trials, seed=seed)
+    return look(scene, trials, rig, T_world_obj, seed=seed, noise=noise, labels=labels, model=model)
 
 
 def look(
-    scene: Scene, trials: Trials, rig: Rig, T_world_obj: Float32[Tensor, "n 4 4"]
+    scene: Scene,
+    trials: Trials,
+    rig: Rig,
+    T_world_obj: Float32[Tensor, "n 4 4"],
+    *,
+    seed: int = 0,
+    noise: float = 1.0,
+    labels: Masks = "exact",
+    model: Level | None = None,
 ) -> Observation:
     """As `observe`, at moments of the caller's.
 
     Args:
         scene: what is seen.
         trials: N trials of its objects and hands.
-        rig: C cameras.
+        rig: C cameras, and their sensor.
         T_world_obj: (N, 4, 4) float32, where the objects lie, m.
+        seed: of the errors.
+        noise: factor on the sensor's errors, 0 (exact) to 5.
+        labels: as in `observe`.
+        model: as in `observe`.
 
     Raises:
         UsageError: a camera stands in a body, or an object is in no camera's image.
@@ -68,18 +104,28 @@ def look(
     about = middles(scene, trials, T_world_obj)
     _check_in_view(scene, trials, rig, about)
     palm = scene.palm(trials.hand_index, trials.T_world_hand)[0].double()
-    cameras = rig.T_world_camera.to(T_world_obj.device)
+    errors = Errors(rig, noise=noise, labels=labels, seed=seed, device=scene.device)
+    known = None
+    if model is not None:
+        shift, turn = OBJECT_ERRORS[model]
+        sizes = ObjectErrors(noise * shift, noise * turn, seed=seed)
+        known = believed_objects(scene, trials, T_world_obj, sizes)
+    own = _window(scene, trials, errors, T_world_obj, about, rig.object_px)
+    hand = _window(scene, trials, errors, T_world_obj, palm, rig.hand_px)
     return Observation(
-        _window(scene, trials, rig, T_world_obj, about, rig.object_px),
-        _window(scene, trials, rig, T_world_obj, palm, rig.hand_px),
-        cameras[None].expand(len(trials), -1, -1, -1).contiguous(),
+        own,
+        hand,
+        errors.believed(trials.trial_id),
+        believed_receiver(scene, trials, seed=seed, noise=noise),
+        image_keys(own, hand),
+        known,
     )
 
 
 def whole_images(
     scene: Scene, trials: Trials, rig: Rig, T_world_obj: Float32[Tensor, "n 4 4"]
 ) -> tuple[Float32[Tensor, "n c h w"], UInt8[Tensor, "n c h w"]]:
-    """Depth (m) and labels of the cameras' whole sensors, a ray for every eighth pixel each way.
+    """Exact depth (m) and labels of the cameras' whole sensors, a ray for every eighth pixel each way.
 
     Args:
         scene: what is seen.
@@ -90,21 +136,24 @@ def whole_images(
     corner = torch.zeros(
         (len(trials), len(rig.cameras), 2), dtype=torch.int32, device=T_world_obj.device
     )
-    return bodies_of(scene).cast(
+    depth, label, _ = bodies_of(scene).cast(
         trials, T_world_obj, rig.T_world_camera.to(T_world_obj.device), corner, focal_px=rig.focal_px,
         sensor_px=rig.sensor_px, columns=rig.width // WHOLE_STRIDE, rows=rig.height // WHOLE_STRIDE, stride=WHOLE_STRIDE,
     )  # fmt: skip
+    return depth, label
 
 
 def _window(
-    scene: Scene, trials: Trials, rig: Rig, T_world_obj: Tensor, about: Float64[Tensor, "n 3"], side: int
+    scene: Scene, trials: Trials, errors: Errors, T_world_obj: Tensor, about: Float64[Tensor, "n 3"], side: int
 ) -> Images:  # fmt: skip
+    rig = errors.rig
     corner = window_corners(rig, about, side)
-    depth, label = bodies_of(scene).cast(
+    depth, label, facing = bodies_of(scene).cast(
         trials, T_world_obj, rig.T_world_camera.to(T_world_obj.device), corner, focal_px=rig.focal_px,
         sensor_px=rig.sensor_px, columns=side, rows=side,
     )  # fmt: skip
-    return Images(depth, label, intrinsics(rig, corner))
+    depth = errors.measured(trials.trial_id, corner, depth, facing)
+    return Images(depth, errors.masked(trials.trial_id, label), intrinsics(rig, corner))
 
 
 def _check_cameras(scene: Scene, trials: Trials, rig: Rig, T_world_obj: Tensor) -> None:

@@ -1,13 +1,18 @@
 """Images and clouds of cameras: all that a method that sees is given. Imports nothing of the scene."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Int32, Int64, UInt8
+from numpy.typing import NDArray
 from torch import Tensor
 
 LABELS = ("nothing", "table", "robot", "object", "hand", "forearm", "upper_arm", "torso")
 """Things that a pixel can show, by its label."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,40 @@ class Images:
 
 
 @dataclass(frozen=True)
+class Receiver:
+    """Where the receiving hands of N trials are believed to be, world.
+
+    Attributes:
+        palm: middle of the palm, m. Reach asks for the object within 10 cm of the point 12 cm in front of it.
+        normal: out of the palm, a unit vector.
+        along: from the wrist to the middle finger, a unit vector across `normal`.
+        left: whether it is a left hand.
+    """
+
+    palm: Float32[Tensor, "n 3"]
+    normal: Float32[Tensor, "n 3"]
+    along: Float32[Tensor, "n 3"]
+    left: Bool[Tensor, " n"]
+
+
+@dataclass(frozen=True)
+class KnownObjects:
+    """The objects of N trials, for methods that know their models.
+
+    Attributes:
+        T_world_obj: where the objects are believed to lie, m.
+        mesh: which of `vertices` and `faces` each trial's object is.
+        vertices: of each mesh (V, 3), object's frame, m.
+        faces: of each mesh (F, 3), rows of its vertices.
+    """
+
+    T_world_obj: Float32[Tensor, "n 4 4"]
+    mesh: Int64[Tensor, " n"]
+    vertices: tuple[Float32[Tensor, "v 3"], ...]
+    faces: tuple[Int32[Tensor, "f 3"], ...]
+
+
+@dataclass(frozen=True)
 class Observation:
     """The view of C cameras on N trials at the moment (`moments`).
 
@@ -33,14 +72,37 @@ class Observation:
         object: windows about the object.
         hand: windows about the receiver's hand.
         T_world_camera: where the cameras are believed to stand (x along rows, y along columns, z forward), m.
+        receiver: where the receiving hand is believed to be.
+        key: a number of each trial's images: for random draws that are the same in any batch.
+        known: the objects' models and poses; None where no model is known.
     """
 
     object: Images
     hand: Images
     T_world_camera: Float32[Tensor, "n c 4 4"]
+    receiver: Receiver
+    key: Int64[Tensor, " n"]
+    known: KnownObjects | None = None
 
     def __len__(self) -> int:
         return len(self.T_world_camera)
+
+    def __getitem__(self, rows: slice | Tensor) -> "Observation":
+        """The selected trials."""
+
+        def of(part: T) -> T:
+            return replace(
+                part, **{k: x[rows] for k, x in vars(part).items() if isinstance(x, Tensor)}
+            )  # type: ignore[type-var]
+
+        known = None if self.known is None else of(self.known)
+        return replace(
+            of(self),
+            object=of(self.object),
+            hand=of(self.hand),
+            receiver=of(self.receiver),
+            known=known,
+        )
 
     def cloud(
         self, points: int = 2048, *, label: str = "object"
@@ -80,3 +142,50 @@ class Observation:
             -1,
         )
         return torch.where(mask[..., None], found, torch.zeros_like(found)), mask
+
+
+def packed(seen: Observation) -> dict[str, NDArray[np.generic]]:
+    """All arrays of an observation by name, on the CPU, for another process.
+
+    Args:
+        seen: of N trials.
+    """
+    arrays = {
+        f"{name} {k}": value
+        for name in ("object", "hand", "receiver")
+        for k, value in vars(getattr(seen, name)).items()
+    }
+    arrays |= {"T_world_camera": seen.T_world_camera, "key": seen.key}
+    if (known := seen.known) is not None:
+        arrays |= {"known T_world_obj": known.T_world_obj, "known mesh": known.mesh}
+        for name in ("vertices", "faces"):
+            arrays |= {f"{name} {i}": x for i, x in enumerate(getattr(known, name))}
+    return {name: value.detach().cpu().numpy() for name, value in arrays.items()}
+
+
+def unpacked(arrays: Mapping[str, NDArray[np.generic]]) -> Observation:
+    """The observation that `packed` took apart, in memory of its own.
+
+    Args:
+        arrays: by name.
+    """
+    tensors = {name: torch.from_numpy(np.array(value)) for name, value in arrays.items()}
+
+    def of(part: str) -> dict[str, Tensor]:
+        return {
+            k.removeprefix(f"{part} "): x for k, x in tensors.items() if k.startswith(f"{part} ")
+        }
+
+    known = None
+    if "known mesh" in tensors:
+        vertices, faces = of("vertices"), of("faces")
+        known = KnownObjects(
+            tensors["known T_world_obj"],
+            tensors["known mesh"],
+            tuple(vertices[str(i)] for i in range(len(vertices))),
+            tuple(faces[str(i)] for i in range(len(faces))),
+        )
+    return Observation(
+        Images(**of("object")), Images(**of("hand")), tensors["T_world_camera"],
+        Receiver(**of("receiver")), tensors["key"], known,
+    )  # fmt: skip

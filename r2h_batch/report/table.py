@@ -313,6 +313,11 @@ def _origin(header: Mapping[str, Any]) -> dict[str, str]:
         origin["motion"] = str(header["motion"]["engine"]).replace("none", "as planned")
     if "predictors" in header:
         origin["predictor noise"] = f"{header['predictors']['noise_factor']:g}"
+    if (sees := header.get("sees")) is not None:
+        origin["methods see"] = (
+            f"{sees['rig']}, digest {sees['rig_digest']}, noise {sees['noise']:g}, labels {sees['labels']}, object"
+            f" {sees['object']}, seed {sees['seed']}"
+        )
     # what methods and planner know, where it differs from the default
     if (hand := (configuration.get("plan") or {}).get("hand", "true")) != "true":
         origin["paths planned against"] = f"the {hand} hand"

@@ -160,6 +160,16 @@ EPISODES = (
            since="0.2.0"),
 )
 
+SEES = (
+    _ID,
+    Column("t_sees_s", FLOAT, "wall time of looking at a chunk / its trials", "s", False),
+    Column("seen_px", pa.int32(), "pixels of all cameras with the object's label and a depth", "", False),
+    Column("seen_share", FLOAT, "share of the object's surface with a seen point within 8 mm", "", False),
+    Column("pick", BOOL,
+           "whether some posture takes the object up where it lay: in reach, and with the object lifted by 5 mm free of table"
+           " and person; null: the grasp is not stable"),
+)
+
 FAILURES = (
     _ID,
     _OBJECT,
@@ -180,6 +190,7 @@ TABLES = {
     "poses": POSES,
     "paths": PATHS,
     "episodes": EPISODES,
+    "sees": SEES,
     "failures": FAILURES,
 }
 """Kind of table in a run folder -> its columns, in order."""

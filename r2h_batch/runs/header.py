@@ -35,7 +35,7 @@ IDENTITY = (
 )
 """Fields of run.json that two sweeps must share to use one folder; of `device` only the kind."""
 
-TIMING = ("t_plan_s", "t_method_s")
+TIMING = ("t_plan_s", "t_method_s", "t_sees_s")
 """Columns of the trials that depend on the machine: no digest covers them. They hold one value a
 chunk, so a dictionary stores them in less than a bit a trial."""
 
@@ -51,7 +51,7 @@ _ABSENT: Any = None  # a field may be absent, but a written one is not null
 
 Count = Annotated[int, Field(ge=0, le=10**12)]
 Split = Literal["S0", "S1"]
-Kind = Literal["trials", "details", "poses", "paths", "failures", "episodes"]
+Kind = Literal["trials", "details", "poses", "paths", "failures", "episodes", "sees"]
 OutcomeName = Literal[OUTCOME_NAMES]  # type: ignore[valid-type]
 Text = Annotated[str, Field(max_length=MAX_TEXT)]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -114,6 +114,14 @@ _Configuration = _record(
 _Motion = _record(
     engine=Text, model=(Text | None, None), step_s=(Step | None, None), sample_s=(Step | None, None)
 )
+_Sees = _record(
+    rig=Name,
+    rig_digest=Hash,
+    noise=Annotated[float, Field(ge=0, le=1e3)],
+    labels=Text,
+    object=Text,
+    seed=Count,
+)
 _Misses = Annotated[list[Annotated[int, Field(ge=0, le=10**9)]], Field(min_length=2, max_length=2)]
 _Robot = _record(name=Name, digest=Hash, ik_missed=(_Misses, _ABSENT))
 Header = _record(
@@ -131,6 +139,8 @@ Header = _record(
     shard_trials=Annotated[int, Field(ge=1, le=MAX_SHARD_TRIALS)],
     predictors=(_record(noise_factor=Annotated[float, Field(ge=0, le=1e12)]), _ABSENT),
     motion=(_Motion, _ABSENT),
+    # what the cameras of its methods saw; its digest is among the digests
+    sees=(_Sees, _ABSENT),
     objects=(list[_Object], _ABSENT),
     benchmark=(_record(flags=Annotated[list[Text], Field(max_length=100)]), _ABSENT),
     robot=(_Robot, _ABSENT),

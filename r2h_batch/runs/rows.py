@@ -33,8 +33,17 @@ OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing")
 KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
 """Name of every kind of margin, in order from code 1."""
 
-TRIAL_SCHEMA, DETAIL_SCHEMA, POSE_SCHEMA, PATH_SCHEMA, EPISODE_SCHEMA, FAILURE_SCHEMA = (
-    schema_of_kind(kind) for kind in ("trials", "details", "poses", "paths", "episodes", "failures")
+(
+    TRIAL_SCHEMA,
+    DETAIL_SCHEMA,
+    POSE_SCHEMA,
+    PATH_SCHEMA,
+    EPISODE_SCHEMA,
+    SEES_SCHEMA,
+    FAILURE_SCHEMA,
+) = (
+    schema_of_kind(kind)
+    for kind in ("trials", "details", "poses", "paths", "episodes", "sees", "failures")
 )
 """Schemas for an arm of six joints; `schema_of_kind` gives those of other arms."""
 
@@ -203,6 +212,18 @@ def episode_rows(trial_id: Any, episodes: Mapping[str, Any]) -> pa.Table:
         *(_floats(episodes[name]) for name in EPISODE_SCHEMA.names[3:]),
     ]
     return pa.table(arrays, schema=EPISODE_SCHEMA)
+
+
+def sees_rows(looked: Mapping[str, Any]) -> pa.Table:
+    """Rows of `SEES_SCHEMA`; `looked`: its columns by name, tensors or arrays of (B,), and `pick_judged`."""
+    arrays = [
+        pa.array(_array(looked["trial_id"]), pa.int64()),
+        _floats(looked["t_sees_s"]),
+        pa.array(_array(looked["seen_px"]), pa.int32()),
+        _floats(looked["seen_share"]),
+        pa.array(_array(looked["pick"]), pa.bool_(), mask=~_array(looked["pick_judged"])),
+    ]
+    return pa.table(arrays, schema=SEES_SCHEMA)
 
 
 def path_rows(scores: "Scores", planned: tuple[Any, Any] | None = None) -> pa.Table:

@@ -61,7 +61,7 @@ RECEIPT = b"r2h_batch"
 KINDS = tuple(kind for kind in TABLES if kind != "trials")
 """Kinds that are stored as a struct: null where a trial has no row of the kind."""
 
-ANSWERED = ("details", "poses", "episodes")
+ANSWERED = ("details", "poses", "episodes", "sees")
 """Kinds with a row for each trial that was answered."""
 
 MAX_WORDS = 100_000  # different words in one column of a shard

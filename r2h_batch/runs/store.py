@@ -343,6 +343,10 @@ class Run:
         """
         return self._read("episodes", method)
 
+    def sees(self, method: str) -> pa.Table:
+        """What a method that sees was shown, `SEES_SCHEMA`."""
+        return self._read("sees", method)
+
     def failures(self, method: str) -> pa.Table:
         """The inputs that repeat a failed simulation, `FAILURE_SCHEMA`.
 

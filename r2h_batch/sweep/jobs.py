@@ -12,6 +12,7 @@ from functools import partial
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import torch
@@ -113,6 +114,8 @@ class Job:
     warm: bool = False
     lines: tuple[str, ...] = ()
     """for people: what it cannot answer, or what of it is not compared on a resume"""
+    looked: Callable[[torch.Tensor], Mapping[str, torch.Tensor]] | None = None
+    """what was seen of the trials (ids) of the last answers, where the method sees: the columns of `sees`"""
 
 
 def set_up(request: Request) -> Setting:
@@ -137,6 +140,9 @@ def set_up(request: Request) -> Setting:
         predictors=request.methods.about_predictors(),
         stored=request.storage.kinds,
     )
+    if (sees := request.methods.sees) is not None:
+        setting.header["sees"] = sees.identity
+        setting.header["digests"]["sees"] = sees.digest
     if request.left_out:
         setting.header["motions_left_out"] = dict(request.left_out)
     return setting
@@ -327,7 +333,7 @@ def resolve(methods: Methods, loop: "Loop | None" = None) -> None:
         except (ImportError, TypeError) as error:
             raise UsageError(f"--policy {loop.policy}: {error}") from None
     for name in methods.names:
-        _method(name)
+        _method(name, seeing=methods.sees is not None)
     if methods.predictor and "predicted_contacts" in methods.seen:
         raise UsageError("--predictor and --predicted-contacts both say the contacts; give one")
     if methods.predictor:
@@ -341,10 +347,12 @@ def _function_of(word: str) -> str:
     return f"r2h_batch.methods.{word.replace('-', '_')}:predict"
 
 
-def _method(argument: str) -> _Method:
+def _method(argument: str, *, seeing: bool = False) -> _Method:
+    """`seeing`: it is shown what cameras see."""
     name = base_of(argument)
     built_in = name in METHOD_NAMES
-    form = f"it must be {HOW}; the function takes (trials, scene), and seed if it draws numbers"
+    takes = "(seen) with --sees" if seeing else "(trials, scene), or (seen) with --sees"
+    form = f"it must be {HOW}; the function takes {takes}, and seed if it draws numbers"
     try:
         with own_streams(f"--method {name}"):
             if built_in:
@@ -364,9 +372,11 @@ def _method(argument: str) -> _Method:
     try:
         signature = inspect.signature(function)
         more = {"evaluator", "noise", "predictor", "seen"} & signature.parameters.keys()
+        if seeing:
+            more = set()
         if _takes_seed(signature.parameters):
             more |= {"seed"}
-        signature.bind(None, None, **dict.fromkeys(more), **chosen)
+        signature.bind(*(None,) * (1 if seeing else 2), **dict.fromkeys(more), **chosen)
     except (TypeError, ValueError) as error:
         raise UsageError(f"--method {name}: {error}; {form}") from error
     return _Method(built_in, found, signature.parameters, chosen)
@@ -379,11 +389,11 @@ def _takes_seed(parameters: Mapping[str, inspect.Parameter]) -> bool:
 def _method_job(
     name: str, evaluator: "Evaluator", methods: Methods, seen: "Observations | None" = None
 ) -> Job:
-    method, method_options = _method(name), text_of_options(name)
+    method, method_options = _method(name, seeing=methods.sees is not None), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
     extra = dict(method.options)
     sees = METHODS[base_of(name)].sees if built_in else ()
-    if "evaluator" in takes:
+    if "evaluator" in takes and methods.sees is None:
         extra["evaluator"] = evaluator
     if _takes_seed(takes):
         extra["seed"] = methods.seed
@@ -403,6 +413,14 @@ def _method_job(
     source["sha256"] = provenance.file_digest(files.values())
     if not built_in:
         source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
+    if methods.sees is not None:
+        from r2h_batch.sweep.seeing import SeeingMethod
+
+        asked = SeeingMethod(title, base_of(name), extra, methods.sees, evaluator)
+        lines = _not_compared(title, method.found.module, files)
+        return Job(
+            title, source, lambda trials, _: asked.predict(trials), lines=lines, looked=asked.looked
+        )
     if "noise" in takes:
         from r2h_batch.methods.predictors import load_predictor
 
@@ -433,14 +451,7 @@ def _method_job(
         return answer
 
     if not built_in:
-        others = f" or {counted(len(files) - 1, 'modules')} that it imports"
-        changes = f"{module.__name__}{others if len(files) > 1 else ''} changes"
-        words = (
-            "other files (weights, data) are not compared: name them in METHOD_FILES of the module"
-        )
-        lines: tuple[str, ...] = (f"{title}: a resume is refused once {changes}; {words}",)
-        if hasattr(module, "METHOD_FILES"):
-            lines = ()
+        lines = _not_compared(title, module, files)
         return Job(title, source, lambda trials, _: answer(trials), lines=lines)
     coverage = coverage_of(name, sees, evaluator.scene, seen)
 
@@ -448,6 +459,16 @@ def _method_job(
         return coverage.answer(trials, answer)
 
     return Job(title, source, covered, warm=True, lines=coverage.lines)
+
+
+def _not_compared(title: str, module: ModuleType, files: Mapping[str, Path]) -> tuple[str, ...]:
+    """What of a user's method a resume does not compare, for people; nothing where it names its files."""
+    if hasattr(module, "METHOD_FILES"):
+        return ()
+    others = f" or {counted(len(files) - 1, 'modules')} that it imports"
+    changes = f"{module.__name__}{others if len(files) > 1 else ''} changes"
+    words = "other files (weights, data) are not compared: name them in METHOD_FILES of the module"
+    return (f"{title}: a resume is refused once {changes}; {words}",)
 
 
 def _trained_on(name: str, method: _Method, evaluator: "Evaluator") -> str:

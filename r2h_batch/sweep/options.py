@@ -201,6 +201,14 @@ class Flags:
         float,
         Flag("factor on the error model of what the methods see; 0: they see the truth", "methods"),
     ] = 1.0
+    sees: Annotated[
+        str,
+        Flag(
+            "show your methods what depth cameras see, and nothing else: cell-v1 or a rig's TOML file, with options "
+            "cell-v1,noise=0.5,labels=eroded,model=known,object=field,seed=1; a method is then predict(seen)",
+            "methods",
+        ),
+    ] = ""
     predicted_hands: Annotated[
         str,
         Flag(
@@ -400,6 +408,14 @@ EXCLUDED = (
         "plays handovers from poses without errors",
     ),
     (
+        "sees",
+        (
+            *("predictions", "motions", "trials_from", "receiver_motion", "object_errors"),
+            *("predicted_hands", "predicted_parts", "predicted_contacts", "predictor"),
+        ),
+        "shows methods images and estimates of its own",
+    ),
+    (
         "execution_error",
         ("motions", "trials_from"),
         "changes poses, and motions are judged as they are",
@@ -457,6 +473,13 @@ def check(options: Options) -> Options:
     if options.horizon != Options.horizon and not options.receiver_motion:
         raise UsageError("--horizon is of a closed loop; add --receiver-motion, such as moves")
     command_line.check_range("--horizon", options.horizon, 1, 600)
+    if options.sees:
+        from r2h_batch.observe.sees import Sees
+
+        Sees.parse(options.sees)
+        if blind := [base for base in bases if base in METHOD_NAMES]:
+            words = "is told the truth; with --sees a method is your own function predict(seen)"
+            raise UsageError(f"--method {blind[0]} {words}")
     if options.predictor and "contact" not in bases:
         words = "add that method, or leave it out"
         raise UsageError(f"--predictor is the contact network of --method contact; {words}")

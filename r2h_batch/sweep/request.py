@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
     from r2h_batch.data.release import Imported
     from r2h_batch.methods.predictors import PredictorNoise
+    from r2h_batch.observe.sees import Sees
     from r2h_batch.protocols.benchmark import Benchmark
     from r2h_batch.trials.noise import Errors
 
@@ -104,6 +105,7 @@ class Methods:
         seen: key of `SEEN_BY` -> file of a network's answers.
         allow_empty_candidates: count trials of objects without grasps as failures.
         allow_missing: count trials that a file leaves out as failures.
+        sees: what methods are shown instead of trials and scene; None: they are told the truth.
     """
 
     names: tuple[str, ...] = ()
@@ -117,6 +119,7 @@ class Methods:
     seen: Mapping[str, str] = field(default_factory=dict)
     allow_empty_candidates: bool = False
     allow_missing: bool = False
+    sees: "Sees | None" = None
 
     @property
     def noise(self) -> "PredictorNoise":
@@ -236,6 +239,7 @@ def requested(options: Options) -> Request:
         predictor=options.predictor, trust_code=options.trust_code,
         seen={name: file for name in SEEN_BY if (file := getattr(options, name))},
         allow_empty_candidates=options.allow_empty_candidates, allow_missing=options.allow_missing,
+        sees=_sees(options),
     )  # fmt: skip
     return Request(
         TrialPlan(BenchmarkChoice(**flags), splits, count),
@@ -305,11 +309,20 @@ def _configuration(options: Options, config: EvalConfig, *, pieces: bool) -> Eva
 
 def _stored(options: Options) -> list[str]:
     """Tables beside the trials; paths bring everything that opening a trial needs."""
-    played = ["episodes"] if options.receiver_motion else []
+    played = ["episodes"] if options.receiver_motion else ["sees"] if options.sees else []
     # nobody plans motions from a file again
     if options.save_paths or options.motions or options.trials_from:
         return [*KINDS, *played]
     return [*([] if options.no_poses else ["poses"]), *played]
+
+
+def _sees(options: Options) -> "Sees | None":
+    """What methods are shown; None: they are told the truth."""
+    if not options.sees:
+        return None
+    from r2h_batch.observe.sees import Sees
+
+    return Sees.parse(options.sees)
 
 
 def _loop(options: Options) -> "Loop | None":

@@ -28,6 +28,7 @@ from r2h_batch.runs.rows import (
     path_rows,
     pose_rows,
     score_rows,
+    sees_rows,
 )
 from r2h_batch.runs.writing import SHARD_TRIALS, TRIES, RunFolder, ShardWriter
 from r2h_batch.sweep.answers import AnswerError
@@ -235,6 +236,8 @@ def _score_chunk(
                     look_for=job.name if look else None,
                 )
             )
+            if job.looked is not None:
+                parts[-1]["sees"] = sees_rows(job.looked(part.trial_id))
     if not answered.all():
         parts.append({"trials": missing_rows(trials[~answered], names)})
     kinds = dict.fromkeys(kind for part in parts for kind in part)

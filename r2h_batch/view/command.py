@@ -3,7 +3,7 @@ knows what to do."""
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from r2h_batch.base.command_line import check_range
 from r2h_batch.base.errors import UsageError
@@ -28,6 +28,8 @@ def view(
     strips: Path | None = None,
     sees: Path | None = None,
     rig: str = "cell-v1",
+    noise: float = 1.0,
+    labels: Literal["exact", "eroded", "grown", "missed"] = "exact",
     size: tuple[int, int] | None = None,
     frames: int = 5,
     fps: int = 25,
@@ -54,6 +56,8 @@ def view(
             each method.
         sees: write what depth cameras see of the trial before the robot moves (.png, .jpg, .pdf, .svg).
         rig: sees: the cameras; a name, or a TOML file.
+        noise: sees: factor on the errors of the cameras, 0 (none) to 5.
+        labels: sees: errors of the masks of object and hand.
         size: width and height of one picture in pixels; 960 720 in films, 480 400 in strips.
         frames: strips: pictures of each method.
         fps: films: pictures a second.
@@ -71,9 +75,13 @@ def view(
             raise UsageError(
                 "--sees needs --trial ID, and no method or other output: cameras see the trial before any method"
             )
-        return _sees(run, trial, rig, sees, benchmark, overwrite=overwrite)
+        check_range("--noise", noise, 0, 5)
+        how = {"noise": noise, "labels": labels}
+        return _sees(run, trial, rig, sees, benchmark, overwrite=overwrite, how=how)
     if rig != "cell-v1":
         raise UsageError("--rig names the cameras of --sees; add --sees FILE.png")
+    if noise != 1 or labels != "exact":
+        raise UsageError("--noise and --labels are errors of --sees; add --sees FILE.png")
     outputs: Any = ((html, "--html", ()), (video, "--video", FILMS), (strips, "--strips", STRIPS))
     pictures = bool(video or strips)
     for file, flag, _ in outputs:
@@ -187,9 +195,16 @@ def view(
 
 
 def _sees(
-    run: Path, trial: int, rig: str, out: Path, benchmark: BenchmarkChoice, *, overwrite: bool
+    run: Path,
+    trial: int,
+    rig: str,
+    out: Path,
+    benchmark: BenchmarkChoice,
+    *,
+    overwrite: bool,
+    how: dict[str, Any],
 ) -> int:
-    """`view --sees`."""
+    """`view --sees`; `how`: errors, as `write_sees` takes them."""
     check_output_file(out, overwrite=overwrite, flag="--sees", endings=STRIPS)
     from r2h_batch.observe.rig import load_rig
 
@@ -202,6 +217,6 @@ def _sees(
     if not 0 <= trial // 2 < planned:
         counts = ", ".join(f"{n} of {s}" for s, n in reader.run.header["trials"].items())
         raise UsageError(f"--trial is {trial}; {run} has {counts} (ids of S0 are even, of S1 odd)")
-    write_sees(reader, trial, cameras, out)
+    write_sees(reader, trial, cameras, out, **how)
     print(out)
     return 0

@@ -11,6 +11,7 @@ from r2h_batch.observe.moment import moments
 from r2h_batch.observe.rig import Rig
 from r2h_batch.observe.seeing import look, whole_images
 from r2h_batch.observe.seen import LABELS, Images
+from r2h_batch.observe.sensor import Masks
 from r2h_batch.report.figures import style
 from r2h_batch.scene.offscreen import RenderError
 from r2h_batch.view.stored import Reader
@@ -21,7 +22,16 @@ BEYOND_M = 0.06
 """Depth that a window shows behind what it is about."""
 
 
-def write_sees(reader: Reader, trial_id: int, rig: Rig, out: Path, *, seed: int = 0) -> None:
+def write_sees(
+    reader: Reader,
+    trial_id: int,
+    rig: Rig,
+    out: Path,
+    *,
+    seed: int = 0,
+    noise: float = 1.0,
+    labels: Masks = "exact",
+) -> None:
     """A picture with a row for each camera (the whole image's labels, the windows about object and hand) and the object's cloud.
 
     Args:
@@ -29,7 +39,9 @@ def write_sees(reader: Reader, trial_id: int, rig: Rig, out: Path, *, seed: int 
         trial_id: which.
         rig: the cameras.
         out: file, with the format in its name.
-        seed: of the moment.
+        seed: of the moment and of the errors.
+        noise: factor on the sensor's errors in windows and cloud, 0 (exact) to 5; the whole image has none.
+        labels: errors of the windows' masks, as `observe` takes them.
 
     Raises:
         RenderError: matplotlib is missing.
@@ -46,7 +58,8 @@ def write_sees(reader: Reader, trial_id: int, rig: Rig, out: Path, *, seed: int 
         torch.tensor([trial_id], dtype=torch.int64, device="cpu")
     )
     T = moments(scene, trials, seed=seed)
-    seen, (_, label) = look(scene, trials, rig, T), whole_images(scene, trials, rig, T)
+    seen = look(scene, trials, rig, T, seed=seed, noise=noise, labels=labels)
+    _, label = whole_images(scene, trials, rig, T)
     model = scene.objects[int(trials.object_index[0])]
     kinds: dict[str, Any] = {
         "cmap": ListedColormap(COLORS),
@@ -91,7 +104,10 @@ def write_sees(reader: Reader, trial_id: int, rig: Rig, out: Path, *, seed: int 
         axis.view_init(30, 180)
         axis.set_axis_off()
         axis.set_title(f"{int(mask[0].sum())} points; grey: all of the object", fontsize=9)
-        figure.suptitle(f"trial {trial_id}: {model.name}, as {rig.name} sees it", fontsize=10)
+        errors = "exactly" if noise == 0 else f"with {noise:g} times its errors"
+        masks = "" if labels == "exact" else f", masks {labels}"
+        title = f"trial {trial_id}: {model.name}, as {rig.name} sees it {errors}{masks}"
+        figure.suptitle(title.replace("with 1 times its", "with its"), fontsize=10)
         patches = [
             Patch(color=color, label=name.replace("_", " "))
             for name, color in zip(LABELS, COLORS, strict=True)
@@ -106,8 +122,9 @@ def write_sees(reader: Reader, trial_id: int, rig: Rig, out: Path, *, seed: int 
 def _depth(images: Images, camera: int, label: str) -> tuple[np.ndarray, dict[str, Any]]:
     """Depth of a window, NaN where there is none, and the colours' range about what the window is about."""
     depth = images.depth_m[0, camera].numpy()
-    own = depth[images.label[0, camera].numpy() == LABELS.index(label)]
-    low, high = (own.min(), own.max()) if len(own) else (0.5, 1.5)
+    own = depth[(images.label[0, camera].numpy() == LABELS.index(label)) & (depth > 0)]
+    # a few flying pixels do not decide the colours
+    low, high = np.quantile(own, (0.02, 0.98)) if len(own) else (0.5, 1.5)
     return np.where(depth > 0, depth, np.nan), {
         "cmap": "viridis",
         "vmin": low - BEYOND_M / 2,

@@ -331,6 +331,10 @@ def test_a_picture_of_what_cameras_see_has_a_row_for_each_camera(run, tmp_path, 
     assert drawn("two.png") == 0 and drawn("one.png", "--rig", str(rig)) == 0
     two, one = (np.asarray(Image.open(tmp_path / f"{name}.png").convert("RGB")) for name in ("two", "one"))
     assert two.shape[0] > 1.5 * one.shape[0] and two.shape[1] == one.shape[1]
+    assert drawn("exact.png", "--noise", "0") == 0
+    exact = np.asarray(Image.open(tmp_path / "exact.png").convert("RGB"))
+    white = [(image.min(2) > 250).mean() for image in (two, exact)]
+    assert white[0] > white[1] + 0.001  # lost pixels are not drawn
     blue = np.abs(two.astype(int) - (0x2A, 0x70, 0xB2)).sum(2) < 12  # the object, in both windows and in the cloud
     assert blue[: len(blue) // 2].sum() > 200 and blue[len(blue) // 2 :].sum() > 200
     capsys.readouterr()
@@ -339,6 +343,8 @@ def test_a_picture_of_what_cameras_see_has_a_row_for_each_camera(run, tmp_path, 
         (["--sees", str(tmp_path / "x.png")], "--sees needs --trial ID"),
         (["--trial", "100000", "--sees", str(tmp_path / "x.png")], "--trial is 100000"),
         (["--trial", "4", "--sees", str(tmp_path / "x.png"), "--rig", "cell"], "did you mean cell-v1"),
+        (["--trial", "4", "--noise", "2"], "--noise and --labels are errors of --sees"),
+        (["--trial", "4", "--sees", str(tmp_path / "x.png"), "--noise", "-1"], "--noise is -1; it must be 0 to 5"),
     ):
         more = ["--rig", "mine.toml"] if "names" in line else []
         assert main(["view", str(run), *words, *more]) == 2

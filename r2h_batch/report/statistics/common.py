@@ -62,6 +62,8 @@ def common_trials(
             if {first.folder, run.folder} & set(proven):
                 shipped = "stored rows have default options, with --sim mujoco and with --sim none"
                 advice = f"{shipped}: sweep like that"
+            if what.startswith("what"):
+                advice = "sweep both with the same --sees"
             if what.startswith("robot"):
                 advice = "to pair trials by number, add --across-robots to compare"
             found = f"{first.folder} and {run.folder} differ in {what}"
@@ -130,6 +132,8 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
         skipped.add("code")
     if robots and follow:
         skipped |= {"robot", "benchmark", "trials"}
+    if left["digests"].get("sees") != right["digests"].get("sees"):
+        return f"what their methods see ({_seeing(left)}, {_seeing(right)})"
     digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]
     if digests[0] != digests[1]:
         return f"digests ({_other_keys(*digests)})"
@@ -139,6 +143,14 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
     if configurations[0] != configurations[1]:
         return f"configuration ({_other_keys(*configurations)})"
     return ""
+
+
+def _seeing(header: Mapping[str, Any]) -> str:
+    """What methods of a run are shown, in words."""
+    sees = header.get("sees")
+    if sees is None:
+        return "the truth"
+    return f"{sees['rig']}, noise {sees['noise']:g}, labels {sees['labels']}, object {sees['object']}, seed {sees['seed']}"
 
 
 def _other_keys(left: Mapping[str, Any], right: Mapping[str, Any]) -> str:

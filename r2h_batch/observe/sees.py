@@ -1,0 +1,127 @@
+"""What the methods of a run are shown, as one text: `cell-v1,noise=0.5,model=known`."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from jaxtyping import Float32
+from torch import Tensor
+
+from r2h_batch.base.errors import UsageError, nearest
+from r2h_batch.observe.moment import moments
+from r2h_batch.observe.rig import Rig, load_rig
+from r2h_batch.observe.seeing import Level, look
+from r2h_batch.observe.seen import Observation
+from r2h_batch.observe.sensor import MASKS, MOST_NOISE, Masks
+from r2h_batch.scene.scene import Scene
+from r2h_batch.types import Trials
+
+MOST_SEED = 10**12
+FORM = "--sees is RIG[,noise=0..5][,labels=exact|eroded|grown|missed][,model=unknown|known][,object=lab|field|rgb|none][,seed=N]"
+
+
+@dataclass(frozen=True)
+class Sees:
+    """What methods are shown.
+
+    Attributes:
+        rig: the cameras.
+        noise: factor on the errors of the sensor, of the hand's estimate and of the object's.
+        labels: errors of masks.
+        model: None: objects are not known; else the level of their poses' error.
+        seed: of moments and errors.
+    """
+
+    rig: Rig
+    noise: float = 1.0
+    labels: Masks = "exact"
+    model: Level | None = None
+    seed: int = 0
+
+    @classmethod
+    def parse(cls, text: str) -> "Sees":
+        """What a text asks for.
+
+        Args:
+            text: a rig (name or TOML file), then options.
+
+        Raises:
+            UsageError: one line about the first part that cannot be.
+            FileError: one line about the rig's file.
+        """
+        name, *parts = (x.strip() for x in text.split(","))
+        given: dict[str, str] = {}
+        allowed = {
+            "noise": (),
+            "labels": MASKS,
+            "model": ("unknown", "known"),
+            "object": get_args(Level),
+            "seed": (),
+        }
+        for part in parts:
+            option, _, value = (x.strip() for x in part.partition("="))
+            if option not in allowed:
+                hint = nearest(option, list(allowed))
+                raise UsageError(f"--sees: unknown option {option!r}{hint}; {FORM}")
+            if option in given:
+                raise UsageError(f"--sees: {option} is given twice; once is enough")
+            if (words := allowed[option]) and value not in words:
+                hint = nearest(value, words)
+                raise UsageError(
+                    f"--sees: {option} is {value!r}{hint}; allowed are {', '.join(words)}"
+                )
+            given[option] = value
+        if "object" in given and given.get("model") != "known":
+            raise UsageError(
+                "--sees: object= is the error of a known object's pose; add model=known, or leave it out"
+            )
+        noise = _number("noise", given.get("noise", "1"), MOST_NOISE)
+        seed = _number("seed", given.get("seed", "0"), MOST_SEED)
+        if seed != int(seed):
+            raise UsageError(f"--sees: seed is {given['seed']!r}; it must be a whole number")
+        model: Any = given.get("object", "lab") if given.get("model") == "known" else None
+        labels: Any = given.get("labels", "exact")
+        return cls(load_rig(name), noise, labels, model, int(seed))
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What decides the images and estimates, for run.json."""
+        return {
+            "rig": self.rig.name,
+            "rig_digest": self.rig.digest,
+            "noise": self.noise,
+            "labels": self.labels,
+            "object": self.model or "unknown",
+            "seed": self.seed,
+        }
+
+    @property
+    def digest(self) -> str:
+        """sha256 (hex) of the identity."""
+        return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
+
+    def look(self, scene: Scene, trials: Trials) -> tuple[Observation, Float32[Tensor, "n 4 4"]]:
+        """What is seen of N trials, and where their objects lie in truth (T_world_obj, m).
+
+        Args:
+            scene: what is seen.
+            trials: N trials.
+        """
+        T_world_obj = moments(scene, trials, seed=self.seed)
+        seen = look(
+            scene, trials, self.rig, T_world_obj,
+            seed=self.seed, noise=self.noise, labels=self.labels, model=self.model,
+        )  # fmt: skip
+        return seen, T_world_obj
+
+
+def _number(option: str, text: str, most: float) -> float:
+    """A number from 0 to `most`."""
+    try:
+        found = float(text)
+    except ValueError:
+        found = -1.0
+    if not 0 <= found <= most:
+        raise UsageError(f"--sees: {option} is {text!r}; it must be a number from 0 to {most:g}")
+    return found

@@ -1,0 +1,190 @@
+"""Methods that see are asked in a process that holds no truth (r2h_batch.observe.apart, asked)."""
+
+import os
+import signal
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from rays_twin import RIG, cell
+from rounds import each
+
+from r2h_batch.base.errors import UserError
+from r2h_batch.observe.apart import Apart
+from r2h_batch.observe.seeing import look
+from r2h_batch.observe.seen import Observation, packed, unpacked
+
+SPY = '''
+"""Writes all that it can reach from where it is asked: tensors, arrays, texts, files."""
+import gc, os, pickle, sys
+import numpy as np
+import torch
+
+def inside(value, found, known):
+    left = [value]
+    while left:
+        x = left.pop()
+        if id(x) in known:
+            continue
+        known[id(x)] = x
+        kind = type(x)
+        if issubclass(kind, torch.Tensor):
+            found["arrays"].append(x.detach().cpu().contiguous().numpy().tobytes())
+        elif issubclass(kind, np.ndarray):
+            found["arrays"].append(np.ascontiguousarray(x).tobytes() if x.dtype != object else b"")
+        elif issubclass(kind, (bytes, bytearray, memoryview)):
+            found["arrays"].append(bytes(x))
+        elif issubclass(kind, str):
+            found["texts"].append(str.encode(x, errors="replace"))
+        else:
+            left += gc.get_referents(x)
+
+def predict(seen, *, place=""):
+    found, known = {"arrays": [], "texts": []}, {}
+    frame = sys._getframe()
+    while frame is not None:
+        inside([dict(frame.f_locals), dict(frame.f_globals)], found, known)
+        frame = frame.f_back
+    inside([gc.get_objects(), dict(sys.modules), dict(os.environ), sys.argv], found, known)
+    found["modules"] = sorted(sys.modules)
+    links = [f"/proc/self/fd/{k}" for k in os.listdir("/proc/self/fd")]
+    found["files"] = [os.readlink(link) for link in links if os.path.exists(link)]
+    with open(place, "wb") as file:
+        pickle.dump(found, file)
+    eye = torch.eye(4).repeat(len(seen), 1, 1)
+    return eye, eye
+'''
+
+
+@cache
+def view(model=None):
+    scene, trials, T = cell()
+    return look(scene, trials, RIG, T, model=model)
+
+
+def method(tmp_path, text, name="mine"):
+    file = tmp_path / f"{name}.py"
+    file.write_text(text)
+    return f"{file}:predict"
+
+
+@pytest.mark.parametrize("model", [None, "lab"])
+def test_an_observation_comes_out_of_the_pipe_as_it_went_in(model):
+    seen = view(model)
+    again = unpacked(packed(seen))
+    assert list(packed(again)) == list(packed(seen))
+    for name, array in each(packed(seen).items()):
+        assert np.array_equal(packed(again)[name], array) and packed(again)[name].dtype == array.dtype
+    assert len(again.known.vertices) == len(again.known.faces) >= 2 if model else again.known is None
+    assert isinstance(again, Observation) and len(again[1:3]) == 2
+
+
+@pytest.mark.check
+def test_a_spy_finds_no_pose_no_object_no_hand_and_no_name_of_the_truth_in_all_that_it_can_reach(tmp_path):
+    import pickle
+
+    scene, trials, T = cell()
+    place = tmp_path / "found.pickle"
+    Apart(method(tmp_path, SPY, "spy"), {"place": str(place)}, 1).ask(view())
+    found = pickle.loads(place.read_bytes())
+    # what it may have is there: so the walk reaches what it is shown
+    everything = b"".join(found["arrays"])
+    for shown in each((view().receiver.palm, view().object.depth_m)):
+        assert shown[0].numpy().tobytes() in everything
+    for i in each(range(len(trials))):
+        model, hand = scene.objects[int(trials.object_index[i])], int(trials.hand_index[i])
+        secrets = (
+            T[i], T[i].double(), torch.linalg.inv(T[i].double()), trials.T_world_hand[i], trials.receiver[i],
+            torch.tensor(model.vertices[:8]), torch.tensor(model.points[:8]), scene.hands.vertices[hand, :8],
+            RIG.T_world_camera[0],
+        )  # fmt: skip
+        for secret in each(secrets):
+            rows = [row for row in secret.reshape(len(secret), -1) if len(torch.unique(row)) > 3] or [secret]
+            assert all(row.contiguous().numpy().tobytes() not in everything for row in rows)
+        assert not any(model.name.encode() in text for text in found["texts"])
+    rooms = ("scene", "trials", "protocols", "judge", "data", "evaluate", "types", "sweep", "methods")
+    assert not [m for m in found["modules"] if m.startswith(tuple(f"r2h_batch.{room}" for room in rooms))]
+    assert not any(text.endswith((".npz", ".obj", ".parquet")) for text in found["files"])
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from r2h_batch import load_benchmark; load_benchmark('r2h-v2')",
+        "import r2h_batch.scene.scene",
+        "from r2h_batch.observe import observe; observe",
+        "import importlib; importlib.import_module('r2h_batch.trials.noise')",
+    ],
+)
+def test_a_method_that_reaches_for_the_truth_is_refused_in_one_line(line, tmp_path):
+    text = f"def predict(seen):\n    {line}\n"
+    with pytest.raises(UserError, match="a method that sees cannot have it") as refused:
+        Apart(method(tmp_path, text), {}, 1).ask(view())
+    assert "\n" not in str(refused.value)
+
+
+def test_what_a_method_needs_of_the_package_it_may_import(tmp_path):
+    text = "from r2h_batch.base import se3\nfrom r2h_batch.observe.seen import LABELS, Observation\n" + SAYS_ITS_KEY
+    grasp, _, _ = Apart(method(tmp_path, text), {}, 1).ask(view())
+    assert torch.equal(grasp[:, 0, 3].long(), view().key % 1000)
+
+
+SAYS_ITS_KEY = """
+import torch
+
+def predict(seen, *, seed=0):
+    print("a line that is no answer")
+    grasp = torch.eye(4, dtype=torch.float64).repeat(len(seen), 1, 1)
+    grasp[:, 0, 3] = (seen.key % 1000).double()
+    handover = grasp.clone()
+    handover[:, 0, 3] = seen.receiver.palm[:, 0].double()
+    assert bool((seen.key[1:] >= seen.key[:-1]).all())
+    return grasp, handover.numpy().tolist()
+"""
+
+
+def test_answers_come_back_to_their_own_trials_whatever_the_order_and_the_batch(tmp_path):
+    apart = Apart(method(tmp_path, SAYS_ITS_KEY), {"seed": 3}, 1)
+    seen = view()
+    for rows in each((torch.arange(len(seen)), torch.tensor([3, 1, 5]), torch.tensor([2]))):
+        grasp, handover, seconds = apart.ask(seen[rows])
+        assert torch.equal(grasp[:, 0, 3].long(), seen.key[rows] % 1000)
+        assert torch.equal(handover[:, 0, 3].float(), seen.receiver.palm[rows, 0])
+        assert (seconds >= 0).all() and len(seconds) == len(rows)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("def predict(seen):\n    return 3\n", "its answer is a int; it must be (T_world_grasp, T_world_ee)"),
+        (
+            "def predict(seen):\n    return [[1.0]], [[1.0]]\n",
+            "T_world_grasp is a list (); it must be numbers (8, 4, 4)",
+        ),
+        ("def predict(seen):\n    raise KeyError('x')\n", "KeyError: 'x' ("),
+        ("def predict(seen):\n    raise SystemExit(4)\n", "SystemExit: 4 ("),
+        ("import os\ndef predict(seen):\n    os._exit(7)\n", "its process ended with code 7"),
+        ("import nothing_like_this\n", "ModuleNotFoundError: No module named 'nothing_like_this'"),
+    ],
+)
+def test_what_a_method_does_wrong_is_said_in_one_line(text, words, tmp_path):
+    with pytest.raises(UserError) as refused:
+        Apart(method(tmp_path, text), {}, 1).ask(view())
+    assert words in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_process_that_was_killed_is_started_anew_and_one_that_nobody_asks_ends(tmp_path):
+    from alive import alive
+
+    apart = Apart(method(tmp_path, f"{SAYS_ITS_KEY}\nimport os\n"), {}, 1)
+    apart.ask(view())
+    first = apart.process_id
+    os.kill(first, signal.SIGKILL)
+    with pytest.raises(UserError, match="ended with code -9"):
+        apart.ask(view())
+    apart.ask(view())
+    second = apart.process_id
+    assert second != first and alive(second)
+    del apart
+    assert not alive(second)

@@ -1,0 +1,181 @@
+"""`sweep --sees`: methods that are shown what cameras see, and nothing else."""
+
+import json
+
+import numpy as np
+import pytest
+from problems import default_evaluator
+from rounds import each
+from sweep_command import in_process
+
+from r2h_batch import load_benchmark
+from r2h_batch.__main__ import main
+from r2h_batch.observe import load_rig, moments
+from r2h_batch.observe.sees import Sees
+from r2h_batch.runs.store import load_run
+
+GRAB = """
+import torch
+
+def predict(seen, *, seed=0, height_m=0.0):
+    cloud, mask = seen.cloud(512)
+    some = mask[..., None].float()
+    T = torch.eye(4).repeat(len(seen), 1, 1)
+    T[:, 1, 1] = T[:, 2, 2] = -1.0
+    T[:, :3, 3] = (cloud * some).sum(1) / some.sum(1).clamp(min=1)
+    H = T.clone()
+    H[:, :3, 3] = seen.receiver.palm + 0.15 * seen.receiver.normal
+    H[:, 2, 3] += height_m
+    return T, H
+"""
+KNOWS = """
+import torch
+
+def predict(seen):
+    # the grasp is the frame of the object itself, 3 cm up
+    T = seen.known.T_world_obj.double().clone()
+    assert len(seen.known.vertices) and all(len(seen.known.vertices[k]) > 3 for k in seen.known.mesh.tolist())
+    T[:, :3, 3] += 0.03 * T[:, :3, 2]
+    return T, T
+"""
+
+
+@pytest.fixture(scope="module")
+def methods(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("methods")
+    for name, text in (("grab", GRAB), ("knows", KNOWS)):
+        (folder / f"{name}.py").write_text(text)
+    (folder / "blind.py").write_text("def predict(trials, scene):\n    return None\n")
+    return folder
+
+
+def swept(methods, out, *more, method="grab", sees="cell-v1", trials=5):
+    return in_process(
+        "--method", f"{method}={methods / method}.py:predict", "--sees", sees, "--trials", trials, "--sim", "none",
+        "--out", out, *more,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run(methods, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "seen"
+    done = swept(methods, out)
+    assert done.returncode == 0, done.stderr
+    assert "| S0 " in done.stdout and "grab" in done.stdout
+    return load_run(out)
+
+
+@pytest.mark.check
+def test_a_method_that_sees_is_judged_by_all_criteria_and_the_run_says_what_it_saw(run):
+    rows, seen = run.trials("grab"), run.sees("grab")
+    assert len(rows) == len(seen) == 10 and rows["trial_id"].to_pylist() == seen["trial_id"].to_pylist()
+    assert set(rows["outcome"].to_pylist()) <= {"success", "stability", "plan", "reach", "affordance", "safe"}
+    share, pixels = seen["seen_share"].to_numpy(), seen["seen_px"].to_numpy()
+    assert (share > 0.3).all() and (share < 1).any() and (pixels > 300).all()
+    assert (seen["t_sees_s"].to_numpy() > 0).all()
+    stable = np.array(rows["passed_stability"].to_pylist())
+    assert [x is None for x in seen["pick"].to_pylist()] == [not s for s in stable]
+    header = json.loads((run.folder / "run.json").read_text())
+    assert (
+        header["sees"] == Sees.parse("cell-v1").identity and header["sees"]["rig_digest"] == load_rig("cell-v1").digest
+    )
+    assert header["digests"]["sees"] == Sees.parse("cell-v1").digest
+    assert main(["report", str(run.folder)]) == 0
+
+
+def test_grasps_of_the_world_are_judged_where_the_object_lay_at_the_moment(methods, tmp_path):
+    assert swept(methods, tmp_path / "run", method="knows", sees="cell-v1,noise=0,model=known,seed=4").returncode == 0
+    scene, trials = default_evaluator("r2h-v2").scene, load_benchmark("r2h-v2").trials(5)
+    poses = load_run(tmp_path / "run").poses("knows")
+    T = moments(scene, trials, seed=4).double().numpy()
+    for i in each(range(10)):
+        assert poses["trial_id"][i].as_py() == int(trials.trial_id[i])
+        grasp, handover = (np.array(poses[k][i].as_py()).reshape(4, 4) for k in ("T_obj_ee", "T_world_ee"))
+        expected = np.eye(4)
+        expected[2, 3] = 0.03  # the frame of the object itself: nothing of the moment is left
+        assert np.abs(grasp - expected).max() < 1e-6
+        assert np.abs(handover - T[i] @ expected).max() < 1e-6
+
+
+def test_known_objects_are_known_as_well_as_their_level_says(methods, tmp_path):
+    off = {}
+    for level in each(("lab", "rgb")):
+        sees = f"cell-v1,model=known,object={level}"
+        assert swept(methods, tmp_path / level, method="knows", sees=sees, trials=20).returncode == 0
+        grasp = np.array(load_run(tmp_path / level).poses("knows")["T_obj_ee"].to_pylist()).reshape(-1, 4, 4)
+        turn = np.degrees(np.arccos(np.clip((np.trace(grasp[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1)))
+        off[level] = np.sqrt((turn**2).mean() / 3)
+    assert off["lab"] == pytest.approx(1.0, rel=0.4) and off["rgb"] == pytest.approx(8.0, rel=0.4)
+
+
+def test_rows_have_the_same_bits_in_chunks_shards_and_after_a_resume(run, methods, tmp_path):
+    parts = tmp_path / "parts"
+    assert swept(methods, parts, "--chunk", "3", "--shard-trials", "4", "--shard", "2/2").returncode in (0, 1)
+    assert swept(methods, parts, "--chunk", "2", "--shard-trials", "4").returncode == 0
+    found = load_run(parts)
+    for kind in each(("trials", "poses", "sees")):
+        a, b = (getattr(r, kind)("grab").to_pydict() for r in (run, found))
+        for name in each([k for k in a if k not in ("t_plan_s", "t_method_s", "t_sees_s")]):
+            assert a[name] == b[name], name
+
+
+def test_runs_that_see_otherwise_are_not_paired_and_do_not_share_a_folder(run, methods, tmp_path, capsys):
+    assert swept(methods, tmp_path / "exact", sees="cell-v1,noise=0").returncode == 0
+    capsys.readouterr()
+    assert main(["compare", str(run.folder), str(tmp_path / "exact")]) == 2
+    error = capsys.readouterr().err
+    assert "differ in what their methods see (cell-v1, noise 1, " in error and "cell-v1, noise 0" in error
+    assert "sweep both with the same --sees" in error and error.count("\n") == 1
+    truth = tmp_path / "truth"
+    assert in_process("--method", "random", "--trials", 5, "--sim", "none", "--out", truth).returncode == 0
+    assert main(["compare", str(run.folder), str(truth)]) == 2
+    assert "the truth): their trials cannot be paired" in capsys.readouterr().err
+    again = swept(methods, run.folder, sees="cell-v1,noise=0")
+    assert again.returncode == 2 and "digests (sees)" in again.stderr
+
+
+def test_options_of_the_method_reach_it(methods, tmp_path):
+    done = in_process(
+        "--method", f"high={methods}/grab.py:predict,height_m=0.2", "--sees", "cell-v1", "--trials", 1, "--splits", "S0",
+        "--sim", "none", "--out", tmp_path / "high",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    run = load_run(tmp_path / "high")
+    (name,) = run.methods
+    assert "height_m=0.2" in str(run.entry(name).source)
+
+
+@pytest.mark.parametrize(
+    ("sees", "words"),
+    [
+        ("cell-v2", "rig 'cell-v2', did you mean cell-v1?"),
+        ("cell-v1,nose=1", "--sees: unknown option 'nose', did you mean noise?"),
+        ("cell-v1,noise=9", "--sees: noise is '9'; it must be a number from 0 to 5"),
+        ("cell-v1,noise=nan", "--sees: noise is 'nan'; it must be a number from 0 to 5"),
+        ("cell-v1,labels=grow", "--sees: labels is 'grow', did you mean grown?"),
+        ("cell-v1,object=lab", "add model=known"),
+        ("cell-v1,seed=0.5", "--sees: seed is '0.5'; it must be a whole number"),
+        ("cell-v1,noise=1,noise=1", "--sees: noise is given twice"),
+    ],
+)
+def test_what_cannot_be_seen_is_refused_in_one_line(methods, sees, words, tmp_path):
+    done = swept(methods, tmp_path / "none", sees=sees)
+    assert done.returncode == 2 and words in done.stderr and done.stderr.count("\n") == 1
+    assert not (tmp_path / "none").exists()
+
+
+def test_methods_that_are_told_the_truth_and_methods_that_see_do_not_take_each_others_place(methods, tmp_path):
+    for arguments, words in each(
+        (
+            (("--method", "fc", "--sees", "cell-v1"), "--method fc is told the truth; with --sees"),
+            (("--method", f"{methods}/blind.py:predict", "--sees", "cell-v1"), "the function takes (seen) with --sees"),
+            (("--method", f"{methods}/grab.py:predict"), "or (seen) with --sees"),
+            (
+                ("--method", f"{methods}/grab.py:predict", "--sees", "cell-v1", "--object-errors", "lab"),
+                "--sees shows methods images and estimates of its own; leave --object-errors out",
+            ),
+            (("--predictions", "x.npz", "--sees", "cell-v1"), "leave --predictions out"),
+        )
+    ):
+        done = in_process(*arguments, "--trials", 1, "--out", tmp_path / "none")
+        assert done.returncode == 2 and words in done.stderr and done.stderr.count("\n") == 1, done.stderr
