@@ -58,3 +58,15 @@ def test_ppo_begins_as_the_servo_and_is_compared_with_it_on_unseen_trials(capsys
     assert all(untrained[f"{key}, ppo - servo"] == 0 for key in ("success %", "return", "time s"))
     trained = learn_ppo.main(["--trials", "2", "--rounds", "1", "--repeats", "1"])
     assert "round 0: success" in capsys.readouterr().out and trained["return, servo"] == untrained["return, servo"]
+
+
+def test_a_method_that_sees_grasps_the_cloud_and_hands_over_some_of_the_things(tmp_path):
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.command import main
+
+    method = f"seen={EXAMPLES / 'grasp_seen.py'}:predict"
+    assert (
+        main(["--method", method, "--sees", "cell-v1", "--trials", "6", "--sim", "none", "--out", str(tmp_path)]) == 0
+    )
+    outcomes = load_run(tmp_path).trials("seen")["outcome"].to_pylist()
+    assert outcomes.count("success") >= 4 and "invalid_input" not in outcomes

@@ -1,4 +1,4 @@
-"""What a stereo camera measures of exact depth, and what a segmenter marks of exact labels.
+"""Depth as a stereo camera measures it, and labels as a segmenter gives them, from exact images.
 
 Random numbers are Philox4x32-10 (Salmon et al. 2011) of (key of camera and seed; trial id, pixel of the sensor, purpose): a
 pixel has the same error alone, in any batch and order, and in every window that shows it. Normal numbers are sums of

@@ -45,7 +45,7 @@ class Apart:
 
     @property
     def process_id(self) -> int | None:
-        """Of the process that answered last; None before the first question."""
+        """The process that answered last; None before the first question."""
         return None if self._process is None else self._process.pid
 
     def ask(

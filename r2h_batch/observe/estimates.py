@@ -1,4 +1,4 @@
-"""What a method is told beside images: where the hand is believed to be, and the object, if its model is known."""
+"""Estimates that a method is told beside images: where the hand is believed to be, and the object, if its model is known."""
 
 import hashlib
 
@@ -17,7 +17,7 @@ from r2h_batch.types import Trials
 
 
 def believed_receiver(scene: Scene, trials: Trials, *, seed: int, noise: float) -> Receiver:
-    """Where an estimator sees the hands: the error model of `PredictorNoise` (normal), drawn by (seed, trial).
+    """The hands as an estimator sees them: the error model of `PredictorNoise` (normal), drawn by (seed, trial).
 
     Args:
         scene: its hands.

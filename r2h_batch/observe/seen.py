@@ -32,7 +32,7 @@ class Images:
 
 @dataclass(frozen=True)
 class Receiver:
-    """Where the receiving hands of N trials are believed to be, world.
+    """The receiving hands of N trials as they are believed to be, world.
 
     Attributes:
         palm: middle of the palm, m. Reach asks for the object within 10 cm of the point 12 cm in front of it.

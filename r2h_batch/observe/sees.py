@@ -1,4 +1,4 @@
-"""What the methods of a run are shown, as one text: `cell-v1,noise=0.5,model=known`."""
+"""The sight of a run's methods, as one text: `cell-v1,noise=0.5,model=known`."""
 
 import hashlib
 import json
@@ -23,7 +23,7 @@ FORM = "--sees is RIG[,noise=0..5][,labels=exact|eroded|grown|missed][,model=unk
 
 @dataclass(frozen=True)
 class Sees:
-    """What methods are shown.
+    """Cameras and errors that methods of a run see by.
 
     Attributes:
         rig: the cameras.
@@ -41,7 +41,7 @@ class Sees:
 
     @classmethod
     def parse(cls, text: str) -> "Sees":
-        """What a text asks for.
+        """Read a text.
 
         Args:
             text: a rig (name or TOML file), then options.
@@ -86,7 +86,7 @@ class Sees:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What decides the images and estimates, for run.json."""
+        """All that decides the images and estimates, for run.json."""
         return {
             "rig": self.rig.name,
             "rig_digest": self.rig.digest,
@@ -102,7 +102,7 @@ class Sees:
         return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
 
     def look(self, scene: Scene, trials: Trials) -> tuple[Observation, Float32[Tensor, "n 4 4"]]:
-        """What is seen of N trials, and where their objects lie in truth (T_world_obj, m).
+        """Look at N trials: what is seen, and where their objects lie in truth (T_world_obj, m).
 
         Args:
             scene: what is seen.

@@ -167,7 +167,7 @@ SEES = (
     Column("seen_share", FLOAT, "share of the object's surface with a seen point within 8 mm", "", False),
     Column("pick", BOOL,
            "whether some posture takes the object up where it lay: in reach, and with the object lifted by 5 mm free of table"
-           " and person; null: the grasp is not stable"),
+           " and person; null: the answer is no pose"),
 )
 
 FAILURES = (

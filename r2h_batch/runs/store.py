@@ -344,7 +344,7 @@ class Run:
         return self._read("episodes", method)
 
     def sees(self, method: str) -> pa.Table:
-        """What a method that sees was shown, `SEES_SCHEMA`."""
+        """Pixels, share and pick of what a method that sees was shown, `SEES_SCHEMA`."""
         return self._read("sees", method)
 
     def failures(self, method: str) -> pa.Table:

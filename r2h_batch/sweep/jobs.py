@@ -462,7 +462,7 @@ def _method_job(
 
 
 def _not_compared(title: str, module: ModuleType, files: Mapping[str, Path]) -> tuple[str, ...]:
-    """What of a user's method a resume does not compare, for people; nothing where it names its files."""
+    """A line on what of a user's method a resume does not compare; nothing where it names its files."""
     if hasattr(module, "METHOD_FILES"):
         return ()
     others = f" or {counted(len(files) - 1, 'modules')} that it imports"

@@ -317,7 +317,7 @@ def _stored(options: Options) -> list[str]:
 
 
 def _sees(options: Options) -> "Sees | None":
-    """What methods are shown; None: they are told the truth."""
+    """How methods see; None: they are told the truth."""
     if not options.sees:
         return None
     from r2h_batch.observe.sees import Sees

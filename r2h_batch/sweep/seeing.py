@@ -4,6 +4,7 @@ import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
@@ -130,8 +131,9 @@ def seen_share(
     cloud, mask = seen.cloud(CLOUD)
     objects, found = evaluator.scene.objects, []
     for i, k in enumerate(trials.object_index.tolist()):
-        points = torch.from_numpy(objects[k].points).to(T_world_obj.device)
-        some = points[:: max(1, len(points) // SURFACE_POINTS)][:SURFACE_POINTS]
+        points = objects[k].points
+        few = points[:: max(1, len(points) // SURFACE_POINTS)][:SURFACE_POINTS]
+        some = torch.from_numpy(few.astype(np.float32)).to(T_world_obj.device)
         own, mine = se3.apply(T_world_obj[i], some), cloud[i][mask[i]]
         near = torch.zeros(len(own), dtype=torch.bool, device=own.device)
         if len(mine):
@@ -150,7 +152,7 @@ def picks(
     """`pick`: whether some posture takes the object up where it lies, and `pick_judged`: whether that was looked at.
 
     The judge looks at the grasp with the object lifted by `LIFT_M` as at a handover pose: the arm reaches it, and robot and
-    object touch neither the table nor the person. The way there is not looked at, nor is a grasp that is not stable.
+    object touch neither the table nor the person. The way there is not looked at, nor whether the grasp is stable.
 
     Args:
         evaluator: of the trials.

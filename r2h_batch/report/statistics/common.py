@@ -146,7 +146,7 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
 
 
 def _seeing(header: Mapping[str, Any]) -> str:
-    """What methods of a run are shown, in words."""
+    """The sight of a run's methods, in words."""
     sees = header.get("sees")
     if sees is None:
         return "the truth"
