@@ -95,6 +95,7 @@ T_BASELINES = (
     "::test_a_benchmark_knows_its_stored_rows_by_digest_simulated_ones_of_the_default_preset"
 )
 PERSON, T_TRANSFER = "r2h_batch/closed_loop/transfer/person.py", "tests/closed_loop/transfer/test_transfer.py"
+GRASP_PHYSICS, T_PADS = "r2h_batch/judge/grasp_physics.py", "tests/closed_loop/transfer/test_contacts.py"
 TRANSFERS, TURN = "r2h_batch/sweep/results/transfer.py", "r2h_batch/sweep/turn.py"
 T_GRIPS = (
     "tests/sweep/results/test_transfer.py"
@@ -112,6 +113,27 @@ T_KEPT = f"{T_CAPACITY}::test_capacities_of_a_users_object_are_kept_for_its_hand
 SHARD, T_SHARD = "r2h_batch/runs/shard.py", "tests/runs/test_shard.py"
 
 MUTATIONS = (
+    Mutation(
+        "the drivers weigh where MuJoCo's compiler puts them",
+        GRASP_PHYSICS,
+        "ipos=frames.pad if jaws else frames.pin / 2,",
+        "",
+        (f"{T_PADS}::test_parts_of_a_finger_weigh_where_they_are",),
+    ),
+    Mutation(
+        "the pads weigh where MuJoCo's compiler puts them",
+        GRASP_PHYSICS,
+        "inertia=[LINK[1]] * 3, ipos=frames.pad,",
+        "inertia=[LINK[1]] * 3,",
+        (f"{T_PADS}::test_parts_of_a_finger_weigh_where_they_are",),
+    ),
+    Mutation(
+        "the four-bar's ties are as soft as MuJoCo's default",
+        GRASP_PHYSICS,
+        '"solimp": TIE_IMPEDANCE}',
+        '"solimp": (0.9, 0.95, 0.001, 0.5, 2.0)}',
+        (f"{T_PADS}::test_pads_that_press_stay_upright",),
+    ),
     Mutation(
         "the pendant counts in the frame of ROS 2",
         "r2h_batch/view/lab/frames.py",

@@ -43,7 +43,12 @@ radius of 35 mm with 25 N has 2.6 mm [choice]."""
 ROLL_M, CONDIM = 0.0001, 4
 """Rolling friction, and the dimensions of a contact: normal, two tangents, torsion."""
 LINK, ARMATURES = (0.05, 1e-5), (1e-3, 1e-4)
-"""Mass (kg) and inertia about each axis (kg m^2) of a driver and of a pad; armatures of their joints, kg m^2 [choice]."""
+"""Mass (kg) and inertia about each axis (kg m^2) of a driver and of a pad; armatures of their joints, kg m^2 [choice].
+Centres of mass: of a driver half way to its pin, of a pad in the pad's middle [choice]. Say them: a body with a mass and no
+such place gets its `pos` once more from MuJoCo's compiler."""
+TIE_IMPEDANCE = (0.99, 0.99, 0.001, 0.5, 2.0)
+"""MuJoCo's solimp of the ties between a finger's joints. With its default, pads that press lean by 12 mrad, with this by 2.
+With an impedance that grows within 0.1 mrad MuJoCo-Warp's float32 is farther from MuJoCo C."""
 IMPRATIO, TOLERANCE = 100.0, 1e-12
 """How much harder friction is regularised than normal forces: with 10 light objects creep by centimetres. MuJoCo's solver has
 to converge for that: with its own 1e-8 postures are off by 0.6 mm after a second, and steps take longer."""
@@ -229,11 +234,13 @@ def add_closing_fingers(
     most, armature = (FORCE_N, JAW_ARMATURE_KG) if jaws else (TORQUE_NM, ARMATURES[0])
     low, high = (link.drive_lower, link.drive_upper) if jaws else (0.0, link.drive_upper)
     room = 0.002 if jaws else 0.05
+    rigid = {"solref": stiff, "solimp": TIE_IMPEDANCE}
     for name, side in zip(FINGERS, (-1, 1), strict=True):
         frames = FingerFrames.of(robot, side)
         body = wrist.add_body(
-            name=name, pos=frames.driver, explicitinertial=True, mass=LINK[0], inertia=[LINK[1]] * 3
-        )
+            name=name, pos=frames.driver, explicitinertial=True, mass=LINK[0], inertia=[LINK[1]] * 3,
+            ipos=frames.pad if jaws else frames.pin / 2,
+        )  # fmt: skip
         body.add_joint(
             name=name, type=SLIDE if jaws else HINGE, axis=frames.axis, armature=armature,
             range=[low - room, high + room], limited=True, actfrcrange=[-most, most], actfrclimited=True,
@@ -241,21 +248,22 @@ def add_closing_fingers(
         finger = body
         if not jaws:
             finger = body.add_body(
-                name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=LINK[0], inertia=[LINK[1]] * 3
+                name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=LINK[0],
+                inertia=[LINK[1]] * 3, ipos=frames.pad,
             )  # fmt: skip
             finger.add_joint(
                 name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=ARMATURES[1]
             )
             # the four-bar is a parallelogram: the pad keeps upright
-            tie(spec, f"{name}_pad", name, (0, -1), solref=stiff)
+            tie(spec, f"{name}_pad", name, (0, -1), **rigid)
         elif (rise := pad_rise(robot)) is not None:
             body.add_joint(name=f"{name}_pad", type=SLIDE, axis=[0, 0, 1], armature=armature)
-            tie(spec, f"{name}_pad", name, rise.tolist(), solref=stiff)
+            tie(spec, f"{name}_pad", name, rise.tolist(), **rigid)
         finger.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=robot.linkage.pad_half_size, pos=frames.pad,
             contype=1, conaffinity=2, **material.of_geom(friction),
         )  # fmt: skip
-    tie(spec, "left", "right", (0, 1), solref=stiff)
+    tie(spec, "left", "right", (0, 1), **rigid)
 
 
 def add_motor(spec: mujoco.MjSpec, joint: str, damping: float) -> None:

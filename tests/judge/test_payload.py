@@ -13,13 +13,13 @@ from r2h_batch import load_benchmark
 from r2h_batch.base.launch import init_warp
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.grasp_physics import close_in_physics
+from r2h_batch.judge.grasp_physics import TORSION_M, close_in_physics
 from r2h_batch.judge.payload import GRIP_N, payload
 from r2h_batch.scene.objects import build_object
 from r2h_batch.scene.robot import load_robot
 
 X, Y, Z = np.eye(3)
-MASSES = (0.5, 1.5, 3.0)
+MASSES = (0.5, 1.5, 4.0)
 LEVERS = (0.0, 0.03, 0.06)
 
 
@@ -46,15 +46,20 @@ def scored(objects, R):
     return judge.score(T_obj_ee, T_world_ee, trials, "pose")
 
 
+def mean_radius():
+    """Mean distance of a pad's points from its middle, m."""
+    half = load_robot().linkage.pad_half_size
+    grid = [(np.arange(400) + 0.5) / 200 - 1] * 2
+    return np.hypot(*np.meshgrid(half[0] * grid[0], half[2] * grid[1])).mean()
+
+
 DOWN = np.array([X, -Y, -Z]).T  # z of the gripper points down: the weight pulls the bar out along z
 
 
 @pytest.mark.check
 def test_lever_moment_and_factor_are_those_of_an_integral_over_the_pads(bars):
     found = payload(scored(bars, DOWN))
-    half = load_robot().linkage.pad_half_size
-    grid = [(np.arange(400) + 0.5) / 200 - 1] * 2
-    radius = np.hypot(*np.meshgrid(half[0] * grid[0], half[2] * grid[1])).mean()
+    radius = mean_radius()
     mass, lever = np.repeat(MASSES, len(LEVERS)), np.tile(LEVERS, len(MASSES))
     moment = mass * 9.81 * lever  # gravity along z, the lever along x
     factor = 2 * 0.8 * GRIP_N / np.hypot(mass * 9.81, moment / radius)
@@ -73,14 +78,17 @@ def test_weight_along_the_closing_axis_turns_nothing(bars):
 
 
 def test_a_simulator_holds_what_the_closed_form_holds_and_turns_what_it_turns(bars):
-    """A pad's pressure lies on the corners of its contact there: it holds up to 1.7 times the moment."""
+    """A pad's pressure lies on its four corners there, each with a patch of its own: it holds up to 2.3 times the moment of
+    even pressure."""
+    half, radius = load_robot().linkage.pad_half_size, mean_radius()
+    most = (np.hypot(half[0], half[2]) + TORSION_M) / radius
     factor = payload(scored(bars, DOWN)).payload_factor
     every = np.arange(len(bars))
     T = np.tile(np.eye(4), (len(bars), 1, 1))
     closed = close_in_physics(bars, every, T, load_robot(), shake=True, shake_m_s2=0.0)
     stays = (np.degrees(closed.turned_rad) < 5) & closed.held
     assert stays[factor > 1].all() and (factor > 1).sum() >= 3
-    assert not stays[factor < 1 / 1.7].any() and (factor < 1 / 1.7).sum() >= 2
+    assert not stays[factor < 1 / most].any() and (factor < 1 / most).sum() >= 2
 
 
 def test_rows_that_hold_nothing_have_no_payload():

@@ -1,5 +1,6 @@
 """Contacts of gripped objects converge: what a closed gripper holds does not depend on the step of the simulation."""
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -7,7 +8,8 @@ import torch
 from r2h_batch.closed_loop.transfer.handed import gripped_of
 from r2h_batch.closed_loop.transfer.held import hold
 from r2h_batch.closed_loop.transfer.model import STEPS, Setting
-from r2h_batch.closed_loop.transfer.worlds_mujoco import Models
+from r2h_batch.closed_loop.transfer.worlds_mujoco import CLOSE_TICKS, Models
+from r2h_batch.judge.grasp_physics import FINGERS, full_effort
 from r2h_batch.report.compare.stored import ROWS
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.reevaluation import Judge
@@ -66,3 +68,25 @@ def test_a_larger_patch_carries_the_drill_without_turning(rows):
     wider = Models(models[0].robot, models[0].objects, Setting(torsion_m=0.008))
     one = hold(wider, found["power_drill"])
     assert one.carries >= 1 and one.slip_m < 0.001
+
+
+def test_parts_of_a_finger_weigh_where_they_are(rows):
+    """MuJoCo's compiler puts the mass of a body that says no place at twice the body's own: 63 mm off the driver's pivot."""
+    m, d = rows[1][0].ajar(rows[0]["power_drill"])
+    mujoco.mj_kinematics(m, d)
+    for name in FINGERS:
+        pivot, pin = d.joint(name).xanchor, d.joint(f"{name}_pad").xanchor
+        assert d.body(name).xipos == pytest.approx((pivot + pin) / 2, abs=1e-9)
+        assert d.body(f"{name}_pad").xipos == pytest.approx(d.geom(name).xpos, abs=1e-9)
+
+
+@pytest.mark.parametrize("word", ["wineglass", "eyeglasses", "power_drill"])
+def test_pads_that_press_stay_upright(rows, word):
+    """With the impedance that MuJoCo gives ties by default they lean by 6 to 14 mrad."""
+    found, models = rows
+    m, d = models[0].ajar(found[word])
+    for name in FINGERS:
+        d.actuator(name).ctrl[:] = full_effort(models[0].robot)
+    mujoco.mj_step(m, d, CLOSE_TICKS * STEPS)
+    for name in FINGERS:
+        assert abs(float(d.joint(name).qpos[0] + d.joint(f"{name}_pad").qpos[0])) < 0.003

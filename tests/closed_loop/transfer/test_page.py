@@ -40,11 +40,14 @@ NO_MODEL = {
 """Numbers that no outcome depends on, or that another table has."""
 
 
-def rows() -> list[tuple[str, str, list[str]]]:
-    """Words, value and names of each row whose last cell names code."""
+def rows() -> list[tuple[str, str, list[str], float]]:
+    """Words, value and names of each row whose last cell names code, and what it divides the code's number by."""
     section = PAGE.read_text("utf-8").split("## Numbers of the model")[1].split("\n## ")[0]
     cells = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| ")]
-    found = [(c[0].strip(), c[1].strip(), re.findall(r"`([\w.]+)`", c[2])) for c in cells]
+    found = [
+        (c[0].strip(), c[1].strip(), re.findall(r"`([\w.]+)`", c[2]), float((re.findall(r"` / (\d+)", c[2]) or [1])[0]))
+        for c in cells
+    ]
     return [row for row in found if row[2]]
 
 
@@ -93,14 +96,14 @@ def constants(module: str) -> set[str]:
 
 
 @pytest.mark.check
-@pytest.mark.parametrize(("what", "value", "names"), rows(), ids=lambda x: x[0] if isinstance(x, list) else "")
-def test_a_number_of_the_page_is_the_one_of_the_code(what, value, names):
-    said, code = numbers(value), [x for name in names for x in of_code(name)]
+@pytest.mark.parametrize(("what", "value", "names", "by"), rows(), ids=lambda x: x[0] if isinstance(x, list) else "")
+def test_a_number_of_the_page_is_the_one_of_the_code(what, value, names, by):
+    said, code = numbers(value), [x / by for name in names for x in of_code(name)]
     assert said == pytest.approx(code, rel=2e-4), what
 
 
 def test_the_page_has_every_number_of_the_model():
-    named = {name for _, _, names in rows() for name in names}
+    named = {name for _, _, names, _ in rows() for name in names}
     missing = {
         f"{module}.{name}"
         for module in ("model", "worlds_mujoco", "person", "simulate", "outcome", "release", "held", "friction")
