@@ -32,7 +32,7 @@ from r2h_batch.runs.store import load_run
 
 MEASURES = (
     "bench/vendors.py",
-    "r2h_batch/data/command.py",
+    "r2h_batch/commands/import_files.py",
     *(f"r2h_batch/data/robot{part}.py" for part in ("", "_chain", "_links", "_model", "_pads", "_pairs", "_shapes")),
 )
 SUITE = "robosuite/robosuite/models/assets/robots"

@@ -18,15 +18,15 @@ COMMANDS = {
         "Score methods or predictions files on the trials and print Table I.",
     ),
     "trials": (
-        "view.export.command:trials",
+        "commands.trials:trials",
         "Write the trials and everything that a method may read.",
     ),
     "scene": (
-        "view.export.command:scene",
+        "commands.scene:scene",
         "Write one stored trial as a folder that plain MuJoCo opens.",
     ),
     "export": (
-        "view.export.command:export",
+        "commands.export:export",
         "Write trials of a run as files of the authors' release.",
     ),
     "real": (
@@ -62,7 +62,7 @@ COMMANDS = {
         "Say why one trial failed: criterion, margin, what decides it, what would have passed.",
     ),
     "import": (
-        "view.import_command:COMMANDS",
+        "commands.import_robot:COMMANDS",
         "Turn other people's hands and grasps into files that sweeps read.",
     ),
     "results": (
@@ -70,11 +70,11 @@ COMMANDS = {
         "Check a run folder, judge its rows again, or count them at other thresholds.",
     ),
     "report": (
-        "view.gallery.command:report",
+        "commands.report:report",
         "Print the table of a run folder, or write its page.",
     ),
     "figures": (
-        "view.gallery.command:figures",
+        "commands.figures:figures",
         "Draw the paper's figures of a run: protocol, methods over time, failures.",
     ),
     "study": (

@@ -41,6 +41,7 @@ ONLY_READ_ROWS = (
     *(
         "report",
         "view",
+        "commands",
         "sweep/results",
         "sweep/study",
         "sweep/ls.py",

@@ -5,8 +5,8 @@ import pytest
 from needs import needs
 from PIL import Image
 
+from r2h_batch.commands.import_robot import region
 from r2h_batch.scene.objects import build_object, load_objects
-from r2h_batch.view.import_command import region
 
 TURNS = {"as it lies": np.eye(3), "half a turn about z": np.diag([-1.0, -1.0, 1.0])}
 

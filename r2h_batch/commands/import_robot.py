@@ -1,5 +1,5 @@
-"""`r2h-batch import ...`: the commands of the importers, and `import robot`, which also solves for the
-robot and draws it."""
+"""`r2h-batch import ...`: `import robot`, which also solves for the robot and draws it, `import region`,
+and those of import_files.py."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -9,7 +9,7 @@ import tyro
 from r2h_batch.base.command_line import Command, check_range
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_folder
-from r2h_batch.data.command import COMMANDS as FILES
+from r2h_batch.commands.import_files import COMMANDS as FILES
 
 if TYPE_CHECKING:
     import numpy as np
