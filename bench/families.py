@@ -73,8 +73,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Everything on the page; each part is kept in the folder of the rows as soon as it is known."""
     place, trials = options.rows, options.trials
     if options.counted:
-        kept = json.loads(STORED.read_text())
-        return {**kept, "spreads": spreads(SHIPPED)}
+        whole: dict[str, Any] = json.loads(STORED.read_text())
+        return {**whole, "spreads": spreads(SHIPPED)}
     if options.kept:
         kept: dict[str, Any] = json.loads((place / "found.json").read_text())
         if not is_frozen(kept):
@@ -99,9 +99,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         folder = swept(place / f"v2-{name.replace(' ', '-')}", "--method", *METHODS, *few, *V2, *flags)
         keep(orders=found["orders"] | {f"r2h-v2, {name}": order(folder)})
     keep(cost=cost())
-    if options.scans:
-        words = ("--splits", *options.splits, "--objects", options.scans)
-        keep(scans=table(swept(place / "scans", "--method", *METHODS, *few, *V2, *words)))
     keep(regions=regions())
     return found | {"contacts_cpu_s": contact_seconds(), "sizes": sizes()} | origin(v2)
 
@@ -187,27 +184,25 @@ def spreads(folder: Path) -> dict[str, Any]:
     names = [SHORT[name.partition(" (")[0]] for name in paired.names]
     found: dict[str, Any] = {"methods": {}, "pairs": {}}
 
-    def over_splits(rate: Callable[[int], np.ndarray], noise: Callable[[int], float]) -> dict[str, float]:
-        """Both splits' parts: that of a mean over C categories of which each split has its share."""
+    def over_splits(solved: np.ndarray, noise: np.ndarray) -> dict[str, float]:
+        """Both splits' parts, of a mean over C categories of which each split has its share."""
         parts, counts = [], []
         for k in range(len(trials)):
             asked = trials[k] > 0
-            parts.append(parts_of(rate(k)[asked], noise(k), trials[k][asked], place[asked]))
+            n = trials[k][asked]
+            parts.append(parts_of(solved[k][asked] / n, float(noise[k]), n, place[asked]))
             counts.append(len(np.unique(place[asked])))
         more = [w**2 * sum(counts) / c for w, c in zip(weights, counts, strict=True)]
         return {key: 100 * sum(m * own[key] for m, own in zip(more, parts, strict=True)) ** 0.5 for key in parts[0]}
 
-    def rates(more: np.ndarray) -> Callable[[int], np.ndarray]:
-        return lambda k: more[k] / np.maximum(trials[k], 1)
-
     means = hits.sum(2) / trials.sum(1)[:, None]  # (2, M)
     for i, name in enumerate(names):
-        found["methods"][name] = over_splits(rates(hits[:, i]), lambda k, i=i: means[k, i] * (1 - means[k, i]))
+        found["methods"][name] = over_splits(hits[:, i], means[:, i] * (1 - means[:, i]))
     for i, a in enumerate(names):
         for j, b in list(enumerate(names))[i + 1 :]:
             more = means[:, i] - means[:, j]
             differ = (paired.only[:, i, j] + paired.only[:, j, i]) / trials.sum(1)
-            own = over_splits(rates(hits[:, i] - hits[:, j]), lambda k, d=differ, m=more: float(d[k] - m[k] ** 2))
+            own = over_splits(hits[:, i] - hits[:, j], differ - more**2)
             difference = 100 * float(weights @ more)
             found["pairs"][f"{a} - {b}"] = {"difference": difference, **own, "needs": needed(difference, own)}
     return found
@@ -451,7 +446,6 @@ def table_lines(data: Mapping[str, Any]) -> str:
     """Table I of r2h-v2 with its new columns."""
     compared_ = {c["group"]: c for c in data["compared"]}
     moved = {(t["method"], t["group"]): t for t in data["turned"]["r2h-v2"]}
-    scans = {(r["split"], r["method"]): r for r in data.get("scans", {}).get("rows", ())}
     head = [
         "split, method",
         "SR",
@@ -474,14 +468,12 @@ def table_lines(data: Mapping[str, Any]) -> str:
             worst = f"{w['rank']}" + (f" (without {w['without'].replace('_', ' ')})" if w["without"] else "")
         test = moved.get((r["method"], "all" if r["split"] == "Avg" else r["split"]))
         most = max(test["moves"], key=lambda m: abs(m["points"])) if test else None
-        own = scans.get((r["split"], r["method"]))
         lines.append([
             f"{r['split']} {short(r['method'])}", f"{r['sr']:.1f}", ends_of(r, "sr"), ends_of(r, "sr_new_objects"),
             ends_of(r, "sr_new_categories"), ends_of(r, "sr_few"), first, worst,
             f"{most['points']:+.1f} ({ends(most['low'], most['high'])})" if most else "-",
-            *([f"{own['sr']:.1f}" if own else "-"] if scans else []),
         ])  # fmt: skip
-    return markdown_table([*head, *(["own scans"] if scans else [])], lines)
+    return markdown_table(head, lines)
 
 
 TABLE = re.compile(r"(?<=\[start:table\] -->\n).*?(?=<!-- --8<-- \[end:table\])", re.DOTALL)
@@ -720,7 +712,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         " of these categories. [A row of networks that never saw the category]"
         "(../baselines.md#categories-that-the-network-has-not-seen) stands beside it there.",
         table_lines(data),
-        *scan_lines(data),
+        "[The same methods on meshes that nobody here drew](scans.md), from a folder of yours too.",
         f"The oracle solves at least {data['oracle'][low]:.1f} % in every category.",
         "Differences of SR between two methods, over all trials, with the 95 % interval for the mean of all categories and p of"
         " the t test over categories (Holm over the six pairs): " + "; ".join(pair_words(data)) + ".",
@@ -785,14 +777,6 @@ def pair_words(data: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def scan_lines(data: Mapping[str, Any]) -> list[str]:
-    """A line about the last column, where scans were given."""
-    if "scans" not in data:
-        return []
-    rows = data["scans"]["rows"]
-    return [f"Own scans: {rows[0]['n_objects']} meshes that nobody here trained on, {rows[0]['n']} trials."]
-
-
 def cost_lines(data: Mapping[str, Any]) -> list[str]:
     """Seconds, memory and sizes, where they were measured."""
     if "cost" not in data:
@@ -830,6 +814,4 @@ if __name__ == "__main__":
     parser.add_argument(
         "--counted", action="store_true", help="count the spreads again from the shipped rows, without a sweep"
     )
-    parser.add_argument("--splits", nargs="+", default=["S0", "S1"], help="of your own meshes")
-    parser.add_argument("--scans", type=Path, help="folder of your own meshes, for the last column")
     page_from(parser, STORED, PAGE, measure, markdown)

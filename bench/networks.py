@@ -2,8 +2,7 @@
 
 `python bench/networks.py --json bench/results/networks.json` sweeps `contact` with the network that trained on other instances of
 all sixteen categories, and with the predictors that never saw the object's category (`contacts=other-categories`), and keeps the
-rows in bench/options/networks (r2h-v2, motion as planned). `--scans FOLDER` also measures how well both find the regions of the
-meshes of S1 in a folder (NAME.yaml beside each names its region).
+rows in bench/options/networks (r2h-v2, motion as planned).
 """
 
 import json
@@ -64,7 +63,7 @@ def rates_by_category(folder: Path, word: str) -> dict[str, float]:
     return {category: float(np.mean(of)) for category, of in won.items()}
 
 
-def measure(trials: int, scans: str) -> Report:
+def measure(trials: int) -> Report:
     """Sweeps, keeps the rows, and collects the figures."""
     report = Report(MEASURES)
     report.add("networks.trials", trials)
@@ -82,12 +81,6 @@ def measure(trials: int, scans: str) -> Report:
             report.add(f"networks.{name}.region_auc_of.{category}", float(np.mean(values)))
         for category, rate in rates_by_category(folder, WORDS[name]).items():
             report.add(f"networks.{name}.sr_of.{category}", rate)
-        if scans:
-            found = region_areas(option, scans)
-            report.add(f"networks.{name}.scans.objects", len(found))
-            report.add(f"networks.{name}.scans.region_auc", float(np.mean([*found.values()])))
-            for mesh, value in found.items():
-                report.add(f"networks.{name}.scans.region_auc_of.{mesh}", value)
     learned = json.loads((ROOT / "assets/families/unseen.json").read_text("utf-8"))
     report.add("networks.unseen.training_categories", learned["training_categories"])
     report.add("networks.unseen.instances_of_other_things", learned["instances_of_other_things"])
@@ -107,9 +100,6 @@ def measure(trials: int, scans: str) -> Report:
 if __name__ == "__main__":
     parser = arguments(__doc__)
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each split")
-    parser.add_argument(
-        "--scans", default="", help="your own objects, as --objects of a sweep: a folder of meshes and their regions"
-    )
     options = parser.parse_args()
     target = options.json and options.json.resolve()
-    measure(options.trials, options.scans).write(target)
+    measure(options.trials).write(target)

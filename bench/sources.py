@@ -17,12 +17,14 @@ ROWS = {
     "networks": "`bench/options/networks`",
     "robots": "`bench/options/robots`",
     "robustness": "`bench/options/robustness`",
+    "scans": "`bench/options/scans`",
 }
 """JSON -> where its rows are; the others are made by the command alone."""
 COMMANDS = {
     "closed_loop_growth": "bench/closed_loop.py --growth 2000",
-    "families": "bench/families.py --rows FOLDER --scans FOLDER",
+    "families": "bench/families.py --rows FOLDER",
     "long": "bench/soak.py long",
+    "scans": "bench/scans.py FOLDER --about bench/scans.toml",
     "release": "bench/release.py --release CHECKOUT",
     "vendors": "bench/vendors.py --files FOLDER",
 }

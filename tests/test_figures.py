@@ -11,6 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from rounds import each
 
+from r2h_batch.runs.store import load_run
+
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
 APART = {"contacts", "people", "persons", "transfer", "coverage", "gates", "networks", "object_errors", "observe"}
@@ -19,8 +21,8 @@ APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "learn"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
-OF_OTHERS = {"release", "vendors"}
-"""Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, VENDORS=).
+OF_OTHERS = {"release", "scans", "vendors"}
+"""Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, SCANS=, VENDORS=).
 Whoever lacks the files cannot measure again, so their pages name the commit that was measured."""
 BY_HAND = OF_OTHERS | LONG
 
@@ -133,6 +135,8 @@ def test_the_rates_of_the_networks_are_those_of_their_stored_rows(measured):
         assert n == values["networks.trials"] and method == "contact"
         seen.add((options, split))
     assert len(seen) == 4
+    shown = [e.name for e in load_run(ROOT / "bench" / "options" / "networks").entries]
+    assert ["VoxNet" in name for name in shown] == ["trees" not in name for name in shown] == [True, False]
     assert 0.5 < values["networks.other_categories.region_auc"] < values["networks.all_categories.region_auc"]
 
 

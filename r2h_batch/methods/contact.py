@@ -50,6 +50,8 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 TITLE, STAND_IN = "Contact-Handover", "VoxNet, built-in contacts"
+STAND_INS = {"contacts=other-categories": "trees, built-in contacts"}
+"""Option -> what stands in with it, in tables."""
 
 THRESHOLD = 0.4
 """Contact probability from which a point counts (published)."""

@@ -19,6 +19,7 @@ from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.scene.objects import (
     BUILT_IN_NAMES,
     INSTANCE_NAMES,
+    OBJECT_NAMES,
     ObjectModel,
 )
 from r2h_batch.scene.robot import DEFAULT_ROBOT
@@ -95,6 +96,10 @@ class ObjectEntry(_Entry):
         description="part -> what it is for; else grasp in the receiver's region, function elsewhere",
     )
     words: WordsEntry | None = None
+    category: Literal[OBJECT_NAMES] | None = Field(  # type: ignore[valid-type]
+        default=None,
+        description="the family whose things it is like; contact,contacts=other-categories asks what never saw that one",
+    )
     grasps: FilePath | None = Field(default=None, description="candidates, .npz beside this file")
 
 

@@ -292,6 +292,12 @@ def _object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
         if not entry.built_in or words != THINGS.get(model.name):
             _check_words(model.name, words, model.part_names)
             more["words"] = words
+    if entry.category is not None:
+        if entry.built_in is not None:
+            raise FileError(
+                f"object {model.name}: a built-in object has its own category; leave category out"
+            )
+        more["category"] = entry.category
     return replace(model, **more) if more else model
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from math import floor, log10
+from pathlib import Path
 from typing import Any
 
 from r2h_batch.config import ExecutionError, ObjectErrors
@@ -19,6 +20,7 @@ from r2h_batch.report.statistics.aggregate import (
     Row,
     summarise,
 )
+from r2h_batch.report.statistics.common import complete
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import BOUNDS
 from r2h_batch.report.statistics.shares import SHARES, STABLE, THROUGH, UNDECIDED, Share
@@ -252,8 +254,11 @@ def _beside(run: Run, scans: Run) -> dict[tuple[str, str], Row]:
         raise ValueError(
             f"{words}: it has built-in objects; sweep with --objects FOLDER of your meshes"
         )
+    asked = [
+        {**r.header, "configuration": complete(r.header["configuration"])} for r in (run, scans)
+    ]
     for key in ("configuration", "seed", "predictors"):
-        if run.header.get(key) != scans.header.get(key):
+        if asked[0].get(key) != asked[1].get(key):
             raise ValueError(f"{words}: it has another {key}; sweep with the same options")
     methods = [name for name in run.methods if name in scans.methods]
     if not methods:
@@ -308,7 +313,8 @@ def _origin(header: Mapping[str, Any]) -> dict[str, str]:
     }
     if flags := (header.get("benchmark") or {}).get("flags"):
         digest = header["digests"].get("benchmark", "unknown")
-        origin["benchmark"] = f"{' '.join(flags)}, digest {digest}"
+        words = (Path(w).name if Path(w).is_absolute() else w for w in " ".join(flags).split())
+        origin["benchmark"] = f"{' '.join(words)}, digest {digest}"
     if "motion" in header:
         origin["motion"] = str(header["motion"]["engine"]).replace("none", "as planned")
     if "predictors" in header:

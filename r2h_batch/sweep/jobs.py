@@ -431,7 +431,11 @@ def _method_job(
         if seen is not None and "seen" in takes:
             extra["seen"] = seen
         if built_in:
-            stand_in = Path(own).name or module.STAND_IN
+            others: Mapping[str, str] = getattr(module, "STAND_INS", {})
+            chosen = (
+                word for option, word in others.items() if option in method_options.split(",")
+            )
+            stand_in = Path(own).name or next(chosen, module.STAND_IN)
             shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in sees}
             noise, errors = methods.noise_factor, methods.errors
             title = table_name(

@@ -137,7 +137,7 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
     digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]
     if digests[0] != digests[1]:
         return f"digests ({_other_keys(*digests)})"
-    configurations = [_complete(h["configuration"]) for h in (left, right)]
+    configurations = [complete(h["configuration"]) for h in (left, right)]
     for configuration in configurations if robots else ():
         del configuration["workplace"], configuration["execute"]["max_velocity_rad_s"]
     if configurations[0] != configurations[1]:
@@ -157,9 +157,13 @@ def _other_keys(left: Mapping[str, Any], right: Mapping[str, Any]) -> str:
     return ", ".join(k for k in {**left, **right} if left.get(k) != right.get(k))
 
 
-def _complete(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's configuration as JSON. Fields that its version did not have get today's defaults,
-    as which older versions behaved."""
+def complete(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """A run's configuration as JSON. Fields that its version did not have get today's defaults, as which older versions
+    behaved.
+
+    Args:
+        configuration: that of a run's header.
+    """
     whole = asdict(EvalConfig())
     for key, value in configuration.items():
         parts = isinstance(value, dict) and isinstance(whole.get(key), dict)

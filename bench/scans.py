@@ -1,0 +1,265 @@
+"""Methods on meshes of yours, beside Table I: docs/results/scans.md.
+
+`python bench/scans.py FOLDER [--about FILE.toml]` sweeps the meshes of a folder (r2h-v2's people, motion as planned), keeps the
+rows in bench/options/scans, and writes the page. It fetches nothing. NAME.yaml beside NAME.obj says what a mesh does not
+(docs/your_data.md); where there is none, the file of --about says a mesh's region, and whose it is. Meshes without a region are
+of S0. `--render` writes the page again from the JSON.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _report import ROOT, made_by, markdown_table, page_from
+from _rows import kept_rows, rates_of
+from networks import region_areas
+
+from r2h_batch.methods.predictors import Contacts
+from r2h_batch.protocols.edit import MESHES
+
+STORED, PAGE = ROOT / "bench" / "results" / "scans.json", ROOT / "docs" / "results" / "scans.md"
+MEASURES = (
+    *("bench/scans.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
+    *("r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py", "r2h_batch/prepared.py"),
+)
+UNSEEN = "contact,contacts=other-categories"
+WORDS = {
+    "random": "random",
+    "oracle": "oracle",
+    "fc": "FC",
+    "handover-va": "VA",
+    "contact": "Contact",
+    UNSEEN: "Contact that never saw the category",
+    "intent": "Intent",
+}
+"""Word of the sweep -> name on the page."""
+AREAS: dict[str, Contacts] = {"contact": "left-out", UNSEEN: "other-categories"}
+COPIED = Path("runs/scans-objects")
+"""The meshes of the sweep, relative to the checkout: no row says where on a machine a folder lies."""
+FLAGS = ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses")
+TRIALS = 180
+
+
+def copied(folder: Path, about: Mapping[str, Any]) -> Path:
+    """Copies the meshes of a folder and what is said of them into `COPIED`; that place.
+
+    Args:
+        folder: of meshes, and of NAME.yaml beside some.
+        about: name of a mesh -> its `region` and `category`.
+
+    Raises:
+        SystemExit: no mesh is there, or `about` names another one.
+    """
+    meshes = sorted(p for p in folder.glob("*") if p.suffix.lower() in MESHES)
+    if not meshes:
+        raise SystemExit(f"{folder}: no mesh is there; give a folder with files of {', '.join(MESHES)}")
+    if other := {k for k, v in about.items() if isinstance(v, dict)} - {p.stem for p in meshes}:
+        raise SystemExit(f"--about names {min(other)}, and {folder} has no such mesh; delete its section")
+    shutil.rmtree(COPIED, ignore_errors=True)
+    COPIED.mkdir(parents=True)
+    for file in (p for p in folder.glob("*") if p.is_file()):
+        shutil.copy(file, COPIED)
+    for mesh in meshes:
+        own, said = COPIED / f"{mesh.stem}.yaml", about.get(mesh.stem, {})
+        lines = [f'split: S1\nreceiver: "{said["region"]}"'] if "region" in said else []
+        lines += [f"category: {said['category']}"] if "category" in said else []
+        if lines and not own.exists():
+            own.write_text("\n".join(lines) + "\n")
+    return COPIED
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Sweeps the meshes, keeps the rows, and counts."""
+    from r2h_batch.runs.store import load_run
+
+    if options.folder is None:
+        raise SystemExit("give a folder of meshes, or --render")
+    folder, about = options.folder.resolve(), {}
+    if options.about:
+        about = tomllib.loads(options.about.read_text("utf-8"))
+    os.chdir(ROOT)
+    place, words = copied(folder, about), options.methods
+    rows = kept_rows("scans", words, "--trials", options.trials, *FLAGS, "--objects", place)
+    run = load_run(rows)
+    found = rates_of(rows, words)
+    names = {e.name: word for e, word in zip(run.entries, words, strict=True)}
+    objects = [
+        {"name": o["name"], "split": o["split"], "digest": o["digest"]}
+        | {k: v for k, v in about.get(o["name"], {}).items() if k in ("region", "category", "creator", "licence")}
+        for o in run.header["objects"]
+    ]
+    areas = {}
+    if any(o["split"] == "S1" for o in objects):
+        areas = {w: region_areas(contacts, str(place)) for w, contacts in AREAS.items() if w in words}
+    return {
+        "trials": options.trials,
+        "origin": {k: about[k] for k in ("source", "made") if k in about},
+        "objects": objects,
+        "rates": {word: {split: counted(row) for split, row in own.items()} for word, own in found.items()},
+        "by_object": {names[m]: by_object(run.trials(m, ["object", "outcome"]).to_pylist()) for m in run.methods},
+        "areas": areas,
+        **made_by(MEASURES),
+    }
+
+
+def counted(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Rates of a line of the table, with their intervals, without times."""
+    return {k: v for k, v in row.items() if k == "n" or k.startswith(("sr", "f_"))}
+
+
+def by_object(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
+    """Object -> success of its trials, percent."""
+    won: dict[str, list[bool]] = {}
+    for row in rows:
+        won.setdefault(row["object"], []).append(row["outcome"] == "success")
+    return {name: 100 * float(np.mean(own)) for name, own in sorted(won.items())}
+
+
+HEAD = """\
+# Your own meshes beside Table I
+
+See how the methods do on things of yours, and how far Table I tells it. In one column stand r2h-v2's objects, in the next the
+meshes of a folder: the same people, the same configuration.
+
+    r2h-batch sweep --method random oracle fc handover-va contact {unseen} intent \\
+        --objects FOLDER --sim none --trials {trials} --out runs/mine
+    r2h-batch report RUN --scans runs/mine    # RUN: the same methods on r2h-v2
+
+The second command adds the column to Table I, with its interval. Say a mesh's region in a file beside it
+([your data](../your_data.md#objects)): without one it is of S0, where nothing is reserved for the receiver. Nothing is
+downloaded, and `report` names a folder by its last name alone.
+
+## On {number} things that nobody here drew
+
+{what}
+
+`python bench/scans.py FOLDER --about bench/scans.toml` measured this (commit {commit}; {n} trials a split, motion as planned;
+rows in `bench/options/scans`, figures in `bench/results/scans.json`). In brackets: the 95 % interval for the mean of all things
+like these; then where the mean of 6 new ones lies. Table I: the mean of all categories. [Statistical terms](../statistics.md).
+
+{table}
+
+Region AUC: how well the contact map finds the part that the receiver wants, mean over the {regions} things of S1 (0.5 is chance).
+Network and trees learned from generated things alone. `contact` knows the sixteen categories of r2h-v2, which these things are
+like. The next row (`{unseen}`) has never seen the category that a thing names: `category: hammer` in a file
+beside the mesh.
+
+{order}
+
+## Thing by thing
+
+SR in percent, about {each} trials each. In brackets the contact maps' region AUC.
+
+{things}
+
+## Names, sources, licences
+
+{names}
+"""
+
+
+def own(rates: Mapping[str, Any] | None) -> str:
+    """SR with both intervals, of the folder's meshes."""
+    if rates is None:
+        return "-"
+    if rates["sr_new_categories_low"] is None:  # one thing says nothing of others
+        return f"{rates['sr']:.1f}"
+    ends = [f"{rates[f'{k}_low']:.1f}-{rates[f'{k}_high']:.1f}" for k in ("sr_new_categories", "sr_few")]
+    return f"{rates['sr']:.1f} ({'; '.join(ends)})"
+
+
+def table_one() -> dict[str, dict[str, str]]:
+    """Word of the sweep -> split -> SR with the interval for all categories, as Table I and baselines.md have it."""
+    import families
+
+    data = json.loads(families.STORED.read_text())
+    known = {name: word for word, name in WORDS.items()}
+    found: dict[str, dict[str, str]] = {}
+    for row in data["table"]["rows"]:
+        cell = f"{row['sr']:.1f} ({families.ends_of(row, 'sr_new_categories')})"
+        found.setdefault(known[families.short(row["method"])], {})[row["split"]] = cell
+    values = json.loads((ROOT / "bench" / "results" / "networks.json").read_text())["values"]
+    for split in ("S0", "S1"):
+        row = {k: values[f"networks.other_categories.{split.lower()}.{k}"] for k in ("sr", *ENDS)}
+        found.setdefault(UNSEEN, {})[split] = f"{row['sr']:.1f} ({row[ENDS[0]]:.1f}-{row[ENDS[1]]:.1f})"
+    return found
+
+
+ENDS = ("sr_new_categories_low", "sr_new_categories_high")
+
+
+def from_best(sr: Mapping[str, float]) -> str:
+    """Names of the methods but the bounds, from the best one to the worst."""
+    places = sorted((w for w in sr if w not in ("random", "oracle", UNSEEN)), key=lambda w: (-sr[w], w))
+    return ", ".join(WORDS[w] for w in places)
+
+
+def order(data: Mapping[str, Any]) -> str:
+    """A sentence for each split: the order of the four methods here and in Table I."""
+    import families
+
+    rows = json.loads(families.STORED.read_text())["table"]["rows"]
+    known = {name: word for word, name in WORDS.items()}
+    lines = []
+    for split in ("S0", "S1"):
+        here = {w: r[split]["sr"] for w, r in data["rates"].items() if split in r}
+        there = {known[families.short(r["method"])]: r["sr"] for r in rows if r["split"] == split}
+        lines.append(f"- {split}, from the best: {from_best(here)} (Table I: {from_best(there)}).")
+    return "\n".join(lines)
+
+
+def markdown(data: Mapping[str, Any]) -> str:
+    """docs/results/scans.md."""
+    known, areas = table_one(), data["areas"]
+    lines = [
+        [
+            WORDS[word],
+            *(cell for split in ("S0", "S1") for cell in (known[word][split], own(rates.get(split)))),
+            f"{np.mean([*areas[word].values()]):.2f}" if word in areas else "",
+        ]
+        for word, rates in data["rates"].items()
+    ]
+    words: Sequence[str] = [w for w in data["rates"] if w != "random"]
+
+    def thing(word: str, name: str) -> str:
+        area = areas.get(word, {}).get(name)
+        return f"{data['by_object'][word][name]:.0f}" + (f" ({area:.2f})" if area is not None else "")
+
+    things = [[o["name"].replace("_", " "), o["split"], *(thing(w, o["name"]) for w in words)] for o in data["objects"]]
+    names = [
+        [
+            o["name"],
+            o.get("category", "").replace("_", " "),
+            o.get("region", ""),
+            o.get("creator", ""),
+            o.get("licence", ""),
+        ]
+        for o in data["objects"]
+    ]
+    what = " ".join(f"{text[0].upper()}{text[1:]}." for text in data["origin"].values())
+    return HEAD.format(
+        unseen=UNSEEN, trials=data["trials"], n=data["trials"], commit=str(data["commit"])[:12], what=what,
+        number=len(data["objects"]), regions=sum(o["split"] == "S1" for o in data["objects"]),
+        each=round(data["trials"] / max(1, sum(o["split"] == "S0" for o in data["objects"]))),
+        table=markdown_table(
+            ["", "S0, Table I", "S0, own meshes", "S1, Table I", "S1, own meshes", "region AUC"], lines
+        ),
+        order=order(data),
+        things=markdown_table(["", "split", *(WORDS[w] for w in words)], things),
+        names=markdown_table(["mesh", "like", "region", "made by", "licence"], names, left=True),
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, nargs="?", help="of meshes")
+    parser.add_argument("--about", type=Path, help="whose the meshes are, and their regions")
+    parser.add_argument("--trials", type=int, default=TRIALS, help="of each split")
+    parser.add_argument("--methods", nargs="+", choices=WORDS, default=[*WORDS])
+    page_from(parser, STORED, PAGE, measure, markdown)
