@@ -140,8 +140,9 @@ downloaded, and `report` names a folder by its last name alone.
 {what}
 
 `python bench/scans.py FOLDER --about bench/scans.toml` measured this (commit {commit}; {n} trials a split, motion as planned;
-rows in `bench/options/scans`, figures in `bench/results/scans.json`). In brackets: the 95 % interval for the mean of all things
-like these; then where the mean of 6 new ones lies. Table I: the mean of all categories. [Statistical terms](../statistics.md).
+rows in `bench/options/scans`, figures in `bench/results/scans.json`). In brackets: the 95 % interval for the mean of all
+categories of such things; then where the mean of 6 new ones lies. Table I: the mean of all categories. [Statistical
+terms](../statistics.md).
 
 {table}
 
