@@ -21,7 +21,7 @@ Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
 class Commitment(BaseModel):
-    """What is published before the trials are told.
+    """The promise that is published before the trials are told.
 
     Attributes:
         format: of this file.

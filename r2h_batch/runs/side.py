@@ -27,7 +27,7 @@ from r2h_batch.runs.shard import unreadable
 
 
 class Kind(NamedTuple):
-    """What tables read of the files of one folder.
+    """The columns that tables read of the files of one folder.
 
     Attributes:
         columns: name -> type, `trial_id` and `success` among them.
@@ -122,7 +122,7 @@ def _most_bytes(trials: int) -> int:
 
 
 def about_side(path: Path, made_of: bytes) -> dict[str, Any]:
-    """What a file says that it was made of; empty: it is missing or no such file.
+    """The rows and code that a file says it was made of; empty: it is missing or no such file.
 
     Args:
         path: of the file.

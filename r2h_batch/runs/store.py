@@ -403,7 +403,7 @@ class Run:
         return stored.table(kind, schema_of_kind(kind).names)
 
     def side(self, method: str, folder: str, path: Path | None = None) -> pa.Table | None:
-        """What tables read of the file beside a method's shards (side.py); None: there is none.
+        """The file beside a method's shards (side.py), as tables read it; None: there is none.
 
         Args:
             method: its name.

@@ -53,7 +53,7 @@ class Hidden:
 
     @property
     def setting(self) -> dict[str, str]:
-        """What the page says of the trials."""
+        """Name and text of the trials on the page."""
         held_out = f"{self.promise.trials} a split, sha256 {self.promise.sha256}, seed {self.seed}"
         return {"held-out trials": held_out}
 

@@ -72,7 +72,7 @@ def _strange_side_files(run: "Run") -> list[str]:
 
 
 def _unchecked(run: "Run") -> str:
-    """What `verify` does not check, in one line."""
+    """The line about all that `verify` does not check."""
     from r2h_batch.runs.side import side_files
 
     place, files = run.folder, [p for entry in run.entries for p in side_files(entry)]
