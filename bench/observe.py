@@ -37,10 +37,10 @@ Against the package's rays: pixels with another label, and the difference of dep
 
 {agreement}
 
-Seen trials, each with windows of {seen_px} pixels about object and hand from two posts, the sensor's
-errors, moments and clouds of 2,048 points: {seen:.0f} a second and core. Moments take {moment:.1f} ms a trial, exact images {exact:.1f}
-ms, images with errors {images:.1f} ms, masks that grow {masks:.1f} ms more, clouds {cloud:.1f} ms. With errors and clouds
-images come at {share:.0f} % of the rate of exact ones.
+Seen trials, each with windows of {seen_px} pixels about object and hand from two posts,
+the sensor's errors, moments and clouds of 2,048 points: {seen:.0f} a second and core. Moments take {moment:.1f} ms a
+trial, exact images {exact:.1f} ms, images with errors {images:.1f} ms, masks that grow {masks:.1f} ms more, clouds
+{cloud:.1f} ms. With errors and clouds images come at {share:.0f} % of the rate of exact ones.
 """
 
 
