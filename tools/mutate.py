@@ -1577,9 +1577,23 @@ MUTATIONS = (
     Mutation(
         "clouds: one pixel late",
         "r2h_batch/observe/seen.py",
-        "torch.searchsorted(nth, take + 1)",
-        "torch.searchsorted(nth, take + 2)",
+        "pixel[order][(first[:, None] + k)[there]]",
+        "(pixel[order] + 1)[(first[:, None] + k)[there]]",
         (f"{T_RAYS}::test_clouds_take_every_pixel_once_and_mask_the_rest",),
+    ),
+    Mutation(
+        "clouds: drawn by the row of the batch",
+        "r2h_batch/observe/seen.py",
+        "rng.uniforms(key, ids[row], 1",
+        "rng.uniforms(key, row, 1",
+        (f"{T_RAYS}::test_moments_and_images_have_the_same_bits_alone_in_sevens_and_permuted",),
+    ),
+    Mutation(
+        "clouds: the first pixels",
+        "r2h_batch/observe/seen.py",
+        "order = np.lexsort((turn, row))",
+        "order = np.lexsort((pixel, row))",
+        (f"{T_RAYS}::test_clouds_are_even_samples_and_smaller_ones_begin_larger_ones",),
     ),
     Mutation(
         "sensor: noise grows with depth, not with its square",
