@@ -850,6 +850,24 @@ MUTATIONS = (
         ('tests/sweep/test_method_jobs.py::test_a_method_is_not_judged_on_what_it_was_trained_on',),
     ),
     Mutation(
+        "baselines: methods that came later are left out",
+        "r2h_batch/report/compare/stored.py",
+        "if folder.parent == SHIPPED and later.is_dir() else [folder]",
+        "if False else [folder]",
+        (
+            "tests/report/statistics/test_baselines.py::test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_was_trained_on",
+        ),
+    ),
+    Mutation(
+        "join: runs that were joined before are one folder",
+        "r2h_batch/runs/store.py",
+        "parts = tuple(part for run in runs for part in run.runs)",
+        "parts = tuple(runs)",
+        (
+            "tests/report/statistics/test_baselines.py::test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_was_trained_on",
+        ),
+    ),
+    Mutation(
         "weights: another file of them is the same method",
         "r2h_batch/sweep/jobs.py",
         '{str(v): Path(v) for v in named if v}',

@@ -253,10 +253,9 @@ class Benchmark:
         Raises:
             FileError: none are stored; the line says the command that makes them.
         """
-        from r2h_batch.report.compare.stored import baselines_of
-        from r2h_batch.runs.store import load_run
+        from r2h_batch.report.compare.stored import baselines_of, load_baselines
 
-        return load_run(baselines_of(self.digest, self.name), verify=False)
+        return load_baselines(baselines_of(self.digest, self.name), verify=False)
 
     def on(self, robot: Robot, persons: Literal["for-robot", "as-for-ur5e"] = "for-robot") -> Self:
         """The same benchmark for another robot, which starts at its own home.

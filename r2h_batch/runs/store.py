@@ -495,7 +495,8 @@ def join(runs: Sequence[Run]) -> Run:
             if name in entries:
                 raise RunError(f"two run folders of one name hold {name!r}; rename one of them")
             entries[name] = replace(entry, name=name)
-    return Run(runs[0].folder, runs[0].header, tuple(entries.values()), tuple(runs))
+    parts = tuple(part for run in runs for part in run.runs)
+    return Run(runs[0].folder, runs[0].header, tuple(entries.values()), parts)
 
 
 @check_arguments(verify=boolean)

@@ -110,6 +110,7 @@ def leaderboard(
     """
     from r2h_batch.base.errors import FileError
     from r2h_batch.report.board import page, section_of
+    from r2h_batch.report.compare.stored import load_baselines
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.submission_judge import Hidden, judge_alone
 
@@ -156,7 +157,7 @@ def leaderboard(
             found[verdict.baselines].append(standing)
             LOG.info(f"leaderboard: {name}: {printable(standing.method)}")
         sections = [
-            section_of(load_run(folder), own, {} if promise is None else promise.setting)
+            section_of(load_baselines(folder), own, {} if promise is None else promise.setting)
             for folder, own in found.items()
             if own
         ]

@@ -22,7 +22,12 @@ from r2h_batch.base.io.read import archive_members, open_archive, printable
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.hidden import Commitment
 from r2h_batch.report.board import Judged, Standing, standing_of
-from r2h_batch.report.compare.stored import answers_of_shipped, baselines_for, stored_rows
+from r2h_batch.report.compare.stored import (
+    answers_of_shipped,
+    baselines_for,
+    load_baselines,
+    stored_rows,
+)
 from r2h_batch.report.statistics.common import Common, common_trials
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.verdicts import SPLITS
@@ -178,7 +183,7 @@ def _verdict(asked: Mapping[str, Any], folder: Path) -> Verdict:
     if (hidden := asked["hidden"]) is not None:
         _check_hidden(run, hidden["digest"], hidden["trials"])
     place = Path(asked["baselines"]) if asked["baselines"] else baselines_for(run.header)
-    baselines = load_run(place, verify=False)
+    baselines = load_baselines(place, verify=False)
     common = _common(run, baselines)  # first: then its configuration is that of the baselines
     run.verify(whole=True)
     flags: dict[str, Any] = {

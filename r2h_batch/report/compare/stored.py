@@ -22,6 +22,9 @@ SHIPPED = Path(__file__).parent / "rows"
 ALIKE_M, ALIKE_SHARE = 1e-3, 0.01
 """Answers nearer than this are the same; a method with this share of another one's answers has them from it [choice]."""
 
+LATER = Path(__file__).parent / "later"
+"""Rows of built-in methods that came after the others, in folders of the same names: of one later commit."""
+
 ROWS = Path(__file__).resolve().parents[3] / "bench" / "rows"
 """Only in a checkout: rows of the other benchmarks and presets."""
 
@@ -81,6 +84,23 @@ def baselines_of(digest: str | None, name: str) -> Path:
     return (simulated or found)[0]
 
 
+def load_baselines(folder: Path, *, verify: bool = True) -> "Run":
+    """A run, and beside a shipped one the rows of built-in methods that came later.
+
+    Args:
+        folder: a run folder, such as `baselines_for` gives.
+        verify: as of `load_run`.
+
+    Raises:
+        RunError: the folder is no run folder, or a file is not as it was written.
+    """
+    from r2h_batch.runs.store import join, load_run
+
+    later = LATER / folder.name
+    folders = [folder, later] if folder.parent == SHIPPED and later.is_dir() else [folder]
+    return join([load_run(f, verify=verify) for f in folders])
+
+
 def is_stored(run: "Run") -> bool:
     """Whether a run is one of the stored ones."""
     return run.folder in stored_rows()
@@ -103,15 +123,13 @@ def answers_of_shipped(run: "Run", method: str) -> dict[str, float]:
         run: with poses.
         method: name in the run.
     """
-    from r2h_batch.runs.store import load_run
-
     ids, places = _places(run, method)
     shares: dict[str, float] = {}
     for folder, header in _headers().items():
         digests = run.header.get("digests", {}), header["digests"]
         if "poses" not in header["stored"] or len({d.get("benchmark") for d in digests}) > 1:
             continue
-        stored = load_run(folder, verify=False)
+        stored = load_baselines(folder, verify=False)
         for name in stored.methods:
             own, there = _places(stored, name)
             _, a, b = np.intersect1d(ids, own, return_indices=True)
