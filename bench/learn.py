@@ -6,6 +6,7 @@ the page again from bench/results/learn.json.
 """
 
 import argparse
+import json
 import sys
 import time
 from collections import defaultdict
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from r2h_batch import Evaluator, Trials
     from r2h_batch.types import Predictions
 
-PAGE = ROOT / "docs" / "results" / "learned.md"
+STORED, PAGE = ROOT / "bench" / "results" / "learn.json", ROOT / "docs" / "results" / "learned.md"
 MEASURES = (
     *("bench/learn.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *("r2h_batch/learning", "r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py"),
@@ -202,61 +203,120 @@ def same_for_workers() -> bool:
     return len(same) > 100 and all(same)
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Everything on the page."""
-    from r2h_batch import Evaluator, load_benchmark
-    from r2h_batch.config import EvalConfig, ExecConfig
-    from r2h_batch.methods import intent, learned, random
-    from r2h_batch.scene.objects import category_of
+class Bench:
+    """The parts of the page; each gives keys of the JSON."""
 
-    torch.set_num_threads(1)
-    benchmark = load_benchmark("r2h-v2")
-    evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")), threads=1)
-    trials = benchmark.trials(options.trials)
-    found: dict[str, Any] = {
-        "trials": options.trials,
-        "received_of": options.received,
-        "seeds": {},
-        "folds": {},
-        "spent": {},
-    }
+    def __init__(self, options: argparse.Namespace) -> None:
+        """The benchmark, its trials and its judge.
 
-    def judged(path: Path, some: "Trials", judge: "Evaluator", **more: Any) -> dict[str, Any]:
+        Args:
+            options: of the command line.
+        """
+        from r2h_batch import Evaluator, load_benchmark
+        from r2h_batch.config import EvalConfig, ExecConfig
+
+        self.options, self.benchmark = options, load_benchmark("r2h-v2")
+        self.evaluator = Evaluator(self.benchmark, EvalConfig(execute=ExecConfig(sim="none")), threads=1)
+        self.some = self.benchmark.trials(options.trials)
+
+    def judged(self, path: Path, trials: "Trials", judge: "Evaluator", **more: Any) -> dict[str, Any]:
+        """Rates of weights on trials, and CPU milliseconds of an answer."""
+        from r2h_batch.methods import learned
+
         start = time.process_time()
-        answers = learned.predict(some, judge.scene, weights=str(path), **more)
-        spent = 1000 * (time.process_time() - start) / len(some)
-        told = rates(judge, some, answers) | {"ms": spent}
+        answers = learned.predict(trials, judge.scene, weights=str(path), **more)
+        spent = 1000 * (time.process_time() - start) / len(trials)
+        told = rates(judge, trials, answers) | {"ms": spent}
         print(path.parent.name, more, {k: round(told[k]["sr"], 1) for k in ("s0", "s1") if k in told}, flush=True)
         return told
 
-    first = Path()
-    for seed in SEEDS[: options.seeds]:
-        path, found["spent"][f"seed {seed}"] = trained(options.runs, seed, ())
-        found["seeds"][str(seed)] = judged(path, trials, evaluator)
-        if seed == 0:
-            first, found["bytes"] = path, path.stat().st_size
-            found["second round"] = judged(path, trials, evaluator, second=NEAR)
-            found["blind"] = judged(path, trials, evaluator, region="hidden")
-    if options.scans:
-        judge = scans(options.scans)
-        some = judge.scene.benchmark.trials(options.scan_trials)
-        found["scans"] = judged(first, some, judge) | {"objects": len(judge.scene.objects)}
-        found["scans, second round"] = judged(first, some, judge, second=NEAR)
-        found["scans, random"] = rates(judge, some, random.predict(some, judge.scene))
-        found["scans, Intent"] = rates(judge, some, intent.predict(some, judge.scene))
-    names = [category_of(o) for o in benchmark.objects]
-    for fold, out in enumerate(FOLDS[: options.folds]):
-        path, found["spent"][f"fold {fold}"] = trained(options.runs, 0, out)
-        own = torch.tensor([names[i] in out for i in trials.object_index.tolist()])
-        found["folds"][str(fold)] = judged(path, trials[own], evaluator) | {"left_out": out}
-    found |= {"labels": labels_a_second(), "step": step_profile(options.runs), "workers": same_for_workers()}
-    rows = swept(options.runs / "rows", "--method", "learned", "--trials", TURNED, *families.V2)
-    found |= {
-        "turned": families.turned(rows, TURNED, ("learned",)),
-        "memory": memory(),
-        "generator": generator(options.runs),
-    }
-    return found | {"received": received(SHIPPED, options.received)} | made_by(MEASURES)
+    def seeds(self) -> dict[str, Any]:
+        """Each seed on the benchmark."""
+        found: dict[str, Any] = {"trials": self.options.trials, "seeds": {}, "spent": {}}
+        for seed in SEEDS[: self.options.seeds]:
+            path, found["spent"][f"seed {seed}"] = trained(self.options.runs, seed, ())
+            found["seeds"][str(seed)] = self.judged(path, self.some, self.evaluator)
+            found["bytes"] = path.stat().st_size
+        return found
+
+    def variants(self) -> dict[str, Any]:
+        """The first seed with a second round, and blind."""
+        path, _ = trained(self.options.runs, 0, ())
+        return {
+            "second round": self.judged(path, self.some, self.evaluator, second=NEAR),
+            "blind": self.judged(path, self.some, self.evaluator, region="hidden"),
+        }
+
+    def folds(self) -> dict[str, Any]:
+        """Networks that never saw some categories, on these alone."""
+        from r2h_batch.scene.objects import category_of
+
+        names = [category_of(o) for o in self.benchmark.objects]
+        found: dict[str, Any] = {"folds": {}, "spent of folds": {}}
+        for fold, out in enumerate(FOLDS[: self.options.folds]):
+            path, found["spent of folds"][f"fold {fold}"] = trained(self.options.runs, 0, out)
+            own = torch.tensor([names[i] in out for i in self.some.object_index.tolist()])
+            found["folds"][str(fold)] = self.judged(path, self.some[own], self.evaluator) | {"left_out": out}
+        return found
+
+    def scans(self) -> dict[str, Any]:
+        """The first seed on meshes of a folder, beside Intent-Handover and the random method; nothing without a folder."""
+        from r2h_batch.methods import intent, random
+
+        if self.options.scans is None:
+            return {}
+        judge = scans(self.options.scans)
+        path, _ = trained(self.options.runs, 0, ())
+        some = judge.scene.benchmark.trials(self.options.scan_trials)
+        return {
+            "scans": self.judged(path, some, judge) | {"objects": len(judge.scene.objects)},
+            "scans, second round": self.judged(path, some, judge, second=NEAR),
+            "scans, random": rates(judge, some, random.predict(some, judge.scene)),
+            "scans, Intent": rates(judge, some, intent.predict(some, judge.scene)),
+        }
+
+    def costs(self) -> dict[str, Any]:
+        """Labels a second, a step's profile, workers."""
+        return {
+            "labels": labels_a_second(),
+            "step": step_profile(self.options.runs),
+            "workers": same_for_workers(),
+        }
+
+    def turned(self) -> dict[str, Any]:
+        """The turn test."""
+        rows = swept(self.options.runs / "rows", "--method", "learned", "--trials", TURNED, *families.V2)
+        return {"turned": families.turned(rows, TURNED, ("learned",))}
+
+    def received(self) -> dict[str, Any]:
+        """Whether receivers can take what it hands over."""
+        of = self.options.received
+        return {"received": received(SHIPPED, of), "received_of": of}
+
+    def generator(self) -> dict[str, Any]:
+        """The generator of the examples."""
+        return {"generator": generator(self.options.runs)}
+
+    def memory(self) -> dict[str, Any]:
+        """Memory of a long stream."""
+        return {"memory": memory()}
+
+
+PARTS = ("seeds", "variants", "folds", "scans", "costs", "turned", "received", "generator", "memory")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Everything on the page, or some parts of it: the others stay as the JSON has them. The JSON says each part's commit."""
+    torch.set_num_threads(1)
+    bench, made = Bench(options), made_by(MEASURES)
+    found: dict[str, Any] = {} if {*PARTS} == {*options.parts} else json.loads(STORED.read_text())
+    commits = found.get("commits", {name: found.get("commit") for name in PARTS})
+    for name in options.parts:
+        told = getattr(bench, name)()
+        found |= told
+        commits |= {name: made["commit"]} if told else {}
+        print(name, "measured", flush=True)
+    return found | made_by(MEASURES) | {"commits": commits}
 
 
 HEAD = """# A method that learned
@@ -265,7 +325,7 @@ HEAD = """# A method that learned
 ([how](../training_loop.md#train-a-ranker)). It learned from new instances of the families with the evaluator's labels. It saw
 none of the 96 objects and no trial of the benchmark. It sees what Handover-VA sees, asks no judge, and solves no IK. `python
 bench/learn.py` measured {trials} trials of each split of r2h-v2, motion as planned (bench/results/learn.json; commit {commit},
-load {load:g} at the start).
+load {load:g} at the start{older}).
 
 SR in percent; first failures as Plan / Reach / Affordance / Safe.
 
@@ -320,6 +380,17 @@ MEMORY = """- Memory while a stream gives {:,} pairs: {} MiB after each tenth.
 """
 SCANS = """- Scans: {} objects of a folder of meshes: each whole (S0), and with the receiver at one end of its longest side (S1).
 """
+
+
+def older_parts(data: Mapping[str, Any]) -> str:
+    """`; NAME of COMMIT` for each part that was measured on another commit."""
+    others = {k: v for k, v in data.get("commits", {}).items() if v != data["commit"] and has(data, k)}
+    return "".join(f"; {name} of commit {commit[:12]}" for name, commit in others.items())
+
+
+def has(data: Mapping[str, Any], part: str) -> bool:
+    """Whether the JSON holds figures of a part."""
+    return bool(data.get({"variants": "blind", "costs": "labels"}.get(part, part)))
 
 
 def turned_words(tests: Sequence[Mapping[str, Any]]) -> str:
@@ -379,13 +450,13 @@ def markdown(data: Mapping[str, Any]) -> str:
     ms = 1000 * data["spent"]["seed 0"]["train"] / Recipe().all_steps
     base = data["seeds"]["0"]
     costs = []
-    for name, parts in data["spent"].items():
+    for name, parts in (data["spent"] | data.get("spent of folds", {})).items():
         costs.append(f"{name}: {sum(parts.values()):.0f} ({', '.join(f'{k} {x:.0f}' for k, x in parts.items())})")
     rows = []
     for c, v in base["categories"].items():
         rows.append([c.replace("_", " "), f"{v:.1f}", f"{left_out[c]:.1f}" if c in left_out else "-"])
     return HEAD.format(
-        kb=data["bytes"] / 1000, trials=data["trials"], commit=str(data["commit"])[:12],
+        kb=data["bytes"] / 1000, older=older_parts(data), trials=data["trials"], commit=str(data["commit"])[:12],
         load=data["hardware"]["load_at_start"], table=markdown_table(["", "S0", "S1"], lines),
         seeds=f"- Seeds differ by {max(s1) - min(s1):.1f} points in S1.\n" if len(s1) > 1 else "- One seed was trained.\n",
         first=FIRST, second=NEAR, top=TOP,
@@ -411,9 +482,10 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--scan-trials", type=int, default=120, help="of each split, on scans")
     parser.add_argument("--received", type=int, default=100, help="of each split, whose objects receivers try to take")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="measure these, and keep the others")
     parser.add_argument("--seeds", type=int, default=len(SEEDS), help="how many seeds")
     parser.add_argument("--folds", type=int, default=len(FOLDS), help="how many folds")
-    page_from(parser, ROOT / "bench" / "results" / "learn.json", PAGE, measure, markdown)
+    page_from(parser, STORED, PAGE, measure, markdown)
 
 
 if __name__ == "__main__":
