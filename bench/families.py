@@ -75,8 +75,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Everything on the page; each part is kept in the folder of the rows as soon as it is known."""
     place, trials = options.rows, options.trials
     if options.counted:
-        kept = json.loads(STORED.read_text())
-        return {**kept, "spreads": spreads(SHIPPED)}
+        return {**json.loads(STORED.read_text()), "spreads": spreads(SHIPPED)}
     if options.kept:
         kept: dict[str, Any] = json.loads((place / "found.json").read_text())
         if not is_frozen(kept):
@@ -214,14 +213,17 @@ def spreads(folder: Path) -> dict[str, Any]:
     def rates(more: np.ndarray) -> Callable[[int], np.ndarray]:
         return lambda k: more[k] / np.maximum(trials[k], 1)
 
+    def variance(of_split: np.ndarray) -> Callable[[int], float]:
+        return lambda k: float(of_split[k])
+
     means = hits.sum(2) / trials.sum(1)[:, None]  # (2, M)
     for i, name in enumerate(names):
-        found["methods"][name] = over_splits(rates(hits[:, i]), lambda k, i=i: means[k, i] * (1 - means[k, i]))
+        found["methods"][name] = over_splits(rates(hits[:, i]), variance(means[:, i] * (1 - means[:, i])))
     for i, a in enumerate(names):
         for j, b in list(enumerate(names))[i + 1 :]:
             more = means[:, i] - means[:, j]
             differ = (paired.only[:, i, j] + paired.only[:, j, i]) / trials.sum(1)
-            own = over_splits(rates(hits[:, i] - hits[:, j]), lambda k, d=differ, m=more: float(d[k] - m[k] ** 2))
+            own = over_splits(rates(hits[:, i] - hits[:, j]), variance(differ - more**2))
             difference = 100 * float(weights @ more)
             found["pairs"][f"{a} - {b}"] = {"difference": difference, **own, "needs": needed(difference, own)}
     return found

@@ -1558,6 +1558,20 @@ MUTATIONS = (
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
+        "cameras: the upper arm is called the forearm",
+        "kernels/observe/rays.py",
+        "what = FOREARM + part",
+        "what = FOREARM",
+        (f"{T_SENSOR}::test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do",),
+    ),
+    Mutation(
+        "cameras: what is met is as near as its ball",
+        "kernels/observe/rays.py",
+        "found = wp.vec2(met.t, wp.abs(wp.dot(ld, met.normal)))",
+        "found = wp.vec2(wp.dot(first_three(ball) - lo, ld) - ball[3], wp.abs(wp.dot(ld, met.normal)))",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
         "cameras: swapped",
         "kernels/observe/rays.py",
         "    T = camera_in[c]",
