@@ -347,7 +347,11 @@ class Run:
         return self._read("episodes", method)
 
     def sees(self, method: str) -> pa.Table:
-        """Pixels, share and pick of what a method that sees was shown, `SEES_SCHEMA`."""
+        """Pixels, share and pick of what a method that sees was shown, `SEES_SCHEMA`.
+
+        Args:
+            method: its name in the run.
+        """
         return self._read("sees", method)
 
     def failures(self, method: str) -> pa.Table:
@@ -372,7 +376,7 @@ class Run:
         columns that an older run lacks are null.
 
         Args:
-            kind: trials, details, poses, paths, episodes or failures.
+            kind: trials, details, poses, paths, episodes, failures or sees.
             method: its name in the run.
             columns: names of the kind's schema; None: all.
         """
@@ -393,7 +397,7 @@ class Run:
         """The table of a kind of one shard, without later columns that an older run lacks.
 
         Args:
-            kind: trials, details, poses, paths, episodes or failures.
+            kind: trials, details, poses, paths, episodes, failures or sees.
             method: its name in the run.
             index: of the shard.
         """
