@@ -30,6 +30,7 @@ from scipy.special import stdtrit
 
 if TYPE_CHECKING:
     from r2h_batch.config import EvalConfig
+    from r2h_batch.runs.store import Run
 
 SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2-as-planned"
 """Rows of Table I."""
@@ -41,6 +42,7 @@ MEASURES = (
 METHODS = ("fc", "handover-va", "contact", "intent")
 BOUNDS = ("random", "oracle")
 SHORT = {"FC-Handover": "FC", "Handover-VA": "VA", "Contact-Handover": "Contact", "Intent-Handover": "Intent"}
+"""`Learned` is short already."""
 TRIALS, SOME, FEW = 500, 240, 120
 """Trials of each split: of Table I, of a turn test, of another configuration."""
 V1, V2 = ("--benchmark", "r2h-v1", "--sim", "none"), ("--benchmark", "r2h-v2", "--sim", "none")
@@ -105,10 +107,17 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 def of_rows(v2: Path) -> dict[str, Any]:
     """Table I, pairs, rates of the oracle and spreads of the rows of Table I, in the order of this bench's methods."""
+    from r2h_batch.runs.store import load_run
+
     found = table(v2)
     place = {name: k for k, name in enumerate(SHORT.values())} | {name: len(SHORT) for name in BOUNDS}
     found["rows"] = sorted(found["rows"], key=lambda r: (r["split"] == "Avg", r["split"], place[short(r["method"])]))
-    return {"table": found, "compared": compared([v2]), "oracle": by_category(v2, "oracle"), "spreads": spreads(v2)}
+    return {
+        "table": found,
+        "compared": compared(load_run(v2)),
+        "oracle": by_category(v2, "oracle"),
+        "spreads": spreads(v2),
+    }
 
 
 def origin(v2: Path) -> dict[str, Any]:
@@ -130,28 +139,33 @@ def is_frozen(data: Mapping[str, Any]) -> bool:
 
 def table(folder: Path) -> dict[str, Any]:
     """Table I's rows and where they come from."""
-    from r2h_batch.report.table import render, table_of
     from r2h_batch.runs.store import load_run
 
-    data = json.loads(render(table_of(load_run(folder)), "json"))
+    return table_of_run(load_run(folder))
+
+
+def table_of_run(run: "Run") -> dict[str, Any]:
+    """The same of an open run."""
+    from r2h_batch.report.table import render, table_of
+
+    data = json.loads(render(table_of(run), "json"))
     return {k: data[k] for k in ("origin", "rows")}
 
 
-def compared(folders: Sequence[Path]) -> list[dict[str, Any]]:
-    """Pairs, ranks and worst ranks of the methods that are no bounds."""
+def compared(run: "Run", methods: Sequence[str] = METHODS) -> list[dict[str, Any]]:
+    """Pairs, ranks and worst ranks of methods of a run."""
     from r2h_batch.report.statistics.paired import compare, pair_up
-    from r2h_batch.runs.store import load_run
 
-    found = compare(pair_up([load_run(folder).only(METHODS) for folder in folders]))
+    found = compare(pair_up([run.only(methods)]))
     return [{**asdict(c), "rank": None if c.rank is None else c.rank.tolist()} for c in found]
 
 
-def turned(folder: Path, trials: int) -> list[dict[str, Any]]:
-    """The turn test of the four methods, made or gone on with."""
+def turned(folder: Path, trials: int, methods: Sequence[str] = METHODS) -> list[dict[str, Any]]:
+    """The turn test of methods, made or gone on with."""
     from r2h_batch.__main__ import main
 
     text = StringIO()
-    words = ["turn", str(folder), "--method", *METHODS, "--by", ANY_TURN, "--trials", str(trials), "--format", "json"]
+    words = ["turn", str(folder), "--method", *methods, "--by", ANY_TURN, "--trials", str(trials), "--format", "json"]
     with redirect_stdout(text):
         code = main(words)
     return sys.exit(code) if code else json.loads(text.getvalue())
@@ -476,6 +490,8 @@ def table_lines(data: Mapping[str, Any]) -> str:
     return markdown_table(head, lines)
 
 
+COUNTS = {4: "four", 5: "five"}
+
 TABLE = re.compile(r"(?<=\[start:table\] -->\n).*?(?=<!-- --8<-- \[end:table\])", re.DOTALL)
 """README's block of Table I."""
 
@@ -485,7 +501,7 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
 
     Args:
         text: of README.md.
-        data: families.json.
+        data: `table`, `compared` and `turned`, as families.json has them.
     """
     rows = {(r["split"], short(r["method"])): r for r in data["table"]["rows"]}
     titles = dict.fromkeys(r["method"].partition(" (")[0] for r in data["table"]["rows"])
@@ -505,13 +521,15 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
         ]
         for t in titles
     ]
+    methods = len(whole["names"])
     n, few = (data["table"]["rows"][0][k] for k in ("n", "few"))
     parts = [
         f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned (`--sim none`). In brackets:"
         " the 95 % interval for the"
         f" mean of all categories of objects; then where the mean of {few} new categories lies (read this one for your own"
         " things). The last column compares methods over all trials: *better* holds for new categories (t test over categories),"
-        " *better here* for these objects alone (McNemar). Both tests are corrected for all pairs of the four methods (Holm).",
+        " *better here* for these objects alone (McNemar). Both tests are corrected for all pairs of the"
+        f" {COUNTS[methods]} methods (Holm).",
         markdown_table(["", "SR S0", "SR S1", "beside the others"], lines),
     ]
     return TABLE.sub(lambda _: "\n" + "\n\n".join(parts) + "\n\n", text, count=1)

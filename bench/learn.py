@@ -6,21 +6,24 @@ the page again from bench/results/learn.json.
 """
 
 import argparse
+import json
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import families
 import numpy as np
 import torch
-from _report import ROOT, made_by, markdown_table, page_from
+from _report import ROOT, made_by, markdown_table, memory_over, page_from, swept
 
 if TYPE_CHECKING:
     from r2h_batch import Evaluator, Trials
     from r2h_batch.types import Predictions
 
-PAGE = ROOT / "docs" / "results" / "learned.md"
+STORED, PAGE = ROOT / "bench" / "results" / "learn.json", ROOT / "docs" / "results" / "learned.md"
 MEASURES = (
     *("bench/learn.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *("r2h_batch/learning", "r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py"),
@@ -38,6 +41,13 @@ REGION = 0.4
 STEPS = 30
 NEAR = 192
 """Pairs of the second round."""
+TURNED = 240
+"""Trials of a split of the turn test."""
+STREAMED = 10**6
+"""Pairs over which memory is measured."""
+SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
+BESIDE = ("learned", "intent")
+"""Shipped rows whose objects receivers try to take."""
 
 
 def trained(place: Path, seed: int, leave_out: Sequence[str]) -> tuple[Path, dict[str, float]]:
@@ -135,6 +145,46 @@ def step_profile(place: Path) -> dict[str, float]:
     return {"ms a step": every / 1000 / STEPS} | {k: v for k, v in shares.items() if v > 3}
 
 
+def received(folder: Path, trials: int) -> dict[str, dict[str, float]]:
+    """Percent of the stored rows' first trials that receivers could take, and that succeed too, of each method and split."""
+    import reception
+
+    from r2h_batch.report.compare.stored import load_baselines
+    from r2h_batch.sweep.results.reevaluation import Judge
+
+    run, found = load_baselines(folder).only(BESIDE), {}
+    judge = Judge(run)
+    asked, tables = judge.trials(np.arange(2 * trials)), reception.tables_of(run, judge, trials)
+    split = np.array(asked.splits)
+    for name, table in tables.items():
+        rows = {row["trial_id"]: row for row in table.select(["trial_id", "received", "success"]).to_pylist()}
+        own = [rows.get(i, {"received": False, "success": False}) for i in asked.trial_id.tolist()]
+        both = np.array([(bool(r["received"]), bool(r["received"] and r["success"])) for r in own])
+        found[name.partition(" (")[0]] = {
+            f"{s} {what}": 100 * float(both[split == s, k].mean())
+            for s in ("S0", "S1")
+            for k, what in enumerate(("received", "and success"))
+        }
+    return found
+
+
+def generator(place: Path) -> dict[str, Any]:
+    """The result of examples/train_generator.py as it is printed."""
+    sys.path.insert(0, str(ROOT / "examples"))
+    from train_generator import main
+
+    return main(["--out", str(place / "generator")])
+
+
+def memory() -> dict[str, Any]:
+    """Resident MiB while a stream gives 10^6 pairs, after each tenth."""
+    from r2h_batch import load_benchmark
+    from r2h_batch.training import stream
+
+    items = iter(stream(load_benchmark("r2h-v2"), "* x 5 seed 5"))
+    return memory_over(STREAMED, lambda done: next(items)["success"].numel())
+
+
 def same_for_workers() -> bool:
     """Whether 0, 1 and 2 workers give the same items, bit for bit."""
     from torch.utils.data import DataLoader
@@ -153,48 +203,120 @@ def same_for_workers() -> bool:
     return len(same) > 100 and all(same)
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """Everything on the page."""
-    from r2h_batch import Evaluator, load_benchmark
-    from r2h_batch.config import EvalConfig, ExecConfig
-    from r2h_batch.methods import learned, random
-    from r2h_batch.scene.objects import category_of
+class Bench:
+    """The parts of the page; each gives keys of the JSON."""
 
-    torch.set_num_threads(1)
-    benchmark = load_benchmark("r2h-v2")
-    evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")), threads=1)
-    trials = benchmark.trials(options.trials)
-    found: dict[str, Any] = {"trials": options.trials, "seeds": {}, "folds": {}, "spent": {}}
+    def __init__(self, options: argparse.Namespace) -> None:
+        """The benchmark, its trials and its judge.
 
-    def judged(path: Path, some: "Trials", judge: "Evaluator", **more: Any) -> dict[str, Any]:
+        Args:
+            options: of the command line.
+        """
+        from r2h_batch import Evaluator, load_benchmark
+        from r2h_batch.config import EvalConfig, ExecConfig
+
+        self.options, self.benchmark = options, load_benchmark("r2h-v2")
+        self.evaluator = Evaluator(self.benchmark, EvalConfig(execute=ExecConfig(sim="none")), threads=1)
+        self.some = self.benchmark.trials(options.trials)
+
+    def judged(self, path: Path, trials: "Trials", judge: "Evaluator", **more: Any) -> dict[str, Any]:
+        """Rates of weights on trials, and CPU milliseconds of an answer."""
+        from r2h_batch.methods import learned
+
         start = time.process_time()
-        answers = learned.predict(some, judge.scene, weights=str(path), **more)
-        spent = 1000 * (time.process_time() - start) / len(some)
-        told = rates(judge, some, answers) | {"ms": spent}
+        answers = learned.predict(trials, judge.scene, weights=str(path), **more)
+        spent = 1000 * (time.process_time() - start) / len(trials)
+        told = rates(judge, trials, answers) | {"ms": spent}
         print(path.parent.name, more, {k: round(told[k]["sr"], 1) for k in ("s0", "s1") if k in told}, flush=True)
         return told
 
-    first = Path()
-    for seed in SEEDS[: options.seeds]:
-        path, found["spent"][f"seed {seed}"] = trained(options.runs, seed, ())
-        found["seeds"][str(seed)] = judged(path, trials, evaluator)
-        if seed == 0:
-            first, found["bytes"] = path, path.stat().st_size
-            found["second round"] = judged(path, trials, evaluator, second=NEAR)
-            found["blind"] = judged(path, trials, evaluator, region="hidden")
-    if options.scans:
-        judge = scans(options.scans)
-        some = judge.scene.benchmark.trials(options.scan_trials)
-        found["scans"] = judged(first, some, judge) | {"objects": len(judge.scene.objects)}
-        found["scans, second round"] = judged(first, some, judge, second=NEAR)
-        found["scans, random"] = rates(judge, some, random.predict(some, judge.scene))
-    names = [category_of(o) for o in benchmark.objects]
-    for fold, out in enumerate(FOLDS[: options.folds]):
-        path, found["spent"][f"fold {fold}"] = trained(options.runs, 0, out)
-        own = torch.tensor([names[i] in out for i in trials.object_index.tolist()])
-        found["folds"][str(fold)] = judged(path, trials[own], evaluator) | {"left_out": out}
-    found |= {"labels": labels_a_second(), "step": step_profile(options.runs), "workers": same_for_workers()}
-    return found | made_by(MEASURES)
+    def seeds(self) -> dict[str, Any]:
+        """Each seed on the benchmark."""
+        found: dict[str, Any] = {"trials": self.options.trials, "seeds": {}, "spent": {}}
+        for seed in SEEDS[: self.options.seeds]:
+            path, found["spent"][f"seed {seed}"] = trained(self.options.runs, seed, ())
+            found["seeds"][str(seed)] = self.judged(path, self.some, self.evaluator)
+            found["bytes"] = path.stat().st_size
+        return found
+
+    def variants(self) -> dict[str, Any]:
+        """The first seed with a second round, and blind."""
+        path, _ = trained(self.options.runs, 0, ())
+        return {
+            "second round": self.judged(path, self.some, self.evaluator, second=NEAR),
+            "blind": self.judged(path, self.some, self.evaluator, region="hidden"),
+        }
+
+    def folds(self) -> dict[str, Any]:
+        """Networks that never saw some categories, on these alone."""
+        from r2h_batch.scene.objects import category_of
+
+        names = [category_of(o) for o in self.benchmark.objects]
+        found: dict[str, Any] = {"folds": {}, "spent of folds": {}}
+        for fold, out in enumerate(FOLDS[: self.options.folds]):
+            path, found["spent of folds"][f"fold {fold}"] = trained(self.options.runs, 0, out)
+            own = torch.tensor([names[i] in out for i in self.some.object_index.tolist()])
+            found["folds"][str(fold)] = self.judged(path, self.some[own], self.evaluator) | {"left_out": out}
+        return found
+
+    def scans(self) -> dict[str, Any]:
+        """The first seed on meshes of a folder, beside Intent-Handover and the random method; nothing without a folder."""
+        from r2h_batch.methods import intent, random
+
+        if self.options.scans is None:
+            return {}
+        judge = scans(self.options.scans)
+        path, _ = trained(self.options.runs, 0, ())
+        some = judge.scene.benchmark.trials(self.options.scan_trials)
+        return {
+            "scans": self.judged(path, some, judge) | {"objects": len(judge.scene.objects)},
+            "scans, second round": self.judged(path, some, judge, second=NEAR),
+            "scans, random": rates(judge, some, random.predict(some, judge.scene)),
+            "scans, Intent": rates(judge, some, intent.predict(some, judge.scene)),
+        }
+
+    def costs(self) -> dict[str, Any]:
+        """Labels a second, a step's profile, workers."""
+        return {
+            "labels": labels_a_second(),
+            "step": step_profile(self.options.runs),
+            "workers": same_for_workers(),
+        }
+
+    def turned(self) -> dict[str, Any]:
+        """The turn test."""
+        rows = swept(self.options.runs / "rows", "--method", "learned", "--trials", TURNED, *families.V2)
+        return {"turned": families.turned(rows, TURNED, ("learned",))}
+
+    def received(self) -> dict[str, Any]:
+        """Whether receivers can take what it hands over."""
+        of = self.options.received
+        return {"received": received(SHIPPED, of), "received_of": of}
+
+    def generator(self) -> dict[str, Any]:
+        """The generator of the examples."""
+        return {"generator": generator(self.options.runs)}
+
+    def memory(self) -> dict[str, Any]:
+        """Memory of a long stream."""
+        return {"memory": memory()}
+
+
+PARTS = ("seeds", "variants", "folds", "scans", "costs", "turned", "received", "generator", "memory")
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Everything on the page, or some parts of it: the others stay as the JSON has them. The JSON says each part's commit."""
+    torch.set_num_threads(1)
+    bench, made = Bench(options), made_by(MEASURES)
+    found: dict[str, Any] = {} if {*PARTS} == {*options.parts} else json.loads(STORED.read_text())
+    commits = found.get("commits", {name: found.get("commit") for name in PARTS})
+    for name in options.parts:
+        told = getattr(bench, name)()
+        found |= told
+        commits |= {name: made["commit"]} if told else {}
+        print(name, "measured", flush=True)
+    return found | made_by(MEASURES) | {"commits": commits}
 
 
 HEAD = """# A method that learned
@@ -203,23 +325,23 @@ HEAD = """# A method that learned
 ([how](../training_loop.md#train-a-ranker)). It learned from new instances of the families with the evaluator's labels. It saw
 none of the 96 objects and no trial of the benchmark. It sees what Handover-VA sees, asks no judge, and solves no IK. `python
 bench/learn.py` measured {trials} trials of each split of r2h-v2, motion as planned (bench/results/learn.json; commit {commit},
-load {load:g} at the start).
+load {load:g} at the start{older}).
 
 SR in percent; first failures as Plan / Reach / Affordance / Safe.
 
 {table}
 
-{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them too.
+{turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
-## What it costs
+{received}{generator}## What it costs
 
 - Training, CPU seconds from cached instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
 - Labels a CPU second: {labels}.
 - A step of 1,024 pairs takes {step:.0f} CPU ms: {shares}.
 - Items of the stream are {same} for 0, 1 and 2 workers.
-
+{memory}
 ## By category
 
 Success in percent.{categories_note}
@@ -228,12 +350,77 @@ Success in percent.{categories_note}
 """
 
 
+MARK = {True: "success depends on the frame", False: "the frame decides nothing"}
 LEFT_OUT = """- Left out: trained without these categories, and judged on their instances alone. Mean of the {} of S1: {:.1f}.
 """
 NO_FOLDS = """- Networks that never saw a category were not trained for this page: `--folds 4` trains them.
 """
+TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
+  {high:+.1f} points: {mark}.
+"""
+RECEIVED = """## Can the person take it?
+
+Percent of the first {received_of} shipped rows of each split (motion simulated) that the receiver could take
+([reception](reception.md)), and that succeed too.
+
+{received}
+
+"""
+GENERATOR = """## A generator beside chance
+
+`examples/train_generator.py` trains a small generator on {generator_pairs:,} pairs of the same
+stream ({generator_s:.0f} CPU s). It takes one of the object's candidates and draws a pose for it. Random pairs are those that
+both learned from. Best of 16 and guided ask the judge while they answer, so they are upper bounds. SR in percent of
+{generator_n} trials, half of each split, with 95 % intervals; first failures as Plan / Reach / Affordance / Safe.
+
+{generator}
+
+"""
+MEMORY = """- Memory while a stream gives {:,} pairs: {} MiB after each tenth.
+"""
 SCANS = """- Scans: {} objects of a folder of meshes: each whole (S0), and with the receiver at one end of its longest side (S1).
 """
+
+
+def older_parts(data: Mapping[str, Any]) -> str:
+    """`; NAME of COMMIT` for each part that was measured on another commit."""
+    others = {k: v for k, v in data.get("commits", {}).items() if v != data["commit"] and has(data, k)}
+    return "".join(f"; {name} of commit {commit[:12]}" for name, commit in others.items())
+
+
+def has(data: Mapping[str, Any], part: str) -> bool:
+    """Whether the JSON holds figures of a part."""
+    return bool(data.get({"variants": "blind", "costs": "labels"}.get(part, part)))
+
+
+def turned_words(tests: Sequence[Mapping[str, Any]]) -> str:
+    """The line on the turn test."""
+    (turn,) = (t for t in tests if t["group"] == "all")
+    moves = [m["points"] for m in turn["moves"]]
+    return TURNED_WORDS.format(n=turn["n"], low=min(moves), high=max(moves), mark=MARK[turn["marked"]])
+
+
+def received_words(data: Mapping[str, Any]) -> str:
+    """The section on receivers who take the object."""
+    heads = [*next(iter(data["received"].values()))]
+    taken = [[name, *(f"{own[k]:.1f}" for k in heads)] for name, own in data["received"].items()]
+    return RECEIVED.format(received_of=data["received_of"], received=markdown_table(["", *heads], taken))
+
+
+def generator_words(own: Mapping[str, Any]) -> str:
+    """The section on the example's generator."""
+    ways = []
+    for name, r in own["rates"].items():
+        failed = "/".join(str(r["outcomes"][k]) for k in (2, 3, 4, 5))
+        asks = "yes" if name.startswith(("best", "guided")) else "no"
+        ways.append([name, asks, f"{100 * r['rate']:.1f} ({100 * r['low']:.1f}-{100 * r['high']:.1f})", failed])
+    seconds = own["core_seconds"]["labels"] + own["core_seconds"]["train"]
+    return GENERATOR.format(
+        generator_pairs=own["pairs"],
+        generator_s=seconds,
+        generator_n=next(iter(own["rates"].values()))["trials"],
+        generator=markdown_table(["", "asks the judge", "SR", "first failures"], ways),
+    )
 
 
 def markdown(data: Mapping[str, Any]) -> str:
@@ -253,7 +440,8 @@ def markdown(data: Mapping[str, Any]) -> str:
     lines = [[f"seed {k}", *cells(v)] for k, v in data["seeds"].items()]
     lines += [[name, *cells(data[name])] for name in ("second round", "blind") if name in data]
     lines += [[f"left out: {', '.join(v['left_out'])}", *cells(v)] for v in data["folds"].values()]
-    names = {"scans": "scans", "scans, second round": "scans, second round", "scans, random": "scans, random method"}
+    names = {"scans, Intent": "scans, Intent-Handover"}
+    names |= {"scans": "scans", "scans, second round": "scans, second round", "scans, random": "scans, random method"}
     lines += [[words, *cells(data[name])] for name, words in names.items() if name in data]
     left_out = {c: v["categories"][c] for v in data["folds"].values() for c in v["left_out"]}
     functional = [v for c, v in left_out.items() if c not in S0_NAMES]
@@ -262,18 +450,22 @@ def markdown(data: Mapping[str, Any]) -> str:
     ms = 1000 * data["spent"]["seed 0"]["train"] / Recipe().all_steps
     base = data["seeds"]["0"]
     costs = []
-    for name, parts in data["spent"].items():
+    for name, parts in (data["spent"] | data.get("spent of folds", {})).items():
         costs.append(f"{name}: {sum(parts.values()):.0f} ({', '.join(f'{k} {x:.0f}' for k, x in parts.items())})")
     rows = []
     for c, v in base["categories"].items():
         rows.append([c.replace("_", " "), f"{v:.1f}", f"{left_out[c]:.1f}" if c in left_out else "-"])
     return HEAD.format(
-        kb=data["bytes"] / 1000, trials=data["trials"], commit=str(data["commit"])[:12],
+        kb=data["bytes"] / 1000, older=older_parts(data), trials=data["trials"], commit=str(data["commit"])[:12],
         load=data["hardware"]["load_at_start"], table=markdown_table(["", "S0", "S1"], lines),
         seeds=f"- Seeds differ by {max(s1) - min(s1):.1f} points in S1.\n" if len(s1) > 1 else "- One seed was trained.\n",
         first=FIRST, second=NEAR, top=TOP,
         left_out=LEFT_OUT.format(len(functional), float(np.mean(functional))) if functional else NO_FOLDS,
         categories_note=" Left out: by the network that never saw the category." if left_out else "",
+        turned=turned_words(data["turned"]) if "turned" in data else "",
+        received=received_words(data) if "received" in data else "",
+        generator=generator_words(data["generator"]) if "generator" in data else "",
+        memory=MEMORY.format(data["memory"]["trials"], ", ".join(map(str, data["memory"]["mib"]))) if "memory" in data else "",
         scans=SCANS.format(data["scans"]["objects"]) if "scans" in data else "",
         seconds="; ".join(costs),
         ms=base["ms"], labels=", ".join(f"{v:,.0f} ({k})" for k, v in data["labels"].items()),
@@ -289,9 +481,11 @@ def main() -> None:
     parser.add_argument("--scans", type=Path, help="a folder of meshes (.obj) of yours")
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--scan-trials", type=int, default=120, help="of each split, on scans")
+    parser.add_argument("--received", type=int, default=100, help="of each split, whose objects receivers try to take")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="measure these, and keep the others")
     parser.add_argument("--seeds", type=int, default=len(SEEDS), help="how many seeds")
     parser.add_argument("--folds", type=int, default=len(FOLDS), help="how many folds")
-    page_from(parser, ROOT / "bench" / "results" / "learn.json", PAGE, measure, markdown)
+    page_from(parser, STORED, PAGE, measure, markdown)
 
 
 if __name__ == "__main__":

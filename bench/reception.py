@@ -83,6 +83,17 @@ def judged(run: Any, trials: int) -> tuple[Any, dict[str, Any]]:
     from r2h_batch.sweep.results.reevaluation import Judge
 
     judge, ids = Judge(run), np.arange(2 * trials)
+    tables = tables_of(run, judge, trials)
+    bound = answered(judge, ids)
+    scores = bound[3]
+    tables[BOUND] = stored.rows_of(ids, scores, dict(zip(ids.tolist(), scores.success.tolist(), strict=True)))
+    return bound, tables
+
+
+def tables_of(run: Any, judge: Any, trials: int) -> dict[str, Any]:
+    """The table of each method's rows, of the first `trials` of each split."""
+    from r2h_batch.sweep.results import reception as stored
+
     tables = {}
     for name in run.methods:
         (whole,) = stored.judged_again(run, name, judge)  # of one part: 1,000 rows
@@ -90,10 +101,7 @@ def judged(run: Any, trials: int) -> tuple[Any, dict[str, Any]]:
         first = np.flatnonzero(own < 2 * trials)
         tables[name] = stored.rows_of(own[first], scores[torch.from_numpy(first)], won)
         print(name, tables[name]["received"].to_numpy().mean(), flush=True)
-    bound = answered(judge, ids)
-    scores = bound[3]
-    tables[BOUND] = stored.rows_of(ids, scores, dict(zip(ids.tolist(), scores.success.tolist(), strict=True)))
-    return bound, tables
+    return tables
 
 
 def rates(tables: dict[str, Any], asked: Any, objects: Any) -> dict[str, list[str]]:

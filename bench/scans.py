@@ -182,7 +182,7 @@ def table_one() -> dict[str, dict[str, str]]:
     data = json.loads(families.STORED.read_text())
     known = {name: word for word, name in WORDS.items()}
     found: dict[str, dict[str, str]] = {}
-    for row in data["table"]["rows"]:
+    for row in (r for r in data["table"]["rows"] if families.short(r["method"]) in known):
         cell = f"{row['sr']:.1f} ({families.ends_of(row, 'sr_new_categories')})"
         found.setdefault(known[families.short(row["method"])], {})[row["split"]] = cell
     values = json.loads((ROOT / "bench" / "results" / "networks.json").read_text())["values"]
@@ -210,7 +210,7 @@ def order(data: Mapping[str, Any]) -> str:
     lines = []
     for split in ("S0", "S1"):
         here = {w: r[split]["sr"] for w, r in data["rates"].items() if split in r}
-        there = {known[families.short(r["method"])]: r["sr"] for r in rows if r["split"] == split}
+        there = {known[m]: r["sr"] for r in rows if r["split"] == split and (m := families.short(r["method"])) in known}
         lines.append(f"- {split}, from the best: {from_best(here)} (Table I: {from_best(there)}).")
     return "\n".join(lines)
 

@@ -1,11 +1,11 @@
 """Transfers after the arm stands still: docs/results/transfer.md.
 
-`python bench/transfer.py` simulates the transfers of the shipped rows of r2h-v1 (the first `--trials` of each split after those
-that the model was fitted on) and of `oracle,for=reception`: five policies, take and touch. It halves the time step and varies
-friction and mass for the oracle, asks which objects the closed gripper holds for 1 s, and measures the cost of a transfer and the
-memory of `--memory` transfers. It holds MuJoCo-Warp against MuJoCo C on this CPU over `AGREE` received trials; `--agree N` prints
-this alone and writes nothing. `--render` writes the page again from the JSON. `--trials 200 --processes 2 --parts FOLDER` takes
-half an hour or more; started again, it goes on with what is missing in the folder.
+`python bench/transfer.py` simulates the transfers of the shipped rows of r2h-v2 (the first `--trials` of each split) and of
+`oracle,for=reception` with `load-share`, and those of the first `--rows` received ones with five policies, take and touch.
+For the oracle it divides the time step by two and four, and varies friction and mass. It asks which objects the closed gripper
+holds for 1 s, and measures the cost of a transfer and the memory of `--memory` transfers. It holds MuJoCo-Warp against MuJoCo C
+on this CPU over `AGREE` received trials; `--agree N` prints this alone and writes nothing. `--render` writes the page again from
+the JSON. `--parts FOLDER` keeps what is done: started again, also with more trials, it goes on with what is missing.
 """
 
 import argparse
@@ -23,18 +23,16 @@ from _source import digests
 
 PAGE = ROOT / "docs" / "results" / "transfer.md"
 STORED = ROOT / "bench" / "results" / "transfer.json"
-BASELINES = ROOT / "bench" / "rows" / "v1"
+BASELINES = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 BOUND = "oracle,for=reception"
-STUDIED = 44
-"""Trials that the model or `probe` was tuned on: 22 of each split. Figures are of others."""
 RELEASE = ("never", "timer", "threshold", "load-share", "probe")
 SCENARIO = ("take", "touch")
 MORE = tuple((r, s) for s in ("pull-early", "weak") for r in ("threshold", "load-share"))
 """Cases beside the policies with `SCENARIO`."""
 FORCE_PERCENT = (50, 90, 99)
 HELD_HEAD = ("Method", "n", "physically stable", "lost in closing", "under the weight", "undecided", "statics")
-HELD_EVERY = 2
-"""Every second trial of each split is asked whether the gripper holds its object."""
+HELD_EVERY = 10
+"""One in so many trials of each split is asked whether the gripper holds its object."""
 MEASURES = (
     "bench/transfer.py",
     "r2h_batch/closed_loop/transfer",
@@ -45,14 +43,29 @@ MEASURES = (
     "r2h_batch/trials/holding/contact_forces.py",
 )
 CHANGES: dict[str, dict[str, Any]] = {
-    "half the time step": {"steps": 12},
     "skin friction 0.4": {"skin_friction": 0.4 / 0.6},
     "mass x 1.5": {"mass": 1.5},
     "pad friction 0.5": {"pad_friction": 0.5},
 }
 COMPARED = (("load-share", "take"), ("threshold", "take"), ("load-share", "touch"))
-VARIED_ROWS = 100
+VARIED_ROWS = 40
 """Received rows of the oracle that the changes are tried on."""
+STEPS_ROWS, STEPS_TRIALS = 100, 60
+"""Received rows of the oracle that smaller time steps are tried on, among so many trials of each split."""
+GROUPS = {
+    "6 to 12 years": ("age_years", 0, 13),
+    "13 to 49 years": ("age_years", 13, 50),
+    "50 to 69 years": ("age_years", 50, 70),
+    "70 to 90 years": ("age_years", 70, 200),
+    "standing": ("seated", 0, 0.5),
+    "seated": ("seated", 0.5, 2),
+    "men": ("female", 0, 0.5),
+    "women": ("female", 0.5, 2),
+    "shorter than 1.5 m": ("stature_m", 0, 1.5),
+    "1.5 to 1.75 m": ("stature_m", 1.5, 1.75),
+    "taller": ("stature_m", 1.75, 3),
+}
+WEIGHTS = {"below 1 N": (0, 1), "1 to 4 N": (1, 4), "4 N and more": (4, 1000)}
 
 OTHER_ENDS = (
     "robot_dropped",
@@ -65,7 +78,11 @@ OTHER_ENDS = (
     "exploded",
 )
 
-AGREE = 100
+BLOCK = 50
+"""Trials of each split that are measured, and kept, at a time."""
+ROW_NUMBERS = ("pull_n", "grip_n", "hand_n", "transfer_s", "share_s", "robot_slip_m")
+
+AGREE = 60
 """Received trials on which the engines are compared."""
 AGREE_IN = {
     "pull": ("pull_n", 1.0, "N"),
@@ -82,21 +99,32 @@ AGREE_IN = {
 HEAD = """# Transfers: who takes the object, and when the gripper lets go
 
 See what a release policy changes ([definitions, and what may not be claimed](../transfer.md)). `python bench/transfer.py`
-simulated {trials} trials of each split of r2h-v1 with one person each (bench/results/transfer.json, commit {commit}). The
-model and `probe` were fitted on 44 other trials. For your method run `r2h-batch results transfer runs/mine`. These persons
-did not yet [feel weight](../transfer.md#people-who-feel-weight): they took every object in 0.3 s, and had no age.
+simulated {trials} trials of each split of r2h-v2 with one person each: {objects} of its {among} objects, people of every size
+(bench/results/transfer.json, commit {commit}). The model and `probe` were fitted on 44 trials of r2h-v1. For your method run
+`r2h-batch results transfer runs/mine`.
 
 ## From success to taken
 
-Percent of all trials, with the default policy `load-share`. `taken and success`: the verdict of the sweep holds too.
+Percent of all trials, with the default policy `load-share`. `taken and success`: the verdict of the sweep holds too. `undecided`:
+percent of the received trials whose end is on a knife's edge ([definition](../transfer.md#outcomes)).
 
 {funnel}
 
+## By people
+
+Percent of the received trials that were taken, of all methods together, with `load-share`. Brackets: 95 % (Wilson). A trial
+counts once for each method that answers it, so the groups are no independent samples.
+
+{people}
+
+The same by the weight of the object. Heavier objects [take people longer](../transfer.md#people-who-feel-weight).
+
+{weights}
+
 ## Policies
 
-Percent of the received trials. Brackets: 95 % (Wilson) over trials, each with a person of its own. `kept`: under a mere touch.
-Medians are of the taken trials: the largest force along the pull, and the time from the beginning of the grip until the gripper
-is free. Of their orders only [those that survive other persons](persons.md) may be claimed.
+Percent of the first {rows} received trials of each method. Brackets: 95 % (Wilson) over trials, each with a person of its
+own. `kept`: under a mere touch. Pulls and times, and what remains of their order, stand with [other persons](persons.md).
 
 {policies}
 
@@ -115,8 +143,8 @@ about pain or safety: nothing strikes the hand, and it has no skin.
 
 ## Physically stable
 
-Percent of the grasps past Stability that hold in physics (`results held`: after closing, and under the weight for 1 s), of every
-second trial of each split. `undecided`: too near a limit to say. `statics`: friction balances the weight on the settled posture.
+Percent of the grasps past Stability that hold in physics (`results held`: after closing, and under the weight for 1 s), of one in
+ten trials of each split. `undecided`: too near a limit to say. `statics`: friction balances the weight on the settled posture.
 
 {held}
 
@@ -125,6 +153,13 @@ second trial of each split. `undecided`: too near a limit to say. `statics`: fri
 Counts of received trials that were not taken, with `take`. Methods, policies and ends that never occur are left out.
 
 {ends}
+
+## Time step
+
+Outcomes of {stepped} transfers ({cases}, {steps_rows} received trials of the oracle) that another time step changes.
+`marked`: of them, those whose end is marked undecided at the usual step, `marked of all`: of all of them.
+
+{steps}
 
 ## Sensitivity
 
@@ -163,14 +198,14 @@ Differences among the rest: the median, the 95th percentile and the largest.
 """
 
 
-def rows_of(run: Any, judge: Any, name: str, trials: int) -> tuple[Any, dict[int, bool], int]:
-    """Received handovers of a method in the fresh trials, whether each trial of these succeeded, and how many there are."""
+def rows_of(run: Any, judge: Any, name: str, first: int, last: int) -> tuple[Any, dict[int, bool]]:
+    """Received handovers of a method in trials `first` to `last` of each split, and whether each of these trials succeeded."""
     from r2h_batch.closed_loop.transfer.handed import handed_of
     from r2h_batch.judge.reception import reception
     from r2h_batch.methods import oracle
 
-    stored = run.trials("oracle", ["trial_id"])["trial_id"].to_numpy()
-    ids = np.sort(stored)[STUDIED : STUDIED + 2 * trials]
+    stored = np.sort(run.trials("oracle", ["trial_id"])["trial_id"].to_numpy())
+    ids = np.sort(np.concatenate([stored[stored % 2 == split][first:last] for split in (0, 1)]))
     asked, evaluator = judge.trials(ids), judge.evaluator.kinematic
     if name == BOUND:
         answer = oracle.predict(asked, evaluator.scene, evaluator=evaluator, for_="reception")
@@ -183,7 +218,7 @@ def rows_of(run: Any, judge: Any, name: str, trials: int) -> tuple[Any, dict[int
         won = {r["trial_id"]: r["outcome"] == "success" for r in table}
         won = {i: won[i] for i in ids.tolist()}
     found = reception(scores)
-    return handed_of(found, ids, asked, evaluator.scene), won, len(ids)
+    return handed_of(found, ids, asked, evaluator.scene), won
 
 
 def stored_poses(run: Any, name: str, ids: Any) -> dict[str, Any]:
@@ -207,38 +242,58 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results.reevaluation import Judge
 
+    about = made_by(MEASURES)
     run = load_run(BASELINES)
     judge = Judge(run)
     scene = judge.evaluator.scene
     simulator = Simulator(scene.robot, tuple(scene.objects), Setting(), 0)
+    own = Case("load-share", "take", 0)
     cases = [*(Case(r, s, 0) for s in SCENARIO for r in RELEASE), *(Case(r, s, 0) for r, s in MORE)]
-    parts = Parts(options.parts, {"trials": options.trials, "source": digests(MEASURES)})
-    methods: dict[str, Any] = {}
-    forces: dict[str, list[float]] = {release: [] for release in RELEASE}
+    parts = Parts(options.parts, {"rows": options.rows, "source": digests(MEASURES)})
+    names = [*run.methods, BOUND]
+    blocks: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+    few: dict[str, dict[str, Any]] = {}
     with processes(simulator, options.processes) as transfer:
-        for name in [*run.methods, BOUND]:
-            made = parts.get(
-                f"transfers of {name}", partial(transfers_of, run, judge, name, options.trials, cases, transfer)
-            )
-            for release, found in made.pop("forces").items():
-                forces[release] += found
-            methods[name] = made
-            if name != BOUND:
-                made["held"] = parts.get(f"held of {name}", partial(held_of, run, judge, name, simulator))
-    received, _, _ = rows_of(run, judge, "oracle", options.trials)
+        for first in range(0, options.trials, BLOCK):
+            for name in names:
+                last = min(first + BLOCK, options.trials)
+                asked = partial(block_of, run, judge, name, (first, last), [own], transfer)
+                blocks[name].append(parts.get(f"{name}, trials {first} to {last}", asked))
+        for name in names:
+            several = partial(block_of, run, judge, name, (0, options.rows), cases, transfer, options.rows)
+            few[name] = parts.get(f"{name}, all policies", several)
+    received, _ = rows_of(run, judge, "oracle", 0, STEPS_TRIALS)
+    steps = parts.get("steps", lambda: stepped(simulator, received[:STEPS_ROWS]))
+    held = {name: parts.get(f"held of {name}", partial(held_of, run, judge, name, simulator)) for name in run.methods}
     sensitivity, compared = parts.get("sensitivity", lambda: varied(simulator, received[:VARIED_ROWS]))
+    methods = {name: together(blocks[name], few[name]) | {"held": held.get(name)} for name in names}
+    force = {
+        r: [
+            x
+            for one in few.values()
+            for c in one["cases"]
+            if (c["release"], c["scenario"]) == (r, "take")
+            for x in c["hand_n"]
+            if x > 0
+        ]
+        for r in RELEASE
+    }
     return {
         "trials": options.trials,
+        "rows": options.rows,
+        "objects": len(set().union(*(b["objects"] for b in blocks["oracle"]))),
+        "among": len(scene.objects),
+        "steps": steps,
         "methods": methods,
-        "force": {r: [len(x), *np.percentile(x, FORCE_PERCENT).tolist()] for r, x in forces.items()},
+        "force": {r: [len(x), *np.percentile(x, FORCE_PERCENT).tolist()] for r, x in force.items()},
         "sensitivity": sensitivity,
         "compared": compared,
-        "engines": parts.get("engines", lambda: agreement(simulator, rows_of(run, judge, "oracle", AGREE)[0][:AGREE])),
-        "core_ms": parts.get("cost", lambda: cost(simulator, received, cases)),
+        "engines": parts.get("engines", lambda: agreement(simulator, received[:AGREE])),
+        "core_ms": parts.get("cost", lambda: cost(simulator, received, cases[:4])),
         "memory": parts.get(
             "memory", lambda: memory_over(options.memory, lambda done: again(simulator, received, done))
         ),
-        **made_by(MEASURES),
+        **about,
     }
 
 
@@ -263,31 +318,118 @@ class Parts:
             if kept["of"] == self.of:
                 print(name, "is kept in", path, flush=True)
                 return kept["part"]
+        begin = time.time()
         part = measured()
-        print(name, {k: v for k, v in part.items() if k not in ("cases", "forces")} if isinstance(part, dict) else part)
+        print(f"{name}: {time.time() - begin:.0f} s", flush=True)
         if path is not None:
             path.write_text(json.dumps({"of": self.of, "part": part}))
         return part
 
 
-def transfers_of(run: Any, judge: Any, name: str, trials: int, cases: list[Any], transfer: Any) -> dict[str, Any]:
-    """Outcomes of a method's transfers in all cases, and the forces on the persons who took."""
-    handed, won, n = rows_of(run, judge, name, trials)
-    begin, parts, done = time.time(), [], 0
-    for rows, made in transfer([handed], cases):
-        parts.append(made)
+def block_of(
+    run: Any,
+    judge: Any,
+    name: str,
+    among: tuple[int, int],
+    cases: list[Any],
+    transfer: Any,
+    most: int | None = None,
+) -> dict[str, Any]:
+    """What becomes of a method's received rows in some trials of each split, in each case: a number a row."""
+    from r2h_batch.closed_loop.transfer.outcome import undecided
+    from r2h_batch.verdicts import PERSON as COLUMNS
+
+    handed, won = rows_of(run, judge, name, *among)
+    handed = handed[:most] if most else handed
+    made, done = [], 0
+    for rows, some in transfer([handed], cases):
+        made.append(some)
         done += len(rows)
-        print(f"{name}: {done} of {len(handed)} received rows, {time.time() - begin:.0f} s", flush=True)
-    found: dict[str, list[float]] = {release: [] for release in RELEASE}
+        print(f"{name}, {among}: {done} of {len(handed)} rows", flush=True)
+    person = judge.trials(handed.trial_id).person.cpu().numpy()
+    ends = []
     for k, case in enumerate(cases):
-        if case.scenario == "take":
-            found[case.release] += [x for p in parts for x in p[k].transfers.hand_n.tolist() if x > 0]
+        t = [m[k].transfers for m in made]
+        numbers = {n: np.concatenate([getattr(one, n) for one in t]).tolist() for n in ROW_NUMBERS}
+        outcome = [o for one in t for o in one.outcome]
+        marks = undecided(np.array(numbers["robot_slip_m"]), handed.weight_n, outcome, case.release)
+        ends.append(
+            {
+                "release": case.release,
+                "scenario": case.scenario,
+                "outcome": outcome,
+                "undecided": marks.tolist(),
+                **numbers,
+            }
+        )
+    names = [judge.evaluator.scene.objects[i].name for i in judge.trials(np.array(list(won))).object_index.tolist()]
     return {
-        "trials": n,
-        "received": len(handed),
-        "success": sum(won.values()),
-        "cases": [summary(c, [p[k].transfers for p in parts], handed.trial_id, won) for k, c in enumerate(cases)],
-        "forces": found,
+        "won": list(won.values()),
+        "objects": sorted(set(names)),
+        "won_received": [won[i] for i in handed.trial_id.tolist()],
+        "weight_n": handed.weight_n.tolist(),
+        "person": {c: person[:, COLUMNS.index(c)].tolist() for c in sorted({g[0] for g in GROUPS.values()})},
+        "cases": ends,
+    }
+
+
+def together(blocks: list[dict[str, Any]], few: dict[str, Any]) -> dict[str, Any]:
+    """Counts and medians of a method over all of its blocks, and over the rows of all cases."""
+
+    def joined(key: str) -> list[Any]:
+        return [x for b in blocks for x in b[key]]
+
+    every = {k: [x for b in blocks for x in b["cases"][0][k]] for k in ("outcome", "undecided", *ROW_NUMBERS)}
+    every |= {k: blocks[0]["cases"][0][k] for k in ("release", "scenario")}
+    taken = np.array([o == "taken" for o in every["outcome"]], bool)
+    weight = np.array(joined("weight_n"))
+    inside = {}
+    for name, (column, low, high) in GROUPS.items():
+        value = np.array([x for b in blocks for x in b["person"][column]])
+        inside[name] = (low <= value) & (value < high)
+    for name, (low, high) in WEIGHTS.items():
+        inside[name] = (low <= weight) & (weight < high)
+    return {
+        "trials": len(joined("won")),
+        "success": sum(joined("won")),
+        "received": len(taken),
+        "all": summary(every, joined("won_received")),
+        "undecided": sum(every["undecided"]),
+        "groups": {name: [int(rows.sum()), int(taken[rows].sum())] for name, rows in inside.items()},
+        "first": len(few["weight_n"]),
+        "cases": [summary(c, few["won_received"]) for c in few["cases"]],
+    }
+
+
+def stepped(simulator: Any, handed: Any) -> dict[str, Any]:
+    """Outcomes that half and a quarter of the time step change, and which of them are marked."""
+    from r2h_batch.closed_loop.transfer.cases import Case, Simulator
+    from r2h_batch.closed_loop.transfer.model import STEPS, Setting
+    from r2h_batch.closed_loop.transfer.outcome import undecided
+
+    cases = [Case(r, s, 0) for r, s in COMPARED]
+    base, found = simulator(handed, cases), {}
+    marks = [undecided(m.transfers.robot_slip_m, handed.weight_n, m.transfers.outcome, m.case.release) for m in base]
+    for words, times in (("h/2", 2), ("h/4", 4)):
+        setting = Setting(steps=times * STEPS)
+        other = Simulator(simulator.robot, simulator.models.objects, setting, simulator.seed)(handed, cases)
+        pairs = [
+            (f"{a} -> {b}", bool(mark))
+            for one, two, own in zip(base, other, marks, strict=True)
+            for a, b, mark in zip(one.transfers.outcome, two.transfers.outcome, own, strict=True)
+            if a != b
+        ]
+        found[words] = {
+            "changed": len(pairs),
+            "marked": sum(mark for _, mark in pairs),
+            "pairs": dict(Counter(pair for pair, _ in pairs)),
+        }
+        print(words, found[words], flush=True)
+    return {
+        "rows": len(handed),
+        "all": len(handed) * len(cases),
+        "marked": int(sum(m.sum() for m in marks)),
+        "steps": found,
     }
 
 
@@ -340,26 +482,23 @@ def held_of(run: Any, judge: Any, name: str, simulator: Any) -> dict[str, Any]:
     }
 
 
-def summary(case: Any, parts: list[Any], trial_id: Any, won: dict[int, bool]) -> dict[str, Any]:
-    """Outcomes and medians of one case."""
-    outcome = [o for p in parts for o in p.outcome]
-    taken = np.array([o == "taken" for o in outcome], bool)
+def summary(case: dict[str, Any], won: list[bool]) -> dict[str, Any]:
+    """Outcomes of one case, and medians over what was taken."""
+    taken = np.array([o == "taken" for o in case["outcome"]], bool)
 
-    def median(values: list[Any]) -> float | None:
-        x = np.concatenate(values)[taken] if len(values) else np.zeros(0)
+    def median(values: Any) -> float | None:
+        x = np.asarray(values, np.float64)[taken]
         x = x[np.isfinite(x)]
         return float(np.median(x)) if len(x) else None
 
-    both = sum(t and won[int(i)] for t, i in zip(taken, trial_id, strict=True))
+    share = np.asarray(case["share_s"], np.float64).reshape(-1, 3)
     return {
-        "release": case.release,
-        "scenario": case.scenario,
-        "outcomes": dict(Counter(outcome)),
-        "taken_and_success": int(both),
-        "pull_n": median([p.pull_n for p in parts]),
-        "grip_n": median([p.grip_n for p in parts]),
-        "transfer_s": median([p.transfer_s for p in parts]),
-        **{f"t{s}_s": median([p.share_s[:, k] for p in parts]) for k, s in enumerate((10, 50, 90))},
+        "release": case["release"],
+        "scenario": case["scenario"],
+        "outcomes": dict(Counter(case["outcome"])),
+        "taken_and_success": int((taken & np.array(won, bool)).sum()),
+        **{k: median(case[k]) for k in ("pull_n", "grip_n", "transfer_s")},
+        **{f"t{s}_s": median(share[:, k]) for k, s in enumerate((10, 50, 90))},
     }
 
 
@@ -436,7 +575,7 @@ def agree(trials: int) -> None:
     run = load_run(BASELINES)
     judge = Judge(run)
     scene = judge.evaluator.scene
-    handed, _, _ = rows_of(run, judge, "oracle", trials)
+    handed, _ = rows_of(run, judge, "oracle", 0, trials)
     simulator = Simulator(scene.robot, tuple(scene.objects), Setting(), 0)
     print(engines_text(agreement(simulator, handed[:trials])))
 
@@ -453,31 +592,48 @@ def markdown(data: dict[str, Any]) -> str:
         return "-" if x is None else f"{x:.{digits}f}"
 
     funnel, policies, ends = [], [], []
+    groups: Counter[str] = Counter()
+    among: Counter[str] = Counter()
     for name, m in data["methods"].items():
         by = {(c["release"], c["scenario"]): c for c in m["cases"]}
-        own, n = by["load-share", "take"], m["trials"]
+        own, n = m["all"], m["trials"]
+        for group, (count, taken) in m["groups"].items():
+            among[group] += count
+            groups[group] += taken
         taken = own["outcomes"].get("taken", 0)
         shares = (m["success"], m["received"], taken, own["taken_and_success"])
-        funnel.append([name, n, *(f"{100 * k / n:.0f}" for k in shares)])
+        marked = f"{100 * m['undecided'] / m['received']:.1f}" if m["received"] else "-"
+        funnel.append([name, n, *(f"{100 * k / n:.0f}" for k in shares), marked])
         for release in RELEASE:
             take, touch = by[release, "take"], by[release, "touch"]
-            got = m["received"]
+            got = m["first"]
             rates = [rate(c["outcomes"].get(k, 0), got) for c, k in ((take, "taken"), (touch, "kept"))]
-            policies.append([name, release, got, *rates, number(take["pull_n"], 1), number(take["transfer_s"], 2)])
+            policies.append([name, release, got, *rates])
             ends.append([name, release, *(take["outcomes"].get(o, 0) for o in OTHER_ENDS)])
     some = [k for k in range(len(OTHER_ENDS)) if any(e[2 + k] for e in ends)]
     ends = [[*e[:2], *(e[2 + k] for k in some)] for e in ends if any(e[2:])]
     more, held, held_ms = [], [], float("nan")
     for name, m in data["methods"].items():
         by = {(c["release"], c["scenario"]): c for c in m["cases"]}
-        more.append([name, m["received"], *(rate(by[k]["outcomes"].get("taken", 0), m["received"]) for k in MORE)])
+        more.append([name, m["first"], *(rate(by[k]["outcomes"].get("taken", 0), m["first"]) for k in MORE)])
         if h := m.get("held"):
             lost = ", ".join(f"{w.replace('_', ' ')} {k} of {h['of'][w]}" for w, k in h["lost"].items())
             percents = (f"{100 * h[k] / h['n']:.1f}" for k in ("closing", "weight", "undecided", "statics"))
             held.append([name, h["n"], rate(h["held"], h["n"]), *percents, lost or "-"])
             held_ms = h["ms"]
     force = [[r, int(n), *(f"{x:.1f}" for x in numbers)] for r, (n, *numbers) in data["force"].items()]
-    oracle = {(c["release"], c["scenario"]): c for c in data["methods"]["oracle"]["cases"]}["load-share", "take"]
+    oracle = data["methods"]["oracle"]["all"]
+    steps = [
+        [
+            f"{words} against h",
+            s["changed"],
+            s["marked"],
+            data["steps"]["marked"],
+            "; ".join(f"{p} ({k})" for p, k in s["pairs"].items()) or "-",
+        ]
+        for words, s in data["steps"]["steps"].items()
+    ]
+    taken = [[g, among[g], rate(groups[g], among[g])] for g in (*GROUPS, *WEIGHTS)]
     changes = [
         [name, f["changed"], "; ".join(f"{pair} ({k})" for pair, k in f["pairs"].items()) or "-"]
         for name, f in data["sensitivity"].items()
@@ -485,8 +641,16 @@ def markdown(data: dict[str, Any]) -> str:
     return HEAD.format(
         trials=data["trials"],
         commit=str(data["commit"])[:12],
-        funnel=markdown_table(["Method", "n", "SR", "received", "taken", "taken and success"], funnel),
-        policies=markdown_table(["Method", "policy", "received", "taken", "kept", "pull, N", "time, s"], policies),
+        objects=data["objects"],
+        among=data["among"],
+        rows=data["rows"],
+        people=markdown_table(["receivers", "received", "taken"], taken[: len(GROUPS)]),
+        weights=markdown_table(["weight", "received", "taken"], taken[len(GROUPS) :]),
+        stepped=data["steps"]["all"],
+        steps_rows=data["steps"]["rows"],
+        steps=markdown_table(["step", "changed", "marked", "marked of all", "which"], steps),
+        funnel=markdown_table(["Method", "n", "SR", "received", "taken", "taken and success", "undecided"], funnel),
+        policies=markdown_table(["Method", "policy", "received", "taken", "kept"], policies),
         ends=markdown_table(["Method", "policy", *(OTHER_ENDS[k].replace("_", " ") for k in some)], ends),
         more=markdown_table(["Method", "received", *(f"{r}, {w}" for r, w in MORE)], more),
         force=markdown_table(["policy", "n", *(f"{p} %" for p in FORCE_PERCENT)], force),
@@ -517,10 +681,11 @@ def memory_text(memory: dict[str, Any]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=40, help="of each split")
+    parser.add_argument("--trials", type=int, default=200, help="of each split")
+    parser.add_argument("--rows", type=int, default=30, help="received trials of each method with every policy")
     parser.add_argument("--processes", type=int, default=1, help="that simulate")
     parser.add_argument("--parts", type=Path, help="folder where finished parts are kept: a stopped bench goes on")
-    parser.add_argument("--memory", type=int, default=2000, help="transfers over which memory is measured")
+    parser.add_argument("--memory", type=int, default=500, help="transfers over which memory is measured")
     parser.add_argument("--agree", type=int, default=0, help="compare the engines on so many received trials")
     if (count := parser.parse_known_args()[0].agree) > 0:
         return agree(count)

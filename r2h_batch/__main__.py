@@ -47,7 +47,7 @@ COMMANDS = {
     ),
     "benchmark": (
         "protocols.command:COMMANDS",
-        "Show what a benchmark file may say, or check one.",
+        "Show what a benchmark file may say, check one, or hide trials.",
     ),
     "train": (
         "learning.command:COMMANDS",

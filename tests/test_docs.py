@@ -45,7 +45,7 @@ def build_site(folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory, scene):
-    """`make docs`: built strictly, without network; both notebooks run."""
+    """`make docs`: built strictly, without network; the notebooks run."""
     folder = tmp_path_factory.mktemp("docs") / "site"
     (without_network if is_here("unshare") else lambda work, *given: work(*given))(build_site, folder)
     return folder
@@ -65,4 +65,6 @@ def test_the_site_fetches_nothing_and_holds_the_notebooks_with_what_they_show(si
     assert all(words in tutorial for words in ("Scores(32 rows on cpu", "<b>Evaluator(cpu", 'src="tutorial-1.html"'))
     assert "__VISER_EMBED_DATA__" in (site / "notebooks" / "tutorial-1.html").read_text()
     assert training.count("Scores(16 rows on cpu") >= 2 and "CUDA" not in tutorial + training
+    learning = (site / "notebooks" / "learning.html").read_text()
+    assert "pairs mined, round 1" in learning and "mine" in learning.partition("beside")[2]
     assert 'href="notebooks/tutorial.html"' in (site / "index.html").read_text()

@@ -54,6 +54,13 @@ T_RELEASE = (
 TAKEN = "r2h_batch/judge/reception.py"
 T_RAYS = "tests/observe/test_rays.py"
 SENSOR, T_SENSOR = "kernels/observe/sensor.py", "tests/observe/test_sensor.py"
+T_APART, T_ESTIMATES, T_SEES = (
+    "tests/observe/test_apart.py",
+    "tests/observe/test_estimates.py",
+    "tests/sweep/test_sees.py",
+)
+T_SPY = f"{T_APART}::test_a_spy_finds_no_pose_no_object_no_hand_and_no_name_of_the_truth_in_all_that_it_can_reach"
+T_OWN_TRIALS = f"{T_APART}::test_answers_come_back_to_their_own_trials_whatever_the_order_and_the_batch"
 T_SENSOR_TWIN = f"{T_SENSOR}::test_measured_depth_is_that_of_a_float64_twin"
 SEEN, T_OBJECT = "r2h_batch/judge/object_errors.py", "tests/judge/test_object_errors.py"
 T_COSTS = "tests/judge/test_reception.py::test_turn_and_travel_are_those_of_the_hand_from_how_it_waits"
@@ -843,6 +850,24 @@ MUTATIONS = (
         ('tests/sweep/test_method_jobs.py::test_a_method_is_not_judged_on_what_it_was_trained_on',),
     ),
     Mutation(
+        "baselines: methods that came later are left out",
+        "r2h_batch/report/compare/stored.py",
+        "if folder.parent == SHIPPED and later.is_dir() else [folder]",
+        "if False else [folder]",
+        (
+            "tests/report/statistics/test_baselines.py::test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_was_trained_on",
+        ),
+    ),
+    Mutation(
+        "join: runs that were joined before are one folder",
+        "r2h_batch/runs/store.py",
+        "parts = tuple(part for run in runs for part in run.runs)",
+        "parts = tuple(runs)",
+        (
+            "tests/report/statistics/test_baselines.py::test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_was_trained_on",
+        ),
+    ),
+    Mutation(
         "weights: another file of them is the same method",
         "r2h_batch/sweep/jobs.py",
         '{str(v): Path(v) for v in named if v}',
@@ -1533,6 +1558,20 @@ MUTATIONS = (
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
+        "cameras: the upper arm is called the forearm",
+        "kernels/observe/rays.py",
+        "what = FOREARM + part",
+        "what = FOREARM",
+        (f"{T_SENSOR}::test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do",),
+    ),
+    Mutation(
+        "cameras: what is met is as near as its ball",
+        "kernels/observe/rays.py",
+        "found = wp.vec2(met.t, wp.abs(wp.dot(ld, met.normal)))",
+        "found = wp.vec2(wp.dot(first_three(ball) - lo, ld) - ball[3], wp.abs(wp.dot(ld, met.normal)))",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
         "cameras: swapped",
         "kernels/observe/rays.py",
         "    T = camera_in[c]",
@@ -1570,9 +1609,23 @@ MUTATIONS = (
     Mutation(
         "clouds: one pixel late",
         "r2h_batch/observe/seen.py",
-        "torch.searchsorted(nth, take + 1)",
-        "torch.searchsorted(nth, take + 2)",
+        "pixel[order][(first[:, None] + k)[there]]",
+        "(pixel[order] + 1)[(first[:, None] + k)[there]]",
         (f"{T_RAYS}::test_clouds_take_every_pixel_once_and_mask_the_rest",),
+    ),
+    Mutation(
+        "clouds: drawn by the row of the batch",
+        "r2h_batch/observe/seen.py",
+        "rng.uniforms(key, ids[row], 1",
+        "rng.uniforms(key, row, 1",
+        (f"{T_RAYS}::test_moments_and_images_have_the_same_bits_alone_in_sevens_and_permuted",),
+    ),
+    Mutation(
+        "clouds: the first pixels",
+        "r2h_batch/observe/seen.py",
+        "order = np.lexsort((turn, row))",
+        "order = np.lexsort((pixel, row))",
+        (f"{T_RAYS}::test_clouds_are_even_samples_and_smaller_ones_begin_larger_ones",),
     ),
     Mutation(
         "sensor: noise grows with depth, not with its square",
@@ -1657,6 +1710,69 @@ MUTATIONS = (
         "            shown = 0\n",
         "            shown = own\n",
         (f"{T_SENSOR}::test_masks_shrink_and_grow_by_two_pixels",),
+    ),
+    Mutation(
+        "sees: the method is told where the hand is",
+        "r2h_batch/observe/estimates.py",
+        "noise=PredictorNoise().scaled(noise),",
+        "noise=PredictorNoise().scaled(0.0),",
+        (f"{T_ESTIMATES}::test_hands_are_estimated_as_methods_that_are_told_see_them",),
+    ),
+    Mutation(
+        "sees: the method is told where the object lies",
+        "r2h_batch/observe/estimates.py",
+        "se3.matmul(T_world_obj.double(), T_obj_seen).float()",
+        "T_world_obj",
+        (f"{T_ESTIMATES}::test_known_objects_lie_where_the_level_of_error_puts_them",),
+    ),
+    Mutation(
+        "sees: the method is told where the cameras stand",
+        "r2h_batch/observe/seeing.py",
+        "errors.believed(trials.trial_id),",
+        "rig.T_world_camera.expand(len(trials), -1, -1, -1).to(scene.device),",
+        (T_SPY,),
+    ),
+    Mutation(
+        "sees: images go along with the objects' true poses",
+        "r2h_batch/observe/seeing.py",
+        "image_keys(own, hand),",
+        "T_world_obj,",
+        (T_SPY,),
+    ),
+    Mutation(
+        "sees: rows come in the order of the trials",
+        "r2h_batch/observe/apart.py",
+        "order = torch.argsort(seen.key.cpu())",
+        "order = torch.arange(len(seen))",
+        (T_OWN_TRIALS,),
+    ),
+    Mutation(
+        "sees: answers stay in the order of the keys",
+        "r2h_batch/observe/apart.py",
+        "back = torch.argsort(order)",
+        "back = torch.arange(len(order))",
+        (T_OWN_TRIALS,),
+    ),
+    Mutation(
+        "sees: every module can be imported",
+        "r2h_batch/observe/asked.py",
+        "sys.meta_path.insert(0, Forbidden())",
+        "Forbidden()",
+        (f"{T_APART}::test_a_method_that_reaches_for_the_truth_is_refused_in_one_line",),
+    ),
+    Mutation(
+        "sees: a run's sight is no part of its identity",
+        "r2h_batch/sweep/jobs.py",
+        'setting.header["digests"]["sees"] = sees.digest',
+        "pass",
+        (f"{T_SEES}::test_runs_that_see_otherwise_are_not_paired_and_do_not_share_a_folder",),
+    ),
+    Mutation(
+        "sees: grasps are taken for ones in the object's frame",
+        "r2h_batch/sweep/seeing.py",
+        "T_obj_ee = se3.matmul(se3.inverse(T_world_obj.double()), grasp.to(home)).float()",
+        "T_obj_ee = grasp.to(home).float()",
+        (f"{T_SEES}::test_grasps_of_the_world_are_judged_where_the_object_lay_at_the_moment",),
     ),
     Mutation(
         "cameras: a side of the table faces up",

@@ -65,6 +65,20 @@ def misses_ball(o: wp.vec3, d: wp.vec3, ball: wp.vec4, best: float):
 
 
 @wp.func
+def mesh_met(T: wp.mat44, mesh: wp.uint64, ball: wp.vec4, o: wp.vec3, d: wp.vec3, best: float):
+    """How far along a ray a mesh in the frame of T is met before `best`, and |cosine| of the ray's angle to its normal
+    there; FAR_M where it is not."""
+    lo = into(T, o)
+    ld = wp.transpose(rotation(T)) * d
+    found = wp.vec2(FAR_M, 0.0)
+    if not misses_ball(lo, ld, ball, best):
+        met = wp.mesh_query_ray(mesh, lo, ld, best)
+        if met.result:
+            found = wp.vec2(met.t, wp.abs(wp.dot(ld, met.normal)))
+    return found
+
+
+@wp.func
 def box_hit(o: wp.vec3, d: wp.vec3, half: wp.vec3):
     """How far along a ray a box about the origin begins; FAR_M where it is missed."""
     near = float(0.0)
@@ -191,39 +205,27 @@ def cast(
         what = ROBOT
         facing = wp.abs(wp.dot(d, robot.normal))
     k = object_in[i]
-    M = T_world_obj_in[i]
-    lo = into(M, o)
-    ld = wp.transpose(rotation(M)) * d
-    if not misses_ball(lo, ld, bodies.object_ball[k], best):
-        thing = wp.mesh_query_ray(bodies.object_mesh[k], lo, ld, best)
-        if thing.result:
-            best = thing.t
-            what = OBJECT
-            facing = wp.abs(wp.dot(ld, thing.normal))
+    met = mesh_met(T_world_obj_in[i], bodies.object_mesh[k], bodies.object_ball[k], o, d, best)
+    if met[0] < best:
+        best = met[0]
+        what = OBJECT
+        facing = met[1]
     k = hand_in[i]
-    M = T_world_hand_in[i]
-    lo = into(M, o)
-    ld = wp.transpose(rotation(M)) * d
-    if not misses_ball(lo, ld, bodies.hand_ball[k], best):
-        skin = wp.mesh_query_ray(bodies.hand_mesh[k], lo, ld, best)
-        if skin.result:
-            best = skin.t
-            what = HAND
-            facing = wp.abs(wp.dot(ld, skin.normal))
+    met = mesh_met(T_world_hand_in[i], bodies.hand_mesh[k], bodies.hand_ball[k], o, d, best)
+    if met[0] < best:
+        best = met[0]
+        what = HAND
+        facing = met[1]
     if bodies.person == 1:
-        shoulder = first_three(receiver_in[i, 0])
-        elbow = first_three(receiver_in[i, 1])
-        wrist = first_three(receiver_in[i, 2])
-        t = capsule_hit(o, d, elbow, wrist, receiver_in[i, 1][3])
-        if t < best:
-            best = t
-            what = FOREARM
-            facing = capsule_facing(o + t * d, d, elbow, wrist, receiver_in[i, 1][3])
-        t = capsule_hit(o, d, shoulder, elbow, receiver_in[i, 0][3])
-        if t < best:
-            best = t
-            what = UPPER_ARM
-            facing = capsule_facing(o + t * d, d, shoulder, elbow, receiver_in[i, 0][3])
+        for part in range(2):  # from the wrist up: FOREARM, UPPER_ARM
+            upper = first_three(receiver_in[i, 1 - part])
+            lower = first_three(receiver_in[i, 2 - part])
+            radius = receiver_in[i, 1 - part][3]
+            t = capsule_hit(o, d, upper, lower, radius)
+            if t < best:
+                best = t
+                what = FOREARM + part
+                facing = capsule_facing(o + t * d, d, upper, lower, radius)
         fx = receiver_in[i, 3][3]
         fy = receiver_in[i, 4][3]
         from_middle = upright(o - first_three(receiver_in[i, 3]), fx, fy)

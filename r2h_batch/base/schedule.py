@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from r2h_batch.base import rng
 from r2h_batch.verdicts import SPLITS
 
+SEED = "[0-9a-f]{32}"
+"""Form of a benchmark's seed: 128 bits, which nobody guesses."""
+
 _HAND = 0  # purpose of the random counters
 
 

@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 
 STEP_S, CLOSE_S, AJAR_M = 1 / 960, 0.375, 0.004
 """The fingers close for so long, from so much wider than the object."""
+IMPRATIO = 10.0
+"""Contacts are those of `Material.of_steps`: nothing has to hold here."""
 LOST_M = 0.03
 """An object that closing moves farther is not held as the geometry says, and stays where that puts it."""
 
@@ -70,7 +72,7 @@ def _model(robot: Robot, model: ObjectModel) -> mujoco.MjModel:
     spec.compiler.degree = False
     spec.option.timestep, spec.option.gravity = STEP_S, [0, 0, 0]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
+    spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, IMPRATIO
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     material = Material.of_steps(STEP_S)
     add_closing_fingers(

@@ -46,6 +46,8 @@ LINK, ARMATURES = (0.05, 1e-5), (1e-3, 1e-4)
 """Mass (kg) and inertia about each axis (kg m^2) of a driver and of a pad; armatures of their joints, kg m^2 [choice].
 Centres of mass: of a driver half way to its pin, of a pad in the pad's middle [choice]. Say them: a body with a mass and no
 such place gets its `pos` once more from MuJoCo's compiler."""
+ROOM = (0.05, 0.002)
+"""How much farther than the linkage goes a driver (rad) or a jaw (m) may be pushed."""
 TIE_IMPEDANCE = (0.99, 0.99, 0.001, 0.5, 2.0)
 """MuJoCo's solimp of the ties between a finger's joints. With its default, pads that press lean by 12 mrad, with this by 2.
 With an impedance that grows within 0.1 mrad MuJoCo-Warp's float32 is farther from MuJoCo C."""
@@ -233,7 +235,7 @@ def add_closing_fingers(
     link, jaws = robot.linkage, robot.linkage.table is not None
     most, armature = (FORCE_N, JAW_ARMATURE_KG) if jaws else (TORQUE_NM, ARMATURES[0])
     low, high = (link.drive_lower, link.drive_upper) if jaws else (0.0, link.drive_upper)
-    room = 0.002 if jaws else 0.05
+    room = ROOM[jaws]
     rigid = {"solref": stiff, "solimp": TIE_IMPEDANCE}
     for name, side in zip(FINGERS, (-1, 1), strict=True):
         frames = FingerFrames.of(robot, side)

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from r2h_batch.base.errors import FileError, UsageError, nearest
-from r2h_batch.base.io.read import printable
+from r2h_batch.base.io.read import printable, read_file
 from r2h_batch.base.validate import rule_of
 
 _Coordinate = Annotated[float, Field(ge=-5, le=5, allow_inf_nan=False)]
@@ -155,6 +155,9 @@ def look_at(position: tuple[float, ...], target: tuple[float, ...]) -> np.ndarra
     return T
 
 
+MAX_BYTES = 1 << 16
+"""A rig has at most eight cameras."""
+
 POSTS = (
     Camera(name="left", position=(-0.10, 0.75, 0.80), target=(0.42, -0.02, 0.15)),
     Camera(name="right", position=(-0.10, -0.75, 0.80), target=(0.42, 0.02, 0.15)),
@@ -185,10 +188,8 @@ def load_rig(name: str | Path) -> Rig:
         allowed = f"allowed are {', '.join(RIGS)} or a file that ends with .toml"
         raise UsageError(f"rig {printable(name)!r}{nearest(str(name), list(RIGS))}; {allowed}")
     try:
-        data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileError(f"{printable(path)}: no such file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        data: dict[str, Any] = tomllib.loads(read_file(path, MAX_BYTES).decode())
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise FileError(f"{printable(path)}: no TOML file ({printable(error)[:120]})") from None
     try:
         rig = Rig.model_validate(data)

@@ -10,6 +10,8 @@ from jaxtyping import Bool, Float32, Int32, Int64, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
+from r2h_batch.base import rng
+
 LABELS = ("nothing", "table", "robot", "object", "hand", "forearm", "upper_arm", "torso")
 """Things that a pixel can show, by its label."""
 T = TypeVar("T")
@@ -105,33 +107,40 @@ class Observation:
         )
 
     def cloud(
-        self, points: int = 2048, *, label: str = "object"
+        self, points: int = 2048, *, label: str = "object", seed: int = 0
     ) -> tuple[Float32[Tensor, "n p 3"], Bool[Tensor, "n p"]]:
-        """Clouds of a fixed size: points that pixels with a label show, evenly taken from all that there are.
+        """Clouds of a fixed size, drawn from the pixels that show a thing and have a depth, each at most once.
 
-        Point k is that of pixel floor(k m / points) of the m pixels with the label and a depth, camera by camera, row by row.
-        Fewer pixels than points: each comes once and the rest is masked.
+        A pixel's turn follows from (seed, label, `key`, pixel) by Philox counters: the same bits in any batch. A smaller cloud
+        is the beginning of a larger one. Fewer pixels than points: each comes once and the rest is masked.
 
         Args:
             points: of each trial.
             label: of `LABELS`; `hand` is taken from the windows about the hand, all else from those about the object.
+            seed: of the draw.
 
         Returns:
             (N, P, 3) float32 in the world, m, 0 where masked; (N, P) whether there is a point.
         """
         images = self.hand if label == "hand" else self.object
         shown = (images.label == LABELS.index(label)) & (images.depth_m > 0)
-        nth = shown.flatten(1).cumsum(1)  # pixel p is the nth[p]-th shown one, if it is shown
-        count = nth[:, -1:]
-        k = torch.arange(points, dtype=torch.int64, device=nth.device)
-        mask = k < count
-        take = torch.where(count > points, k * count // points, k)
-        pixel = torch.searchsorted(nth, take + 1).clamp(max=nth.shape[1] - 1)
+        row, pixel = (x.cpu().numpy() for x in shown.flatten(1).nonzero(as_tuple=True))
+        key, ids = rng.key_of(f"cloud {label} {seed}"), self.key.cpu().numpy()
+        (turn,) = rng.uniforms(key, ids[row], 1, purpose=0, attempt=pixel)
+        order = np.lexsort((turn, row))
+        count = np.bincount(row, minlength=len(self))
+        first = np.cumsum(count) - count
+        k = np.arange(points)
+        there = k < count[:, None]
+        # masked places read any pixel
+        taken = np.zeros((len(self), points), np.int64)
+        taken[there] = pixel[order][(first[:, None] + k)[there]]
+        mask, at = (torch.from_numpy(x).to(shown.device) for x in (there, taken))
         h, w = shown.shape[-2:]
-        camera, v, u = pixel // (h * w), pixel % (h * w) // w, pixel % w
-        row = torch.arange(len(self), dtype=torch.int64, device=nth.device)[:, None]
-        K, T = images.K[row, camera], self.T_world_camera[row, camera]
-        z = images.depth_m[row, camera, v, u]
+        camera, v, u = at // (h * w), at % (h * w) // w, at % w
+        of = torch.arange(len(self), dtype=torch.int64, device=shown.device)[:, None]
+        K, T = images.K[of, camera], self.T_world_camera[of, camera]
+        z = images.depth_m[of, camera, v, u]
         x = (u + 0.5 - K[..., 0, 2]) / K[..., 0, 0] * z
         y = (v + 0.5 - K[..., 1, 2]) / K[..., 1, 1] * z
         found = torch.stack(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -18,7 +19,7 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from r2h_batch.base.registry import LISTED, PRESET_NAMES
-from r2h_batch.base.schedule import trial_ids
+from r2h_batch.base.schedule import SEED, trial_ids
 from r2h_batch.base.validate import (
     instance_of,
     integer,
@@ -75,6 +76,7 @@ class Benchmark:
         workplace: home and table.
         listed: trials of a file; None: the rule draws them.
         labels: what the owner of listed trials calls them; judges nothing, so the digest leaves it out.
+        seed: 32 hexadecimal digits: the rule draws other trials. Empty: the published ones.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -89,6 +91,7 @@ class Benchmark:
     workplace: Workplace = field(default_factory=Workplace)
     listed: Trials | None = None
     labels: Labels | None = None
+    seed: str = ""
 
     def __post_init__(self) -> None:
         instance_of(Rule, "a Rule of r2h_batch.protocols.draw.rule")("rule", self.rule)
@@ -101,6 +104,14 @@ class Benchmark:
         how = f"take a benchmark of people, such as {WITH_PEOPLE}"
         if self.receiver == "body" and not self.has_bodies:
             raise ValueError(f"receiver is body, trials of {self.protocol} have none; {how}")
+        if self.seed and not re.fullmatch(SEED, self.seed):
+            raise ValueError(
+                f"seed is {self.seed!r:.60}; it must be 32 hexadecimal digits, or empty"
+            )
+        if self.seed and self.listed is not None:
+            raise ValueError(
+                "seed draws other trials, and these are listed; leave one of the two out"
+            )
         if self.people is not None and (self.listed is not None or not self.rule.bodies):
             raise ValueError(
                 f"people is {self.people.name}, trials of {self.protocol} have no body; {how}"
@@ -128,6 +139,8 @@ class Benchmark:
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # benchmarks without this field keep their digest
             digest.update(f"receiver {self.receiver}\n".encode())
+        if self.seed:
+            digest.update(f"seed {self.seed}\n".encode())
         if self.people is not None:
             digest.update(f"people {self.people.digest}\n".encode())
         if self.robot != load_robot():  # a folder may give another one its name
@@ -240,10 +253,9 @@ class Benchmark:
         Raises:
             FileError: none are stored; the line says the command that makes them.
         """
-        from r2h_batch.report.compare.stored import baselines_of
-        from r2h_batch.runs.store import load_run
+        from r2h_batch.report.compare.stored import baselines_of, load_baselines
 
-        return load_run(baselines_of(self.digest, self.name), verify=False)
+        return load_baselines(baselines_of(self.digest, self.name), verify=False)
 
     def on(self, robot: Robot, persons: Literal["for-robot", "as-for-ur5e"] = "for-robot") -> Self:
         """The same benchmark for another robot, which starts at its own home.
@@ -274,6 +286,17 @@ class Benchmark:
         if self.listed is not None:
             raise ValueError(f"{self.name} lists trials of its own objects; list trials of others")
         return replace(self, objects=checked_objects(objects))
+
+    def with_seed(self, seed: str) -> Self:
+        """The same benchmark with other trials of its rule.
+
+        Args:
+            seed: 32 hexadecimal digits; empty: the published trials.
+
+        Raises:
+            ValueError: it is something else, or trials are listed.
+        """
+        return replace(self, seed=seed)
 
     def with_people(self, people: People) -> Self:
         """The same benchmark with other receivers, and hands of theirs.

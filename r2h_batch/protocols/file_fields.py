@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import printable, read_yaml
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.schedule import SEED
 from r2h_batch.base.validate import rule_of
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.scene.objects import (
@@ -176,6 +177,10 @@ class BenchmarkFile(_Entry):
     trials: FilePath | None = Field(
         default=None,
         description="trials of your own, .npz or .parquet; else the protocol draws them",
+    )
+    seed: Annotated[str, Field(pattern=f"^{SEED}$")] | None = Field(
+        default=None,
+        description="32 hexadecimal digits: other trials of the same rule (r2h-batch benchmark hide); null: the published ones",
     )
     thresholds: Limits = Thresholds()
     robot: FilePath = Field(

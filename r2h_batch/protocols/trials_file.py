@@ -121,6 +121,7 @@ def _bodies(
     if receiver is not None:
         receiver = receiver.astype(np.float64)
         _lengths(f"{where}: receiver: {{}} of trial {{}}", receiver, T_world_hand)
+        _place_of_torso(f"{where}: receiver: {{}} of trial {{}}", receiver)
         receiver = np.ascontiguousarray(receiver, np.float32)
     if person is not None:
         if receiver is None:
@@ -135,6 +136,8 @@ def _bodies(
                 raise FileError(
                     f"{where}: person: {name} of trial {row} is {x[row]:g}; allowed is {allowed}"
                 )
+        assert receiver is not None
+        _proportions(f"{where}: person: {{}} of trial {{}}", receiver, person)
         none = np.zeros((len(person), len(PERSON) - len(WHO)))  # nobody was drawn before
         person = np.ascontiguousarray(np.concatenate([person, none], 1), np.float32)
     return receiver, person
@@ -150,6 +153,11 @@ WHO: tuple[tuple[str, tuple[float, float], str], ...] = (
 """Columns of `person`: what they are, their range or the two values that are allowed, and the unit."""
 LIMB_M, RADIUS_M, HALF_M, WRIST_M = (0.05, 0.60), (0.01, 0.20), (0.03, 0.60), 0.30
 """Lengths of upper arm and forearm, radii, half sizes of the torso; how far the wrist may lie from the hand's frame [choice]."""
+SHOULDER_M, FROM_BASE_M = 0.20, 0.15
+"""How far a shoulder may lie from its torso's box, and how near the box may come to the robot's axis at the origin [choice].
+Drawn people: at most 0.09, at least 0.47."""
+ARM_SHARE, HAND_SHARE = (0.22, 0.42), (0.08, 0.16)
+"""Upper arm and forearm, and the hand, as shares of the stature [choice]. Drawn people: 0.28 to 0.34, 0.106 to 0.134."""
 
 
 def _lengths(what: str, receiver: NDArray[np.float64], T_world_hand: NDArray[np.float32]) -> None:
@@ -183,6 +191,51 @@ def _lengths(what: str, receiver: NDArray[np.float64], T_world_hand: NDArray[np.
         raise FileError(
             f"{what.format('facing', row)} (last number of the rows 3 and 4) is no unit vector"
         )
+
+
+def _place_of_torso(what: str, receiver: NDArray[np.float64]) -> None:
+    """Refuse torsos that their arm does not hang on, and those around the robot."""
+    if (odd := receiver[:, 2, 3] != 0).any():
+        row = int(odd.argmax())
+        raise FileError(
+            f"{what.format('last number of the wrist', row)} is {receiver[row, 2, 3]:.3g}; it must be 0"
+        )
+    half, box = receiver[:, 4, :3], receiver[:, 3, :3]
+    cos, sin = receiver[:, 3, 3], receiver[:, 4, 3]
+
+    def outside(point: NDArray[np.float64], axes: int) -> NDArray[np.float64]:
+        """Distance of points from the boxes along their first so many axes."""
+        d = point - box
+        d = np.stack([cos * d[:, 0] + sin * d[:, 1], cos * d[:, 1] - sin * d[:, 0], d[:, 2]], 1)
+        return np.asarray(np.linalg.norm(np.maximum(np.abs(d) - half, 0.0)[:, :axes], axis=1))
+
+    off, near = outside(receiver[:, 0, :3], 3), outside(np.zeros_like(box), 2)
+    for name, values, bad, words in (
+        ("distance of the shoulder from the torso", off, off > SHOULDER_M, f"at most {SHOULDER_M:g}"),
+        ("distance of the torso from the robot's axis", near, near < FROM_BASE_M, f"{FROM_BASE_M:g} or more"),
+    ):  # fmt: skip
+        if bad.any():
+            row = int(bad.argmax())
+            raise FileError(
+                f"{what.format(name, row)} is {values[row]:.3g} m; allowed is {words} m"
+            )
+
+
+def _proportions(what: str, receiver: NDArray[np.float64], person: NDArray[Any]) -> None:
+    """Refuse people whose arm or hand is that of another stature."""
+    bones = np.linalg.norm(np.diff(receiver[:, :3, :3].astype(np.float64), axis=1), axis=2)
+    stature = person[:, 2].astype(np.float64)
+    for name, values, (low, high) in (
+        ("arm", bones.sum(1), ARM_SHARE),
+        ("hand length", person[:, 3].astype(np.float64), HAND_SHARE),
+    ):
+        share = values / stature
+        if (bad := ~((share >= low) & (share <= high))).any():
+            row = int(bad.argmax())
+            raise FileError(
+                f"{what.format(name, row)} is {values[row]:.3g} m, {100 * share[row]:.0f} % of the stature of"
+                f" {stature[row]:.3g} m; allowed is {100 * low:.0f} to {100 * high:.0f} %"
+            )
 
 
 def _labels(columns: Columns, ids: NDArray[Any], order: NDArray[Any], where: str) -> Labels | None:

@@ -118,6 +118,7 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
         return replace(
             own, name=_name_of(Path(path)), objects=objects, hand_set=hand_set, thresholds=file.thresholds,
             workplace=_workplace(file, path, own), listed=listed, labels=labels, receiver=receiver, people=people,
+            seed=file.seed or "",
         )  # fmt: skip
     except FileError:
         raise

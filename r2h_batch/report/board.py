@@ -7,7 +7,7 @@ planning and of the method) is shown as claimed.
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
@@ -95,6 +95,8 @@ class Standing:
         against: baseline -> the comparison with it.
         digest: sha256 of its rows.
         trained: what it says that it was trained on; empty where it says nothing.
+        answers: built-in method -> share of this method's answers that are its shipped ones within 1 mm; of a method that is
+            not built in.
         codes: split -> `CODE` characters for each trial in order: 1 or 0 for success, and a hash of its verdict and margins.
     """
 
@@ -111,6 +113,7 @@ class Standing:
     digest: str
     codes: Mapping[str, str]
     trained: str = ""
+    answers: Mapping[str, float] = field(default_factory=dict)
 
     def successes(self, trials: Mapping[str, int]) -> dict[str, NDArray[np.bool_]]:
         """Split -> success of the first so many of its trials."""
@@ -139,7 +142,13 @@ def standings_of_baselines(run: Run) -> list[Standing]:
 
 
 def standing_of(
-    run: Run, method: str, submission: str, judged: Judged, baselines: Run, common: Common
+    run: Run,
+    method: str,
+    submission: str,
+    judged: Judged,
+    baselines: Run,
+    common: Common,
+    answers: Mapping[str, float],
 ) -> Standing:
     """The line of one method of a submission, compared with each baseline on the trials of both.
 
@@ -150,6 +159,7 @@ def standing_of(
         judged: how its rows were judged again.
         baselines: the run with the baselines.
         common: what `common_trials` says of both runs.
+        answers: what `answers_of_shipped` says of the method.
 
     Raises:
         ValueError: if the rows are not those of the plan, or disagree with themselves.
@@ -159,7 +169,8 @@ def standing_of(
     alone = replace(run, entries=(replace(run.entry(method), name=shown),))
     # what each object is comes from the baselines, which have the same objects by their digest
     alone = replace(alone, header={**alone.header, "objects": baselines.header.get("objects", [])})
-    return _standing(alone, shown, submission, judged, _against(alone, baselines, common))
+    line = _standing(alone, shown, submission, judged, _against(alone, baselines, common))
+    return line if judged.built_in else replace(line, answers=answers)
 
 
 def _against(run: Run, baselines: Run, common: Common) -> dict[str, Against]:
@@ -233,8 +244,16 @@ class Section:
     standings: tuple[Standing, ...]
 
 
-def section_of(baselines: Run, standings: Sequence[Standing]) -> Section:
-    """The section of submissions that were compared with these baselines."""
+def section_of(
+    baselines: Run, standings: Sequence[Standing], more: Mapping[str, str] | None = None
+) -> Section:
+    """The section of submissions that were compared with these baselines.
+
+    Args:
+        baselines: the run.
+        standings: their lines.
+        more: name -> value of what else they share.
+    """
     header = baselines.header
     setting = {
         "protocol": str(header["protocol"]),
@@ -242,6 +261,7 @@ def section_of(baselines: Run, standings: Sequence[Standing]) -> Section:
         "preset": str(header["configuration"].get("name", "")),
         "motion": str(header["configuration"].get("execute", {}).get("sim", "")),
         "digest of trials": str(header["digests"]["trials"])[:12],
+        **(more or {}),
     }
     own = standings_of_baselines(baselines)
     return Section(setting, baselines.methods, (*own, *standings))
@@ -273,7 +293,8 @@ def page(sections: Sequence[Section], *, least: int) -> str:
 def _section(section: Section, least: int) -> dict[str, Any]:
     """The section as board.html writes it: the lines with a place in their order, then the others."""
     lines = sorted(section.standings, key=lambda s: (-s.of_all, s.method, s.submission))
-    enough = [s for s in lines if all(s.trials.get(split, 0) >= least for split in SPLITS)]
+    own = [s for s in lines if not s.answers]
+    enough = [s for s in own if all(s.trials.get(split, 0) >= least for split in SPLITS)]
     trials = {split: min((s.trials.get(split, 0) for s in enough), default=0) for split in SPLITS}
     enough, places = _placed(enough, trials)
     short = short_names(section.baselines)
@@ -335,6 +356,7 @@ def _line(
     return {
         "place": "bound" if s.bound else NA if place is None else str(place),
         "same": same,
+        "answers": ", ".join(f"{_share(v)} of {short_names([k])[k]}" for k, v in s.answers.items()),
         "common": {"text": NA, "value": -1}
         if math.isnan(common)
         else {"text": f"{common:.1f}", "value": common},
@@ -348,6 +370,11 @@ def _line(
         "times": [NA if v is None else f"{v:.2f}" for v in (s.t_exec_s, *s.claimed.values())],
         "judged": s.judged and _judged(s.judged),
     }
+
+
+def _share(share: float) -> str:
+    """`all answers`, or `12 % of the answers`."""
+    return "all answers" if share > 0.995 else f"{100 * share:.0f} % of the answers"
 
 
 def _judged(judged: Judged) -> dict[str, str]:

@@ -1,22 +1,20 @@
 """Rates of physically stable grasps, where `results held` has stored them."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from r2h_batch.base.io.log import LOG
 from r2h_batch.report.statistics.aggregate import Rate, rate_of
+from r2h_batch.runs.side import about_side, side_path
 from r2h_batch.runs.store import Run
 
 FOLDER = "held"
 """Folder of a run that holds METHOD.parquet."""
 MADE_OF = b"r2h_batch held"
 """Key of the Parquet file's metadata: the digest of the rows, and the code."""
-
 
 NOTE = "physically stable, percent of those past Stability"
 
@@ -46,13 +44,14 @@ def stable_rates(run: Run) -> dict[tuple[str, str], Stable]:
     """
     rates = {}
     for entry in run.entries:
-        path = entry.folder / FOLDER / f"{entry.slug}.parquet"
-        if not path.is_file() or rows_of(path, MADE_OF) != run.digest(entry.name):
+        path = side_path(entry, FOLDER)
+        if rows_of(path, MADE_OF) is None or rows_of(path, MADE_OF) != run.digest(entry.name):
             continue
         if "lost" not in pq.read_schema(path).names:
             LOG.info(f"{path}: an older version made it; r2h-batch results held makes it anew")
             continue
-        table = pq.read_table(path, columns=["split", "held", "undecided"])
+        table = run.side(entry.name, FOLDER)
+        assert table is not None
         for split in pc.unique(table["split"]).to_pylist():
             own = table.filter(pc.equal(table["split"], split))
             held, undecided = (pc.sum(own[k]).as_py() or 0 for k in ("held", "undecided"))
@@ -64,10 +63,8 @@ def rows_of(path: Path, made_of: bytes) -> str | None:
     """Digest of the rows that a file was made of, None: it is no such file.
 
     Args:
-        path: of a Parquet file.
+        path: of the file; it may be missing.
         made_of: key of its metadata.
     """
-    try:
-        return str(json.loads(pq.read_schema(path).metadata[made_of])["rows"])
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
-        return None
+    rows = about_side(path, made_of).get("rows")
+    return None if rows is None else str(rows)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from r2h_batch.report.statistics.aggregate import wilson_interval
@@ -156,14 +155,11 @@ def _received(
 ) -> NDArray[np.float64] | None:
     """1 or 0 of each trial that `results reception` has judged, else NaN; None without its file, or if that was made of other
     rows: its trials or successes are not the run's."""
-    entry = run.entry(method)
-    path = entry.folder / RECEPTION / f"{entry.slug}.parquet"
-    if not path.is_file():
+    table = run.side(method, RECEPTION)
+    if table is None:
         return None
-    table = pq.read_table(path, columns=["trial_id", "success", "evaluated", "received"])
-    ids, won, asked, got = (c.to_numpy(zero_copy_only=False) for c in table.columns)
-    if not np.isin(ids, trial_id).all():
-        return None
+    names = ("trial_id", "success", "evaluated", "received")
+    ids, won, asked, got = (table[k].to_numpy(zero_copy_only=False) for k in names)
     place = np.searchsorted(trial_id, ids)
     if not np.array_equal(success[place], won.astype(bool)):
         return None

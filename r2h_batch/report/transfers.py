@@ -5,11 +5,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from r2h_batch.report.held import rows_of
 from r2h_batch.report.statistics.aggregate import Rate, clustered_rate, rate_of
+from r2h_batch.runs.side import side_path
 from r2h_batch.runs.store import Run
 
 FOLDER = "transfer"
@@ -82,12 +82,12 @@ def takes_of(run: Run, method: str) -> dict[str, NDArray[Any]]:
         method: its name in the run.
     """
     entry = run.entry(method)
-    path = entry.folder / FOLDER / f"{entry.slug}.parquet"
-    if not path.is_file() or rows_of(path, MADE_OF) != run.digest(entry.name):
+    made_of = rows_of(side_path(entry, FOLDER), MADE_OF)
+    if made_of is None or made_of != run.digest(entry.name):
         return {}
-    names = ["trial_id", "release", "scenario", "success", "received", "outcome"]
-    table = pq.read_table(path, columns=names)
-    rows = {k: table[k].to_numpy(zero_copy_only=False) for k in names}
+    table = run.side(entry.name, FOLDER)
+    assert table is not None
+    rows = {k: table[k].to_numpy(zero_copy_only=False) for k in table.column_names}
     takes = rows["scenario"] == SCENARIO
     return {k: values[takes] for k, values in rows.items()}
 

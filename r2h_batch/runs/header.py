@@ -40,7 +40,8 @@ TIMING = ("t_plan_s", "t_method_s", "t_sees_s")
 chunk, so a dictionary stores them in less than a bit a trial."""
 
 FOLDERS = ("shards", "methods", "quarantine", ".claims")
-"""Folders of a run; a link in the place of one is refused."""
+SIDE_FOLDERS = ("held", "reception", "transfer")
+"""Folders of a run; a link in the place of one is refused. The last three hold a file for each method (side.py)."""
 
 MAX_JSON_BYTES = 32 << 20  # a run.json with 100,000 objects fits
 MAX_TEXT = 4096
@@ -284,7 +285,7 @@ def read_header(folder: Path) -> dict[str, Any]:
     if header["hash"] != run_hash(header):
         words = "restore it, or sweep into another --out"
         raise RunError(f"{path}: its fields do not agree with its own hash; {words}")
-    for kind in FOLDERS:
+    for kind in (*FOLDERS, *SIDE_FOLDERS):
         inside = [folder / kind]  # through a link, files elsewhere would be read and renamed
         if kind != ".claims" and inside[0].is_dir() and not inside[0].is_symlink():
             inside += [Path(entry.path) for entry in os.scandir(inside[0])]

@@ -7,10 +7,12 @@ methods/METHOD.json                a method, and where its answers come from
 shards/METHOD/000017-SHA.parquet   a shard (`runs.shard`): it is stored when the file exists
 quarantine/METHOD/000017.json      a shard that failed three times, and its errors
 .claims/METHOD-000017              who works on a shard, and how many processes died at it
+held/METHOD.parquet                and reception/, transfer/: what `r2h-batch results` made of the rows (side.py)
 """
 
 import csv
 import hashlib
+import os
 import shlex
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,6 +38,7 @@ from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
 from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.rows import TRIAL_SCHEMA
+from r2h_batch.runs.side import read_side, side_path
 from r2h_batch.runs.verify import first_problem
 from r2h_batch.verdicts import REGISTRY
 
@@ -344,7 +347,11 @@ class Run:
         return self._read("episodes", method)
 
     def sees(self, method: str) -> pa.Table:
-        """Pixels, share and pick of what a method that sees was shown, `SEES_SCHEMA`."""
+        """Pixels, share and pick of what a method that sees was shown, `SEES_SCHEMA`.
+
+        Args:
+            method: its name in the run.
+        """
         return self._read("sees", method)
 
     def failures(self, method: str) -> pa.Table:
@@ -369,7 +376,7 @@ class Run:
         columns that an older run lacks are null.
 
         Args:
-            kind: trials, details, poses, paths, episodes or failures.
+            kind: trials, details, poses, paths, episodes, failures or sees.
             method: its name in the run.
             columns: names of the kind's schema; None: all.
         """
@@ -390,7 +397,7 @@ class Run:
         """The table of a kind of one shard, without later columns that an older run lacks.
 
         Args:
-            kind: trials, details, poses, paths, episodes or failures.
+            kind: trials, details, poses, paths, episodes, failures or sees.
             method: its name in the run.
             index: of the shard.
         """
@@ -398,6 +405,24 @@ class Run:
         if stored is None or kind not in stored.kinds:
             raise RunError(f"{self.folder}: shard {index} of {method!r} has no {kind}")
         return stored.table(kind, schema_of_kind(kind).names)
+
+    def side(self, method: str, folder: str, path: Path | None = None) -> pa.Table | None:
+        """The file beside a method's shards (side.py), as tables read it; None: there is none.
+
+        Args:
+            method: its name.
+            folder: held, reception or transfer.
+            path: the file; None: that of the method.
+
+        Raises:
+            RunError: it is too large, lacks a column, or says something about other trials.
+        """
+        path = side_path(self.entry(method), folder) if path is None else path
+        if not os.path.lexists(path):
+            return None
+        rows = self.trials(method, ["trial_id", "outcome"])
+        won = pc.equal(rows["outcome"].cast(pa.string()), "success").to_numpy()
+        return read_side(path, rows["trial_id"].to_numpy(), won)
 
     def verify(self, *, whole: bool = False) -> None:
         """Raise `RunError` unless every stored shard is as it was written.
@@ -474,7 +499,8 @@ def join(runs: Sequence[Run]) -> Run:
             if name in entries:
                 raise RunError(f"two run folders of one name hold {name!r}; rename one of them")
             entries[name] = replace(entry, name=name)
-    return Run(runs[0].folder, runs[0].header, tuple(entries.values()), tuple(runs))
+    parts = tuple(part for run in runs for part in run.runs)
+    return Run(runs[0].folder, runs[0].header, tuple(entries.values()), parts)
 
 
 @check_arguments(verify=boolean)

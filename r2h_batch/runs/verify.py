@@ -4,7 +4,7 @@ Digests are compared first. Then a child process opens the files, because a foot
 that opens it. Files that the child survives are opened here.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,14 +16,15 @@ from r2h_batch.base.io.parquet import refused_parquet
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import is_drawn
 from r2h_batch.base.schedule import trial_ids
-from r2h_batch.runs.files import RunError, claim
-from r2h_batch.runs.header import Shard, shard_at
+from r2h_batch.runs.files import RunError, claim, in_the_way
+from r2h_batch.runs.header import SIDE_FOLDERS, Shard, shard_at
 from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.shard import ANSWERED, StoredShard, damage, number_of, shard_files
+from r2h_batch.runs.side import HOW, side_files, unbounded
 
 
 class Problem(NamedTuple):
-    """A file that cannot be trusted; `shard` None: it has no shard's name."""
+    """A file that cannot be trusted; `shard` None: it has no shard's name, or lies beside the shards (side.py)."""
 
     method: str
     shard: Shard | None
@@ -32,7 +33,7 @@ class Problem(NamedTuple):
 
 
 def problems_of(
-    entries: Iterable[Entry], *, number: int | None = None, whole: bool = False
+    entries: Collection[Entry], *, number: int | None = None, whole: bool = False
 ) -> list[Problem]:
     """The files of methods that cannot be trusted.
 
@@ -51,7 +52,21 @@ def problems_of(
     for stored in sound:
         if what := refused.get(stored.path) or _wrong_rows(stored):
             found.append(Problem(stored.method, stored.shard, stored.path, what))
-    return found
+    return found if number is not None else [*found, *side_problems(entries)]
+
+
+def side_problems(entries: Iterable[Entry]) -> list[Problem]:
+    """The files beside the shards that nobody should read."""
+    each = [(entry, path) for entry in entries for path in side_files(entry)]
+    try:
+        refused = refused_parquet([path for _, path in each if not in_the_way(path)])
+    except FileError as error:
+        raise RunError(str(error)) from None
+    return [
+        Problem(entry.name, None, path, what)
+        for entry, path in each
+        if (what := refused.get(path) or unbounded(path, sum(entry.header["trials"].values())))
+    ]
 
 
 def _named(entry: Entry, number: int | None, found: list[Problem]) -> Iterable[StoredShard]:
@@ -122,8 +137,11 @@ def not_as_planned(
 def first_problem(folder: Path, entries: Sequence[Entry], *, whole: bool = False) -> str:
     """The first shard that cannot be trusted, as one line with what to do; empty: there is none."""
     for problem in problems_of(entries, whole=whole):
-        if problem.shard is not None:
-            how = f"`r2h-batch results verify {folder}` marks it, the sweep redoes it"
+        beside = problem.file.parent.name in SIDE_FOLDERS
+        if problem.shard is not None or beside:
+            then = HOW.format(problem.file.parent.name).partition("`")[2]
+            redone = f"sets it aside, `{then}" if beside else "marks it, the sweep redoes it"
+            how = f"`r2h-batch results verify {folder}` {redone}"
             return f"{printable(problem.file)}: {problem.what}; {how}"
     return ""
 
@@ -139,16 +157,17 @@ def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
     """
     entries = {e.name: e for e in read_methods(folder, header)}
     seen = problems_of(entries.values())
-    lines = [_set_aside(p) for p in seen if p.shard is None]
+    lines = [set_aside(p) for p in seen if p.shard is None]
     for method, shard in dict.fromkeys((p.method, p.shard) for p in seen if p.shard is not None):
         with claim(entries[method].claim_path(shard.index)) as own:
             if own is not None:  # else another sweep is at work on it
                 again = problems_of([entries[method]], number=shard.index)
-                lines += [_set_aside(problem) for problem in again]
+                lines += [set_aside(problem) for problem in again]
     return lines
 
 
-def _set_aside(problem: Problem) -> str:
+def set_aside(problem: Problem) -> str:
+    """Renames the file to FILE.bad; one line about it."""
     again = "set aside"
     if problem.shard is not None:
         again = f"shard {problem.shard.index} of {problem.method!r} will be scored again"

@@ -83,6 +83,7 @@ def leaderboard(
     rows: int = 200,
     least: int = 200,
     baselines: Path | None = None,
+    hidden: Path | None = None,
     seconds: int = 1800,
     benchmark: BenchmarkChoice = DEFAULT,
     overwrite: bool = False,
@@ -101,14 +102,17 @@ def leaderboard(
         least: trials of each split that a method needs for a place.
         baselines: a run folder with the baselines; by default the shipped rows of a submission's
             protocol and preset.
+        hidden: the commitment of `benchmark hide`; --benchmark is then the file that was told. The command checks that it
+            is what the commitment promised, and leaves out runs on other trials.
         seconds: CPU time that judging one submission may take.
         benchmark: where its files are now, if they are not where the sweep found them.
         overwrite: replace a page of this name.
     """
     from r2h_batch.base.errors import FileError
     from r2h_batch.report.board import page, section_of
+    from r2h_batch.report.compare.stored import load_baselines
     from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.submission_judge import judge_alone
+    from r2h_batch.sweep.submission_judge import Hidden, judge_alone
 
     check_output_file(out, overwrite=overwrite)
     check_rows(rows)
@@ -118,6 +122,13 @@ def leaderboard(
         raise UsageError("no submission is given; give files of r2h-batch submit")
     if baselines is not None:
         load_run(baselines)
+    promise = None
+    if hidden is not None:
+        from r2h_batch.protocols.edit import edited
+        from r2h_batch.protocols.hidden import check_told
+
+        told = edited(benchmark)
+        promise = Hidden(check_told(hidden, told), told.digest, told.seed)
     each = _each(submissions)
     found: defaultdict[Path, list[Standing]] = defaultdict(list)
     left_out = 0
@@ -130,6 +141,7 @@ def leaderboard(
                 seconds=seconds,
                 benchmark=benchmark,
                 baselines="" if baselines is None else str(baselines),
+                hidden=promise,
             )
         except FileError as error:
             left_out += 1
@@ -144,7 +156,11 @@ def leaderboard(
                 continue
             found[verdict.baselines].append(standing)
             LOG.info(f"leaderboard: {name}: {printable(standing.method)}")
-        sections = [section_of(load_run(folder), own) for folder, own in found.items() if own]
+        sections = [
+            section_of(load_baselines(folder), own, {} if promise is None else promise.setting)
+            for folder, own in found.items()
+            if own
+        ]
         if sections:  # after each submission: judging takes minutes, and what is known is shown
             write_text(out, page(sections, least=least))
     if not any(found.values()):

@@ -20,10 +20,17 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.child import answer_parent, read_in_child
 from r2h_batch.base.io.read import archive_members, open_archive, printable
 from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.hidden import Commitment
 from r2h_batch.report.board import Judged, Standing, standing_of
-from r2h_batch.report.compare.stored import baselines_for, stored_rows
+from r2h_batch.report.compare.stored import (
+    answers_of_shipped,
+    baselines_for,
+    load_baselines,
+    stored_rows,
+)
 from r2h_batch.report.statistics.common import Common, common_trials
 from r2h_batch.runs.store import Run, load_run
+from r2h_batch.verdicts import SPLITS
 
 MAX_BYTES, MAX_MEMBERS = 4 << 30, 100_000
 MEMORY_BYTES = 16 << 30
@@ -33,6 +40,27 @@ BUNDLE = "submission.json"
 """Digest of each method's rows, the versions that scored them, and which methods are built in."""
 
 _MODULE = "r2h_batch.sweep.submission_judge"
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """Held-out trials that have been told.
+
+    Attributes:
+        promise: what was published before.
+        digest: of the benchmark that was told.
+        seed: that was told.
+    """
+
+    promise: Commitment
+    digest: str
+    seed: str
+
+    @property
+    def setting(self) -> dict[str, str]:
+        """Name and text of the trials on the page."""
+        held_out = f"{self.promise.trials} a split, sha256 {self.promise.sha256}, seed {self.seed}"
+        return {"held-out trials": held_out}
 
 
 @dataclass(frozen=True)
@@ -49,7 +77,14 @@ class Verdict:
 
 
 def judge_alone(
-    path: Path, name: str, *, rows: int, seconds: int, benchmark: BenchmarkChoice, baselines: str
+    path: Path,
+    name: str,
+    *,
+    rows: int,
+    seconds: int,
+    benchmark: BenchmarkChoice,
+    baselines: str,
+    hidden: Hidden | None = None,
 ) -> Verdict:
     """Unpack, verify and judge a submission, and compare it with the baselines.
 
@@ -60,6 +95,7 @@ def judge_alone(
         seconds: CPU time that the process may take.
         benchmark: the flags that its sweep had.
         baselines: run folder with the baselines; empty: the shipped ones of its protocol and preset.
+        hidden: the trials that it must be on; None: those of its header.
 
     Raises:
         FileError: what is wrong with it, in one line without its name.
@@ -70,6 +106,7 @@ def judge_alone(
         "rows": rows,
         "benchmark": asdict(benchmark),
         "baselines": baselines,
+        "hidden": hidden and {"digest": hidden.digest, "trials": hidden.promise.trials},
     }
     with tempfile.TemporaryDirectory() as place, tempfile.TemporaryFile() as words:
         words.write(json.dumps({**asked, "place": place}).encode())
@@ -143,8 +180,10 @@ def _child(data: bytes, _: Mapping[str, Any]) -> list[Any]:
 
 def _verdict(asked: Mapping[str, Any], folder: Path) -> Verdict:
     run = load_run(folder, verify=False)
+    if (hidden := asked["hidden"]) is not None:
+        _check_hidden(run, hidden["digest"], hidden["trials"])
     place = Path(asked["baselines"]) if asked["baselines"] else baselines_for(run.header)
-    baselines = load_run(place, verify=False)
+    baselines = load_baselines(place, verify=False)
     common = _common(run, baselines)  # first: then its configuration is that of the baselines
     run.verify(whole=True)
     flags: dict[str, Any] = {
@@ -152,10 +191,31 @@ def _verdict(asked: Mapping[str, Any], folder: Path) -> Verdict:
     }
     judged = judged_again(run, asked["rows"], BenchmarkChoice(**flags))
     standings = [
-        standing_of(run, method, asked["name"], judged[method], baselines, common)
+        standing_of(
+            run,
+            method,
+            asked["name"],
+            judged[method],
+            baselines,
+            common,
+            answers_of_shipped(run, method),
+        )
         for method in run.methods
     ]
     return Verdict(place, tuple(standings))
+
+
+def _check_hidden(run: Run, digest: str, trials: int) -> None:
+    """`FileError` unless a run is on all held-out trials. Its claim is checked when its rows are judged again."""
+    if run.header["digests"].get("benchmark") != digest:
+        raise FileError(
+            "its trials are not the held-out ones; sweep with --benchmark FILE that was told"
+        )
+    if short := [s for s in SPLITS if run.header["trials"].get(s, 0) < trials]:
+        held = run.header["trials"].get(short[0], 0)
+        raise FileError(
+            f"it has {held} trials of {short[0]}, held out are {trials}; sweep --trials {trials}"
+        )
 
 
 def _common(run: Run, baselines: Run) -> Common:

@@ -163,6 +163,21 @@ def test_clouds_take_every_pixel_once_and_mask_the_rest():
         assert len(torch.unique(cloud[i][mask[i]], dim=0)) == int(count[i])
 
 
+def test_clouds_are_even_samples_and_smaller_ones_begin_larger_ones():
+    whole, mask = seen().cloud(20_000)
+    large, small = seen().cloud(400)[0], seen().cloud(150)[0]
+    assert torch.equal(large[:, :150], small)
+    other = seen().cloud(400, seed=1)[0]
+    assert not torch.equal(other, large)
+    for i in each([i for i in range(len(whole)) if int(mask[i].sum()) > 1500]):
+        every = whole[i][mask[i]].double()
+        for part in each((large[i].double(), other[i].double())):
+            # the mean of 400 of m points lies within four deviations of that of all
+            away = (part.mean(0) - every.mean(0)).abs() / (every.std(0) / 20)
+            assert away.max() < 4
+            assert len(torch.unique(part, dim=0)) == 400
+
+
 BAD = {
     "two cameras are called": ('[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n' * 2, "'a'"),
     "object_px": ('object_px = 7\n[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n', "16"),

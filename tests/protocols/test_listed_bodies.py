@@ -78,8 +78,18 @@ def test_a_csv_says_bodies_number_by_number(tmp_path):
     assert found.receiver.numpy() == pytest.approx(columns["receiver"][order], abs=1e-6)
 
 
-def changed_at(name: str, at: tuple[int, ...], value: float) -> dict[str, np.ndarray]:
-    column = with_bodies()[0][name].copy()
+def around_the_robot() -> dict[str, np.ndarray]:
+    """The first receiver, arm and hand, moved so that the torso's box is about the origin."""
+    columns = with_bodies()[0]
+    receiver, T = columns["receiver"].copy(), columns["T_world_hand"].copy()
+    way = receiver[0, 3, :2].copy()
+    receiver[0, :4, :2] -= way
+    T[0, :2, 3] -= way
+    return {"receiver": receiver, "T_world_hand": T}
+
+
+def changed_at(name: str, at: tuple[int, ...], value: float, dtype: type = np.float32) -> dict[str, np.ndarray]:
+    column = with_bodies()[0][name].astype(dtype)
     column[at] = value
     return {name: column}
 
@@ -98,6 +108,16 @@ NO_BODY = {
     "receiver is (10, 4, 4) float32; need 10 x 5 x 4": lambda: {"receiver": with_bodies()[0]["receiver"][:, :4]},
     "person: female of trial 2 is 0.5; allowed is 0 or 1": lambda: changed_at("person", (2, 1), 0.5),
     "person: stature of trial 6 is 1700; allowed is 0.6 to 2.35 m": lambda: changed_at("person", (6, 2), 1700.0),
+    "receiver: last number of the wrist of trial 4 is 1e+39; it must be 0": lambda: changed_at(
+        "receiver", (4, 2, 3), 1e39, np.float64
+    ),
+    "receiver: last number of the wrist of trial 1 is 0.5; it must be 0": lambda: changed_at(
+        "receiver", (1, 2, 3), 0.5
+    ),
+    "receiver: distance of the shoulder from the torso of trial 2 is": lambda: changed_at("receiver", (2, 3, 2), -9.0),
+    "receiver: distance of the torso from the robot's axis of trial 0 is 0 m": around_the_robot,
+    "person: arm of trial 3 is": lambda: changed_at("person", (3, 2), 0.6),
+    "person: hand length of trial 5 is 0.1 m": lambda: changed_at("person", (5, 3), 0.1),
     "has person and no receiver": lambda: {"receiver": None},
 }
 

@@ -1,14 +1,19 @@
 """The leaderboard's lines and their order, on rows made by hand."""
 
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
-from made_runs import write_run
+from made_runs import files_of, forge, write_run
+from rounds import each
 
 from r2h_batch.report.board import CODE, Judged, page, section_of, standing_of
+from r2h_batch.report.compare.stored import SHIPPED, answers_of_shipped
 from r2h_batch.report.statistics.common import common_trials
+from r2h_batch.runs import store as results
 from r2h_batch.types import Outcome
 
 
@@ -35,7 +40,7 @@ def lines_of(text):
 def test_methods_stand_in_the_order_of_their_success_on_their_own_trials(folders):
     base, *runs = folders
     standings = [
-        standing_of(run, m, run.folder.name, Judged(120, 60, 59, False), base, common_trials([base, run]))
+        standing_of(run, m, run.folder.name, Judged(120, 60, 59, False), base, common_trials([base, run]), {})
         for run in runs
         for m in run.methods
     ]
@@ -64,7 +69,7 @@ def test_methods_stand_in_the_order_of_their_success_on_their_own_trials(folders
 def test_rows_that_disagree_with_themselves_have_no_line(folders):
     base, run, _ = folders
     with pytest.raises(ValueError, match="no method"):
-        standing_of(run, "nobody", "long", Judged(1, 1, 1, False), base, common_trials([base, run]))
+        standing_of(run, "nobody", "long", Judged(1, 1, 1, False), base, common_trials([base, run]), {})
 
 
 def test_places_go_by_the_trials_that_all_hold_and_are_shared_where_nothing_is_decided(folders, tmp_path):
@@ -73,7 +78,7 @@ def test_places_go_by_the_trials_that_all_hold_and_are_shared_where_nothing_is_d
     easy = np.where(np.arange(30) % 29, Outcome.SUCCESS, Outcome.REACH)
     hard = np.concatenate([easy, np.full(30, Outcome.REACH)])
     run = write_run(tmp_path / "long", {"mine": np.concatenate([hard, hard])}, 60, 60)
-    long = standing_of(run, "mine", "long", Judged(120, 60, 59, False), base, common_trials([base, run]))
+    long = standing_of(run, "mine", "long", Judged(120, 60, 59, False), base, common_trials([base, run]), {})
     first = {split: codes[: 30 * CODE] for split, codes in long.codes.items()}
     trials, rates = {"S0": 30, "S1": 30}, dict.fromkeys(long.sr, (93.3, 84.0, 97.4))
     short = replace(long, submission="short", trials=trials, sr=rates, codes=first)
@@ -83,3 +88,38 @@ def test_places_go_by_the_trials_that_all_hold_and_are_shared_where_nothing_is_d
     assert places["mine (submitted) short"] == places["mine (submitted) long"] == places["whole baseline"] == "1"
     assert places["half baseline"] == "4"
     assert "30 S0, 30 S1" in text and "the same answers as mine (submitted)" in text
+
+
+def moved_by(metres):
+    """A change of stored poses: the object's ee so far along x."""
+
+    def change(table):
+        column = np.array(table["T_obj_ee"].to_pylist(), np.float32).reshape(-1, 16)
+        column[:, 3] += metres
+        field = table.schema.field("T_obj_ee")
+        return table.set_column(table.column_names.index("T_obj_ee"), field, pa.array(column.tolist(), field.type))
+
+    return change
+
+
+@pytest.mark.parametrize(("metres", "share"), [(0.0, 1.0), (0.0009, 1.0), (0.0011, 0.0)])
+def test_answers_within_a_millimetre_of_shipped_ones_are_named_and_have_no_place(folders, tmp_path, metres, share):
+    shutil.copytree(SHIPPED / "r2h-v2", copy := tmp_path / "theirs")
+    for path in files_of(copy, "oracle"):
+        forge(path, moved_by(metres), "poses")
+    found = answers_of_shipped(results.load_run(copy), "oracle")
+    assert found == ({"oracle": 1.0} if share else {})
+    base, run, _ = folders
+    judged = Judged(120, 60, 59, False)
+    line = standing_of(run, "whole", "long", judged, base, common_trials([base, run]), found)
+    text = page([section_of(base, [line])], least=60)
+    (place,) = [place for place, _, who in lines_of(text) if who == "long"]
+    assert (place == "n/a") == bool(share) and ("shipped answers: all answers of oracle" in text) == bool(share)
+    again = standing_of(run, "whole", "long", Judged(120, 60, 60, True), base, common_trials([base, run]), found)
+    assert again.answers == {}  # built in, and answered again
+
+
+def test_no_shipped_method_has_the_answers_of_another_one():
+    shipped = results.load_run(SHIPPED / "r2h-v2")
+    for method in each(shipped.methods):
+        assert answers_of_shipped(shipped, method) == {method: 1.0}

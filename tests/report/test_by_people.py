@@ -84,11 +84,14 @@ def stored_later(run: Run) -> None:
     (entry.folder / "reception").mkdir()
     pq.write_table(pa.table(columns), entry.folder / "reception" / f"{entry.slug}.parquet")
     entry = run.entry("b")
+    stored = run.trials("b", ["trial_id", "outcome"]).to_pylist()
+    won = {r["trial_id"]: r["outcome"] == "success" for r in stored}
     rows = {
         "trial_id": [0, 0, 3, 3, 4, 4, 0],
         "release": ["wait"] * 7,
         "scenario": ["take"] * 6 + ["tug"],
-        "success": [True] * 7,
+        "person": pa.array([0, 1, 0, 1, 0, 1, 0], pa.int16()),
+        "success": [won[i] for i in (0, 0, 3, 3, 4, 4, 0)],
         "received": [True] * 7,
         "outcome": ["taken", "taken", "taken", "dropped", "dropped", "dropped", "dropped"],
     }

@@ -155,3 +155,30 @@ def test_a_footer_that_ends_its_reader_ends_no_leaderboard(run, tmp_path, own_pr
     assert command("leaderboard", folder, rows=6, out=out) == 1
     (line,) = [x for x in capfd.readouterr().err.splitlines() if "left out" in x]
     assert "fatal is left out: shards/random/" in line and "ends its reader" in line
+
+
+def test_a_board_of_held_out_trials_takes_runs_on_these_alone(run, tmp_path, capsys):
+    told = tmp_path / "told.yaml"
+    assert command("benchmark", "hide", "r2h-v1", out=told, trials=3) == 0
+    line = ["--benchmark", str(told), "--method", "random", "--sim", "none"]
+    for name, more in (("base", []), ("theirs", ["--seed", "1"]), ("short", ["--seed", "2"])):
+        count = "2" if name == "short" else "3"
+        assert sweep([*line, *more, "--trials", count, "--out", str(tmp_path / name)]) == 0
+    promise = told.with_suffix(".commitment.json")
+    page = tmp_path / "board.html"
+    flags = {"hidden": promise, "benchmark": told, "baselines": tmp_path / "base", "least": 3}
+    capsys.readouterr()
+    code, lines = board(page, tmp_path / "theirs", tmp_path / "short", run, **flags)
+    error = capsys.readouterr().err
+    assert code == 1 and {who for _, _, who in lines} == {"theirs", "baseline"}
+    assert f"{run} is left out: its trials are not the held-out ones" in error
+    assert "short is left out: it has 2 trials of S0, held out are 3" in error
+    assert read_json(promise)["sha256"] in page.read_text()
+    other = tmp_path / "other.yaml"
+    other.write_text('protocol: r2h-v1\nseed: "' + "0" * 32 + '"\n')
+    for benchmark, words in ((other, "is not the committed one"), ("r2h-v1", "has no seed")):
+        assert (
+            command("leaderboard", tmp_path / "theirs", **{**flags, "benchmark": benchmark}, out=tmp_path / "no.html")
+            == 2
+        )
+        assert words in capsys.readouterr().err and not (tmp_path / "no.html").exists()

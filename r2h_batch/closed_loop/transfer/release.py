@@ -195,6 +195,8 @@ class Probe:
 
     HZ, SHIFT_M, RAMP_S, WINDOW_TICKS = (4.0, 6.0, 8.0), 0.004, 0.1, 54
     NOISE_N, PRIOR_N_M, FINGERS_KG = 0.5, 2000.0, 0.2
+    LOAD_PRECISION = 1e-6
+    """Prior precision (1/N^2) of the load, its slope and its curvature over the window: nearly none."""
     LEAST_N_M, OWN_SHARE, SIGMAS, SHARE, HOLD_S = 200.0, 0.35, 3.0, 0.5, 0.1
     """A hand: the second singular value exceeds `LEAST_N_M` and `OWN_SHARE` of what the object's mass alone would give,
     by `SIGMAS` of the posterior, for `HOLD_S`, and the person carries `SHARE` of the weight [choice]."""
@@ -231,7 +233,7 @@ class Probe:
         at_s = np.asarray(now_s - self.robot.tick_s * back, np.float64)
         age = (at_s - at_s[-1]) / (self.WINDOW_TICKS * self.robot.tick_s)
         X = np.column_stack([np.ones_like(age), age, age**2, *self._moves(at_s)])
-        precision = np.diag(np.repeat([1e-6, self.PRIOR_N_M**-2], [3, 6]))
+        precision = np.diag(np.repeat([self.LOAD_PRECISION, self.PRIOR_N_M**-2], [3, 6]))
         covariance = np.linalg.inv(X.T @ X / self.NOISE_N**2 + precision)
         weights = torch.from_numpy(covariance @ X.T / self.NOISE_N**2).to(self.tare)
         mean = torch.zeros((9, *self.forces[0].shape), dtype=torch.float64, device=self.tare.device)

@@ -76,7 +76,7 @@ class Rule:
     """Draws the trials of a benchmark.
 
     Attributes:
-        name: seeds the random counters, and is the `protocol` of stored runs.
+        name: seeds the random counters together with `Benchmark.seed`, and is the `protocol` of stored runs.
         place: places the hands of a batch. A row may depend on nothing but its own trial. Raises `rng.NothingFits`
             where there is no place.
         bodies: whether receivers have arms and a torso.
@@ -97,6 +97,7 @@ class Rule:
             ValueError: a trial's split has no object, or no hand fits table and home.
         """
         n, people = len(trial_id), benchmark.people
+        seed = f"{self.name} {benchmark.seed}" if benchmark.seed else self.name
         object_index, side = assign_objects(trial_id, [o.split for o in benchmark.objects])
         hand_index, sides = np.zeros(n, np.int64), posed_hands(benchmark.hand_set).side
         T_world_hand = np.zeros((n, 4, 4), np.float32)
@@ -104,9 +105,9 @@ class Rule:
         person = np.zeros((0 if people is None else n, len(PERSON)), np.float32)
         for first in range(0, n, ROWS):
             rows = slice(first, first + ROWS)
-            hand_index[rows] = assign_hands(trial_id[rows], side[rows], sides, self.name)
+            hand_index[rows] = assign_hands(trial_id[rows], side[rows], sides, seed)
             batch = Batch(
-                benchmark, rng.key_of(self.name), trial_id[rows], side[rows], hand_index[rows], object_index[rows]
+                benchmark, rng.key_of(seed), trial_id[rows], side[rows], hand_index[rows], object_index[rows]
             )  # fmt: skip
             try:
                 placed = self.place(batch)

@@ -11,14 +11,18 @@ transfer RUN      simulate the transfer: the person takes the object, the grippe
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from r2h_batch.base.command_line import check_seed
 from r2h_batch.base.errors import UsageError
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.sweep.results.rethreshold import rethreshold
 
+if TYPE_CHECKING:
+    from r2h_batch.runs.store import Run
+
 MOST_TORSION_MM = 11.0
+LISTED_FILES = 6
 LISTED = 200
 """Differences of one method that are printed; the count covers all of them."""
 
@@ -26,8 +30,9 @@ LISTED = 200
 def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
-    Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
-    some shards again.
+    Files beside the shards (held, reception, transfer) that are too large, or of other trials, are set aside. The last line
+    says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
+    some shards again, or a file was set aside.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
@@ -39,12 +44,49 @@ def verify(folder: Path, /) -> int:
     lines = mark_for_rerun(folder, read_header(folder))
     print("\n".join(lines or [f"{folder}: every stored shard is as it was written"]))
     run = load_run(folder, verify=False)
+    lines += (strange := _strange_side_files(run))
+    print("\n".join([*strange, _unchecked(run)]))
     for name in run.unfinished:
         missing = [str(s.index) for s in run.missing(name)]
         shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
         count = len(shards_of(run.header))
         print(f"{name}: {len(missing)} of {count} shards to be scored: {shown}")
     return 1 if lines else 0
+
+
+def _strange_side_files(run: "Run") -> list[str]:
+    """Sets aside the files beside the shards that are of other trials or successes; one line for each."""
+    from r2h_batch.runs.files import RunError
+    from r2h_batch.runs.side import side_files
+    from r2h_batch.runs.verify import Problem, set_aside
+
+    lines = []
+    for entry in run.entries:
+        for path in side_files(entry):
+            try:
+                run.side(entry.name, path.parent.name, path)
+            except RunError as error:
+                what = str(error).removeprefix(f"{path}: ").partition("; take")[0]
+                lines.append(set_aside(Problem(entry.name, None, path, what)))
+    return lines
+
+
+def _unchecked(run: "Run") -> str:
+    """The line about all that `verify` does not check."""
+    from r2h_batch.runs.side import side_files
+
+    place, files = run.folder, [p for entry in run.entries for p in side_files(entry)]
+    shown = ", ".join(str(p.relative_to(place)) for p in files[:LISTED_FILES])
+    more = f" and {len(files) - LISTED_FILES} more" if len(files) > LISTED_FILES else ""
+    believed = (
+        f"; what {shown}{more} say about the run's trials (take them away: r2h-batch results makes them anew)"
+        if files
+        else ""
+    )
+    return (
+        f"not checked: verdicts and margins (r2h-batch results reevaluate {place} judges rows again); times, host, device;"
+        f" names in ids.csv{believed}"
+    )
 
 
 def digest(folder: Path, /) -> int:

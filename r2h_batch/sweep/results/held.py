@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -22,6 +21,7 @@ from r2h_batch.judge.grasp_physics import DROPPED_M, TORSION_M
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.held import FOLDER, MADE_OF
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
+from r2h_batch.runs.side import about_side, side_path, unbounded
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reception import judge_of, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
@@ -86,9 +86,12 @@ def write_tables(
     own = "" if setting == Setting() else f".torsion-{torsion_mm:g}mm"
     with processes(simulator, count) as simulated:
         for name in names:
-            path = written[name] = run.folder / FOLDER / f"{run.entry(name).slug}{own}.parquet"
+            path = written[name] = side_path(run.entry(name), FOLDER, own)
             made_of = {"rows": run.digest(name), "code": code}
-            if _made_of(path) == made_of:
+            if about_side(path, MADE_OF) == made_of and not (
+                unbounded(path, len(run.trials(name, ["trial_id"])))
+                or pq.read_schema(path) != SCHEMA
+            ):
                 LOG.info(f"{name}: {path} has these rows")
                 continue
             rows = _rows(run, name, judge, simulated)
@@ -98,16 +101,6 @@ def write_tables(
                 for table in rows:
                     writer.write_table(table.replace_schema_metadata(schema.metadata))
     return written
-
-
-def _made_of(path: Path) -> Any:
-    """The rows and code that a file was made of; None: it is missing or no such file."""
-    if not path.is_file():
-        return None
-    try:
-        return json.loads(pq.read_schema(path).metadata[MADE_OF])
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
-        return None
 
 
 def _rows(run: Run, method: str, judge: Judge, simulated: Processes) -> Iterator[pa.Table]:

@@ -32,6 +32,7 @@ from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.statistics.aggregate import clustered_rate
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.report.transfers import FOLDER, MADE_OF
+from r2h_batch.runs.side import about_side, side_path, unbounded
 from r2h_batch.runs.store import Run
 from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
@@ -127,9 +128,9 @@ def write_tables(
     with processes(simulator, count) as transfer:
         for name in names:
             entry = run.entry(name)
-            path = run.folder / FOLDER / f"{entry.slug}.parquet"
+            path = side_path(entry, FOLDER)
             made_of = {"rows": run.digest(name), "code": code, "seed": seed, "sim": sim}
-            stored = Stored.read(path, made_of)
+            stored = Stored.read(path, made_of, len(run.trials(name, ["trial_id"])))
             todo = [c for c in cases if stored.policies.get(c) != policies[c.release]]
             written[name] = path
             if not todo:
@@ -162,16 +163,18 @@ class Stored:
         self.path, self.policies = path, policies
 
     @staticmethod
-    def read(path: Path, made_of: dict[str, Any]) -> "Stored":
-        """The cases of a file, none if it is missing or was made of other rows or by other code."""
-        if not path.is_file():
+    def read(path: Path, made_of: dict[str, Any], trials: int) -> "Stored":
+        """The cases of a file, none if it is missing, was made of other rows or by other code, or is larger than so many
+        trials need."""
+        about = about_side(path, MADE_OF)
+        same = about and {k: about.get(k) for k in made_of} == made_of
+        if not same or unbounded(path, trials) or pq.read_schema(path) != SCHEMA:
             return Stored(path, {})
         try:
-            about = json.loads(pq.read_schema(path).metadata[MADE_OF])
-        except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
+            cases = {Case(*c): str(text) for *c, text in about["cases"]}
+        except (KeyError, TypeError, ValueError):
             return Stored(path, {})
-        same = {k: about.get(k) for k in made_of} == made_of
-        return Stored(path, {Case(*c): text for *c, text in about["cases"]} if same else {})
+        return Stored(path, cases)
 
     def rows(self, but: Sequence[Case]) -> Iterator[pa.Table]:
         """Its rows, a group at a time, without some cases."""

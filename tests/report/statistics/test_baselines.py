@@ -15,7 +15,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 from r2h_batch.base.schedule import trial_ids
-from r2h_batch.report.compare.stored import baselines_for, stored_rows
+from r2h_batch.report.compare.stored import LATER, SHIPPED, baselines_for, load_baselines, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import pair_up
 from r2h_batch.runs.rows import TrialNames, score_rows
@@ -28,11 +28,49 @@ from r2h_batch.sweep.command import main as sweep
 def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
     run = load_run(folder)
     assert run.header["trials"] == {"S0": 500, "S1": 500} and not run.unfinished
-    learned = ("learned",)  # its rows follow
-    assert {e.source["function"] for e in run.entries} == {
-        f"r2h_batch.methods.{m.replace('-', '_')}:predict" for m in METHOD_NAMES if m not in learned
-    }
+    assert functions(run) == {named(m) for m in METHOD_NAMES if m != "learned"}
     assert baselines_for(run.header) == folder
+    # trained for the default benchmark; its rows stand beside the others'
+    later = {"learned"} if run.header["protocol"] == DEFAULT_PROTOCOL else set()
+    assert functions(load_baselines(folder)) == functions(run) | {named(m) for m in later}
+
+
+def functions(run) -> set[str]:
+    return {e.source["function"] for e in run.entries}
+
+
+def named(method: str) -> str:
+    return f"r2h_batch.methods.{method.replace('-', '_')}:predict"
+
+
+@pytest.mark.parametrize("folder", sorted(LATER.iterdir()), ids=lambda f: f.name)
+def test_rows_that_came_later_are_of_the_same_trials_judged_alike(folder):
+    run = load_run(folder)
+    assert run.header["trials"] == {"S0": 500, "S1": 500} and not run.unfinished
+    shipped = load_run(SHIPPED / folder.name)
+    assert common_trials([shipped, run], proven=stored_rows()).trials == {"S0": 500, "S1": 500}
+    own, theirs = ([*r.trials(r.methods[0], ["trial_id"])["trial_id"].to_pylist()] for r in (run, shipped))
+    assert own == theirs
+
+
+def test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_was_trained_on(tmp_path, capsys):
+    """A user's own run of it is the stored one; a joined run's parts are found."""
+    line = ["--method", "learned", "--trials", "3", "--sim", "none", "--out", str(tmp_path / "mine")]
+    assert sweep(line) == 0
+    capsys.readouterr()
+    assert main(["compare", str(tmp_path / "mine"), "baselines", "--format", "json"]) == 0
+    found = capsys.readouterr()
+    (whole,) = (c for c in json.loads(found.out) if c["group"] == "all")
+    assert len(whole["names"]) == 7 and whole["ranked"].count("Learned (ranker, oracle labels + noise)") == 1
+    assert main(["compare", str(tmp_path / "mine"), "baselines"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "is given twice, and counted once" in text and "and 76 more objects. None of them is tested here." in text
+    assert main(["report", str(tmp_path / "mine"), "baselines", "--format", "csv"]) == 0
+    assert "Contact-Handover" in capsys.readouterr().out
+    baselines = load_benchmark().baselines()
+    assert len(baselines.methods) == 7 and "learned" in baselines.view_command(
+        "Learned (ranker, oracle labels + noise)"
+    )
 
 
 def test_rows_of_the_runs_benchmark_preset_and_engine_are_its_baselines_whatever_their_folder_is_called(tmp_path):

@@ -15,6 +15,7 @@ from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.report.compare.stored import ROWS
 from r2h_batch.report.held import stable_rates
 from r2h_batch.report.table import render, table_of
+from r2h_batch.runs.files import RunError
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.held import SCHEMA
 from r2h_batch.sweep.results.reevaluation import Judge
@@ -134,6 +135,7 @@ def test_figures_of_other_rows_are_left_out(run):
     pq.write_table(table.replace_schema_metadata(metadata), path)
     assert stable_rates(load_run(run)) == {}
     path.write_bytes(b"no table")
-    assert stable_rates(load_run(run)) == {}
+    with pytest.raises(RunError, match=r"held/.*cannot be read.*sets it aside"):
+        load_run(run)
     path.write_bytes(kept)
     assert stable_rates(load_run(run))

@@ -1,0 +1,129 @@
+"""Files beside the shards, as a stranger may write them: bounded and of the run's trials, or one line."""
+
+import json
+import os
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from made_runs import with_a_fatal_footer, write_run
+
+from r2h_batch.__main__ import main
+from r2h_batch.report.transfers import MADE_OF, takes_of
+from r2h_batch.runs.store import load_run
+
+N = 6
+
+
+def table(**changes):
+    columns = {
+        "trial_id": pa.array(range(N), pa.int64()),
+        "release": pa.array(["load-share"] * N),
+        "scenario": pa.array(["take"] * N),
+        "person": pa.array([0] * N, pa.int16()),
+        "success": pa.array([True] * N),
+        "received": pa.array([True] * N),
+        "outcome": pa.array(["taken"] * N),
+    }
+    return pa.table({k: v for k, v in {**columns, **changes}.items() if v is not None})
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("good") / "run"
+    write_run(folder, {"m": np.zeros(N, int)}, 3, 3)
+    return folder
+
+
+@pytest.fixture
+def run(good, tmp_path):
+    return shutil.copytree(good, tmp_path / "run")
+
+
+def put(run, rows, **options):
+    """Stores rows as the transfers of the run's method, made of its rows as they say."""
+    about = json.dumps({"rows": load_run(run).digest("m")}).encode()
+    path = run / "transfer" / "m.parquet"
+    path.parent.mkdir(exist_ok=True)
+    pq.write_table(rows.replace_schema_metadata({MADE_OF: about}), path, **options)
+    return path
+
+
+def repeated(rows, times):
+    """As many rows in a small file: dictionaries of one entry."""
+    small = table().take([0] * rows)
+    return pa.concat_tables([small] * times)
+
+
+HOSTILE = {
+    "30 million rows in dictionaries": (lambda: repeated(1000, 300), "300000 rows; at most 1000 for each of 6 trials"),
+    "trials of another run": (
+        lambda: table(trial_id=pa.array(range(10, 10 + N), pa.int64())),
+        "trial 10 is not in this run",
+    ),
+    "a case twice": (lambda: pa.concat_tables([table(), table()]), "stands there twice"),
+    "other successes": (lambda: table(success=pa.array([False] * N)), "has another success than in the shards"),
+    "a column missing": (lambda: table(outcome=None), "column 'outcome' is missing"),
+    "a column of numbers": (lambda: table(outcome=pa.array(range(N))), "column 'outcome' is int64; it must be string"),
+    "gaps": (lambda: table(received=pa.array([None] * N, pa.bool_())), "column 'received' has 6 empty rows"),
+    "long words": (lambda: table(release=pa.array(["x" * (4 << 20)] * N)), "a word of 4194304 characters; at most"),
+}
+
+
+@pytest.mark.parametrize("what", HOSTILE)
+def test_a_forged_file_is_one_line_that_names_it_and_verify_sets_it_aside(run, what, capsys):
+    make, words = HOSTILE[what]
+    path = put(run, make(), use_dictionary=True)
+    assert main(["report", str(run)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert str(path) in captured.err and words in captured.err and "r2h-batch results" in captured.err
+    assert main(["results", "verify", str(run)]) == 1
+    assert f"{path}: " in capsys.readouterr().out and not path.exists() and path.with_name("m.parquet.bad").exists()
+    assert main(["report", str(run)]) == 0
+
+
+@pytest.mark.usefixtures("own_process")
+def test_a_footer_that_ends_its_reader_is_found_before_it_is_opened(run, capsys):
+    path = put(run, table())
+    path.write_bytes(with_a_fatal_footer(path.read_bytes()))
+    assert main(["report", str(run)]) == 2
+    error = capsys.readouterr().err
+    assert str(path) in error and error.count("\n") == 1
+    assert main(["results", "verify", str(run)]) == 1 and not path.exists()
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder that is a link"])
+def test_links_and_pipes_are_not_followed(run, tmp_path, kind, capsys):
+    path = put(run, table())
+    elsewhere = tmp_path / "elsewhere"
+    if kind == "folder that is a link":
+        path.parent.rename(elsewhere)
+        (run / "transfer").symlink_to(elsewhere)
+    else:
+        path.rename(elsewhere)
+        os.mkfifo(path) if kind == "pipe" else path.symlink_to(elsewhere)
+    before = elsewhere.read_bytes() if elsewhere.is_file() else b""
+    assert main(["report", str(run)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and ("symbolic link" in error or "a pipe" in error)
+    main(["results", "verify", str(run)])
+    assert not elsewhere.is_file() or elsewhere.read_bytes() == before
+
+
+@pytest.mark.check
+def test_a_sound_file_is_read_and_verify_says_that_it_believes_it(run, capsys):
+    put(run, table(outcome=pa.array(["taken"] * 5 + ["dropped"])))
+    assert takes_of(load_run(run), "m")["outcome"].tolist() == ["taken"] * 5 + ["dropped"]
+    assert main(["results", "verify", str(run)]) == 0
+    (line,) = [x for x in capsys.readouterr().out.splitlines() if x.startswith("not checked: ")]
+    assert "transfer/m.parquet" in line and "reevaluate" in line
+
+
+def test_about_that_is_no_mapping_or_too_deep_is_of_other_rows(run):
+    path = put(run, table())
+    for text in (b"[1]", b"[" * 100_000, b"7", b"{"):
+        pq.write_table(table().replace_schema_metadata({MADE_OF: text}), path)
+        assert takes_of(load_run(run), "m") == {}
