@@ -28,7 +28,7 @@ RULES = {
     "mean normal": "on each pad the mean normal is within the angle",
     "line": "the line between the middles of the contacts is within the angle of both mean normals",
 }
-"""What could stand in Stability, by a short name."""
+"""Measures that could stand in Stability, by a short name."""
 
 HEAD = """# Closing angle: can one line of geometry say what a closing gripper loses?
 
