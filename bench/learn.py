@@ -324,7 +324,7 @@ HEAD = """# A method that learned
 `r2h-batch train rank` trains a network of {kb:.0f} kB that ranks pairs of grasp candidate and handover pose
 ([how](../training_loop.md#train-a-ranker)). It learned from new instances of the families with the evaluator's labels. It saw
 none of the 96 objects and no trial of the benchmark. It sees what Handover-VA sees, asks no judge, and solves no IK. `python
-bench/learn.py` measured {trials} trials of each split of r2h-v2, motion as planned (bench/results/learn.json; commit {commit},
+bench/learn.py` measured {trials} trials of each split of r2h-v2, `--sim none` (bench/results/learn.json; commit {commit},
 load {load:g} at the start{older}).
 
 SR in percent; first failures as Plan / Reach / Affordance / Safe.
