@@ -35,7 +35,6 @@ from r2h_batch.base.command_line import exit_code_of
 from r2h_batch.data.grasp_files import read_file_of
 from r2h_batch.data.hdf5 import read_datasets
 from r2h_batch.data.people import LENGTHS_M, built_in_people, read_people
-from r2h_batch.data.release import read_trials
 from r2h_batch.data.robot_model import read_model
 from r2h_batch.data.robot_srdf import read_srdf
 from r2h_batch.data.safe_pickle import read_npy, read_pickle_file
@@ -64,7 +63,7 @@ SPARSE_BYTES = 3 << 30
 PROGRESS = re.compile(r", \d+ s$")
 """A line that says for how long something has been going on."""
 
-Damage = Callable[[Path], None]
+Damage = Callable[[Path], object]
 """Damages the sound file at this path."""
 
 
@@ -85,7 +84,7 @@ class Kind(NamedTuple):
 
 def rewritten(change: Callable[[bytes], bytes]) -> Damage:
     """Other bytes in the place of the file's."""
-    return lambda path: path.write_bytes(change(path.read_bytes())) and None
+    return lambda path: path.write_bytes(change(path.read_bytes()))
 
 
 def flipped(count: int) -> Damage:
@@ -203,13 +202,13 @@ NPZ: dict[str, Damage] = {
     "1 GiB of zeros, deflated": lambda p: instead(p, bytes(1 << 30), zipfile.ZIP_DEFLATED),
     "an array twice": lambda p: member(p, first_member(p), claims("(8,)")),
     "an absolute name": lambda p: member(p, "/etc/passwd.npy", claims("(8,)")),
-    "1,000 more arrays": lambda p: [member(p, f"x{k}.npy", claims("(8,)")) for k in range(1000)] and None,
+    "1,000 more arrays": lambda p: many_members(p, 1000, claims("(8,)")),
 }
 
 
 def json_changed(change: Callable[[Any], Any]) -> Damage:
     """Another value in a JSON file."""
-    return lambda p: p.write_text(json.dumps(change(json.loads(p.read_text())))) and None
+    return lambda p: p.write_text(json.dumps(change(json.loads(p.read_text()))))
 
 
 def leaves(value: Any, new: Any) -> Any:
@@ -337,11 +336,11 @@ ZIP: dict[str, Damage] = {
 }
 
 
-def many_members(path: Path, count: int) -> None:
-    """Adds so many empty members."""
+def many_members(path: Path, count: int, data: bytes = b"") -> None:
+    """Adds so many members."""
     with zipfile.ZipFile(path, "a") as archive:
         for k in range(count):
-            archive.writestr(f"run/{k}", b"")
+            archive.writestr(f"run/{k}", data)
 
 
 def linked_member(path: Path) -> None:
@@ -448,8 +447,9 @@ def glb(path: Path) -> None:
     """A binary glTF of one triangle."""
     import trimesh
 
-    box = trimesh.Trimesh([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0]], [[0, 1, 2]], process=False)
-    path.write_bytes(box.export(file_type="glb"))
+    corners = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0]])
+    triangle = trimesh.Trimesh(corners, np.array([[0, 1, 2]]), process=False)
+    triangle.export(path, file_type="glb")
 
 
 MESHES["GLB mesh"] = Kind(
@@ -558,14 +558,16 @@ def submission(path: Path) -> object:
     """A submission, unpacked and verified."""
     folder = path.parent / "unpacked"
     folder.mkdir()
-    return load_run(unpack(path, folder), verify=False).verify(whole=True)
+    run = load_run(unpack(path, folder), verify=False)
+    run.verify(whole=True)
+    return run
 
 
 def some_answers(path: Path) -> None:
     """Predictions of three trials of each split."""
     trials = np.arange(6)
     T = np.tile(np.eye(4, dtype=np.float32), (6, 1, 1))
-    arrays = {"trial_id": trials, "T_obj_ee": T, "T_world_ee": T}
+    arrays: dict[str, Any] = {"trial_id": trials, "T_obj_ee": T, "T_world_ee": T}
     if path.suffix == ".npz":
         with path.open("wb") as file:
             np.savez(file, **arrays)
@@ -621,6 +623,14 @@ ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial><visual><geometry><mesh filename
 effort="10" velocity="1"/></joint></robot>"""
 SRDF = b"""<robot name="x"><group name="arm"><chain base_link="base" tip_link="a"/></group><disable_collisions link1="base"
 link2="a" reason="Adjacent"/></robot>"""
+ISAAC = """format: isaac_grasp
+format_version: 1.0
+grasps:
+  a:
+    confidence: 1.0
+    position: [0.0, 0.0, 0.1]
+    orientation: {w: 1.0, xyz: [0.0, 0.0, 0.0]}
+"""
 COUNTS = "method,dimension,n1,n2,n3,n4,n5\na,comfort,1,2,3,4,5\nb,comfort,5,4,3,2,1\n"
 YAML_FILE = "protocol: r2h-v1\nobjects:\n- {built_in: cup}\n- {built_in: hammer}\n"
 CONFIG = "method: [random]\ntrials: 3\nbenchmark: r2h-v1\n"
@@ -668,16 +678,16 @@ def hdf5(path: Path) -> None:
 
 
 def robot(path: Path) -> None:
-    """The stored robot's file, in a folder of its own."""
-    path.write_bytes((ROOT / "assets" / "robot" / "panda_hand" / "robot.json").read_bytes())
+    """A stored robot's file of this ending, and the other one beside it."""
+    for ending in (".npz", ".yaml"):
+        place = path if ending == path.suffix else path.with_name(f"robot{ending}")
+        place.write_bytes((ROOT / "assets" / "robot" / "panda_hand" / f"robot{ending}").read_bytes())
 
 
 def robot_read(path: Path) -> object:
     """Reads a robot's folder."""
-    folder = path.parent / "folder"
-    folder.mkdir()
-    path.rename(folder / "robot.json")
-    return read_robot(folder)
+    path.rename(path.with_name(f"robot{path.suffix}"))
+    return read_robot(path.parent)
 
 
 def kinds() -> dict[str, Kind]:
@@ -709,12 +719,12 @@ def kinds() -> dict[str, Kind]:
         "rig": Kind(".toml", text(RIG), load_rig, TOML),
         "URDF": Kind(".urdf", text(URDF), read_model, XML),
         "SRDF": Kind(".srdf", text(SRDF), read_srdf, XML),
-        "imported robot": Kind(".json", robot, robot_read, JSON),
+        "robot.npz": Kind(".npz", robot, robot_read, NPZ),
+        "robot.yaml": Kind(".yaml", robot, robot_read, YAML),
         "pickle": Kind(".pkl", lambda p: p.write_bytes(pickle.dumps({"a": 1}, 2)), read_pickle_file, PICKLE),
         ".npy": Kind(".npy", lambda p: p.write_bytes(claims("(8,)")), read_npy, {}),
         "HDF5": Kind(".h5", hdf5, lambda p: read_datasets(p, {"grasps/transforms": 1 << 20}), {}),
-        "grasps of others .json": Kind(".json", text('{"grasps": {}}'), lambda p: read_file_of("isaac", p, "x"), JSON),
-        "trials of the release": Kind(".json", text("[]"), read_trials, JSON),
+        "grasps of Isaac": Kind(".yaml", text(ISAAC), lambda p: read_file_of("isaac", p, "2f-85"), YAML),
         **MESHES,
     }
 
