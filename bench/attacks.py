@@ -724,7 +724,7 @@ def kinds() -> dict[str, Kind]:
         "pickle": Kind(".pkl", lambda p: p.write_bytes(pickle.dumps({"a": 1}, 2)), read_pickle_file, PICKLE),
         ".npy": Kind(".npy", lambda p: p.write_bytes(claims("(8,)")), read_npy, {}),
         "HDF5": Kind(".h5", hdf5, lambda p: read_datasets(p, {"grasps/transforms": 1 << 20}), {}),
-        "grasps of Isaac": Kind(".yaml", text(ISAAC), lambda p: read_file_of("isaac", p, "2f-85"), YAML),
+        "grasps of Isaac": Kind(".yaml", text(ISAAC), lambda p: read_file_of("isaac", p, "acronym-panda"), YAML),
         **MESHES,
     }
 
