@@ -336,7 +336,7 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
 {left_out}{scans}
 {received}{generator}## What it costs
 
-- Training, CPU seconds from cached instances: {seconds}.
+- Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
 - Labels a CPU second: {labels}.
 - A step of 1,024 pairs takes {step:.0f} CPU ms: {shares}.
@@ -450,7 +450,8 @@ def markdown(data: Mapping[str, Any]) -> str:
     ms = 1000 * data["spent"]["seed 0"]["train"] / Recipe().all_steps
     base = data["seeds"]["0"]
     costs = []
-    for name, parts in (data["spent"] | data.get("spent of folds", {})).items():
+    for name, own in (data["spent"] | data.get("spent of folds", {})).items():
+        parts = {k: x for k, x in own.items() if k != "instances"}
         costs.append(f"{name}: {sum(parts.values()):.0f} ({', '.join(f'{k} {x:.0f}' for k, x in parts.items())})")
     rows = []
     for c, v in base["categories"].items():
