@@ -273,6 +273,8 @@ def test_a_line_is_followed_from_branch_to_nearest_branch_at_any_turn_within_lim
     k, rng = 5, np.random.default_rng(0)
     start = torch.tensor(rng.uniform(-1, 1, (8, 6)), dtype=torch.float32)
     steps = torch.tensor(rng.uniform(-0.05, 0.05, (k, 8, 6)), dtype=torch.float32).cumsum(0)
+    start[1], steps[:, 1] = start[0], steps[:, 0]
+    start[1, 0] += 0.2  # two branches side by side
     true = start + steps
     true[:, :, 5] += 2 * np.pi - 1.3
     true[:, 3, 5] = 2 * np.pi - 0.07 + 0.04 * torch.arange(k)  # beyond the upper limit of 2 pi from the third on
