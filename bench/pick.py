@@ -194,7 +194,6 @@ def rendered(data: Any) -> str:
             short[k],
             rate(m["picked"], m["n"]),
             *(share(m["causes"][c], m["n"]) for c in CAUSES),
-            share(m["again"], m["n"]),
         ]
         for k, m in methods.items()
     ]
