@@ -8,7 +8,8 @@ Of each set N trials a split and method are swept, with details and paths. Rows,
 `tests/support/judge_twin.py` has an own closing law, hulls, kinematics and time law, and says what it shares: trials, posed
 hands, meshes, thresholds, and the numbers of the robot's file. Of set `error` the errors too are shared, of preset paper where
 the planner's hand stood. It judges opening and shift, the five criteria, flags, outcome, where a path begins and ends and how
-long it takes. Sets `reception` and `closed` judge what people do (`people_twin.py`).
+long it takes. Sets `reception` and `closed` judge what people do (`people_twin.py`), set `held` what `results held` says of the
+rows (`transfer_twin.py`): `open` counts numbers that half the step changes.
 
 A margin that is a distance must be right to 0.1 mm, one that is a bound must be no more than the overlap that is found, one
 that is a cap must be no more than the clearance. A verdict is wrong where the other code says the opposite by more than 0.1 mm.
@@ -27,9 +28,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import torch
 from _report import Report, arguments
-from _twins import Again, Finding, episode_of, reception_of
+from _twins import Again, Finding, episode_of, held_of, reception_of
 from meshes import drawn
 
 from r2h_batch.closed_loop.env import HandoverEnv
@@ -41,6 +43,7 @@ from r2h_batch.methods.predictors import PredictorNoise
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
+from r2h_batch.sweep.results.held import write_tables
 from r2h_batch.sweep.results.reevaluation import Judge
 from r2h_batch.trials.noise import estimated_hand
 
@@ -58,12 +61,14 @@ SETS = {
     "error": [*V1, "--set", "execution_error=5mm,1deg"],
     "reception": V1,
     "closed": V1,
+    "held": ["--benchmark", "r2h-v2"],
 }
 METHODS = ("fc", "handover-va", "random")
 MEASURES = (
     "bench/judge_again.py",
     "tests/support/judge_twin.py",
     "tests/support/people_twin.py",
+    "tests/support/transfer_twin.py",
     "kernels",
     "r2h_batch/judge",
     "r2h_batch/scene",
@@ -83,9 +88,17 @@ class Tally:
     bounds: int = 0
     loose: list[float] = field(default_factory=list)
     beyond: int = 0
+    open: int = 0
 
     def add(self, found: Finding, where: str) -> None:
         """One statement of a row beside what was found."""
+        if found.kind == "open":
+            self.open += 1
+            print(
+                f"  {where} {found.name}: says {found.says}, found {found.true}, and half the step says another",
+                flush=True,
+            )
+            return
         self.rows += 1
         if found.kind == "fact":
             self.wrong += bool(found.wrong)
@@ -136,11 +149,17 @@ def again_of(judge: Judge, trials: Any, row: dict[str, Any]) -> Again:
     return Again(scene, config, trials, row, T_obj_ee[0], T_world_ee[0], seen)
 
 
-def judged(name: str, judge: Judge, rows: dict[int, dict[str, Any]]) -> Iterator[tuple[int, Iterator[Finding]]]:
-    """(trial id, what was found) of a method's rows in a set."""
+def judged(
+    name: str, judge: Judge, rows: dict[int, dict[str, Any]], held: Path | None
+) -> Iterator[tuple[int, Iterator[Finding]]]:
+    """(trial id, what was found) of a method's rows in a set; `held`: the file of set `held`."""
     ids = torch.tensor(list(rows))
     trials = judge.trials(ids.numpy())
     twins = {i: again_of(judge, trials[torch.tensor([k])], row) for k, (i, row) in enumerate(rows.items())}
+    if held is not None:
+        says = {row["trial_id"]: row for row in pq.read_table(held).to_pylist()}
+        yield from ((i, held_of(twin, says.get(i, {}))) for i, twin in twins.items())
+        return
     if name not in ("reception", "closed"):
         yield from ((i, twin.findings()) for i, twin in twins.items())
         return
@@ -182,11 +201,12 @@ def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: i
     run = load_run(folder)
     judge = Judge(run, given=BenchmarkChoice(objects=str(meshes)) if own else None)
     rows, tallies = 0, dict[str, Tally]()
+    held = write_tables(run, BenchmarkChoice(), count=1, device="cpu") if name == "held" else {}
     for method in run.methods:
-        for trial_id, findings in judged(name, judge, rows_of(run, method)):
+        for trial_id, findings in judged(name, judge, rows_of(run, method), held.get(method)):
             rows += 1
             for finding in findings:
-                key = "facts" if finding.kind == "fact" else finding.name
+                key = "facts" if finding.kind == "fact" and name != "held" else finding.name
                 tallies.setdefault(key, Tally()).add(finding, f"{name} {method.split(' ')[0]} {trial_id}")
     return rows, tallies
 
@@ -216,10 +236,11 @@ def main() -> None:
                 figures: dict[str, float] = {"rows": t.rows, "wrong": t.wrong}
                 if criterion != "facts":
                     figures["largest_difference_mm"] = round(t.largest, 4)
+                figures |= {"open": t.open} if name == "held" else {}
                 if criterion != "facts":
                     figures |= {"bounds": t.bounds, "bounds_that_do_not": t.beyond}
                 figures |= {"median_bound_share": round(float(np.median(t.loose)), 3)} if t.loose else {}
-                for figure, value in figures.items() if t.rows else ():
+                for figure, value in figures.items() if t.rows or t.open else ():
                     report.add(f"judge_again.{name}.{criterion}.{figure}", value)
             report.write(args.json)  # an end before the last set leaves those that are done
 

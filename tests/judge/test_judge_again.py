@@ -9,11 +9,15 @@ import pytest
 import torch
 from judge_twin import Again
 from people_twin import episode_of, reception_of
+from transfer_twin import held_of
 
 from r2h_batch import Evaluator, evaluate, load_benchmark
 from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.closed_loop.episodes import play
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
+from r2h_batch.closed_loop.transfer.cases import Simulator
+from r2h_batch.closed_loop.transfer.handed import gripped_of
+from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge import metrics, plan
 from r2h_batch.judge.motion import time_law
@@ -199,3 +203,46 @@ def test_an_episode_is_right_and_one_that_lies_is_noticed(handed_over):
     for noticed, lie in lies.items():
         told = SimpleNamespace(episodes=lambda lie=lie: lie, config=env.config, trace=env.trace)
         assert noticed in {f.name for f in episode_of(twin, told, 0) if not f.holds}, noticed
+
+
+HELD = ("closing_m", "squeezed_m", "slip_m", "turn_deg", "carries")
+
+
+def says_held(twin: Again) -> dict[str, Any]:
+    """A row of held/METHOD.parquet of this row."""
+    evaluator = Evaluator(load_benchmark("r2h-v1"), KINEMATIC)
+    T = (torch.tensor(T[None], dtype=torch.float32) for T in (twin.T_obj_ee, twin.T_world_ee))
+    scores = evaluator.score(*T, twin.trials, stages="pose")
+    gripped = gripped_of(scores, twin.trials.trial_id.numpy())
+    found = Simulator(twin.robot, tuple(twin.scene.objects), Setting(), 0).hold(gripped)
+    words = {"lost": found.lost[0], "undecided": bool(found.undecided[0]), "settled": bool(found.settled[0])}
+    return words | {k: float(getattr(found, k)[0]) for k in HELD}
+
+
+@pytest.fixture(scope="module")
+def held(first):
+    return says_held(first)
+
+
+@pytest.mark.check
+def test_what_a_closed_gripper_holds_is_right(first, held):
+    found = list(held_of(first, held))
+    assert [f for f in found if not f.holds and f.kind != "open"] == []
+    assert {f.name for f in found} == {"is_asked", "lost", "settled", *HELD}
+    assert sum(f.kind == "open" for f in found) <= 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "noticed"),
+    [
+        ({"lost": "weight"}, "lost"),
+        ({"settled": False}, "settled"),
+        ({"closing_m": 0.02}, "closing_m"),
+        ({"slip_m": 0.02}, "slip_m"),
+        ({"turn_deg": 25.0}, "turn_deg"),
+        ({"carries": 0.01}, "carries"),
+    ],
+)
+def test_a_held_row_that_lies_is_noticed(changes, noticed, first, held):
+    assert noticed in {f.name for f in held_of(first, held | changes) if f.kind == "fact" and f.wrong}
+    assert [f.name for f in held_of(first, {}) if f.wrong] == ["is_asked"]
