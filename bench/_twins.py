@@ -13,10 +13,10 @@ from oracle import MujocoScene, Staged
 from people_twin import episode_of, reception_of
 from planning_twins import Checker, checker_of, dense, let_collide, motion_samples, ompl_solve, recheck, staged
 from problems import Batch, Problems, make_batch, solve
-from transfer_twin import held_of
+from transfer_twin import Start, held_of, transfer_of
 
 __all__ = [
-    "Again", "Batch", "Checker", "Finding", "MujocoScene", "Problems", "Staged", "checker_of", "dense", "episode_of",
-    "grasp_cases", "held_of", "let_collide", "make_batch", "motion_samples", "ompl_solve", "oracle", "reception_of", "recheck",
-    "solve", "staged", "winding_number",
+    "Again", "Batch", "Checker", "Finding", "MujocoScene", "Problems", "Staged", "Start", "checker_of", "dense",
+    "episode_of", "grasp_cases", "held_of", "let_collide", "make_batch", "motion_samples", "ompl_solve", "oracle",
+    "reception_of", "recheck", "solve", "staged", "transfer_of", "winding_number",
 ]  # fmt: skip

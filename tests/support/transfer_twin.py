@@ -4,7 +4,8 @@ Written from docs/transfer.md: gripper, object and the person's hand as MJCF for
 policies, person and outcomes tick by tick and row by row in float64, and statics as an own linear program. Shared with the
 project are meshes, masses and pieces of objects, and the solver (MuJoCo C); of `held` nothing else: where the gripper closes on
 the object comes from `judge_twin`. Of transfers also the start (where reception has object, gripper and hand, and what the
-hand's grasp withstands), the drawn persons and the sensor's noise. `probe` is not here. Centres of mass: of a driver half way to its pin, of a pad in its middle.
+hand's grasp withstands), the drawn persons and the sensor's noise. `probe` is not here. Centres of mass: of a driver half way
+to its pin, of a pad in its middle.
 
 `carries` hangs on which points touch. Two postures that agree to a tenth of a millimetre can touch at other ones, and then the
 multiples of the weight differ by factors, on both sides: the linear programs agree on the same contacts. So the twin closes the
