@@ -1425,17 +1425,17 @@ MUTATIONS = (
         ("tests/closed_loop/transfer/test_friction.py::test_another_program_says_the_same_of_the_same_contacts",),
     ),
     Mutation(
-        "held: the object falls upwards",
+        "held: statics asks for twice the weight",
         "r2h_batch/closed_loop/transfer/held.py",
         "pull = G * row.down[0] * float",
-        "pull = G * row.down[0][::-1] * float",
+        "pull = 2 * G * row.down[0] * float",
         ("tests/judge/test_judge_again.py::test_what_a_closed_gripper_holds_is_right",),
     ),
     Mutation(
-        "person: the load grows from the beginning of the grip",
+        "person: the grip does not follow the arm's force",
         "r2h_batch/closed_loop/transfer/person.py",
-        "self._ramp(PRELOAD_S)",
-        "self._ramp(0.0)",
+        "(torch.maximum(self.usual, follows) * self.firm)",
+        "(self.usual * self.firm)",
         ("tests/judge/test_judge_again.py::test_how_a_transfer_ends_is_right_and_a_row_that_lies_is_noticed",),
     ),
     Mutation(

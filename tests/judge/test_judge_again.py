@@ -221,16 +221,21 @@ def says_held(twin: Again) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def held(first):
-    return says_held(first)
+def bowl() -> Again:
+    """A row of which half the step says the same in all."""
+    return again(1)
+
+
+@pytest.fixture(scope="module")
+def held(bowl):
+    return says_held(bowl)
 
 
 @pytest.mark.check
-def test_what_a_closed_gripper_holds_is_right(first, held):
-    found = list(held_of(first, held))
-    assert [f for f in found if not f.holds and f.kind != "open"] == []
+def test_what_a_closed_gripper_holds_is_right(bowl, held):
+    found = list(held_of(bowl, held))
+    assert [f for f in found if f.kind == "open" or f.wrong] == []
     assert {f.name for f in found} == {"is_asked", "lost", "settled", *HELD}
-    assert sum(f.kind == "open" for f in found) <= 1
 
 
 @pytest.mark.parametrize(
@@ -244,9 +249,9 @@ def test_what_a_closed_gripper_holds_is_right(first, held):
         ({"carries": 0.01}, "carries"),
     ],
 )
-def test_a_held_row_that_lies_is_noticed(changes, noticed, first, held):
-    assert noticed in {f.name for f in held_of(first, held | changes) if f.kind == "fact" and f.wrong}
-    assert [f.name for f in held_of(first, {}) if f.wrong] == ["is_asked"]
+def test_a_held_row_that_lies_is_noticed(changes, noticed, bowl, held):
+    assert noticed in {f.name for f in held_of(bowl, held | changes) if f.kind == "fact" and f.wrong}
+    assert [f.name for f in held_of(bowl, {}) if f.wrong] == ["is_asked"]
 
 
 TOLD = ("transfer_s", "pull_n", "hand_n", "grip_n", "slip_m", "turn_deg", "robot_slip_m")
