@@ -28,7 +28,7 @@ RULES = {
     "mean normal": "on each pad the mean normal is within the angle",
     "line": "the line between the middles of the contacts is within the angle of both mean normals",
 }
-"""What could stand in Stability, by a short name."""
+"""Measures that could stand in Stability, by a short name."""
 
 HEAD = """# Closing angle: can one line of geometry say what a closing gripper loses?
 
@@ -100,7 +100,22 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 }
             )
         print(name, len(gripped), Counter(r["lost"] for r in rows if r["method"] == name), flush=True)
-    return {"trials": options.trials, "rows": rows, **about}
+    return {"trials": options.trials, "grasps": [line_of(r) for r in rows], **about}
+
+
+FIELDS = ("method", "trial", "object", "lost", "near", *RULES)
+
+
+def line_of(row: dict[str, Any]) -> str:
+    """A grasp as one line of text; angles to a thousandth of a degree."""
+    return ";".join(f"{row[k]:.3f}" if isinstance(row[k], float) else str(row[k]) for k in FIELDS)
+
+
+def row_of(line: str) -> dict[str, Any]:
+    """The grasp of `line_of`."""
+    words = {k: None if w == "None" else w for k, w in zip(FIELDS, line.split(";"), strict=True)}
+    angles = {k: None if (w := words[k]) is None else float(w) for k in RULES}
+    return {**words, "near": words["near"] == "True", **angles}
 
 
 def angles_of(models: Any, row: Any) -> dict[str, float | None]:
@@ -152,7 +167,7 @@ def markdown(data: dict[str, Any]) -> str:
     from r2h_batch.judge.grasp_physics import FRICTION
     from r2h_batch.report.statistics.aggregate import wilson_interval
 
-    rows, limit = data["rows"], float(np.rad2deg(np.arctan(FRICTION)))
+    rows, limit = [row_of(line) for line in data["grasps"]], float(np.rad2deg(np.arctan(FRICTION)))
 
     def rate(count: int, n: int) -> str:
         low, high = wilson_interval(count, n)

@@ -720,7 +720,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         "# Object families: results",
         "See which conclusions about methods hold on objects that nobody tuned to."
         f" {RECEIVERS}"
-        f" `python bench/families.py --rows FOLDER --trials {data['trials']}` measured all of this, motion as planned (rows of"
+        f" `python bench/families.py --rows FOLDER --trials {data['trials']}` measured all of this with `--sim none` (rows of"
         f" commit {data['rows_commit'][:12]}; `bench/results/families.json`). [Statistical terms](../statistics.md).",
         "## Table I of r2h-v2",
         f"{data['table']['origin']['instances']}. SR in percent; {n['S0']} trials in S0, {n['S1']} in S1. #1: share of bootstrap"
@@ -764,7 +764,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         "## Two definitions of a region",
         "The receiver's region is a set of parts, and which parts is a choice. The first line of a category is r2h-v2's, the"
         " second another; both barrels of binoculars leave the gripper a tenth of the surface. SR in S1 of the category's"
-        f" {data['regions'][0]['instances']} shipped instances, {data['regions'][0]['n']} trials each, motion as planned;"
+        f" {data['regions'][0]['instances']} shipped instances, {data['regions'][0]['n']} trials each, `--sim none`;"
         " receiving hands and what methods see follow the region.",
         region_lines(data),
         "No data set was at hand that says where people take these things. `r2h-batch import objects --from hoh` reads one"

@@ -324,7 +324,7 @@ HEAD = """# A method that learned
 `r2h-batch train rank` trains a network of {kb:.0f} kB that ranks pairs of grasp candidate and handover pose
 ([how](../training_loop.md#train-a-ranker)). It learned from new instances of the families with the evaluator's labels. It saw
 none of the 96 objects and no trial of the benchmark. It sees what Handover-VA sees, asks no judge, and solves no IK. `python
-bench/learn.py` measured {trials} trials of each split of r2h-v2, motion as planned (bench/results/learn.json; commit {commit},
+bench/learn.py` measured {trials} trials of each split of r2h-v2, `--sim none` (bench/results/learn.json; commit {commit},
 load {load:g} at the start{older}).
 
 SR in percent; first failures as Plan / Reach / Affordance / Safe.
@@ -336,7 +336,7 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
 {left_out}{scans}
 {received}{generator}## What it costs
 
-- Training, CPU seconds from cached instances: {seconds}.
+- Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
 - Labels a CPU second: {labels}.
 - A step of 1,024 pairs takes {step:.0f} CPU ms: {shares}.
@@ -450,7 +450,8 @@ def markdown(data: Mapping[str, Any]) -> str:
     ms = 1000 * data["spent"]["seed 0"]["train"] / Recipe().all_steps
     base = data["seeds"]["0"]
     costs = []
-    for name, parts in (data["spent"] | data.get("spent of folds", {})).items():
+    for name, own in (data["spent"] | data.get("spent of folds", {})).items():
+        parts = {k: x for k, x in own.items() if k != "instances"}
         costs.append(f"{name}: {sum(parts.values()):.0f} ({', '.join(f'{k} {x:.0f}' for k, x in parts.items())})")
     rows = []
     for c, v in base["categories"].items():

@@ -33,7 +33,7 @@ HEAD = """# Errors of the object's pose
 
 Methods are told where the object is. Here they are told wrongly
 ([definition](../choices.md#errors-estimates-candidates)); the judge and the trials stay
-true. `python bench/object_errors.py` measured {trials} trials of each split of r2h-v2, motion as planned
+true. `python bench/object_errors.py` measured {trials} trials of each split of r2h-v2, `--sim none`
 (bench/results/object_errors.json; commit {commit}, load {load:g} at the start). Every column has the same trials and answers.
 For your method: `r2h-batch sweep --method mine.py:predict --sim none --object-errors field --out runs/field`.
 

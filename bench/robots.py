@@ -69,7 +69,7 @@ KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 HEAD = """# The same methods on four robots
 
 See how often the methods succeed on each built-in robot. `python bench/robots.py` measured {trials} trials of each split of
-{benchmark}, motion as planned, [persons](../robots.md#persons-and-table) placed for the robot (bench/results/robots.json;
+{benchmark}, `--sim none`, [persons](../robots.md#persons-and-table) placed for the robot (bench/results/robots.json;
 commit {commits}). For your robot run `r2h-batch sweep --robot DIR --method fc handover-va contact intent oracle`.
 
 ## Success rates

@@ -39,7 +39,7 @@ TURNED_DEG = 10.0
 HEAD = """# Robustness: errors of execution, and weight
 
 Compare methods under [errors of execution](../choices.md#errors-estimates-candidates). `python bench/robustness.py`
-measured {trials} trials of each split of {benchmark}, motion as planned (bench/results/robustness.json; commit {commit}). For
+measured {trials} trials of each split of {benchmark}, `--sim none` (bench/results/robustness.json; commit {commit}). For
 your method run `r2h-batch sweep --method mine.py:predict --set robustness=true --out runs/robust`.
 
 ![SR over the execution error](robustness.png)

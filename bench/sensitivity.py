@@ -148,7 +148,7 @@ def markdown(data: dict) -> str:
     parts = [
         "# How far each choice changes the rates",
         "See how far one choice changes the success rates. Each line differs from the base in one choice"
-        f" ({name}, default preset, motion as planned, {data['trials']} trials a split; `python bench/sensitivity.py`, commit"
+        f" ({name}, default preset, `--sim none`, {data['trials']} trials a split; `python bench/sensitivity.py`, commit"
         f" {data['commit'][:12]}). `sensitivity.json` has first failures, splits and the test of each pair.",
         "SR is the mean of the splits in percent, with its change in brackets. Pairs: of the six pairs of methods, how many keep"
         " the order of the base.",

@@ -335,7 +335,7 @@ def block_of(
     transfer: Any,
     most: int | None = None,
 ) -> dict[str, Any]:
-    """What becomes of a method's received rows in some trials of each split, in each case: a number a row."""
+    """Outcomes of a method's received rows in some trials of each split, in each case: a number a row."""
     from r2h_batch.closed_loop.transfer.outcome import undecided
     from r2h_batch.verdicts import PERSON as COLUMNS
 

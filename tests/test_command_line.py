@@ -20,6 +20,7 @@ NESTED = (
     "results reevaluate",
     "results rethreshold",
     "results reception",
+    "results picked",
     "study ratings",
     "study real",
 )

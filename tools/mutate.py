@@ -118,6 +118,13 @@ T_LEAST_GRIP = (
 )
 T_KEPT = f"{T_CAPACITY}::test_capacities_of_a_users_object_are_kept_for_its_hand_its_mesh_and_its_mass"
 SHARD, T_SHARD = "r2h_batch/runs/shard.py", "tests/runs/test_shard.py"
+PICK, LINE, T_PICK = "r2h_batch/judge/pick.py", "kernels/plan/line.py", "tests/judge/test_pick.py"
+T_FOLLOWED = f"{T_PICK}::test_a_line_is_followed_from_branch_to_nearest_branch_at_any_turn_within_limits"
+T_OFF = f"{T_PICK}::test_a_branch_that_takes_the_gripper_off_the_line_is_not_followed"
+T_LEAST = f"{T_PICK}::test_the_least_of_a_way_is_found_to_the_tolerance_with_few_questions"
+T_RESTING = f"{T_PICK}::test_an_object_that_rests_is_as_far_from_the_robot_as_mujoco_says"
+T_SAMPLED = f"{T_PICK}::test_verdicts_and_margins_are_those_of_sampled_ways"
+T_WAYS = f"{T_PICK}::test_the_path_ends_where_the_way_in_begins_and_ways_are_ten_centimetres"
 
 MUTATIONS = (
     Mutation(
@@ -140,6 +147,132 @@ MUTATIONS = (
         '"solimp": TIE_IMPEDANCE}',
         '"solimp": (0.9, 0.95, 0.001, 0.5, 2.0)}',
         (f"{T_PADS}::test_pads_that_press_stay_upright",),
+    ),
+    Mutation(
+        "pick: a joint keeps the turn of its branch",
+        LINE,
+        "TURN * wp.round((x[j] - q[j]) / TURN)",
+        "TURN * wp.round(0.0 * (x[j] - q[j]) / TURN)",
+        (T_FOLLOWED,),
+    ),
+    Mutation(
+        "pick: a line goes on beyond the limits",
+        LINE,
+        "x[j] < world.lower[j] or x[j] > world.upper[j]",
+        "x[j] < world.lower[j] - 9.0 or x[j] > world.upper[j] + 9.0",
+        (T_FOLLOWED,),
+    ),
+    Mutation(
+        "pick: the first branch is as good as the nearest",
+        LINE,
+        "if turn < best:",
+        "if turn < best and found < 0:",
+        (T_FOLLOWED,),
+    ),
+    Mutation(
+        "pick: nobody looks how far the gripper leaves the line",
+        LINE,
+        "running = aside <= most_off",
+        "running = aside <= 1.0e3 * most_off",
+        (T_OFF,),
+    ),
+    Mutation(
+        "pick: turning takes no point off the line",
+        LINE,
+        "0.5 * lever * wp.length(axis)",
+        "0.0 * lever * wp.length(axis)",
+        (T_OFF,),
+    ),
+    Mutation(
+        "pick: what a point travels does not count",
+        "r2h_batch/judge/least.py",
+        "found - travel(row, low, middle, high) < best[row] - allowed",
+        "found < best[row] - allowed",
+        (T_LEAST,),
+    ),
+    Mutation(
+        "pick: the middle of a way is all that is measured",
+        "r2h_batch/judge/least.py",
+        "row.repeat(2)\n        low, high = torch.cat([low, middle]), torch.cat([middle, high])",
+        "row.repeat(1)\n        low, high = low, middle",
+        (T_LEAST,),
+    ),
+    Mutation(
+        "pick: the object rests turned back",
+        "kernels/robot/resting.py",
+        "wp.float64(T[i, j]) * wp.float64(x[j])",
+        "wp.float64(T[j, i]) * wp.float64(x[j])",
+        (T_RESTING,),
+    ),
+    Mutation(
+        "pick: the gripper may not come near the object either",
+        "r2h_batch/scene/resting.py",
+        "first[-1] = first[-2]",
+        "first[-1] = first[-1]",
+        (T_RESTING,),
+    ),
+    Mutation(
+        "pick: the gripper backs off forwards",
+        PICK,
+        "-= m[:, None] * self.T_world_ee[:, None, :3, 2]",
+        "+= m[:, None] * self.T_world_ee[:, None, :3, 2]",
+        (T_WAYS,),
+    ),
+    Mutation(
+        "pick: the arm lifts along the gripper",
+        PICK,
+        "T[:, STEPS + 1 :, 2, 3] += m",
+        "T[:, STEPS + 1 :, 1, 3] += m",
+        (T_WAYS,),
+    ),
+    Mutation(
+        "pick: the open gripper comes from within the object",
+        PICK,
+        "T[:, :3, 3] -= (WAY_M * (1 - s))[:, None] * back[row]",
+        "T[:, :3, 3] += (WAY_M * (1 - s))[:, None] * back[row]",
+        (T_SAMPLED,),
+    ),
+    Mutation(
+        "pick: nobody waits",
+        PICK,
+        "if person and self.trials.receiver is not None:",
+        "if person and self.trials.receiver is None:",
+        (f"{T_PICK}::test_a_person_in_the_way_makes_it_fail",),
+    ),
+    Mutation(
+        "pick: the table gives way",
+        PICK,
+        "room < 0, room, torch.inf",
+        "room < -1.0, room, torch.inf",
+        (f"{T_PICK}::test_a_grasp_that_pushes_the_object_into_the_table_fails_by_what_the_pads_do_not_give",),
+    ),
+    Mutation(
+        "pick: closing pushes the other way",
+        PICK,
+        "pad_squeeze_m - down",
+        "pad_squeeze_m + down",
+        (f"{T_PICK}::test_a_grasp_that_pushes_the_object_into_the_table_fails_by_what_the_pads_do_not_give",),
+    ),
+    Mutation(
+        "pick: one free branch is enough for all",
+        PICK,
+        "up = free & (lifted.clearance_m > 0)",
+        "up = lifted.clearance_m > -torch.inf",
+        (T_SAMPLED,),
+    ),
+    Mutation(
+        "pick: the fingers close nowhere",
+        PICK,
+        "return gap + s * (shut[row] - gap)",
+        "return gap + 0.0 * s * (shut[row] - gap)",
+        (T_SAMPLED,),
+    ),
+    Mutation(
+        "pick: a table of another seed is kept",
+        "r2h_batch/sweep/results/picked.py",
+        '"seed": seed, ',
+        '"seed": 0, ',
+        ("tests/sweep/results/test_picked.py::test_a_table_of_the_same_rows_is_kept_and_one_of_another_seed_is_made_anew",),
     ),
     Mutation(
         "the pendant counts in the frame of ROS 2",
@@ -336,6 +469,48 @@ MUTATIONS = (
         "np.radians(motion.turn_deg)",
         "np.radians(20.0)",
         ("tests/closed_loop/test_moving.py::test_the_turn_of_a_hand_that_moves_has_the_root_mean_square_that_is_asked",),
+    ),
+    Mutation(
+        "side files: successes of another run are taken",
+        "r2h_batch/runs/side.py",
+        "    if kind.of_rows and len(ids):",
+        "    if False:",
+        ("tests/runs/test_side_files.py::test_a_forged_file_is_one_line_that_names_it_and_verify_sets_it_aside",),
+    ),
+    Mutation(
+        "side files: any number of rows is read",
+        "r2h_batch/runs/side.py",
+        "if (rows := file.metadata.num_rows) > trials * MOST_CASES:",
+        "if (rows := file.metadata.num_rows) > trials * MOST_CASES**2:",
+        ("tests/runs/test_side_files.py::test_a_forged_file_is_one_line_that_names_it_and_verify_sets_it_aside",),
+    ),
+    Mutation(
+        "shipped answers: the object's pose alone counts",
+        "r2h_batch/report/compare/stored.py",
+        "near.all(1).sum()",
+        "near[:, 0].sum()",
+        ("tests/report/test_board.py::test_no_shipped_method_has_the_answers_of_another_one",),
+    ),
+    Mutation(
+        "hidden trials: the seed is no part of the promise",
+        "r2h_batch/protocols/hidden.py",
+        "hidden trials\\n{benchmark.seed}\\n{published}",
+        "hidden trials\\n{published}",
+        ("tests/protocols/test_hidden.py::test_the_promise_holds_for_its_seed_alone",),
+    ),
+    Mutation(
+        "hidden trials: a seed draws the published ones",
+        "r2h_batch/protocols/draw/rule.py",
+        'seed = f"{self.name} {benchmark.seed}" if benchmark.seed else self.name',
+        "seed = self.name",
+        ("tests/protocols/test_hidden.py::test_a_seed_draws_other_trials_of_the_same_rule_and_none_draws_the_published_ones",),
+    ),
+    Mutation(
+        "bodies: a torso may be around the robot",
+        "r2h_batch/protocols/trials_file.py",
+        "near, near < FROM_BASE_M,",
+        "near, near < 0.0,",
+        ("tests/protocols/test_listed_bodies.py::test_a_body_that_nobody_has_is_refused_in_one_line",),
     ),
     Mutation(
         "all rows see with the first row's seed",
@@ -1591,6 +1766,13 @@ MUTATIONS = (
         "depth_out[i, p] = best * scale",
         "depth_out[i, p] = best",
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
+        "table: people read other digits of a digest",
+        "r2h_batch/report/text.py",
+        r"([0-9a-f]{12})[0-9a-f]{52}",
+        r"[0-9a-f]{52}([0-9a-f]{12})",
+        ("tests/report/test_report.py::test_people_read_twelve_digits_of_a_digest_and_programs_all",),
     ),
     Mutation(
         "cameras: the upper arm is called the forearm",

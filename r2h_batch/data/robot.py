@@ -34,6 +34,7 @@ from r2h_batch.data.robot_chain import (
 )
 from r2h_batch.data.robot_home import (
     NO_TURN,
+    check_clear_of_table,
     first_home,
     free_home,
     homes,
@@ -188,6 +189,9 @@ def import_robot(
     )
     dynamics = _dynamics(chain, bare, shown)
     names: tuple[str, ...] = tuple(_word(part.name) for part in chain.links)
+    named = _with_links(bare, names)
+    table = Workplace().scaled(named.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
+    check_clear_of_table(_bones(named), table, shown)  # before any search for a posture
     if offset is None and (way := _turn(bare, chain, names, start, shown)):
         across = f"{shown}: the z of --flange {printable(flange)} does not point away from the arm"
         if not turn:
@@ -224,13 +228,10 @@ def import_robot(
             for link, like in zip(links, names, strict=True)
         ]
     else:
-        bare = replace(
-            bare, links=(*names, bare.links[-1]), object_pairs=frozen(np.arange(n + 1), np.int32)
-        )
-    table = Workplace().scaled(bare.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
+        bare = _with_links(bare, names)
     first_q = start or first_home(bare, shown)  # before the minutes that fitting takes
     if not start:
-        free_home(_bones(bare), table, shown)
+        free_home(_bones(bare), table, shown, [link.triangles for link in links])
     hulls: list[Shape | Hull] = []
     where: list[int] = []
     rows: dict[str, Any] = {}
@@ -286,15 +287,20 @@ def _turn(
     bare: Robot, chain: Chain, names: tuple[str, ...], start: tuple[float, ...], shown: str
 ) -> str:
     """The `--offset` that the flange needs; "": none, or none helps. With the gripper that a robot has by default."""
-    n = len(chain.joints)
-    if bare.family != "ur":
-        own = frozen(np.arange(n + 1), np.int32)
-        bare = replace(bare, links=(*names, bare.links[-1]), object_pairs=own)
+    bare = _with_links(bare, names)
     none = not start and next(homes(bare), None) is None
     way = turn_of(bare, chain, any_way=none)
     if none and not way:
         raise no_home(bare, shown)
     return way
+
+
+def _with_links(bare: Robot, names: tuple[str, ...]) -> Robot:
+    """The robot with an arm of these links; a UR's are those that it has by default."""
+    if bare.family == "ur":
+        return bare
+    every = frozen(np.arange(len(names)), np.int32)
+    return replace(bare, links=(*names, bare.links[-1]), object_pairs=every)
 
 
 def _bones(robot: Robot) -> Robot:

@@ -1,6 +1,6 @@
 """The posture from which an imported arm starts, and which way its flange should point."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,14 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.config import Workplace
 from r2h_batch.data.robot_chain import Chain
 from r2h_batch.data.robot_pairs import Touching
-from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, ee_pose, frozen, load_robot
+from r2h_batch.scene.robot import (
+    DEFAULT_ROBOT,
+    Robot,
+    ee_pose,
+    forward_kinematics,
+    frozen,
+    load_robot,
+)
 
 Array = NDArray[np.float64]
 
@@ -26,6 +33,8 @@ PLACES = (
 )  # fmt: skip
 """Turn of the gripper about the vertical, rad; distance from the base, in parts of the usual one; height above the
 usual place, in parts of the reach; turn forward from straight down, rad. In this order they are tried."""
+DRAWN = 256
+"""Postures in which a link may be in the table before the arm is refused."""
 SAME_RAD = 0.05
 STEPS, MOST_STEP_RAD, DIFFERENCE_RAD = 50, 0.5, 1e-6
 """Steps of the search for a posture, the largest one, and that of its differences."""
@@ -38,6 +47,31 @@ TURNS = {
     "0,0,0,1.5708,0,0": (1, -1), NO_TURN: (2, 1), "0,0,0,3.1416,0,0": (2, -1),
 }  # fmt: skip
 """`--offset` -> the axis of the link, and its sign, along which the flange's z points then."""
+
+
+def check_clear_of_table(rods: Robot, table: Workplace, shown: str) -> None:
+    """Refuse an arm of which a link is in the table at each of `DRAWN` postures: no search will find one.
+
+    Args:
+        rods: the arm as thin rods.
+        table: where it stands.
+        shown: the file, for the message.
+
+    Raises:
+        FileError: it names the link.
+    """
+    look, lower = Touching(rods, table), np.maximum(rods.lower, -np.pi)
+    upper = np.minimum(rods.upper, np.pi)
+    unit = qmc.Halton(len(lower), scramble=False).random(DRAWN + 1)[1:]
+    always: set[str] | None = None
+    for q in lower + (upper - lower) * unit:
+        met = set(look(q))
+        always = met if always is None else always & met
+        if not always:
+            return
+    what = f"{min(always or ())} overlap in each of {DRAWN} postures drawn at random"
+    how = "the frame of --base is the table's, so give a --base below this link"
+    raise FileError(f"{shown}: {what}; {how}, as the torso or pedestal that carries the arm")
 
 
 def usual_place(robot: Robot) -> Array:
@@ -84,13 +118,25 @@ def no_home(robot: Robot, shown: str) -> FileError:
     return FileError(f"{shown}: no posture has the gripper {where}; {how}")
 
 
-def free_home(robot: Robot, table: Workplace, shown: str) -> tuple[float, ...]:
+def free_home(
+    robot: Robot, table: Workplace, shown: str, meshes: Sequence[Array] = ()
+) -> tuple[float, ...]:
     """The first of `homes` in which no links overlap, gripper open or closed.
+
+    Args:
+        robot: the arm with its bodies, or with rods that stand for them.
+        table: where it stands.
+        shown: the file, for the message.
+        meshes: triangles (F, 3, 3) of each link, whose corners must keep out of the table too: any body covers them.
 
     Raises:
         FileError: in all of them some do.
     """
-    look = Touching(robot, table)
+    bodies = Touching(robot, table)
+
+    def look(q: Array) -> list[str]:
+        return bodies(q) + [f"{name} and table" for name in _in_table(robot, table, meshes, q)]
+
     met: dict[str, int] = {}
     tried = 0
     for home in homes(robot):
@@ -103,6 +149,17 @@ def free_home(robot: Robot, table: Workplace, shown: str) -> tuple[float, ...]:
     most = max(met, key=lambda pair: met[pair])
     what = f"{tried} postures with the gripper down or forward were tried: links overlap in each, most often {most}"
     raise FileError(f"{shown}: {what}; give one with --home, or turn --flange by --offset")
+
+
+def _in_table(robot: Robot, table: Workplace, meshes: Sequence[Array], q: Array) -> list[str]:
+    """The links with a corner in the table's box."""
+    T, center, half = forward_kinematics(robot, q), np.array(table.table_center), table.table_half
+    found = []
+    for k in range(robot.table_from, len(meshes)):
+        corners = meshes[k].reshape(-1, 3) @ T[k, :3, :3].T + T[k, :3, 3]
+        if (np.abs(corners - center) < np.array(half)).all(1).any():
+            found.append(robot.links[k])
+    return found
 
 
 def turn_of(robot: Robot, chain: Chain, *, any_way: bool = False) -> str:

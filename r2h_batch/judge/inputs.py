@@ -25,12 +25,14 @@ Stages = Literal["pose", "all"]
 
 
 def checked_inputs(
-    scene: Scene, T_obj_ee: Any, T_world_ee: Any, trials: Trials, stages: Stages
-) -> tuple[Tensor, Tensor, Trials]:
+    scene: Scene, T_obj_ee: Any, T_world_ee: Any, trials: Trials, stages: Stages, *,
+    second: str = "T_world_ee",
+) -> tuple[Tensor, Tensor, Trials]:  # fmt: skip
     """Poses (B, 4, 4) of float32 and B trials; (N, K) candidates become N K rows, each trial K
     times in turn. One grasp of each trial, (N, 4, 4) or (N, 1, 4, 4), goes with all of its K poses.
 
-    Poses may be tensors, NumPy arrays or nested lists (`as_numbers`); tensors keep their gradient.
+    `second`: what messages call the other pose. Poses may be tensors, NumPy arrays or nested lists
+    (`as_numbers`); tensors keep their gradient.
     Raises ValueError, TypeError from shapes, dtypes and devices alone.
     """
     device = torch.device(scene.device)
@@ -45,7 +47,7 @@ def checked_inputs(
     rule = "a torch tensor (B, 4, 4) or (N, K, 4, 4) of float32 or float64"
     T_obj_ee, T_world_ee = (
         as_numbers(name, value, rule, device).float()
-        for name, value in (("T_obj_ee", T_obj_ee), ("T_world_ee", T_world_ee))
+        for name, value in (("T_obj_ee", T_obj_ee), (second, T_world_ee))
     )
     if T_world_ee.ndim == 4 and T_obj_ee.shape in ((n, 4, 4), (n, 1, 4, 4)):
         T_obj_ee = T_obj_ee.reshape(n, 1, 4, 4).expand(n, T_world_ee.shape[1], 4, 4)
@@ -57,7 +59,7 @@ def checked_inputs(
     poses = []
     for name, pose, expected in (
         ("T_obj_ee", T_obj_ee, shape),
-        ("T_world_ee", T_world_ee, shape),
+        (second, T_world_ee, shape),
         ("trials.T_world_hand", trials.T_world_hand, (n, 4, 4)),
     ):
         value = check_tensor(name, pose, "a torch tensor (B, 4, 4) or (N, K, 4, 4)")

@@ -33,6 +33,7 @@ from r2h_batch.report.text import (
     legend,
     notes_list,
     plain,
+    short_digests,
     short_names,
     tex,
     tex_cell,
@@ -517,7 +518,7 @@ def _md(table: Table) -> str:
             for name, share in table.shares.items()
         ),
     ]
-    parts = ["  \n".join(f"{key}: {value}" for key, value in table.origin.items())]
+    parts = ["  \n".join(f"{key}: {short_digests(value)}" for key, value in table.origin.items())]
     for caption, headings, cells_of in sections:
         cells = [(row, cells_of(row)) for row in table.rows]
         lines = [

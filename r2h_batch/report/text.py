@@ -152,6 +152,11 @@ def tex(text: str) -> str:
     return "".join(_TEX.get(c, c) for c in text)
 
 
+def short_digests(text: str) -> str:
+    """The text with the first 12 of the 64 digits of each sha256: run.json and the other formats have them all."""
+    return re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1", text)
+
+
 def tex_comments(origin: Mapping[str, str], notes: Iterable[str]) -> list[str]:
     """Provenance and notes as LaTeX comments. No value can end its comment: line ends go."""
     lines = [f"needs {PACKAGES}", *(f"{key}: {value}" for key, value in origin.items()), *notes]

@@ -11,7 +11,7 @@ from r2h_batch.data import robot as importer
 from r2h_batch.data import robot_home, robot_shapes
 from r2h_batch.data.robot import import_robot
 from r2h_batch.data.robot_home import free_home, homes, usual_place
-from r2h_batch.scene.robot import DEFAULT_ROBOT, ee_pose, load_robot
+from r2h_batch.scene.robot import DEFAULT_ROBOT, ee_pose, forward_kinematics, load_robot
 
 ACROSS = {'<joint name="f" type="fixed"><parent link="l7"/><child link="flange"/><origin xyz="0 0 0.07"/>': (
     '<joint name="f" type="fixed"><parent link="l7"/><child link="flange"/><origin xyz="0 0 0.07" rpy="0 -1.5707963 0"/>'
@@ -105,3 +105,28 @@ def test_a_largest_moment_above_the_sum_of_the_others_is_the_sum(tmp_path):
     )
     with one_line("is not a body: mass 1.5 kg"):
         made(write_urdf(tmp_path, **{old: old.replace("0.012", "0.03")}))
+
+
+def test_an_arm_whose_shoulder_is_in_the_table_is_refused_before_any_search(tmp_path, monkeypatch):
+    """Joints 1 and 2 at the height of the base: the rod between them lies on the table's top at every posture."""
+    joint = '<joint name="j{}" type="revolute"><parent link="{}"/><child link="l{}"/><origin xyz="{}"/>'
+    low = {joint.format(2, "l1", 2, "0 0 0.18"): joint.format(2, "l1", 2, "0.1 0 0")}
+    low |= {joint.format(1, "base", 1, "0 0 0.15"): joint.format(1, "base", 1, "0 0 0")}
+    path = write_urdf(tmp_path, **low)
+    monkeypatch.setattr(robot_home, "_led_to", lambda *_: pytest.fail("a posture was searched"))
+    with one_line("l2 and table overlap in each of 256 postures drawn at random; .* give a --base below this link"):
+        made(path)
+
+
+def test_corners_of_a_mesh_in_the_table_are_found_before_bodies_are_fitted():
+    robot, table = load_robot("panda_hand"), Workplace()
+    top = table.table_center[2] + table.table_half[2]
+    first = next(homes(robot))
+    T = forward_kinematics(robot, np.array(first))
+    k = robot.table_from
+    inside = np.array([table.table_center[0], table.table_center[1], top - 0.001])
+    meshes = [np.full((1, 3, 3), 0.001)] * len(robot.links[:-1])
+    touching = [*meshes]
+    touching[k] = np.tile((inside - T[k, :3, 3]) @ T[k, :3, :3], (1, 3, 1))
+    assert free_home(robot, table, "arm.urdf", meshes) == first
+    assert free_home(robot, table, "arm.urdf", touching) != first

@@ -1,6 +1,7 @@
 """The table as text: the paper's own numbers come back cell by cell in every format."""
 
 import csv
+import dataclasses
 import io
 import json
 import re
@@ -80,6 +81,16 @@ def test_json_gives_back_every_cell_of_table_1_without_nan(paper, expected):
             assert row["n_success"] + sum(row[f"n_{f}"] for f in failures) == row["n"] == 500
             assert row["t_plan_s_n"] == 500 and row["t_exec_s_n"] == 500 - row["n_plan"]
     assert data["origin"]["protocol"] == "made" and data["origin"]["trials digest"] == "0123456789abcdef"
+
+
+def test_people_read_twelve_digits_of_a_digest_and_programs_all(paper):
+    table = dataclasses.replace(
+        paper, origin={"instances": f"2, digest {'ab' * 32}", "trials digest": "cd" * 32, "device": "e" * 63}
+    )
+    text = report.render(table, "md")
+    assert f"digest {'ab' * 6}  \ntrials digest: {'cd' * 6}  \n" in text and "e" * 63 in text
+    for fmt in ("json", "csv"):
+        assert "ab" * 32 in report.render(table, fmt) and "cd" * 32 in report.render(table, fmt)
 
 
 @pytest.mark.parametrize("fmt", report.FORMATS)

@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -33,7 +33,7 @@ MOST_FATAL = 20
 """Files of one folder that may end their reader before the folder is given up."""
 
 _MODULE = "r2h_batch.base.io.parquet"
-_COPY = "copy it again"
+_COPY, _MAGIC = "copy it again", b"PAR1"
 
 
 def read_parquet_arrays(
@@ -61,6 +61,7 @@ def read_parquet_arrays(
     """
     where = printable(path)
     with open_file(path, most) as file:
+        _check_ends(file, where)
         try:
             about, *arrays = read_in_child(
                 _MODULE,
@@ -76,6 +77,18 @@ def read_parquet_arrays(
     names = json.loads(str(about))
     found = dict(zip(names["columns"], arrays))
     return found, dict(zip(names["lists"], arrays[len(found) :]))
+
+
+def _check_ends(file: BinaryIO, where: str) -> None:
+    """Refuse a file without a Parquet file's first and last bytes, before all of it is read."""
+    first = file.read(len(_MAGIC))
+    file.seek(-min(len(_MAGIC), os.fstat(file.fileno()).st_size), os.SEEK_END)
+    last = file.read()
+    file.seek(0)
+    if {first, last} != {_MAGIC}:
+        raise FileError(
+            f"{where}: no Parquet file, or cut off: it must begin and end with PAR1; {_COPY}"
+        )
 
 
 def refused_parquet(paths: Sequence[Path], *, whole: bool = False) -> dict[Path, str]:

@@ -5,6 +5,7 @@ digest RUN        print the digest of each method's rows
 reevaluate RUN    judge a sample of stored rows again from their stored poses
 rethreshold RUN   print the rates at other thresholds
 reception RUN     print how many receivers could take the object
+picked RUN        print how many objects the arm can pick from the table with the stored grasps
 held RUN          print how many grasps hold in physics: after closing, and under the weight
 transfer RUN      simulate the transfer: the person takes the object, the gripper lets go
 """
@@ -205,6 +206,40 @@ def reception(
     return 0
 
 
+def picked(
+    folder: Path,
+    /,
+    *,
+    method: tuple[str, ...] = (),
+    seed: int = 0,
+    benchmark: BenchmarkChoice = DEFAULT,
+    device: str = "cpu",
+) -> int:
+    """Print how many objects the arm can pick from the table with the stored grasps; write RUN/picked/METHOD.parquet.
+
+    A trial begins with the object in the gripper. The command asks whether the arm could have got it there: from home to 10 cm
+    before the grasp, straight in with the open gripper, close, 10 cm straight up. The object rests on the table, the person
+    waits. The success rate does not depend on it. docs/pick.md has the definitions.
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+        method: only these methods, by the sweep's word (fc) or the table's name.
+        seed: of the draw of where objects rest.
+        benchmark: where its files are now, if they are not where the sweep found them.
+        device: cpu, cuda or cuda:N.
+    """
+    from r2h_batch.runs.files import RunError, in_the_way
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results import picked as of_table
+
+    check_seed(seed)
+    if what := in_the_way(folder / of_table.FOLDER, folder=True):
+        raise RunError(what)
+    run = load_run(folder).only(method)
+    print(of_table.render(of_table.write_tables(run, benchmark, device=device, seed=seed)), end="")
+    return 0
+
+
 def held(
     folder: Path,
     /,
@@ -340,6 +375,7 @@ COMMANDS = {
     "reevaluate": reevaluate,
     "rethreshold": rethreshold,
     "reception": reception,
+    "picked": picked,
     "held": held,
     "transfer": transfer,
 }

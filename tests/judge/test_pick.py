@@ -1,0 +1,318 @@
+"""Pick: the way to the grasp on the table, closing, the way up. Against MuJoCo C and float64 surfaces on sampled ways."""
+
+from collections import Counter
+from dataclasses import fields, replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from oracle import CLASSES
+from pick_twin import PickTwin, RestingWorld
+from planning_twins import jacobian_ik
+from rounds import each
+
+from r2h_batch import load_benchmark
+from r2h_batch.base import se3
+from r2h_batch.base.launch import over_trials
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.frontier.form import planning_form
+from r2h_batch.judge.grasp import close_gripper
+from r2h_batch.judge.least import least_along
+from r2h_batch.judge.pick import ROWS, Picked, PickReason, gripper_lever_m, gripper_radii, picked
+from r2h_batch.judge.plan import path_clearances
+from r2h_batch.kernels.plan.line import follow_lines
+from r2h_batch.observe import moments
+from r2h_batch.report.compare.stored import stored_rows
+from r2h_batch.runs.store import load_run
+from r2h_batch.scene.resting import with_resting, without
+from r2h_batch.scene.robot import ee_pose, gripper_primitives_at
+from r2h_batch.types import CollidingPair
+
+
+@cache
+def scene():
+    return Evaluator(load_benchmark("r2h-v2"), EvalConfig(execute=ExecConfig(sim="none"))).scene
+
+
+@cache
+def asked(first, n):
+    """Stored grasps of r2h-v2, n of each method: where their objects rest, and the trials."""
+    folder = next(f for f in stored_rows() if f.name == "r2h-v2")
+    run = load_run(folder)
+    ids, grasps = [], []
+    for e in run.entries:
+        rows = run.poses(e.name).slice(first, n).to_pylist()
+        ids += [r["trial_id"] for r in rows]
+        grasps += [r["T_obj_ee"] for r in rows]
+    trials = load_benchmark("r2h-v2").trials_with_ids(torch.tensor(ids))
+    return torch.tensor(grasps).reshape(-1, 4, 4), moments(scene(), trials), trials
+
+
+@cache
+def found(first, n):
+    return picked(scene(), *asked(first, n))
+
+
+def row_of(result, i):
+    return Picked(*(getattr(result, f.name)[i : i + 1] for f in fields(Picked)))
+
+
+def twin_of(first, n, i):
+    T_obj_ee, T_world_obj, trials = asked(first, n)
+    return PickTwin(scene(), trials[i : i + 1], T_obj_ee[i], T_world_obj[i], row_of(found(first, n), i))
+
+
+def test_verdicts_and_margins_are_those_of_sampled_ways():
+    """One row of each reason and of each pair that decides, and two that pass."""
+    result = found(0, 14)
+    seen = {}
+    for i in range(len(result.reason)):
+        seen.setdefault((int(result.reason[i]), int(result.pair[i])), i)
+    assert {r for r, _ in seen} >= {PickReason.OK, PickReason.OUT_OF_REACH, PickReason.APPROACH_COLLIDES}
+    for i in each(seen.values()):
+        assert twin_of(0, 14, i).wrong() == "", i
+
+
+@pytest.mark.slow
+def test_verdicts_and_margins_of_eighty_rows_are_those_of_sampled_ways():
+    result = found(14, 14)
+    assert Counter(result.picked.tolist())[True] >= 15
+    for i in each(range(len(result.reason))):
+        assert twin_of(14, 14, i).wrong() == "", i
+
+
+def test_a_row_has_the_same_bits_alone_in_any_batch_and_order():
+    T_obj_ee, T_world_obj, trials = asked(0, 14)
+    whole, n = found(0, 14), len(trials)
+    order = torch.from_numpy(np.random.default_rng(0).permutation(n))
+    again = picked(scene(), T_obj_ee[order], T_world_obj[order], trials[order])
+    passes = int(whole.picked.nonzero()[0])
+    one = slice(passes, passes + 1)
+    alone = picked(scene(), T_obj_ee[one], T_world_obj[one], trials[one])
+    many = picked(
+        scene(), *(x.repeat(3, 1, 1)[: ROWS + 8] for x in (T_obj_ee, T_world_obj)), trials[torch.arange(ROWS + 8) % n]
+    )
+    assert len(many.picked) > ROWS
+    for f in each(fields(Picked)):
+        a = getattr(whole, f.name)
+        for b, rows in ((again, order), (alone, torch.tensor([passes])), (many, torch.arange(ROWS + 8) % n)):
+            x, y = (np.ascontiguousarray(t.numpy()) for t in (a[rows], getattr(b, f.name)))
+            assert x.tobytes() == y.tobytes(), f.name
+
+
+def test_the_form_for_a_gpu_says_the_same():
+    T_obj_ee, T_world_obj, trials = asked(0, 14)
+    rows = torch.arange(0, len(trials), 4)
+    with planning_form("frontier"):
+        other = picked(scene(), T_obj_ee[rows], T_world_obj[rows], trials[rows])
+    whole = found(0, 14)
+    assert torch.equal(other.reason, whole.reason[rows]) and other.picked.any()
+    got = other.picked
+    assert torch.allclose(other.margin_m[got], whole.margin_m[rows][got], atol=3e-4)
+
+
+def test_an_object_that_rests_is_as_far_from_the_robot_as_mujoco_says():
+    s, (T_obj_ee, T_world_obj, trials) = scene(), asked(0, 14)
+    rows = torch.arange(0, 36)
+    open_m = torch.full((36,), s.robot.open_gap_m)
+    poses = s.body_poses(
+        trials.object_index[rows], trials.hand_index[rows], T_obj_ee[rows], trials.T_world_hand[rows], open_m
+    )
+    alone = with_resting(s, without(s, poses, attached=True, table=True, others=True), T_world_obj[rows])
+    q = found(0, 14).way_in[rows][:, :1].nan_to_num(nan=0.3).contiguous()
+    one = torch.ones(36, dtype=torch.int32)
+    whole, pair, body = path_clearances(s, alone, q, one)
+    no_gripper = with_resting(
+        s, without(s, poses, attached=True, table=True, others=True, gripper=True), T_world_obj[rows]
+    )
+    arm, _, arm_body = path_clearances(s, no_gripper, q, one)
+    near, met = torch.nonzero((whole < 0.05) & (whole > 0)).flatten().tolist(), set()
+    for i in each(near):
+        twin = twin_of(0, 14, i)
+        world = twin._world(s.robot.open_gap_m, kind=RestingWorld)
+        true = world.clearances(q[i, 0].double().numpy()).distance[CLASSES[0]]
+        assert float(whole[i]) == pytest.approx(true, abs=3e-5) and int(pair[i]) == CollidingPair.HAND
+        of_gripper = int(body[i]) >= len(s.tables.arm_order)
+        assert int(arm_body[i]) < len(s.tables.arm_order)
+        assert arm[i] > whole[i] if of_gripper else arm[i] == whole[i]
+        met.add(of_gripper)
+    assert met == {True, False}
+
+
+def test_a_grasp_that_pushes_the_object_into_the_table_fails_by_what_the_pads_do_not_give():
+    """The object stands before the robot, the closing axis upright, the pads' middle to either side of the object's: closing
+    lowers it or lifts it."""
+    s, (T_obj_ee, _, trials) = scene(), asked(0, 14)
+    T_world_ee = torch.eye(4)
+    T_world_ee[:3, :3] = torch.tensor([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    T_world_ee[:3, 3] = torch.tensor([0.5, -0.25, 0.35])
+    rows = (found(0, 14).picked & (found(0, 14).margin_m > 0.006)).nonzero().flatten()[:4]
+    squeeze = s.config.thresholds.pad_squeeze_m
+    reasons = set()
+    for off in each((-0.004, 0.0, 0.004)):
+        grasp = T_obj_ee[rows].clone()
+        grasp[:, :3, 3] += off * grasp[:, :3, 1]
+        closed = close_gripper(s.grasp_tables, grasp.contiguous(), trials.object_index[rows])
+        result = picked(s, grasp, T_world_ee @ se3.inverse(grasp), trials[rows])
+        for i in each(range(len(rows))):
+            reason, room = PickReason(int(result.reason[i])), squeeze - float(closed.shift_m[i])
+            reasons.add(reason)
+            if reason == PickReason.CLOSING_COLLIDES:
+                assert int(result.pair[i]) == CollidingPair.OBJECT_TABLE
+                assert float(result.margin_m[i]) == pytest.approx(room, abs=1e-5) and room < 0
+            elif reason == PickReason.OK:
+                assert room >= 0
+    assert reasons >= {PickReason.CLOSING_COLLIDES, PickReason.OK}, reasons
+
+
+def test_a_person_in_the_way_makes_it_fail():
+    s, (T_obj_ee, T_world_obj, trials) = scene(), asked(0, 14)
+    i = int(found(0, 14).picked.nonzero()[0])
+    one = trials[i : i + 1]
+    receiver = one.receiver.clone()
+    at = found(0, 14).T_world_ee[i, :3, 3]
+    receiver[0, 2, :3], receiver[0, 1, :3] = at + torch.tensor([0.0, 0.0, 0.15]), at + torch.tensor([0.3, 0.0, 0.15])
+    row = picked(s, T_obj_ee[i : i + 1], T_world_obj[i : i + 1], replace(one, receiver=receiver))
+    assert PickReason(int(row.reason)) == PickReason.APPROACH_COLLIDES and int(row.pair) == CollidingPair.HAND
+    assert float(row.margin_m) < 0
+
+
+def test_the_path_ends_where_the_way_in_begins_and_ways_are_ten_centimetres():
+    result = found(0, 14)
+    home = np.array(scene().config.workplace.home_q, np.float32)
+    for i in each(result.picked.nonzero().flatten().tolist()):
+        assert np.array_equal(result.path[i, 0].numpy(), home)
+        assert torch.equal(result.path[i, int(result.length[i]) - 1], result.way_in[i, 0])
+        assert torch.allclose(result.way_in[i, -1], result.way_up[i, -1])
+        twin = twin_of(0, 14, i)
+        ends = [twin.open.ee(w[i, 0].double().numpy())[:3, 3] for w in (result.way_in, result.way_up)]
+        grasp = result.T_world_ee[i].double().numpy()
+        assert np.allclose(ends[0], grasp[:3, 3] - 0.1 * grasp[:3, 2], atol=2e-5)
+        assert np.allclose(ends[1], grasp[:3, 3] + [0, 0, 0.1], atol=2e-5)
+
+
+def test_rows_that_are_no_poses_are_not_evaluated_and_leave_the_others_alone():
+    T_obj_ee, T_world_obj, trials = (x[:6] for x in asked(0, 14))
+    broken = T_obj_ee.clone()
+    broken[2] = torch.nan
+    row = picked(scene(), broken, T_world_obj, trials)
+    assert PickReason(int(row.reason[2])) == PickReason.NOT_EVALUATED and not row.picked[2] and row.margin_m[2].isnan()
+    keep = torch.tensor([0, 1, 3, 4, 5])
+    assert torch.equal(row.reason[keep], found(0, 14).reason[:6][keep])
+    with pytest.raises(ValueError, match="T_world_obj has shape"):
+        picked(scene(), T_obj_ee, T_world_obj[:2], trials)
+
+
+def test_unreachable_grasps_are_told_by_how_far_the_gripper_stays_away():
+    T_obj_ee, T_world_obj, trials = (x[:4] for x in asked(0, 14))
+    far = T_world_obj.clone()
+    far[:, :3, 3] += torch.tensor([2.0, 0.0, 0.0])
+    row = picked(scene(), T_obj_ee, far, trials)
+    for i in each(range(4)):
+        assert PickReason(int(row.reason[i])) == PickReason.OUT_OF_REACH
+        assert jacobian_ik(scene().robot, row.T_world_ee[i].double().numpy()) is None
+        assert -2.5 < float(row.margin_m[i]) < -0.5
+
+
+@pytest.mark.check
+def test_the_least_of_a_way_is_found_to_the_tolerance_with_few_questions():
+    """|s - c| + floor: as steep as a way of 1 m allows. And a constant one, which is asked no finer than a tenth of it."""
+    c, floor = torch.tensor([0.3217, 0.9999, 0.0, 0.5]), torch.tensor([0.004, -0.02, 0.001, 1.0])
+    asked_for = Counter()
+
+    def measure(row, s):
+        asked_for.update(row.tolist())
+        return (s - c[row]).abs() + floor[row]
+
+    def travel(row, low, middle, high):
+        return torch.maximum(middle - low, high - middle)
+
+    rows = torch.tensor([0, 1, 3])
+    best, where = least_along(measure, travel, rows, 4, parts=8, cap_m=0.01)
+    assert float(best[2]) == pytest.approx(0.01) and 2 not in asked_for and float(best[3]) == pytest.approx(0.01)
+    for i, allowed in each(((0, 4e-4), (1, 2e-3))):
+        assert floor[i] - 1e-7 <= best[i] <= floor[i] + allowed + 1e-7
+        assert abs(where[i] - c[i]) <= allowed + 1e-6
+    assert max(asked_for.values()) < 60
+
+
+def test_no_point_of_the_gripper_is_farther_than_its_lever_and_radii():
+    s, g = scene(), scene().robot.gripper
+    lever, radii = gripper_lever_m(s), gripper_radii(s).numpy()
+    for gap in each((s.robot.open_gap_m, 0.03, s.robot.closed_gap_m)):
+        for i, T in enumerate(gripper_primitives_at(s.robot, gap)):
+            corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
+            size = g.size[i]
+            half = {0: [size[0]] * 3, 1: [size[0], size[0], size[0] + size[1]], 2: [size[0], size[0], size[1]]}.get(
+                int(g.kind[i]), size
+            )
+            # corners of a box overstate round bodies by at most the square root of two across
+            points = (
+                corners * np.array(half)
+                if int(g.kind[i]) == 3
+                else np.diag(half).repeat(2, 0) * np.tile([[1], [-1]], (3, 1))
+            )
+            assert np.linalg.norm(points, axis=1).max() <= radii[i] + 1e-6
+            assert np.linalg.norm(points @ T[:3, :3].T + T[:3, 3], axis=1).max() <= lever + 1e-6
+
+
+def followed(q, valid, T, *, most_turn=0.5, most_off=10.0):
+    """`follow_lines` of branches (1, K, 8, 6) at waypoints (1, K, 4, 4): path (8, K, 6), followed (8,), off (8,)."""
+    s, k = scene(), q.shape[1]
+    sizes = {"path": (8, k, 6), "followed": 8, "off": 8}
+    made = over_trials(s.sized(follow_lines), 1, s.device, sizes=sizes)(
+        most_turn=most_turn, most_off=most_off, lever=0.2, world=s.world, tool=s.tool, q=q, valid=valid, T_world_ee=T
+    )
+    return made["path"][0], made["followed"][0], made["off"][0]
+
+
+@pytest.mark.check
+def test_a_line_is_followed_from_branch_to_nearest_branch_at_any_turn_within_limits():
+    k, rng = 5, np.random.default_rng(0)
+    start = torch.tensor(rng.uniform(-1, 1, (8, 6)), dtype=torch.float32)
+    steps = torch.tensor(rng.uniform(-0.05, 0.05, (k, 8, 6)), dtype=torch.float32).cumsum(0)
+    true = start + steps
+    true[:, :, 5] += 2 * np.pi - 1.3
+    true[:, 3, 5] = 2 * np.pi - 0.07 + 0.04 * torch.arange(k)  # beyond the upper limit of 2 pi from the third on
+    mixed = true.clone()
+    for i in each(range(k)):  # slots change places, joints turn round
+        mixed[i] = true[i, torch.from_numpy(rng.permutation(8))] if i else true[i]
+        mixed[i, :, 5] -= 2 * np.pi * (i % 2)
+    T = torch.eye(4).repeat(1, k, 1, 1)
+    valid = torch.ones((1, k, 8), dtype=torch.bool)
+    upper = float(scene().world.upper.numpy()[5])
+    path, count, _ = followed(mixed[None].contiguous(), valid, T)
+    kinds = set()
+    for slot in each(range(8)):
+        within = (true[:, slot, 5] <= upper).to(torch.int8)
+        most = k if within[1:].all() else 1 + int(within[1:].argmin())
+        kinds.add(most == k)
+        assert int(count[slot]) == most
+        own = path[slot].flip(0)[:most]
+        assert torch.allclose(own, true[:most, slot], atol=1e-5)
+    assert kinds == {True, False}
+    valid[0, 3] = False
+    assert followed(mixed[None].contiguous(), valid, T)[1].max() == 3
+    assert followed(mixed[None].contiguous(), ~valid, T)[1].max() == 0
+    valid[0, 3] = True
+    assert followed(mixed[None].contiguous(), valid, T, most_turn=0.01)[1].max() < k
+
+
+@pytest.mark.check
+def test_a_branch_that_takes_the_gripper_off_the_line_is_not_followed():
+    """Joint 1 turns by 0.1 rad: half way the ee is r (1 - cos 0.05) outside the chord, and turned as at neither end."""
+    q = torch.tensor(scene().config.workplace.home_q, dtype=torch.float32).expand(1, 2, 8, 6).clone()
+    q[0, 1, :, 0] += 0.1
+    ends = torch.from_numpy(ee_pose(scene().robot, q[0, :, 0].double().numpy())).float()
+    T = ends.clone()
+    middle = ee_pose(scene().robot, q[0, :, 0].double().numpy().mean(0))
+    T[1, :3, :3] = torch.from_numpy(middle[:3, :3]).float()
+    valid = torch.ones((1, 2, 8), dtype=torch.bool)
+    bow = np.linalg.norm(middle[:3, 3] - ends[:, :3, 3].double().numpy().mean(0))
+    _, count, off = followed(q, valid, T[None].contiguous())
+    assert off.numpy() == pytest.approx(bow, abs=2e-6) and bow > 4e-4 and (count == 2).all()
+    assert (followed(q, valid, T[None].contiguous(), most_off=0.9 * bow)[1] == 1).all()
+    turned = followed(q, valid, ends[None].contiguous())[2].numpy()
+    assert turned == pytest.approx(bow + 0.2 * np.sin(0.05), abs=2e-6)
