@@ -209,7 +209,7 @@ class Gripper:
 
 @dataclass(frozen=True)
 class Held:
-    """What `results held` says of a row; lengths in m."""
+    """The numbers of a row of held/METHOD.parquet; lengths in m."""
 
     lost: str | None
     settled: bool
@@ -248,7 +248,7 @@ def held(thing: Any, T_obj: Array, opening: float, down: Array, *, steps: int = 
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Of a pad and the object: into the object, and the pad's force on it, frame gripper."""
+    """A contact of a pad and the object: normal into the object, and the pad's force on it, frame gripper."""
 
     left: bool
     at: Array
@@ -371,7 +371,7 @@ class Person:
 
 @dataclass(frozen=True)
 class Ended:
-    """What `results transfer` says of a row."""
+    """The numbers of a row of transfer/METHOD.parquet."""
 
     outcome: str
     transfer_s: float
@@ -565,7 +565,7 @@ def within(room: float) -> Callable[[float, float], bool]:
 
 
 def alike(a: float, b: float) -> bool:
-    """Of two multiples of the weight: neither is one, or they differ by no more than `CARRIED`."""
+    """Whether two multiples of the weight agree: neither is one, or they differ by no more than `CARRIED`."""
     return bool(np.isnan([a, b]).all() or abs(a - b) <= CARRIED * min(abs(a), abs(b)))
 
 
