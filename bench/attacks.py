@@ -60,6 +60,8 @@ MEASURES = ("bench/attacks.py", "r2h_batch/base/io", "r2h_batch/runs", "r2h_batc
 MOST_SECONDS, MOST_MIB = 60.0, 1024
 SEED = 52
 SPARSE_BYTES = 3 << 30
+WORKERS = 3
+"""Kinds of files that are attacked side by side."""
 PROGRESS = re.compile(r", \d+ s$")
 """A line that says for how long something has been going on."""
 
@@ -118,10 +120,7 @@ def sparse(path: Path) -> None:
 ANY: dict[str, Damage] = {
     "nothing": rewritten(lambda _: b""),
     "its first half": rewritten(lambda d: d[: len(d) // 2]),
-    "all but its last byte": rewritten(lambda d: d[:-1]),
-    "twice itself": rewritten(lambda d: d + d),
     "1 bit flipped": flipped(1),
-    "8 bits flipped": flipped(8),
     "64 bits flipped": flipped(64),
     "random bytes": rewritten(lambda d: np.random.default_rng(SEED).bytes(1 << 16)),
     "3 GiB of zeros": replaced_by(sparse),
@@ -199,7 +198,7 @@ NPZ: dict[str, Damage] = {
     "a header that claims 10^15 numbers": lambda p: instead(p, claims("(1000000, 1000000000)")),
     "a header with a negative length": lambda p: instead(p, claims("(-1, 16)")),
     "a header that is a program": lambda p: instead(p, claims("__import__('os').system('true')")),
-    "1 GiB of zeros, deflated": lambda p: instead(p, bytes(1 << 30), zipfile.ZIP_DEFLATED),
+    "64 MiB of zeros, deflated": lambda p: instead(p, bytes(64 << 20), zipfile.ZIP_DEFLATED),
     "an array twice": lambda p: member(p, first_member(p), claims("(8,)")),
     "an absolute name": lambda p: member(p, "/etc/passwd.npy", claims("(8,)")),
     "1,000 more arrays": lambda p: many_members(p, 1000, claims("(8,)")),
@@ -324,7 +323,7 @@ def parquet() -> dict[str, Damage]:
 
 
 ZIP: dict[str, Damage] = {
-    "1 GiB of zeros, deflated": lambda p: member(p, "run/x", bytes(1 << 30), method=zipfile.ZIP_DEFLATED),
+    "64 MiB of zeros, deflated": lambda p: member(p, "run/x", bytes(64 << 20), method=zipfile.ZIP_DEFLATED),
     "a name that leads out": lambda p: member(p, "run/../../x", b"x"),
     "an absolute name": lambda p: member(p, "/tmp/x", b"x"),
     "a name with a backslash": lambda p: member(p, "run\\..\\x", b"x"),
@@ -410,7 +409,7 @@ MESHES = {
             "vertices at 1e300": rewritten(lambda d: d.replace(b".05", b"1e300")),
             "a face of 300,000 corners": rewritten(lambda d: d + b"f" + b" 1 2 3" * 100_000 + b"\n"),
             "a material of another folder": rewritten(lambda d: b"mtllib ../../../etc/passwd\n" + d),
-            "5,000,000 vertices": rewritten(lambda d: d + b"v 0 0 0\n" * 5_000_000),
+            "1,000,000 vertices": rewritten(lambda d: d + b"v 0 0 0\n" * 1_000_000),
         },
     ),
     "STL mesh": mesh(
@@ -804,15 +803,31 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Every attack, and how each ended."""
     every = kinds()
     work()
+    names = [name for name in every if not options.only or name in options.only]
+    shares = [names[k::WORKERS] for k in range(WORKERS)]
+    with tempfile.TemporaryDirectory() as place:
+        parts = [Path(place) / f"{k}.json" for k in range(WORKERS)]
+        for worker in [_started(share, every, part) for share, part in zip(shares, parts, strict=True)]:
+            os.waitpid(worker, 0)
+        found = {name: row for part in parts for name, row in json.loads(part.read_text()).items()}
+    rows = {name: found[name] for name in names}
+    return {"kinds": rows, **made_by(MEASURES)}
+
+
+def _started(names: list[str], every: Mapping[str, Kind], part: Path) -> int:
+    """A process that attacks these kinds and writes what it found; its number."""
+    if worker := os.fork():
+        return worker
     rows: dict[str, dict[str, Any]] = {}
-    for name, kind in every.items():
-        if options.only and name not in options.only:
-            continue
-        sound = attacked(kind, None)
+    for name in names:
+        sound = attacked(every[name], None)
         if sound.ended != "read":
             print(f"{name}: the sound file is {sound.ended}: {sound.said}", file=sys.stderr)
-        rows[name] = {"sound": sound.ended, "attacks": {k: f._asdict() for k, f in _attacks(name, kind)}}
-    return {"kinds": rows, **made_by(MEASURES)}
+        own = {k: f._asdict() for k, f in _attacks(name, every[name])}
+        rows[name] = {"sound": sound.ended, "attacks": own}
+        print(f"{name}: {len(own)} attacks", flush=True)
+    part.write_text(json.dumps(rows))
+    os._exit(0)
 
 
 def _attacks(name: str, kind: Kind) -> Iterator[tuple[str, Found]]:

@@ -355,6 +355,8 @@ LEFT_OUT = """- Left out: trained without these categories, and judged on their 
 """
 NO_FOLDS = """- Networks that never saw a category were not trained for this page: `--folds 4` trains them.
 """
+SEEDS_DIFFER = """- Seed 0 ships: it was trained and chosen before the others were. In S1 the seeds differ by {:.1f} points.
+"""
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
   {high:+.1f} points: {mark}.
 """
@@ -459,7 +461,7 @@ def markdown(data: Mapping[str, Any]) -> str:
     return HEAD.format(
         kb=data["bytes"] / 1000, older=older_parts(data), trials=data["trials"], commit=str(data["commit"])[:12],
         load=data["hardware"]["load_at_start"], table=markdown_table(["", "S0", "S1"], lines),
-        seeds=f"- Seeds differ by {max(s1) - min(s1):.1f} points in S1.\n" if len(s1) > 1 else "- One seed was trained.\n",
+        seeds=SEEDS_DIFFER.format(max(s1) - min(s1)) if len(s1) > 1 else "- One seed was trained.\n",
         first=FIRST, second=NEAR, top=TOP,
         left_out=LEFT_OUT.format(len(functional), float(np.mean(functional))) if functional else NO_FOLDS,
         categories_note=" Left out: by the network that never saw the category." if left_out else "",

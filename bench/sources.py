@@ -23,6 +23,7 @@ ROWS = {
 COMMANDS = {
     "closed_loop_growth": "bench/closed_loop.py --growth 2000",
     "families": "bench/families.py --rows FOLDER",
+    "judge_physics": "bench/judge_again.py held transfer --trials 3",
     "long": "bench/soak.py long",
     "scans": "bench/scans.py FOLDER --about bench/scans.toml",
     "release": "bench/release.py --release CHECKOUT",

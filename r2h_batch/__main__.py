@@ -53,6 +53,10 @@ COMMANDS = {
         "learning.command:COMMANDS",
         "Train a method on new instances with the evaluator's labels.",
     ),
+    "observe": (
+        "learning.observe_command:COMMANDS",
+        "Write what depth cameras see of new things, with labels, to learn from.",
+    ),
     "view": (
         "view.command:view",
         "Look at trials in three dimensions, or write one as a page, a film or strips.",

@@ -19,7 +19,7 @@ APART = {"contacts", "people", "persons", "transfer", "coverage", "gates", "netw
 APART |= {"meshes", "attacks", "closing_angle", "pick"}
 APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
-LONG = {"families", "judge_again", "learn"}
+LONG = {"families", "judge_again", "judge_physics", "learn"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
 OF_OTHERS = {"release", "scans", "vendors"}
 """Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, SCANS=, VENDORS=).

@@ -285,7 +285,10 @@ def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
         found = f"method {printable(method[:120])!r}"
         raise FileError(f"{shown}: {found} must be 1 to {MAX_METHOD_CHARS} printable characters")
     optional, poses = ("t_method_s",), ("T_obj_ee", "T_world_ee", "t_method_s")
-    n = check_arrays(arrays, _SPECS, shown, optional=optional, only=True, gaps=poses)["N"]
+    taken = ("method", "benchmark")
+    n = check_arrays(arrays, _SPECS, shown, optional=optional, only=True, gaps=poses, taken=taken)[
+        "N"
+    ]
     ids = arrays.pop("trial_id")
     if n == 0:
         raise FileError(f"{shown}: no rows; give one row for each planned trial")

@@ -57,7 +57,8 @@ def test_csv_that_cannot_be_scored_is_refused_by_its_column(change, words, tmp_p
 
 BAD = {
     "must hold an object of lists": [GOOD],
-    "unknown array 'methods'": GOOD | {"methods": "x"},
+    "unknown array 'methods'; allowed are trial_id, T_obj_ee, T_world_ee, t_method_s, method, benchmark;": GOOD
+    | {"methods": "x"},
     "'T_obj_ee' is not a list of numbers or texts of one shape": GOOD | {"T_obj_ee": [[1.0], [2.0, 3.0], []]},
     "T_world_ee is (3, 4, 4) ": GOOD | {"T_world_ee": [[["1"] * 4] * 4] * 3},
     "has no T_world_ee": {k: v for k, v in GOOD.items() if k != "T_world_ee"},

@@ -27,6 +27,7 @@ def check_arrays(
     optional: Collection[str] = (),
     only: bool = False,
     gaps: Collection[str] = (),
+    taken: Collection[str] = (),
 ) -> dict[str, int]:
     """Refuse arrays that are not as specified.
 
@@ -37,6 +38,7 @@ def check_arrays(
         optional: names that may be missing.
         only: whether other names are refused.
         gaps: names whose numbers need not be finite.
+        taken: further names that a file may have and that were read before.
 
     Returns:
         The lengths that words stand for.
@@ -47,7 +49,9 @@ def check_arrays(
     allowed = ", ".join(specs)
     if only and (unknown := sorted(set(arrays) - set(specs))):
         shown = repr(printable(unknown[0])[:60])
-        raise FileError(f"{where}: unknown array {shown}; allowed are {allowed}")
+        raise FileError(
+            f"{where}: unknown array {shown}; allowed are {', '.join((*specs, *taken))}"
+        )
     lengths: dict[str, int] = {}
     for name, spec in specs.items():
         if name in arrays:

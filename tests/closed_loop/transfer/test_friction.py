@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from rounds import each
+from transfer_twin import Contact
+from transfer_twin import carried as other
 
 from r2h_batch.closed_loop.transfer.friction import PadContacts, carried
 
@@ -44,3 +47,23 @@ def test_a_pad_that_does_not_press_carries_nothing():
     weight = np.array([0.0, 0.0, -1.0])
     assert two_pads(press_n=0.0).pads() == 0
     assert np.isnan(carried(two_pads(press_n=0.0), np.zeros(3), weight, friction=MU, torsion_m=R))
+
+
+def test_another_program_says_the_same_of_the_same_contacts():
+    """`transfer_twin` spreads points over the cone's ball instead; both polytopes are some percent smaller than the cone."""
+    draw, compared = np.random.default_rng(8), 0
+    for _ in each(range(12)):
+        side = np.array([0, 0, 1, 1, 1])
+        lean = np.c_[draw.normal(0, 0.25, 5), np.where(side == 0, 1.0, -1.0), draw.normal(0, 0.25, 5)]
+        normal = lean / np.linalg.norm(lean, axis=1, keepdims=True)
+        at = np.c_[draw.uniform(-0.011, 0.011, 5), np.where(side == 0, -0.02, 0.02), draw.uniform(-0.018, 0.018, 5)]
+        force = np.c_[draw.normal(0, 2, 5), np.where(side == 0, 13.0, -26 / 3), draw.normal(0, 2, 5)]
+        weight, com = 4.0 * normal[0] + draw.normal(0, 2, 3), draw.normal(0, 0.01, 3)
+        mine = carried(PadContacts(side, at, normal, force), com, weight, friction=MU, torsion_m=R)
+        own = [Contact(s == 0, a, n, f) for s, a, n, f in zip(side, at, normal, force, strict=True)]
+        found = other(own, com, weight)
+        assert np.isnan(mine) == np.isnan(found)
+        if np.isfinite(mine):
+            compared += 1
+            assert found == pytest.approx(mine, rel=0.04)
+    assert compared > 6
