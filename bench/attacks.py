@@ -759,7 +759,7 @@ def attacked(kind: Kind, damage: Damage | None) -> Found:
         ended = "traceback"
     elif ended == "refused" and sum(not PROGRESS.search(line) for line in words.strip().splitlines()) != 1:
         ended = "more than a line"
-    said_of = words.strip().replace(f"{place}/", "")
+    said_of = words.strip().replace(f"{place}/", "").replace(place, ".")
     return Found(ended, round(seconds, 2), peak, said_of[:200] if ended in ("read", "refused") else said_of[-300:])
 
 
@@ -873,7 +873,7 @@ def markdown(data: Mapping[str, Any]) -> str:
             ["file", "attacks", "refused in one line", "read", "neither", "longest, s", "memory, MiB at most"], lines
         ),
         "`read`: the damage left a file that says something, such as a flipped digit or a second copy that nobody looks at."
-        " Memory: of the process that reads, beyond what it had before.",
+        " Memory: of the process that reads, or of the largest that it starts, beyond what the bench itself has (under 1 GiB).",
         f"Damage: {'; '.join(names)}.",
     ]
     return "\n\n".join(parts) + "\n"

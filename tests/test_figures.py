@@ -15,7 +15,18 @@ from r2h_batch.runs.store import load_run
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
-APART = {"contacts", "people", "persons", "transfer", "coverage", "gates", "networks", "object_errors", "observe"}
+APART = {
+    "contacts",
+    "people",
+    "persons",
+    "transfer",
+    "coverage",
+    "gates",
+    "networks",
+    "object_errors",
+    "observe",
+    "sees",
+}
 APART |= {"meshes", "attacks", "closing_angle", "pick"}
 APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import TURNS
@@ -18,7 +19,7 @@ def next_commands(runs: Sequence[Run]) -> str:
     Args:
         runs: those of a report, each with a complete method.
     """
-    folders = shlex.join(str(run.folder) for run in runs)
+    folders = shlex.join(_short(run.folder) for run in runs)
     lines = []
     if (words := _compared(runs)) is not None:
         lines.append(("compare", words, "which differences are more than chance"))
@@ -31,6 +32,12 @@ def next_commands(runs: Sequence[Run]) -> str:
         lines.append(("turn", "", "whether a method depends on how a mesh lies in its file"))
     text = (f"    r2h-batch {c} {folders}{more}  # {what}" for c, more, what in lines)
     return "Next:\n\n" + "\n".join(text) + "\n"
+
+
+def _short(folder: Path) -> str:
+    """The folder from here, if it lies below the working directory."""
+    here, place = Path.cwd(), folder.absolute()
+    return str(place.relative_to(here) if place.is_relative_to(here) and place != here else folder)
 
 
 def _turnable(run: Run) -> bool:

@@ -3,7 +3,7 @@ go on."""
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ import torch
 from r2h_batch.base.command_line import counted, refuse
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.progress import progress as steps
+from r2h_batch.base.io.read import printable
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.runs.files import replace_json
@@ -202,6 +203,19 @@ def score_shard(
         advance(last - first)
 
 
+def _check_judge(name: str, before: Mapping[str, object]) -> None:
+    """`AnswerError` if a method has put something else into the evaluator's class while it answered.
+
+    Args:
+        name: of the method.
+        before: the class's attributes when it was asked.
+    """
+    changed = [k for k, own in vars(Evaluator).items() if own is not before.get(k)]
+    if changed:
+        words = f"it replaced Evaluator.{changed[0]}; a method may not change what judges it"
+        raise AnswerError(f"method {printable(name)}: {words}")
+
+
 def _score_chunk(
     job: Job, trials: Trials, rows: torch.Tensor | None, setting: Setting, *, look: bool = False
 ) -> dict[str, pa.Table]:
@@ -219,7 +233,9 @@ def _score_chunk(
         if chosen.any():
             own = None if rows is None else rows[chosen]
             part = trials[chosen].to(evaluator.scene.device)
+            judge = dict(vars(Evaluator))
             answers = job.predict(part, own).to(part.trial_id.device)
+            _check_judge(job.name, judge)
             motions = None
             if chosen is moved and job.motions is not None and own is not None:
                 motions = job.motions.padded(own, evaluator.scene.device)

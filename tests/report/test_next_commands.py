@@ -35,6 +35,15 @@ def test_compare_is_offered_where_it_does_not_refuse_and_nowhere_else(folders, c
     capsys.readouterr()
 
 
+def test_a_folder_below_the_working_directory_is_named_from_there(tmp_path, monkeypatch):
+    run = write_run(tmp_path / "runs" / "mine", {"mine": np.zeros(8, int)}, 4, 4)
+    assert [words[1] for words in offered([run])] == [str(tmp_path / "runs" / "mine")]
+    monkeypatch.chdir(tmp_path)
+    assert [words[1] for words in offered([run])] == ["runs/mine"]
+    monkeypatch.chdir(tmp_path / "runs" / "mine")
+    assert [words[1] for words in offered([run])] == [str(tmp_path / "runs" / "mine")]
+
+
 def test_a_run_of_other_trials_is_not_offered_the_baselines(tmp_path, capsys):
     run = write_run(tmp_path / "run", {"mine": np.zeros(8, int)}, 4, 4)
     assert [words[0] for words in offered([run])] == ["report"]  # no poses are stored either

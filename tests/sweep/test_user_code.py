@@ -74,3 +74,21 @@ def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refus
     )
     error = capsys.readouterr().err
     assert "uc_rules.py imports uc_helper, and " in error and "rename one of them" in error and error.count("\n") == 1
+
+
+def test_a_method_that_changes_what_judges_it_is_refused_in_one_line(place, monkeypatch, capsys):
+    from r2h_batch.evaluate import Evaluator
+
+    monkeypatch.setattr(Evaluator, "score", Evaluator.score)  # put back at the end
+    lines = ["from r2h_batch.evaluate import Evaluator", "def predict(trials, scene, *, seed):"]
+    lines += [
+        "    Evaluator.score = lambda *a, **k: None",
+        "    T = torch.eye(4).repeat(len(trials), 1, 1)",
+        "    return T, T",
+    ]
+    (place / "here" / "uc_evil.py").write_text("\n".join(["import torch", *lines]) + "\n")
+    words = ["--benchmark", "r2h-v1", "--method", "uc_evil:predict", "--trials", "3", "--out", "run"]
+    assert sweep.main(words) == 2
+    error = capsys.readouterr().err
+    assert "Traceback" not in error
+    assert "method uc_evil:predict: it replaced Evaluator.score; a method may not change what judges it" in error
