@@ -19,7 +19,7 @@ from r2h_batch.report.compare.stored import LATER, SHIPPED, baselines_for, load_
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import pair_up
 from r2h_batch.runs.rows import TrialNames, score_rows
-from r2h_batch.runs.store import load_run
+from r2h_batch.runs.store import join, load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.sweep.command import main as sweep
 
@@ -71,6 +71,8 @@ def test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_
     assert len(baselines.methods) == 7 and "learned" in baselines.view_command(
         "Learned (ranker, oracle labels + noise)"
     )
+    both = join([load_run(tmp_path / "mine"), baselines])
+    assert "learned" in both.view_command("r2h-v2/Learned (ranker, oracle labels + noise)")
 
 
 def test_rows_of_the_runs_benchmark_preset_and_engine_are_its_baselines_whatever_their_folder_is_called(tmp_path):
