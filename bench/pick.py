@@ -173,7 +173,7 @@ def measured(options: argparse.Namespace) -> Mapping[str, Any]:
     }
 
 
-def rendered(data: Any) -> str:
+def markdown(data: Any) -> str:
     """The page."""
     from r2h_batch.report.statistics.aggregate import wilson_interval
     from r2h_batch.report.text import short_names
@@ -244,7 +244,7 @@ def rendered(data: Any) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    page_from(parser, ROOT / "bench" / "results" / "pick.json", PAGE, measured, rendered)
+    page_from(parser, ROOT / "bench" / "results" / "pick.json", PAGE, measured, markdown)
 
 
 if __name__ == "__main__":
