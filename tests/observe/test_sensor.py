@@ -246,12 +246,13 @@ def test_a_pixel_looks_beside_itself_as_often_as_half_a_pixel_of_deviation_makes
 
 def test_a_pixel_has_the_same_error_in_every_window_that_shows_it_and_in_any_batch():
     errors = Errors(RIG, noise=1.0, labels="exact", seed=0, device="cpu")
-    whole, ids = torch.full((3, 2, 96, 96), 0.9), torch.tensor([4, 900_000_000_007, 11])
+    whole, ids = torch.full((3, 2, 96, 96), 0.9), torch.tensor([4, 900_000_000_007, 4 + (1 << 32)])
     corner = torch.full((3, 2, 2), 200, dtype=torch.int32)
     one = errors.measured(ids, corner, whole, torch.ones_like(whole))
     other = errors.measured(ids, corner + 24, whole, torch.ones_like(whole))
     assert torch.equal(one[..., 24:, 24:], other[..., :-24, :-24])
-    assert not torch.equal(one[0], one[1])
+    # ids that differ in their upper half alone too: those of training streams lie beyond 2^40
+    assert not torch.equal(one[0], one[1]) and not torch.equal(one[0], one[2])
     alone = errors.measured(ids[1:2], corner[1:2], whole[1:2], torch.ones_like(whole[1:2]))
     assert torch.equal(alone[0], one[1])
     seeded = Errors(RIG, noise=1.0, labels="exact", seed=1, device="cpu")
