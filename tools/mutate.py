@@ -486,7 +486,7 @@ MUTATIONS = (
     ),
     Mutation(
         "shipped answers: the object's pose alone counts",
-        "r2h_batch/report/compare/stored.py",
+        "r2h_batch/report/compare/shipped_answers.py",
         "near.all(1).sum()",
         "near[:, 0].sum()",
         ("tests/report/test_board.py::test_no_shipped_method_has_the_answers_of_another_one",),

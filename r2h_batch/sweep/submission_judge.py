@@ -22,12 +22,8 @@ from r2h_batch.base.io.read import archive_members, open_archive, printable
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.hidden import Commitment
 from r2h_batch.report.board import Judged, Standing, standing_of
-from r2h_batch.report.compare.stored import (
-    answers_of_shipped,
-    baselines_for,
-    load_baselines,
-    stored_rows,
-)
+from r2h_batch.report.compare.shipped_answers import answers_of_shipped
+from r2h_batch.report.compare.stored import baselines_for, load_baselines, stored_rows
 from r2h_batch.report.statistics.common import Common, common_trials
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.verdicts import SPLITS

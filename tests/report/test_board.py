@@ -11,7 +11,8 @@ from made_runs import files_of, forge, write_run
 from rounds import each
 
 from r2h_batch.report.board import CODE, Judged, page, section_of, standing_of
-from r2h_batch.report.compare.stored import SHIPPED, answers_of_shipped
+from r2h_batch.report.compare.shipped_answers import answers_of_shipped
+from r2h_batch.report.compare.stored import SHIPPED
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.runs import store as results
 from r2h_batch.types import Outcome
