@@ -258,7 +258,7 @@ MUTATIONS = (
         PICK,
         "up = free & (lifted.clearance_m > 0)",
         "up = lifted.clearance_m > -torch.inf",
-        (T_SAMPLED,),
+        (f"{T_PICK}::test_a_person_above_makes_the_way_up_fail_where_the_way_in_is_free",),
     ),
     Mutation(
         "pick: the fingers close nowhere",

@@ -280,7 +280,12 @@ class _Batch:
             torch.where(self.active, x, y) for x, y in zip(found, _margin(torch.full_like(found[0], torch.nan)), strict=True)
         ))  # fmt: skip
         some = whole.any(1)
-        slot = torch.where(up.any(1), slot, whole.to(torch.int8).argmax(1))
+        # of a row that fails, the branch that its margin is about
+        walked = approach.clearance_m.isfinite()
+        first = torch.where(
+            walked.any(1), approach.clearance_m.argmax(1), whole.to(torch.int8).argmax(1)
+        )
+        slot = torch.where(up.any(1), slot, torch.where(free.any(1), best, first))
         ways = [_of_slot(x.path, slot, some) for x in (lines_in, lines_up)]
         off = torch.maximum(lines_in.off_m, lines_up.off_m).gather(1, slot[:, None])[:, 0]
         return Picked(

@@ -179,6 +179,28 @@ def test_a_person_in_the_way_makes_it_fail():
     assert float(row.margin_m) < 0
 
 
+def test_a_person_above_makes_the_way_up_fail_where_the_way_in_is_free():
+    """A thin forearm lies across, above the gripper at the grasp of those that come from the side."""
+    s, (T_obj_ee, T_world_obj, trials) = scene(), asked(0, 14)
+    result = found(0, 14)
+    flat = result.picked & (result.T_world_ee[:, 2, 2].abs() < 0.7)
+    reasons = []
+    for i in each(flat.nonzero().flatten().tolist()):
+        T, one = result.T_world_ee[i], trials[i : i + 1]
+        receiver = one.receiver.clone()
+        middle = T[:3, 3] - 0.06 * T[:3, 2] + torch.tensor([0.0, 0.0, 0.13])
+        receiver[0, 1, :3], receiver[0, 2, :3] = middle - 0.05 * T[:3, 1], middle + 0.05 * T[:3, 1]
+        receiver[0, 1, 3] = 0.01
+        rest = T_world_obj[i : i + 1]
+        row = picked(s, T_obj_ee[i : i + 1], rest, replace(one, receiver=receiver))
+        reasons.append(PickReason(int(row.reason)))
+        if reasons[-1] == PickReason.LIFT_COLLIDES:
+            twin = PickTwin(s, replace(one, receiver=receiver), T_obj_ee[i], rest[0], row)
+            assert not row.picked and float(row.margin_m) <= 0
+            assert twin.lift() < 0 < twin.approach()
+    assert PickReason.LIFT_COLLIDES in reasons, reasons
+
+
 def test_the_path_ends_where_the_way_in_begins_and_ways_are_ten_centimetres():
     result = found(0, 14)
     home = np.array(scene().config.workplace.home_q, np.float32)
