@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PLACE = re.compile(r"(?<![\w.~-])/(?:work|tmp|home|root|Users|mnt|opt|usr|srv|var|private)/")
 
 ATTACK = "member '/tmp/x' points outside the archive"
-"""What an attack is answered (bench/attacks.py): the name of a hostile member, and no place."""
+"""An answer to an attack (bench/attacks.py): the name of a hostile member, and no place."""
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_p
             named |= set(yaml.safe_load(text))
         else:  # what lies beside a mesh
             assert read_object_file(path, "saw.obj").file == "saw.obj"
-    assert named | {"format", "trials"} == set(BenchmarkFile.model_fields)
+    assert named | {"format", "trials", "seed"} == set(BenchmarkFile.model_fields)
 
 
 def test_the_python_of_the_page_writes_files_that_are_read(tmp_path, monkeypatch):

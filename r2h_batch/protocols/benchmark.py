@@ -104,6 +104,7 @@ class Benchmark:
         how = f"take a benchmark of people, such as {WITH_PEOPLE}"
         if self.receiver == "body" and not self.has_bodies:
             raise ValueError(f"receiver is body, trials of {self.protocol} have none; {how}")
+        instance_of(str, "32 hexadecimal digits, or empty")("seed", self.seed)
         if self.seed and not re.fullmatch(SEED, self.seed):
             raise ValueError(
                 f"seed is {self.seed!r:.60}; it must be 32 hexadecimal digits, or empty"

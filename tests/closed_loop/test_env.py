@@ -13,6 +13,7 @@ import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from rounds import each
 from scipy.spatial.transform import Rotation
 
 from r2h_batch import load_benchmark
@@ -500,8 +501,8 @@ def test_each_row_plays_with_its_own_seed_as_where_all_rows_have_it(scores):
         return {k: np.stack([f[k] for f in frames], 1) for k in ("T_world_hand", "true_T_world_hand", "age")}
 
     own, apart = seen(seeds), [seen(seed) for seed in seeds]
-    for k, values in own.items():
-        for row in range(3):
+    for k, values in each(own.items()):
+        for row in (0, 1, 2):
             assert np.array_equal(values[row], apart[row][k][row])
             others = [apart[j][k][row] for j in range(3) if j != row]
             assert not any(np.array_equal(values[row], x) for x in others)

@@ -264,7 +264,7 @@ def test_no_point_of_the_gripper_is_farther_than_its_lever_and_radii():
     s, g = scene(), scene().robot.gripper
     lever, radii = gripper_lever_m(s), gripper_radii(s).numpy()
     for gap in each((s.robot.open_gap_m, 0.03, s.robot.closed_gap_m)):
-        for i, T in enumerate(gripper_primitives_at(s.robot, gap)):
+        for i, T in each(enumerate(gripper_primitives_at(s.robot, gap))):
             corners = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
             size = g.size[i]
             half = {0: [size[0]] * 3, 1: [size[0], size[0], size[0] + size[1]], 2: [size[0], size[0], size[1]]}.get(

@@ -124,17 +124,18 @@ def test_a_place_needs_the_least_plan_and_a_copy_of_rows_has_none(run, other, tm
     code, lines = board(tmp_path / "board.html", run, other, least=3)
     places = {name: place for place, _, name in lines if name in ("mine", "other")}
     assert code == 0 and places == {"mine": "bound", "other": "bound"}
-    twin = copied(run, tmp_path / "twin", method={"source": {"kind": "method", "function": "a:b"}, "name": "mine"})
-    code, lines = board(tmp_path / "board.html", twin, run, least=3)
+    # answers of `run` are shipped ones
+    twin = copied(other, tmp_path / "twin", method={"source": {"kind": "method", "function": "a:b"}, "name": "mine"})
+    code, lines = board(tmp_path / "board.html", twin, other, least=3)
     assert (
         code == 1
-        and "mine: random is left out: its rows are those of mine (submitted) of twin" in capsys.readouterr().err
+        and "other: random is left out: its rows are those of mine (submitted) of twin" in capsys.readouterr().err
     )
     (place,) = [place for place, _, name in lines if name == "twin"]
     assert place.isdigit()
     _, lines = board(tmp_path / "board.html", twin, least=4)
     assert [place for place, _, name in lines if name == "twin"] == ["n/a"]
-    _, lines = board(tmp_path / "board.html", twin, least=3, baselines=other)
+    _, lines = board(tmp_path / "board.html", twin, least=3, baselines=run)
     assert {name for _, _, name in lines} == {"twin", "baseline"} and len(lines) == 2
 
 

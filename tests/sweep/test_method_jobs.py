@@ -109,7 +109,8 @@ def test_a_users_method_takes_a_seed_or_none(bench, tmp_path, more, trials_of_si
 
 def test_a_method_of_other_arguments_is_refused_with_what_it_takes(bench, tmp_path):
     (tmp_path / "mine.py").write_text("def predict(trials):\n    return trials\n")
-    with pytest.raises(UsageError, match="the function takes \\(trials, scene\\), and seed if it draws numbers"):
+    takes = r"the function takes \(trials, scene\), or \(seen\) with --sees, and seed if it draws numbers"
+    with pytest.raises(UsageError, match=takes):
         jobs.make_jobs(Methods((f"{tmp_path}/mine.py:predict",)), [], bench)
 
 
