@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from r2h_batch.base.errors import UserError
 from r2h_batch.base.io.child import end_with
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function
@@ -82,7 +83,7 @@ def _in_one_line(error: BaseException) -> str:
     return f"{what} ({printable(frames[-1].filename)}, line {frames[-1].lineno})"
 
 
-class _WrongAnswerError(Exception):
+class _WrongAnswerError(UserError):
     """An answer that is no pair of poses."""
 
 
