@@ -53,6 +53,7 @@ T_RELEASE = (
 )
 TAKEN = "r2h_batch/judge/reception.py"
 T_RAYS = "tests/observe/test_rays.py"
+T_BELIEVED = "tests/methods/test_believed.py"
 SENSOR, T_SENSOR = "kernels/observe/sensor.py", "tests/observe/test_sensor.py"
 T_APART, T_ESTIMATES, T_SEES = (
     "tests/observe/test_apart.py",
@@ -1990,6 +1991,41 @@ MUTATIONS = (
         "T_obj_ee = se3.matmul(se3.inverse(T_world_obj.double()), grasp.to(home)).float()",
         "T_obj_ee = grasp.to(home).float()",
         (f"{T_SEES}::test_grasps_of_the_world_are_judged_where_the_object_lay_at_the_moment",),
+    ),
+    Mutation(
+        "believed: the hand lies beside where it was seen",
+        "r2h_batch/methods/believed.py",
+        "p = receiver.palm.double() - se3.rotate(R, palm)",
+        "p = receiver.palm.double()",
+        (f"{T_BELIEVED}::test_a_believed_hand_has_the_palm_the_normal_and_the_direction_that_were_seen",),
+    ),
+    Mutation(
+        "believed: hands are drawn by the row of the batch",
+        "r2h_batch/methods/believed.py",
+        "int(left[i]), int(seen.key[i]), noise, seed",
+        "int(left[i]), i, noise, seed",
+        (f"{T_BELIEVED}::test_answers_have_the_same_bits_alone_and_in_any_order",),
+    ),
+    Mutation(
+        "believed: the true objects are what methods answer about",
+        "r2h_batch/methods/believed.py",
+        "own = replace(benchmark, objects=tuple(names.values()), hand_set=hands)",
+        "own = replace(benchmark, objects=benchmark.objects[: len(names)], hand_set=hands)",
+        (f"{T_BELIEVED}::test_other_meshes_behind_the_same_images_move_no_bit_of_the_answers",),
+    ),
+    Mutation(
+        "solid: nothing is carved",
+        "r2h_batch/observe/solid.py",
+        "full[rows[view.carves(nodes[rows])]] = False",
+        "full[rows[view.carves(nodes[rows])]] = True",
+        (f"{T_BELIEVED}::test_nothing_of_a_solid_stands_where_a_camera_looks_through",),
+    ),
+    Mutation(
+        "solid: cameras are not levelled",
+        "r2h_batch/observe/solid.py",
+        "views[c] = replace(views[c], T_world_camera=T)",
+        "pass",
+        (f"{T_BELIEVED}::test_errors_of_calibration_are_taken_out_as_far_as_table_and_object_show_them",),
     ),
     Mutation(
         "cameras: a side of the table faces up",

@@ -372,11 +372,12 @@ def _method(argument: str, *, seeing: bool = False) -> _Method:
     try:
         signature = inspect.signature(function)
         more = {"evaluator", "noise", "predictor", "seen"} & signature.parameters.keys()
-        if seeing:
+        if seeing and not built_in:
             more = set()
         if _takes_seed(signature.parameters):
             more |= {"seed"}
-        signature.bind(*(None,) * (1 if seeing else 2), **dict.fromkeys(more), **chosen)
+        given = 1 if seeing and not built_in else 2
+        signature.bind(*(None,) * given, **dict.fromkeys(more), **chosen)
     except (TypeError, ValueError) as error:
         raise UsageError(f"--method {name}: {error}; {form}") from error
     return _Method(built_in, found, signature.parameters, chosen)
@@ -416,8 +417,16 @@ def _method_job(
     if methods.sees is not None:
         from r2h_batch.sweep.seeing import SeeingMethod
 
-        asked = SeeingMethod(title, base_of(name), extra, methods.sees, evaluator)
-        lines = _not_compared(title, method.found.module, files)
+        if built_in:
+            more = f"; {method_options}" if method_options else ""
+            title = f"{getattr(module, 'TITLE', base_of(name))} (seen{more})"
+            asked = SeeingMethod.built_in(
+                title, method.found.function, sees, extra, methods.sees, evaluator
+            )
+            lines: tuple[str, ...] = ()
+        else:
+            asked = SeeingMethod.apart(title, base_of(name), extra, methods.sees, evaluator)
+            lines = _not_compared(title, method.found.module, files)
         return Job(
             title, source, lambda trials, _: asked.predict(trials), lines=lines, looked=asked.looked
         )

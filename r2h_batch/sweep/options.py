@@ -204,8 +204,8 @@ class Flags:
     sees: Annotated[
         str,
         Flag(
-            "show your methods what depth cameras see, and nothing else: cell-v1 or a rig's TOML file, with options "
-            "cell-v1,noise=0.5,labels=eroded,model=known,object=field,seed=1; a method is then predict(seen)",
+            "show methods what depth cameras see, and nothing else: cell-v1 or a rig's TOML file, with options "
+            "cell-v1,noise=0.5,labels=eroded,model=known,object=field,seed=1; a method of yours is then predict(seen)",
             "methods",
         ),
     ] = ""
@@ -477,9 +477,9 @@ def check(options: Options) -> Options:
         from r2h_batch.observe.sees import Sees
 
         Sees.parse(options.sees)
-        if blind := [base for base in bases if base in METHOD_NAMES]:
-            words = "is told the truth; with --sees a method is your own function predict(seen)"
-            raise UsageError(f"--method {blind[0]} {words}")
+        if "oracle" in bases:
+            words = "is told the truth, it asks the judge; leave it out"
+            raise UsageError(f"--method oracle {words}, or leave --sees out")
     if options.predictor and "contact" not in bases:
         words = "add that method, or leave it out"
         raise UsageError(f"--predictor is the contact network of --method contact; {words}")

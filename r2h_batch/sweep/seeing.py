@@ -1,8 +1,8 @@
 """Methods that see: a chunk of trials is looked at, the method is asked apart, its grasps come into the objects' frames."""
 
 import time
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 import torch
@@ -31,28 +31,79 @@ LIFT_M = 0.005
 """How far the object is lifted where its pick is looked at [choice]: at rest it touches the table."""
 
 
+class Asked(Protocol):
+    """Answers observations."""
+
+    def ask(self, seen: Observation) -> tuple[Tensor, Tensor, Tensor]:
+        """T_world_grasp, T_world_ee (N, 4, 4) float64, m, and seconds (N,) float32, on the CPU.
+
+        Args:
+            seen: of N trials.
+        """
+
+
 class SeeingMethod:
-    """A user's `predict(seen)` as a job of a sweep.
+    """A method that answers what it sees, as a job of a sweep.
 
     Args:
         name: in tables and messages.
-        method: as `--method` names it, without name and options.
-        options: keyword arguments of the function.
+        asked: answers observations.
         sees: what it is shown.
         evaluator: of the trials.
     """
 
-    def __init__(
-        self,
+    def __init__(self, name: str, asked: Asked, sees: Sees, evaluator: "Evaluator") -> None:
+        self.name, self.sees, self.evaluator = name, sees, evaluator
+        self._asked = asked
+        self._looked: dict[str, Tensor] = {}
+
+    @classmethod
+    def apart(
+        cls,
         name: str,
         method: str,
         options: Mapping[str, Any],
         sees: Sees,
         evaluator: "Evaluator",
-    ) -> None:
-        self.name, self.sees, self.evaluator = name, sees, evaluator
-        self._apart = Apart(method, options, evaluator.threads)
-        self._looked: dict[str, Tensor] = {}
+    ) -> Self:
+        """A user's `predict(seen)`, in a process of its own.
+
+        Args:
+            name: in tables and messages.
+            method: as `--method` names it, without name and options.
+            options: keyword arguments of the function.
+            sees: what it is shown.
+            evaluator: of the trials.
+        """
+        return cls(name, Apart(method, options, evaluator.threads), sees, evaluator)
+
+    @classmethod
+    def built_in(
+        cls,
+        name: str,
+        function: Callable[..., Predictions],
+        shown: Sequence[str],
+        options: Mapping[str, Any],
+        sees: Sees,
+        evaluator: "Evaluator",
+    ) -> Self:
+        """A built-in method, in the world that it believes (`methods.believed`).
+
+        Args:
+            name: in tables and messages.
+            function: its `predict`.
+            shown: fields of `Observations` that it is shown.
+            options: keyword arguments of the function.
+            sees: what it is shown.
+            evaluator: of the trials.
+        """
+        from r2h_batch.methods.believed import AskedHere
+
+        asked = AskedHere(
+            function, shown, options, evaluator.scene.benchmark, evaluator.config,
+            noise=sees.noise, threads=evaluator.threads,
+        )  # fmt: skip
+        return cls(name, asked, sees, evaluator)
 
     def predict(self, trials: Trials) -> Predictions:
         """The answers of N trials; what was seen of them waits for `looked`.
@@ -90,7 +141,7 @@ class SeeingMethod:
         seen, T_world_obj = self.sees.look(scene, trials)
         t_sees = (time.perf_counter() - start) / len(trials)
         try:
-            grasp, handover, seconds = self._apart.ask(seen)
+            grasp, handover, seconds = self._asked.ask(seen)
         except UserError as error:
             raise AnswerError(f"method {self.name}: {error}") from None
         home = T_world_obj.device

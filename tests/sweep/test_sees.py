@@ -166,7 +166,10 @@ def test_what_cannot_be_seen_is_refused_in_one_line(methods, sees, words, tmp_pa
 def test_methods_that_are_told_the_truth_and_methods_that_see_do_not_take_each_others_place(methods, tmp_path):
     for arguments, words in each(
         (
-            (("--method", "fc", "--sees", "cell-v1"), "--method fc is told the truth; with --sees"),
+            (
+                ("--method", "oracle", "--sees", "cell-v1"),
+                "--method oracle is told the truth, it asks the judge; leave it out",
+            ),
             (("--method", f"{methods}/blind.py:predict", "--sees", "cell-v1"), "the function takes (seen) with --sees"),
             (("--method", f"{methods}/grab.py:predict"), "or (seen) with --sees"),
             (

@@ -7,6 +7,7 @@ A left hand is sampled as a right hand on the mirrored object: nothing about it 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -40,6 +41,7 @@ from r2h_batch.trials.holding.hand_contact import (
     measure_contact,
 )
 from r2h_batch.trials.holding.instructions import intents_of
+from r2h_batch.verdicts import SIDES
 
 PER_SIDE = 32
 PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 600, 20, 160, 16
@@ -76,28 +78,42 @@ class NoHoldError(UserError):
 @threadpool_limits.wrap(1, user_api="blas")
 @one_torch_thread("cpu")
 def sample_receiving(
-    model: ObjectModel, *, hand: HandModel | None = None, per_side: int = PER_SIDE, series: str = ""
+    model: ObjectModel,
+    *,
+    hand: HandModel | None = None,
+    per_side: int = PER_SIDE,
+    series: str = "",
+    sides: Sequence[int] = (0, 1),
+    enough: int = ENOUGH,
 ) -> dict[str, NDArray[Any]]:
     """Arrays as in `receiving.FIELDS`: up to `per_side` right-hand and left-hand holds; the same
     object and `series`, the same holds.
 
     Each holds with thumb and a finger from opposite sides and with three regions of the hand or
-    more. Raises `NoHoldError` where an object has none at all.
+    more. `sides`: 0 right, 1 left. `enough`: holds with which the choice begins. Raises `NoHoldError` where an object has none
+    at all.
     """
     init_warp()
     hand = load_hand() if hand is None else hand
     field = distance_field(ObjectSurface(model.vertices, model.faces))
-    right, left = (_holds(model, hand, mirror, field, per_side, series) for mirror in (False, True))
-    if not len(right["side"]) + len(left["side"]):
+    found = [_holds(model, hand, side == 1, field, per_side, series, enough) for side in sides]
+    if not sum(len(held["side"]) for held in found):
+        none = ", ".join(f"0 {SIDES[side]}" for side in sides)
         raise NoHoldError(
-            f"{model.name}: 0 right receiving grasps found, {per_side} wanted, 0 left; "
+            f"{model.name}: {none} receiving grasps found, {per_side} of a side wanted; "
             "a hand must be able to hold the receiver's region (S1) or some part (S0) between thumb and fingers"
         )
-    return {k: np.concatenate([right[k], left[k]]) for k in right}
+    return {k: np.concatenate([held[k] for held in found]) for k in found[0]}
 
 
 def _holds(
-    model: ObjectModel, hand: HandModel, mirror: bool, field: Any, count: int, series: str
+    model: ObjectModel,
+    hand: HandModel,
+    mirror: bool,
+    field: Any,
+    count: int,
+    series: str,
+    wanted: int,
 ) -> dict[str, NDArray[Any]]:
     flip = np.array([-1.0 if mirror else 1.0, 1.0, 1.0], np.float32)
     side = _Side(model, hand, flip, mirrored(field) if mirror else field)
@@ -112,7 +128,7 @@ def _holds(
         rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
         pool.append(_try(side, rng))
         held = np.concatenate([p["part"] for p in pool])
-        enough = len(held) >= more * ENOUGH and all(
+        enough = len(held) >= more * wanted and all(
             np.isin(held, i.labels).sum() >= ENOUGH_OF_PART for i in intents_of(model)
         )
         last = turn + 1 == more * ROUNDS or (turn + 1 >= HOPELESS and not len(held))
