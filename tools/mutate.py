@@ -53,6 +53,7 @@ T_RELEASE = (
 )
 TAKEN = "r2h_batch/judge/reception.py"
 T_RAYS = "tests/observe/test_rays.py"
+T_ROBUST = "tests/methods/test_robust.py"
 T_BELIEVED = "tests/methods/test_believed.py"
 SENSOR, T_SENSOR = "kernels/observe/sensor.py", "tests/observe/test_sensor.py"
 T_APART, T_ESTIMATES, T_SEES = (
@@ -2026,6 +2027,27 @@ MUTATIONS = (
         "views[c] = replace(views[c], T_world_camera=T)",
         "pass",
         (f"{T_BELIEVED}::test_errors_of_calibration_are_taken_out_as_far_as_table_and_object_show_them",),
+    ),
+    Mutation(
+        "robust: the object lies where it is believed to",
+        "r2h_batch/methods/robust.py",
+        "replace(sizes.object, seed=own)",
+        "ObjectErrors()",
+        (f"{T_ROBUST}::test_errors_are_those_of_the_object_and_of_the_hand_one_verdict_each",),
+    ),
+    Mutation(
+        "robust: the first pair that succeeds as believed is taken",
+        "r2h_batch/methods/robust.py",
+        "done[solved] = held == draws",
+        "done[solved] = True",
+        (f"{T_ROBUST}::test_what_it_takes_holds_under_errors_that_it_has_not_drawn_better_than_what_a_plain_search_takes",),
+    ),
+    Mutation(
+        "robust: all errors are one",
+        "r2h_batch/methods/robust.py",
+        'rng.key_of(f"robust {seed} {k}")',
+        'rng.key_of(f"robust {seed}")',
+        (f"{T_ROBUST}::test_errors_are_those_of_the_object_and_of_the_hand_one_verdict_each",),
     ),
     Mutation(
         "cameras: a side of the table faces up",

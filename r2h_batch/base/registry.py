@@ -98,6 +98,7 @@ _OURS = (
     Method("contact", ("receiving", "target", "contacts")),
     Method("intent", ("receiving", "target")),
     Method("learned", ("parts", "target"), ("weights",)),
+    Method("robust"),
 )
 METHOD_NAMES = tuple(entry.name for entry in _OURS)
 METHODS: Registry[Any] = Registry("method", {entry.name: entry for entry in _OURS})

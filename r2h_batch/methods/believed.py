@@ -9,6 +9,7 @@ import hashlib
 import inspect
 import time
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -21,13 +22,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
-from r2h_batch.config import EvalConfig
+from r2h_batch.config import OBJECT_ERRORS, EvalConfig, ObjectErrors
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.grasps import NoGraspError, sample_grasps
 from r2h_batch.methods.predictors import Observations, PredictorNoise
 from r2h_batch.methods.predictors.external_predictions import ExternalHands
 from r2h_batch.methods.predictors.principal_axes import load_axes_network
-from r2h_batch.observe.seen import Observation, Receiver
+from r2h_batch.methods.robust import Sizes
+from r2h_batch.observe.seeing import Level
+from r2h_batch.observe.seen import Observation, Receiver, packed
 from r2h_batch.observe.solid import completed
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.scene.grasp_set import GraspSet
@@ -43,7 +46,16 @@ GRASPS_ENOUGH = 240
 """Grasps that an object's candidates are chosen from; as for a user's mesh."""
 HOLDS, HOLDS_ENOUGH = 4, 32
 """Receiving hands of an object, one of which is drawn, and the number that they are chosen from [choice]."""
+SOLID_M, SOLID_DEG = (0.002, 0.002), (1.0, 1.0)
+"""Errors of a completed solid, per axis, without noise, and more for each time the noise [choice]: its surface is off by
+2 mm with exact images, by 4 mm with errors."""
 _GRASP, _RECEIVING = 0, 1  # purposes of the random counters
+
+KEPT_SOLIDS = 256
+"""Solids that stay for the next method of a sweep: 0.7 of the 1.5 CPU seconds that FC takes for a trial."""
+SOLIDS: OrderedDict[tuple[str, Robot], tuple[ObjectModel, NDArray[np.float64]] | None] = (
+    OrderedDict()
+)
 
 Method = Callable[..., Predictions]
 
@@ -76,7 +88,8 @@ class AskedHere:
         options: its keyword arguments.
         benchmark: whose robot, workplace, limits and hands are known; its objects are not looked at.
         config: how one judges.
-        noise: factor on the error of the receiver's hand on the object.
+        noise: factor on errors, as of `observe`.
+        model: what is known of the objects, as of `observe`.
         threads: as of `Evaluator`.
     """
 
@@ -89,6 +102,7 @@ class AskedHere:
         config: EvalConfig,
         *,
         noise: float,
+        model: Level | None = None,
         threads: int | None = None,
     ) -> None:
         self._function, self._options = function, dict(options)
@@ -96,6 +110,7 @@ class AskedHere:
         self._holds = "receiving" in shown
         self._known, self._threads = known_before(benchmark), threads
         self._config = replace(config, receiver="hand")
+        self._sizes = error_sizes(noise, model)
         self._noise = replace(
             PredictorNoise().scaled(noise), target_rotation_deg=0.0, target_translation_m=0.0
         )
@@ -134,11 +149,28 @@ class AskedHere:
             found["seen"] = world.receiving
         if "predictor" in self._takes:
             found["predictor"] = contacts_of_any
+        if "sizes" in self._takes:
+            found["sizes"] = self._sizes
         if "evaluator" in self._takes:
             found["evaluator"] = Evaluator(
                 world.scene.benchmark, world.scene.config, device="cpu", threads=self._threads
             )
         return found
+
+
+def error_sizes(noise: float, model: Level | None) -> Sizes:
+    """Errors that a search in a believed world reckons with: of the estimates, as large as they are; of a completed solid, as
+    of an object whose pose is off by `SOLID_M` and `SOLID_DEG`.
+
+    Args:
+        noise: factor on errors, as of `observe`.
+        model: what is known of the objects, as of `observe`.
+    """
+    if model is None:
+        shift, turn = ((low + noise * more) for low, more in (SOLID_M, SOLID_DEG))
+    else:
+        shift, turn = (noise * x for x in OBJECT_ERRORS[model])
+    return Sizes(ObjectErrors(shift, turn), PredictorNoise().scaled(noise))
 
 
 def contacts_of_any(grid: Float32[Tensor, "1 5 64 64 64"]) -> Float32[Tensor, "1 64 64 64"]:
@@ -289,21 +321,35 @@ def _object(
 ) -> tuple[ObjectModel, Float64[np.ndarray, "4 4"]] | None:
     """The object of a trial as it is believed to be, with its candidates, and where its frame lies in the world; None: there is
     none, or the gripper cannot hold it."""
-    T = np.eye(4)
     if seen.known is not None:
         known, k = seen.known, int(seen.known.mesh[row])
-        T[:] = known.T_world_obj[row].double().cpu().numpy()
+        T = known.T_world_obj[row].double().cpu().numpy()
         vertices, faces = known.vertices[k].cpu().numpy(), known.faces[k].cpu().numpy()
         digest = hashlib.sha256(vertices.tobytes() + faces.tobytes()).hexdigest()
         model = _known(f"known_{digest[:16]}", vertices.tobytes(), faces.tobytes(), robot)
         return None if model is None else (model, T)
+    shown = packed(seen[row : row + 1])
+    digest = hashlib.sha256(
+        b"".join(v.tobytes() for k, v in shown.items() if k.startswith(("object", "T_")))
+    ).hexdigest()
+    if (digest, robot) not in SOLIDS:
+        while len(SOLIDS) >= KEPT_SOLIDS:
+            SOLIDS.popitem(last=False)
+        SOLIDS[digest, robot] = _of_images(seen, row, robot)
+    return SOLIDS[digest, robot]
+
+
+def _of_images(
+    seen: Observation, row: int, robot: Robot
+) -> tuple[ObjectModel, Float64[np.ndarray, "4 4"]] | None:
+    """The completed solid of a trial, and where its frame lies: level, about the middle of its box."""
     solid = completed(seen, row)
     if solid is None:
         return None
+    T = np.eye(4)
     T[:3, 3] = 0.5 * (solid.vertices.min(0) + solid.vertices.max(0))
-    model = _with_grasps(
-        f"seen_{int(seen.key[row]):016x}", solid.vertices - T[:3, 3], solid.faces, robot
-    )
+    name = f"seen_{int(seen.key[row]):016x}"
+    model = _with_grasps(name, solid.vertices - T[:3, 3], solid.faces, robot)
     return None if model is None else (model, T)
 
 

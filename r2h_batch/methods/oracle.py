@@ -74,7 +74,7 @@ def predict(
     evaluator = evaluator.kinematic
     n, home = len(trials), trials.trial_id.device
     trials = trials.to(scene.device)
-    fan = _Fan(trials, evaluator, seed)
+    fan = Fan(trials, evaluator, seed)
     farthest = torch.full((n,), -torch.inf, dtype=torch.float64, device=scene.device)
     T_obj_ee, T_world_ee = (
         torch.eye(4, dtype=torch.float32, device=scene.device).repeat(n, 1, 1) for _ in range(2)
@@ -87,7 +87,7 @@ def predict(
             break
         grasp, pose = (T.to(scene.device) for T in fan.proposals(todo.cpu().numpy(), turn))
         scores = evaluator.score(grasp, pose, trials[todo])
-        reached, solved = _how_far(scores), scores.success
+        reached, solved = how_far(scores), scores.success
         if for_ == "reception" and solved.any():
             rows = torch.nonzero(solved)[:, 0]
             taken = reception(scores[rows])
@@ -104,9 +104,13 @@ def predict(
     return Predictions(trials.trial_id, T_obj_ee, T_world_ee, method="oracle").to(home)
 
 
-def _how_far(scores: Scores) -> torch.Tensor:
+def how_far(scores: Scores) -> torch.Tensor:
     """How far a proposal got: the number of the criterion that failed first (success: 6), then that
-    one's margin."""
+    one's margin.
+
+    Args:
+        scores: of B proposals.
+    """
     outcome = scores.outcome.long()
     failed = (outcome - 1).clamp(0, len(CRITERIA) - 1)
     margin = scores.margin[
@@ -119,9 +123,15 @@ def _how_far(scores: Scores) -> torch.Tensor:
     )
 
 
-class _Fan:
+class Fan:
     """Proposals of a batch of trials: Kronecker sequences, each trial's started at a random point
-    of its own."""
+    of its own.
+
+    Args:
+        trials: B trials.
+        evaluator: of their scene.
+        seed: of the random points.
+    """
 
     def __init__(self, trials: Trials, evaluator: Evaluator, seed: int) -> None:
         self._object = trials.object_index.cpu().numpy().astype(np.int64)
@@ -134,7 +144,12 @@ class _Fan:
         self._start = rng.uniforms(key, trials.trial_id.cpu().numpy(), len(_STEPS), purpose=_FAN)
 
     def proposals(self, rows: NDArray[np.int64], turn: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """T_obj_ee, T_world_ee (n, 4, 4) that trials `rows` try in round `turn`."""
+        """T_obj_ee, T_world_ee (n, 4, 4) that trials try in a round.
+
+        Args:
+            rows: (n,) of the batch.
+            turn: number of the round.
+        """
         u = self._start[:, rows] + turn * _STEPS[:, None]
         which, mix, tilt, roll, far = u - np.floor(u)
         objects, normal = self._object[rows], self._normal[rows]

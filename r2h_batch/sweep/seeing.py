@@ -101,7 +101,7 @@ class SeeingMethod:
 
         asked = AskedHere(
             function, shown, options, evaluator.scene.benchmark, evaluator.config,
-            noise=sees.noise, threads=evaluator.threads,
+            noise=sees.noise, model=sees.model, threads=evaluator.threads,
         )  # fmt: skip
         return cls(name, asked, sees, evaluator)
 

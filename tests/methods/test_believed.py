@@ -35,6 +35,12 @@ def solid(row, noise=0.0):
     return completed(view(noise), row)
 
 
+def forget():
+    """No answer comes from memory."""
+    believed.SOLIDS.clear()
+    believed.holds_on.cache_clear()
+
+
 def asked(method, benchmark=None, *, shown=("receiving", "target"), **options):
     scene = cell()[0]
     return AskedHere(
@@ -147,7 +153,7 @@ def test_other_meshes_behind_the_same_images_move_no_bit_of_the_answers(monkeypa
     monkeypatch.setattr(Sees, "look", lambda self, scene, trials: (seen[rows], T_world_obj))
     answers = []
     for benchmark in each((scene.benchmark, boxes_in_place_of(scene.benchmark))):
-        believed.holds_on.cache_clear()
+        forget()
         judge = benchmark.evaluator()
         options = {"seed": 0}
         method = SeeingMethod.built_in("fc", fc.predict, ("receiving", "target"), options, Sees.parse("cell-v1"), judge)
@@ -167,7 +173,7 @@ def test_answers_have_the_same_bits_alone_and_in_any_order():
     seen = view()
     together = method.ask(seen[torch.tensor([3, 4, 5])])
     for k, row in each(enumerate((3, 4, 5))):
-        believed.holds_on.cache_clear()
+        forget()
         alone = method.ask(seen[torch.tensor([row])])
         for a, b in each(zip(together[:2], alone[:2], strict=True)):
             assert torch.equal(a[k], b[0])
