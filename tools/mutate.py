@@ -2029,6 +2029,13 @@ MUTATIONS = (
         (f"{T_BELIEVED}::test_errors_of_calibration_are_taken_out_as_far_as_table_and_object_show_them",),
     ),
     Mutation(
+        "rays: tiles of a window are those in which all of the robot is",
+        "r2h_batch/observe/rays.py",
+        "tiles = (met[1][..., :, None] & met[0][..., None, :]).any(2).flatten(2)",
+        "tiles = (met[1][..., :, None] & met[0][..., None, :]).all(2).flatten(2)",
+        (f"{T_RAYS}::test_whole_images_show_table_robot_and_person_where_float64_rays_do",),
+    ),
+    Mutation(
         "robust: the object lies where it is believed to",
         "r2h_batch/methods/robust.py",
         "replace(sizes.object, seed=own)",

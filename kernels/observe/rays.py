@@ -18,6 +18,7 @@ HAND = wp.constant(4)
 FOREARM = wp.constant(5)
 UPPER_ARM = wp.constant(6)
 TORSO = wp.constant(7)
+TILES = wp.constant(8)
 
 
 @wp.struct
@@ -165,6 +166,7 @@ def cast(
     camera_in: wp.array(dtype=wp.mat44),  # one a camera, OpenCV axes
     corner_in: wp.array2d(dtype=wp.vec2i),  # (n, cameras) the window's lowest pixel on the sensor
     sensor: wp.vec2i,  # its columns and rows
+    tile_in: wp.array3d(dtype=int),  # (n, cameras, 64) of 8 x 8 tiles of the window: bits of the labels that a ray may meet
     object_in: wp.array(dtype=int), T_world_obj_in: wp.array(dtype=wp.mat44),
     hand_in: wp.array(dtype=int), T_world_hand_in: wp.array(dtype=wp.mat44),
     receiver_in: wp.array2d(dtype=wp.vec4),  # (n, 5) `Trials.receiver`
@@ -199,33 +201,40 @@ def cast(
         best = t
         what = TABLE
         facing = box_facing(o + t * d - bodies.table_center, d, bodies.table_half)
-    robot = wp.mesh_query_ray(bodies.robot, o, d, best)
-    if robot.result:
-        best = robot.t
-        what = ROBOT
-        facing = wp.abs(wp.dot(d, robot.normal))
-    k = object_in[i]
-    met = mesh_met(T_world_obj_in[i], bodies.object_mesh[k], bodies.object_ball[k], o, d, best)
-    if met[0] < best:
-        best = met[0]
-        what = OBJECT
-        facing = met[1]
-    k = hand_in[i]
-    met = mesh_met(T_world_hand_in[i], bodies.hand_mesh[k], bodies.hand_ball[k], o, d, best)
-    if met[0] < best:
-        best = met[0]
-        what = HAND
-        facing = met[1]
-    if bodies.person == 1:
+    tile = ((p % pixels) / columns * TILES / rows) * TILES + (p % pixels) % columns * TILES / columns
+    here = tile_in[i, c, tile]
+    if here >> ROBOT & 1 == 1:
+        robot = wp.mesh_query_ray(bodies.robot, o, d, best)
+        if robot.result:
+            best = robot.t
+            what = ROBOT
+            facing = wp.abs(wp.dot(d, robot.normal))
+    if here >> OBJECT & 1 == 1:
+        k = object_in[i]
+        met = mesh_met(T_world_obj_in[i], bodies.object_mesh[k], bodies.object_ball[k], o, d, best)
+        if met[0] < best:
+            best = met[0]
+            what = OBJECT
+            facing = met[1]
+    if here >> HAND & 1 == 1:
+        k = hand_in[i]
+        met = mesh_met(T_world_hand_in[i], bodies.hand_mesh[k], bodies.hand_ball[k], o, d, best)
+        if met[0] < best:
+            best = met[0]
+            what = HAND
+            facing = met[1]
+    if here >> FOREARM > 0:
         for part in range(2):  # from the wrist up: FOREARM, UPPER_ARM
-            upper = first_three(receiver_in[i, 1 - part])
-            lower = first_three(receiver_in[i, 2 - part])
-            radius = receiver_in[i, 1 - part][3]
-            t = capsule_hit(o, d, upper, lower, radius)
-            if t < best:
-                best = t
-                what = FOREARM + part
-                facing = capsule_facing(o + t * d, d, upper, lower, radius)
+            if here >> (FOREARM + part) & 1 == 1:
+                upper = first_three(receiver_in[i, 1 - part])
+                lower = first_three(receiver_in[i, 2 - part])
+                radius = receiver_in[i, 1 - part][3]
+                t = capsule_hit(o, d, upper, lower, radius)
+                if t < best:
+                    best = t
+                    what = FOREARM + part
+                    facing = capsule_facing(o + t * d, d, upper, lower, radius)
+    if here >> TORSO & 1 == 1:
         fx = receiver_in[i, 3][3]
         fy = receiver_in[i, 4][3]
         from_middle = upright(o - first_three(receiver_in[i, 3]), fx, fy)

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Float32, Float64, Int32, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
+from r2h_batch.base import se3
 from r2h_batch.base.launch import over_trials
 from r2h_batch.kernels.observe import rays as kernels
 from r2h_batch.observe.robot_mesh import robot_at_home
+from r2h_batch.observe.seen import LABELS
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
@@ -34,6 +36,7 @@ class Bodies:
         self.scene, place = scene, scene.config.workplace
         vertices, faces = robot_at_home(scene.robot, tuple(place.home_q))
         self._robot = self._mesh(vertices, faces)
+        self._robot_balls = _balls_of_cells(vertices, faces)
         self._hands: OrderedDict[int, wp.Mesh] = OrderedDict()
         self._skin = scene.hands.vertices.numpy()
         self._faces = scene.hands.model.faces_by_side.numpy()
@@ -45,6 +48,9 @@ class Bodies:
         tables.object_mesh = scene.object_mesh_ids
         tables.object_ball = self._balls([o.vertices for o in scene.objects])
         tables.hand_ball = self._balls(self._skin)
+        self._object_balls, self._hand_balls = (
+            torch.from_numpy(x.numpy()).double() for x in (tables.object_ball, tables.hand_ball)
+        )
         self._tables = tables
 
     def _mesh(self, vertices: NDArray[np.float32], faces: NDArray[Any]) -> wp.Mesh:
@@ -126,6 +132,56 @@ class Bodies:
         found: Tensor = made["label"]
         return found
 
+    def _tiles(
+        self,
+        trials: Trials,
+        T_world_obj: Float32[Tensor, "n 4 4"],
+        T_world_camera: Float32[Tensor, "c 4 4"],
+        corner_px: Int32[Tensor, "n c 2"],
+        *,
+        focal_px: float,
+        sensor_px: tuple[int, int],
+        window_px: tuple[int, int],
+    ) -> Int32[Tensor, "n c t"]:
+        """For each of 8 x 8 tiles of each window the labels of bodies that a ray may meet there, as bits: the rectangle of
+        a ball that holds the body, or a part of it, meets the tile."""
+        device = T_world_obj.device
+        steps = torch.arange(TILES + 1, dtype=torch.float64, device=device) / TILES
+        edges = [
+            corner_px[..., axis].double()[..., None] + steps * size
+            for axis, size in enumerate(window_px)
+        ]
+        found = torch.zeros((*corner_px.shape[:2], TILES * TILES), dtype=torch.int32, device=device)
+
+        def mark(label: str, center: Tensor, radius: Tensor) -> None:
+            """`center` (m, k, 3), `radius` (m, k): k balls of m trials, or of all."""
+            rect = _rects_of_balls(center, radius, T_world_camera.double(), focal_px, sensor_px)
+            met = [
+                (rect[..., axis, None] <= edges[axis][:, :, None, 1:])
+                & (rect[..., 2 + axis, None] >= edges[axis][:, :, None, :-1])
+                for axis in range(2)
+            ]
+            tiles = (met[1][..., :, None] & met[0][..., None, :]).any(2).flatten(2)
+            found.add_(tiles.to(torch.int32) << LABELS.index(label))
+
+        robot = torch.from_numpy(self._robot_balls).to(device)
+        mark("robot", robot[None, :, :3], robot[None, :, 3])
+        for label, balls, index, T in (
+            ("object", self._object_balls, trials.object_index, T_world_obj),
+            ("hand", self._hand_balls, trials.hand_index, trials.T_world_hand),
+        ):
+            own = balls.to(device)[index.long()]
+            mark(label, se3.apply(T.double(), own[:, :3])[:, None], own[:, None, 3])
+        if (body := trials.receiver) is not None:
+            shoulder, elbow, wrist, middle, half = body.double().to(device).unbind(1)
+            for label, a, b in (("upper_arm", shoulder, elbow), ("forearm", elbow, wrist)):
+                along = 0.5 * (b - a)[:, :3]
+                size = se3.dot(along, along).sqrt() + a[:, 3]
+                mark(label, (a[:, :3] + along)[:, None], size[:, None])
+            size = se3.dot(half[:, :3], half[:, :3]).sqrt()
+            mark("torso", middle[:, None, :3], size[:, None])
+        return found
+
     def cast(
         self,
         trials: Trials,
@@ -157,6 +213,10 @@ class Bodies:
         """
         n, cameras = corner_px.shape[:2]
         pixels = cameras * columns * rows
+        tiles = self._tiles(
+            trials, T_world_obj, T_world_camera, corner_px,
+            focal_px=focal_px, sensor_px=sensor_px, window_px=(stride * columns, stride * rows),
+        )  # fmt: skip
         run = over_trials(
             kernels.cast, n, self.scene.device, sizes=dict.fromkeys(("depth", "label", "facing"), pixels),
             width=pixels, chunk=1,
@@ -165,6 +225,7 @@ class Bodies:
             cameras=cameras, columns=columns, rows=rows, stride=stride, focal=focal_px,
             principal=wp.vec2(0.5 * sensor_px[0], 0.5 * sensor_px[1]), far=FAR_M,
             camera=T_world_camera.contiguous(), corner=corner_px.contiguous(), sensor=wp.vec2i(*sensor_px),
+            tile=tiles,
             **self.placed(trials, T_world_obj),
         )  # fmt: skip
         shape = (n, cameras, rows, columns)
@@ -175,3 +236,52 @@ class Bodies:
 def bodies_of(scene: Scene) -> Bodies:
     """The meshes of a scene, made once."""
     return Bodies(scene)
+
+
+TILES = 8
+"""Tiles of a window each way, as in the kernel."""
+CELL_M, SLACK_M, SLACK_PX = 0.05, 1e-3, 2.0
+"""Side of the robot's pieces that rectangles are made of; what bounds are too large by, for rounding."""
+
+
+def _balls_of_cells(vertices: NDArray[np.float32], faces: NDArray[Any]) -> NDArray[np.float64]:
+    """(k, 4) balls, centre and radius, that hold a mesh: one for the faces that begin in each cell of a grid."""
+    corners = np.asarray(vertices, np.float64)[np.asarray(faces).reshape(-1, 3)]
+    cell = np.floor(corners[:, 0] / CELL_M).astype(np.int64)
+    _, of = np.unique(cell, axis=0, return_inverse=True)
+    found = []
+    for k in range(int(of.max()) + 1):
+        own = corners[of.ravel() == k].reshape(-1, 3)
+        middle = 0.5 * (own.min(0) + own.max(0))
+        away = own - middle
+        found.append([*middle, np.sqrt((away * away).sum(1).max())])
+    return np.array(found)
+
+
+def _rects_of_balls(
+    center: Float64[Tensor, "m k 3"],
+    radius: Float64[Tensor, "m k"],
+    T_world_camera: Float64[Tensor, "c 4 4"],
+    focal_px: float,
+    sensor_px: tuple[int, int],
+) -> Float64[Tensor, "m c k 4"]:
+    """Rectangles that hold the projections of balls; from inf to -inf for what no pixel shows. A ball beside the camera's plane
+    may be anywhere."""
+    local = se3.apply(se3.inverse(T_world_camera)[None, :, None], center[:, None])
+    r = radius[:, None] + SLACK_M
+    near = local[..., 2] - r
+    anywhere = (near <= SLACK_M) & (local[..., 2] + r > 0)
+    gone = local[..., 2] + r <= 0
+    lows, highs = [], []
+    for axis, size in enumerate(sensor_px):
+        low, high = local[..., axis] - r, local[..., axis] + r
+        z_low = torch.where(low < 0, near, local[..., 2] + r).clamp(min=SLACK_M)
+        z_high = torch.where(high > 0, near, local[..., 2] + r).clamp(min=SLACK_M)
+        a = focal_px * low / z_low + 0.5 * size - SLACK_PX
+        b = focal_px * high / z_high + 0.5 * size + SLACK_PX
+        lows.append(a.where(~anywhere, -torch.inf))
+        highs.append(b.where(~anywhere, torch.inf))
+        gone = gone | (highs[-1] < 0) | (lows[-1] > size)
+    lows = [a.where(~gone, torch.inf) for a in lows]
+    highs = [b.where(~gone, -torch.inf) for b in highs]
+    return torch.stack([*lows, *highs], 3)

@@ -10,6 +10,7 @@ from typing import Any
 
 from r2h_batch.config import ExecutionError, ObjectErrors
 from r2h_batch.report.held import stable_rates
+from r2h_batch.report.picks import pick_rates
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import (
     FAILURES,
@@ -23,7 +24,7 @@ from r2h_batch.report.statistics.aggregate import (
 from r2h_batch.report.statistics.common import complete
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import BOUNDS
-from r2h_batch.report.statistics.shares import SHARES, STABLE, THROUGH, UNDECIDED, Share
+from r2h_batch.report.statistics.shares import PICK, SHARES, STABLE, THROUGH, UNDECIDED, Share
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import (
     NA,
@@ -221,6 +222,13 @@ def table_of(
     rows = tuple(
         replace(row, shares={**row.shares, STABLE: found.rate, UNDECIDED: found.undecided})
         if (found := stable.get((row.split, row.method)))
+        else row
+        for row in rows
+    )
+    picks = pick_rates(run)
+    rows = tuple(
+        replace(row, shares={**row.shares, PICK: picks[row.split, row.method]})
+        if (row.split, row.method) in picks
         else row
         for row in rows
     )
@@ -453,6 +461,8 @@ def _with_more(table: Table, row: Row) -> dict[str, Any]:
     """A record, with SR on the reader's own objects and the turn test where the table has them."""
     found = record(row)
     ends: tuple[float | None, ...]
+    if PICK in table.shares and PICK not in row.shares:  # a line of averages
+        found |= {PICK: None, f"{PICK}_low": None, f"{PICK}_high": None}
     if table.scans:
         rate = sr_of_scans(own) if (own := _scans(table, row)) else None
         ends = (rate.percent, rate.low, rate.high) if rate else (None, None, None)
@@ -561,7 +571,10 @@ def record(row: Row) -> dict[str, Any]:
     del few["sr_few"]
     fields |= {"few": row.few} | few
     for name in SHARES:
-        fields |= with_ends(name, row.shares.get(name))
+        if (
+            name != PICK or name in row.shares
+        ):  # tables of methods that are told the truth have none
+            fields |= with_ends(name, row.shares.get(name))
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}

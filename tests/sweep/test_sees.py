@@ -1,5 +1,7 @@
 """`sweep --sees`: methods that are shown what cameras see, and nothing else."""
 
+import csv
+import io
 import json
 
 import numpy as np
@@ -12,6 +14,7 @@ from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.observe import load_rig, moments
 from r2h_batch.observe.sees import Sees
+from r2h_batch.report.table import render, table_of
 from r2h_batch.runs.store import load_run
 
 GRAB = """
@@ -80,6 +83,14 @@ def test_a_method_that_sees_is_judged_by_all_criteria_and_the_run_says_what_it_s
     )
     assert header["digests"]["sees"] == Sees.parse("cell-v1").digest
     assert main(["report", str(run.folder)]) == 0
+    rows = {row.split: row.shares["pick"] for row in table_of(run).rows if row.split != "Avg"}
+    for k, split in each(enumerate(("S0", "S1"))):
+        own = seen["pick"].to_pylist()[5 * k : 5 * k + 5]
+        assert (rows[split].count, rows[split].total) == (own.count(True), 5)
+    lines = list(csv.DictReader(io.StringIO(render(table_of(run), "csv"))))
+    assert [line["pick"] for line in lines if line["split"] == "Avg"] == ["n/a"]
+    assert float(lines[0]["pick"]) == pytest.approx(rows["S0"].percent)
+    assert "| Pick |" in render(table_of(run), "md").replace("  ", " ")
 
 
 def test_grasps_of_the_world_are_judged_where_the_object_lay_at_the_moment(methods, tmp_path):

@@ -24,7 +24,7 @@ class Share:
         caption: what is counted, of which rows; a sentence.
         needs: stored columns of trials that it is made of; rows of older versions have null there.
         of: a table with these columns -> (N,) bool, whether the row counts; null: the row is not of those. None: no
-            stored column says it (`report.held`).
+            stored column says it (`report.held`, `report.picks`).
     """
 
     heading: str
@@ -49,6 +49,7 @@ def _through(rows: pa.Table) -> pa.ChunkedArray:
 
 THROUGH = "through"
 STABLE, UNDECIDED = "physically_stable", "physically_undecided"
+PICK = "pick"
 
 SHARES: Registry[Share] = Registry(
     "share",
@@ -73,6 +74,10 @@ SHARES: Registry[Share] = Registry(
         UNDECIDED: Share(
             "Stable undecided",
             "Trials past Stability that are too near a limit of Physically stable to say.",
+        ),
+        PICK: Share(
+            "Pick",
+            "Trials of a method that sees in which some posture takes the object up where it lay (not in SR).",
         ),
     },
 )
