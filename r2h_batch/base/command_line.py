@@ -71,7 +71,9 @@ def parse(
     try:
         with contextlib.redirect_stderr(box):
             found = cli(
-                prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+                prog=prog, args=arguments, config=(
+                    tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes, tyro.conf.HelptextFromCommentsOff
+                ),
                 registry=_plain_numbers(),
             )  # fmt: skip
     except SystemExit as stop:
