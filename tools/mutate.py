@@ -1693,6 +1693,20 @@ MUTATIONS = (
         ('tests/methods/predictors/test_unseen.py::test_features_and_answers_are_of_the_shape_and_not_of_its_frame',),
     ),
     Mutation(
+        'of run: a file called like a function runs',
+        OF_RUN,
+        ' or (name == "benchmark" and names_function(at)):',
+        ':',
+        (f"{T_PAIRS}::test_a_file_called_like_a_function_beside_a_stored_run_does_not_run",),
+    ),
+    Mutation(
+        'grasps: a gripper of several frames is looked up',
+        "r2h_batch/data/grasp_files.py",
+        "        _check_gripper(gripper, where)",
+        "        pass",
+        ("tests/data/test_grasps_refused.py::test_a_gripper_or_a_source_that_is_none_is_refused_with_what_is_allowed",),
+    ),
+    Mutation(
         'of run: what it saw of the person is forgotten',
         OF_RUN,
         'receiver=header["configuration"].get("receiver", "hand")',
