@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from r2h_batch.base.command_line import check_seed
+from r2h_batch.base.command_line import check_range, check_seed
 from r2h_batch.base.errors import UsageError
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.sweep.results.rethreshold import rethreshold
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
 
 MOST_TORSION_MM = 11.0
+MOST_DRAWS, MOST_PROCESSES = 10_000, 1024
 LISTED_FILES = 6
 LISTED = 200
 """Differences of one method that are printed; the count covers all of them."""
@@ -271,8 +272,7 @@ def held(
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results import held as simulated
 
-    if processes < 0:
-        raise UsageError("--processes must be 0 or more")
+    check_range("--processes", processes, 0, MOST_PROCESSES)
     if not 0 < torsion_mm <= MOST_TORSION_MM:
         raise UsageError(
             f"--torsion-mm {torsion_mm:g}: give more than 0 and at most {MOST_TORSION_MM:g}, the half width of a pad"
@@ -329,8 +329,8 @@ def transfer(
     from r2h_batch.sweep.results import transfer as transferred
 
     check_cases(release, scenario, flag="--scenario")
-    if draws < 1 or processes < 0:
-        raise UsageError("--draws must be 1 or more, --processes 0 or more")
+    check_range("--draws", draws, 1, MOST_DRAWS)
+    check_range("--processes", processes, 0, MOST_PROCESSES)
     check_seed(seed)
     engine = ExecConfig(sim=sim).engine(device)
     if engine == "mjwarp" and processes > 1:
