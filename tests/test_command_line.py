@@ -21,6 +21,7 @@ NESTED = (
     "results rethreshold",
     "results reception",
     "results picked",
+    "results viewed",
     "study ratings",
     "study real",
 )

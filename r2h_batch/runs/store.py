@@ -419,7 +419,7 @@ class Run:
 
         Args:
             method: its name.
-            folder: held, reception or transfer.
+            folder: held, reception, transfer or viewed.
             path: the file; None: that of the method.
 
         Raises:

@@ -7,6 +7,7 @@ rethreshold RUN   print the rates at other thresholds
 reception RUN     print how many receivers could take the object
 picked RUN        print how many objects the arm can pick from the table with the stored grasps
 held RUN          print how many grasps hold in physics: after closing, and under the weight
+viewed RUN        print how much of the part that they want the receivers see
 transfer RUN      simulate the transfer: the person takes the object, the gripper lets go
 """
 
@@ -32,8 +33,8 @@ LISTED = 200
 def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
-    Files beside the shards (held, reception, transfer) that are too large, or of other trials, are set aside. The last line
-    says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
+    Files beside the shards (held, reception, transfer, viewed) that are too large, or of other trials, are set aside. The last
+    line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
     some shards again, or a file was set aside.
 
     Args:
@@ -287,6 +288,38 @@ def held(
     return 0
 
 
+def viewed(
+    folder: Path,
+    /,
+    *,
+    method: tuple[str, ...] = (),
+    benchmark: BenchmarkChoice = DEFAULT,
+    device: str = "cpu",
+) -> int:
+    """Print how much of the part that they want the receivers see at the handover, and what hides the rest; write
+    RUN/viewed/METHOD.parquet.
+
+    Of the stored rows with a receiver's region (S1), a held object and a goal posture. `report` then shows the mean beside
+    Presented. The success rate does not depend on it.
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+        method: only these methods, by the sweep's word (fc) or the table's name.
+        benchmark: where its files are now, if they are not where the sweep found them.
+        device: cpu, cuda or cuda:N.
+    """
+    from r2h_batch.report.viewed import FOLDER
+    from r2h_batch.runs.files import RunError, in_the_way
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results import viewed as of_table
+
+    if what := in_the_way(folder / FOLDER, folder=True):
+        raise RunError(what)
+    run = load_run(folder).only(method)
+    print(of_table.render(of_table.write_tables(run, benchmark, device=device)), end="")
+    return 0
+
+
 def transfer(
     folder: Path,
     /,
@@ -377,5 +410,6 @@ COMMANDS = {
     "reception": reception,
     "picked": picked,
     "held": held,
+    "viewed": viewed,
     "transfer": transfer,
 }
