@@ -492,6 +492,9 @@ def table_lines(data: Mapping[str, Any]) -> str:
 
 COUNTS = {4: "four", 5: "five"}
 
+LEARNED = ("Contact", "Learned")
+"""Methods that learned from other instances of the judged categories."""
+
 TABLE = re.compile(r"(?<=\[start:table\] -->\n).*?(?=<!-- --8<-- \[end:table\])", re.DOTALL)
 """README's block of Table I."""
 
@@ -501,7 +504,8 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
 
     Args:
         text: of README.md.
-        data: `table`, `compared` and `turned`, as families.json has them.
+        data: `table`, `compared` and `turned`, as families.json has them; `unseen`: the cells of the row of
+            Contact-Handover on categories that its predictor never saw.
     """
     rows = {(r["split"], short(r["method"])): r for r in data["table"]["rows"]}
     titles = dict.fromkeys(r["method"].partition(" (")[0] for r in data["table"]["rows"])
@@ -514,13 +518,16 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
 
     lines = [
         [
-            t + (" ^" if short(t) in moved else ""),
+            t + (" ^" if short(t) in moved else "") + (" *" if short(t) in LEARNED else ""),
             cell("S0", short(t)),
             cell("S1", short(t)),
             beside(short(t), whole["pairs"]),
         ]
         for t in titles
     ]
+    lines.insert(
+        1 + [short(t) for t in titles].index("Contact"), ["Contact-Handover, category not seen", *data["unseen"]]
+    )
     methods = len(whole["names"])
     n, few = (data["table"]["rows"][0][k] for k in ("n", "few"))
     parts = [
@@ -530,6 +537,10 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
         " things). The last column compares methods over all trials: *better* holds for new categories (t test over categories),"
         " *better here* for these objects alone (McNemar). Both tests are corrected for all pairs of the"
         f" {COUNTS[methods]} methods (Holm).",
+        "`*`: learned from other instances of these sixteen categories, so its brackets and words hold for things of these"
+        " categories alone. *Category not seen* is Contact-Handover with [trees that never saw the"
+        " category](docs/baselines.md#categories-that-the-network-has-not-seen); its words are those of a table with it in"
+        " Contact-Handover's place.",
         markdown_table(["", "SR S0", "SR S1", "beside the others"], lines),
     ]
     return TABLE.sub(lambda _: "\n" + "\n\n".join(parts) + "\n\n", text, count=1)

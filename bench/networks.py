@@ -7,8 +7,11 @@ rows in bench/options/networks (r2h-v2, motion as planned).
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
+import families
 import numpy as np
 from _report import Report, arguments
 from _rows import kept_rows, rates_of
@@ -20,6 +23,8 @@ OPTIONS: dict[str, Contacts] = {"all_categories": "left-out", "other_categories"
 """Which categories a network trained on -> the option `contacts`."""
 WORDS = {"all_categories": "contact", "other_categories": "contact,contacts=other-categories"}
 """The same -> the word of the sweep."""
+SHIPPED = "r2h_batch/report/compare/rows/r2h-v2-as-planned"
+OTHERS = ("fc", "handover-va", "intent", "learned")
 TRIALS = 500
 FLAGS = ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses")
 MEASURES = (
@@ -63,6 +68,22 @@ def rates_by_category(folder: Path, word: str) -> dict[str, float]:
     return {category: float(np.mean(of)) for category, of in won.items()}
 
 
+def beside_the_others(folder: Path) -> list[dict[str, Any]]:
+    """The pairs, over all trials, of Contact-Handover that never saw the category with each other method of Table I; Holm's
+    correction is for all pairs of the table that has it in Contact-Handover's place."""
+    from r2h_batch.report.compare.stored import load_baselines, stored_rows
+    from r2h_batch.report.statistics.common import common_trials
+    from r2h_batch.report.statistics.paired import compare, pair_up
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(folder)
+    (name,) = (e.name for e, word in zip(run.entries, WORDS.values(), strict=True) if word == WORDS["other_categories"])
+    runs = [run.only([name]), load_baselines(ROOT / SHIPPED).only(OTHERS)]
+    paired = pair_up(runs, common_trials(runs, proven=stored_rows()))
+    (whole,) = (c for c in compare(paired) if c.group == "all")
+    return [asdict(pair) for pair in whole.pairs if pair.a == paired.names[0]]
+
+
 def measure(trials: int) -> Report:
     """Sweeps, keeps the rows, and collects the figures."""
     report = Report(MEASURES)
@@ -71,7 +92,14 @@ def measure(trials: int) -> Report:
     rates = rates_of(folder, [*WORDS.values()])
     for name, option in OPTIONS.items():
         for split, row in rates[WORDS[name]].items():
-            for key in ("sr", "sr_new_categories_low", "sr_new_categories_high", "f_afford"):
+            for key in (
+                "sr",
+                "sr_new_categories_low",
+                "sr_new_categories_high",
+                "sr_few_low",
+                "sr_few_high",
+                "f_afford",
+            ):
                 if row[key] is not None:
                     report.add(f"networks.{name}.{split.lower()}.{key}", row[key])
         areas = region_areas(option)
@@ -81,6 +109,11 @@ def measure(trials: int) -> Report:
             report.add(f"networks.{name}.region_auc_of.{category}", float(np.mean(values)))
         for category, rate in rates_by_category(folder, WORDS[name]).items():
             report.add(f"networks.{name}.sr_of.{category}", rate)
+    pairs = beside_the_others(folder)
+    for pair in pairs:
+        for key in ("difference", "low", "high", "p_holm", "p_new_holm"):
+            report.add(f"networks.other_categories.against.{families.short(pair['b']).lower()}.{key}", pair[key])
+    report.add("networks.other_categories.beside", families.beside("Contact", pairs))
     learned = json.loads((ROOT / "assets/families/unseen.json").read_text("utf-8"))
     report.add("networks.unseen.training_categories", learned["training_categories"])
     report.add("networks.unseen.instances_of_other_things", learned["instances_of_other_things"])

@@ -1,9 +1,9 @@
 """Methods on meshes of yours, beside Table I: docs/results/scans.md.
 
-`python bench/scans.py FOLDER [--about FILE.toml]` sweeps the meshes of a folder (r2h-v2's people, motion as planned), keeps the
-rows in bench/options/scans, and writes the page. It fetches nothing. NAME.yaml beside NAME.obj says what a mesh does not
-(docs/your_data.md); where there is none, the file of --about says a mesh's region, and whose it is. Meshes without a region are
-of S0. `--render` writes the page again from the JSON.
+`python bench/scans.py FOLDER --about bench/SET.toml` sweeps the meshes of a folder (r2h-v2's people, motion as planned), keeps
+the rows in bench/options/SET, the figures in bench/results/SET.json, and writes the page of all sets. It fetches nothing.
+NAME.yaml beside NAME.obj says what a mesh does not (docs/your_data.md); where there is none, the file of --about says a mesh's
+region, and whose it is. Meshes without a region are of S0. `--render` writes the page again from the JSON.
 """
 
 import argparse
@@ -16,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import ROOT, made_by, markdown_table, page_from
+from _report import ROOT, made_by, markdown_table
 from _rows import kept_rows, rates_of
 from networks import region_areas
 
 from r2h_batch.methods.predictors import Contacts
 from r2h_batch.protocols.edit import MESHES
 
-STORED, PAGE = ROOT / "bench" / "results" / "scans.json", ROOT / "docs" / "results" / "scans.md"
+SETS = ("scanned", "scans")
+"""The sets of the page, in its order: bench/SET.toml."""
 MEASURES = (
     *("bench/scans.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *("r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py", "r2h_batch/prepared.py"),
@@ -80,12 +81,13 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
     if options.folder is None:
         raise SystemExit("give a folder of meshes, or --render")
-    folder, about = options.folder.resolve(), {}
-    if options.about:
-        about = tomllib.loads(options.about.read_text("utf-8"))
+    if options.about is None or options.about.stem not in SETS:
+        raise SystemExit(f"give --about bench/SET.toml, SET one of {', '.join(SETS)}")
+    folder = options.folder.resolve()
+    about = tomllib.loads(options.about.read_text("utf-8"))
     os.chdir(ROOT)
     place, words = copied(folder, about), options.methods
-    rows = kept_rows("scans", words, "--trials", options.trials, *FLAGS, "--objects", place)
+    rows = kept_rows(options.about.stem, words, "--trials", options.trials, *FLAGS, "--objects", place)
     run = load_run(rows)
     found = rates_of(rows, words)
     names = {e.name: word for e, word in zip(run.entries, words, strict=True)}
@@ -99,7 +101,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         areas = {w: region_areas(contacts, str(place)) for w, contacts in AREAS.items() if w in words}
     return {
         "trials": options.trials,
-        "origin": {k: about[k] for k in ("source", "made") if k in about},
+        "origin": {k: about[k] for k in ("title", "source", "made") if k in about},
         "objects": objects,
         "rates": {word: {split: counted(row) for split, row in own.items()} for word, own in found.items()},
         "by_object": {names[m]: by_object(run.trials(m, ["object", "outcome"]).to_pylist()) for m in run.methods},
@@ -135,31 +137,34 @@ The second command adds the column to Table I, with its interval. Say a mesh's r
 ([your data](../your_data.md#objects)): without one it is of S0, where nothing is reserved for the receiver. Nothing is
 downloaded, and `report` names a folder by its last name alone.
 
-## On {number} things that nobody here drew
+In the tables: the mean of all categories in Table I, with its 95 % interval; the same of the meshes, with the 95 % interval for the
+mean of all categories of such things, then where the mean of 6 new ones lies ([statistical terms](../statistics.md)). Region AUC:
+how well the contact map finds the part that the receiver wants, mean over the things of S1 (0.5 is chance).
+
+Network and trees learned from generated things alone. `contact` knows the sixteen categories of r2h-v2. The next row
+(`{unseen}`) has never seen the category that a thing names: `category: hammer` in a file beside the mesh. A
+thing that is like none of the sixteen names none, and the mean of the four predictors answers.
+"""
+
+SECTION = """
+## {title}: {number} things
 
 {what}
 
-`python bench/scans.py FOLDER --about bench/scans.toml` measured this (commit {commit}; {n} trials a split, motion as planned;
-rows in `bench/options/scans`, figures in `bench/results/scans.json`). In brackets: the 95 % interval for the mean of all
-categories of such things; then where the mean of 6 new ones lies. Table I: the mean of all categories. [Statistical
-terms](../statistics.md).
+`python bench/scans.py FOLDER --about bench/{name}.toml` measured this (commit {commit}; {n} trials a split, motion as planned;
+rows in `bench/options/{name}`, figures in `bench/results/{name}.json`).
 
 {table}
 
-Region AUC: how well the contact map finds the part that the receiver wants, mean over the {regions} things of S1 (0.5 is chance).
-Network and trees learned from generated things alone. `contact` knows the sixteen categories of r2h-v2, which these things are
-like. The next row (`{unseen}`) has never seen the category that a thing names: `category: hammer` in a file
-beside the mesh.
-
 {order}
 
-## Thing by thing
+### {title}: thing by thing
 
-SR in percent, about {each} trials each. In brackets the contact maps' region AUC.
+SR in percent, about {s0} trials each in S0 and {s1} in S1. In brackets the contact maps' region AUC.
 
 {things}
 
-## Names, sources, licences
+### {title}: names, sources, licences
 
 {names}
 """
@@ -215,8 +220,14 @@ def order(data: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def markdown(data: Mapping[str, Any]) -> str:
-    """docs/results/scans.md."""
+def markdown(sets: Mapping[str, Mapping[str, Any]]) -> str:
+    """docs/results/scans.md, of what was measured on each set."""
+    trials = next(iter(sets.values()))["trials"]
+    return HEAD.format(unseen=UNSEEN, trials=trials) + "".join(section(name, data) for name, data in sets.items())
+
+
+def section(name: str, data: Mapping[str, Any]) -> str:
+    """The page's part about a set."""
     known, areas = table_one(), data["areas"]
     lines = [
         [
@@ -234,20 +245,15 @@ def markdown(data: Mapping[str, Any]) -> str:
 
     things = [[o["name"].replace("_", " "), o["split"], *(thing(w, o["name"]) for w in words)] for o in data["objects"]]
     names = [
-        [
-            o["name"],
-            o.get("category", "").replace("_", " "),
-            o.get("region", ""),
-            o.get("creator", ""),
-            o.get("licence", ""),
-        ]
+        [o["name"], *(o.get(key, "").replace("_", " ") for key in ("category", "region", "creator", "licence"))]
         for o in data["objects"]
     ]
-    what = " ".join(f"{text[0].upper()}{text[1:]}." for text in data["origin"].values())
-    return HEAD.format(
-        unseen=UNSEEN, trials=data["trials"], n=data["trials"], commit=str(data["commit"])[:12], what=what,
-        number=len(data["objects"]), regions=sum(o["split"] == "S1" for o in data["objects"]),
-        each=round(data["trials"] / max(1, sum(o["split"] == "S0" for o in data["objects"]))),
+    many = {split: sum(o["split"] == split for o in data["objects"]) for split in ("S0", "S1")}
+    origin = {k: v for k, v in data["origin"].items() if k != "title"}
+    return SECTION.format(
+        name=name, title=data["origin"].get("title", name), n=data["trials"], commit=str(data["commit"])[:12],
+        what=" ".join(f"{text[0].upper()}{text[1:]}." for text in origin.values()), number=len(data["objects"]),
+        s0=round(data["trials"] / max(1, many["S0"])), s1=round(data["trials"] / max(1, many["S1"])),
         table=markdown_table(
             ["", "S0, Table I", "S0, own meshes", "S1, Table I", "S1, own meshes", "region AUC"], lines
         ),
@@ -257,10 +263,21 @@ def markdown(data: Mapping[str, Any]) -> str:
     )  # fmt: skip
 
 
+def stored(name: str) -> Path:
+    """The JSON of a set."""
+    return ROOT / "bench" / "results" / f"{name}.json"
+
+
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", help="of meshes")
-    parser.add_argument("--about", type=Path, help="whose the meshes are, and their regions")
+    parser.add_argument("--about", type=Path, help="bench/SET.toml: whose the meshes are, and their regions")
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each split")
     parser.add_argument("--methods", nargs="+", choices=WORDS, default=[*WORDS])
-    page_from(parser, STORED, PAGE, measure, markdown)
+    parser.add_argument("--render", action="store_true", help="the page again from the JSON")
+    chosen = parser.parse_args()
+    if not chosen.render:
+        found = measure(chosen)
+        stored(chosen.about.stem).write_text(json.dumps(found, indent=1) + "\n")
+    sets = {name: json.loads(stored(name).read_text()) for name in SETS if stored(name).exists()}
+    (ROOT / "docs" / "results" / "scans.md").write_text(markdown(sets))

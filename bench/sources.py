@@ -17,6 +17,7 @@ ROWS = {
     "networks": "`bench/options/networks`",
     "robots": "`bench/options/robots`",
     "robustness": "`bench/options/robustness`",
+    "scanned": "`bench/options/scanned`",
     "scans": "`bench/options/scans`",
 }
 """JSON -> where its rows are; the others are made by the command alone."""
@@ -25,6 +26,7 @@ COMMANDS = {
     "families": "bench/families.py --rows FOLDER",
     "judge_physics": "bench/judge_again.py held transfer --trials 3",
     "long": "bench/soak.py long",
+    "scanned": "bench/scans.py FOLDER --about bench/scanned.toml",
     "scans": "bench/scans.py FOLDER --about bench/scans.toml",
     "release": "bench/release.py --release CHECKOUT",
     "vendors": "bench/vendors.py --files FOLDER",

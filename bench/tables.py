@@ -209,7 +209,24 @@ def table_1() -> dict[str, object]:
         "table": table,
         "compared": families.compared(run, (*families.METHODS, *LEARNED)),
         "turned": {"r2h-v2": turned},
+        "unseen": unseen_row(),
     }
+
+
+def unseen_row() -> list[str]:
+    """Cells of Table I for Contact-Handover on categories that its predictor never saw (bench/networks.py)."""
+    found = ranks.read("networks")["values"]
+
+    def cell(split: str) -> str:
+        sr, *ends = (found[f"networks.other_categories.{split}.{k}"] for k in ("sr", *CATEGORIES, *FEW))
+        a, b, c, d = (f"{x:.1f}" for x in ends)
+        return f"{sr:.1f} ({a}-{b}; {c}-{d})"
+
+    return [cell("s0"), cell("s1"), found["networks.other_categories.beside"]]
+
+
+CATEGORIES, FEW = (("sr_new_categories_low", "sr_new_categories_high"), ("sr_few_low", "sr_few_high"))
+"""Ends of the intervals for all categories, and for a few new ones."""
 
 
 def columns_table(columns: dict[str, dict[str, str]]) -> str:

@@ -32,8 +32,8 @@ APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "judge_physics", "learn"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
-OF_OTHERS = {"release", "scans", "vendors"}
-"""Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, SCANS=, VENDORS=).
+OF_OTHERS = {"release", "scanned", "scans", "vendors"}
+"""Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, SCANNED=, SCANS=, VENDORS=).
 Whoever lacks the files cannot measure again, so their pages name the commit that was measured."""
 BY_HAND = OF_OTHERS | LONG
 

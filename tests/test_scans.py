@@ -33,8 +33,8 @@ def scans(monkeypatch):
     return scans
 
 
-def stored():
-    return json.loads((ROOT / "bench" / "results" / "scans.json").read_text("utf-8"))
+def stored(name="scans"):
+    return json.loads((ROOT / "bench" / "results" / f"{name}.json").read_text("utf-8"))
 
 
 def test_no_committed_json_names_a_place_on_a_machine():
@@ -61,7 +61,7 @@ def test_rows_and_json_of_a_folder_do_not_say_where_it_is(scans, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     for name in ("brick", "post"):
         trimesh.creation.box((0.05, 0.06, 0.12)).export(meshes / f"{name}.obj")
-    about = tmp_path / "about.toml"
+    about = tmp_path / "scans.toml"
     post = '[post]\ncategory = "bottle"\nregion = "z<0.4"\ncreator = "a box"\nlicence = "none"\n'
     about.write_text('source = "a test"\nmade = "by trimesh"\n' + post)
     found = scans.measure(asked(meshes, about))
@@ -83,14 +83,17 @@ def test_rows_and_json_of_a_folder_do_not_say_where_it_is(scans, tmp_path, monke
     assert (
         home / "runs" / "scans-objects" / "post.yaml"
     ).read_text() == 'split: S1\nreceiver: "z<0.4"\ncategory: bottle\n'
-    page = scans.markdown(found)
-    assert "| post | bottle | z<0.4 | a box | none |" in page and "On 2 things" in page
+    page = scans.markdown({"scans": found, "scanned": {**found, "origin": {"title": "Again"}}})
+    assert page.count("| post | bottle | z<0.4 | a box | none |") == 2
+    assert page.index("## scans: 2 things") < page.index("A test. By trimesh.") < page.index("## Again: 2 things")
     monkeypatch.setattr(scans, "ROOT", home)
     about.write_text('[vase]\nregion = "z<0.4"\n')
     with pytest.raises(SystemExit, match=r"--about names vase, and .* has no such mesh"):
         scans.measure(asked(meshes, about))
     with pytest.raises(SystemExit, match="no mesh is there; give a folder with files of"):
-        scans.measure(asked(home, None))
+        scans.measure(asked(home, about))
+    with pytest.raises(SystemExit, match="give --about bench/SET.toml, SET one of scanned, scans"):
+        scans.measure(asked(meshes, None))
 
 
 def test_a_mesh_names_the_category_that_its_predictor_must_not_have_seen(tmp_path):
@@ -112,8 +115,9 @@ def test_a_mesh_names_the_category_that_its_predictor_must_not_have_seen(tmp_pat
         edited(BenchmarkChoice(benchmark="r2h-v2", objects=str(tmp_path / "all.yaml")))
 
 
-def test_the_stored_rates_are_those_of_the_stored_rows():
-    data, run = stored(), load_run(ROOT / "bench" / "options" / "scans")
+@pytest.mark.parametrize("name", ["scanned", "scans"])
+def test_the_stored_rates_are_those_of_the_stored_rows(name):
+    data, run = stored(name), load_run(ROOT / "bench" / "options" / name)
     words = [*data["rates"]]
     names = {e.name: word for e, word in zip(run.entries, words, strict=True)}
     for row in each([r for r in table_of(run).rows if r.split != "Avg"]):
@@ -129,12 +133,13 @@ def test_the_stored_rates_are_those_of_the_stored_rows():
     assert {o["name"] for o in data["objects"] if o["split"] == "S1"} == {*data["areas"]["contact"]}
 
 
-def test_the_stored_rows_are_a_column_of_table_one(capsys):
+@pytest.mark.parametrize("name", ["scanned", "scans"])
+def test_the_stored_rows_are_a_column_of_table_one(capsys, name):
     from r2h_batch.__main__ import main
 
     folder = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2-as-planned"
-    assert main(["report", str(folder), "--scans", str(ROOT / "bench" / "options" / "scans"), "--format", "json"]) == 0
-    data = stored()
+    assert main(["report", str(folder), "--scans", str(ROOT / "bench" / "options" / name), "--format", "json"]) == 0
+    data = stored(name)
     for row in each(json.loads(capsys.readouterr().out)["rows"]):
         if row["split"] != "Avg" and row["method"] in ("random", "oracle"):
             assert row["sr_scans"] == pytest.approx(data["rates"][row["method"]][row["split"]]["sr"])
