@@ -33,8 +33,8 @@ APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}
 LONG = {"families", "judge_again", "judge_physics", "learn"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
 OF_OTHERS = {"release", "scanned", "scans", "vendors"}
-"""Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, SCANNED=, SCANS=, VENDORS=).
-Whoever lacks the files cannot measure again, so their pages name the commit that was measured."""
+"""Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, SCANNED=,
+SCANS=, VENDORS=). Whoever lacks the files cannot measure again, so their pages name the commit that was measured."""
 BY_HAND = OF_OTHERS | LONG
 
 

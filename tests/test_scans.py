@@ -92,7 +92,7 @@ def test_rows_and_json_of_a_folder_do_not_say_where_it_is(scans, tmp_path, monke
         scans.measure(asked(meshes, about))
     with pytest.raises(SystemExit, match="no mesh is there; give a folder with files of"):
         scans.measure(asked(home, about))
-    with pytest.raises(SystemExit, match="give --about bench/SET.toml, SET one of scanned, scans"):
+    with pytest.raises(SystemExit, match=r"give --about bench/SET\.toml, SET one of scanned, scans"):
         scans.measure(asked(meshes, None))
 
 
