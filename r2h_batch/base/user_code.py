@@ -81,7 +81,7 @@ def load_function(spec: str) -> UserFunction:
 
 
 def raised(error: BaseException) -> str:
-    """What a user's code raised, and where, in one line.
+    """The error that a user's code raised, and where, in one line.
 
     Args:
         error: as it was caught.
