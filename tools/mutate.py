@@ -1773,8 +1773,8 @@ MUTATIONS = (
     Mutation(
         "cameras: a transposed rotation",
         "kernels/observe/rays.py",
-        "    d = rotation(T) * (ray * scale)",
-        "    d = wp.transpose(rotation(T)) * (ray * scale)",
+        "    return rotation(T) * (ray * scale), scale",
+        "    return wp.transpose(rotation(T)) * (ray * scale), scale",
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
@@ -2070,6 +2070,13 @@ MUTATIONS = (
         'rng.key_of(f"robust {seed} {k}")',
         'rng.key_of(f"robust {seed}")',
         (f"{T_ROBUST}::test_errors_are_those_of_the_object_and_of_the_hand_one_verdict_each",),
+    ),
+    Mutation(
+        "cameras: the background of the row below",
+        "kernels/observe/rays.py",
+        "    at = int(y) * sensor[0] + int(x)",
+        "    at = wp.min(int(y) + 1, sensor[1] - 1) * sensor[0] + int(x)",
+        (f"{T_RAYS}::test_a_background_that_is_kept_changes_no_bit",),
     ),
     Mutation(
         "eyes: one of them is closed",
