@@ -147,8 +147,8 @@ def lines_of(text: str, head: str) -> list[list[str]]:
 
 def made_by(measures: Sequence[str] = ()) -> dict[str, object]:
     """Commit, files changed since, date, versions, hardware and digests of the measured code: where figures come from."""
-    # benches write these three themselves, one after the other
-    own = (":!bench/results", ":!docs", ":!README.md")
+    # benches write these four themselves, one after the other
+    own = (":!bench/results", ":!bench/options", ":!docs", ":!README.md")
     changed = (_git("status", "--porcelain", "--untracked-files=no", "--", ".", *own) or "").splitlines()
     return {
         "commit": _git("rev-parse", "HEAD"),

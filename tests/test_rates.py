@@ -52,7 +52,7 @@ def writers():
 def by_tables():
     """Pages that bench/tables.py writes (tests/test_published.py compares them), but README.md, of which it writes a block."""
     names = ("table1-v1", "sensitivity", "findings", "ranks", "sources")
-    return {f"docs/results/{name}.md" for name in names}
+    return {f"docs/results/{name}.md" for name in names} | {"docs/results/scans.md"}  # tests/test_scans.py
 
 
 def test_each_page_that_a_bench_writes_is_what_its_json_gives():

@@ -115,6 +115,11 @@ def test_a_mesh_names_the_category_that_its_predictor_must_not_have_seen(tmp_pat
         edited(BenchmarkChoice(benchmark="r2h-v2", objects=str(tmp_path / "all.yaml")))
 
 
+def test_the_page_is_what_both_jsons_give(scans):
+    page = (ROOT / "docs" / "results" / "scans.md").read_text("utf-8")
+    assert page == scans.markdown({name: stored(name) for name in scans.SETS}), "python bench/scans.py --render"
+
+
 @pytest.mark.parametrize("name", ["scanned", "scans"])
 def test_the_stored_rates_are_those_of_the_stored_rows(name):
     data, run = stored(name), load_run(ROOT / "bench" / "options" / name)
