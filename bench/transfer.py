@@ -336,7 +336,6 @@ def block_of(
     most: int | None = None,
 ) -> dict[str, Any]:
     """Outcomes of a method's received rows in some trials of each split, in each case: a number a row."""
-    from r2h_batch.closed_loop.transfer.outcome import undecided
     from r2h_batch.verdicts import PERSON as COLUMNS
 
     handed, won = rows_of(run, judge, name, *among)
@@ -352,7 +351,7 @@ def block_of(
         t = [m[k].transfers for m in made]
         numbers = {n: np.concatenate([getattr(one, n) for one in t]).tolist() for n in ROW_NUMBERS}
         outcome = [o for one in t for o in one.outcome]
-        marks = undecided(np.array(numbers["robot_slip_m"]), handed.weight_n, outcome, case.release)
+        marks = np.concatenate([one.undecided for one in t])
         ends.append(
             {
                 "release": case.release,
@@ -405,11 +404,10 @@ def stepped(simulator: Any, handed: Any) -> dict[str, Any]:
     """Outcomes that half and a quarter of the time step change, and which of them are marked."""
     from r2h_batch.closed_loop.transfer.cases import Case, Simulator
     from r2h_batch.closed_loop.transfer.model import STEPS, Setting
-    from r2h_batch.closed_loop.transfer.outcome import undecided
 
     cases = [Case(r, s, 0) for r, s in COMPARED]
     base, found = simulator(handed, cases), {}
-    marks = [undecided(m.transfers.robot_slip_m, handed.weight_n, m.transfers.outcome, m.case.release) for m in base]
+    marks = [m.transfers.undecided for m in base]
     for words, times in (("h/2", 2), ("h/4", 4)):
         setting = Setting(steps=times * STEPS)
         other = Simulator(simulator.robot, simulator.models.objects, setting, simulator.seed)(handed, cases)
