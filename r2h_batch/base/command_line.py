@@ -17,8 +17,8 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
-from functools import partial, wraps
+from dataclasses import dataclass, fields, is_dataclass
+from functools import partial
 from typing import Annotated, Any, Literal, TextIO, get_args, get_origin, get_type_hints
 
 from r2h_batch.base.errors import FileError, MachineError, UsageError, UserError, nearest
@@ -71,7 +71,9 @@ def parse(
     try:
         with contextlib.redirect_stderr(box):
             found = cli(
-                prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+                prog=prog, args=arguments, config=(
+                    tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes, tyro.conf.HelptextFromCommentsOff
+                ),
                 registry=_plain_numbers(),
             )  # fmt: skip
     except SystemExit as stop:
@@ -260,36 +262,54 @@ def counted(number: int, things: str) -> str:
 
 
 def _deferred(function: Command) -> Command:
-    """The function with its signature and words, but a call only remembers what to call it with.
+    """A function with the same parameters and words, whose call only remembers what to call.
 
     The docstring is the help, and tyro prints its line breaks: the lines of a paragraph become one.
     """
     words = inspect.cleandoc(function.__doc__ or "")
-    function.__doc__ = re.sub(r"(?<=\S)\n(?: {8})?(?=\S)", " ", words)
-    _say_defaults(function)
+    hints = _shown_hints(function)
+    parameters = inspect.signature(function).parameters.values()
 
-    @wraps(function)
     def later(*args: Any, **kwargs: Any) -> Command:
         return partial(function, *args, **kwargs)
 
+    later.__name__ = function.__name__
+    later.__doc__ = re.sub(r"(?<=\S)\n(?: {8})?(?=\S)", " ", words)
+    later.__annotations__ = hints
+    shown = [
+        p.replace(
+            annotation=hints[p.name],
+            default=hints[p.name]() if is_dataclass(p.annotation) else p.default,
+        )
+        for p in parameters
+    ]
+    later.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
     return later
 
 
-def _say_defaults(owner: Any) -> None:
-    """Let the help of each flag say its default only where there is one to say, not `(default:
-    None)`."""
+def _shown_hints(owner: Any) -> dict[str, Any]:
+    """The annotations of a function or dataclass, with what the help of each flag shows: its
+    placeholder, and its default only where there is one to say, not `(default: None)`."""
     import tyro
 
     def hint(default: str) -> str:
         return "" if default in ("None", "False", "", "''") else f"(default: {default})"
 
-    hints = owner.__annotations__
-    for name, kind in hints.items():
+    def shown(kind: Any) -> Any:
         if is_dataclass(kind):
-            _say_defaults(kind)
-        elif name != "return" and "_say_defaults" not in str(kind):
-            shown = _metavar(kind)
-            hints[name] = Annotated[kind, tyro.conf.arg(metavar=shown, help_behavior_hint=hint)]
+            return _with_shown_hints(kind)
+        about = tyro.conf.arg(metavar=_metavar(kind), help_behavior_hint=hint)
+        return Annotated[kind, about]
+
+    return {k: shown(v) for k, v in owner.__annotations__.items() if k != "return"}
+
+
+def _with_shown_hints(kind: Any) -> Any:
+    """A subclass of a dataclass whose fields have the annotations of `_shown_hints`."""
+    hints = _shown_hints(kind)
+    body = {f.name: f.default for f in fields(kind)} | {"__annotations__": hints}
+    frozen = kind.__dataclass_params__.frozen
+    return dataclass(frozen=frozen)(type(kind.__name__, (kind,), body | {"__doc__": kind.__doc__}))
 
 
 def _metavar(kind: Any) -> str | None:

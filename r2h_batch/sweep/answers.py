@@ -173,7 +173,6 @@ def coverage_of(
     """Objects that a built-in method can answer: every object with candidates; those that look at
     the receiver's hold on it (and are not shown a network's) also need one of the hand's side."""
     from r2h_batch.methods.candidates import without_candidates
-    from r2h_batch.trials.holding.receiving import without_receiving
 
     answers = torch.ones((len(scene.objects), 2), dtype=torch.bool, device="cpu")
     lines = []
@@ -182,6 +181,8 @@ def coverage_of(
         what = f"no grasp candidate of {scene.objects[i].name}"
         lines.append(f"{name}: {what}: its trials count as failures")
     if "receiving" in sees and (seen is None or seen.receiving is None):
+        from r2h_batch.trials.holding.receiving import without_receiving  # 0.4 s
+
         sides = set(scene.hands.set.side.tolist())
         for i, side in without_receiving(scene.objects, scene.hands.model):
             if bool(answers[i, side]) and side in sides:

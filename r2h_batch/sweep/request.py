@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from r2h_batch.base.loggers import LoggerName
     from r2h_batch.closed_loop.episodes import Loop
     from r2h_batch.data.release import Imported
-    from r2h_batch.methods.predictors import PredictorNoise
     from r2h_batch.observe.sees import Sees
     from r2h_batch.protocols.benchmark import Benchmark
-    from r2h_batch.trials.noise import Errors
+    from r2h_batch.trials.noise import Errors, PredictorNoise
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ class Methods:
     @property
     def noise(self) -> "PredictorNoise":
         """The error model of what the methods see."""
-        from r2h_batch.methods.predictors import PredictorNoise
+        from r2h_batch.trials.noise import PredictorNoise
 
         return PredictorNoise(target_errors=self.errors).scaled(self.noise_factor)
 
