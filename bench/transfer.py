@@ -443,7 +443,7 @@ def stepped(run: Any, judge: Any, name: str, simulator: Any) -> dict[str, Any]:
 
 
 def steps_text(found: dict[str, Any]) -> dict[str, Any]:
-    """What the page says of `stepped`."""
+    """The table of `stepped`, and the words below it."""
     lines = []
     for name, m in found.items():
         for words, changed in m["steps"].items():

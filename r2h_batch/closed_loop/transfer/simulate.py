@@ -28,7 +28,7 @@ from r2h_batch.closed_loop.transfer.worlds import Seen, Told, Worlds
 NOISE_N = 0.5
 """Noise of the wrist's sensor, one sigma an axis [choice]; a UR5e's own sensor is coarser."""
 NEAR_N = NOISE_N
-"""What lets go, or does not, by less than one sigma of a reading is undecided."""
+"""A decision by less than this, one sigma of a reading, is undecided."""
 SENSOR_TICKS = 1
 """The policy sees the force this late."""
 BACK = (0.2, 0.15, 0.10)
