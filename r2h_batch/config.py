@@ -54,6 +54,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, allow_inf_nan=False, description="metres")]
 Degrees = Annotated[float, Field(ge=0, le=180, description="degrees")]
 Share = Annotated[float, Field(ge=0, le=1, description="a share")]
+Speed = Annotated[float, Field(gt=0, le=1, description="a share of the joint limits")]
+Seed = Annotated[int, Field(ge=-(1 << 63), lt=1 << 63, description="a seed of 64 bits")]
 GoalClearance = Annotated[float, Field(ge=0, le=0.006, description="metres")]
 Opening = Annotated[
     float, Field(gt=0, le=OPEN_GAP_M, description="metres; the open gripper's pads have this gap")
@@ -181,7 +183,7 @@ class PlanConfig(_Checked):
     range_rad: Positive = 1.5
     rounds: Rounds = (50, 500, 3000, 5000)
     shortcuts: Annotated[int, Field(ge=0, le=10_000)] = 8
-    seed: int = 0
+    seed: Seed = 0
 
 
 @dataclass(frozen=True)
@@ -198,7 +200,7 @@ class EstimateConfig(_Checked):
 
     errors: Literal["normal", "frames", "tails"] = "normal"
     factor: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
-    seed: int = 0
+    seed: Seed = 0
 
 
 @dataclass(frozen=True)
@@ -220,7 +222,7 @@ class ExecutionError(_Checked):
     camera_drawn: Literal["trial", "run"] = "trial"
     object_m: Length = 0.0
     object_deg: Degrees = 0.0
-    seed: int = 0
+    seed: Seed = 0
 
     @property
     def any(self) -> bool:
@@ -246,7 +248,7 @@ class ObjectErrors(_Checked):
     rotation_deg: Degrees = 0.0
     gross: Share = 0.0
     gross_turn: Literal["half", "symmetry"] = "half"
-    seed: int = 0
+    seed: Seed = 0
 
     @property
     def any(self) -> bool:
@@ -289,7 +291,7 @@ class ExecConfig(_Checked):
             half of it.
     """
 
-    scale: Positive = 0.1
+    scale: Speed = 0.1
     max_velocity_rad_s: Positive = math.pi
     max_acceleration_rad_s2: Positive = 5.0
     sim: EngineWord = "auto"

@@ -21,6 +21,7 @@ NESTED = (
     "results rethreshold",
     "results reception",
     "results picked",
+    "results viewed",
     "study ratings",
     "study real",
 )
@@ -66,6 +67,23 @@ def test_the_help_of_a_command_loads_nothing_heavy():
 
 
 @pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        (["sweep", "--method", "random", "--robot", ""], "--robot has no value; write one, or leave --robot out"),
+        (["sweep", "--method", "random", "--people="], "--people has no value"),
+        (["sweep", "--method", "random", "--set", "turn="], "--turn has no value"),
+        (["results", "rethreshold", "x", "--reach-radius", ""], "--reach-radius has no value"),
+        (["report", ""], "an argument is empty"),
+    ],
+)
+def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, capsys):
+    """A script says --robot "$ROBOT": where nothing set the variable, the default robot would be judged."""
+    assert main(line) == 2
+    error = capsys.readouterr().err
+    assert named in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
     ("line", "parts"),
     [
         ("sweeep", ["'sweeep', did you mean sweep?", "results"]),
@@ -101,6 +119,8 @@ def test_the_help_of_a_command_loads_nothing_heavy():
         ("trials --trials 3", ["--out"]),
         ("sweep --benchmark r2h-v1 --method fc --method random", ["--method is given twice", "--method A B"]),
         ("import robot --urdf x --base b --flange f --out y --package a=1 --package=b=2", ["--package is given twice"]),
+        ("results transfer x --draws 99999999999", ["--draws is 99999999999; it must be 1 to 10000"]),
+        ("results transfer x --processes 1000000", ["--processes is 1000000; it must be 0 to 1024"]),
     ],
 )
 def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code_2(line, parts, capsys):

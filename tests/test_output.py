@@ -10,7 +10,7 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.__main__ import main
-from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.log import LOG, telling
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.store import load_run
 from r2h_batch.verdicts import Outcome
@@ -101,3 +101,18 @@ def test_names_in_files_reach_no_terminal_as_control_characters(hostile, name, c
     out, error = capsys.readouterr()
     assert out == "" and error.count("\n") == 1 and not any(c in error for c in "\x1b\x07\u202e"), error
     assert "x1b]0;owned" in error and "printable" in error
+
+
+def test_a_log_goes_into_a_file_of_its_own_alone(tmp_path):
+    """`cp -al` gives a run's files second names: what the sweep adds to one is not in the other."""
+    mine, log = tmp_path / "mine", tmp_path / "log.txt"
+    mine.write_text("precious\n")
+    with telling(quiet=True) as log_to:
+        LOG.info("before")
+        log.hardlink_to(mine)
+        log_to(log)
+        LOG.info("after")
+        assert mine.read_text() == "precious\n"
+        log.unlink()
+        LOG.info("last")
+    assert mine.read_text() == "precious\n" and log.read_text().endswith(" last\n")

@@ -148,7 +148,7 @@ stored, other = load_run("run"), load_run("other")
 assert stored.methods == ("shifted", "random") and stored.entry("shifted").source["function"] == "acts:predict"
 assert stored.poses("shifted").equals(other.poses("random")) and not stored.poses("random").equals(other.poses("random"))
 code, text = run("sweep", "--method", "shiftd", "--trials", "3")
-assert code == 2 and "did you mean shifted?" in text and "learned, shifted or your own" in text, text
+assert code == 2 and "did you mean shifted?" in text and "learned, robust, shifted or your own" in text, text
 for named in (policy_of, release_of):
     found, text = named("stand")
     assert found.__name__ == "Stands" and text.startswith("acts:Stands "), text

@@ -53,6 +53,7 @@ T_RELEASE = (
 )
 TAKEN = "r2h_batch/judge/reception.py"
 T_RAYS = "tests/observe/test_rays.py"
+T_EYES, T_VIEWED = "tests/observe/test_eyes.py", "tests/sweep/results/test_viewed.py"
 T_ROBUST = "tests/methods/test_robust.py"
 T_BELIEVED = "tests/methods/test_believed.py"
 SENSOR, T_SENSOR = "kernels/observe/sensor.py", "tests/observe/test_sensor.py"
@@ -1770,6 +1771,20 @@ MUTATIONS = (
         ('tests/methods/predictors/test_unseen.py::test_features_and_answers_are_of_the_shape_and_not_of_its_frame',),
     ),
     Mutation(
+        'of run: a file called like a function runs',
+        OF_RUN,
+        ' or (name == "benchmark" and names_function(at)):',
+        ':',
+        (f"{T_PAIRS}::test_a_file_called_like_a_function_beside_a_stored_run_does_not_run",),
+    ),
+    Mutation(
+        'grasps: a gripper of several frames is looked up',
+        "r2h_batch/data/grasp_files.py",
+        "        _check_gripper(gripper, where)",
+        "        pass",
+        ("tests/data/test_grasps_refused.py::test_a_gripper_or_a_source_that_is_none_is_refused_with_what_is_allowed",),
+    ),
+    Mutation(
         'of run: what it saw of the person is forgotten',
         OF_RUN,
         'receiver=header["configuration"].get("receiver", "hand")',
@@ -1877,15 +1892,15 @@ MUTATIONS = (
     Mutation(
         "cameras: a left hand is a right one's skin",
         "r2h_batch/observe/rays.py",
-        "self._mesh(self._skin[h], self._faces[int(side[h])])",
-        "self._mesh(self._skin[int(needed[0])], self._faces[int(side[h])])",
+        "self.scene.device, self._skin[h], self._faces[int(side[h])]",
+        "self.scene.device, self._skin[int(needed[0])], self._faces[int(side[h])]",
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
         "cameras: the gripper is closed",
         "r2h_batch/observe/robot_mesh.py",
-        "drive = drive_from_gap(robot, robot.open_gap_m)",
-        "drive = drive_from_gap(robot, 0.0)",
+        "drive = drive_from_gap(robot, gap_m)",
+        "drive = drive_from_gap(robot, 0.0 * np.asarray(gap_m))",
         (f"{T_RAYS}::test_the_robot_at_home_is_mujocos_with_an_open_gripper",),
     ),
     Mutation(
@@ -2132,6 +2147,55 @@ MUTATIONS = (
         'rng.key_of(f"robust {seed} {k}")',
         'rng.key_of(f"robust {seed}")',
         (f"{T_ROBUST}::test_errors_are_those_of_the_object_and_of_the_hand_one_verdict_each",),
+    ),
+    Mutation(
+        "eyes: one of them is closed",
+        "kernels/observe/eyes.py",
+        "    for e in range(EYES):",
+        "    for e in range(1):",
+        (f"{T_EYES}::test_points_are_hidden_by_what_mujocos_rays_and_float64_triangles_meet_first",),
+    ),
+    Mutation(
+        "eyes: what faces them is the far side",
+        "kernels/observe/eyes.py",
+        "if wp.dot(normal, d) < 0.0:",
+        "if wp.dot(normal, d) > 0.0:",
+        (f"{T_EYES}::test_points_are_hidden_by_what_mujocos_rays_and_float64_triangles_meet_first",),
+    ),
+    Mutation(
+        "eyes: the robot hides nothing",
+        "kernels/observe/eyes.py",
+        "            return ROBOT",
+        "            return 0",
+        (f"{T_EYES}::test_points_are_hidden_by_what_mujocos_rays_and_float64_triangles_meet_first",),
+    ),
+    Mutation(
+        "eyes: at the height of the shoulders",
+        "r2h_batch/observe/eyes.py",
+        "between[:, 2] += half[:, 2] + UP_M + UP_SHARE * arm",
+        "between[:, 2] += half[:, 2]",
+        (f"{T_EYES}::test_eyes_are_where_those_of_the_built_in_people_are",),
+    ),
+    Mutation(
+        "eyes: small faces have as many points as large ones",
+        "r2h_batch/observe/eyes.py",
+        "upto = np.cumsum(area)",
+        "upto = np.cumsum(np.ones_like(area))",
+        (f"{T_EYES}::test_a_regions_points_lie_on_it_evenly",),
+    ),
+    Mutation(
+        "viewed: the object lies as before the pads met it",
+        "r2h_batch/sweep/results/viewed.py",
+        "attached = attach(se3.orthonormalise(grasp[rows]), scores.grasp_shift_m[rows])",
+        "attached = se3.orthonormalise(grasp[rows])",
+        (f"{T_VIEWED}::test_rows_are_those_with_a_region_a_held_object_and_a_posture_and_say_what_the_eyes_see",),
+    ),
+    Mutation(
+        "viewed: of all rows with a region",
+        "r2h_batch/sweep/results/viewed.py",
+        "rows = torch.nonzero(held & scores.presented_angle_deg.isfinite())[:, 0]",
+        "rows = torch.nonzero(scores.presented_angle_deg.isfinite())[:, 0]",
+        (f"{T_VIEWED}::test_rows_are_those_with_a_region_a_held_object_and_a_posture_and_say_what_the_eyes_see",),
     ),
     Mutation(
         "cameras: a side of the table faces up",

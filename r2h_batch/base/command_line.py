@@ -51,8 +51,9 @@ def parse(
         arguments = [expand_home(a) for a in arguments]
     except FileError as error:
         raise UsageError(str(error)) from None
-    for argument in arguments:
+    for before, argument in itertools.pairwise(("", *arguments)):
         _check_text(argument, "rename the file")
+        _check_filled(argument, before)
     if isinstance(command, Mapping):
         words = [a for a in arguments if not a.startswith("-")]
         completing = bool(arguments) and arguments[0].startswith("--tyro-")
@@ -102,6 +103,17 @@ def _check_text(path: str, how: str) -> None:
         path.encode()
     except UnicodeEncodeError:
         raise UsageError(f"{printable(path)}: has a byte that is not UTF-8; {how}") from None
+
+
+def _check_filled(argument: str, before: str) -> None:
+    """`UsageError` for an empty argument, such as "$ROBOT" of a variable without a value: its flag's default would silently
+    take its place."""
+    flag, equals, value = argument.partition("=")
+    if argument and not (equals and not value and flag.startswith("--")):
+        return
+    named = flag or (before if before.startswith("--") and "=" not in before else "")
+    how = f"write one, or leave {named} out" if named else "write a name, or leave it out"
+    raise UsageError(f"{named or 'an argument'} {'has no value' if named else 'is empty'}; {how}")
 
 
 def _plain_numbers() -> Any:

@@ -262,15 +262,50 @@ NEED_GRIPPER = ("graspgen", "isaac", "poses")
 
 
 def read_file_of(source: str, path: Path, gripper: str | None = None, **more: Any) -> Found:
-    """The grasps of a file of one of `SOURCES`, and how many others it holds."""
+    """The grasps of a file, and how many others it holds.
+
+    Args:
+        source: one of `SOURCES`.
+        path: the file.
+        gripper: one of `GRIPPERS`, for a source of `NEED_GRIPPER`; others say it themselves.
+        more: what one source alone takes: `object_id`, `T_obj_source` of graspnet.
+
+    Raises:
+        FileError: one line: the file, the source or the gripper is none of these.
+    """
+    where = printable(path)
+    if source not in SOURCES:
+        close = nearest(source, list(SOURCES))
+        raise FileError(
+            f"{where}: no source is called {printable(source)[:60]!r}{close}; allowed are {', '.join(SOURCES)}"
+        )
     if source == "isaac" and path.suffix.lower() == ".json":
         source = "graspgen"
-    if source in NEED_GRIPPER and gripper is None:
+    if source not in NEED_GRIPPER:
+        if gripper is not None:
+            raise FileError(
+                f"{where}: says itself whose grasps it holds; leave {printable(gripper)[:60]} out"
+            )
+    elif gripper is None:
         allowed = ", ".join(GRIPPERS)
         raise FileError(
-            f"{printable(path)}: does not say whose frame it is in; say --gripper, or FILE:GRIPPER, one of {allowed}"
+            f"{where}: does not say whose frame it is in; say --gripper, or FILE:GRIPPER, one of {allowed}"
         )
+    else:
+        _check_gripper(gripper, where)
     return SOURCES[source](path, gripper=gripper, **more)
+
+
+def _check_gripper(gripper: str, where: str) -> None:
+    if gripper in GRIPPERS:
+        return
+    named, allowed = printable(gripper)[:60], ", ".join(GRIPPERS)
+    if gripper in TURNED:  # a gripper, whose frame has several places
+        raise FileError(
+            f"{where}: {named!r} has several frames; say {TURNED[gripper]}; allowed are {allowed}"
+        )
+    close = nearest(gripper.lower(), GRIPPERS)
+    raise FileError(f"{where}: {named!r} is not a gripper{close}; allowed are {allowed}")
 
 
 def grasps_from(argument: str | Path) -> GraspSet:
@@ -284,8 +319,6 @@ def grasps_from(argument: str | Path) -> GraspSet:
         kind = "poses" if gripper else "graspnet"
     elif path.name.endswith("_labels.npz"):
         kind = "graspnet"
-    if gripper and kind not in NEED_GRIPPER:
-        raise FileError(f"{where}: says itself whose grasps it holds; leave :{gripper} out")
     found, left_out = read_file_of(kind, path, gripper or None)
     if left_out:
         LOG.info(
@@ -301,8 +334,5 @@ def without_gripper(argument: str | Path) -> tuple[Path, str]:
     if text and gripper in GRIPPERS:
         return Path(text), gripper
     if text.lower().endswith(FRAMELESS):
-        close = nearest(gripper.lower(), GRIPPERS)
-        raise FileError(
-            f"{printable(argument)}: {printable(gripper)!r} is not a gripper{close}; allowed are {', '.join(GRIPPERS)}"
-        )
+        _check_gripper(gripper, printable(argument))
     return Path(argument), ""

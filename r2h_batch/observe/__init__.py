@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from r2h_batch.base.package import lazy_names
 
 if TYPE_CHECKING:
+    from r2h_batch.observe.eyes import View, view
     from r2h_batch.observe.moment import moments
     from r2h_batch.observe.rig import Rig, load_rig
     from r2h_batch.observe.seeing import look, observe, whole_images
@@ -15,10 +16,12 @@ __all__ = [
     "Images",
     "Observation",
     "Rig",
+    "View",
     "load_rig",
     "look",
     "moments",
     "observe",
+    "view",
     "whole_images",
 ]
 
@@ -30,10 +33,12 @@ if not TYPE_CHECKING:  # else any name would pass
             "LABELS": "seen",
             "Observation": "seen",
             "Rig": "rig",
+            "View": "eyes",
             "load_rig": "rig",
             "look": "seeing",
             "moments": "moment",
             "observe": "seeing",
+            "view": "eyes",
             "whole_images": "seeing",
         },
     )

@@ -1,6 +1,7 @@
 """Depth and labels of trials at the moment that cameras see, by rays on the scene's own meshes."""
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -25,6 +26,35 @@ KEPT_HANDS = 512
 """Meshes of hands that stay between calls: 0.3 MB each."""
 
 
+def mesh_on(device: str, vertices: NDArray[Any], faces: NDArray[Any]) -> wp.Mesh:
+    """A mesh for rays.
+
+    Args:
+        device: cpu, cuda or cuda:N.
+        vertices: (V, 3), m.
+        faces: (F, 3).
+    """
+    points: Any = wp.array(np.ascontiguousarray(vertices, np.float32), dtype=wp.vec3, device=device)
+    corners = np.ascontiguousarray(faces, np.int32).ravel()
+    return wp.Mesh(points, wp.array(corners, dtype=wp.int32, device=device))
+
+
+def balls_of(meshes: Sequence[NDArray[Any]] | NDArray[Any], device: str) -> wp.array:
+    """A ball for each mesh that holds its vertices: centre and radius, m.
+
+    Args:
+        meshes: (V, 3) vertices of each, m.
+        device: cpu, cuda or cuda:N.
+    """
+    found = np.empty((len(meshes), 4), np.float32)
+    for i, v in enumerate(meshes):
+        low, high = v.min(0).astype(np.float64), v.max(0).astype(np.float64)
+        found[i, :3] = 0.5 * (low + high)
+        away = v.astype(np.float64) - found[i, :3]
+        found[i, 3] = np.sqrt((away * away).sum(1).max()) + 1e-5
+    return wp.array(found, dtype=wp.vec4, device=device)
+
+
 class Bodies:
     """The meshes of a scene for rays. Hands are made when a trial first needs them.
 
@@ -35,7 +65,7 @@ class Bodies:
     def __init__(self, scene: Scene) -> None:
         self.scene, place = scene, scene.config.workplace
         vertices, faces = robot_at_home(scene.robot, tuple(place.home_q))
-        self._robot = self._mesh(vertices, faces)
+        self._robot = mesh_on(scene.device, vertices, faces)
         self._robot_balls = _balls_of_cells(vertices, faces)
         self._hands: OrderedDict[int, wp.Mesh] = OrderedDict()
         self._skin = scene.hands.vertices.numpy()
@@ -46,29 +76,12 @@ class Bodies:
         )
         tables.robot = self._robot.id
         tables.object_mesh = scene.object_mesh_ids
-        tables.object_ball = self._balls([o.vertices for o in scene.objects])
-        tables.hand_ball = self._balls(self._skin)
+        tables.object_ball = balls_of([o.vertices for o in scene.objects], scene.device)
+        tables.hand_ball = balls_of(self._skin, scene.device)
         self._object_balls, self._hand_balls = (
             torch.from_numpy(x.numpy()).double() for x in (tables.object_ball, tables.hand_ball)
         )
         self._tables = tables
-
-    def _mesh(self, vertices: NDArray[np.float32], faces: NDArray[Any]) -> wp.Mesh:
-        device = self.scene.device
-        points: Any = wp.array(
-            np.ascontiguousarray(vertices, np.float32), dtype=wp.vec3, device=device
-        )
-        corners = np.ascontiguousarray(faces, np.int32).ravel()
-        return wp.Mesh(points, wp.array(corners, dtype=wp.int32, device=device))
-
-    def _balls(self, meshes: Any) -> wp.array:
-        found = np.empty((len(meshes), 4), np.float32)
-        for i, v in enumerate(meshes):
-            low, high = v.min(0).astype(np.float64), v.max(0).astype(np.float64)
-            found[i, :3] = 0.5 * (low + high)
-            away = v.astype(np.float64) - found[i, :3]
-            found[i, 3] = np.sqrt((away * away).sum(1).max()) + 1e-5
-        return wp.array(found, dtype=wp.vec4, device=self.scene.device)
 
     def tables(self, trials: Trials) -> Any:
         """The struct `Bodies` of the kernels, with the hands of these trials."""
@@ -76,7 +89,9 @@ class Bodies:
         side = self.scene.hands.set.side
         for h in needed:
             if h not in self._hands:
-                self._hands[h] = self._mesh(self._skin[h], self._faces[int(side[h])])
+                self._hands[h] = mesh_on(
+                    self.scene.device, self._skin[h], self._faces[int(side[h])]
+                )
             self._hands.move_to_end(h)
         while len(self._hands) > max(KEPT_HANDS, len(needed)):
             self._hands.popitem(last=False)

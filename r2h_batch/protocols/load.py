@@ -27,14 +27,23 @@ def load_benchmark(benchmark: str | Path = DEFAULT_PROTOCOL, *, pieces: bool = F
     if benchmark in BENCHMARK:
         return named_benchmark(str(benchmark))
     text, path = str(benchmark), Path(benchmark)
-    if path.suffix.lower() in (".yaml", ".yml") or path.is_dir():
-        return read_benchmark(path / "benchmark.yaml" if path.is_dir() else path, pieces=pieces)
-    if ":" in text:
+    if names_function(text):
         return _of_function(text)
+    if _names_file(path):
+        return read_benchmark(path / "benchmark.yaml" if path.is_dir() else path, pieces=pieces)
     raise FileError(
         f"no benchmark is called {printable(text)[:200]!r}{nearest(text, list(BENCHMARK))}; allowed are"
         f" {', '.join(BENCHMARK)}, a benchmark.yaml, or {HOW}"
     )
+
+
+def names_function(benchmark: str) -> bool:
+    """Whether `load_benchmark` takes this text as a function of the user's, which runs when it is loaded."""
+    return benchmark not in BENCHMARK and not _names_file(Path(benchmark)) and ":" in benchmark
+
+
+def _names_file(path: Path) -> bool:
+    return path.suffix.lower() in (".yaml", ".yml") or path.is_dir()
 
 
 def _of_function(spec: str) -> Benchmark:

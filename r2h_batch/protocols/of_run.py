@@ -15,6 +15,7 @@ from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.choice import BenchmarkChoice, words_of
 from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.family_objects import PREFIX, names_code
+from r2h_batch.protocols.load import names_function
 from r2h_batch.protocols.registry import BENCHMARK
 from r2h_batch.scene.objects import object_digest
 from r2h_batch.scene.robot import ROBOTS
@@ -116,7 +117,7 @@ def _found(said: BenchmarkChoice, run: Path) -> BenchmarkChoice | None:
             rest, sign, file = value.rpartition("=")
         else:
             file, sign, rest = value, "", ""
-        if (at := place(file)) is None:
+        if (at := place(file)) is None or (name == "benchmark" and names_function(at)):
             return None
         return rest + sign + at if name == "grasps" else at + sign + rest
 

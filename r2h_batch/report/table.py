@@ -24,7 +24,15 @@ from r2h_batch.report.statistics.aggregate import (
 from r2h_batch.report.statistics.common import complete
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import BOUNDS
-from r2h_batch.report.statistics.shares import PICK, SHARES, STABLE, THROUGH, UNDECIDED, Share
+from r2h_batch.report.statistics.shares import (
+    PICK,
+    SHARES,
+    STABLE,
+    THROUGH,
+    UNDECIDED,
+    VIEWED,
+    Share,
+)
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import (
     NA,
@@ -48,6 +56,7 @@ from r2h_batch.report.transfers import NOTE as TRANSFERS
 from r2h_batch.report.transfers import Funnel, funnels
 from r2h_batch.report.transfers import about as about_funnels
 from r2h_batch.report.turn import MARK, Turned, about, turned
+from r2h_batch.report.viewed import view_rates
 from r2h_batch.runs.header import motions_left_out
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, SPLITS, UNITS
@@ -92,6 +101,9 @@ FEW_NOTE = (
     " it for your own things, and the interval for all to say what a method is worth."
 )
 
+
+ASKED_FOR = (PICK, VIEWED)
+"""Shares without a column in tables that have none: of methods that are told the truth, and before `results viewed`."""
 
 BEST_NOTE = (
     "Bold: best rate of a split whose methods all answered the same trials and were judged alike; of a failure only where no"
@@ -225,13 +237,13 @@ def table_of(
         else row
         for row in rows
     )
-    picks = pick_rates(run)
-    rows = tuple(
-        replace(row, shares={**row.shares, PICK: picks[row.split, row.method]})
-        if (row.split, row.method) in picks
-        else row
-        for row in rows
-    )
+    for name, rates in ((PICK, pick_rates(run)), (VIEWED, view_rates(run))):
+        rows = tuple(
+            replace(row, shares={**row.shares, name: rates[row.split, row.method]})
+            if (row.split, row.method) in rates
+            else row
+            for row in rows
+        )
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
     planned = (
         line for r in runs for line in motions_left_out(r.header.get("motions_left_out", {}))
@@ -461,8 +473,9 @@ def _with_more(table: Table, row: Row) -> dict[str, Any]:
     """A record, with SR on the reader's own objects and the turn test where the table has them."""
     found = record(row)
     ends: tuple[float | None, ...]
-    if PICK in table.shares and PICK not in row.shares:  # a line of averages
-        found |= {PICK: None, f"{PICK}_low": None, f"{PICK}_high": None}
+    for name in ASKED_FOR:
+        if name in table.shares and name not in row.shares:  # a line of averages
+            found |= {name: None, f"{name}_low": None, f"{name}_high": None}
     if table.scans:
         rate = sr_of_scans(own) if (own := _scans(table, row)) else None
         ends = (rate.percent, rate.low, rate.high) if rate else (None, None, None)
@@ -571,9 +584,7 @@ def record(row: Row) -> dict[str, Any]:
     del few["sr_few"]
     fields |= {"few": row.few} | few
     for name in SHARES:
-        if (
-            name != PICK or name in row.shares
-        ):  # tables of methods that are told the truth have none
+        if name not in ASKED_FOR or name in row.shares:
             fields |= with_ends(name, row.shares.get(name))
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}

@@ -1,4 +1,4 @@
-"""Files beside the shards, one for each method: RUN/held, RUN/reception and RUN/transfer/METHOD.parquet.
+"""Files beside the shards, one for each method: RUN/held, reception, transfer and viewed/METHOD.parquet.
 
 `r2h-batch results` makes them of stored rows. No digest in a name covers them. So their size is bounded by the rows of the
 run before they are read, and their trials and successes must be those of the shards. What they say beyond that is believed.
@@ -51,6 +51,7 @@ KINDS = {
         {**_TRIAL, "release": _WORD, "scenario": _WORD, "person": pa.int16(), "received": _YES, "outcome": _WORD},
         key=("trial_id", "release", "scenario", "person"),
     ),
+    "viewed": Kind({**_TRIAL, "split": _WORD, "viewed": pa.float32()}),
 }  # fmt: skip
 
 MOST_CASES = 1000

@@ -143,10 +143,18 @@ class Run:
         """
         if word.isascii() and word.isdigit():
             return int(word)
-        for number, (text_of_owner, _) in self.labels.items():
-            if text_of_owner == word:
-                return number
-        raise RunError(f"{self.folder}: no trial has the id {printable(word)[:80]!r}")
+        found = [
+            number for number, (text_of_owner, _) in self.labels.items() if text_of_owner == word
+        ]
+        shown = repr(printable(word)[:80])
+        if len(found) > 1:
+            numbers = f"{found[0]} and {found[1]}"
+            raise RunError(
+                f"{self.folder}: trials {numbers} have the id {shown} in {LABELS}; give a trial's number"
+            )
+        if not found:
+            raise RunError(f"{self.folder}: no trial has the id {shown}")
+        return found[0]
 
     def __repr__(self) -> str:
         planned = sum(self.header["trials"].values())
@@ -195,7 +203,7 @@ class Run:
             RunError: there is no such trial or method.
         """
         found: dict[str, Any] = {}
-        for kind in ("details", "trials"):
+        for kind in ("details", "trials") if trial.bit_length() < 64 else ():
             if kind == "details" and kind not in self.entry(method).header["stored"]:
                 continue
             for table in self.shards(kind, method):
@@ -204,7 +212,7 @@ class Run:
                 if own:
                     break
         if "outcome" not in found:
-            raise RunError(f"{self.folder}: {method!r} has no trial {trial}")
+            raise RunError(f"{self.folder}: {method!r} has no trial {str(trial)[:40]}")
         return found
 
     def to_pandas(self) -> "pandas.DataFrame":
@@ -411,7 +419,7 @@ class Run:
 
         Args:
             method: its name.
-            folder: held, reception or transfer.
+            folder: held, reception, transfer or viewed.
             path: the file; None: that of the method.
 
         Raises:

@@ -1,6 +1,7 @@
 """Score methods or predictions files on a split's trials: `python -m r2h_batch.sweep --help`.
 Command line only."""
 
+import logging
 import os
 import signal
 import sys
@@ -246,14 +247,19 @@ def _finish(storage: "Storage", names: list[str], *, alone: bool) -> int:
     code = 0
     for name in names:
         if bad := [str(s.index) for s in stored.quarantined(name)]:
-            LOG.info(f"{name}: quarantined after three tries: shards {', '.join(bad)}")
+            words = f"{storage.folder}/quarantine says why; the same command tries them again"
+            LOG.error(f"{name}: quarantined after three tries: shards {', '.join(bad)}; {words}")
             code = 1
     left = {name: len(stored.missing(name)) for name in names if stored.missing(name)}
     if left and not code:
-        if alone:
-            code = 1
+        code = 1 if alone else 0
         words = ", ".join(f"{name} {n}" for name, n in left.items())
-        LOG.info(f"shards that other parts have to score: {words}; the table comes with the last")
+        level = (
+            logging.ERROR if alone else logging.INFO
+        )  # --quiet does not leave an exit code unexplained
+        LOG.log(
+            level, f"shards that other parts have to score: {words}; the table comes with the last"
+        )
     if names and not stored.unfinished:
         write_summary(stored)
         if storage.log:

@@ -89,8 +89,22 @@ def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
     write_isaac(tmp_path / "cup.yaml", poses(2), np.ones(2))
     for said, why in (
         ("cup.yaml", "say --gripper, or FILE:GRIPPER, one of"),
-        ("cup.npz:ee", "leave :ee out"),
+        ("cup.npz:ee", "leave ee out"),
         ("cup.yaml:EE", "'EE' is not a gripper, did you mean ee\\?; allowed are acronym-panda"),
     ):
         with one_line(why):
             edited(BenchmarkChoice("r2h-v1", grasps=(str(tmp_path / said),)))
+
+
+@pytest.mark.parametrize("source, gripper, message", [
+    ("isaac", "2f-85", "'2f-85' has several frames; say graspgen-2f-85 or 2f-85-base; allowed are acronym-panda, "),
+    ("isaac", "panda", "'panda' is not a gripper, did you mean panda-hand.; allowed are acronym-panda, "),
+    ("poses", "qqqq", "'qqqq' is not a gripper; allowed are acronym-panda, "),
+    ("isaac", None, "does not say whose frame it is in"),
+    ("own", "ee", "says itself whose grasps it holds; leave ee out"),
+    ("isac", "ee", "no source is called 'isac', did you mean isaac.; allowed are acronym, graspnet, "),
+])  # fmt: skip
+def test_a_gripper_or_a_source_that_is_none_is_refused_with_what_is_allowed(source, gripper, message, tmp_path):
+    path = write_isaac(tmp_path / "g.yaml", POSES, np.ones(2))
+    with one_line(f"^{re.escape(str(path))}: {message}"):
+        read_file_of(source, path, gripper)

@@ -102,11 +102,10 @@ def test_the_proposal_that_got_farthest_is_kept_over_the_rounds():
     """A ball of 1 mm is hardly ever met, so trials stay unsolved and differ in how far off they are."""
     benchmark = replace(load_benchmark("r2h-v1"), thresholds=Thresholds(reach_radius_m=0.001))
     hard, trials = Evaluator(benchmark), benchmark.trials(6)
-    fan = oracle._Fan(trials, hard, 0)
-    # no public way to the rank of a proposal: predict() returns the best
-    rounds = torch.stack([oracle._how_far(hard.score(*fan.proposals(np.arange(12), r), trials)) for r in range(3)])
+    fan = oracle.Fan(trials, hard, 0)
+    rounds = torch.stack([oracle.how_far(hard.score(*fan.proposals(np.arange(12), r), trials)) for r in range(3)])
     for r in (1, 3):
         answer = oracle.predict(trials, hard.scene, evaluator=hard, rounds=r)
-        reached = oracle._how_far(hard.score(answer.T_obj_ee, answer.T_world_ee, trials))
+        reached = oracle.how_far(hard.score(answer.T_obj_ee, answer.T_world_ee, trials))
         assert torch.equal(reached, rounds[:r].amax(0)) and not (rounds[:r] == 6).any(0).all()
     assert len(set(rounds.argmax(0).tolist())) > 2

@@ -159,6 +159,24 @@ def test_a_stored_run_brings_no_code():
         benchmark_of_run(header, BenchmarkChoice(), "run")
 
 
+@pytest.mark.parametrize("said", ["b/evil.py:pwn", "evil.py:pwn"])
+def test_a_file_called_like_a_function_beside_a_stored_run_does_not_run(said, tmp_path, monkeypatch):
+    """A file of this very name makes it a path to whoever looks for the run's files."""
+    monkeypatch.chdir(tmp_path)
+    run = tmp_path / "run"
+    for name in ("run/b", "run"):
+        (tmp_path / name).mkdir(parents=True, exist_ok=True)
+    for name in (run / said, run / "evil.py", tmp_path / said.rpartition("/")[2], tmp_path / "evil.py"):
+        name.parent.mkdir(parents=True, exist_ok=True)
+        name.write_text("from pathlib import Path\nPath('ran').write_text('')\ndef pwn(): return None\n")
+    (run / "b" / "evil.py").write_text((run / said).read_text())
+    header = {"protocol": "mine", "digests": {}, "configuration": {"plan": {"object_collision": "hull"}},
+              "benchmark": {"flags": [f"--benchmark {said}"]}, "versions": {}}  # fmt: skip
+    with pytest.raises(FileError, match=f"give what its sweep was given: --benchmark {said}"):
+        benchmark_of_run(header, BenchmarkChoice(), str(run))
+    assert not (tmp_path / "ran").exists()
+
+
 def other_parts(v1: Benchmark) -> dict[str, Benchmark]:
     """r2h-v1 with one thing exchanged that decides what is asked or how it is judged."""
     first, *rest = v1.objects

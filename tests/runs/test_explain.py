@@ -68,6 +68,8 @@ def test_a_run_explains_its_trials_and_its_repr_is_a_line(run):
         loaded.explain(3)
     with pytest.raises(RunError, match="has no trial 99"):
         loaded.explain(99, "m")
+    with pytest.raises(RunError, match=f"has no trial {1 << 63}"):  # no column of 64 bits holds it
+        loaded.explain(1 << 63, "m")
     table = loaded.to_pandas()
     assert len(table) == 24 and set(table.method) == {"m", "n"} and table.margin_plan_m.notna().any()
 

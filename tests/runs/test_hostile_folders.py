@@ -304,3 +304,12 @@ def test_rows_of_other_trials_with_a_right_sha256_are_found_and_scored_again(tmp
         load_run(tmp_path / "run")
     assert COMMANDS["verify"](tmp_path / "run") == 1
     assert "shard 0 of 'm' will be scored again" in capsys.readouterr().out
+
+
+def test_a_name_of_several_trials_means_none_of_them(run, capsys):
+    (run / "ids.csv").write_text("trial_id,id,variant\n0,a,x\n2,b,x\n4,a,y\n")
+    with pytest.raises(RunError, match=r"trials 0 and 4 have the id 'a' in ids.csv; give a trial's number"):
+        load_run(run).trial_id("a")
+    assert load_run(run).trial_id("b") == 2
+    with pytest.raises(RunError, match="no trial has the id 'c'"):
+        load_run(run).trial_id("c")

@@ -198,6 +198,8 @@ def test_a_level_of_object_errors_is_two_settings_and_gross_errors_are_settings_
         (["--plan.edge-check", "sampled"], "--plan.edge-check is 'sampled'; allowed are exact, moveit"),
         (["--sim", "mujco"], "--execute.sim is 'mujco', did you mean mujoco?"),
         (["--execute.scale", "-1"], "--execute.scale is -1.0; it must be above 0"),
+        (["--execute.scale", "1.1"], "--execute.scale is 1.1; it must be 1 or less"),
+        (["--plan.seed", str(1 << 63)], f"--plan.seed is {1 << 63}; it must be below {1 << 63}: a seed of 64 bits"),
         (["--plan.rounds", "0"], "--plan.rounds[0] is 0; it must be 1 or more"),
         (["--set", "plan.edge_chek=moveit"], "did you mean plan.edge_check?"),
         (["--set", "thresholds.w_max_m=1"], "write thresholds into a benchmark.yaml"),

@@ -26,7 +26,8 @@ class _Stderr(logging.Handler):
 
 
 class _LogFile(logging.Handler):
-    """Appends whole lines, also if other processes write; never follows a link or opens a pipe."""
+    """Appends whole lines, also if other processes write; never follows a link, opens a pipe, or writes into a file that has
+    a second name: a copy by `cp -al`, or somebody's file."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -39,7 +40,8 @@ class _LogFile(logging.Handler):
         with contextlib.suppress(OSError):  # a full disk is the sweep's trouble, not the log's
             handle = os.open(self.path, flags, 0o666)
             try:
-                if stat.S_ISREG(os.fstat(handle).st_mode):
+                found = os.fstat(handle)
+                if stat.S_ISREG(found.st_mode) and found.st_nlink == 1:
                     os.write(handle, line.encode("utf-8", "replace"))
             finally:
                 os.close(handle)

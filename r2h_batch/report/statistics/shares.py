@@ -24,7 +24,7 @@ class Share:
         caption: what is counted, of which rows; a sentence.
         needs: stored columns of trials that it is made of; rows of older versions have null there.
         of: a table with these columns -> (N,) bool, whether the row counts; null: the row is not of those. None: no
-            stored column says it (`report.held`, `report.picks`).
+            stored column says it (`report.held`, `report.picks`, `report.viewed`).
     """
 
     heading: str
@@ -49,12 +49,17 @@ def _through(rows: pa.Table) -> pa.ChunkedArray:
 
 THROUGH = "through"
 STABLE, UNDECIDED = "physically_stable", "physically_undecided"
-PICK = "pick"
+PICK, VIEWED = "pick", "viewed"
 
 SHARES: Registry[Share] = Registry(
     "share",
     {
         "presented": Share("Presented", "Presented (not in SR).", ("presented",), _presented),
+        VIEWED: Share(
+            "In view",
+            "Mean percent of the receiver's region that the receiver's eyes see at the handover, of rows with a held object and a"
+            " posture (not in SR).",
+        ),
         "body_met": Share(
             "Body met",
             "Motions that meet the receiver's arm or torso (part of Safe with --receiver body, as in r2h-v2).",

@@ -7,6 +7,7 @@ rethreshold RUN   print the rates at other thresholds
 reception RUN     print how many receivers could take the object
 picked RUN        print how many objects the arm can pick from the table with the stored grasps
 held RUN          print how many grasps hold in physics: after closing, and under the weight
+viewed RUN        print how much of the part that they want the receivers see
 transfer RUN      simulate the transfer: the person takes the object, the gripper lets go
 """
 
@@ -14,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from r2h_batch.base.command_line import check_seed
+from r2h_batch.base.command_line import check_range, check_seed
 from r2h_batch.base.errors import UsageError
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.sweep.results.rethreshold import rethreshold
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
 
 MOST_TORSION_MM = 11.0
+MOST_DRAWS, MOST_PROCESSES = 10_000, 1024
 LISTED_FILES = 6
 LISTED = 200
 """Differences of one method that are printed; the count covers all of them."""
@@ -31,8 +33,8 @@ LISTED = 200
 def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
-    Files beside the shards (held, reception, transfer) that are too large, or of other trials, are set aside. The last line
-    says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
+    Files beside the shards (held, reception, transfer, viewed) that are too large, or of other trials, are set aside. The last
+    line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
     some shards again, or a file was set aside.
 
     Args:
@@ -271,8 +273,7 @@ def held(
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results import held as simulated
 
-    if processes < 0:
-        raise UsageError("--processes must be 0 or more")
+    check_range("--processes", processes, 0, MOST_PROCESSES)
     if not 0 < torsion_mm <= MOST_TORSION_MM:
         raise UsageError(
             f"--torsion-mm {torsion_mm:g}: give more than 0 and at most {MOST_TORSION_MM:g}, the half width of a pad"
@@ -284,6 +285,38 @@ def held(
         run, benchmark, count=processes or cpu_threads(), device=device, torsion_mm=torsion_mm
     )
     print(simulated.render(files), end="")
+    return 0
+
+
+def viewed(
+    folder: Path,
+    /,
+    *,
+    method: tuple[str, ...] = (),
+    benchmark: BenchmarkChoice = DEFAULT,
+    device: str = "cpu",
+) -> int:
+    """Print how much of the part that they want the receivers see at the handover, and what hides the rest; write
+    RUN/viewed/METHOD.parquet.
+
+    Of the stored rows with a receiver's region (S1), a held object and a goal posture. `report` then shows the mean beside
+    Presented. The success rate does not depend on it.
+
+    Args:
+        folder: a run folder, as `r2h-batch sweep --out` writes it.
+        method: only these methods, by the sweep's word (fc) or the table's name.
+        benchmark: where its files are now, if they are not where the sweep found them.
+        device: cpu, cuda or cuda:N.
+    """
+    from r2h_batch.report.viewed import FOLDER
+    from r2h_batch.runs.files import RunError, in_the_way
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results import viewed as of_table
+
+    if what := in_the_way(folder / FOLDER, folder=True):
+        raise RunError(what)
+    run = load_run(folder).only(method)
+    print(of_table.render(of_table.write_tables(run, benchmark, device=device)), end="")
     return 0
 
 
@@ -329,8 +362,8 @@ def transfer(
     from r2h_batch.sweep.results import transfer as transferred
 
     check_cases(release, scenario, flag="--scenario")
-    if draws < 1 or processes < 0:
-        raise UsageError("--draws must be 1 or more, --processes 0 or more")
+    check_range("--draws", draws, 1, MOST_DRAWS)
+    check_range("--processes", processes, 0, MOST_PROCESSES)
     check_seed(seed)
     engine = ExecConfig(sim=sim).engine(device)
     if engine == "mjwarp" and processes > 1:
@@ -377,5 +410,6 @@ COMMANDS = {
     "reception": reception,
     "picked": picked,
     "held": held,
+    "viewed": viewed,
     "transfer": transfer,
 }

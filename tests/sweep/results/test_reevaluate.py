@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from copy import copy
 from functools import partial
 
@@ -48,6 +49,54 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def judge(folder):
     return Judge(load_run(folder))
+
+
+LIAR = """
+import torch
+from r2h_batch.evaluate import Evaluator
+
+own = Evaluator.score
+
+def score(self, *args, **more):
+    scores = own(self, *args, **more)
+    for name, value in dict(outcome=0, success=True, passed=True, evaluated=True, margin=0.01).items():
+        getattr(scores, name).fill_(value)
+    return scores
+
+Evaluator.score = score
+
+def predict(trials, scene, *, seed):
+    T = torch.eye(4).repeat(len(trials), 1, 1)
+    return T, T
+"""
+
+
+def test_rows_of_a_method_that_changed_its_judge_when_it_was_imported_are_refused(tmp_path, monkeypatch, capsys):
+    from r2h_batch.evaluate import Evaluator
+
+    (tmp_path / "rj_liar.py").write_text(LIAR)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
+    with monkeypatch.context() as judge:
+        judge.setattr(Evaluator, "score", Evaluator.score)  # put back, as a new process has it
+        line = [
+            "--method",
+            "rj_liar:predict",
+            "--benchmark",
+            "r2h-v1",
+            "--trials",
+            "3",
+            "--sim",
+            "none",
+            "--out",
+            "run",
+        ]
+        assert sweep(line) == 0
+        assert "100.0" in capsys.readouterr().out, "its own sweep prints what it likes"
+    sys.modules.pop("rj_liar")
+    assert main(["results", "reevaluate", "run"]) == 1
+    assert "6 differ, 0 are equal" in capsys.readouterr().out
+    assert "rj_liar" not in sys.modules, "nothing of the run's method is loaded"
 
 
 def test_rows_of_a_gpu_are_judged_again_in_the_form_of_a_gpu(folder, judge, monkeypatch):
