@@ -165,8 +165,10 @@ these, the ones that the mark [undecided](../transfer.md#outcomes) misses at the
 
 {steps}
 
-Of {stepped} transfers, a half or a quarter of the step changes {steps_changed}; {steps_missed} of these {are} not
-marked{steps_which}. Percent marked: {steps_marked}.
+Of {stepped} transfers, a half or a quarter of the step changes {steps_changed}. Of these, {steps_missed} {are} not
+marked{steps_which}.
+An object that slides under the finger may stick to the pads in another place: the finger and the wrist then feel another force.
+Marked are, of all, {steps_marked}.
 
 ## Sensitivity
 
@@ -453,7 +455,9 @@ def steps_text(found: dict[str, Any]) -> dict[str, Any]:
             lines.append([name, f"{words} against h", n, len(changed), missed, sum(m["marked"].values()), which or "-"])
     where = {(name, c["case"], c["trial"]): c for name, m in found.items() for s in m["steps"].values() for c in s}
     unmarked = {key: c for key, c in where.items() if not c["marked"]}
-    what = "; ".join(f"{c['object'].replace('_', ' ')}, {case}: {c['ends']}" for (_, case, _), c in unmarked.items())
+    what = "; ".join(
+        f"{c['object'].replace('_', ' ')} of {name}, {case}: {c['ends']}" for (name, case, _), c in unmarked.items()
+    )
     rows = sum(m["rows"] for m in found.values())
     shares = {case: sum(m["marked"][case] for m in found.values()) for case in next(iter(found.values()))["marked"]}
     return {
@@ -464,7 +468,7 @@ def steps_text(found: dict[str, Any]) -> dict[str, Any]:
         "steps_missed": len(unmarked),
         "are": "is" if len(unmarked) == 1 else "are",
         "steps_which": f" ({what})" if unmarked else "",
-        "steps_marked": ", ".join(f"{case} {100 * k / rows:.0f}" for case, k in shares.items()),
+        "steps_marked": "; ".join(f"{case}: {100 * k / rows:.0f} %" for case, k in shares.items()),
     }
 
 
