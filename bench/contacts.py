@@ -153,7 +153,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     transfers = {}
     for n in FINER:
         made = Simulator(robot, objects, Setting(steps=n * STEPS), 0)(received, cases)
-        transfers[n] = [{"outcome": m.transfers.outcome, "undecided": marked(m, received).tolist()} for m in made]
+        transfers[n] = [{"outcome": m.transfers.outcome, "undecided": m.transfers.undecided.tolist()} for m in made]
         print("transfers at h /", n, flush=True)
     return {
         "held": held,
@@ -164,14 +164,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "cost": cost(robot, objects, rows, received),
         **made_by(MEASURES),
     }
-
-
-def marked(made: Any, handed: Any) -> Any:
-    """Which transfers of one case are undecided."""
-    from r2h_batch.closed_loop.transfer.outcome import undecided
-
-    t = made.transfers
-    return undecided(t.robot_slip_m, handed.weight_n, t.outcome, made.case.release)
 
 
 def engines(robot: Any, objects: Any, handed: Any) -> dict[str, Any]:
@@ -247,8 +239,8 @@ def timed(call: Any, *arguments: Any) -> float:
 
 def markdown(data: dict[str, Any]) -> str:
     """The page."""
+    from r2h_batch.closed_loop.transfer.held import NEAR_M
     from r2h_batch.closed_loop.transfer.model import STEPS, TICK_S
-    from r2h_batch.closed_loop.transfer.outcome import NEAR_M
 
     def at(n: int) -> str:
         return "h" if n == 1 else f"h/{n}"

@@ -2,10 +2,11 @@
 
 `python bench/transfer.py` simulates the transfers of the shipped rows of r2h-v2 (the first `--trials` of each split) and of
 `oracle,for=reception` with `load-share`, and those of the first `--rows` received ones with five policies, take and touch.
-For the oracle it divides the time step by two and four, and varies friction and mass. It asks which objects the closed gripper
-holds for 1 s, and measures the cost of a transfer and the memory of `--memory` transfers. It holds MuJoCo-Warp against MuJoCo C
-on this CPU over `AGREE` received trials; `--agree N` prints this alone and writes nothing. `--render` writes the page again from
-the JSON. `--parts FOLDER` keeps what is done: started again, also with more trials, it goes on with what is missing.
+For `STEPS_METHODS` it divides the time step by two and four. For the oracle it varies friction and mass. It asks which objects
+the closed gripper holds for 1 s, and measures the cost of a transfer and the memory of `--memory` transfers. It holds MuJoCo-Warp
+against MuJoCo C on this CPU over `AGREE` received trials; `--agree N` prints this alone and writes nothing. `--render` writes the
+page again from the JSON. `--parts FOLDER` keeps what is done: started again, also with more trials, it goes on with what is
+missing.
 """
 
 import argparse
@@ -50,8 +51,10 @@ CHANGES: dict[str, dict[str, Any]] = {
 COMPARED = (("load-share", "take"), ("threshold", "take"), ("load-share", "touch"))
 VARIED_ROWS = 40
 """Received rows of the oracle that the changes are tried on."""
+STEPS_METHODS = ("oracle", "FC-Handover (oracle hand + noise)", "Handover-VA (oracle labels + noise)")
+"""The mark `undecided` was not chosen on rows of the last two."""
 STEPS_ROWS, STEPS_TRIALS = 100, 60
-"""Received rows of the oracle that smaller time steps are tried on, among so many trials of each split."""
+"""Received rows of each that smaller time steps are tried on, among so many trials of each split."""
 GROUPS = {
     "6 to 12 years": ("age_years", 0, 13),
     "13 to 49 years": ("age_years", 13, 50),
@@ -106,7 +109,7 @@ simulated {trials} trials of each split of r2h-v2 with one person each: {objects
 ## From success to taken
 
 Percent of all trials, with the default policy `load-share`. `taken and success`: the verdict of the sweep holds too. `undecided`:
-percent of the received trials whose end is on a knife's edge ([definition](../transfer.md#outcomes)).
+percent of the received trials whose end hangs on less than the model knows ([definition](../transfer.md#outcomes)).
 
 {funnel}
 
@@ -124,7 +127,8 @@ The same by the weight of the object. Heavier objects [take people longer](../tr
 ## Policies
 
 Percent of the first {rows} received trials of each method. Brackets: 95 % (Wilson) over trials, each with a person of its
-own. `kept`: under a mere touch. Pulls and times, and what remains of their order, stand with [other persons](persons.md).
+own. `kept`: under a mere touch. `?`: percent of the trials to the left of it that are undecided. Pulls and times, and what
+remains of their order, stand with [other persons](persons.md).
 
 {policies}
 
@@ -156,10 +160,15 @@ Counts of received trials that were not taken, with `take`. Methods, policies an
 
 ## Time step
 
-Outcomes of {stepped} transfers ({cases}, {steps_rows} received trials of the oracle) that another time step changes.
-`marked`: of them, those whose end is marked undecided at the usual step, `marked of all`: of all of them.
+Outcomes that another time step changes ({cases}; the first {steps_rows} received trials of each method at most). `not marked`: of
+these, the ones that the mark [undecided](../transfer.md#outcomes) misses at the usual step h. `marked`: of all transfers.
 
 {steps}
+
+Of {stepped} transfers, a half or a quarter of the step changes {steps_changed}. Of these, {steps_missed} {are} not
+marked{steps_which}.
+An object that slides under the finger may stick to the pads in another place: the finger and the wrist then feel another force.
+Marked are, of all, {steps_marked}.
 
 ## Sensitivity
 
@@ -263,7 +272,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             several = partial(block_of, run, judge, name, (0, options.rows), cases, transfer, options.rows)
             few[name] = parts.get(f"{name}, all policies", several)
     received, _ = rows_of(run, judge, "oracle", 0, STEPS_TRIALS)
-    steps = parts.get("steps", lambda: stepped(simulator, received[:STEPS_ROWS]))
+    steps = {
+        name: parts.get(f"steps of {name}", partial(stepped, run, judge, name, simulator)) for name in STEPS_METHODS
+    }
     held = {name: parts.get(f"held of {name}", partial(held_of, run, judge, name, simulator)) for name in run.methods}
     sensitivity, compared = parts.get("sensitivity", lambda: varied(simulator, received[:VARIED_ROWS]))
     methods = {name: together(blocks[name], few[name]) | {"held": held.get(name)} for name in names}
@@ -336,7 +347,6 @@ def block_of(
     most: int | None = None,
 ) -> dict[str, Any]:
     """Outcomes of a method's received rows in some trials of each split, in each case: a number a row."""
-    from r2h_batch.closed_loop.transfer.outcome import undecided
     from r2h_batch.verdicts import PERSON as COLUMNS
 
     handed, won = rows_of(run, judge, name, *among)
@@ -352,7 +362,7 @@ def block_of(
         t = [m[k].transfers for m in made]
         numbers = {n: np.concatenate([getattr(one, n) for one in t]).tolist() for n in ROW_NUMBERS}
         outcome = [o for one in t for o in one.outcome]
-        marks = undecided(np.array(numbers["robot_slip_m"]), handed.weight_n, outcome, case.release)
+        marks = np.concatenate([one.undecided for one in t])
         ends.append(
             {
                 "release": case.release,
@@ -401,35 +411,64 @@ def together(blocks: list[dict[str, Any]], few: dict[str, Any]) -> dict[str, Any
     }
 
 
-def stepped(simulator: Any, handed: Any) -> dict[str, Any]:
-    """Outcomes that half and a quarter of the time step change, and which of them are marked."""
+def stepped(run: Any, judge: Any, name: str, simulator: Any) -> dict[str, Any]:
+    """Outcomes of a method that half and a quarter of the time step change, and which of them are marked."""
     from r2h_batch.closed_loop.transfer.cases import Case, Simulator
     from r2h_batch.closed_loop.transfer.model import STEPS, Setting
-    from r2h_batch.closed_loop.transfer.outcome import undecided
 
+    handed = rows_of(run, judge, name, 0, STEPS_TRIALS)[0][:STEPS_ROWS]
+    words_of = [simulator.models.objects[k].name for k in handed.object_index]
     cases = [Case(r, s, 0) for r, s in COMPARED]
     base, found = simulator(handed, cases), {}
-    marks = [undecided(m.transfers.robot_slip_m, handed.weight_n, m.transfers.outcome, m.case.release) for m in base]
+    marks = [m.transfers.undecided for m in base]
     for words, times in (("h/2", 2), ("h/4", 4)):
         setting = Setting(steps=times * STEPS)
         other = Simulator(simulator.robot, simulator.models.objects, setting, simulator.seed)(handed, cases)
-        pairs = [
-            (f"{a} -> {b}", bool(mark))
+        found[words] = [
+            {
+                "case": f"{one.case.release}, {one.case.scenario}",
+                "trial": int(handed.trial_id[i]),
+                "object": words_of[i],
+                "ends": f"{a} -> {b}",
+                "marked": bool(own[i]),
+            }
             for one, two, own in zip(base, other, marks, strict=True)
-            for a, b, mark in zip(one.transfers.outcome, two.transfers.outcome, own, strict=True)
+            for i, (a, b) in enumerate(zip(one.transfers.outcome, two.transfers.outcome, strict=True))
             if a != b
         ]
-        found[words] = {
-            "changed": len(pairs),
-            "marked": sum(mark for _, mark in pairs),
-            "pairs": dict(Counter(pair for pair, _ in pairs)),
-        }
-        print(words, found[words], flush=True)
+        print(name, words, found[words], flush=True)
     return {
         "rows": len(handed),
-        "all": len(handed) * len(cases),
-        "marked": int(sum(m.sum() for m in marks)),
+        "marked": {f"{r}, {s}": int(m.sum()) for (r, s), m in zip(COMPARED, marks, strict=True)},
         "steps": found,
+    }
+
+
+def steps_text(found: dict[str, Any]) -> dict[str, Any]:
+    """The table of `stepped`, and the words below it."""
+    lines = []
+    for name, m in found.items():
+        for words, changed in m["steps"].items():
+            missed, pairs = sum(not c["marked"] for c in changed), Counter(c["ends"] for c in changed)
+            which = "; ".join(f"{p} ({k})" for p, k in pairs.items())
+            n = m["rows"] * len(m["marked"])
+            lines.append([name, f"{words} against h", n, len(changed), missed, sum(m["marked"].values()), which or "-"])
+    where = {(name, c["case"], c["trial"]): c for name, m in found.items() for s in m["steps"].values() for c in s}
+    unmarked = {key: c for key, c in where.items() if not c["marked"]}
+    what = "; ".join(
+        f"{c['object'].replace('_', ' ')} of {name}, {case}: {c['ends']}" for (name, case, _), c in unmarked.items()
+    )
+    rows = sum(m["rows"] for m in found.values())
+    shares = {case: sum(m["marked"][case] for m in found.values()) for case in next(iter(found.values()))["marked"]}
+    return {
+        "steps": markdown_table(["Method", "step", "n", "changed", "not marked", "marked", "which"], lines),
+        "stepped": rows * len(shares),
+        "steps_rows": STEPS_ROWS,
+        "steps_changed": len(where),
+        "steps_missed": len(unmarked),
+        "are": "is" if len(unmarked) == 1 else "are",
+        "steps_which": f" ({what})" if unmarked else "",
+        "steps_marked": "; ".join(f"{case}: {100 * k / rows:.0f} %" for case, k in shares.items()),
     }
 
 
@@ -496,6 +535,7 @@ def summary(case: dict[str, Any], won: list[bool]) -> dict[str, Any]:
         "release": case["release"],
         "scenario": case["scenario"],
         "outcomes": dict(Counter(case["outcome"])),
+        "undecided": int(sum(case["undecided"])),
         "taken_and_success": int((taken & np.array(won, bool)).sum()),
         **{k: median(case[k]) for k in ("pull_n", "grip_n", "transfer_s")},
         **{f"t{s}_s": median(share[:, k]) for k, s in enumerate((10, 50, 90))},
@@ -607,7 +647,11 @@ def markdown(data: dict[str, Any]) -> str:
         for release in RELEASE:
             take, touch = by[release, "take"], by[release, "touch"]
             got = m["first"]
-            rates = [rate(c["outcomes"].get(k, 0), got) for c, k in ((take, "taken"), (touch, "kept"))]
+            rates = [
+                cell
+                for c, k in ((take, "taken"), (touch, "kept"))
+                for cell in (rate(c["outcomes"].get(k, 0), got), f"{100 * c['undecided'] / got:.0f}" if got else "-")
+            ]
             policies.append([name, release, got, *rates])
             ends.append([name, release, *(take["outcomes"].get(o, 0) for o in OTHER_ENDS)])
     some = [k for k in range(len(OTHER_ENDS)) if any(e[2 + k] for e in ends)]
@@ -623,16 +667,6 @@ def markdown(data: dict[str, Any]) -> str:
             held_ms = h["ms"]
     force = [[r, int(n), *(f"{x:.1f}" for x in numbers)] for r, (n, *numbers) in data["force"].items()]
     oracle = data["methods"]["oracle"]["all"]
-    steps = [
-        [
-            f"{words} against h",
-            s["changed"],
-            s["marked"],
-            data["steps"]["marked"],
-            "; ".join(f"{p} ({k})" for p, k in s["pairs"].items()) or "-",
-        ]
-        for words, s in data["steps"]["steps"].items()
-    ]
     taken = [[g, among[g], rate(groups[g], among[g])] for g in (*GROUPS, *WEIGHTS)]
     changes = [
         [name, f["changed"], "; ".join(f"{pair} ({k})" for pair, k in f["pairs"].items()) or "-"]
@@ -646,11 +680,9 @@ def markdown(data: dict[str, Any]) -> str:
         rows=data["rows"],
         people=markdown_table(["receivers", "received", "taken"], taken[: len(GROUPS)]),
         weights=markdown_table(["weight", "received", "taken"], taken[len(GROUPS) :]),
-        stepped=data["steps"]["all"],
-        steps_rows=data["steps"]["rows"],
-        steps=markdown_table(["step", "changed", "marked", "marked of all", "which"], steps),
+        **steps_text(data["steps"]),
         funnel=markdown_table(["Method", "n", "SR", "received", "taken", "taken and success", "undecided"], funnel),
-        policies=markdown_table(["Method", "policy", "received", "taken", "kept"], policies),
+        policies=markdown_table(["Method", "policy", "received", "taken", "?", "kept", "?"], policies),
         ends=markdown_table(["Method", "policy", *(OTHER_ENDS[k].replace("_", " ") for k in some)], ends),
         more=markdown_table(["Method", "received", *(f"{r}, {w}" for r, w in MORE)], more),
         force=markdown_table(["policy", "n", *(f"{p} %" for p in FORCE_PERCENT)], force),

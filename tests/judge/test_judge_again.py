@@ -275,7 +275,8 @@ def taken() -> tuple[Start, dict[str, Any]]:
         handed.press[0], handed.R_world_gripper[0], noise_of(trial_id, 0, 0)[:, 0], **own,
     )  # fmt: skip
     made = found.transfers
-    says = {"release": "threshold", "scenario": "take", "undecided": False, "outcome": str(made.outcome[0])}
+    says = {"release": "threshold", "scenario": "take", "undecided": bool(made.undecided[0])}
+    says["outcome"] = made.outcome[0]
     return start, says | {k: float(getattr(made, k)[0]) for k in TOLD}
 
 
@@ -283,7 +284,8 @@ def test_how_a_transfer_ends_is_right_and_a_row_that_lies_is_noticed(taken):
     start, says = taken
     found = list(transfer_of(start, says))
     assert says["outcome"] == "taken" and [f for f in found if f.wrong] == []
-    assert {f.name for f in found} == {"outcome", *TOLD} and sum(f.kind == "open" for f in found) <= 1
+    assert {f.name for f in found} == {"outcome", "undecided", *TOLD} and sum(f.kind == "open" for f in found) <= 1
     assert [f.name for f in transfer_of(start, says | {"outcome": "dropped"}) if f.wrong] == ["outcome"]
+    assert [f.name for f in transfer_of(start, says | {"undecided": True}) if f.wrong] == ["undecided"]
     lies = says | {"pull_n": says["pull_n"] + 1.5, "transfer_s": says["transfer_s"] + 0.9}
     assert {f.name for f in transfer_of(start, lies) if f.wrong} == {"pull_n", "transfer_s"}

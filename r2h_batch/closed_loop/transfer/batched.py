@@ -30,7 +30,6 @@ from r2h_batch.closed_loop.transfer.outcome import (
     DROPPED_M,
     HELD_DEG,
     HELD_M,
-    NEAR_M,
     Outcome,
     free_at,
 )
@@ -45,8 +44,8 @@ from r2h_batch.scene.robot import Robot
 MOST_WORLDS = {"cpu": 128, "cuda": 4096}
 """Handovers at a time."""
 
-NEAR_DEG = 3.0
-"""A slip or turn within `NEAR_M` or this of a limit of the outcomes is doubtful: the engines differ by up to 2.1 mm and 2.4
+NEAR_M, NEAR_DEG = 0.003, 3.0
+"""A slip or turn this near to a limit of the outcomes is doubtful: the engines differ by up to 2.1 mm and 2.4
 degrees in 300 transfers (bench/transfer.py)."""
 
 Doubtful = Bool[NDArray[np.bool_], " n"]

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from r2h_batch.closed_loop.transfer.friction import PadContacts, carried
 from r2h_batch.closed_loop.transfer.handed import Gripped
 from r2h_batch.closed_loop.transfer.model import FREE_DAMPING, TICK_S, Places
-from r2h_batch.closed_loop.transfer.outcome import NEAR_M
 from r2h_batch.closed_loop.transfer.worlds_mujoco import CLOSE_TICKS, Models
 from r2h_batch.judge.grasp_physics import DROPPED_M, full_effort
 from r2h_batch.trials.holding.held_out import G
@@ -24,6 +23,8 @@ Array = NDArray[np.float64]
 
 HOLD_S = 1.0
 """The weight acts for so long."""
+NEAR_M = 0.003
+"""A slip this near to its limit is undecided."""
 REST_M_S, REST_S, SETTLE_S = 0.001, 0.05, 1.0
 """An object stands once its centre of mass has been slower for so long; nobody waits longer than `SETTLE_S`."""
 ALIKE_M = 0.005

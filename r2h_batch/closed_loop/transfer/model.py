@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 
 TICK_S = 1 / 120
 """Person, sensor and policy act this often: the rate of Handovers@RPL."""
+GRIPPER_S = 0.06
+"""From the policy's decision to the fingers' first move [choice]."""
 STEPS = 6
 """Steps of the simulation in a tick: 1.39 ms each. docs/transfer.md says what half of it changes."""
 

@@ -1,7 +1,6 @@
 """How a transfer ends, and what is measured on the way."""
 
 import math
-from collections.abc import Sequence
 from enum import StrEnum
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.closed_loop.transfer.model import TICK_S
+from r2h_batch.closed_loop.transfer.model import GRIPPER_S, TICK_S
 from r2h_batch.closed_loop.transfer.person import (
     BEGIN_S,
     FINGER_S,
@@ -21,12 +20,14 @@ from r2h_batch.closed_loop.transfer.person import (
     Does,
     Hands,
 )
-from r2h_batch.closed_loop.transfer.release import BY_SHARE, LoadShare
 from r2h_batch.closed_loop.transfer.worlds import Seen
 
-DROPPED_M, NEAR_M = 0.03, 0.003
-"""An object that slips by more in the closed gripper, before anybody touches it, is dropped by the robot. What ends this near
-to the limit is undecided: an object that has passed it is watched until it has slipped by so much more."""
+FACTOR = 2.0
+"""How far a thing slides or turns once friction has given way is known to this factor [choice]. An end at more than a `FACTOR`th
+of its limit and less than `FACTOR` times of it is undecided."""
+DROPPED_M = 0.03
+"""An object that slips by more in the closed gripper, before anybody touches it, is dropped by the robot. It is watched until it
+has slipped by `FACTOR` times as much, or somebody grips it."""
 HELD_M, HELD_DEG = 0.02, 30.0
 """Taken: slipped and turned by less in the person's hand."""
 FREE_TICKS = 4
@@ -96,9 +97,11 @@ class Book:
         zero = torch.zeros_like(never)
         self.pull_n, self.hand_n, self.grip_n = (zero.clone() for _ in range(3))
         self.slip_m, self.robot_slip_m, self.ended_s = (zero.clone() for _ in range(3))
+        self.untouched_slip_m = zero.clone()
         self.turn_cos = zero + 1.0
         """Cosine of half the turn: an arc cosine would not have the same bits in every batch."""
         self.release_share = torch.full_like(zero, torch.nan)
+        self.surplus_n = -never
         self.slip_before = seen.slip.clone()
         self.tick = 0
 
@@ -116,9 +119,11 @@ class Book:
             self.slip_before = seen.slip.clone()
         if not touched or not hands.scenario.grips:
             slipped = _distance(seen.com - seen.shifted, self.com_closed)
-            self.robot_slip_m = torch.where(run, slipped, self.robot_slip_m)
-            before = self.decided_s.isinf() if touched else True
-            self.slipping = self.slipping | (run & before & (slipped > DROPPED_M))
+            before = run & self.decided_s.isinf() if touched else run
+            self.robot_slip_m = torch.where(before, slipped, self.robot_slip_m)
+            if not touched:
+                self.untouched_slip_m = self.robot_slip_m
+            self.slipping = self.slipping | (before & (slipped > DROPPED_M))
         self._share = 1.0 + _dot(seen.load, hands.up) / hands.weight
         for share, when in zip(SHARES, self.passed_s, strict=True):
             new = grips & (self._share > share) & when.isinf()
@@ -142,9 +147,16 @@ class Book:
         self._end(seen)
         self.tick += 1
 
-    def decide(self, opens: Bool[Tensor, " n"]) -> None:
-        """Notes where the policy lets go at this tick."""
+    def decide(
+        self, opens: Bool[Tensor, " n"], surplus_n: Float64[Tensor, " n"] | None = None
+    ) -> None:
+        """Notes where the policy lets go at this tick, and by how much (`release.Action`)."""
         new = self.running & opens & self.decided_s.isinf()
+        if surplus_n is not None:
+            waits = self.running & (self.time_s - self.decided_s < GRIPPER_S)
+            most = self.surplus_n.maximum(surplus_n)
+            self.surplus_n = torch.where(waits, most, self.surplus_n)
+            self.surplus_n[new & self.hands.pulls_on()] = torch.inf
         self.decided_s[new] = self.time_s
         self.release_share = torch.where(new, self._share, self.release_share)
 
@@ -152,27 +164,27 @@ class Book:
         t, does = self.time_s, self.hands.does
         decided = self.decided_s.isfinite()
         self._over(~seen.fine, Outcome.EXPLODED)
-        far = self.robot_slip_m > DROPPED_M + NEAR_M
+        far = self.robot_slip_m > DROPPED_M * FACTOR
         if t < BEGIN_S:
             self._over(far, Outcome.ROBOT_DROPPED)
             return
         if not self.hands.scenario.grips:
             over = torch.full_like(decided, t > BEGIN_S + FINGER_S + AFTER_TOUCH_S)
             self._over(self.slipping & (far | over | decided), Outcome.ROBOT_DROPPED)
-            self._over(decided, Outcome.FALSE_RELEASE)
-            self._over(self.released, Outcome.ROBOT_DROPPED)
-            self._over(over, Outcome.KEPT)
+            self._over(t - self.decided_s >= GRIPPER_S, Outcome.FALSE_RELEASE)
+            self._over(self.released & ~decided, Outcome.ROBOT_DROPPED)
+            self._over(over & ~decided, Outcome.KEPT)
             return
         self._over(self.slipping, Outcome.ROBOT_DROPPED)
-        self._over(self.released & self.lost, Outcome.DROPPED)
         kept = self.released & (t - self.released_s > KEEP_S)
+        gone = self.lost & (kept | (self.slip_m > LOST_M * FACTOR))
+        self._over(self.released & gone, Outcome.DROPPED)
         well = (self.slip_m < HELD_M) & (self.turn_cos > _COS_HELD)
         self._over(kept & ~decided, Outcome.TORN_OUT)
         self._over(kept & well, Outcome.TAKEN)
         self._over(kept & ~well, Outcome.BADLY_HELD)
-        self._over(
-            self.lost & ~decided & (t - self.lost_s > SLIPPED_OFF_S), Outcome.HAND_SLIPPED_OFF
-        )
+        alone = self.lost & ~decided & ~self.released
+        self._over(alone & (t - self.lost_s > SLIPPED_OFF_S), Outcome.HAND_SLIPPED_OFF)
         waits = ~self.released & (t - self.decided_s > STUCK_S)
         self._over(waits, Outcome.STUCK)
         self._over((does == int(Does.GAVE_UP)) & ~decided & ~self.released, Outcome.NOT_RELEASED)
@@ -191,29 +203,6 @@ class Book:
         """The outcome of every transfer."""
         names = [str(o) for o in Outcome]
         return [names[k] for k in self.code.tolist()]
-
-
-def undecided(
-    robot_slip_m: Float64[NDArray[np.float64], " n"],
-    weight_n: Float64[NDArray[np.float64], " n"],
-    outcome: Sequence[str],
-    release: str,
-) -> Bool[NDArray[np.bool_], " n"]:
-    """Which of N outcomes hang on less than the model knows.
-
-    An object slipped in the gripper to within `NEAR_M` of `DROPPED_M`. Or the robot kept or let go what is lighter than
-    `LoadShare.LEAST_N`, by a policy that counts in shares of the weight: the sensor's noise decides.
-
-    Args:
-        robot_slip_m: (N,) slips in the gripper, m.
-        weight_n: (N,) of the objects, N.
-        outcome: of each.
-        release: the policy, as the command has it.
-    """
-    near = np.abs(robot_slip_m - DROPPED_M) < NEAR_M
-    noisy = (weight_n < LoadShare.LEAST_N) & (release in BY_SHARE)
-    asked = np.isin(outcome, [str(Outcome.KEPT), str(Outcome.FALSE_RELEASE)])
-    return np.asarray(near | (noisy & asked))
 
 
 def free_at(touching: Bool[NDArray[np.bool_], "t n"]) -> Int64[NDArray[np.int64], " n"]:

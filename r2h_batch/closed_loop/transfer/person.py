@@ -226,6 +226,11 @@ class Hands:
         self.tick += 1
         return made
 
+    def pulls_on(self) -> Bool[Tensor, " n"]:
+        """(N,) whether a hand grips that has not pulled with its largest force yet: what it asks for still grows."""
+        first = (self.does < int(Does.PERSISTS)) & (self.pulls == 1)
+        return first & self.scenario.grips
+
     def _decide(self, released: Bool[Tensor, " n"]) -> None:
         """Goes on to the next state where it is time."""
         since_s = self.since * TICK_S

@@ -62,6 +62,8 @@ class Action:
 
     Attributes:
         open: (N,) let go now; the first True counts.
+        surplus_n: (N,) by how much the readings exceed what lets go, N; negative: they fall short of it. It marks what hangs
+            on the sensor's noise (`simulate.Transfers.undecided`); None: the policy does not say.
         squeeze: (N,) effort of the fingers until then, share of the largest, 0 to 1; None: 1.
         shift: (N, 3) where the robot moves its hand, from the handover pose, world axes, m; None: nowhere.
     """
@@ -69,6 +71,7 @@ class Action:
     open: Bool[Tensor, " n"]
     squeeze: Float64[Tensor, " n"] | None = None
     shift: Float64[Tensor, "n 3"] | None = None
+    surplus_n: Float64[Tensor, " n"] | None = None
 
 
 class Tared:
@@ -96,15 +99,18 @@ class Tared:
 
 
 class Lasting:
-    """Whether a condition has held for some time, row by row."""
+    """The least surplus over some time, row by row: what is positive has been so all the while."""
 
     def __init__(self, ticks: int, like: Float64[Tensor, " n"]) -> None:
-        self.ticks, self.count = ticks, torch.zeros_like(like, dtype=torch.int64)
+        self.ticks, self._none = ticks, torch.full_like(like, -torch.inf)
+        self._last: list[Tensor] = []
 
-    def __call__(self, now: Bool[Tensor, " n"]) -> Bool[Tensor, " n"]:
-        """Counts a tick."""
-        self.count = torch.where(now, self.count + 1, 0)
-        return self.count > self.ticks
+    def __call__(self, surplus_n: Float64[Tensor, " n"]) -> Float64[Tensor, " n"]:
+        """The least of this tick's surplus and of those of the `ticks` before; -inf: fewer are known."""
+        self._last = [*self._last[-self.ticks :], surplus_n]
+        if len(self._last) <= self.ticks:
+            return self._none
+        return torch.stack(self._last).amin(0)
 
 
 def size(v: Float64[Tensor, "n 3"]) -> Float64[Tensor, " n"]:
@@ -137,9 +143,9 @@ class Timer(Tared):
         change = self.change(seen.force)
         if change is None:
             return Action(self.no)
-        touched = (self.since > 0) | (size(change) > self.TOUCH_N)
-        self.since = self.since + touched.long()
-        return Action(self.since * self.robot.tick_s > self.AFTER_S)
+        surplus_n = size(change) - self.TOUCH_N
+        self.since = self.since + ((self.since > 0) | (surplus_n > 0.0)).long()
+        return Action(self.since * self.robot.tick_s > self.AFTER_S, surplus_n=surplus_n)
 
 
 @POLICIES("threshold")
@@ -154,7 +160,10 @@ class Threshold(Tared):
 
     def __call__(self, seen: Observation) -> Action:
         change = self.change(seen.force)
-        return Action(self.no if change is None else self.lasting(size(change) > self.FORCE_N))
+        if change is None:
+            return Action(self.no)
+        surplus_n = self.lasting(size(change) - self.FORCE_N)
+        return Action(surplus_n > 0.0, surplus_n=surplus_n)
 
 
 @POLICIES("load-share")
@@ -177,7 +186,8 @@ class LoadShare(Tared):
             return Action(self.no)
         share = change[:, 2] / self.weight
         squeeze = (1.0 - (1.0 - self.LEAST_SQUEEZE) * share).clamp(self.LEAST_SQUEEZE, 1.0)
-        return Action(self.lasting(share > self.SHARE), squeeze)
+        surplus_n = self.lasting((share - self.SHARE) * self.weight)
+        return Action(surplus_n > 0.0, squeeze, surplus_n=surplus_n)
 
 
 @POLICIES("probe")
@@ -217,8 +227,10 @@ class Probe:
         self.ticks += 1
         shift = torch.from_numpy(self._moves(np.array([now_s]))[0][0]).to(self.tare)
         self.forces = [*self.forces[-(self.WINDOW_TICKS - 1) :], seen.force.clone()]
-        feels = self._feels(now_s) if len(self.forces) == self.WINDOW_TICKS else self.no
-        return Action(self.lasting(feels), shift=shift.expand(len(self.no), 3))
+        if len(self.forces) < self.WINDOW_TICKS:
+            return Action(self.no, shift=shift.expand(len(self.no), 3))
+        surplus_n = self.lasting(self._surplus_n(now_s))
+        return Action(surplus_n > 0.0, shift=shift.expand(len(self.no), 3), surplus_n=surplus_n)
 
     def _moves(self, at_s: Float64[NDArray[np.float64], " k"]) -> tuple[Any, Any]:
         """The shifts at some times, (K, 3), m, and the same a quarter of a period later."""
@@ -226,8 +238,9 @@ class Probe:
         turn = at_s[:, None] * self.omega
         return size * np.sin(turn), size * np.cos(turn)
 
-    def _feels(self, now_s: float) -> Bool[Tensor, " n"]:
-        """Whether each row's readings say that a hand holds and carries the object."""
+    def _surplus_n(self, now_s: float) -> Float64[Tensor, " n"]:
+        """By how much each row's readings say that a hand holds and carries the object: the share's surplus, but no more
+        than what the stiffness leaves at `SHIFT_M`, which is known in steps of `NOISE_N`."""
         # a reading is a tick late
         back = np.arange(self.WINDOW_TICKS, 0, -1, dtype=np.float64)
         at_s = np.asarray(now_s - self.robot.tick_s * back, np.float64)
@@ -239,17 +252,23 @@ class Probe:
         mean = torch.zeros((9, *self.forces[0].shape), dtype=torch.float64, device=self.tare.device)
         for k, force in enumerate(self.forces):  # one after the other: the same bits in every batch
             mean = mean + weights[:, k, None, None] * force
-        share = (mean[0, :, 2] - self.tare) / self.robot.weight_n.clamp(min=LoadShare.LEAST_N)
+        weight = self.robot.weight_n.clamp(min=LoadShare.LEAST_N)
+        share = (mean[0, :, 2] - self.tare) / weight
         own = torch.stack([self.mass * w**2 for w in self.omega])
         response = mean[3:6] - torch.diag_embed(own.T).movedim(0, 1), mean[6:]
         sure = self.SIGMAS * np.sqrt(covariance.diagonal()[3:].max())
         least = self.LEAST_N_M + self.OWN_SHARE * self.mass * self.omega[1] ** 2
-        return second_singular_exceeds(*response, least + float(sure)) & (share > self.SHARE)
+        step = torch.arange(-1.0, 2.0, dtype=torch.float64, device=least.device)[:, None]
+        exceeds = second_singular_exceeds(
+            *response, (least + float(sure) + step * (self.NOISE_N / self.SHIFT_M)).clamp(min=0.0)
+        )
+        stiff = (exceeds.sum(0) - 1.5) * self.NOISE_N
+        return torch.minimum((share - self.SHARE) * weight, stiff)
 
 
 def second_singular_exceeds(
-    re: Float64[Tensor, "3 n 3"], im: Float64[Tensor, "3 n 3"], least: Float64[Tensor, " n"]
-) -> Bool[Tensor, " n"]:
+    re: Float64[Tensor, "3 n 3"], im: Float64[Tensor, "3 n 3"], least: Float64[Tensor, "*k n"]
+) -> Bool[Tensor, "*k n"]:
     """Whether the second singular value of N complex 3 x 3 matrices A exceeds a number.
 
     It does where A^H A - least^2 has two positive eigenvalues. Their signs follow from the coefficients of the
@@ -257,7 +276,7 @@ def second_singular_exceeds(
 
     Args:
         re, im: (3, N, 3) parts of A, its columns first.
-        least: (N,) the number.
+        least: (..., N) the number, or several.
     """
 
     def product(i: int, j: int) -> tuple[Tensor, Tensor]:
@@ -277,10 +296,6 @@ def second_singular_exceeds(
     trace, minors = a + b + c, a * b + a * c + b * c - xx - yy - zz
     determinant = a * b * c + 2 * turned - a * zz - b * yy - c * xx
     return torch.where(determinant > 0, (minors > 0) & (trace > 0), ~((minors > 0) & (trace < 0)))
-
-
-BY_SHARE = ("load-share", "probe")
-"""Policies that count in shares of the weight."""
 
 
 def release_of(spec: str) -> tuple[Any, str]:

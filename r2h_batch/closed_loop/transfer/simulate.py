@@ -5,23 +5,32 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import rng
-from r2h_batch.closed_loop.transfer.model import TICK_S
-from r2h_batch.closed_loop.transfer.outcome import SHARES, Book
-from r2h_batch.closed_loop.transfer.person import BEGIN_S, KEY, Hands
+from r2h_batch.closed_loop.transfer.model import GRIPPER_S, TICK_S
+from r2h_batch.closed_loop.transfer.outcome import (
+    DROPPED_M,
+    FACTOR,
+    HELD_DEG,
+    HELD_M,
+    SHARES,
+    STUCK_S,
+    Book,
+    Outcome,
+)
+from r2h_batch.closed_loop.transfer.person import BEGIN_S, KEY, LOST_DEG, LOST_M, Hands
 from r2h_batch.closed_loop.transfer.release import Action, Observation, RobotSide
 from r2h_batch.closed_loop.transfer.worlds import Seen, Told, Worlds
 
 NOISE_N = 0.5
 """Noise of the wrist's sensor, one sigma an axis [choice]; a UR5e's own sensor is coarser."""
+NEAR_N = NOISE_N
+"""A decision by less than this, one sigma of a reading, is undecided."""
 SENSOR_TICKS = 1
 """The policy sees the force this late."""
-GRIPPER_S = 0.06
-"""From the decision to the fingers' first move [choice]."""
 BACK = (0.2, 0.15, 0.10)
 """The robot backs off once the fingers have opened for so long (s), at this speed (m/s) and by so far (m): they stay
 hooked in headphones otherwise."""
@@ -38,6 +47,9 @@ class Transfers:
 
     Attributes:
         outcome: `Outcome` of each.
+        surplus_n: by how much the policy's readings exceeded what lets go, the most of them until the fingers moved
+            (`release.Action`). Also NaN: it let go while the hand had not pulled with its largest force yet.
+        decided_s: from the beginning of the person's grip until the policy let go.
         release_share: share of the weight that the person carried when the policy let go.
         transfer_s: from the beginning of the person's grip until the gripper was free.
         share_s: (N, 3) when the share first passed 10, 50 and 90 %, from the beginning of the grip.
@@ -47,10 +59,13 @@ class Transfers:
         slip_m: how far the object slipped in the hand, from the grip to the end.
         turn_deg: how far it turned.
         robot_slip_m: how far it slipped in the gripper before anybody gripped it.
+        untouched_slip_m: the same before a hand or a finger touched it.
         time_s: simulated.
     """
 
     outcome: list[str]
+    surplus_n: Float64[NDArray[np.float64], " n"]
+    decided_s: Float64[NDArray[np.float64], " n"]
     release_share: Float64[NDArray[np.float64], " n"]
     transfer_s: Float64[NDArray[np.float64], " n"]
     share_s: Float64[NDArray[np.float64], "n 3"]
@@ -60,7 +75,41 @@ class Transfers:
     slip_m: Float64[NDArray[np.float64], " n"]
     turn_deg: Float64[NDArray[np.float64], " n"]
     robot_slip_m: Float64[NDArray[np.float64], " n"]
+    untouched_slip_m: Float64[NDArray[np.float64], " n"]
     time_s: Float64[NDArray[np.float64], " n"]
+
+    @property
+    def undecided(self) -> Bool[NDArray[np.bool_], " n"]:
+        """Which outcomes hang on less than the model knows.
+
+        A slip or a turn decides, and it is between a `FACTOR`th and `FACTOR` times of its limit. Or the policy let go, or did
+        not, by less than `NEAR_N`: not where a hand had not pulled with its largest force yet, which would have gone on. Or the
+        object hung on the opening fingers for a `FACTOR`th of `STUCK_S` or longer.
+        """
+        ends = np.array(self.outcome)
+        held = [
+            (self.slip_m < HELD_M * by) & (self.turn_deg < HELD_DEG * by)
+            for by in (1 / FACTOR, FACTOR)
+        ]
+        in_hand = np.isin(ends, [Outcome.TAKEN, Outcome.BADLY_HELD]) & (held[0] != held[1])
+        kept = np.isin(ends, [Outcome.BADLY_HELD, Outcome.NOT_RELEASED, Outcome.TORN_OUT])
+        lost = np.isin(ends, [Outcome.DROPPED, Outcome.HAND_SLIPPED_OFF])
+        far = (self.slip_m > LOST_M / FACTOR) | (self.turn_deg > LOST_DEG / FACTOR)
+        out_of_hand = (kept & far) | (lost & (self.slip_m < LOST_M * FACTOR))
+        hooked = self.transfer_s - self.decided_s > STUCK_S / FACTOR
+        return np.asarray(
+            _near(self.robot_slip_m, DROPPED_M)
+            | _near(self.untouched_slip_m, DROPPED_M)
+            | (np.abs(self.surplus_n) < NEAR_N)
+            | in_hand
+            | out_of_hand
+            | hooked
+            | (ends == Outcome.STUCK)
+        )
+
+
+def _near(x: Float64[NDArray[np.float64], " n"], limit: float) -> Bool[NDArray[np.bool_], " n"]:
+    return (x > limit / FACTOR) & (x < limit * FACTOR)
 
 
 def noise_of(
@@ -145,7 +194,7 @@ class Running:
     def act(self, action: Action) -> None:
         """Robots and persons act, and the worlds go on by a tick."""
         book, seen = self.book, self.worlds.seen()
-        book.decide(action.open)
+        book.decide(action.open, action.surplus_n)
         acts = self.hands.act(seen, book.released, book.lost)
         effort, shift = self._fingers.moves(action, book)
         told = Told(effort, shift, acts.hand, acts.friction, acts.push)
@@ -196,6 +245,8 @@ def _transfers(book: Book) -> Transfers:
 
     return Transfers(
         book.outcomes(),
+        happened(book.surplus_n),
+        happened(book.decided_s - BEGIN_S),
         here(book.release_share),
         happened(book.released_s - BEGIN_S),
         np.stack([happened(book.passed_s[k]) for k in range(len(SHARES))], 1),
@@ -205,5 +256,6 @@ def _transfers(book: Book) -> Transfers:
         here(book.slip_m),
         np.array(book.turn_deg()),
         here(book.robot_slip_m),
+        here(book.untouched_slip_m),
         here(book.ended_s),
     )

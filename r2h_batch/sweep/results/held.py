@@ -14,9 +14,8 @@ from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.closed_loop.transfer.cases import Processes, Simulator, processes
 from r2h_batch.closed_loop.transfer.handed import gripped_of
-from r2h_batch.closed_loop.transfer.held import Lost
+from r2h_batch.closed_loop.transfer.held import NEAR_M, Lost
 from r2h_batch.closed_loop.transfer.model import Setting
-from r2h_batch.closed_loop.transfer.outcome import NEAR_M
 from r2h_batch.judge.grasp_physics import DROPPED_M, TORSION_M
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.held import FOLDER, MADE_OF

@@ -24,9 +24,10 @@ from r2h_batch.closed_loop.transfer.cases import (
 )
 from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
 from r2h_batch.closed_loop.transfer.model import Setting
-from r2h_batch.closed_loop.transfer.outcome import Outcome, undecided
+from r2h_batch.closed_loop.transfer.outcome import FACTOR, Outcome
 from r2h_batch.closed_loop.transfer.person import SCENARIOS
 from r2h_batch.closed_loop.transfer.release import release_of
+from r2h_batch.closed_loop.transfer.simulate import NEAR_N
 from r2h_batch.judge.reception import reception
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.statistics.aggregate import clustered_rate
@@ -52,15 +53,16 @@ SCHEMA = pa.schema(
         pa.field("outcome", pa.string(), nullable=False),
         pa.field("false_release", _YES, nullable=False),
         pa.field("undecided", _YES),
+        pa.field("surplus_n", _FLOAT),
+        pa.field("decided_s", _FLOAT),
         *(pa.field(k, _FLOAT) for k in ("release_share", "transfer_s", "t10_s", "t50_s", "t90_s")),
         *(pa.field(k, _FLOAT) for k in ("pull_n", "grip_n", "hand_n", "slip_m", "turn_deg")),
-        *(pa.field(k, _FLOAT) for k in ("robot_slip_m", "closing_m", "time_s")),
+        *(pa.field(k, _FLOAT) for k in ("robot_slip_m", "untouched_slip_m", "closing_m", "time_s")),
         *(pa.field(f"person_{k}", _FLOAT) for k in _PERSON),
     ]
 )
 """A row for each stored row that has a pose and each case; numbers as in `closed_loop.transfer.simulate.Transfers`,
-null where nothing is received or it did not happen. undecided: `outcome.undecided`. person_...: what the person was drawn
-with."""
+null where nothing is received or it did not happen. person_...: what the person was drawn with."""
 
 CODE = (
     "r2h_batch.closed_loop.transfer",
@@ -77,8 +79,8 @@ NOTES = (
     "n counts received rows; nobody takes the others. taken: in the person's hand, slipped by less than 2 cm and turned by"
     " less than 30 degrees. Outcomes are percent of n. Brackets: 95 % over trials, each with persons of its own (Wilson; where"
     " a trial has several persons, a t interval over trials).",
-    "undecided: the object slipped in the gripper to within 3 mm of 3 cm, or the robot kept or let go by its share of a weight"
-    " within the sensor's noise: another time step may end otherwise.",
+    f"undecided: a slip or turn that decides is between 1/{FACTOR:g} and {FACTOR:g} times of its limit, the policy decided by"
+    f" less than {NEAR_N:g} N, or the object hung on the opening fingers: another time step may end otherwise.",
     "Persons: percent taken by the weaker and the firmer half of the grips, and by the stiffer half of the arms. touch: a finger"
     " presses and does not grip; nobody: nobody comes. There kept is right.",
     "Medians: share of the weight that the person carries when the policy lets go; seconds from the beginning of the grip"
@@ -254,15 +256,23 @@ def table_of(handed: Handed, made: Sequence[Transferred], success: dict[int, boo
     for one in made:
         t, n = one.transfers, len(handed)
         numbers = (
-            *("release_share", "transfer_s", "pull_n", "grip_n", "hand_n", "slip_m"),
-            *("turn_deg", "robot_slip_m", "time_s"),
+            *(
+                "surplus_n",
+                "decided_s",
+                "release_share",
+                "transfer_s",
+                "pull_n",
+                "grip_n",
+                "hand_n",
+            ),
+            *("slip_m", "turn_deg", "robot_slip_m", "untouched_slip_m", "time_s"),
         )
         columns: dict[str, Any] = {
             **_columns_of(one.case, handed.trial_id, success),
             "received": np.ones(n, bool),
             "outcome": t.outcome,
             "false_release": np.array([o == Outcome.FALSE_RELEASE for o in t.outcome], bool),
-            "undecided": undecided(t.robot_slip_m, handed.weight_n, t.outcome, one.case.release),
+            "undecided": t.undecided,
             **{k: getattr(t, k) for k in numbers},
             **{f"t{s}_s": t.share_s[:, k] for k, s in enumerate((10, 50, 90))},
             "closing_m": handed.closing_m,
