@@ -35,8 +35,8 @@ COMMANDS = {
     "why": "why {out}/run 3 --method contact",
     "view, page": "view {out}/run --trial 3 --method contact --html {out}/trial.html --overwrite",
     "view, film": "view {out}/run --trial 3 --method contact --video {out}/trial.mp4 --fps 5 --overwrite",
-    "view, film of a moving hand": "view {out}/moving --trial 3 --receiver-motion moves --policy servo --video {out}/moving.mp4 --fps 5"
-    " --overwrite",
+    "view, film of a moving hand": "view {out}/moving --trial 3 --receiver-motion moves --policy servo"
+    " --video {out}/moving.mp4 --fps 5 --overwrite",
     "results verify": "results verify {out}/run",
     "results reevaluate": "results reevaluate {out}/run --rows 100",
     "results reception, first use": "results reception {out}/simulated",
